@@ -73,7 +73,8 @@ def unit_vectors(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> np.ndarray
 
     Azimuth is clockwise from north, elevation above the horizon.
     """
-    azimuth, elevation = np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float)
+    azimuth = np.asarray(azimuth_rad, float)
+    elevation = np.asarray(elevation_rad, float)
     level = np.cos(elevation)
     return np.column_stack([np.sin(azimuth) * level, np.cos(azimuth) * level, np.sin(elevation)])
 
@@ -99,12 +100,15 @@ def geometry(
     num = len(directions)
     padded = max(1, -(-num // multiple_of)) * multiple_of
     clocks = clocks or Clocks(np.zeros(num, int), 1)
-    members, counts, rows = np.zeros((clocks.num, padded)), np.zeros(padded), np.zeros((padded, 3))
+    members = np.zeros((clocks.num, padded))
+    counts = np.zeros(padded)
+    rows = np.zeros((padded, 3))
     members[np.asarray(clocks.numbers, int), np.arange(num)] = 1
     counts[:num] = 1
     sums = members @ counts
     means = (members * counts)[:, :num] @ directions / np.where(sums > 0, sums, 1.0)[:, None]
-    centred, basis = directions - members[:, :num].T @ means, np.eye(3)
+    centred = directions - members[:, :num].T @ means
+    basis = np.eye(3)
     scaled = centred * np.sqrt(counts[:num, None])
     if num >= 3 and np.linalg.matrix_rank(scaled) == 3:
         basis = np.linalg.inv(np.linalg.qr(scaled).R)
@@ -161,7 +165,8 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
         )  # else GPUs take TF32
         for row, mean in zip(satellites.rows.T, means, strict=True)
     ]
-    lower, pivots = {}, []
+    lower = {}
+    pivots = []
     is_determined = jnp.asarray(True)
     for j in range(3):
         pivot = total(weighed * columns[j] ** 2)
@@ -173,7 +178,8 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
 
     def variance(row: list[Array]) -> Array:
         """Return that of the position along a row: |D^-1/2 L^-1 row|^2, a sum of squares."""
-        east, north = row[0], row[1] - lower[1, 0] * row[0]
+        east = row[0]
+        north = row[1] - lower[1, 0] * row[0]
         up = row[2] - lower[2, 0] * east - lower[2, 1] * north
         return east**2 / pivots[0] + north**2 / pivots[1] + up**2 / pivots[2]
 

@@ -34,7 +34,9 @@ def burn_outlines(points, ring_start, outline_start, values, first_row, first_co
       touched: ``[Y, X]`` of the same type; ``[0, 0]`` where nobody asks.
     """
     is_crossed = np.zeros(256, np.bool_)
-    row, col, length = np.empty(64, np.int64), np.empty(64, np.int64), np.empty(64)
+    row = np.empty(64, np.int64)
+    col = np.empty(64, np.int64)
+    length = np.empty(64)
     for outline in range(len(values)):
         rings = ring_start[outline_start[outline] : outline_start[outline + 1] + 1]
         is_crossed = _fill(points, rings, values[outline], first_row, first_col, centre, is_crossed)
@@ -56,7 +58,10 @@ def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
     east = north = -np.inf
     for at in range(rings[0], rings[1]):
         x, y = points[at]
-        west, east, south, north = min(west, x), max(east, x), min(south, y), max(north, y)
+        west = min(west, x)
+        east = max(east, x)
+        south = min(south, y)
+        north = max(north, y)
     low_row = max(_row_from(south) - first_row, 0)
     end_row = min(_row_from(north) - first_row, num_rows)
     # A column more on each side, should rounding carry an edge beyond its ends.
@@ -76,10 +81,8 @@ def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
             elif y0 == y1:
                 row = _row_from(y0)
                 if ring > 0 and y0 == row + 0.5 and low_row <= row - first_row < end_row:
-                    first, end = (
-                        _col_from(min(x0, x1)) - first_col,
-                        _col_from(max(x0, x1)) - first_col,
-                    )
+                    first = _col_from(min(x0, x1)) - first_col
+                    end = _col_from(max(x0, x1)) - first_col
                     for col in range(max(first, 0), min(end, num_cols)):
                         centre[row - first_row, col] = max(centre[row - first_row, col], value)
                 continue
@@ -121,13 +124,12 @@ def _touch(points, rings, value, first_row, first_col, touched, row, col, length
     """Raise the cells whose interior an edge of one outline crosses; the last three are memory that is handed on."""
     num_rows, num_cols = touched.shape
     for ring in range(len(rings) - 1):
-        x1, y1 = (
-            _snapped(points[rings[ring], 0] - first_col),
-            _snapped(points[rings[ring], 1] - first_row),
-        )
+        x1 = _snapped(points[rings[ring], 0] - first_col)
+        y1 = _snapped(points[rings[ring], 1] - first_row)
         for at in range(rings[ring] + 1, rings[ring + 1]):
             x0, y0 = x1, y1
-            x1, y1 = _snapped(points[at, 0] - first_col), _snapped(points[at, 1] - first_row)
+            x1 = _snapped(points[at, 0] - first_col)
+            y1 = _snapped(points[at, 1] - first_row)
             if (
                 max(x0, x1) < 0
                 or max(y0, y1) < 0
@@ -141,7 +143,8 @@ def _touch(points, rings, value, first_row, first_col, touched, row, col, length
                 int(abs(np.floor(x1) - np.floor(x0)) + abs(np.floor(y1) - np.floor(y0))) + 2
             )
             if most_parts > len(row):
-                row, col = np.empty(2 * most_parts, np.int64), np.empty(2 * most_parts, np.int64)
+                row = np.empty(2 * most_parts, np.int64)
+                col = np.empty(2 * most_parts, np.int64)
                 length = np.empty(2 * most_parts)
             for part in range(walk_edge(x0, y0, x1, y1, row, col, length, np.int64(0))):
                 r, c = row[part], col[part]

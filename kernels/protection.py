@@ -123,11 +123,9 @@ def _levels_of(seen, ranging, budget):
         k_horizontal = quantile(budget.pfa_horizontal / (4 * num_modes))
         k_vertical = quantile(budget.pfa_vertical / (2 * num_modes))
     # Rows are the modes that are monitored, the one without faults first: sigma, and threshold and bias together.
-    sigma_m, offset_m, p_row = (
-        np.empty((AXES, num_modes + 1)),
-        np.empty((AXES, num_modes + 1)),
-        np.empty(num_modes + 1),
-    )
+    sigma_m = np.empty((AXES, num_modes + 1))
+    offset_m = np.empty((AXES, num_modes + 1))
+    p_row = np.empty(num_modes + 1)
     _fill_terms(of_all, of_all, 0.0, 0.0, seen, ranging, sigma_m[:, 0], offset_m[:, 0])
     rows = 1
     for mode in range(num_modes):
@@ -193,18 +191,23 @@ def _fault_modes(prior, p_unmonitored):
             of_order[order] += of_order[order - 1] * prior[event]
     p_left = of_order[2:].sum()
     num_pairs = num * (num - 1) // 2 if p_left > p_unmonitored else 0
-    modes, p_mode = np.full((num + num_pairs, 2), NO_EVENT), np.empty(num + num_pairs)
+    modes = np.full((num + num_pairs, 2), NO_EVENT)
+    p_mode = np.empty(num + num_pairs)
     num_modes = 0
     for event in range(num):
         if prior[event] > 0:
-            modes[num_modes, 0], p_mode[num_modes] = event, prior[event]
+            modes[num_modes, 0] = event
+            p_mode[num_modes] = prior[event]
             num_modes += 1
     if num_pairs:
-        pairs, p_pair = np.empty((num_pairs, 2), np.int64), np.empty(num_pairs)
+        pairs = np.empty((num_pairs, 2), np.int64)
+        p_pair = np.empty(num_pairs)
         at = 0
         for one in range(num):
             for other in range(one + 1, num):
-                pairs[at, 0], pairs[at, 1], p_pair[at] = one, other, prior[one] * prior[other]
+                pairs[at, 0] = one
+                pairs[at, 1] = other
+                p_pair[at] = prior[one] * prior[other]
                 at += 1
         for pair in np.argsort(-p_pair, kind="mergesort"):
             is_enough = p_left <= p_unmonitored and p_pair[pair] < p_mode[num_modes - 1] * SAME
@@ -233,7 +236,8 @@ def _fill_gains(seen, is_kept, ranging, gains):
     for i in range(len(seen)):
         if is_kept[i]:
             s = seen[i]
-            weight, own = 1 / ranging.sigma_int_m[s] ** 2, clock[ranging.constellation[s]]
+            weight = 1 / ranging.sigma_int_m[s] ** 2
+            own = clock[ranging.constellation[s]]
             for j in range(AXES):
                 for k in range(j + 1):
                     normal[j, k] += weight * ranging.directions[s, j] * ranging.directions[s, k]

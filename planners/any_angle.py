@@ -32,10 +32,8 @@ def ptp(problem: Problem, *, budget_s: float = np.inf, seed: int = 0) -> Path:
     tried. The lower bound is the distance alone and holds for any path.
     """
     begin_s = time.perf_counter()
-    start_m, goal_m = (
-        (np.array(cell[::-1]) + 0.5) * problem.resolution_m
-        for cell in (problem.start, problem.goal)
-    )
+    start_m = (np.array(problem.start[::-1]) + 0.5) * problem.resolution_m
+    goal_m = (np.array(problem.goal[::-1]) + 0.5) * problem.resolution_m
     points_m = sample_segment(start_m, goal_m, problem.resolution_m)
     is_valid = problem.features(points_m).is_valid
     return Path.of(
@@ -184,7 +182,8 @@ def advance(cost_grid, nodes, goal, heap, max_expanded):
     Returns: how the chunk ended, and the cells expanded.
     """
     num_rows, num_cols = cost_grid.cell_cost.shape
-    goal_row, goal_col = goal // num_cols, goal % num_cols
+    goal_row = goal // num_cols
+    goal_col = goal % num_cols
     num_expanded = 0
     while heap.size[0] > 0:
         if num_expanded >= max_expanded:
@@ -199,7 +198,9 @@ def advance(cost_grid, nodes, goal, heap, max_expanded):
         if node == goal:
             return FOUND, num_expanded
         num_expanded += 1
-        row, col, parent = node // num_cols, node % num_cols, nodes.parent[node]
+        row = node // num_cols
+        col = node % num_cols
+        parent = nodes.parent[node]
         for to_row in range(max(row - 1, 0), min(row + 2, num_rows)):
             for to_col in range(max(col - 1, 0), min(col + 2, num_cols)):
                 to = to_row * num_cols + to_col
@@ -211,7 +212,8 @@ def advance(cost_grid, nodes, goal, heap, max_expanded):
                     length = np.sqrt(2.0)
                     if is_pinched(cost_grid, row, col, to_row, to_col):
                         continue
-                best, best_parent = nodes.g[to], NO_PARENT
+                best = nodes.g[to]
+                best_parent = NO_PARENT
                 g = nodes.g[node] + length * (
                     cost_grid.per_side + 0.5 * (cost_grid.cell_cost[row, col] + cell_cost)
                 )
@@ -219,7 +221,8 @@ def advance(cost_grid, nodes, goal, heap, max_expanded):
                     best, best_parent = g, node
                 if parent != NO_PARENT and parent != nodes.tried[to]:
                     nodes.tried[to] = parent
-                    x, y = parent % num_cols + 0.5, parent // num_cols + 0.5
+                    x = parent % num_cols + 0.5
+                    y = parent // num_cols + 0.5
                     from_g = nodes.g[parent]
                     g = from_g + segment_cost(
                         cost_grid, x, y, to_col + 0.5, to_row + 0.5, best - from_g

@@ -30,14 +30,8 @@ from jaxurban.planners.grid_search import (
     rises_m,
 )
 
-ADMISSIBLE = (
-    "none",
-    "euclidean",
-    "octile",
-    "tiles",
-    "landmarks",
-    "exact",
-)  # all of them consistent too
+# All of them consistent too.
+ADMISSIBLE = ("none", "euclidean", "octile", "tiles", "landmarks", "exact")
 PRINTED = ("plus-printed", "plus-printed-from-0")
 HEURISTICS = ADMISSIBLE + PRINTED
 VOLUME_HEURISTICS = ("none", "octile", "plus")  # all admissible and consistent
@@ -193,16 +187,16 @@ def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: flo
     change = problem.distance_weight * (np.hypot(longest_m, rise_m) - longest_m) + height_cost(
         problem, rise_m
     )
-    up, down, goal = change[:-1, 2], change[1:, 0], problem.goal[0]
+    up = change[:-1, 2]
+    down = change[1:, 0]
+    goal = problem.goal[0]
     rise = np.concatenate([np.cumsum(up[:goal][::-1])[::-1], [0.0], np.cumsum(down[goal:])])
     if name == "none":
         return NO_HEURISTIC._replace(num_rows=num_rows, rise=np.zeros(len(rise_m)))
     if name == "octile":
         return octile._replace(num_rows=num_rows, rise=rise)
-    rows, cols = (
-        np.abs(np.arange(num_rows) - goal_row)[:, None],
-        np.abs(np.arange(num_cols) - goal_col),
-    )
+    rows = np.abs(np.arange(num_rows) - goal_row)[:, None]
+    cols = np.abs(np.arange(num_cols) - goal_col)
     length = octile.straight * np.maximum(rows, cols) + octile.diagonal * np.minimum(rows, cols)
     field = np.maximum(length, _seen_from_above(problem, end_s))
     return NO_HEURISTIC._replace(field=field, num_rows=num_rows, rise=rise)
@@ -214,9 +208,11 @@ def _seen_from_above(problem: Problem, end_s: float) -> np.ndarray:
     Costs beyond some of those above the start's, or beyond what is reached before ``end_s``, are cut there: the lesser
     of two consistent bounds is one too, and it is sooner done.
     """
-    cost, is_free = problem.cost.min(axis=0), np.any(problem.is_free, axis=0)
+    cost = problem.cost.min(axis=0)
+    is_free = np.any(problem.is_free, axis=0)
     (_, *start), (_, *goal) = problem.start, problem.goal
-    weights, model = [problem.distance_weight, 1.0], problem.cost_model
+    weights = [problem.distance_weight, 1.0]
+    model = problem.cost_model
     plan = Problem(
         cost[None], is_free, tuple(start), tuple(goal), problem.resolution_m, weights, model
     )
@@ -228,11 +224,9 @@ def _seen_from_above(problem: Problem, end_s: float) -> np.ndarray:
         is_met = bool(search.states[plan.start] & CLOSED)  # and goes on once more
         ended = search.run(end_s=0.0, chunk=FEW + search.num_expanded // 4)
     costs = search.costs_from_start(final=True).reshape(is_free.shape)
-    return (
-        costs
-        if ended == EXHAUSTED
-        else np.minimum(costs, costs.max(where=np.isfinite(costs), initial=0.0))
-    )
+    if ended == EXHAUSTED:
+        return costs
+    return np.minimum(costs, costs.max(where=np.isfinite(costs), initial=0.0))
 
 
 def heuristic_at(heuristic: Heuristic, cell: Cell, goal: Cell) -> float:

@@ -271,11 +271,9 @@ class Problem:
     def grid_name(self) -> str:
         """What grid planners search, in words: the neighbours that a cell has, and whether it has levels."""
         num = self.cost_model.connectivity
-        return (
-            f"{num}-neighbour grid"
-            if self.levels_m is None
-            else f"{3 * num + 2}-neighbour grid of levels"
-        )
+        if self.levels_m is None:
+            return f"{num}-neighbour grid"
+        return f"{3 * num + 2}-neighbour grid of levels"
 
     @property
     def is_by_length(self) -> bool:

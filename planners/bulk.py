@@ -41,9 +41,8 @@ BYTES_OF_MAPS = {"cpu": 2**30, "gpu": 8 * 2**30}
 BYTES_A_CELL = 9  # cost and moves of a map; g and step of a query
 SAMPLED_TOGETHER = {"cpu": 64, "gpu": 256}  # queries whose sample graphs are searched together
 MOST_NODES = {"cpu": 2**18, "gpu": 2**21}  # of all queries that run together: some 2 kB each
-FEWEST_NODES = (
-    1024  # room for so many, and for 4, 16 ... times as many, so that few shapes are compiled
-)
+# Room for so many, and for 4, 16 ... times as many, so that few shapes are compiled.
+FEWEST_NODES = 1024
 # What a turn does together: on a CPU what fits into its caches.
 NODES_TOGETHER = {"cpu": 256, "gpu": 2**16}
 EDGES_TOGETHER = {"cpu": 2**12, "gpu": 2**20}

@@ -134,9 +134,14 @@ def _find_moves(framed, steps, needs_both_free, moves):
     """Set moves, given cells ``[Y + 2, X + 2]`` of 1 (free) or 0, and the bits of the steps that there are."""
     for row in range(moves.shape[0]):
         # The rows around, as `STEPS` go: bits, not branches, so that the processor takes many cells at once.
-        here, north, south = framed[row + 1], framed[row + 2], framed[row]
+        here = framed[row + 1]
+        north = framed[row + 2]
+        south = framed[row]
         for col in range(1, moves.shape[1] + 1):
-            up, down, east, west = north[col], south[col], here[col + 1], here[col - 1]
+            up = north[col]
+            down = south[col]
+            east = here[col + 1]
+            west = here[col - 1]
             diagonals = (
                 north[col + 1] << 4
                 | north[col - 1] << 5
@@ -218,7 +223,8 @@ def path_features(
       InputError: points that are not finite metres of these shapes.
     """
     cut = crossed_cells(points_m, problem.resolution_m)
-    points_m, is_volume = cut.points_m, problem.levels_m is not None
+    points_m = cut.points_m
+    is_volume = problem.levels_m is not None
     if points_m.shape[1] != problem.is_free.ndim:
         raise InputError(
             f"a path must be [N, {problem.is_free.ndim}] here, got shape {points_m.shape}: mend the path"
@@ -227,14 +233,16 @@ def path_features(
     legs_m = np.diff(points_m, axis=0).T
     length_m = np.hypot(*legs_m[:2])
     if is_volume:
-        rise_m, length_m = legs_m[2], np.hypot(length_m, legs_m[2])
+        rise_m = legs_m[2]
+        length_m = np.hypot(length_m, legs_m[2])
         metres = [length_m.sum(), np.maximum(rise_m, 0).sum(), np.maximum(-rise_m, 0).sum()]
         is_valid = _is_allowed(problem, points_m)
     else:
         metres = [length_m.sum()]
         is_valid = _is_way(problem, problem.is_free, cut)
     if (kind or problem.cost_model.kind) == "line":
-        counted, count = crossed, cut.length_m / problem.cost_model.reference_length_m
+        counted = crossed
+        count = cut.length_m / problem.cost_model.reference_length_m
     else:
         states = crossed_cells(path_states(points_m, problem.resolution_m), problem.resolution_m)
         is_last = np.append(states.segment[1:] != states.segment[:-1], states.length_m[-1] > 0)
@@ -280,7 +288,8 @@ def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
     num_levels, num_rows, num_cols = problem.is_free.shape
     if (nodes < 0).any() or (nodes >= (num_levels, num_rows, num_cols)).any():
         return False
-    steps, is_climb = np.diff(nodes, axis=0), np.diff(points_m[:, 2]) != 0
+    steps = np.diff(nodes, axis=0)
+    is_climb = np.diff(points_m[:, 2]) != 0
     for level, first, last in level_parts(problem, points_m):
         way = crossed_cells(points_m[first : last + 1, :2], problem.resolution_m)
         if level is not None and not _is_way(problem, problem.is_free[level], way):
@@ -307,9 +316,9 @@ def level_parts(problem: "Problem", points_m: np.ndarray) -> list[tuple[int | No
     is_level = np.diff(points_m[:, 2]) == 0
     cuts = [0, *(np.flatnonzero(is_level[1:] != is_level[:-1]) + 1).tolist(), last]
     level = np.searchsorted(problem.levels_m, points_m[:, 2])
-    return (
-        [(int(level[a]) if is_level[a] else None, a, b) for a, b in pairwise(cuts)] if last else []
-    )
+    if last:
+        return [(int(level[a]) if is_level[a] else None, a, b) for a, b in pairwise(cuts)]
+    return []
 
 
 def sample_segment(start_m: np.ndarray, end_m: np.ndarray, step_m: float) -> np.ndarray:

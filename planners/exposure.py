@@ -21,9 +21,8 @@ from jaxurban.planners.base import Path, Planner, Problem, Status, index_of
 from jaxurban.planners.grid_search import graph_of
 
 ENOUGH = 1e-6  # relative: what prices are not known better for
-STEEPEST = (
-    1e3  # prices, in the highest cost of a known path for the exposure of the path without budgets
-)
+# Prices, in the highest cost of a known path for the exposure of the path without budgets.
+STEEPEST = 1e3
 MOST_SEARCHES = 100
 MOST_LABELS = 2_000_000  # some 200 MB
 LABELS_PER_S = 1_000_000
@@ -292,18 +291,23 @@ def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_
 
     Returns: the nodes of the path from the goal back, none without a cheaper one; the labels made; a lower bound.
     """
-    num, size, num_compared = len(limits), 1, 0
+    num = len(limits)
+    size = 1
+    num_compared = 0
     # Memory that is not written to is not taken.
-    node, parent, older = (
-        np.empty(most_labels, np.int64),
-        np.empty(most_labels, np.int64),
-        np.empty(most_labels, np.int64),
-    )
-    cost, spent = np.empty(most_labels), np.empty((most_labels, num))
-    node[0], parent[0], cost[0], spent[0] = start, -1, 0.0, 0.0
+    node = np.empty(most_labels, np.int64)
+    parent = np.empty(most_labels, np.int64)
+    older = np.empty(most_labels, np.int64)
+    cost = np.empty(most_labels)
+    spent = np.empty((most_labels, num))
+    node[0] = start
+    parent[0] = -1
+    cost[0] = 0.0
+    spent[0] = 0.0
     newest = np.full(graph.cost.size, -1)  # label expanded at each node, and from it the older ones
     offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
-    queue, way = [(to_go[num, start], 0)], [0 for _ in range(0)]
+    queue = [(to_go[num, start], 0)]
+    way = [0 for _ in range(0)]
     while queue:
         least, label = heapq.heappop(queue)
         at = node[label]
@@ -320,11 +324,14 @@ def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_
             num_compared += 1
         if other >= 0:
             continue
-        older[label], newest[at] = newest[at], label
+        older[label] = newest[at]
+        newest[at] = label
         for k in range(len(offsets)):
             if not (graph.moves[at] >> k) & 1:
                 continue
-            to, here, there = at + offsets[k], graph.from_share[k], graph.to_share[k]
+            to = at + offsets[k]
+            here = graph.from_share[k]
+            there = graph.to_share[k]
             to_cost = (
                 cost[label] + graph.step_cost[k] + here * graph.cost[at] + there * graph.cost[to]
             )

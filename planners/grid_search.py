@@ -104,7 +104,8 @@ def graph_of(problem: Problem, *, is_symmetric: bool = False) -> Graph:
       is_symmetric: under the ``cell`` model, count half of each of a step's two cells instead of the one
         entered. A path from P to Q then costs ``(cost[P] - cost[Q]) / 2`` more than it does in truth.
     """
-    cost, moves = problem.cost, problem.moves.reshape(-1)
+    cost = problem.cost
+    moves = problem.moves.reshape(-1)
     stride = max(1, moves.size // SAMPLES)
     sample = cost.reshape(-1)[::stride][moves[::stride] > 0]
     num_rows, num_cols = cost.shape[-2:]
@@ -146,11 +147,9 @@ def height_cost(problem: Problem, rise_m: np.ndarray) -> np.ndarray:
 
 def cell_of(problem: Problem, node: Cell) -> Cell:
     """Return row and column of a cell, or of a volume's node, in a grid of all levels, row upon row."""
-    return (
-        node
-        if problem.levels_m is None
-        else (node[0] * problem.is_free.shape[1] + node[1], node[2])
-    )
+    if problem.levels_m is None:
+        return node
+    return (node[0] * problem.is_free.shape[1] + node[1], node[2])
 
 
 def path_points_m(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -162,7 +161,8 @@ def path_points_m(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np
         levels, row upon row.
       steps: ``[K, 2]`` rows and columns of each step, likewise.
     """
-    start, cells = cell_of(problem, problem.start), [cell_of(problem, problem.goal)]
+    start = cell_of(problem, problem.start)
+    cells = [cell_of(problem, problem.goal)]
     while cells[-1] != start:
         cells.append(tuple(map(operator.sub, cells[-1], steps[states[cells[-1]] & PARENT_STEP])))
     row, col = np.array(cells[::-1]).T
@@ -215,7 +215,9 @@ def _steps_from(plane, moves, cost, node):
     """Return the bits of the steps that lead from a node, how many there may be, and where tables have its level's."""
     if plane is None:  # likewise
         return moves[node], len(STEPS), 0
-    here, above, below = np.uint32(moves[node]), node + np.uint64(plane), node - np.uint64(plane)
+    here = np.uint32(moves[node])
+    above = node + np.uint64(plane)
+    below = node - np.uint64(plane)
     bits = here
     if above < np.uint64(moves.size):
         bits |= (here & moves[above]) << 8 | np.uint32(cost[above] < np.inf) << 24
@@ -245,12 +247,14 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
 
     Returns: how the chunk ended, and the nodes expanded.
     """
-    goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
+    goal_row = goal // graph.num_cols
+    goal_col = goal % graph.num_cols
     offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
     near = queue.near
     # A way to a node is cheaper where it costs less than this times the way known; a closed node that is kept has none.
     if_closed = CHEAPER if reopen else -1.0
-    cheaper_steps, cheaper_gs = np.empty(MAX_STEPS, np.uint64), np.empty(MAX_STEPS)
+    cheaper_steps = np.empty(MAX_STEPS, np.uint64)
+    cheaper_gs = np.empty(MAX_STEPS)
     num_expanded = 0
     while True:
         if near.size[0] == 0:
@@ -267,19 +271,20 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
         if state[node] & CLOSED:
             drop_top(near)
             continue
-        row, col = (
-            np.uint32(node) // np.uint32(graph.num_cols),
-            np.uint32(node) % np.uint32(graph.num_cols),
-        )
+        row = np.uint32(node) // np.uint32(graph.num_cols)
+        col = np.uint32(node) % np.uint32(graph.num_cols)
         drop_top(near)
         state[node] |= CLOSED
         if node == goal:
             return FOUND, num_expanded
         num_expanded += 1
         steps, num_steps, first = _steps_from(graph.plane, graph.moves, graph.cost, node)
-        node_g, node_cost, num_cheaper = g[node], graph.cost[node], 0
+        node_g = g[node]
+        node_cost = graph.cost[node]
+        num_cheaper = 0
         for k in range(num_steps):
-            is_allowed, i = (steps >> k) & 1, first + k
+            is_allowed = (steps >> k) & 1
+            i = first + k
             to = np.uint64(np.int64(node) + offsets[k] * is_allowed)
             to_g = node_g + (
                 graph.step_cost[i]
@@ -296,7 +301,8 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
             to = np.uint64(np.int64(node) + offsets[k])
             g[to] = to_g
             state[to] = k | REACHED
-            to_row, to_col = np.int64(row) + graph.steps[k, 0], np.int64(col) + graph.steps[k, 1]
+            to_row = np.int64(row) + graph.steps[k, 0]
+            to_col = np.int64(col) + graph.steps[k, 1]
             to_h = estimate(heuristic, to_row, to_col, goal_row, goal_col)
             insert(queue, to_g + to_h, np.int64(to))  # the type of all nodes in a queue
 
@@ -322,12 +328,11 @@ class GridSearch:
             float(np.mean(graph.step_cost + (graph.from_share + graph.to_share) * cost)),
         )
         # Memory that is not written to is not taken: what the search does not come to costs nothing.
-        self._g, self._state, self._queue = (
-            np.empty(num_nodes),
-            np.zeros(num_nodes, np.uint8),
-            queue,
-        )
-        self._g[self.start], self._state[self.start] = 0.0, NO_PARENT | REACHED
+        self._g = np.empty(num_nodes)
+        self._state = np.zeros(num_nodes, np.uint8)
+        self._queue = queue
+        self._g[self.start] = 0.0
+        self._state[self.start] = NO_PARENT | REACHED
         insert(queue, 0.0 if goal is None else estimate(heuristic, *start, *goal), self.start)
 
     @property
@@ -347,7 +352,8 @@ class GridSearch:
     @property
     def low_f(self) -> float:
         """The least f in the queue, inf where it is empty."""
-        near, graph = self._queue.near, self.graph
+        near = self._queue.near
+        graph = self.graph
         if not near.size[0]:
             refill(self._queue, graph.num_cols, graph.moves, graph.cost, self._g, self._state)
         return float(near.f[0]) if near.size[0] else np.inf

@@ -17,25 +17,17 @@ from jaxurban.planners.bitstar.bounds import cost_grid_of, make_bounds
 from jaxurban.planners.compiled_first import compiled_first
 
 NO_PARENT = -1
-MARGIN = (
-    1e-6  # cell sides that waypoints keep from borders, lest rounding puts them in the cell beyond
-)
+# Cell sides that waypoints keep from borders, lest rounding puts them in the cell beyond.
+MARGIN = 1e-6
 GROW, SHRINK = 1.5, 0.5  # of a waypoint's step, where it helped and where it did not
-SPACING = (
-    0.4  # cell sides between the points that shortcuts join; 0.7 loses 0.04 %, 0.34 gains 0.01 %
-)
+# Cell sides between the points that shortcuts join; 0.7 loses 0.04 %, 0.34 gains 0.01 %.
+SPACING = 0.4
 LONGEST = 8  # cell sides that a segment may grow to
-SPACINGS = (
-    LONGEST,
-    4,
-    2,
-    1,
-)  # cell sides between waypoints, one level after the other: long bends first
+# Cell sides between waypoints, one level after the other: long bends first.
+SPACINGS = (LONGEST, 4, 2, 1)
 ROUNDS = 20  # moves of every waypoint on a level
-FIRST_STEP, LAST_STEP = (
-    1.0,
-    1e-3,
-)  # cell sides: a waypoint's step when a level begins, and where it ends
+# Cell sides: a waypoint's step when a level begins, and where it ends.
+FIRST_STEP, LAST_STEP = 1.0, 1e-3
 REACH = 64  # points that a shortcut may span: 128 gains less than 0.001 % (both on Lower Manhattan)
 
 
@@ -74,7 +66,9 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
     xy = np.minimum(
         path.points_m / problem.resolution_m, np.array(problem.is_free.shape[::-1]) * INSIDE
     )
-    best, points_m, is_spent = before, path.points_m, False
+    best = before
+    points_m = path.points_m
+    is_spent = False
     for spacing in SPACINGS:
         moved, _ = subdivided(xy, spacing)
         _move(cost_grid, moved, end_s)
@@ -165,7 +159,8 @@ def shortcut(cost_grid: CostGrid, xy: np.ndarray, reach: int) -> np.ndarray:
     Of all ways whose segments span at most ``reach`` points, by dynamic programming; of equally cheap
     ones, one with long segments. Where every way is blocked the points come back.
     """
-    best, parent = np.full(len(xy), np.inf), np.full(len(xy), NO_PARENT)
+    best = np.full(len(xy), np.inf)
+    parent = np.full(len(xy), NO_PARENT)
     best[0] = 0.0
     _weigh_shortcuts(cost_grid, xy, reach, best, parent)
     if best[-1] == np.inf:
@@ -214,7 +209,8 @@ def move_points(cost_grid, xy, direction, step, longest):
         )
         factor = SHRINK
         for sign in (1.0, -1.0):
-            x, y = x1 + sign * step[k] * direction[k, 0], y1 + sign * step[k] * direction[k, 1]
+            x = x1 + sign * step[k] * direction[k, 0]
+            y = y1 + sign * step[k] * direction[k, 1]
             if not (0.0 <= x < num_cols and 0.0 <= y < num_rows) or _is_near_border(x, y):
                 continue
             if max(np.hypot(x - x0, y - y0), np.hypot(x - x2, y - y2)) > longest:

@@ -34,10 +34,8 @@ Backend = Literal["auto", "numba", "jax"]
 
 EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the frontier search can stand for
 FRONTIER_HEURISTICS = (None, AUTO, "octile")
-SAMPLING_PLANNERS = (
-    "bitstar-dist",
-    "bitstar-plus",
-)  # whose batches `solve_batched` searches in bulk
+# Whose batches `solve_batched` searches in bulk.
+SAMPLING_PLANNERS = ("bitstar-dist", "bitstar-plus")
 FEW_TO_ONE_GOAL = 8  # queries to one goal from which the costs to it are computed for the whole map
 # Others on one map and weights beyond which landmarks are made. On Lower Manhattan making them costs what some 50
 # queries save (docs/algorithms/search.md).

@@ -14,10 +14,8 @@ from jaxurban.planners.cost import level_parts
 from jaxurban.planners.refine import subdivided
 
 CLEAR_M = 0.02  # that legs keep from closed cells, so that coordinates of 7 decimals of a degree cannot enter them
-NUDGES = (
-    1.5,
-    3.0,
-)  # by how many such distances points may move where the path itself passes nearer
+# By how many such distances points may move where the path itself passes nearer.
+NUDGES = (1.5, 3.0)
 DIRECTIONS = 8
 SPACING = 1.0  # cell sides between the points along a path at which it may turn
 PART = 0.3  # cell sides: five parts make a diagonal step, whose corner then lies within one of them
@@ -95,7 +93,8 @@ def _fewest(
     """Return the waypoints ``[W, 2]`` of a path of points ``[N, 2]`` on one level, in cell sides, as the margin is."""
     if len(xy) < 2:
         return xy
-    is_free, tolerance = on_host(is_free), tolerance_m / side_m
+    is_free = on_host(is_free)
+    tolerance = tolerance_m / side_m
     rings = np.minimum(np.array(NUDGES) * CLEAR_M / side_m, tolerance / 4)
     turn = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -174,7 +173,8 @@ def _weigh_nudges(is_free, xy, is_movable, offsets, margin, best, parent):
                 reach = best[k - 1, p] + moved
                 if reach >= best[k, c]:
                     continue
-                from_x, from_y = xy[k - 1, 0] + offsets[p, 0], xy[k - 1, 1] + offsets[p, 1]
+                from_x = xy[k - 1, 0] + offsets[p, 0]
+                from_y = xy[k - 1, 1] + offsets[p, 1]
                 if not is_clear(is_free, from_x, from_y, x, y, margin):
                     reach = reach + STUCK if c == p == 0 else np.inf
                 if reach < best[k, c]:
@@ -210,7 +210,9 @@ def fewest_legs(is_free: np.ndarray, xy: np.ndarray, tolerance: float, margin: f
     error").
     """
     num = len(xy)
-    legs, squares, parent = np.full(num, num), np.full(num, np.inf), np.zeros(num, np.int64)
+    legs = np.full(num, num)
+    squares = np.full(num, np.inf)
+    parent = np.zeros(num, np.int64)
     legs[0], squares[0] = 0, 0.0
     _weigh_legs(is_free, xy, tolerance, margin, legs, squares, parent)
     kept = [num - 1]
@@ -224,13 +226,18 @@ def _weigh_legs(is_free, xy, tolerance, margin, legs, squares, parent):
     """Set how many legs lead to each point at least, the least sum of their squared lengths, and the point before."""
     num = len(xy)
     for i in range(num - 1):
-        axis, low, high, farthest = 0.0, -np.inf, np.inf, 0.0
+        axis = 0.0
+        low = -np.inf
+        high = np.inf
+        farthest = 0.0
         for j in range(i + 1, min(num, i + 1 + REACH)):
             (x0, y0), (x1, y1) = xy[i], xy[j]
-            away, heading = np.hypot(x1 - x0, y1 - y0), np.arctan2(y1 - y0, x1 - x0)
+            away = np.hypot(x1 - x0, y1 - y0)
+            heading = np.arctan2(y1 - y0, x1 - x0)
             axis = heading if low == -np.inf else axis
             turn = (heading - axis + np.pi) % (2 * np.pi) - np.pi
-            number, total = legs[i] + 1, squares[i] + away * away
+            number = legs[i] + 1
+            total = squares[i] + away * away
             if number < legs[j] or (number == legs[j] and total < squares[j] * (1 - AHEAD)):
                 # No point since is farther from the first one, nor from the ray: then the segment's end is no bar.
                 is_near = low <= turn <= high and (
@@ -241,6 +248,7 @@ def _weigh_legs(is_free, xy, tolerance, margin, legs, squares, parent):
             farthest = max(farthest, away)
             if away > tolerance:
                 half = np.arcsin(tolerance / away)
-                low, high = max(low, turn - half), min(high, turn + half)
+                low = max(low, turn - half)
+                high = min(high, turn + half)
                 if low > high:
                     break

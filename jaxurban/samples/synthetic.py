@@ -278,7 +278,9 @@ def _erect(
     is_square = rng.random(n) < np.where(is_island, 0.025 * ~has_towers, 0.05)
     is_vacant = rng.random(len(lots.block)) < np.where(is_island, 0.04, 0.12)[lots.block]
     lots = lots[is_core[lots.block] | ~(is_square[lots.block] | is_vacant)]
-    block, wide_m, m = lots.block, lots.right_m - lots.left_m, len(lots.block)
+    block = lots.block
+    wide_m = lots.right_m - lots.left_m
+    m = len(lots.block)
     median_m = MEDIAN_HEIGHT_M[district % 13] * (1 + 1.2 * depth_of)
     median_m = (median_m * np.where(has_slabs, 1.5, 1.0))[block]
     height_m = np.maximum(median_m * np.exp(0.34 * rng.standard_normal(m)), 5.0)

@@ -24,12 +24,10 @@ from jaxtyping import Array, Bool, DTypeLike, Float, Int
 
 OFFSETS_PER_PASS = 4  # offsets looked at per pass over the cells: 1.2 times faster than one by one
 CELLS_AT_ONCE = 2**12  # chosen cells whose whole discs are looked at together
-DISC_STEP = (
-    64  # a disc is filled up to a multiple of so many offsets, so that few programs are compiled
-)
-OUT_OF_REACH_M = (
-    -1e9
-)  # top of a cell without a column: finite, so that its square's gradient is too
+# A disc is filled up to a multiple of so many offsets, so that few programs are compiled.
+DISC_STEP = 64
+# Top of a cell without a column: finite, so that its square's gradient is too.
+OUT_OF_REACH_M = -1e9
 
 
 def window_cells(cap_m: float, resolution_m: float) -> int:

@@ -42,9 +42,8 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, UInt
 
 WORD_BITS = 32
-STEPS_AT_ONCE = (
-    4  # of rays, in one turn of the loop by steps: what they have met is read and written once
-)
+# Of rays, in one turn of the loop by steps: what they have met is read and written once.
+STEPS_AT_ONCE = 4
 BYTE_BITS = 8  # of the words by azimuths, which are made the quicker the smaller they are
 STEPS_PER_PASS = 11  # by azimuths: 11, 21 and 51 steps, of 100 m at 10, 5 and 2 m, fill whole passes or nearly so
 BLOCK = (256, 512)  # most receivers taken together by azimuths, rows and columns: caches hold them
@@ -367,14 +366,12 @@ def count_returns_on_terrain_by_steps(
             heights_m, start = of_step
             ground_m = _looks(terrain_m, start, shape) - own_m[None]
             top_m = ground_m + _looks(rise_m, start, shape)
-            num_met, num_landed = (
-                _num_not_above(heights_m, level_m, dtype) for level_m in (top_m, ground_m)
-            )
+            num_met = _num_not_above(heights_m, top_m, dtype)
+            num_landed = _num_not_above(heights_m, ground_m, dtype)
             ended = jnp.maximum(ended, jnp.sum(heights_m == -jnp.inf, dtype=dtype))
             is_met = (num_met > ended) & (top_m > -jnp.inf)
-            return jnp.where(
-                is_met, jnp.asarray(has_returned, dtype), jnp.maximum(ended, num_landed)
-            ), None
+            ended = jnp.maximum(ended, num_landed)
+            return jnp.where(is_met, jnp.asarray(has_returned, dtype), ended), None
 
         none = jnp.zeros((len(starts), *shape), dtype)
         ended, _ = lax.scan(step, none, (beams_m, starts.swapaxes(0, 1)), unroll=STEPS_AT_ONCE)

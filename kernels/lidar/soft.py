@@ -28,9 +28,8 @@ from jaxurban.kernels.soft_step import soft_step
 NO_BUILDING_M = -1e9  # clearance of bare ground: finite, so that gradients are too
 STEPS_PER_PASS = 7  # steps compared per pass over the cells
 CELLS_AT_ONCE = 2**11  # chosen cells taken together: what they need stays in a core's cache
-MOST_AZIMUTHS_AT_ONCE = (
-    40  # on a GPU, which otherwise starts kernels for each; a CPU takes one at a time
-)
+# On a GPU, which otherwise starts kernels for each; a CPU takes one at a time.
+MOST_AZIMUTHS_AT_ONCE = 40
 
 
 class Scan(NamedTuple):

@@ -107,8 +107,10 @@ def _count(
       num_azimuths: K.
     """
     states = np.zeros((num_azimuths, own_m.size), np.uint8)
-    least_ended, most_ended = np.zeros(num_azimuths, np.int64), np.zeros(num_azimuths, np.int64)
-    num_met, num_landed = np.empty(own_m.shape, np.uint8), np.empty(own_m.shape, np.uint8)
+    least_ended = np.zeros(num_azimuths, np.int64)
+    most_ended = np.zeros(num_azimuths, np.int64)
+    num_met = np.empty(own_m.shape, np.uint8)
+    num_landed = np.empty(own_m.shape, np.uint8)
     for u in range(len(looks)):
         n, p, row, col = looks[u]
         num_ended = 0
@@ -116,14 +118,16 @@ def _count(
             num_ended += 1
         least, most = MOST_BEAMS, num_ended
         for r in range(first_ray[u], first_ray[u + 1]):
-            least, most = min(least, least_ended[rays[r]]), max(most, most_ended[rays[r]])
+            least = min(least, least_ended[rays[r]])
+            most = max(most, most_ended[rays[r]])
         least = max(least, num_ended)
         ground, top = _highest(highest_m[:, p], row, col, own_m.shape)
         if not heights_m[n, least] <= max(ground, top):
             continue
         num_met[:], num_landed[:] = np.uint8(least), np.uint8(least)
         for b in range(least, heights_m.shape[1] - AT_ONCE, AT_ONCE):
-            meets, lands = b <= most and heights_m[n, b] <= top, heights_m[n, b] <= ground
+            meets = b <= most and heights_m[n, b] <= top
+            lands = heights_m[n, b] <= ground
             if not (meets or lands):
                 break
             _add_not_above(
@@ -145,10 +149,8 @@ def _count(
             k = rays[r]
             if most_met > least_ended[k] or most_landed > least_ended[k]:
                 _end(states[k], num_met.reshape(-1), num_landed.reshape(-1), np.uint8(num_ended))
-            least_ended[k], most_ended[k] = (
-                max(least_ended[k], least_landed),
-                max(most_ended[k], most_landed),
-            )
+            least_ended[k] = max(least_ended[k], least_landed)
+            most_ended[k] = max(most_ended[k], most_landed)
     returned = np.zeros(own_m.size, np.int32)
     for k in range(num_azimuths):
         state = states[k]
@@ -160,13 +162,12 @@ def _count(
 @compiled()
 def _highest(highest_m, row, col, shape):
     """Return the highest ground and roof of the blocks that a window touches."""
-    ground_m, top_m = (
-        highest_m[0, row // BLOCK, col // BLOCK],
-        highest_m[1, row // BLOCK, col // BLOCK],
-    )
+    ground_m = highest_m[0, row // BLOCK, col // BLOCK]
+    top_m = highest_m[1, row // BLOCK, col // BLOCK]
     for i in range(row // BLOCK, (row + shape[0] - 1) // BLOCK + 1):
         for j in range(col // BLOCK, (col + shape[1] - 1) // BLOCK + 1):
-            ground_m, top_m = max(ground_m, highest_m[0, i, j]), max(top_m, highest_m[1, i, j])
+            ground_m = max(ground_m, highest_m[0, i, j])
+            top_m = max(top_m, highest_m[1, i, j])
     return ground_m, top_m
 
 
@@ -176,10 +177,8 @@ def _add_not_above(num_met, num_landed, own_m, ground_m, rise_m, at, heights_m, 
     (row, col), (h0, h1, h2, h3) = at, (heights_m[0], heights_m[1], heights_m[2], heights_m[3])
     for i in range(len(own_m)):
         own, met, landed = own_m[i], num_met[i], num_landed[i]
-        grounds, rises = (
-            ground_m[row + i, col : col + len(own)],
-            rise_m[row + i, col : col + len(own)],
-        )
+        grounds = ground_m[row + i, col : col + len(own)]
+        rises = rise_m[row + i, col : col + len(own)]
         for j in range(len(own)):
             level_m = grounds[j] - own[j]
             if lands:

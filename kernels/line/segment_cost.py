@@ -47,15 +47,18 @@ def keeps_off(cells, closed, x0, y0, x1, y1, margin):
     if x1 < x0:
         x0, y0, x1, y1 = x1, y1, x0, y0
     slope = (y1 - y0) / (x1 - x0) if x1 > x0 else 0.0
-    first, last = int(np.floor(x0 - margin)), int(np.floor(x1 + margin))
+    first = int(np.floor(x0 - margin))
+    last = int(np.floor(x1 + margin))
     if first < 0 or last >= num_cols:
         return False
     for col in range(first, last + 1):
-        west, east = max(x0, col - margin), min(x1, col + 1 + margin)
+        west = max(x0, col - margin)
+        east = min(x1, col + 1 + margin)
         low, high = y0 + (west - x0) * slope, y0 + (east - x0) * slope
         if x1 == x0:
             low, high = y0, y1
-        bottom, top = int(np.floor(min(low, high) - margin)), int(np.floor(max(low, high) + margin))
+        bottom = int(np.floor(min(low, high) - margin))
+        top = int(np.floor(max(low, high) + margin))
         if bottom < 0 or top >= num_rows:
             return False
         for row in range(bottom, top + 1):
@@ -138,7 +141,8 @@ def segment_cost(cost_grid, x0, y0, x1, y1, limit):
         is_corner = abs(next_x - next_y) < TOUCH_CELLS
         if is_corner and is_pinched(cost_grid, row, col, row + step_y, col + step_x):
             return np.inf
-        go_x, go_y = is_corner or next_x < next_y, is_corner or next_y < next_x
+        go_x = is_corner or next_x < next_y
+        go_y = is_corner or next_y < next_x
         if go_x:
             col += step_x
             num_x -= 1

@@ -79,7 +79,8 @@ def crossed_cells(points_m: np.ndarray, resolution_m: float) -> Crossings:
     border = np.rint(points)
     points = np.where(np.abs(points - border) < TOUCH_CELLS, border, points)
     most_parts = int(np.abs(np.diff(np.floor(points), axis=0)).sum()) + len(points)
-    places, length = np.empty((3, most_parts), np.int64), np.empty(most_parts)
+    places = np.empty((3, most_parts), np.int64)
+    length = np.empty(most_parts)
     count = _walk(np.ascontiguousarray(points), *places, length)
     (segment, row, col), length = places[:, :count], length[:count]
     length_m = length * resolution_m
@@ -173,13 +174,21 @@ def walk_edge(x0, y0, x1, y1, row, col, length, count):
         return count
     # Borders strictly inside the segment. Going west or south from a border starts beyond it.
     if dx >= 0.0:
-        step_x, c, num_x = 1, int(np.floor(x0)), int(np.ceil(x1)) - int(np.floor(x0)) - 1
+        step_x = 1
+        c = int(np.floor(x0))
+        num_x = int(np.ceil(x1)) - int(np.floor(x0)) - 1
     else:
-        step_x, c, num_x = -1, int(np.ceil(x0)) - 1, int(np.ceil(x0)) - int(np.floor(x1)) - 1
+        step_x = -1
+        c = int(np.ceil(x0)) - 1
+        num_x = int(np.ceil(x0)) - int(np.floor(x1)) - 1
     if dy >= 0.0:
-        step_y, r, num_y = 1, int(np.floor(y0)), int(np.ceil(y1)) - int(np.floor(y0)) - 1
+        step_y = 1
+        r = int(np.floor(y0))
+        num_y = int(np.ceil(y1)) - int(np.floor(y0)) - 1
     else:
-        step_y, r, num_y = -1, int(np.ceil(y0)) - 1, int(np.ceil(y0)) - int(np.floor(y1)) - 1
+        step_y = -1
+        r = int(np.ceil(y0)) - 1
+        num_y = int(np.ceil(y0)) - int(np.floor(y1)) - 1
     at = 0.0
     while True:
         next_x = (c + (step_x > 0) - x0) / dx * total if num_x > 0 else np.inf

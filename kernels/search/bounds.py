@@ -101,7 +101,8 @@ def costs_at_corners(
     """
     width = minima.shape[1] - 1
     corners = np.full((minima.shape[0] - 1, width), np.inf)
-    cost, first = corners.reshape(-1), goal[0] * width + goal[1]
+    cost = corners.reshape(-1)
+    first = goal[0] * width + goal[1]
     # Each point is opened again at most once by each of its neighbours; memory that is not written to is not taken.
     most = 8 * cost.size + 4
     heap = Heap(np.empty(most), np.empty(most, np.int32), np.array([4]))
@@ -123,12 +124,16 @@ def _search_corners(minima, straight, diagonal, start, cost, heap):
         drop_top(heap)
         if value > cost[node]:
             continue
-        i, j = node // width, node % width
+        i = node // width
+        j = node % width
         if 0 <= i - start[0] <= 1 and 0 <= j - start[1] <= 1:
             num_left -= 1
             if num_left == 0:
                 limit = BEYOND * value
-        sw, se, nw, ne = minima[i, j], minima[i, j + 1], minima[i + 1, j], minima[i + 1, j + 1]
+        sw = minima[i, j]
+        se = minima[i, j + 1]
+        nw = minima[i + 1, j]
+        ne = minima[i + 1, j + 1]
         for to, minimum, step in (
             (node + width, min(nw, ne), straight),
             (node - width, min(sw, se), straight),
@@ -164,7 +169,8 @@ def tile_bound(
       start, goal: cells.
     """
     straight, diagonal = ((TILE * base, TILE * share) for base, share in (straight, diagonal))
-    first, last = (start[0] // TILE, start[1] // TILE), (goal[0] // TILE, goal[1] // TILE)
+    first = (start[0] // TILE, start[1] // TILE)
+    last = (goal[0] // TILE, goal[1] // TILE)
     corners, is_joined = costs_at_corners(minima, straight, diagonal, first, last)
     side, across = (base + share * minima[1:-1, 1:-1] for base, share in (straight, diagonal))
     num_i, num_j = side.shape
@@ -172,7 +178,8 @@ def tile_bound(
     highest = np.maximum(corners[:-1], corners[1:])
     centres = np.maximum(highest[:, :-1], highest[:, 1:])
     for one, other in ((corners[:-1], corners[1:]), (corners[:, :-1], corners[:, 1:])):
-        total, apart = one + other, abs(one - other)
+        total = one + other
+        apart = abs(one - other)
         # West and east sides of the tiles, then south and north ones.
         for sides in (np.s_[:num_i, :num_j], np.s_[-num_i:, -num_j:]):
             highest = 0.5 * (total[sides] + np.minimum(side, across - apart[sides]))
@@ -185,13 +192,12 @@ def tile_bound(
 def tile_estimate(bound, row, col):
     """Return the bound at a cell."""
     i, j = row // TILE, col // TILE
-    y, x = (row - i * TILE) * (1 / TILE) - 0.5, (col - j * TILE) * (1 / TILE) - 0.5
-    sw, se, nw, ne = (
-        bound.corners[i, j],
-        bound.corners[i, j + 1],
-        bound.corners[i + 1, j],
-        bound.corners[i + 1, j + 1],
-    )
+    y = (row - i * TILE) * (1 / TILE) - 0.5
+    x = (col - j * TILE) * (1 / TILE) - 0.5
+    sw = bound.corners[i, j]
+    se = bound.corners[i, j + 1]
+    nw = bound.corners[i + 1, j]
+    ne = bound.corners[i + 1, j + 1]
     is_beside = abs(x) >= abs(y)  # the plane of the west or the east side
     out, along = (x, y) if is_beside else (y, x)
     first = (se if is_beside else nw) if out > 0 else sw

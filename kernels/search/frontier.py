@@ -91,10 +91,8 @@ def _bound(grids: Grids, map_index: Array, cell: Array, goal: Array) -> Array:
     """Return the least cost between two cells, by distance alone."""
     rows = jnp.abs(cell // grids.num_cols - goal // grids.num_cols)
     cols = jnp.abs(cell % grids.num_cols - goal % grids.num_cols)
-    longer, shorter = (
-        steps.astype(grids.cost.dtype)
-        for steps in (jnp.maximum(rows, cols), jnp.minimum(rows, cols))
-    )
+    longer = jnp.maximum(rows, cols).astype(grids.cost.dtype)
+    shorter = jnp.minimum(rows, cols).astype(grids.cost.dtype)
     return grids.straight[map_index] * longer + grids.diagonal[map_index] * shorter
 
 

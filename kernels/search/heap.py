@@ -22,11 +22,8 @@ BUCKETS_PER_STEP = 512  # in the cost of a typical step: some five entries a buc
 NUM_FAR, FREE_SLOT, BUCKET = 0, 1, 2  # places in a queue's ``tally``
 NO_SLOT = -1
 BYTES, WORD = ir.IntType(8).as_pointer(), ir.IntType(32)
-READ, KEEP_CLOSE, DATA = (
-    0,
-    3,
-    1,
-)  # LLVM's words: what for, how near to the core, and that it is no code
+# LLVM's words: what for, how near to the core, and that it is no code.
+READ, KEEP_CLOSE, DATA = 0, 3, 1
 
 
 class Heap(NamedTuple):

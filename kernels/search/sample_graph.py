@@ -184,17 +184,14 @@ def neighbours(
     square, num_cols = _squares(samples, shape)
     west = square[:, None] + num_cols[:, None] * jnp.arange(-1, 2)[None] - 1
     # Unrolled, as the loop would be one launch a step.
-    begin, end = (
-        jnp.searchsorted(square, ends, side=side, method="scan_unrolled")
-        for ends, side in ((west, "left"), (west + 2, "right"))
-    )
+    position = partial(jnp.searchsorted, square, method="scan_unrolled")
+    begin = position(west)
+    end = position(west + 2, side="right")
     is_node = samples.query != NO_QUERY
-    ends = jnp.cumsum(jnp.where(is_node[:, None], end - begin, 0), axis=1).astype(
-        jnp.int32
-    )  # of three rows of squares
-    begin = (
-        begin.astype(jnp.int32).at[:, 1:].add(-ends[:, :2])
-    )  # so that slot k of row r of squares is begin + k
+    # Of three rows of squares.
+    ends = jnp.cumsum(jnp.where(is_node[:, None], end - begin, 0), axis=1).astype(jnp.int32)
+    # So that slot k of row r of squares is begin + k.
+    begin = begin.astype(jnp.int32).at[:, 1:].add(-ends[:, :2])
     most_candidates = ends[:, 2].max()
     ends = jnp.where(most_candidates <= sizes.candidates, ends, 0)
     num_nodes = jnp.sum(ends[:, 2] > 0)
@@ -217,10 +214,8 @@ def neighbours(
         node = jnp.broadcast_to(
             first + jnp.arange(sizes.nodes_together, dtype=jnp.int32)[:, None], origin.shape
         )
-        dx, dy = (
-            samples.xy[origin, 0] - here(samples.xy[:, 0]),
-            samples.xy[origin, 1] - here(samples.xy[:, 1]),
-        )
+        dx = samples.xy[origin, 0] - here(samples.xy[:, 0])
+        dy = samples.xy[origin, 1] - here(samples.xy[:, 1])
         distance = jnp.sqrt(dx * dx + dy * dy)
         map_part = jnp.maximum(
             jnp.abs(samples.row_at[origin] - here(samples.row_at)),
@@ -339,8 +334,6 @@ def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Ar
 
 def _in_turns(turn: Callable[[Any], Any], carry: Any, num: Array, most_turns: int) -> Any:
     """Return what is carried, whose last part is how many are done, when so many are; one turn needs no loop."""
-    return (
-        turn(carry)
-        if most_turns == 1
-        else lax.while_loop(lambda carry: carry[-1] < num, turn, carry)
-    )
+    if most_turns == 1:
+        return turn(carry)
+    return lax.while_loop(lambda carry: carry[-1] < num, turn, carry)

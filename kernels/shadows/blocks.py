@@ -153,7 +153,9 @@ def _walk(
     words: UInt[np.ndarray, "A y x"],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cast the shadows of satellites of one quadrant block by block, mark a word, and return what is handed on."""
-    shape, dtype, num = tops.top_m.shape, tops.top_m.dtype, len(which)
+    shape = tops.top_m.shape
+    dtype = tops.top_m.dtype
+    num = len(which)
     side = _side(shape, receivers.every)
     toward = tuple(int(ahead) for ahead in lines.toward[which[0]])
     ends = [
@@ -265,13 +267,15 @@ class _Place(NamedTuple):
         if self.receivers.ground_m is None:
             return z_m
         ground_m = part_of(self.receivers.ground_m, self.in_region, (self.side, self.side), 0)
-        every, size = self.receivers.every, self.side // self.receivers.every
+        every = self.receivers.every
+        size = self.side // self.receivers.every
         row, col = self.phase
         return ground_m[row::every, col::every][:size, :size] + z_m
 
     def mark(self, words: UInt[np.ndarray, "A y x"], word: Array) -> None:
         """Join a block's word with those of the region."""
-        every, size = self.receivers.every, self.side // self.receivers.every
+        every = self.receivers.every
+        size = self.side // self.receivers.every
         starts = [
             (int(start + phase) - every // 2) // every
             for start, phase in zip(self.in_region, self.phase, strict=True)
@@ -330,7 +334,8 @@ def cast(
 
 def cast_by_sweep(block: Block, *, every: int) -> tuple[Array, Array, Array]:
     """Return `cast`, by the form for a CPU: satellite by satellite, none that fills up."""
-    side, dtype = len(block.roofs.top_m), block.roofs.top_m.dtype
+    side = len(block.roofs.top_m)
+    dtype = block.roofs.top_m.dtype
     headings = [
         partial(form, block, every=every, toward_last=toward_last)
         for form in (_cast_along_rows, _cast_along_columns)

@@ -53,10 +53,13 @@ def walks(
     """
     east, north = np.sin(azimuth_rad), np.cos(azimuth_rad)
     is_rows = np.abs(north) >= np.abs(east)
-    along, across = np.where(is_rows, north, east), np.where(is_rows, east, north)
-    ahead, slope = np.where(along > 0, 1.0, -1.0), across / along
+    along = np.where(is_rows, north, east)
+    across = np.where(is_rows, east, north)
+    ahead = np.where(along > 0, 1.0, -1.0)
+    slope = across / along
     start = slope * np.where(is_rows, row, col) + 0.5
-    phase, sideways = start - np.floor(start), slope * ahead
+    phase = start - np.floor(start)
+    sideways = slope * ahead
     in_type = partial(np.asarray, dtype=np.float32)
     return Walks(
         in_type(np.where(is_rows, ahead, sideways)),

@@ -63,7 +63,8 @@ def hide_behind_slabs(
     if not len(row):
         return
     receivers = receivers._replace(ground_m=np.asarray(receivers.ground_m, np.float64))
-    altitudes_m, ground_m = np.asarray(altitudes_m, np.float64), receivers.ground_m
+    altitudes_m = np.asarray(altitudes_m, np.float64)
+    ground_m = receivers.ground_m
     range_m = (float(ground_m.min()), float(ground_m.max())) if ground_m.size else (0.0, 0.0)
     spans = [
         (min(int(cell.min()), first), max(int(cell.max()), first + receivers.every * (num - 1)))
@@ -118,7 +119,8 @@ def _cast(words, kept, altitudes_m, receivers, range_m, slabs, line):
         phase = (at - first_along) * ahead % every
         beside = slab_across[slab] - sideways[at - first] - first_across
         for a in range(len(altitudes_m)):
-            low_m, high_m = range_m[0] + altitudes_m[a], range_m[1] + altitudes_m[a]
+            low_m = range_m[0] + altitudes_m[a]
+            high_m = range_m[1] + altitudes_m[a]
             if top < low_m:
                 continue
             # A step more on each side, should rounding matter.
@@ -131,7 +133,8 @@ def _cast(words, kept, altitudes_m, receivers, range_m, slabs, line):
                 across = beside + sideways[here - first]
                 if across < 0 or across >= every * num_across or across % every:
                     continue
-                i, j = (here - first_along) // every, across // every
+                i = (here - first_along) // every
+                j = across // every
                 r, c = (i, j) if is_rows else (j, i)
                 height_m = altitudes_m[a] + (ground_m[r, c] if ground_m.size else 0.0)
                 enters_m = height_m + max(step - HALF_ROW, 0.0) * drop_m

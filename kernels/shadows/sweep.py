@@ -205,9 +205,9 @@ def shadow_height(
       ring: what the grids around this one hand on; left out, nothing stands there.
     """
     raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
-    return (
-        sweep(raised_m, line) if ring is None else sweep(within(raised_m, ring), line)[1:-1, 1:-1]
-    )
+    if ring is None:
+        return sweep(raised_m, line)
+    return sweep(within(raised_m, ring), line)[1:-1, 1:-1]
 
 
 def num_passes(num_steps: float) -> int:
@@ -232,8 +232,10 @@ def doubled(raised_m: Array, line: Line, passes: int) -> Array:
         is_forward, summed - shifts, -summed
     )  # cells sideways of each row (column), but for a constant
     drop_m = jnp.asarray(line.drop_m, raised_m.dtype)
-    along, across = jnp.where(is_rows, row, col), jnp.where(is_rows, col, row)
-    length, width = jnp.where(is_rows, num_rows, num_cols), jnp.where(is_rows, num_cols, num_rows)
+    along = jnp.where(is_rows, row, col)
+    across = jnp.where(is_rows, col, row)
+    length = jnp.where(is_rows, num_rows, num_cols)
+    width = jnp.where(is_rows, num_cols, num_rows)
     here = offsets[along]
 
     def beyond(values_m: Array, steps: int) -> Array:
@@ -327,9 +329,8 @@ def visible_words(
       num: how many of the satellites there are; those behind fill up, and are never seen.
       window: of the receivers, as for `shadow_heights`.
     """
-    by_sweep, by_doubling = (
-        partial(form, window=window) for form in (words_by_sweep, words_by_doubling)
-    )
+    by_sweep = partial(words_by_sweep, window=window)
+    by_doubling = partial(words_by_doubling, window=window)
     return lax.platform_dependent(top_m, height_m, lines, num, cpu=by_sweep, default=by_doubling)
 
 

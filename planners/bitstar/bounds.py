@@ -85,10 +85,8 @@ class Bounds(NamedTuple):
     def edge_parts(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return ``[N]`` ``row_sum`` and ``col_sum`` at points of free cells, and ``enter`` of their cells."""
         col, row = xy.astype(np.int64).T
-        row_at, col_at = (
-            np.interp(xy[:, axis], np.arange(len(sums)), sums)
-            for axis, sums in ((1, self.row_sum), (0, self.col_sum))
-        )
+        row_at = np.interp(xy[:, 1], np.arange(len(self.row_sum)), self.row_sum)
+        col_at = np.interp(xy[:, 0], np.arange(len(self.col_sum)), self.col_sum)
         return row_at, col_at, self.enter[row, col]
 
 
@@ -111,9 +109,6 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
     """
     one_of("heuristic", heuristic, HEURISTICS)
     num_rows, num_cols = is_reachable.shape
-    start, goal = (
-        np.array([cell[1] + 0.5, cell[0] + 0.5]) for cell in (problem.start, problem.goal)
-    )
     nothing = np.zeros(num_rows), np.zeros(num_cols)
     bounds = Bounds(
         per_side=float(problem.distance_weight * problem.resolution_m),
@@ -122,16 +117,15 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
         enter=np.zeros(is_reachable.shape),
         from_start=nothing,
         to_goal=nothing,
-        start=start,
-        goal=goal,
+        start=np.array(problem.start[::-1]) + 0.5,
+        goal=np.array(problem.goal[::-1]) + 0.5,
     )
     if heuristic == "euclidean":
         return bounds
     cheapest = problem.cost[is_reachable].min()
     cost = np.where(is_reachable, problem.cost, np.inf)
-    minima = [
-        np.where(np.isfinite(m), m - cheapest, 0.0) for m in (cost.min(axis=1), cost.min(axis=0))
-    ]
+    minima = [cost.min(axis=axis) - cheapest for axis in (1, 0)]
+    minima = [np.where(np.isfinite(excess), excess, 0.0) for excess in minima]
     if problem.cost_model.kind == "line":
         sides_per_reference = problem.resolution_m / problem.cost_model.reference_length_m
         row_sum, col_sum = (np.append(0.0, np.cumsum(m)) * sides_per_reference for m in minima)
@@ -161,7 +155,8 @@ def _entered_between(minima: np.ndarray, end: int) -> np.ndarray:
     between = np.zeros(len(minima))
     for step in (1, -1):
         for row in range(end + 3 * step, len(minima) if step > 0 else -1, step):
-            near, next_near = row - step, row - 2 * step
+            near = row - step
+            next_near = row - 2 * step
             between[row] = min(minima[near] + between[near], minima[next_near] + between[next_near])
     return between
 
@@ -169,11 +164,9 @@ def _entered_between(minima: np.ndarray, end: int) -> np.ndarray:
 def reachable_cells(problem: Problem) -> np.ndarray | None:
     """Return ``[Y, X]`` bool the cells that paths off the grid may cross; None where none joins start and goal."""
     islands = problem.islands
-    return (
-        islands == islands[problem.start]
-        if islands[problem.start] == islands[problem.goal]
-        else None
-    )
+    if islands[problem.start] == islands[problem.goal]:
+        return islands == islands[problem.start]
+    return None
 
 
 def cost_grid_of(problem: Problem, is_reachable: np.ndarray) -> CostGrid:
@@ -218,7 +211,8 @@ class InformedSet:
         self.incumbent = incumbent
         may_hold = self._through < incumbent + self.bounds.slack()
         if not may_hold.all():
-            self.cells, self._through = self.cells[may_hold], self._through[may_hold]
+            self.cells = self.cells[may_hold]
+            self._through = self._through[may_hold]
         num_cells = float(np.count_nonzero(self._through < incumbent))
         self.measure = min(max(num_cells, 1.0), self._ellipse()[2])
 
@@ -234,7 +228,8 @@ class InformedSet:
     def sample(self, num_samples: int, rng: np.random.Generator) -> np.ndarray:
         """Return ``[N, 2]`` points spread evenly over the set; fewer than wanted where it is too thin."""
         major, minor, area = self._ellipse()
-        kept, num_kept = [np.empty((0, 2))], 0
+        kept = [np.empty((0, 2))]
+        num_kept = 0
         for _ in range(MAX_ROUNDS if self.cells.size else 0):
             if num_kept >= num_samples:
                 break
@@ -259,8 +254,10 @@ class InformedSet:
     def _in_ellipse(
         self, num_points: int, major: float, minor: float, rng: np.random.Generator
     ) -> np.ndarray:
-        radius, angle = np.sqrt(rng.random(num_points)), rng.uniform(0, 2 * np.pi, num_points)
-        along, across = major * radius * np.cos(angle), minor * radius * np.sin(angle)
+        radius = np.sqrt(rng.random(num_points))
+        angle = rng.uniform(0, 2 * np.pi, num_points)
+        along = major * radius * np.cos(angle)
+        across = minor * radius * np.sin(angle)
         start, goal = self.bounds.start, self.bounds.goal
         length = np.hypot(*(goal - start))
         unit = (goal - start) / length if length > 0 else np.array([1.0, 0.0])

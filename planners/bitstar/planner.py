@@ -109,24 +109,31 @@ class Batches:
         budget_s: float,
         max_samples: int | None,
     ) -> None:
-        self.begin_s, islands = time.perf_counter(), problem.islands
-        self.end_s, self.max_samples = self.begin_s + budget_s, max_samples
-        self.problem, self.options, self._heuristic = problem, options, heuristic
+        self.begin_s = time.perf_counter()
+        islands = problem.islands
+        self.end_s = self.begin_s + budget_s
+        self.max_samples = max_samples
+        self.problem = problem
+        self.options = options
+        self._heuristic = heuristic
         self.is_reachable = islands == islands[problem.start]
         self.bounds: Bounds = make_bounds(heuristic, problem, self.is_reachable)
-        self.tree, self.radius = Tree.of_ends(self.bounds), np.inf
+        self.tree = Tree.of_ends(self.bounds)
+        self.radius = np.inf
         self.cost = np.inf
         self.num_costed = self._num_drawn = 0
         self.history: list[tuple[float, int, float]] = []
         self._is_joined = bool(self.is_reachable[problem.goal])
-        self.is_done, self.is_spent = problem.start == problem.goal or not self._is_joined, False
+        self.is_done = problem.start == problem.goal or not self._is_joined
+        self.is_spent = False
         self.samples = np.empty((0, 2))
         self._informed = InformedSet(self.bounds, self.is_reachable)
         self._rng = np.random.default_rng(seed)
 
     def end(self, most_nodes: float = np.inf) -> None:
         """Record the batch whose graph was searched; begin the next, of up to so many nodes, or end."""
-        last_cost, self.cost = self.cost, min(self.cost, self.tree.path_cost(self.tree.path()))
+        last_cost = self.cost
+        self.cost = min(self.cost, self.tree.path_cost(self.tree.path()))
         self.history.append((time.perf_counter() - self.begin_s, self._num_drawn, self.cost))
         if self.options.on_batch is not None:
             self.options.on_batch(self)
@@ -157,7 +164,9 @@ class Batches:
 
     def path(self, planner: str, backend: str) -> Path:
         """Return the path when the batches have ended, costed again along the exact cells that it crosses."""
-        xy, status, lower_bound = np.empty(0), Status.NO_PATH, np.inf
+        xy = np.empty(0)
+        status = Status.NO_PATH
+        lower_bound = np.inf
         if self._is_joined:
             is_there = (self.bounds.start == self.bounds.goal).all()
             xy = self.bounds.start[None] if is_there else self.tree.xy[self.tree.path()]
@@ -257,11 +266,9 @@ def _filled(queue: Heap, f: np.ndarray) -> Heap:
         queue = Heap.empty(4 * len(f), EDGE)
     order = np.argsort(f, kind="stable")  # sorted is a heap
     edges = queue.item[: len(f)]
-    queue.f[: len(f)], edges["origin"], edges["target"], edges["cost"] = (
-        f[order],
-        order,
-        order,
-        NOT_COSTED,
-    )
+    queue.f[: len(f)] = f[order]
+    edges["origin"] = order
+    edges["target"] = order
+    edges["cost"] = NOT_COSTED
     queue.size[0] = len(f)
     return queue

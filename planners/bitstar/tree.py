@@ -182,7 +182,8 @@ class Tree(NamedTuple):
         tree = self.taken(order)
         is_tree = np.isfinite(tree.g)
         num_tree = int(np.count_nonzero(is_tree))
-        bucket, squares = graph.bucket_of(tree.xy), np.arange(graph.num + 1)
+        bucket = graph.bucket_of(tree.xy)
+        squares = np.arange(graph.num + 1)
         has_parent = np.flatnonzero(tree.parent != NO_PARENT)
         length = np.hypot(*(tree.xy[has_parent] - tree.xy[tree.parent[has_parent]]).T)
         long_child = has_parent[length > graph.radius]
@@ -219,7 +220,8 @@ def _num_near(begin, num_cols, bucket):
 def _queue_edges(nodes, queue, graph, node, begin, bucket):
     """Queue the edges from a node to those within the radius that they may improve."""
     x, y = nodes.xy[node]
-    g, incumbent = nodes.g[node], nodes.best[nodes.goal]
+    g = nodes.g[node]
+    incumbent = nodes.best[nodes.goal]
     row_at, col_at = nodes.row_at[node], nodes.col_at[node]
     num_cols = graph.num_cols
     for low in (bucket - num_cols, bucket, bucket + num_cols):

@@ -27,15 +27,8 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.world.grid import WGS84, Bounds
 from jaxurban.world.land_cover import LandCover
 
-KINDS = (
-    "water",
-    "park",
-    "path",
-    "street",
-    "major",
-    "rail",
-    "place",
-)  # in the order in which they are drawn
+# In the order in which they are drawn.
+KINDS = ("water", "park", "path", "street", "major", "rail", "place")
 CLASSES = {  # of the tag `highway`; "_link" counts as what it links
     **dict.fromkeys(("motorway", "trunk", "primary", "secondary"), "major"),
     **dict.fromkeys(

@@ -84,7 +84,9 @@ def read_city(
     own_gps = Gps(**sample["gps"]) if gps is None and sample else None
     files = {"buildings": buildings.source, "terrain": terrain.source}
     files |= {role: getattr(people, role) for role in FILES}
-    buildings, terrain, people = _placed(buildings), _placed(terrain), _placed(people)
+    buildings = _placed(buildings)
+    terrain = _placed(terrain)
+    people = _placed(people)
     region = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
     if crs is None:
         crs = utm_of(region)
