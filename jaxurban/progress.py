@@ -20,12 +20,10 @@ WITHOUT_TOTAL = "{desc} [{elapsed}{postfix}]"
 WITHOUT_FORECAST = "{desc}: {percentage:3.0f}% {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
 WITH_FORECAST = "{desc}: {percentage:3.0f}% {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
 
-interrupted = (
-    threading.Event()
-)  # set by the command line at Ctrl-C, which is lost where a callback of JAX gets it
-Stage = Callable[
-    [str], AbstractContextManager[object]
-]  # `Stopwatch.stage`, or nullcontext where nothing is timed
+# Set by the command line at Ctrl-C, which is lost where a callback of JAX gets it.
+interrupted = threading.Event()
+# `Stopwatch.stage`, or nullcontext where nothing is timed.
+Stage = Callable[[str], AbstractContextManager[object]]
 Progress = bool | Callable[[str, int, int], object]  # a function gets stage, done, total
 
 

@@ -15,12 +15,8 @@ from typing import Any, Literal, TypeVar, cast
 
 from jaxurban.errors import warn
 
-NAMESPACES = (
-    "fit",
-    "grad",
-    "metrics",
-    "studies",
-)  # modules of the package whose names are public too
+# Modules of the package whose names are public too.
+NAMESPACES = ("fit", "grad", "metrics", "studies")
 Level = Literal["guess", "note", "limit"]
 Function = TypeVar("Function", bound=Callable)
 LEAST_ALIKE = 0.66  # as two letters of three are

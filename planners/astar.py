@@ -107,9 +107,8 @@ def astar(
 # The paper's two: guided by the straight distance, and by distance and map costs, with an admissible bound.
 astar_dist = partial(astar, heuristic="euclidean", planner="astar-dist")
 astar_plus = partial(astar, heuristic=AUTO, planner="astar-plus")
-volume_astar = partial(
-    astar, heuristic="plus", planner="astar-volume"
-)  # through a stack of levels, 26-connected
+# Through a stack of levels, 26-connected.
+volume_astar = partial(astar, heuristic="plus", planner="astar-volume")
 
 
 def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuristic:

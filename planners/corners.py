@@ -8,9 +8,8 @@ from jaxurban.kernels.search.bounds import costs_at_corners
 from jaxurban.kernels.tolerances import SAME_COST
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 
-STRETCH = 2 / np.sqrt(
-    2 + np.sqrt(2)
-)  # of the cheapest path along sides and diagonals of cells over the cheapest curve
+# Of the cheapest path along sides and diagonals of cells over the cheapest curve.
+STRETCH = 2 / np.sqrt(2 + np.sqrt(2))
 
 
 def corner_bound(problem: Problem) -> float:

@@ -265,9 +265,8 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
             return PAUSED, num_expanded
         if near.size[0] + queue.tally[NUM_FAR] + MAX_STEPS > queue.far_f.size:
             return FULL, num_expanded
-        node = np.uint64(
-            near.item[0]
-        )  # unsigned: else Numba asks each time whether it counts from the end
+        # Unsigned: else Numba asks each time whether it counts from the end.
+        node = np.uint64(near.item[0])
         if state[node] & CLOSED:
             drop_top(near)
             continue

@@ -198,9 +198,8 @@ def segment_costs(
         first, last = (jnp.floor(point).astype(jnp.int32) for point in (start, end))
         step = jnp.where(delta > 0, 1, -1).astype(jnp.int32)
         border = first + (delta > 0).astype(jnp.int32)  # of its cell on the way
-        along = length / jnp.where(
-            delta == 0, 1.0, delta
-        )  # cell sides along the segment per cell side of x and of y
+        # Cell sides along the segment per cell side of x and of y.
+        along = length / jnp.where(delta == 0, 1.0, delta)
         num_cuts = jnp.abs(last - first)
         last_state = jnp.where(
             length > DIAGONAL_SIDES, jnp.ceil(length * (1 - TOUCH_CELLS)) - 1, 0.0

@@ -8,9 +8,8 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.compiled import compiled
 
 TOUCH_CELLS = 1e-9  # in cell sides: a cut this short is rounding of a touched corner or border, not a crossing
-DIAGONAL_SIDES = 2**0.5 * (
-    1 + 1e-9
-)  # cell sides: the longest segment that is one step in the `cell` model
+# Cell sides: the longest segment that is one step in the `cell` model.
+DIAGONAL_SIDES = 2**0.5 * (1 + 1e-9)
 
 
 class Crossings(NamedTuple):
@@ -35,9 +34,8 @@ class Crossings(NamedTuple):
         total_m = np.bincount(self.segment, self.length_m)[self.segment]
         share = self.length_m / np.where(total_m > 0, total_m, 1.0)
         end = np.cumsum(share)
-        before = np.append(0.0, end)[
-            np.searchsorted(self.segment, self.segment)
-        ]  # at the segment's beginning
+        # At the segment's beginning.
+        before = np.append(0.0, end)[np.searchsorted(self.segment, self.segment)]
         return np.stack([end - share - before, end - before], axis=1)
 
     @property

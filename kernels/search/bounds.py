@@ -241,9 +241,8 @@ def _add_printed_layer(layer, goal_row, goal_col, first_index, field):
     """Add one layer's larger sum to the field, going away from the goal's row, north and then south."""
     num_rows, num_cols = layer.shape
     box_min = np.empty(num_cols)  # minimum over the box's rows, by column
-    row_sum = np.empty(
-        num_cols
-    )  # sum over the box's rows of their minimum between the goal's column and each column
+    # Sum over the box's rows of their minimum between the goal's column and each column.
+    row_sum = np.empty(num_cols)
     for step in (1, -1):
         # The box's low side is the goal's when the node lies north (east), else the node's own.
         skips_goal_row = (step == 1) == (first_index == 1)

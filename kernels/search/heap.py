@@ -9,9 +9,8 @@ from numba.extending import intrinsic
 
 from jaxurban.kernels.compiled import compiled
 
-FOUND, EXHAUSTED, PAUSED, FULL = range(
-    4
-)  # how a chunk of search ended: FULL for want of room in the heap
+# How a chunk of search ended: FULL for want of room in the heap.
+FOUND, EXHAUSTED, PAUSED, FULL = range(4)
 UNREACHED = 0  # a node's state as long as no way to it is known: its g is not written yet
 PARENT_STEP = 0x1F  # bits of the state after that: the step by which it was reached ...
 NO_PARENT = 0x1F  # ... or this, at the start

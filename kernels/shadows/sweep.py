@@ -33,9 +33,8 @@ ENTRY_STEPS = 0.25
 
 NORTH, SOUTH, EAST, WEST = range(4)
 Shape = tuple[int, int]  # rows and columns of a grid
-Window = tuple[
-    int, int, int, int, int
-]  # first and end row, first and end column, and of how many cells one is kept
+# First and end row, first and end column, and of how many cells one is kept.
+Window = tuple[int, int, int, int, int]
 
 
 class Line(NamedTuple):
@@ -141,9 +140,8 @@ def _sweep_rows(raised_m: Array, shifts: Array, drop_m: Array, toward_last: bool
         shadow_m = lax.dynamic_slice(beyond_m, (1 + shift,), (num_cols,)) - drop_m
         return beyond_m.at[1:-1].set(jnp.maximum(row_raised_m, shadow_m)), shadow_m
 
-    nothing = jnp.full(
-        num_cols + 2, -jnp.inf, raised_m.dtype
-    )  # one cell more on each side, for the shifts
+    # One cell more on each side, for the shifts.
+    nothing = jnp.full(num_cols + 2, -jnp.inf, raised_m.dtype)
     _, shadow_m = lax.scan(
         step, nothing, (raised_m, shifts[: raised_m.shape[0]]), reverse=toward_last
     )
@@ -228,9 +226,8 @@ def doubled(raised_m: Array, line: Line, passes: int) -> Array:
     ahead = jnp.where(is_forward, 1, -1)
     shifts = jnp.asarray(line.shifts)
     summed = jnp.cumsum(shifts)
-    offsets = jnp.where(
-        is_forward, summed - shifts, -summed
-    )  # cells sideways of each row (column), but for a constant
+    # Cells sideways of each row (column), but for a constant.
+    offsets = jnp.where(is_forward, summed - shifts, -summed)
     drop_m = jnp.asarray(line.drop_m, raised_m.dtype)
     along = jnp.where(is_rows, row, col)
     across = jnp.where(is_rows, col, row)

@@ -198,9 +198,8 @@ class InformedSet:
         self.cells = np.flatnonzero(is_reachable)
         self.incumbent = np.inf
         self.measure = float(self.cells.size)
-        self._through = np.empty(
-            0
-        )  # [M] lower bound of paths through the cells' centres, given an incumbent
+        # [M] lower bound of paths through the cells' centres, given an incumbent.
+        self._through = np.empty(0)
 
     def shrink(self, incumbent: float) -> None:
         """Leave out what cannot hold a path cheaper than the incumbent."""

@@ -94,9 +94,8 @@ class Near(NamedTuple):
         x_min, y_min, x_max, y_max = self.bounds_m
         wide_m = x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M
         box = box_between(wide_m, self.crs, crs)
-        return (
-            box if box is not None and box[0] < box[2] else None
-        )  # else it lies across the antimeridian
+        # Else it lies across the antimeridian.
+        return box if box is not None and box[0] < box[2] else None
 
 
 def box_between(box: Bounds, crs: str, other: str) -> Bounds | None:

@@ -165,9 +165,8 @@ def _highest(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
             inward = turn * (
                 side_col * (pixel_row + 0.5 - from_row) - side_row * (pixel_col + 0.5 - from_col)
             )
-            reach = (
-                np.abs(side_row) + np.abs(side_col)
-            ) / 2  # of the pixel's corners from its centre
+            # Of the pixel's corners from its centre.
+            reach = (np.abs(side_row) + np.abs(side_col)) / 2
             overlaps &= inward + reach > _EDGE * np.hypot(side_row, side_col)
         values[overlaps] = np.fmax(
             values[overlaps], _pixels(raster, pixel_row[overlaps], pixel_col[overlaps])
