@@ -161,6 +161,7 @@ def typed(public: Public) -> Public:
 
     @functools.wraps(function)
     def checked(*args: Any, **kwargs: Any) -> Any:
+        """Call the function once its arguments are what its annotations say."""
         try:
             values = signature.bind(*args, **kwargs).arguments
         except TypeError as error:
@@ -248,6 +249,7 @@ def _home_of(name: str, function: Callable) -> str:
 
 
 def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
+    """Raise InputError, with the kinds that are accepted and a remedy, unless the value is of one of them."""
     if not kinds or any(kind.holds(value) for kind in kinds):
         return
     names = list(dict.fromkeys(kind.name for kind in kinds))

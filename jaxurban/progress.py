@@ -123,6 +123,7 @@ class _Bar(Report):
         self.bar: Any = None
 
     def show(self, stage: str, done: int, total: int, counts: Mapping[str, object]) -> None:
+        """Draw the bar of a stage, a new one where the stage has changed, with a forecast once it is sound."""
         from tqdm import tqdm
 
         if stage != self.stage:

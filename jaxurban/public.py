@@ -41,6 +41,7 @@ def public_names(
             homes |= {alias.name: line.module for alias in line.names}
 
     def fetch(name: str) -> Any:
+        """Return what the package calls by a name, imported at the first call; former names warn."""
         if renamed and name in renamed:
             present = renamed[name]
             _warn_renamed(f"{package}.{name}", f"{_public_homes()[present]}.{present}", until)
@@ -66,6 +67,8 @@ def renamed_arguments(until: str, **renamed: str) -> Callable[[Function], Functi
     """
 
     def decorate(function: Function) -> Function:
+        """Return the function with its former keywords, each with a warning."""
+
         @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> Any:
             for old, new in renamed.items():
@@ -205,6 +208,7 @@ class FactsRepr:
         return "\n".join([f"{type(self).__name__}({facts})", *caution_lines(self._cautions())])
 
     def _repr_html_(self) -> str:
+        """Return cautions and facts as a table for notebooks."""
         lines: list[tuple[str, str, str]] = [
             (LEVEL_STYLES[each.level], each.level, each) for each in self._cautions()
         ]

@@ -178,6 +178,7 @@ def _tile_bound(problem: Problem) -> TileBound:
 
 
 def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: float) -> Heuristic:
+    """Return a heuristic between levels: length and map cost where they are asked for, and the change of level."""
     _, goal_row, goal_col = problem.goal
     _, num_rows, num_cols = problem.is_free.shape
     # The least that changing from each level to the goal's costs beside horizontal length.

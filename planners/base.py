@@ -160,6 +160,7 @@ class Problem:
         self._check_endpoints()
 
     def _set_weights(self, weights: Any) -> None:
+        """Set the weights ``[1 + L]``, in a volume ``[3 + L]``; of one number alone layers count 1."""
         weights = np.asarray(weights, np.float64)
         num_heights = 0 if self.levels_m is None else 2
         if weights.ndim == 0:
@@ -172,6 +173,7 @@ class Problem:
         object.__setattr__(self, "weights", _read_only(weights, np.float64))
 
     def _check_endpoints(self) -> None:
+        """Raise InputError if the start or the goal is not a free cell of the map."""
         where = "map" if self.levels_m is None else "volume"
         for name in ("start", "goal"):
             node = getattr(self, name)

@@ -264,6 +264,7 @@ def solve_batched(
         return Batches(problem, heuristic, options, seeds[index], budget_s, max_samples)
 
     def paths() -> Generator[tuple[int, Path]]:
+        """Yield paths map by map; the queries of a map run together in groups."""
         for indices in by_map.values():
             waiting = iter(indices)
             first = problems[indices[0]]

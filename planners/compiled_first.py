@@ -25,6 +25,7 @@ def compiled_first(**options: Any) -> Callable[[Callable[..., Path]], Callable[.
     """
 
     def decorate(planner: Callable[..., Path]) -> Callable[..., Path]:
+        """Return the planner, which compiles off the clock before its first problem of each kind."""
         warmed: set[Hashable] = set()  # kinds of problems for which nothing is left to compile
 
         @functools.wraps(planner)

@@ -65,6 +65,7 @@ def planned_cost(
         return features.cost(query.weights), features.phi, features.visits
 
     def call(costs, weights):
+        """Return the planned path's cost, features and visits, computed on the host."""
         cell_shape = problem.is_free.shape
         if costs.shape[1:] != cell_shape or weights.shape != (1 + costs.shape[0],):
             raise InputError(
@@ -112,6 +113,7 @@ def call_on_host(
     given = [np.dtype(jnp.result_type(array)) for array in arrays]
 
     def on_words(*words):
+        """Call the function with numbers made of words, and return its results as words."""
         found = function(
             *(
                 _from_words(np.asarray(word), dtype)

@@ -201,6 +201,7 @@ def solve_many(
     run = partial(_in_threads, problems, num_threads=num_threads)
 
     def outcomes() -> Generator[Outcome]:
+        """Yield queries that share a goal first, then all others by heuristic, or together in JAX."""
         # Under "exact" by name each query makes its goal's field itself, in its thread.
         shared = [k for k in only if heuristics[k] == "exact"] if heuristic != "exact" else []
         for same_goal in _by_map_and_goal(problems, shared):

@@ -109,6 +109,7 @@ class WorkFolder:
         return sorted((self.path / DONE_FOLDER).glob(pattern))
 
     def _damaged(self, mark: Path) -> list[Path]:
+        """Return the files of a finished step that are not as its mark says; the mark itself where it is not ours."""
         try:
             checksums = dict(read_json(mark)["checksums"])
         except (OSError, ValueError, LookupError, TypeError):

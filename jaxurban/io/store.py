@@ -394,6 +394,7 @@ class _Map(BackendArray):
         )
 
     def _read(self, key: tuple) -> np.ndarray:
+        """Return values of a chunk; InputError where files have changed since opening."""
         try:
             values = np.asarray(self.array[key].values, order="C")
             if values.dtype.kind == "u":  # of a chunk that went after opening
@@ -409,6 +410,7 @@ class _Maps(BackendEntrypoint):
     """How xarray opens the Zarr: as it always does, with rows from the south and `_Map` around every map."""
 
     def open_dataset(self, filename_or_obj: Any, *, drop_variables: Any = None) -> xr.Dataset:
+        """Return the maps of a Zarr from south to north; values are read, and checked, when they are looked at."""
         # Of these maps, no array of others, and by the metadata that `open_whole` has looked at alone.
         options: dict[str, Any] = {"consolidated": True, "zarr_format": 2, "mask_and_scale": False}
         opened = _Opened.at(Path(filename_or_obj))

@@ -230,6 +230,7 @@ def fingerprint(*parts: Any) -> str:
 
 
 def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of a file; InputError where it is damaged or of other settings."""
     remedy = "name another file or folder, or remove this one, and its rows are made again"
     with readable(file, "results", remedy, pa.ArrowException):
         data = file.read_bytes()

@@ -149,6 +149,7 @@ class Workspace:
             pass
 
     def _check_alone(self, sections: Sections, is_first: bool) -> None:
+        """Raise InputError if the folder holds another command's files, or any others when the first run begins."""
         others = [name for name in sections if name != self.command]
         if others:
             raise InputError(
@@ -162,6 +163,7 @@ class Workspace:
         self.check_way(self.folder / name for name in self.written)
 
     def _replace(self, now: Mapping[str, Any], overwrite: bool) -> None:
+        """Remove what a run with other settings wrote, if that is allowed; InputError otherwise."""
         name = next((name for name in now if now[name] != self.settings.get(name)), None)
         has_files = any(os.path.lexists(self.folder / each) for each in self.written)
         if name is not None and not overwrite and has_files:
@@ -410,6 +412,7 @@ def recorded(folder: Path) -> dict[str, set[str]]:
 
 
 def _read(folder: Path) -> Sections:
+    """Return the record of a folder by command, empty without one; InputError where it cannot be read."""
     try:
         sections = read_json(folder / RECORD_FILE)
         if not all(map(_is_section, sections.values())):

@@ -325,6 +325,7 @@ def _erect(
 
 
 def _build(extent_m: Box, crs: str, seed: int) -> City:
+    """Return the city of a seed: districts, blocks of houses, people and water, part by part."""
     at_least("seed", seed)
     plan = CityPlan(extent_m)
     rng = np.random.default_rng(seed)

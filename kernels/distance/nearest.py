@@ -97,6 +97,7 @@ def nearest_along(
     def look(
         state: tuple[Array, Array], step: tuple[Array, Array]
     ) -> tuple[tuple[Array, Array], None]:
+        """Take in the columns that lie at one offset of the disc from each receiver."""
         nearest, where = state
         offset, offset_m2 = step
         for toward in (-offset, offset):

@@ -189,6 +189,7 @@ def count_returns_by_azimuths(
     corners = blocks * np.array([1, rows, cols], np.int32)
 
     def count_block(threshold_m: jax.Array, corner: jax.Array) -> jax.Array:
+        """Return the counts of the block at one corner, zeros where no roof is high enough."""
         around = len(padded_m), rows + 2 * halo, cols + 2 * halo
         around_m = lax.dynamic_slice(padded_m, corner, around)
         highest_m = jnp.max(around_m, initial=0, where=around_m > 0)
@@ -231,6 +232,7 @@ def _count_block(
     num_passes = -(-(steps - after_last - first) // at_once)
 
     def look(i: jax.Array, returned: jax.Array) -> jax.Array:
+        """Join what all azimuths look at in the next few steps."""
         n = jnp.minimum(first + i * at_once, steps - at_once)  # some again at the end: no harm
         bitmaps = _bitmaps(roof_m, lax.dynamic_slice_in_dim(threshold_m, n, at_once), band)
         corners = lax.dynamic_slice_in_dim(starts, n, at_once, axis=1)

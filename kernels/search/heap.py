@@ -96,6 +96,7 @@ def _prefetch(typing_context, array, index):
     """Ask for the cache line where an item of an array ``[N]`` begins; an index outside the array does no harm."""
 
     def generate(context, builder, signature, arguments):
+        """Emit LLVM's prefetch of one place of an array."""
         values, place = arguments
         data = context.make_array(signature.args[0])(context, builder, values).data
         address = builder.bitcast(builder.gep(data, [place]), BYTES)

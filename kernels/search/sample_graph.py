@@ -303,6 +303,7 @@ def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Ar
     tree_cost = jnp.where(is_child, tree.edge_cost, jnp.inf)
 
     def one_turn(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        """Lower the costs at the targets of the next few edges, and note by which edge."""
         g, reached_by, first = carry
         origin, target, cost = (
             lax.dynamic_slice_in_dim(values, first, edges_together) for values in edges[:3]
@@ -315,6 +316,7 @@ def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Ar
         return lowest, reached_by, first + edges_together
 
     def go_on(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+        """Lower all costs once, along the tree and along every edge."""
         before, reached_by, _, num_rounds = carry
         along_tree = before[tree_parent] + tree_cost
         reached_by = jnp.where(along_tree < before, BY_TREE, reached_by)

@@ -425,6 +425,7 @@ def cast_by_doubling(block: Block, *, every: int) -> tuple[Array, Array, Array]:
     last_row, last_col = block.last
 
     def cast_one(line: Line, ring: Ring) -> tuple[Array, Array, Array]:
+        """Return what receivers get of one line's shadow, and what the block hands on by its last row and column."""
         top_m = jnp.asarray(roofs.top_m)
         if roofs.turned_m is not None:
             top_m = jnp.where(line.heading >= EAST, roofs.turned_m, top_m)

@@ -116,6 +116,7 @@ def walk(
         return jnp.any(step * lines.drop_m < most_m) & (step < max(num_rows, num_cols))
 
     def ahead(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Take one step along all rays, and raise the shadow by the roof that each meets there."""
         step, shadow_m = state
         of_row = row + jnp.floor(lines.row_phase + step * lines.row_step).astype(jnp.int32)
         of_col = col + jnp.floor(lines.col_phase + step * lines.col_step).astype(jnp.int32)

@@ -253,6 +253,7 @@ class InformedSet:
     def _in_ellipse(
         self, num_points: int, major: float, minor: float, rng: np.random.Generator
     ) -> np.ndarray:
+        """Return those of so many uniform points ``[N, 2]`` of the ellipse that lie in reachable cells."""
         radius = np.sqrt(rng.random(num_points))
         angle = rng.uniform(0, 2 * np.pi, num_points)
         along = major * radius * np.cos(angle)

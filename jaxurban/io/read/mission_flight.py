@@ -203,6 +203,7 @@ class Flight:
             self._say(f"the climb from home is not judged, as {why}")
 
     def _take_off(self, item: Item) -> None:
+        """Climb straight up to the item's height, then fly to its place if it has one."""
         start = self._at or self._ground
         if start is None:
             self._fly_to(item)
@@ -216,6 +217,7 @@ class Flight:
             self._fly_to(item)
 
     def _loiter(self, item: Item) -> None:
+        """Fly to the item and circle there, at the radius that it names."""
         self._fly_to(item)
         if self._at is None:
             return
@@ -227,6 +229,7 @@ class Flight:
         self.legs.append(Leg(self._at, self._at, "loiter", item.number, radius_m))
 
     def _land(self, item: Item) -> None:
+        """Fly over the item's place if it has one, and descend; where the flight goes on from is not known."""
         if self._at is None:
             self._begin(item)
             ground = Place(item.lon, item.lat, 0.0, "ground") if item.has_place else None
@@ -239,6 +242,7 @@ class Flight:
         self._lose(item, ground)
 
     def _return(self, item: Item) -> None:
+        """Rise to the return altitude, fly home and land; a sentence says what is not known of it."""
         if self._home is None or self._at is None:
             why = "where it begins" if self._home else "home"
             self._say(f"the return of item {item.number} is not judged: {why} is not known")

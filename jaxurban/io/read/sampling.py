@@ -175,6 +175,7 @@ def _highest(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
 
 
 def _bilinear(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+    """Return the means of the four pixels around each place, by their areas; NaN where its own pixel has no data."""
     low_row = np.floor(row - 0.5)
     low_col = np.floor(col - 0.5)
     along_row = row - 0.5 - low_row
