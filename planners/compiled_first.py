@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.base import Cell, Path, Problem, Status
 
 _COMPILING = threading.RLock()  # other threads wait here, before their clocks start
 
@@ -75,12 +75,17 @@ def warm_up(
 
 def _few_cells(problem: Problem) -> Problem:
     """Return a problem of the same types where only length costs, and the straight way is blocked: all code runs."""
-    is_volume = problem.levels_m is not None
-    is_free = np.ones((2, 5, 5) if is_volume else (5, 5), np.bool_)
-    is_free[..., 2, 1:4] = False
+    is_free = np.ones((5, 5), np.bool_)
+    is_free[2, 1:4] = False
+    start: Cell = (0, 2)
+    goal: Cell = (4, 2)
+    levels_m = None
+    if problem.levels_m is not None:
+        levels_m = np.arange(2.0)
+        is_free = np.stack([is_free, is_free])
+        start = (0, *start)
+        goal = (1, *goal)
     costs = np.zeros((len(problem.costs), *is_free.shape), problem.costs.dtype)
-    start, goal = ((0, 0, 2), (1, 4, 2)) if is_volume else ((0, 2), (4, 2))
-    levels_m = np.arange(2.0) if is_volume else None
     margin_m = 0.25 if problem.leg_margin_m else 0.0
     return Problem(costs, is_free, start, goal, 1.0, 1.0, problem.cost_model, levels_m, margin_m)
 

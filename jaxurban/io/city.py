@@ -90,11 +90,12 @@ class City(FactsRepr):
         num = "a height raster"
         main = None
         if self.buildings is not None:
-            inside = self.buildings.polygons[
-                shapely.intersects(self.buildings.polygons, shapely.box(*region_m))
-            ]
-            around = len(self.buildings) - len(inside)
-            num = f"{len(inside):,}" + (f", and {around:,} around" if around else "")
+            is_inside = shapely.intersects(self.buildings.polygons, shapely.box(*region_m))
+            inside = int(is_inside.sum())
+            around = len(self.buildings) - inside
+            num = f"{inside:,}"
+            if around:
+                num = f"{num}, and {around:,} around"
             extent = self.bounds or transformer(self.crs, WGS84).transform_bounds(*region_m)
             main = main_bounds(self.buildings.polygons, self.crs, extent)
         return {

@@ -100,6 +100,7 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
         array = ds[name]
         texts = {key: str(array.attrs[key]) for key in TEXTS if key in array.attrs}
         is_of_bytes = array.dtype in (np.bool_, np.uint8)
+        norms_of = norms if name == "population" else []
         for place in np.ndindex(array.shape[:-2]):
             at = dict(zip(array.dims[:-2], place, strict=True))
             parts = [name]
@@ -111,7 +112,7 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
             if TIME_OF_DAY in at:
                 tags["time_of_day"] = str(ds["time_of_day"].values[at[TIME_OF_DAY]])
                 parts.append(tags["time_of_day"])
-                for norm in norms if name == "population" else ():
+                for norm in norms_of:
                     tags[norm] = repr(float(ds.attrs[norm][at[TIME_OF_DAY]]))
             if TIME in at:
                 tags["time"] = times[at[TIME]]

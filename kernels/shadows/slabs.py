@@ -75,9 +75,8 @@ def hide_behind_slabs(
         is_rows = abs(north) >= abs(east)
         along, across = (north, east) if is_rows else (east, north)
         first, last = spans[0 if is_rows else 1]
-        sideways = np.floor(across / along * np.arange(first, last + 1) + 0.5).astype(np.int64)
-        line = (
-            sideways,
+        line = _Line(
+            np.floor(across / along * np.arange(first, last + 1) + 0.5).astype(np.int64),
             first,
             is_rows,
             1 if along > 0 else -1,
@@ -86,6 +85,24 @@ def hide_behind_slabs(
         of_slabs = *((row, col) if is_rows else (col, row)), *heights_m
         kept = ~np.uint32(1 << (number % WORD_BITS))
         _cast(words[number // WORD_BITS], kept, altitudes_m, receivers, range_m, of_slabs, line)
+
+
+class _Line(NamedTuple):
+    """A digital line toward a satellite.
+
+    Attributes:
+      sideways: ``[N]`` int64 cells sideways, by the line's row (column).
+      first: the first of these.
+      is_rows: whether the line is followed row by row.
+      ahead: 1 where the satellite is beyond the last row (column), -1 where it is beyond the first.
+      drop_m: height that a ray gains from one row (column) to the next.
+    """
+
+    sideways: np.ndarray
+    first: int
+    is_rows: bool
+    ahead: int
+    drop_m: float
 
 
 @compiled()
@@ -99,9 +116,7 @@ def _cast(words, kept, altitudes_m, receivers, range_m, slabs, line):
       receivers: where they stand.
       range_m: lowest and highest of their ground.
       slabs: ``[H]`` each: number of the slab's row and its column (column and row, unless ``is_rows``), floor and top.
-      line: sideways cells of the digital line by its row (column); the first of these; whether the line is followed row
-        by row; 1 where the satellite is beyond the last row (column), -1 where it is beyond the first; and the height
-        that a ray gains from one row (column) to the next.
+      line: `_Line` toward the satellite.
     """
     first_row, first_col, every, ground_m = receivers
     slab_along, slab_across, floor_m, top_m = slabs

@@ -91,14 +91,18 @@ def digital_line(
     """
     east, north = math.sin(azimuth_rad), math.cos(azimuth_rad)
     is_rows = abs(north) >= abs(east)
-    along, across = (north, east) if is_rows else (east, north)
-    length, first = (shape[0], first_row) if is_rows else (shape[1], first_col)
+    if is_rows:
+        along, across = north, east
+        heading = NORTH if north > 0 else SOUTH
+        index = first_row + np.arange(shape[0])
+    else:
+        along, across = east, north
+        heading = EAST if east > 0 else WEST
+        index = first_col + np.arange(shape[1])
     ahead = 1 if along > 0 else -1
-    index = first + np.arange(length)
     offset = np.floor(across / along * np.stack([index, index + ahead]) + 0.5)
     shifts = np.zeros(max(shape), np.int32)
-    shifts[:length] = offset[1] - offset[0]
-    heading = (NORTH if ahead > 0 else SOUTH) if is_rows else (EAST if ahead > 0 else WEST)
+    shifts[: len(index)] = offset[1] - offset[0]
     drop_m = resolution_m / abs(along) * math.tan(elevation_rad)
     toward = [1 if north >= 0 else -1, 1 if east >= 0 else -1]
     return Line(

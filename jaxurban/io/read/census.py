@@ -138,25 +138,23 @@ def read_people(
         holds no data in the region, or holds negative counts that are not declared empty.
     """
     (raster,) = read_bands(path, crs, bounds_m, holds="people in each pixel", dtype=np.float64)
-    if num_bad := int((raster.values < 0).sum()):
+    num_bad = int((raster.values < 0).sum())
+    if num_bad:
         raise InputError(
             f"{str(path)!r} holds {num_bad} pixels of less than 0 people: declare their value as nodata with "
             "`gdal_edit.py -a_nodata VALUE`"
         )
     row, col = np.nonzero(np.isfinite(raster.values))
-    corners = [
-        (row + down, col + right) for down, right in ((1, 0), (1, 1), (0, 1), (0, 0), (1, 0))
-    ]
-    rings = np.stack(
-        [np.stack(pixel_xy(raster, *corner, crs), axis=-1) for corner in corners], axis=1
-    )
-    ids = np.array(
-        [f"{r + raster.first_row},{c + raster.first_col}" for r, c in zip(row, col, strict=True)],
-        object,
-    )
-    frame = gpd.GeoDataFrame(
-        {"_id": ids, "_count": raster.values[row, col]}, geometry=shapely.polygons(rings), crs=crs
-    )
+    # Of each pixel the corners from southwest round, the first once more: [N, 5].
+    down = row[:, None] + [1, 1, 0, 0, 1]
+    right = col[:, None] + [0, 1, 1, 0, 0]
+    rings = np.stack(pixel_xy(raster, down, right, crs), axis=-1)
+    places = zip(row + raster.first_row, col + raster.first_col, strict=True)
+    columns = {
+        "_id": np.array([f"{row},{col}" for row, col in places], object),
+        "_count": raster.values[row, col],
+    }
+    frame = gpd.GeoDataFrame(columns, geometry=shapely.polygons(rings), crs=crs)
     if region_m is not None and not frame.intersects(shapely.box(*region_m)).any():
         raise InputError(
             f"{str(path)!r} holds no data in the region: give a raster of people that covers it"
@@ -294,9 +292,8 @@ def _counts_in_blocks(fields: pd.DataFrame, key: pd.Series, path: str | Path) ->
 def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd.Series:
     """Return the counts of a CSV by key; ``wanted`` names the field that they are to join, for messages."""
     name = f"[population] table {str(path)!r}"
-    with readable(
-        path, "CSV", "check the path and the file", what=name
-    ):  # pandas' parser errors are ValueErrors
+    # Pandas' parser errors are ValueErrors.
+    with readable(path, "CSV", "check the path and the file", what=name):
         table = pd.read_csv(
             path,
             dtype=str,
@@ -307,11 +304,8 @@ def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd
         )
     num_joined = {str(column): int(_keys(table[column]).isin(block_keys).sum()) for column in table}
     count = _count_column(table.columns)
-    id_column = max(
-        (column for column in num_joined if column != count),
-        key=num_joined.__getitem__,
-        default=None,
-    )
+    others = [column for column in num_joined if column != count]
+    id_column = max(others, key=num_joined.__getitem__, default=None)
     if id_column is None or num_joined[id_column] == 0:
         shown = table.iloc[-1].to_dict() if len(table) else list(table.columns)
         raise InputError(
@@ -319,18 +313,18 @@ def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd
             f"its last row is {shown}: check [population] block_field and that the table is of the same census"
         )
     if count is None:
+        candidates = ", ".join(repr(column) for column in num_joined if column != id_column)
         raise InputError(
             f"{name} has no column of population that its name makes known: "
-            f"name one of {', '.join(repr(column) for column in num_joined if column != id_column)} 'population'"
+            f"name one of {candidates} 'population'"
         )
-    if (
-        not COUNT.fullmatch(table[count].iloc[0])
-        and not _keys(table[id_column][:1]).isin(block_keys).any()
-    ):
+    is_first_a_block = _keys(table[id_column][:1]).isin(block_keys).any()
+    if not COUNT.fullmatch(table[count].iloc[0]) and not is_first_a_block:
         table = table.iloc[1:]  # the second header row
     counts = _parse_counts(table[count], _keys(table[id_column]))
     counts = counts[~counts.reset_index().duplicated().to_numpy()]
-    if len(twice := counts.index[counts.index.duplicated() & counts.index.isin(block_keys)]):
+    twice = counts.index[counts.index.duplicated() & counts.index.isin(block_keys)]
+    if len(twice):
         raise InputError(
             f"{name} has more than one count for the block {twice[0]!r}: give a table with one row of total "
             "population a block"

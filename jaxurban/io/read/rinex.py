@@ -121,13 +121,12 @@ def read_track(reference: str | Path | pd.DataFrame, leap_s: float) -> pd.DataFr
     Raises:
       InputError: a file that cannot be read, no such columns, or values out of range.
     """
-    is_table = isinstance(reference, pd.DataFrame)
-    what = "the reference track" if is_table else f"the reference track {str(reference)!r}"
-    table = (
-        reference
-        if isinstance(reference, pd.DataFrame)
-        else read_table(located(reference), "reference track")
-    )
+    if isinstance(reference, pd.DataFrame):
+        what = "the reference track"
+        table = reference
+    else:
+        what = f"the reference track {str(reference)!r}"
+        table = read_table(located(reference), "reference track")
     names = [re.sub(r"\W+", "_", str(name).lower()).strip("_") for name in table.columns]
     table = renamed(table.set_axis(names, axis="columns"), OTHER_NAMES)
     times = [UTC] if UTC in table else [WEEK, TOW]
@@ -138,10 +137,9 @@ def read_track(reference: str | Path | pd.DataFrame, leap_s: float) -> pd.DataFr
         )
     table = checked(table, [*times, *TRACK], what)
     if UTC not in table:
+        days = pd.to_timedelta(7.0 * table[WEEK], unit="D")
         seconds = pd.to_timedelta(table[TOW] - leap_s, unit="s")
-        table[UTC] = (
-            GPS_START + pd.to_timedelta(7.0 * table[WEEK], unit="D") + seconds.dt.round("us")
-        )
+        table[UTC] = GPS_START + days + seconds.dt.round("us")
     return table[[UTC, *TRACK]]
 
 

@@ -100,15 +100,12 @@ def _read(
         if Path(path).suffix.lower() in PARQUET_SUFFIXES:
             frames = [_read_parquet(path, for_buildings=role == BUILDINGS)]
         else:
-            layers = (
-                [layer for layer, _ in pyogrio.list_layers(path)]
-                if every_layer
-                else [_polygon_layer(path, role)]
-            )
-            options: dict[str, Any] = {
-                "on_invalid": "raise" if every_layer else "ignore",
-                "fid_as_index": True,
-            }
+            options: dict[str, Any] = {"on_invalid": "ignore", "fid_as_index": True}
+            if every_layer:
+                options["on_invalid"] = "raise"
+                layers = [layer for layer, _ in pyogrio.list_layers(path)]
+            else:
+                layers = [_polygon_layer(path, role)]
             if near is not None and Path(path).suffix.lower() in INDEXED_SUFFIXES:
                 options |= _only_near(path, layers[0], near)
             frames = [pyogrio.read_dataframe(path, layer=layer, **options) for layer in layers]
@@ -256,15 +253,16 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
     is_mixed = shapely.get_type_id(shapes) == shapely.GeometryType.GEOMETRYCOLLECTION
     shapes[is_mixed] = [polygonal(shape) for shape in shapes[is_mixed]]
     is_polygon = np.isin(shapely.get_type_id(shapes), _POLYGONS) | shapely.is_missing(shapes)
+    names = filter(is_of_buildings, frame)
+    columns = {name: _values(frame.loc[is_polygon, name]) for name in names}
+    issues = {ReadIssue(name): count for name, count in facts.get("issues", {}).items()}
+    issues[ReadIssue.NON_POLYGONS] = int(np.sum(~is_polygon))
     return Outlines(
         polygons=shapes[is_polygon],
-        tags=tags_of(
-            {name: _values(frame.loc[is_polygon, name]) for name in frame if is_of_buildings(name)}
-        ),
+        tags=tags_of(columns),
         crs=frame.crs.to_wkt(),
         boxes=tuple(tuple(box) for box in facts.get("boxes", ())),
-        issues={ReadIssue(name): count for name, count in facts.get("issues", {}).items()}
-        | {ReadIssue.NON_POLYGONS: int(np.sum(~is_polygon))},
+        issues=issues,
         attribution=facts.get("credit", ""),
         is_part=box is not None,
     )
