@@ -110,19 +110,13 @@ def call_on_host(
       shapes: of the results, float32 or float64.
       arrays: arguments, float32 or float64.
     """
-    given = [np.dtype(jnp.result_type(array)) for array in arrays]
+    dtypes = [np.dtype(jnp.result_type(array)) for array in arrays]
 
     def on_words(*words):
         """Call the function with numbers made of words, and return its results as words."""
-        found = function(
-            *(
-                _from_words(np.asarray(word), dtype)
-                for word, dtype in zip(words, given, strict=True)
-            )
-        )
-        return tuple(
-            _to_words(np.asarray(value, s.dtype)) for value, s in zip(found, shapes, strict=True)
-        )
+        values = map(_from_words, map(np.asarray, words), dtypes)
+        results = zip(function(*values), shapes, strict=True)
+        return tuple(_to_words(np.asarray(value, shape.dtype)) for value, shape in results)
 
     out = tuple(jax.eval_shape(_bits, shape) for shape in shapes)
     words = jax.pure_callback(on_words, out, *map(_bits, arrays), vmap_method="sequential")

@@ -87,11 +87,8 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
         return replace(path, elapsed_s=time.perf_counter() - begin_s, note=note)
     note = f"Refinement lowered what the search minimises by {1 - best / before:.2%}."
     ran = path.ran | {"graph": EVERY_PATH, "note": " ".join(filter(None, (path.note, note)))}
-    status = (
-        Status.BUDGET_FEASIBLE
-        if is_spent or path.status is Status.BUDGET_FEASIBLE
-        else Status.FEASIBLE
-    )
+    is_spent = is_spent or path.status is Status.BUDGET_FEASIBLE
+    status = Status.BUDGET_FEASIBLE if is_spent else Status.FEASIBLE
     # A grid planner's own bound holds for grid paths only.
     lower_bound = make_bounds("plus", problem, is_reachable).from_start_to_goal()
     return Path.of(problem, points_m, status, lower_bound, begin_s, **ran)
@@ -112,12 +109,9 @@ def check_line_model(problem: Problem, what: str) -> None:
 
 def _compass(xy: np.ndarray) -> list[np.ndarray]:
     """Return directions ``[N, 2]`` along which cost maps have edges: those of cells, and past corners of obstacles."""
+    east, north = (np.broadcast_to(axis, xy.shape) for axis in np.eye(2))
     onward = np.diff(xy, axis=0, append=xy[-1:])
-    return [
-        *(np.broadcast_to(axis, xy.shape) for axis in np.eye(2)),
-        onward,
-        np.roll(onward, 1, axis=0),
-    ]
+    return [east, north, onward, np.roll(onward, 1, axis=0)]
 
 
 def _move(cost_grid: CostGrid, xy: np.ndarray, end_s: float) -> None:
@@ -127,10 +121,8 @@ def _move(cost_grid: CostGrid, xy: np.ndarray, end_s: float) -> None:
         if time.perf_counter() >= end_s or max(step.max() for step in steps) < LAST_STEP:
             break
         for direction, step in zip(_compass(xy), steps, strict=True):
-            direction = (
-                direction / np.maximum(np.hypot(*direction.T), np.finfo(float).tiny)[:, None]
-            )
-            move_points(cost_grid, xy, direction, step, float(LONGEST))
+            length = np.maximum(np.hypot(*direction.T), np.finfo(float).tiny)
+            move_points(cost_grid, xy, direction / length[:, None], step, float(LONGEST))
 
 
 def subdivided(xy: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -148,9 +140,8 @@ def shortened(cost_grid: CostGrid, xy: np.ndarray) -> np.ndarray:
     points, is_added = subdivided(xy, SPACING)
     # Between points on borders a segment could run along an obstacle's wall.
     is_near_border = (np.abs(points - np.rint(points)) < MARGIN).any(axis=1)
-    return shortcut(
-        cost_grid, shortcut(cost_grid, points[~(is_added & is_near_border)], REACH), REACH
-    )
+    points = shortcut(cost_grid, points[~(is_added & is_near_border)], REACH)
+    return shortcut(cost_grid, points, REACH)
 
 
 def shortcut(cost_grid: CostGrid, xy: np.ndarray, reach: int) -> np.ndarray:

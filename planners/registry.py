@@ -111,24 +111,22 @@ def find_planner(
     """
     fitting = VOLUME_PLANNERS if is_for_volumes else PLANNERS
     if name not in fitting:
-        where = "in a volume" if is_for_volumes else "on one altitude"
-        is_known = name in PLANNERS or name in VOLUME_PLANNERS
-        known = (
-            f"planner {name!r} does not fly {where}" if is_known else f"unknown planner {name!r}"
-        )
+        fault = f"unknown planner {name!r}"
+        if name in PLANNERS or name in VOLUME_PLANNERS:
+            where = "in a volume" if is_for_volumes else "on one altitude"
+            fault = f"planner {name!r} does not fly {where}"
         raise InputError(
-            f"{known}{nearest_name(name, fitting)}: choose one of {', '.join(fitting)}"
+            f"{fault}{nearest_name(name, fitting)}: choose one of {', '.join(fitting)}"
         )
     entry = fitting[name]
     if heuristic is None:
         return entry.run
     if heuristic not in entry.heuristics:
-        accepted = (
-            f"choose one of {', '.join(entry.heuristics)}" if entry.heuristics else "leave it out"
-        )
-        raise InputError(
-            f"planner {name!r} takes no heuristic {heuristic!r}{nearest_name(heuristic, entry.heuristics)}: {accepted}"
-        )
+        remedy = "leave it out"
+        if entry.heuristics:
+            remedy = f"choose one of {', '.join(entry.heuristics)}"
+        nearest = nearest_name(heuristic, entry.heuristics)
+        raise InputError(f"planner {name!r} takes no heuristic {heuristic!r}{nearest}: {remedy}")
     return partial(entry.run, heuristic=heuristic)
 
 
@@ -187,29 +185,23 @@ def solve_many(
             budget_s=budget_s,
         )
         return ((only[k], path) for k, path in paths)
-    is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
-    if backend == "jax" and not is_for_frontier:
-        raise InputError(
-            f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristic octile, and "
-            f"{' and '.join(SAMPLING_PLANNERS)}, not {planner!r} with {heuristic or 'its own'}: take backend='numba'"
-        )
-    if backend == "auto":
-        has_gpu = is_for_frontier and len(problems) >= GPU_BATCH and jax.default_backend() != "cpu"
-        backend = "jax" if has_gpu else "numba"
+    runs_in_jax = _runs_in_jax(backend, planner, heuristic, len(problems))
     num_threads = num_threads or _num_processors()
     heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
     run = partial(_in_threads, problems, num_threads=num_threads)
 
     def outcomes() -> Generator[Outcome]:
         """Yield queries that share a goal first, then all others by heuristic, or together in JAX."""
+        shared = []
         # Under "exact" by name each query makes its goal's field itself, in its thread.
-        shared = [k for k in only if heuristics[k] == "exact"] if heuristic != "exact" else []
+        if heuristic != "exact":
+            shared = [k for k in only if heuristics[k] == "exact"]
         for same_goal in _by_map_and_goal(problems, shared):
             cost_to_go(problems[same_goal[0]])
             walk = partial(find_planner(planner, "exact"), budget_s=budget_s, seed=seed)
             yield from run(same_goal, walk)
         alone = sorted(set(only) - set(shared))
-        if backend == "jax":
+        if runs_in_jax:
             together = [problems[k] for k in alone]
             for k, path in solve_by_frontier(together, planner=planner, budget_s=budget_s):
                 yield alone[k], path
@@ -224,6 +216,19 @@ def solve_many(
             yield from run([k for k in alone if heuristics[k] == name], search)
 
     return outcomes()
+
+
+def _runs_in_jax(backend: Backend, planner: str, heuristic: str | None, num_queries: int) -> bool:
+    """Return whether the frontier search runs; InputError where it is asked for and does not know the planner."""
+    is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
+    if backend == "jax" and not is_for_frontier:
+        raise InputError(
+            f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristic octile, and "
+            f"{' and '.join(SAMPLING_PLANNERS)}, not {planner!r} with {heuristic or 'its own'}: take backend='numba'"
+        )
+    if backend == "auto":
+        return is_for_frontier and num_queries >= GPU_BATCH and jax.default_backend() != "cpu"
+    return backend == "jax"
 
 
 def _by_map_and_goal(problems: Sequence[Problem], chosen: Sequence[int]) -> list[list[int]]:

@@ -70,20 +70,22 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
             num_near += int(np.sum(~are_clear(is_free, xy, CLEAR_M / problem.resolution_m)))
             xy_m = xy * problem.resolution_m
             xy_m[[0, -1]] = points_m[[0, -1], :2]
-            points_m = np.column_stack(
-                [xy_m, np.broadcast_to(points_m[0, 2:], (len(xy_m), points_m.shape[1] - 2))]
-            )
+            altitude_m = np.repeat(points_m[:1, 2:], len(xy_m), axis=0)
+            points_m = np.column_stack([xy_m, altitude_m])
         parts.append(points_m[1:])
     points_m = np.concatenate(parts)
     status = path.status
-    if points_m.shape == path.points_m.shape and np.allclose(
-        points_m, path.points_m, rtol=0, atol=1e-9
-    ):
+    is_same_shape = points_m.shape == path.points_m.shape
+    if is_same_shape and np.allclose(points_m, path.points_m, rtol=0, atol=1e-9):
         points_m = path.points_m
     elif status is Status.OPTIMAL:
         status = Status.FEASIBLE
-    said = f"{num_near} of its legs pass nearer than {100 * CLEAR_M:g} cm to a closed cell, as the planned path does."
-    ran = path.ran | {"note": " ".join(filter(None, (path.note, said if num_near else "")))}
+    notes = [path.note]
+    if num_near:
+        notes.append(
+            f"{num_near} of its legs pass nearer than {100 * CLEAR_M:g} cm to a closed cell, as the planned path does."
+        )
+    ran = path.ran | {"note": " ".join(filter(None, notes))}
     return Path.of(problem, points_m, status, path.lower_bound, begin_s - path.elapsed_s, **ran)
 
 
