@@ -92,7 +92,7 @@ $(RAN): $(wildcard notebooks/*.py) $(shell find jaxurban kernels planners -name 
 
 docs: $(VENV)/.dev $(VENV)/.docs $(RAN)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
-	$(BIN)/python -m pytest -m slow tests/test_site.py
+	JAXURBAN_SITE=out/docs $(BIN)/python -m pytest -m slow tests/test_site.py
 
 bench: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.run_all $(if $(RUNS),--runs $(RUNS))
