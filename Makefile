@@ -90,8 +90,9 @@ figures-small: $(VENV)/.run
 $(RAN): $(wildcard notebooks/*.py) $(shell find jaxurban kernels planners -name '*.py')
 	$(MAKE) notebooks
 
-docs: $(VENV)/.docs $(RAN)
+docs: $(VENV)/.dev $(VENV)/.docs $(RAN)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+	JAXURBAN_SITE=out/docs $(BIN)/python -m pytest -m slow tests/test_site.py
 
 bench: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.run_all $(if $(RUNS),--runs $(RUNS))

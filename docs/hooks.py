@@ -1,6 +1,8 @@
 """What MkDocs takes from the package and the repository when it builds the site: figures, MathML, the reference."""
 
+import inspect
 import re
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -23,18 +25,39 @@ FIGURE_LINK = re.compile(r"\]\(((?:\.\./)*)\.\./figures/")  # as files of the re
 RAN = ROOT / "out" / "notebooks"
 WIDGET = "application/vnd.jupyter.widget-view+json"
 STYLE = re.compile(r"<style scoped>.*?</style>\n", re.DOTALL)  # of pandas' tables
-LISTING = re.compile(r"^<!-- (commands|public names): all -->$", re.MULTILINE)
+COMMANDS = "<!-- commands: all -->"
+NAMES_PAGE = "reference/api.md"
+NAMES_HEAD = "| for | names |\n|---|---|\n"
+NAMES_ROW = re.compile(r"^\| ([^|`]+) \| ((?:`[\w.]+` )+)\|$", re.MULTILINE)  # what for, names
+NAME_PAGE = """---
+title: {title}
+---
+
+::: jaxurban.{name}
+    options:
+      heading_level: 1
+
+*The example starts from [the names of all examples]({index}#examples), such as `maps`. [All public names]({index}).*
+"""
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Return the configuration with a fence for mathematics."""
+    """Return the configuration with a fence for mathematics, and with the page of every public name in its menu."""
     fence = {"name": "math", "class": "math", "format": mathml}
     config.mdx_configs.setdefault("pymdownx.superfences", {})["custom_fences"] = [fence]
+    (reference,) = (each["Reference"] for each in config.nav if "Reference" in each)
+    python = next(each for each in reference if "Python" in each)
+    python["Python"] = [{"All names": NAMES_PAGE}]
+    for purpose, names in public_names():
+        python["Python"].append({purpose: [page_of(name) for name in names]})
     return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Return the site's files with the pictures of figures/, which lies beside docs/, and the notebooks as they ran."""
+    """Return the site's files with the pictures of figures/, the notebooks as they ran, and a page per public name."""
+    for name in (each for _, names in public_names() for each in names):
+        page = NAME_PAGE.format(title=f"ju.{name}", index="../api.md", name=name)
+        files.append(File.generated(config, page_of(name), content=page))
     for picture in sorted((ROOT / "figures").rglob("*.png")):
         name = picture.relative_to(ROOT).as_posix()
         files.append(File.generated(config, name, abs_src_path=str(picture)))
@@ -49,7 +72,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             _without_widgets(nbformat.read(ran, 4)), resources
         )
         files.append(
-            File.generated(config, f"notebooks/{source.stem}.md", content=_told(page, source))
+            File.generated(config, f"notebooks/{source.stem}.md", content=_introduced(page, source))
+        )
+        files.append(
+            File.generated(config, f"notebooks/{source.stem}.ipynb", abs_src_path=str(ran))
         )
         for name, picture in made["outputs"].items():
             files.append(File.generated(config, f"notebooks/{name}", content=picture))
@@ -59,7 +85,38 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Return the page with its tables and listings written out, and with links to figures as the site has them."""
     markdown = TABLE_LINK.sub(lambda found: (ROOT / found[1]).read_text(encoding="utf-8"), markdown)
-    return LISTING.sub(_listing, FIGURE_LINK.sub(r"](\1figures/", markdown))
+    if page.file.src_uri == NAMES_PAGE:
+        markdown = NAMES_ROW.sub(_described, markdown.replace(NAMES_HEAD, ""))
+    return FIGURE_LINK.sub(r"](\1figures/", markdown.replace(COMMANDS, _commands()))
+
+
+def public_names() -> list[tuple[str, list[str]]]:
+    """Return the public names as the reference groups them: what each group is for, and its names."""
+    page = (ROOT / "docs" / NAMES_PAGE).read_text(encoding="utf-8")
+    rows = NAMES_ROW.findall(page)
+    return [(_capital(purpose), re.findall(r"`(.+?)`", names)) for purpose, names in rows]
+
+
+def page_of(name: str) -> str:
+    """Return the path of the page of a public name. Classes have a folder of their own: `Study` beside `study`."""
+    folder = "classes" if inspect.isclass(attrgetter(name)(jaxurban)) else "functions"
+    return f"reference/{folder}/{name}.md"
+
+
+def _capital(text: str) -> str:
+    return text[0].upper() + text[1:]
+
+
+def _described(row: re.Match[str]) -> str:
+    """Return a section with a line for each name of a row. Its anchors are those that the names had on one page."""
+    lines = [f"### {_capital(row[1])}", "", "| name | what it is |", "|---|---|"]
+    for name in re.findall(r"`(.+?)`", row[2]):
+        docstring = inspect.getdoc(attrgetter(name)(jaxurban)) or ""
+        first = " ".join(docstring.split("\n\n")[0].split()).removeprefix("Return ")
+        text = _capital(first).replace("``", "`").replace("|", "\\|")
+        page = page_of(name).removeprefix("reference/")
+        lines.append(f"| [`{name}`]({page}){{ #jaxurban.{name} }} | {text} |")
+    return "\n".join([*lines, ""])
 
 
 def _without_widgets(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
@@ -71,12 +128,14 @@ def _without_widgets(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
     return notebook
 
 
-def _told(page: str, source: Path) -> str:
-    """Return the page of a notebook with where it comes from, and its tables without their styles."""
+def _introduced(page: str, source: Path) -> str:
+    """Return the page of a notebook with where to get it, and its tables without their styles."""
     page = STYLE.sub("", page).replace("](../docs/", "](../")  # as the site has them
     title, rest = page.lstrip().split("\n", 1)
-    made = f"out/notebooks/{source.stem}.ipynb"
-    note = f"*Made by running `notebooks/{source.name}`; `make notebooks` leaves it as `{made}`.*"
+    note = (
+        f"*[Download this notebook with its output]({source.stem}.ipynb){{ download }} and open it in Jupyter, or "
+        f"read on. It was made by running `notebooks/{source.name}`.*"
+    )
     return f"{title}\n\n{note}\n{rest}"
 
 
@@ -85,12 +144,10 @@ def mathml(source: str, *_: Any, **__: Any) -> str:
     return convert(source, display="block")
 
 
-def _listing(found: re.Match[str]) -> str:
-    if found[1] == "commands":
-        return "\n\n".join(
-            f"## jaxurban {name}\n\n```text\n{_help(name)}\n```" for name in sorted(app.commands)
-        )
-    return "\n\n".join(f"::: jaxurban.{name}" for name in dir(jaxurban))
+def _commands() -> str:
+    return "\n\n".join(
+        f"## jaxurban {name}\n\n```text\n{_help(name)}\n```" for name in sorted(app.commands)
+    )
 
 
 def _help(name: str) -> str:

@@ -5,6 +5,7 @@ granted: a small `scenario.toml` of the synthetic city over Lower Manhattan's bo
 files of zones, outlines, blocks and routes made here.
 """
 
+import ast
 import re
 import shlex
 import shutil
@@ -314,3 +315,29 @@ def test_pages_name_every_exit_code(page):
     listed = re.search(r"exit codes[ |:]+(.*?)(?: \||\.)", text, re.IGNORECASE | re.DOTALL)
     assert listed is not None
     assert {int(code) for code in re.findall(r"\b(\d+) (?=[a-z])", listed[1])} == set(ExitCode)
+
+
+def messages_of_the_code() -> list[str]:
+    """Return every text of the code but its docstrings, with ``...`` where a value is put in."""
+    texts = []
+    files = [file for folder in ("jaxurban", "planners") for file in (ROOT / folder).rglob("*.py")]
+    for node in (node for file in files for node in ast.walk(ast.parse(file.read_bytes()))):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            node.value.value = None
+        elif isinstance(node, ast.JoinedStr):
+            constants = [part.value for part in node.values if isinstance(part, ast.Constant)]
+            texts.append("...".join(constants))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            texts.append(node.value)
+    return texts
+
+
+def test_the_sentences_of_the_page_on_faults_stand_in_the_code():
+    page = (ROOT / "docs/guides/trouble.md").read_text(encoding="utf-8")
+    quoted = re.findall(r"^\| `([^`]+)` \|", page, re.MULTILINE)
+    assert len(quoted) > 25
+    texts = messages_of_the_code()
+    for sentence in quoted:
+        parts = map(re.escape, filter(None, (part.strip() for part in sentence.split("..."))))
+        pattern = re.compile(".*".join(parts), re.DOTALL)
+        assert any(pattern.search(text) for text in texts), sentence
