@@ -12,6 +12,7 @@ from jaxurban.io.read.zone import touched_cells
 from jaxurban.paths.corridor import cell_means, cells_within
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.ground_risk import DENSITY, OverflownDensity, overflown_density
+from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import XY
 
@@ -56,7 +57,7 @@ def density_detours(
     means = np.fmax.reduce(
         [cell_means(cost_map.maps.m("density", time_of_day=name), grid, cells)[0] for name in times]
     )
-    line = shapely.LineString(planned.xy_m[[0, *range(len(planned.xy_m))]])
+    line = line_of(planned.xy_m)
     is_kept = shapely.dwithin(cells.boxes, shapely.MultiPoint(planned.xy_m[[0, -1]]), reach_m)
     least = np.nanmax(means[is_kept], initial=0.0)
     is_kept |= np.isnan(means) & shapely.dwithin(cells.boxes, line, reach_m)

@@ -16,6 +16,7 @@ from jaxurban.io.read.guesses import is_of_people, percent
 from jaxurban.io.tables import records_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.paths.corridor import Cells, cell_means, cells_within
+from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.public import Caution, FactsRepr, caution_of_guesses
 from jaxurban.settings import not_negative
@@ -96,11 +97,6 @@ class OverflownDensity(FactsRepr):
         rows = self.detours.to_dict("records")
         said = [f"{row[DENSITY]:,.0f} on {row['extra_m']:+,.0f} m" for row in rows]
         return ", or ".join(said) or "no route between these ends is less dense"
-
-    @property
-    def known_cautions(self) -> list[Caution]:
-        """Its ``cautions``."""
-        return self.cautions
 
     def to_dict(self) -> dict[str, Any]:
         """Return all of it as plain, JSON-ready values.
@@ -206,7 +202,7 @@ def overflown_density(
         "cell_m": positive("cell_m", cell_m),
     }
     reach_m = settings["half_width_m"] + settings["contingency_m"] + settings["buffer_m"]
-    line = shapely.LineString(xy_m[[0, *range(len(xy_m))]])  # of one point too
+    line = line_of(xy_m)
     ends_m = np.linspace(0.0, line.length, at_least("num_segments", num_segments, 1) + 1)
     parts = [substring(line, *ends) for ends in pairwise(ends_m)] if line.length else [line]
     sides_m = sorted({*GRIDS_M, settings["cell_m"]})

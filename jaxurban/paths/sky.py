@@ -77,11 +77,6 @@ class SkyAt(FactsRepr):
             "credit": self.attribution,
         }
 
-    @property
-    def known_cautions(self) -> list[Caution]:
-        """Its ``cautions``."""
-        return self.cautions
-
     @cached_property
     def horizon_deg(self) -> np.ndarray:
         """``[360]`` elevation in degrees up to which buildings and hills fill the sky, by outlines.

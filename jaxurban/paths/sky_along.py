@@ -11,6 +11,7 @@ from jaxurban.checks import positive, typed
 from jaxurban.errors import InputError
 from jaxurban.maps.sources import CityLike
 from jaxurban.metrics.gps import FIX, Gps, has_no_fix
+from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.sight import By, Sight, cautions_of, xy_of
 from jaxurban.paths.snapping import XY, Point
@@ -53,11 +54,6 @@ class SkyAlong(FactsRepr):
             "without a fix": f"{(~table['has_fix']).mean():.0%} of places",
             "credit": self.attribution,
         }
-
-    @property
-    def known_cautions(self) -> list[Caution]:
-        """Its ``cautions``."""
-        return self.cautions
 
 
 @typed
@@ -130,7 +126,6 @@ def sky_along(
 
 def _flown(corners_m: np.ndarray, speed_m_s: float) -> np.ndarray:
     """Return ``[4, N]`` x, y, z at each second of a route through corners ``[3, K]`` and at its end, and the time."""
-    legs_m = np.linalg.norm(np.diff(corners_m, axis=1), axis=0)
-    at_s = np.append(0.0, np.cumsum(legs_m)) / speed_m_s
+    at_s = along_of(corners_m.T) / speed_m_s
     elapsed_s = np.append(np.arange(0.0, at_s[-1]), at_s[-1])
     return np.stack([*(np.interp(elapsed_s, at_s, values) for values in corners_m), elapsed_s])
