@@ -245,6 +245,15 @@ class Scenario(BaseModel):
             )
         return self
 
+    @property
+    def _weight_tables(self) -> dict[str, Weights]:
+        """All weights of the scenario, by where they stand in it."""
+        tables = {"weights": self.weights}
+        if not isinstance(self.study.weights, str):
+            for number, table in enumerate(self.study.weights):
+                tables[f"study.weights.{number}"] = table
+        return tables
+
     def _check_layers(self) -> None:
         for name, layer in check_layers(self.layers).items():
             if not isinstance(layer.source, str):
@@ -252,12 +261,7 @@ class Scenario(BaseModel):
                     f"layers.{name}: source must be the path of a raster, got {layer.source!r}"
                 )
         metrics = [*self.layers, *(metric.name for metric in known_beside(self.layers))]
-        tables = {"weights": self.weights}
-        if not isinstance(self.study.weights, str):
-            tables |= {
-                f"study.weights.{number}": table for number, table in enumerate(self.study.weights)
-            }
-        for where, table in tables.items():
+        for where, table in self._weight_tables.items():
             try:
                 table.checked(metrics)
             except InputError as error:
@@ -358,29 +362,21 @@ class Scenario(BaseModel):
 
     def _request_what_is_weighed(self) -> None:
         """Give the metrics made on request that have a weight above 0 and no section one of its defaults."""
-        listed = () if isinstance(self.study.weights, str) else self.study.weights
-        weighed = {
-            name
-            for table in (self.weights, *listed)
-            for name, value in table.to_dict().items()
-            if value
-        }
         for metric in known_beside(self.layers):
-            is_asked = metric.section in ON_REQUEST and metric.name in weighed
-            if is_asked and getattr(self, metric.section) is None:
+            tables = self._weight_tables.values()
+            is_weighed = any(table.to_dict().get(metric.name) for table in tables)
+            is_on_request = metric.section in ON_REQUEST
+            if is_on_request and is_weighed and getattr(self, metric.section) is None:
                 object.__setattr__(self, metric.section, metric.params())
 
     @property
     def map_params(self) -> MapParams:
         """What the maps depend on besides city, sky and grid."""
-        names = [name for name in (*METRICS, *ON_REQUEST) if getattr(self, name, None) is not None]
-        sections = {name: getattr(self, name) for name in names}
+        region = self.region
+        sections = {name: getattr(self, name, None) for name in (*METRICS, *ON_REQUEST)}
+        given = {name: section for name, section in sections.items() if section is not None}
         return MapParams(
-            self.region.altitudes_m,
-            self.region.oversample,
-            self.buildings,
-            sections,
-            self.region.engine,
+            region.altitudes_m, region.oversample, self.buildings, given, region.engine
         )
 
     @property
@@ -400,17 +396,15 @@ def _with_times_as_text(settings: Any) -> Any:
 
 def _with_present_keys(settings: dict[str, Any]) -> dict[str, Any]:
     """Return settings whose former keys have their present names; one beside its successor stays, and is unknown."""
-    renamed = settings
     for former, present in RENAMED_KEYS.items():
         section, _, old = former.partition(".")
-        new = present.partition(".")[2]
-        table = renamed.get(section)
-        if not isinstance(table, Mapping) or old not in table or new in table:
-            continue
-        present_name("key", former, RENAMED_KEYS)
-        rest = {name: value for name, value in table.items() if name != old}
-        renamed = renamed | {section: {**rest, new: table[old]}}
-    return renamed
+        _, _, new = present.partition(".")
+        table = settings.get(section)
+        if isinstance(table, Mapping) and old in table and new not in table:
+            present_name("key", former, RENAMED_KEYS)
+            rest = {name: value for name, value in table.items() if name != old}
+            settings = {**settings, section: {**rest, new: table[old]}}
+    return settings
 
 
 def _with_bounds(
@@ -419,12 +413,9 @@ def _with_bounds(
     """Return settings with the bounds that the file of buildings covers, and these, where they give none."""
     region, buildings = settings.get("region", {}), settings.get("buildings")
     source = buildings.get("source") if isinstance(buildings, Mapping) else None
-    if (
-        not isinstance(region, Mapping)
-        or "bounds" in region
-        or not isinstance(source, str)
-        or source == SYNTHETIC
-    ):
+    if not isinstance(source, str) or source == SYNTHETIC:
+        return settings, None
+    if not isinstance(region, Mapping) or "bounds" in region:
         return settings, None
     from jaxurban.io.read.city import lonlat_extent  # imported here: it brings the readers
 
@@ -481,13 +472,13 @@ def changed(settings: dict[str, Any], changes: Iterable[str]) -> dict[str, Any]:
     return settings
 
 
-def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    tables = [
-        name
-        for name, value in new.items()
-        if isinstance(value, Mapping) and isinstance(old.get(name), Mapping)
-    ]
-    return {**old, **new, **{name: _merged(old[name], new[name]) for name in tables}}
+def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings over others, table by table."""
+    merged = {**old, **new}
+    for name, value in new.items():
+        if isinstance(value, Mapping) and isinstance(old.get(name), Mapping):
+            merged[name] = _merged(old[name], value)
+    return merged
 
 
 def _sentence_of(error: ValidationError, settings: Any, model: type) -> str:
@@ -537,11 +528,7 @@ def fields_of(model: type) -> dict[str, Any]:
 def _holds(settings: Any, part: str | int) -> bool:
     """Return whether settings have such a key, or such a place in a list."""
     if isinstance(part, int):
-        return (
-            isinstance(settings, Sequence)
-            and not isinstance(settings, str)
-            and part < len(settings)
-        )
+        return isinstance(settings, list | tuple) and part < len(settings)
     return isinstance(settings, Mapping) and part in settings
 
 

@@ -33,6 +33,7 @@ from jaxurban.metrics.base import (
 )
 from jaxurban.metrics.registry import METRICS, known_metrics
 from jaxurban.metrics.variables import AUXILIARY_VARIABLES, SERIES, derived
+from jaxurban.settings import not_negative
 from jaxurban.world.surface import Surface
 
 COLOURS = ("#56b4e9", "#d55e00", "#7f3c8d", "#80604d")  # of lines, none a built-in metric's
@@ -126,10 +127,7 @@ class Layer:
             raise InputError(
                 f"altitudes_m must name different altitudes, one for each band, got {heights}"
             )
-        if not finite("reach_m", self.reach_m) >= 0:
-            raise InputError(
-                f"reach_m must be 0 or a positive number of metres, got {self.reach_m}"
-            )
+        not_negative("reach_m", self.reach_m)
         if self.reach_m and not callable(self.source):
             raise InputError(
                 "reach_m says how far a function looks: leave it out for a raster or an array"

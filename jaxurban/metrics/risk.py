@@ -99,11 +99,13 @@ def compute_risk(
     Raises:
       InputError: a traced threshold without ``reach_m``.
     """
-    if surface.slabs is not None and len(altitudes_m) > 1:
-        maps = [compute_risk(surface, [z_m], params, reach_m) for z_m in np.asarray(altitudes_m)]
-        return np.concatenate(maps)
     if surface.slabs is not None:
-        surface = surface.at_altitude(float(np.asarray(altitudes_m)[0]))
+        levels_m = np.asarray(altitudes_m)
+        if len(levels_m) > 1:
+            return np.concatenate(
+                [compute_risk(surface, [z_m], params, reach_m) for z_m in levels_m]
+            )
+        surface = surface.at_altitude(float(levels_m[0]))
     resolution_m, dtype = surface.grid.resolution_m, surface.roof_m.dtype
     reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
     halo = halo_cells(params, resolution_m, reach_m)

@@ -412,7 +412,8 @@ class Constraints:
             if is_at and zone.on(maps.grid).intersects(box):
                 reasons.append(f"the no-fly zone {zone.label} ({zone.heights})")
         for bound in self.bounds:
-            if not bound.is_kept(maps, altitude_m, time, time_of_day)[cell]:
+            is_kept = bound.is_kept(maps, altitude_m, time, time_of_day)
+            if not is_kept[cell]:
                 reasons.append(f"the bound {bound}")
         clearances = self.horizontal_m, self.vertical_m
         if self.keeps_clear and closed_by_clearance(maps, altitude_m, *clearances)[cell]:

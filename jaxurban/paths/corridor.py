@@ -40,8 +40,8 @@ def cells_within(shape: shapely.Geometry, reach_m: float, side_m: float, grid: G
     Raises:
       InputError: more than `MOST_CELLS` around it.
     """
-    low_m, high_m = np.reshape(shape.bounds, (2, 2)) + [[-reach_m], [reach_m]]
-    coarse = grid_over(grid.crs, side_m, low_m, high_m).padded(1, 1, 1, 1)
+    low_m, high_m = np.reshape(shape.bounds, (2, 2))
+    coarse = grid_over(grid.crs, side_m, low_m - reach_m, high_m + reach_m).padded(1, 1, 1, 1)
     num = math.prod(coarse.shape)
     if num > MOST_CELLS:
         raise InputError(

@@ -107,11 +107,11 @@ class RouteReport(FactsRepr):
         """A sentence: which segment costs the most, and for which layer, beside its length; empty where none costs."""
         if not self.segments["cost"].sum() > 0:
             return ""
-        number = self.segments["cost"].idxmax()
-        most = self.segments.loc[number]
+        place = int(self.segments["cost"].argmax())
+        most = self.segments.iloc[place]
         share = most / self.segments.sum()
         sentence = (
-            f"The most expensive stretch is segment {number}, from {most['from_m']:.0f} to {most['to_m']:.0f} m: "
+            f"The most expensive stretch is segment {place + 1}, from {most['from_m']:.0f} to {most['to_m']:.0f} m: "
             f"{share['cost']:.0%} of the cost on {share['length_m']:.0%} of the length"
         )
         parts = most.filter(like=COST_OF).drop(f"{COST_OF}distance")
@@ -146,7 +146,7 @@ class RouteReport(FactsRepr):
           >>> round(record["length_m"]), [each["segment"] for each in record["segments"]]
           (719, [1, 2, 3])
         """
-        record = {
+        record: dict[str, Any] = {
             **numbers_or_none(self.settings),
             **numbers_or_none(self.totals),
             "why": self.why,
@@ -185,7 +185,7 @@ class RouteReport(FactsRepr):
         """Return the columns of the segments that a terminal has room for, as texts under their heads."""
         heads = {"from_m": "from m", "length_m": "length m", "cost": "cost"}
         sign = "="
-        for name in self.segments.filter(regex=f"^{COST_OF}"):
+        for name in map(str, self.segments.filter(regex=f"^{COST_OF}")):
             heads[name] = sign + name.removeprefix(COST_OF)
             sign = "+"
         heads |= SEGMENT_HEADS

@@ -349,8 +349,8 @@ def _roofs(profile: pd.DataFrame, above_m: float) -> Iterator[Caution]:
     if is_beside.any():
         length_m = profile["to_m"] - profile["from_m"]
         yield Caution(
-            f"Buildings: {length_m[is_beside].sum():.1f} m of the route lie in cells that one as high touches, maybe in "
-            "its outline.",
+            f"Buildings: {length_m[is_beside].sum():.1f} m of the route lie in cells that one as high touches, maybe "
+            "in its outline.",
             "limit",
         )
     over_m = over_m.mask(is_beside)
@@ -370,7 +370,8 @@ def _ends(profile: pd.DataFrame) -> Iterator[Caution]:
         row = profile.iloc[place]
         if row["roof_m"] >= row["z_m"]:
             yield Caution(
-                f"The {name} is in a cell that a building of {row['roof_m']:.1f} m touches.", "limit"
+                f"The {name} is in a cell that a building of {row['roof_m']:.1f} m touches.",
+                "limit",
             )
         elif row["roof_m"] > 0:
             roof = _roof(profile, place)

@@ -91,7 +91,7 @@ def sky_along(
       >>> len(flown.table), list(flown.table)[:4]
       (73, ['time', 'lon', 'lat', 'altitude_m'])
     """
-    sight = Sight.of(where, gps, None if sources is None else Path(sources), resolution_m)
+    sight = Sight.of(where, gps, sources, resolution_m)
     if isinstance(places, PlannedPath):
         altitude_m = places.z_m.tolist() if altitude_m is None else altitude_m
         places = [XY(*xy_m) for xy_m in places.xy_m.tolist()]
@@ -119,8 +119,8 @@ def sky_along(
     xy_m = np.stack([x_m, y_m])
     look = sight.look(by, xy_m, z_m, different.tolist(), sky)
     lon, lat = sight.region.lonlat_of_xy(x_m, y_m)
-    at = pd.DataFrame({"time": names, "lon": lon, "lat": lat, "altitude_m": z_m})
-    table = at.join(look.dops).assign(has_fix=~has_no_fix(look.dops[FIX].to_numpy()))
+    table = pd.DataFrame({"time": names, "lon": lon, "lat": lat, "altitude_m": z_m})
+    table = table.join(look.dops).assign(has_fix=~has_no_fix(look.dops[FIX].to_numpy()))
     return SkyAlong(table, by, cautions_of(sight, look, by, xy_m), sight.city.attribution)
 
 

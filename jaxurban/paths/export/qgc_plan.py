@@ -207,7 +207,9 @@ def exclusions(route: "PlannedPath") -> tuple[list[np.ndarray], str]:
     zones = "no-fly zone" if num_fenced == 1 else "no-fly zones"
     sentence = f"The geofence keeps out of {num_fenced} {zones} within {NEAR_M / 1000:g} km"
     if num_elsewhere:
-        sentence += f"; it has no heights, so {num_elsewhere} above or below the flight are left out"
+        sentence += (
+            f"; it has no heights, so {num_elsewhere} above or below the flight are left out"
+        )
     return rings, f"{sentence}."
 
 
