@@ -31,7 +31,7 @@ Tile = tuple[int, int]  # row and column of a tile in its tiling, the southwest 
 Quadrant = tuple[
     int, int
 ]  # 1 or -1 each: the source stands in the north (1) or south, in the east (1) or west
-QUADRANTS: tuple[Quadrant, ...] = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+QUADRANTS: dict[Quadrant, str] = {(1, 1): "ne", (1, -1): "nw", (-1, 1): "se", (-1, -1): "sw"}
 
 
 def quadrant_of(east: float, north: float) -> Quadrant:
@@ -202,9 +202,9 @@ class TileJob:
         return bool(self.order[quadrant]) and self.tiling.hands_on(tile, quadrant)
 
 
-def _name(kind: str, *numbers: int) -> str:
+def _name(kind: str, *parts: int | str) -> str:
     """Return the name of a step in the work folder, by its tile and, if it is of one, its quadrant."""
-    return "_".join(map(str, (kind, *numbers)))
+    return "_".join(map(str, (kind, *parts)))
 
 
 RASTERS = ("roof_m", "terrain_m", "has_data", "roof_guessed")  # of a `Surface`, that are kept
@@ -235,7 +235,7 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
 
     What is kept are the row and the column, of every satellite, that the next tiles' rings take up.
     """
-    watch, name, sky = Stopwatch(), _name("shadows", *tile, *quadrant), job.task.sky
+    watch, name, sky = Stopwatch(), _name("shadows", *tile, QUADRANTS[quadrant]), job.task.sky
     if job.work.done(name) is None:
         with watch.stage("gps"):
             grid = job.tiling.grid_of(tile)
@@ -261,7 +261,7 @@ def _rings(job: TileJob, tile: Tile, quadrant: Quadrant) -> Ring:
     for near in job.tiling.upstream(tile, quadrant):
         if not job.hands_on(near, quadrant):
             continue
-        kept = job.work.load_arrays(_name("shadows", *near, *quadrant), "rows", "cols")
+        kept = job.work.load_arrays(_name("shadows", *near, QUADRANTS[quadrant]), "rows", "cols")
         if near == (tile[0] + north, tile[1]):
             row[:, 1:-1] = kept["rows"]
         elif near == (tile[0], tile[1] + east):
