@@ -57,26 +57,22 @@ def compare(
     output: Path,
     resolution_m: float | None,
     obstacles: "Obstacles | None",
-    tolerance: float,
-    routes: int,
-    seed: int,
     overwrite: bool,
     as_json: bool,
+    **options: Any,
 ) -> int:
     """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time, and for routes."""
     from jaxurban.io.tables import records_of
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.map_comparison import compare as compare_maps
 
-    maps_a, maps_b = (
-        MapsFolder(folder, resolution_m, obstacles) for folder in (folder_a, folder_b)
-    )
+    maps_a = MapsFolder(folder_a, resolution_m, obstacles)
+    maps_b = MapsFolder(folder_b, resolution_m, obstacles)
+    # All options that are not named above are arguments of the comparison.
     result = run_study(
         "compare",
         output,
-        lambda report: compare_maps(
-            maps_a, maps_b, tolerance=tolerance, routes=routes, seed=seed, progress=report
-        ),
+        lambda report: compare_maps(maps_a, maps_b, progress=report, **options),
         overwrite,
     )
     if as_json:

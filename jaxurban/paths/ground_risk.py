@@ -70,7 +70,7 @@ class OverflownDensity(FactsRepr):
 
     def _worst(self, cell_m: float) -> pd.Series:
         rows = self.largest[self.largest["cell_m"] == cell_m]
-        return rows.iloc[int(np.nanargmax(rows[DENSITY].fillna(-1.0)))]
+        return rows.iloc[int(rows[DENSITY].fillna(-1.0).argmax())]
 
     @property
     def facts(self) -> dict[str, str]:
@@ -95,8 +95,8 @@ class OverflownDensity(FactsRepr):
         if self.detours is None:
             return ""
         rows = self.detours.to_dict("records")
-        said = [f"{row[DENSITY]:,.0f} on {row['extra_m']:+,.0f} m" for row in rows]
-        return ", or ".join(said) or "no route between these ends is less dense"
+        detours = [f"{row[DENSITY]:,.0f} on {row['extra_m']:+,.0f} m" for row in rows]
+        return ", or ".join(detours) or "no route between these ends is less dense"
 
     def to_dict(self) -> dict[str, Any]:
         """Return all of it as plain, JSON-ready values.
@@ -291,8 +291,9 @@ def _cautions(maps: MetricMaps, rows: pd.DataFrame) -> Iterator[Caution]:
     """Yield what to know of densities: guesses on people, what is unknown, whom they count and whom not."""
     people = {name: each for name, each in maps.guesses.items() if is_of_people(name)}
     yield from caution_of_guesses(people)
-    least = rows.iloc[int(np.argmax(rows["num_unknown"] + rows["num_partly_known"]))]
-    if num := int(least["num_unknown"] + least["num_partly_known"]):
+    least = rows.iloc[int((rows["num_unknown"] + rows["num_partly_known"]).argmax())]
+    num = int(least["num_unknown"] + least["num_partly_known"])
+    if num:
         yield Caution(
             f"People: {num} of {least['num_cells']} cells reach beyond what is known, {least['num_unknown']} of them "
             f"wholly; of the densest {percent(least['known_share'])} is known, and its mean is of that part alone.",

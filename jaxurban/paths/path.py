@@ -164,19 +164,15 @@ class PlannedPath(FactsRepr):
             raise InputError(f"there is no path to save: {self.status.sentence}")
         files = [FilePath(each) for each in (file, *more)]
         missions = [each for each in files if each.suffix.lower() == MISSION]
-        if not missions and not (end is None and fence_roofs_m is None):
+        if not missions and (end is not None or fence_roofs_m is not None):
             check_is_mission(files[0])
         roofs = None if fence_roofs_m is None else roof_fences(self, fence_roofs_m)
         for each in files:
-            is_mission = each in missions
-            write_path(
-                self,
-                each,
-                report,
-                end=end if is_mission else None,
-                roofs=roofs if is_mission else None,
-            )
-        return FilePath(file)
+            if each in missions:
+                write_path(self, each, report, end=end, roofs=roofs)
+            else:
+                write_path(self, each, report)
+        return files[0]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the points' arrays as plain, JSON-ready values.

@@ -69,14 +69,12 @@ class PathSearch:
         planning = DEFAULTS if maps is None else maps.planning
         if is_for_volumes:
             planning = replace(DEFAULTS, planner="astar-volume", budget_s=planning.budget_s)
-        given: dict[str, Any] = {"planner": planner, "budget_s": budget_s, "seed": seed}
-        planning = replace(
-            planning, **{name: value for name, value in given.items() if value is not None}
-        )
-        budgets = {
-            name: finite(f"the budget of exposure to {name}", most)
-            for name, most in (exposure or {}).items()
-        }
+        arguments = {"planner": planner, "budget_s": budget_s, "seed": seed}
+        given: dict[str, Any] = {name: each for name, each in arguments.items() if each is not None}
+        planning = replace(planning, **given)
+        budgets = {}
+        for name, most in (exposure or {}).items():
+            budgets[name] = finite(f"the budget of exposure to {name}", most)
         search = cls(
             planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine, budgets
         )
