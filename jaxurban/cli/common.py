@@ -394,11 +394,6 @@ def names_in(text: str) -> tuple[str, ...]:
 NAMES = partial(click.option, default="", callback=lambda ctx, param, text: names_in(text))
 
 
-def values_given(values: Settings) -> Settings:
-    """Return the values that are given: those that are not None."""
-    return {name: value for name, value in values.items() if value is not None}
-
-
 def all_cores() -> int:
     """Return how many processes use this machine: one, which a message says, where Dask's scheduler is missing."""
     from importlib.util import find_spec

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from jaxurban.checks import values_given
 from jaxurban.cli.common import (
     CORRIDOR,
     COUNT,
@@ -24,7 +25,6 @@ from jaxurban.cli.common import (
     Settings,
     grouped,
     print_json,
-    values_given,
 )
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG

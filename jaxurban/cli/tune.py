@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from jaxurban.checks import values_given
 from jaxurban.cli.common import (
     CONSTRAINTS,
     COUNT,
@@ -27,7 +28,6 @@ from jaxurban.cli.common import (
     grouped,
     names_in,
     print_json,
-    values_given,
 )
 from jaxurban.progress import LOG
 

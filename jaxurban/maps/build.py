@@ -19,7 +19,7 @@ import numpy as np
 import shapely
 from jaxtyping import Array, Float
 
-from jaxurban.checks import positive, typed
+from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.guesses import Guesses, nominal_guess, time_guess, warn_of
@@ -129,8 +129,7 @@ def build_maps(
 
 def _sections(city: City, **metrics: Any) -> dict[str, Any]:
     """Return the sections of metrics, that of the satellites from a city that comes with some, where none is given."""
-    given = {name: section for name, section in metrics.items() if section is not None}
-    return given if city.gps is None else {"gps": city.gps} | given
+    return values_given({"gps": city.gps}) | values_given(metrics)
 
 
 def check_region(city: City, region: Grid, is_own: bool = False) -> None:

@@ -13,6 +13,7 @@ import pyproj
 import rasterio
 import shapely
 
+from jaxurban.checks import values_given
 from jaxurban.errors import readable
 from jaxurban.io.city import City
 from jaxurban.io.files import digest_of, read_json, write_json
@@ -133,8 +134,7 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
         named[f"layer_{layer_name}"] = layer.source
     return {
         role: {"path": name, "sha256": _sha256(located(scenario.path_of(name)), role)}
-        for role, name in named.items()
-        if name is not None
+        for role, name in values_given(named).items()
     }
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import dask.array
 import jax
 
+from jaxurban.checks import values_given
 from jaxurban.errors import InputError
 from jaxurban.io import store
 from jaxurban.io.city import City
@@ -66,9 +67,8 @@ def load_city(scenario: Scenario) -> City:
 
     def placed(section: Any, *names: str) -> Any:
         """Return a section whose files are named from the current folder."""
-        named = [name for name in names if getattr(section, name) is not None]
-        files = {name: scenario.path_of(getattr(section, name)) for name in named}
-        return replace(section, **files)
+        files = values_given({name: getattr(section, name) for name in names})
+        return replace(section, **{name: scenario.path_of(file) for name, file in files.items()})
 
     return City.from_files(
         placed(scenario.buildings, "source"),

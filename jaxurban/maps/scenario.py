@@ -23,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxurban.checks import at_least, check_range, nearest_name, positive, typed
+from jaxurban.checks import at_least, check_range, nearest_name, positive, typed, values_given
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.samples import filled, is_sample, located
 from jaxurban.kernels.engine import Engine
@@ -374,9 +374,12 @@ class Scenario(BaseModel):
         """What the maps depend on besides city, sky and grid."""
         region = self.region
         sections = {name: getattr(self, name, None) for name in (*METRICS, *ON_REQUEST)}
-        given = {name: section for name, section in sections.items() if section is not None}
         return MapParams(
-            region.altitudes_m, region.oversample, self.buildings, given, region.engine
+            region.altitudes_m,
+            region.oversample,
+            self.buildings,
+            values_given(sections),
+            region.engine,
         )
 
     @property

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxurban.checks import values_given
 from jaxurban.errors import InputError
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
@@ -225,8 +226,7 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             if is_reported:
                 arrays["roof_touched_m"] = made.roof_touched_m
                 arrays["block"] = rasterise_blocks(city, grid)
-            known = {key: values for key, values in arrays.items() if values is not None}
-            job.work.save_arrays(name, **known)
+            job.work.save_arrays(name, **values_given(arrays))
     return {"seconds": watch.elapsed_s}
 
 

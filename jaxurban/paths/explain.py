@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.checks import positive, typed
+from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.traversal import Crossings
 from jaxurban.maps.levels import Levels
@@ -244,11 +244,8 @@ def explain(
         raise InputError(f"num_segments must be at least 1, got {num_segments}")
     positive("swath_m", swath_m)
     cut, names, grid = cut_on(planned, maps), tuple(maps.metrics), maps.grid
-    vehicle = Vehicle.of(planned.settings)
-    if speed_m_s is not None:
-        vehicle = replace(vehicle, speed_m_s=speed_m_s)
-    if power_w is not None:
-        vehicle = replace(vehicle, power_w=power_w)
+    given = values_given({"speed_m_s": speed_m_s, "power_w": power_w})
+    vehicle = replace(Vehicle.of(planned.settings), **given)
     profile = profile_of(planned, maps, cut, {name: name for name in names} | EXTRA_MAPS)
     route = _Route(cut, profile, _cost_map_of(planned, maps), vehicle, swath_m)
 

@@ -2,9 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
-from jaxurban.checks import finite, typed
+from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.snapping import snap_limit_m
@@ -70,8 +69,7 @@ class PathSearch:
         if is_for_volumes:
             planning = replace(DEFAULTS, planner="astar-volume", budget_s=planning.budget_s)
         arguments = {"planner": planner, "budget_s": budget_s, "seed": seed}
-        given: dict[str, Any] = {name: each for name, each in arguments.items() if each is not None}
-        planning = replace(planning, **given)
+        planning = replace(planning, **values_given(arguments))
         budgets = {}
         for name, most in (exposure or {}).items():
             budgets[name] = finite(f"the budget of exposure to {name}", most)
