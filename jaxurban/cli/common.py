@@ -388,10 +388,15 @@ JSON_FLAG = FLAG("--json", "as_json", help="Print one machine-readable object on
 
 def names_in(text: str) -> tuple[str, ...]:
     """Return the names in ``"gps,risk"``."""
-    return tuple(part.strip() for part in text.split(",") if part.strip())
+    return tuple(filter(None, map(str.strip, text.split(","))))
 
 
-NAMES = partial(click.option, default="", callback=lambda ctx, param, text: names_in(text))
+def _named(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[str, ...] | None:
+    """Return the names in a text; None where an option without a default is left out."""
+    return None if text is None else names_in(text)
+
+
+NAMES = partial(click.option, default="", callback=_named)
 
 
 def all_cores() -> int:

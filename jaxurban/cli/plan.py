@@ -70,7 +70,7 @@ def exposure_of(
     Raises:
       UsageError: another text, or a second budget of a layer.
     """
-    parts = [[part.strip() for part in text.split("<=")] for text in texts]
+    parts = [list(map(str.strip, text.split("<="))) for text in texts]
     try:
         exposure = {name: float(most) for name, most in parts}
     except ValueError as error:

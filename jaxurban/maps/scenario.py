@@ -235,10 +235,9 @@ class Scenario(BaseModel):
         find_planner(self.planning.planner)
         self._check_layers()
         self._request_what_is_weighed()
-        _ = self.map_params  # which refuses what does not go together
-        if self.is_synthetic and (
-            self.population.blocks or self.population.blocks_day or self.terrain.source
-        ):
+        people = self.map_params.population  # whose making refuses what does not go together
+        has_files = people.blocks or people.blocks_day or self.terrain.source
+        if self.is_synthetic and has_files:
             raise ValueError(
                 "the synthetic city (source = 'synthetic') has its own population and flat ground: leave out "
                 "the files of [population] and terrain.source, or name a source of real buildings"

@@ -108,8 +108,8 @@ def compute_risk(
         surface = surface.at_altitude(float(levels_m[0]))
     resolution_m, dtype = surface.grid.resolution_m, surface.roof_m.dtype
     reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
-    halo = halo_cells(params, resolution_m, reach_m)
     reach = kernel.window_cells(reach_m, resolution_m)
+    halo = rounded_up(reach)
     is_solid = params.distance == "solid"
     terrain_m = ceiling_m = around = None
     if is_solid and surface.terrain_m is not None:
@@ -211,7 +211,7 @@ def soft_risk(
     check_softness(softness_m)
     dtype, resolution_m = surface.roof_m.dtype, surface.grid.resolution_m
     reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
-    halo = halo_cells(params, resolution_m, reach_m)
+    halo = rounded_up(kernel.window_cells(reach_m, resolution_m))
     altitude = jnp.asarray(altitude_m, dtype)
     threshold = jnp.asarray(params.threshold_m, dtype)
     softness = jnp.asarray(softness_m, dtype)

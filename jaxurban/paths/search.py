@@ -73,6 +73,10 @@ class PathSearch:
         budgets = {}
         for name, most in (exposure or {}).items():
             budgets[name] = finite(f"the budget of exposure to {name}", most)
+            if budgets[name] < 0:
+                raise InputError(
+                    f"the budget of exposure to {name} must be 0 or a positive number, got {most:g}: raise it"
+                )
         search = cls(
             planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine, budgets
         )
@@ -82,11 +86,6 @@ class PathSearch:
                 "refine moves waypoints on one altitude: leave it out of a path that climbs and descends"
             )
         find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
-        for name, most in budgets.items():
-            if most < 0:
-                raise InputError(
-                    f"the budget of exposure to {name} must be 0 or a positive number, got {most:g}: raise it"
-                )
         if budgets and (search.refine or search.planner not in (*EXACT_PLANNERS, *VOLUME_PLANNERS)):
             raise InputError(
                 "budgets of exposure are of paths on the grid: leave out refine, and take the planner "
