@@ -315,17 +315,16 @@ def population_totals(
         weight = weight * inside_m2 / np.where(blocks.area_m2 > 0, blocks.area_m2, 1.0)
 
     def by_zoning(count: np.ndarray) -> dict[str, float]:
+        people = count * weight
         zones = (Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER)
-        return {
-            zoning.name.lower(): float((count * weight)[blocks.zoning == zoning].sum())
-            for zoning in zones
-        }
+        return {zone.name.lower(): float(people[blocks.zoning == zone].sum()) for zone in zones}
 
-    night, gamma = by_zoning(blocks.night_count), {"commercial": params.gamma_commercial}
-    day = {name: count * gamma.get(name, params.gamma_residential) for name, count in night.items()}
-    if blocks.day_count is not None:
+    night = by_zoning(blocks.night_count)
+    if blocks.day_count is None:
+        day = {name: count * params.gamma_residential for name, count in night.items()}
+        day["commercial"] = night["commercial"] * params.gamma_commercial
+    else:
         day = by_zoning(blocks.day_count)
-    return {
-        name: {**counts, "total": sum(counts.values())}
-        for name, counts in (("night", night), ("day", day))
-    }
+    for counts in (night, day):
+        counts["total"] = sum(counts.values())
+    return {"night": night, "day": day}

@@ -306,13 +306,15 @@ def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
         str(name): array for name, array in ds.data_vars.items() if array.dims[-2:] == ("y", "x")
     }
     for name, array in maps.items():
-        long_name, unit = (
-            str(array.attrs.get(key, other)) for key, other in (("long_name", name), ("units", "1"))
+        variable = Variable(
+            name,
+            str(array.attrs.get("long_name", name)),
+            str(array.attrs.get("units", "1")),
+            dtype=array.dtype.type,
+            scale=Scale("viridis", low=None, high=None),
+            dims=tuple(map(str, array.dims[:-2])),
         )
-        dims, scale = tuple(map(str, array.dims[:-2])), Scale("viridis", low=None, high=None)
-        known.setdefault(
-            name, Variable(name, long_name, unit, dtype=array.dtype.type, scale=scale, dims=dims)
-        )
+        known.setdefault(name, variable)
     return {name: known[name] for name in maps}
 
 

@@ -111,7 +111,7 @@ def compute_risk(
     reach = kernel.window_cells(reach_m, resolution_m)
     halo = rounded_up(reach)
     is_solid = params.distance == "solid"
-    terrain_m = ceiling_m = around = None
+    terrain_m = ceiling_m = around = None  # which the slice does not look at
     if is_solid and surface.terrain_m is not None:
         terrain_m = surface.terrain_m
         around = kernel.disc(reach_m, resolution_m, dtype)
@@ -127,8 +127,7 @@ def compute_risk(
     )
 
     def of_parts(cut: Cut) -> Array:
-        parts = [None if values is None else cut(values) for values in rasters]
-        return _risk(*parts, *settings)
+        return _risk(*jax.tree.map(cut, rasters), *settings)
 
     if surface.is_on_host:
         return over_blocks(surface, halo, reach, of_parts, len(settings[0]))

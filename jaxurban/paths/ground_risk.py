@@ -201,32 +201,33 @@ def overflown_density(
         "buffer_m": not_negative("buffer_m", buffer_m),
         "cell_m": positive("cell_m", cell_m),
     }
-    reach_m = settings["half_width_m"] + settings["contingency_m"] + settings["buffer_m"]
+    reach_m = half_width_m + contingency_m + buffer_m
     line = line_of(xy_m)
     ends_m = np.linspace(0.0, line.length, at_least("num_segments", num_segments, 1) + 1)
     parts = [substring(line, *ends) for ends in pairwise(ends_m)] if line.length else [line]
-    sides_m = sorted({*GRIDS_M, settings["cell_m"]})
+    sides_m = sorted({*GRIDS_M, cell_m})
     touched = {side_m: cells_within(line, reach_m, side_m, maps.grid) for side_m in sides_m}
     of_segment = [shapely.dwithin(touched[cell_m].boxes, part, reach_m) for part in parts]
     largest, segments = [], []
-    for name in maps.times_of_day if time_of_day is None else (time_of_day,):
+    times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
+    for name in times_of_day:
         density = maps.m("density", time_of_day=name)
         for side_m, cells in touched.items():
             means, share = cell_means(density, maps.grid, cells)
             row = {"cell_m": side_m, "time_of_day": name}
             largest.append(row | _largest(line, cells, means, share, np.ones(len(means), bool)))
-            if side_m != settings["cell_m"]:
+            if side_m != cell_m:
                 continue
             for number, is_near in enumerate(of_segment):
                 segment = {
                     "segment": number + 1,
                     "from_m": ends_m[number],
                     "to_m": ends_m[number + 1],
+                    "time_of_day": name,
                 }
-                most = _largest(line, cells, means, share, is_near)
-                segments.append(segment | {"time_of_day": name} | most)
+                segments.append(segment | _largest(line, cells, means, share, is_near))
     table = pd.DataFrame(largest)
-    if table.loc[table["cell_m"] == settings["cell_m"], DENSITY].isna().all():
+    if table.loc[table["cell_m"] == cell_m, DENSITY].isna().all():
         raise InputError(
             "no density of people is known in the corridor of the path: give maps that cover it, with [population] "
             "blocks there"
@@ -236,7 +237,7 @@ def overflown_density(
         pd.DataFrame(segments).set_index("segment"),
         settings,
         maps.attribution,
-        list(_cautions(maps, table[table["cell_m"] == settings["cell_m"]])),
+        list(_cautions(maps, table[table["cell_m"] == cell_m])),
     )
 
 

@@ -16,6 +16,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.maps.build import region_of, view_sky
+from jaxurban.maps.levels import listed_m
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.run import gps_of, load_city
 from jaxurban.maps.sources import CityLike, folder_of, scenario_of
@@ -86,9 +87,8 @@ class Sight:
         sizes = scenario.region.resolution_m
         resolution_m = sizes[0] if resolution_m is None else resolution_m
         if resolution_m not in sizes:
-            known = ", ".join(f"{size:g}" for size in sizes)
             raise InputError(
-                f"resolution_m must be that of maps in the folder, {known}, got {resolution_m:g}"
+                f"resolution_m must be that of maps in the folder, {listed_m(sizes)}, got {resolution_m:g}"
             )
         region = Grid.from_bounds(scenario.region.bounds, resolution_m, scenario.region.crs, sizes)
         heights = replace(scenario.buildings, height_samples=0)
