@@ -135,15 +135,14 @@ def map_at(
     is_free = constraints.is_free(maps, altitudes_m.tolist(), **when)
     costs = np.empty((len(maps.metrics), *is_free.shape), np.float32)
     is_under_sky = cache(maps.is_under_sky)
-    levels_m = maps.altitudes_m
-    lowest_m = levels_m[0]
     for (name, metric), layers in zip(maps.metrics.items(), costs, strict=True):
         read = cache(partial(maps.m, name, **when))
         is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
         for level, z_m in enumerate(altitudes_m.tolist()):
-            m = read(lowest_m) if is_flat else values_at(z_m, levels_m, read, is_under_sky)
+            m = read() if is_flat else values_at(z_m, maps.altitudes_m, read, is_under_sky)
             # What is missing where nobody may fly counts as m = 0: searches take numbers alone.
-            layers[level] = metric.cost(np.where(np.isnan(m) & ~is_free[level], np.float32(0), m))
+            is_closed_gap = np.isnan(m) & ~is_free[level]
+            layers[level] = metric.cost(np.where(is_closed_gap, np.float32(0), m))
     of_map = 0 if levels is None else slice(None)
     return CostMap(
         maps=maps,

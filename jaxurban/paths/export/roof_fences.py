@@ -95,7 +95,8 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
     most = MOST_VERTICES - sum(map(len, zones))
     fences, num_met = _fewest(roofs.polygons[reaching], flown, grid, most)
     rings = [ring_of(fence, grid) for fence in fences]
-    if (num := sum(map(len, rings))) > most:
+    num = sum(map(len, rings))
+    if num > most:
         raise InputError(
             f"{len(reaching)} {roofs.called} within {near_m:g} m of the route take {num} vertices of a fence, and "
             f"autopilots hold {MOST_VERTICES}, zones included: name a smaller distance, fly higher, or split the "
@@ -105,7 +106,8 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
         f"The geofence keeps out of the {roofs.called} within {near_m:g} m that reach the flight: "
         f"{len(reaching) - num_met}, {roofs.why}"
     )
-    if num_guessed := int(roofs.is_guessed[reaching].sum()):
+    num_guessed = int(roofs.is_guessed[reaching].sum())
+    if num_guessed:
         note += f", {num_guessed} of guessed height"
     if fences:
         note += f", in {num} vertices; the nearest is {shapely.distance(fences, flown).min():.1f} m from the route"
