@@ -216,7 +216,8 @@ def _files_of(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str]) -> 
 
 def _unused(folder: Path) -> str:
     """Return the folder's name with the first number that no folder beside it has."""
-    return next(name for k in count(2) if not Path(name := f"{folder}-{k}").exists())
+    names = (f"{folder}-{number}" for number in count(2))
+    return next(name for name in names if not Path(name).exists())
 
 
 @dataclass(frozen=True)

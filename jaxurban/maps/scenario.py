@@ -516,7 +516,8 @@ def _check_truths(settings: Any, model: type, where: str = "") -> None:
                 f"{where}{name} cannot be {str(value).lower()}: give a number, a text or a list"
             )
         check_range(f"{where}{name}", value)
-        if inner := model_in(known.get(name)):
+        inner = model_in(known.get(name))
+        if inner:
             _check_truths(value, inner, f"{where}{name}: ")
 
 

@@ -280,7 +280,8 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     ``seconds`` by stage; ``totals``: the facts of `TimeTotals` by metric, where statistics over time are kept.
     """
     name = _name("tile", *tile)
-    if (facts := job.work.done(name)) is not None:
+    facts = job.work.done(name)
+    if facts is not None:
         return {**facts, "seconds": {}}
     watch = Stopwatch()
     with watch.stage("surface"):

@@ -311,7 +311,7 @@ def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:
       InputError: values of another shape than the tile's, or cells without a value where that is an error.
     """
     surface = _reaching(scene.surface, layer).of_jax()
-    values = scene.rasters.get(name)
+    values: Any = scene.rasters.get(name)
     if callable(layer.source):
         values = layer.source(surface, scene.altitude_m)
     if isinstance(values, np.ma.MaskedArray):
