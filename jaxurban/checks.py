@@ -109,6 +109,11 @@ def finite(
     return number
 
 
+def values_given(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values that are given, by name: those that are not None."""
+    return {name: value for name, value in values.items() if value is not None}
+
+
 def positive(name: str, value: Any, unit: str | None = None) -> float:
     """Return a number that must be above 0, as a float (see `finite`)."""
     return finite(name, value, unit, least=0, called="positive")

@@ -194,8 +194,8 @@ class FactsRepr:
 
     @property
     def known_cautions(self) -> Sequence[Caution]:
-        """What whoever uses it must know first; empty for most."""
-        return ()
+        """What whoever uses it must know first: its ``cautions``, if it has any."""
+        return getattr(self, "cautions", ())
 
     def _cautions(self) -> Sequence[Caution]:
         try:

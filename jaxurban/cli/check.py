@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,15 +20,12 @@ from jaxurban.cli.common import (
     RESOLUTION,
     TIME_OF_DAY,
     WEIGHTS,
-    Point,
     print_json,
 )
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
-    from jaxurban.io.read.mission_parts import Datum
-    from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.ground_risk import OverflownDensity
 
 CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": ExitCode.NOT_JUDGED}
@@ -73,22 +70,15 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
 def check(
     folder: Path,
     mission: Path,
-    heights: "Datum | None",
-    geoid_m: float | None,
-    home: Point | None,
-    return_altitude_m: float | None,
-    constraints: "Constraints",
     times: tuple[str, ...],
     time_of_day: str | None,
-    max_no_fix_m: float | None,
-    max_people: float | None,
     corridor: "Callable[..., OverflownDensity] | None",
     weights_text: str,
-    sources: Path | None,
     resolution_m: float | None,
     files: tuple[Path, ...],
     overwrite: bool,
     as_json: bool,
+    **options: Any,
 ) -> int:
     """Check MISSION (.plan, .waypoints, .kml, .gpx, .geojson, .csv) over the maps in DIR.
 
@@ -103,17 +93,10 @@ def check(
     result = check_mission(
         maps,
         mission,
-        heights=heights,
-        geoid_m=geoid_m,
-        home=home,
-        return_altitude_m=return_altitude_m,
-        constraints=constraints,
         time=times or None,
         time_of_day=time_of_day,
-        max_no_fix_m=max_no_fix_m,
-        max_people=max_people,
         weights=Weights.named_in(weights_text),
-        sources=sources,
+        **options,  # all other options are its arguments
     )
     density = None
     line_m = result.flight.line_m

@@ -230,6 +230,7 @@ def workers_of(workers: int | None, cluster: str | None) -> int | str | None:
 
 LONLAT = Numbers("LON,LAT", "longitude,latitude in degrees, as in -74.0,40.7", 2)
 COUNT, POSITIVE_COUNT = click.IntRange(min=0), click.IntRange(min=1)
+SHOWN = partial(click.option, show_default=True)  # its default, in the help
 NUMBER = partial(click.option, type=float)
 METRES = partial(NUMBER, metavar="METRES")
 FLAG = partial(click.option, is_flag=True)
@@ -245,9 +246,7 @@ CHANGES = click.option(
     multiple=True,
     help="Change a setting of SCENARIO, such as gps.mask_deg=10; values as in TOML; repeatable.",
 )
-SEED = click.option(
-    "--seed", type=COUNT, default=0, show_default=True, help="Seed of random numbers."
-)
+SEED = SHOWN("--seed", type=COUNT, default=0, help="Seed of random numbers.")
 DEVICE_CHOICE = partial(
     click.option,
     "--device",
@@ -387,14 +386,17 @@ WORKERS = grouped(
 JSON_FLAG = FLAG("--json", "as_json", help="Print one machine-readable object on stdout.")
 
 
-def values_given(values: Settings) -> Settings:
-    """Return the values that are given: those that are not None."""
-    return {name: value for name, value in values.items() if value is not None}
-
-
 def names_in(text: str) -> tuple[str, ...]:
     """Return the names in ``"gps,risk"``."""
-    return tuple(part.strip() for part in text.split(",") if part.strip())
+    return tuple(filter(None, map(str.strip, text.split(","))))
+
+
+def _named(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[str, ...] | None:
+    """Return the names in a text; None where an option without a default is left out."""
+    return None if text is None else names_in(text)
+
+
+NAMES = partial(click.option, default="", callback=_named)
 
 
 def all_cores() -> int:

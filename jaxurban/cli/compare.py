@@ -1,6 +1,5 @@
 """jaxurban compare, of maps with others, and jaxurban validate, of maps with a receiver's log."""
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,7 @@ from jaxurban.cli.common import (
     COUNT,
     DEVICE,
     JSON_FLAG,
-    NUMBER,
+    NAMES,
     OBSTACLES,
     OUTPUT,
     OVERWRITE,
@@ -19,9 +18,9 @@ from jaxurban.cli.common import (
     POSITIVE_COUNT,
     RESOLUTION,
     SEED,
+    SHOWN,
     Numbers,
     Settings,
-    names_in,
     print_json,
     run_study,
 )
@@ -37,17 +36,15 @@ if TYPE_CHECKING:
 @OUTPUT
 @RESOLUTION
 @OBSTACLES
-@NUMBER(
+@SHOWN(
     "--tolerance",
     default=1e-6,
-    show_default=True,
     help="Values that differ by no more count as equal.",
 )
-@click.option(
+@SHOWN(
     "--routes",
     type=COUNT,
     default=0,
-    show_default=True,
     help="Pairs of places at each altitude whose route on one map is judged on the other.",
 )
 @SEED
@@ -60,26 +57,22 @@ def compare(
     output: Path,
     resolution_m: float | None,
     obstacles: "Obstacles | None",
-    tolerance: float,
-    routes: int,
-    seed: int,
     overwrite: bool,
     as_json: bool,
+    **options: Any,
 ) -> int:
     """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time, and for routes."""
     from jaxurban.io.tables import records_of
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.map_comparison import compare as compare_maps
 
-    maps_a, maps_b = (
-        MapsFolder(folder, resolution_m, obstacles) for folder in (folder_a, folder_b)
-    )
+    maps_a = MapsFolder(folder_a, resolution_m, obstacles)
+    maps_b = MapsFolder(folder_b, resolution_m, obstacles)
+    # All options that are not named above are arguments of the comparison.
     result = run_study(
         "compare",
         output,
-        lambda report: compare_maps(
-            maps_a, maps_b, tolerance=tolerance, routes=routes, seed=seed, progress=report
-        ),
+        lambda report: compare_maps(maps_a, maps_b, progress=report, **options),
         overwrite,
     )
     if as_json:
@@ -106,9 +99,6 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
         return text
 
 
-SETTING = partial(NUMBER, show_default=True)
-
-
 @click.command()
 @click.argument("scenario_file", metavar="SCENARIO", type=PATH)
 @click.argument("log_file", metavar="[LOG]", type=PATH, required=False)
@@ -120,59 +110,54 @@ SETTING = partial(NUMBER, show_default=True)
 )
 @click.option("--reference", type=PATH, help="Table of the antenna's places, for a log in RINEX.")
 @CHANGES
-@SETTING(
+@SHOWN(
     "--antenna-height",
     "antenna_height_m",
     default=2.0,
     help="Height of the antenna above the ground, metres.",
 )
-@SETTING("--sky-step", "sky_step_s", default=30.0, help="Seconds for which one sky is used.")
-@SETTING(
+@SHOWN("--sky-step", "sky_step_s", default=30.0, help="Seconds for which one sky is used.")
+@SHOWN(
     "--piece",
     "piece_m",
     default=25.0,
     help="Length of the pieces of track whose medians are compared, metres.",
 )
-@click.option(
+@SHOWN(
     "--pieces",
     "other_pieces_m",
     type=Numbers("M,...", "numbers, as in 10,50"),
     default="10,50,100",
-    show_default=True,
     help="Further lengths of pieces to report, metres.",
 )
-@SETTING(
+@SHOWN(
     "--block",
     "block_m",
     default=200.0,
     help="Length of the blocks of track within which ranks are compared, metres.",
 )
-@SETTING(
+@SHOWN(
     "--sky-block",
     "sky_block_m",
     default=50.0,
     help="Length of the blocks that satellites' intervals draw, metres.",
 )
-@click.option(
+@SHOWN(
     "--known",
     callback=number_or_text,
     default="city",
-    show_default=True,
     metavar="city|all|M|FILE",
     help="Where buildings are known: what their file covers, everywhere, so many metres around the track, or polygons.",
 )
-@click.option(
+@NAMES(
     "--systems",
-    callback=lambda ctx, param, text: names_in(text),
-    default="",
     help="Letters of the satellite systems to take, as G,E.",
 )
-@click.option(
+@SHOWN(
     "--displaced",
     "num_displaced",
     type=POSITIVE_COUNT,
     default=200,
-    show_default=True,
     help="Displaced cities that satellites are set against.",
 )
 @SEED

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, OVERWRITE, PATH, print_json
+from jaxurban.cli.common import DEVICE, JSON_FLAG, OVERWRITE, PATH, SHOWN, print_json
 from jaxurban.progress import LOG, reporting
 
 CITY = "sample:lower-manhattan"
@@ -19,7 +19,7 @@ COLUMNS = "altitude_m", "settings.time_of_day", "planner", "status", "cost", "le
 
 
 @click.command()
-@click.option("-o", "folder", type=PATH, default=Path("out/demo"), show_default=True)
+@SHOWN("-o", "folder", type=PATH, default=Path("out/demo"))
 @OVERWRITE
 @DEVICE
 @JSON_FLAG

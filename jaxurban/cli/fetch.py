@@ -8,8 +8,8 @@ import click
 from jaxurban.cli.common import (
     FLAG,
     JSON_FLAG,
-    NUMBER,
     PATH,
+    SHOWN,
     Numbers,
     Settings,
     names_in,
@@ -27,20 +27,17 @@ from jaxurban.progress import LOG
     help="Region in degrees.",
 )
 @click.option("-o", "folder", type=PATH, required=True, help="Folder for the files.")
-@click.option(
-    "--what", default="osm,census,districts,orbits", show_default=True, help="What to fetch."
-)
+@SHOWN("--what", default="osm,census,districts,orbits", help="What to fetch.")
 @click.option(
     "--date",
     "day",
     type=click.DateTime(["%Y-%m-%d"]),
     help="Day of the GPS maps, UTC.  [default: that of the element sets]",
 )
-@NUMBER(
+@SHOWN(
     "--margin",
     "margin_m",
     default=1000.0,
-    show_default=True,
     help="Width in metres of the margin whose buildings are fetched too.",
 )
 @click.option(
@@ -50,9 +47,7 @@ from jaxurban.progress import LOG
     multiple=True,
     help="Fetch one of --what from another place, such as an OSM extract (.osm.pbf); repeatable.",
 )
-@click.option(
-    "--max-size", default="500MB", show_default=True, help="Largest file accepted (units of 1,024)."
-)
+@SHOWN("--max-size", default="500MB", help="Largest file accepted (units of 1,024).")
 @FLAG(
     "--overwrite",
     help="Move existing files to the folder `kept` and fetch them again.",

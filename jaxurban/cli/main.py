@@ -246,7 +246,8 @@ def _named_in(sentence: str, arguments: Sequence[str]) -> str:
         is_passed = isinstance(param, click.Argument) or not passed.isdisjoint(param.opts)
         if param.name == first and is_passed:
             return _name_of(param)
-    if setting := re.search(r": (\w+): (\w+) must ", sentence):
+    setting = re.search(r": (\w+): (\w+) must ", sentence)
+    if setting:
         return f"{setting[1]}.{setting[2]}"
     return next((each for each in re.findall(r"--[a-z-]+", sentence) if each in passed), "")
 

@@ -9,11 +9,11 @@ from jaxurban.cli.common import (
     DEVICE_CHOICE,
     FLAG,
     JSON_FLAG,
+    NAMES,
     OUTPUT,
     OVERWRITE,
     PATH,
     WORKERS,
-    names_in,
     print_json,
     stay_on_cpu,
     use_device,
@@ -28,9 +28,8 @@ from jaxurban.progress import LOG, reporting
 @CHANGES
 @OVERWRITE
 @FLAG("--figures", help="Draw the maps too, under DIR/figures.")
-@click.option(
+@NAMES(
     "--layers",
-    default="",
     metavar="NAME,...",
     help="Write these maps as GeoTIFF too, such as hdop,num_visible,roof,terrain,density, or all.  "
     "[default: obstacles and the metrics of the cost, which are always written]",
@@ -54,7 +53,7 @@ def maps(
     changes: tuple[str, ...],
     overwrite: bool,
     figures: bool,
-    layers: str,
+    layers: tuple[str, ...],
     memory: str | None,
     workers: int | str | None,
     device: str | None,
@@ -85,7 +84,7 @@ def maps(
             output,
             report,
             overwrite,
-            layers=names_in(layers),
+            layers=layers,
             workers=workers,
             memory_bytes=None if memory is None else parse_bytes(memory),
         )

@@ -4,10 +4,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from jaxurban.checks import values_given
 from jaxurban.cli.common import (
     CORRIDOR,
     COUNT,
@@ -24,7 +25,6 @@ from jaxurban.cli.common import (
     Settings,
     grouped,
     print_json,
-    values_given,
 )
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG
@@ -62,18 +62,6 @@ def levels_of(
     return levels if is_volume else None
 
 
-class SearchOptions(NamedTuple):
-    """How a route is searched, by the keywords of `PathSearch.of`."""
-
-    planner: str | None
-    heuristic: str | None
-    budget_s: float | None
-    seed: int | None
-    snap: bool | float
-    refine: bool
-    exposure: dict[str, float]
-
-
 def exposure_of(
     ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]
 ) -> dict[str, float]:
@@ -82,7 +70,7 @@ def exposure_of(
     Raises:
       UsageError: another text, or a second budget of a layer.
     """
-    parts = [[part.strip() for part in text.split("<=")] for text in texts]
+    parts = [list(map(str.strip, text.split("<="))) for text in texts]
     try:
         exposure = {name: float(most) for name, most in parts}
     except ValueError as error:
@@ -110,31 +98,25 @@ class RouteFiles(NamedTuple):
 
 @click.command()
 @ROUTE
-@grouped(
-    "search",
-    SearchOptions,
-    click.option(
-        "--planner",
-        help="Such as ptp, astar-dist or theta-star.  [default: the scenario's, else astar-plus]",
-    ),
-    click.option("--heuristic", help="Lower bound of the search.  [default: the planner's own]"),
-    NUMBER("--budget", "budget_s", help="Seconds of search.  [default: the scenario's, else 10]"),
-    click.option(
-        "--seed",
-        type=COUNT,
-        help="Seed of sampling planners.  [default: the scenario's, else 0]",
-    ),
-    FLAG(
-        "--refine",
-        help="Move the waypoints to lower cost after the search; not under --cost-model cell.",
-    ),
-    click.option(
-        "--exposure",
-        multiple=True,
-        callback=exposure_of,
-        metavar="NAME<=NUMBER",
-        help="Most of (1 / l0) x integral of the cost of NAME along the path, such as population<=120; repeatable.",
-    ),
+@click.option(
+    "--planner",
+    help="Such as ptp, astar-dist or theta-star.  [default: the scenario's, else astar-plus]",
+)
+@click.option("--heuristic", help="Lower bound of the search.  [default: the planner's own]")
+@NUMBER("--budget", "budget_s", help="Seconds of search.  [default: the scenario's, else 10]")
+@click.option(
+    "--seed", type=COUNT, help="Seed of sampling planners.  [default: the scenario's, else 0]"
+)
+@FLAG(
+    "--refine",
+    help="Move the waypoints to lower cost after the search; not under --cost-model cell.",
+)
+@click.option(
+    "--exposure",
+    multiple=True,
+    callback=exposure_of,
+    metavar="NAME<=NUMBER",
+    help="Most of (1 / l0) x integral of the cost of NAME along the path, such as population<=120; repeatable.",
 )
 @click.option(
     "--objective",
@@ -234,7 +216,6 @@ def plan(
     obstacles: "Obstacles | None",
     objective: "Objective | None",
     rules: RouteRules,
-    search: SearchOptions,
     with_report: bool,
     flight: Settings,
     corridor: "Callable[..., OverflownDensity] | None",
@@ -242,6 +223,7 @@ def plan(
     is_when: bool,
     outputs: RouteFiles,
     as_json: bool,
+    **search: Any,
 ) -> int:
     """Plan a path over the maps in DIR."""
     from jaxurban.maps.saving import open_maps
@@ -260,17 +242,18 @@ def plan(
     maps = open_maps(folder, resolution_m, obstacles=obstacles)
     which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
     if is_when:
-        is_of_one_route = with_report or search.refine or search.exposure or any(outputs[1:])
+        is_of_one_route = with_report or search["refine"] or search["exposure"] or any(outputs[1:])
         if is_of_one_route or levels is not None:
             raise click.UsageError(NOT_WHEN)
         departures = when(
-            maps, [(start, goal)], altitude_m=altitude_m, **which_map, **rules, **search._asdict()
+            maps, [(start, goal)], altitude_m=altitude_m, **which_map, **rules, **search
         )
         return _write_departures(departures, maps, outputs.files, profile, as_json)
     if levels is not None:
         start = (*start, altitude_m)
         goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
-    path_search = PathSearch.of(maps, levels is not None, **search._asdict())
+    # All options that are not named above are keywords of the search.
+    path_search = PathSearch.of(maps, levels is not None, **search)
     costs = cost_map(maps, levels or altitude_m, **which_map, **rules)
     planned = costs.planned(start, goal, path_search)
     if outputs.simplify_m:

@@ -1,7 +1,7 @@
 """jaxurban sensitivity, of one route, and jaxurban sensitivity-study, of many routes in one or several cities."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,7 +10,7 @@ from jaxurban.cli.common import (
     DEVICE,
     FLAG,
     JSON_FLAG,
-    NUMBER,
+    NAMES,
     OBSTACLES,
     OVERWRITE,
     PATH,
@@ -19,12 +19,13 @@ from jaxurban.cli.common import (
     ROUTE,
     RULES,
     SEED,
+    SHOWN,
     WORKERS,
     Numbers,
     Point,
     RouteRules,
+    Settings,
     all_cores,
-    names_in,
     outcome_of,
     print_json,
     run_study,
@@ -37,18 +38,16 @@ if TYPE_CHECKING:
 
 NO_ROUTE = "no route was found, so that nothing can be said: the report says why"
 WEIGHT_RANGES = together(
-    click.option(
+    NAMES(
         "--vary",
-        default="",
         metavar="NAME,...",
         help="Weights that vary.  [default: every metric with a weight]",
     ),
-    click.option(
+    SHOWN(
         "--range",
         "factors",
         type=Numbers("LOW,HIGH", "two factors, as in 0.1,10", 2),
         default="0.1,10",
-        show_default=True,
         help="Range of each weight, as factors of its value.",
     ),
     SEED,
@@ -61,24 +60,21 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 @click.command()
 @ROUTE
-@click.option(
+@SHOWN(
     "--samples",
     "num_samples",
-    type=int,
     default=128,
-    show_default=True,
     help="Sobol samples; a power of two.",
 )
-@click.option(
+@NAMES(
     "--pareto",
-    default="",
+    "objectives",
     metavar="A,B[,C]",
     help="Objectives of the Pareto front.  [default: distance, the two costliest]",
 )
-@NUMBER(
+@SHOWN(
     "--tolerance",
     default=1e-3,
-    show_default=True,
     help="Relative tolerance of the Pareto front; 1e-9 gives every route.",
 )
 @FLAG("--buildings", help="Also rank buildings by what they cost the route.")
@@ -88,7 +84,7 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
     help="Scenario of the maps, for --buildings, if its paths are relative.",
 )
 @WEIGHT_RANGES
-@click.option("-o", "output", type=PATH, default=Path("out/sensitivity"), show_default=True)
+@SHOWN("-o", "output", type=PATH, default=Path("out/sensitivity"))
 def sensitivity(
     folder: Path,
     start: Point,
@@ -100,17 +96,12 @@ def sensitivity(
     obstacles: "Obstacles | None",
     rules: RouteRules,
     snap: bool | float,
-    num_samples: int,
-    pareto: str,
-    tolerance: float,
     buildings: bool,
     scenario: Path | None,
-    vary: str,
-    factors: Point,
-    seed: int,
     output: Path,
     overwrite: bool,
     as_json: bool,
+    **options: Any,
 ) -> int:
     """Find the weights at which a route over the maps in DIR changes."""
     from jaxurban.io.tables import records_of
@@ -129,14 +120,7 @@ def sensitivity(
 
     if scenario is not None and not buildings:
         raise click.UsageError("--scenario belongs to --buildings: add that")
-    settings = SensitivitySettings(
-        vary=names_in(vary),
-        objectives=names_in(pareto),
-        factors=factors,
-        num_samples=num_samples,
-        tolerance=tolerance,
-        seed=seed,
-    )
+    settings = SensitivitySettings(**options)  # all other options are its fields
     maps = open_maps(folder, resolution_m, obstacles=obstacles)
     costs = cost_map(
         maps, altitude_m, objective="weighted", time=time, time_of_day=time_of_day, **rules
@@ -195,22 +179,20 @@ def sensitivity(
 @RESOLUTION
 @OBSTACLES
 @RULES
-@NUMBER(
+@SHOWN(
     "--wrong",
     default=2.0,
-    show_default=True,
     help="Factor by which a wrong weight is off, for its regret.",
 )
-@click.option(
+@SHOWN(
     "--samples",
     "num_samples",
-    type=int,
     default=32,
-    show_default=True,
     help="Sobol samples of each route; a power of two.",
 )
 @click.option(
     "--heights",
+    "num_heights",
     type=COUNT,
     default=0,
     help="Number of draws of building heights to plan again on.",
@@ -227,7 +209,7 @@ def sensitivity(
 )
 @WORKERS
 @WEIGHT_RANGES
-@click.option("-o", "output", type=PATH, default=Path("out/sensitivity-study"), show_default=True)
+@SHOWN("-o", "output", type=PATH, default=Path("out/sensitivity-study"))
 def sensitivity_study(
     folders: tuple[Path, ...],
     num_routes: int | None,
@@ -235,19 +217,13 @@ def sensitivity_study(
     queries: Path | None,
     resolution_m: float | None,
     obstacles: "Obstacles | None",
-    rules: RouteRules,
-    wrong: float,
-    num_samples: int,
-    heights: int,
-    has_parameters: bool,
+    rules: Settings,
     scenario: Path | None,
     workers: int | str | None,
-    vary: str,
-    factors: Point,
-    seed: int,
     output: Path,
     overwrite: bool,
     as_json: bool,
+    **options: Any,
 ) -> int:
     """Find the weights at which many routes over the maps in each DIR change."""
     from jaxurban.io.tables import read_table, records_of
@@ -262,27 +238,17 @@ def sensitivity_study(
         )
     scenarios = None
     if scenario is not None:
-        if len(folders) > 1 or not (heights or has_parameters):
+        if len(folders) > 1 or not (options["num_heights"] or options["has_parameters"]):
             raise click.UsageError("--scenario belongs to --heights or --parameters of one DIR")
         scenarios = {folders[0].resolve().name: scenario_of(folders[0], scenario.parent)}
-    settings = SensitivityStudySettings(
-        vary=names_in(vary),
-        factors=factors,
-        wrong=wrong,
-        num_samples=num_samples,
-        num_heights=heights,
-        has_parameters=has_parameters,
-        seed=seed,
-        cost_model=rules["cost_model"],
-        constraints=rules["constraints"],
-        preset=rules["preset"],
-    )
+    weights = rules.pop("weights")
+    settings = SensitivityStudySettings(**options, **rules)  # what is left are its fields
     result = study(
         [MapsFolder(folder, resolution_m, obstacles) for folder in folders],
         output,
         num_routes or 30 if queries is None else read_table(queries, "queries"),
         altitudes_m=altitudes_m,
-        weights=rules["weights"],
+        weights=weights,
         settings=settings,
         scenarios=scenarios,
         workers=workers or all_cores(),

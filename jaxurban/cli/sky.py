@@ -2,7 +2,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,27 +13,18 @@ from jaxurban.cli.common import (
     LONLAT,
     NUMBER,
     PATH,
+    SHOWN,
     Point,
     finite_records,
-    grouped,
     print_json,
 )
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
-    from jaxurban.paths.sight import By
     from jaxurban.paths.sky_along import SkyAlong
 
 PICTURE, MOST_ROWS = ".png", 40
 NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
-
-
-class SkySource(NamedTuple):
-    """What answers which satellites are seen, as of `jaxurban.sky`."""
-
-    by: "By"
-    sources: Path | None
-    resolution_m: float | None
 
 
 @click.command()
@@ -54,23 +45,18 @@ class SkySource(NamedTuple):
     help="Time, UTC; repeatable with --at; of a route that of departure.  [default: the maps']",
 )
 @NUMBER("--speed", "speed_m_s", help="Of a route, metres per second.")
-@grouped(
-    "source",
-    SkySource,
-    click.option(
-        "--by",
-        type=click.Choice(["outlines", "map"]),
-        default="outlines",
-        show_default=True,
-        help="Exact rays through the outlines, or the maps' own answer in the cell.",
-    ),
-    click.option(
-        "--sources",
-        type=PATH,
-        help="Folder of the files that the maps were made of.  [default: beside the maps]",
-    ),
-    NUMBER("--resolution", "resolution_m", help="Cell size of the maps, for --by map."),
+@SHOWN(
+    "--by",
+    type=click.Choice(["outlines", "map"]),
+    default="outlines",
+    help="Exact rays through the outlines, or the maps' own answer in the cell.",
 )
+@click.option(
+    "--sources",
+    type=PATH,
+    help="Folder of the files that the maps were made of.  [default: beside the maps]",
+)
+@NUMBER("--resolution", "resolution_m", help="Cell size of the maps, for --by map.")
 @FILES(
     help="File to write: .csv or .parquet, or a picture (.png) of the sky at a place; repeatable.",
 )
@@ -82,9 +68,9 @@ def sky(
     altitude_m: float | None,
     times: tuple[str, ...],
     speed_m_s: float | None,
-    source: SkySource,
     files: tuple[Path, ...],
     as_json: bool,
+    **source: Any,
 ) -> int:
     """Say which satellites are seen from a place, or along a track, over the maps in DIR, and what hides the others."""
     from jaxurban.paths.sky import sky as sky_at
@@ -94,12 +80,12 @@ def sky(
     _check_files(files, track)
     result: Any
     if track is not None and place is None:
-        result = _sky_along(folder, track, altitude_m, times, speed_m_s, source)
+        result = _sky_along(folder, track, altitude_m, times, speed_m_s, **source)
         tables = {"table": result.table}
     elif place is not None and track is None:
         if altitude_m is None or speed_m_s is not None:
             raise click.UsageError("--at needs --altitude, and takes no --speed")
-        result = sky_at(folder, place, altitude_m, time=times or None, **source._asdict())
+        result = sky_at(folder, place, altitude_m, time=times or None, **source)
         tables = {"table": result.table, "dops": result.dops}
     else:
         raise click.UsageError("give either --at, a place, or --track, a file")
@@ -142,9 +128,9 @@ def _sky_along(
     altitude_m: float | None,
     times: tuple[str, ...],
     speed_m_s: float | None,
-    source: SkySource,
+    **source: Any,
 ) -> "SkyAlong":
-    """Return the sky along the track or the route in a file."""
+    """Return the sky along the track or the route in a file; ``source`` are further arguments of `sky_along`."""
     from jaxurban.io.read.receiver import ALTITUDE, LAT, LON, UTC, read_track
     from jaxurban.io.read.routes import read_routes
     from jaxurban.io.tables import SUFFIXES
@@ -158,7 +144,7 @@ def _sky_along(
         altitudes_m: float | list[float] | None = altitude_m
         if altitude_m is None and ALTITUDE in table:
             altitudes_m = table[ALTITUDE].tolist()
-        return sky_along(folder, places, altitudes_m, table[UTC].tolist(), **source._asdict())
+        return sky_along(folder, places, altitudes_m, table[UTC].tolist(), **source)
     if speed_m_s is None or len(times) > 1:
         raise click.UsageError("a route needs --speed, and one --time, of departure")
     route = read_routes(track)[0]
@@ -169,5 +155,5 @@ def _sky_along(
         route.altitude_m if altitude_m is None else altitude_m,
         times[0] if times else None,
         speed_m_s=speed_m_s,
-        **source._asdict(),
+        **source,
     )

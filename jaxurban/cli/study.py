@@ -77,10 +77,12 @@ def study(
     scenario = Scenario.from_toml(scenario_file, changes)
     planning, settings = scenario.planning, scenario.study
     kind = settings.cost_model or planning.rules.cost_model
-    cost_model = CostModel.from_settings(vars(planning) | {"cost_model": kind})
-    constraints = constraints.under(planning, scenario.vehicle)
+    rules: Settings = {
+        "cost_model": CostModel.from_settings(vars(planning) | {"cost_model": kind}),
+        "constraints": constraints.under(planning, scenario.vehicle),
+    }
     if benchmark_folder is not None:
-        check_exportable(cost_model=cost_model, constraints=constraints)
+        check_exportable(**rules)
     workers = workers or all_cores()
     analysis = folder / "analysis"
     Workspace.check(analysis, "study")
@@ -99,8 +101,7 @@ def study(
             altitudes_m=settings.altitudes_m,
             weights=settings.weights,
             seed=settings.seed,
-            cost_model=cost_model,
-            constraints=constraints,
+            **rules,
         )
     result = run_study(
         source,
@@ -109,8 +110,7 @@ def study(
         settings=settings,
         workers=workers,
         overwrite=overwrite,
-        cost_model=cost_model,
-        constraints=constraints,
+        **rules,
     )
     report_file = result.save(analysis)[-1]
     LOG.info(f"study finished: read {report_file}")

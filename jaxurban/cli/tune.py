@@ -4,16 +4,18 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from jaxurban.checks import values_given
 from jaxurban.cli.common import (
     CONSTRAINTS,
     COUNT,
     DEVICE,
     FLAG,
     JSON_FLAG,
+    NAMES,
     NUMBER,
     OBSTACLES,
     OUTPUT,
@@ -25,16 +27,13 @@ from jaxurban.cli.common import (
     SEED,
     Settings,
     grouped,
-    names_in,
     print_json,
-    values_given,
 )
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
-    from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.settings import CostKind, Obstacles, Preset
+    from jaxurban.settings import Obstacles
 
 
 def fits_of(
@@ -67,8 +66,9 @@ def fits_of(
     multiple=True,
     help="Target for an outcome, such as mean_gps>=0.8; repeatable.",
 )
-@click.option(
+@NAMES(
     "--metrics",
+    default=None,
     help="Metrics to fit, such as gps,risk; the others get weight 0.  [default: all of the maps]",
 )
 @NUMBER(
@@ -126,21 +126,15 @@ def tune(
     pilot: str | None,
     planner: str | None,
     wishes: tuple[str, ...],
-    metrics: str | None,
-    altitude_m: float | None,
-    time_of_day: str | None,
-    time: str | None,
     resolution_m: float | None,
-    cost_model: "CostKind | None",
     obstacles: "Obstacles | None",
-    preset: "Preset",
-    constraints: "Constraints",
     fits: Settings,
     max_rounds: int,
     seed: int,
     budget_s: float,
     overwrite: bool,
     as_json: bool,
+    **routes: Any,
 ) -> int:
     """Fit weights to demonstrated ROUTES over the maps in each DIR, or to targets for outcomes.
 
@@ -156,18 +150,10 @@ def tune(
         raise click.UsageError(
             "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"
         )
-    routes: Settings = {
-        "altitude_m": altitude_m,
-        "time": time,
-        "time_of_day": time_of_day,
-        "cost_model": cost_model,
-        "preset": preset or None,
-        "constraints": constraints,
-        "metrics": None if metrics is None else names_in(metrics),
-    }
     no_weights = Weights(**dict.fromkeys(Weights().to_dict(), 0.0))
     settings = TuneSettings(
-        routes=values_given(routes),
+        # All options that are not named above are of the routes.
+        routes=values_given(routes | {"preset": routes["preset"] or None}),
         sample=sample,
         pilot=None if pilot is None else Weights.parse(pilot, no_weights),
         planner=planner,

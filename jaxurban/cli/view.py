@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jaxurban.cli.common import FLAG, FOLDER, OBSTACLES, PATH, PRESET, RESOLUTION
+from jaxurban.cli.common import FLAG, FOLDER, OBSTACLES, PATH, PRESET, RESOLUTION, SHOWN
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
@@ -21,12 +21,11 @@ if TYPE_CHECKING:
 @click.option(
     "--export", type=PATH, metavar="PAGE.html", help="Write one page that shows the maps, and end."
 )
-@click.option(
+@SHOWN(
     "--size",
     "size_mib",
     type=click.FloatRange(min=1),
     default=25,
-    show_default=True,
     help="Largest size of --export, MiB.",
 )
 @click.option(

@@ -7,6 +7,7 @@ bit). Supersampled maps, spreads, statistics over time and own layers are the re
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -18,7 +19,7 @@ import numpy as np
 import shapely
 from jaxtyping import Array, Float
 
-from jaxurban.checks import positive, typed
+from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.guesses import Guesses, nominal_guess, time_guess, warn_of
@@ -128,8 +129,7 @@ def build_maps(
 
 def _sections(city: City, **metrics: Any) -> dict[str, Any]:
     """Return the sections of metrics, that of the satellites from a city that comes with some, where none is given."""
-    given = {name: section for name, section in metrics.items() if section is not None}
-    return given if city.gps is None else {"gps": city.gps} | given
+    return values_given({"gps": city.gps}) | values_given(metrics)
 
 
 def check_region(city: City, region: Grid, is_own: bool = False) -> None:
@@ -138,10 +138,8 @@ def check_region(city: City, region: Grid, is_own: bool = False) -> None:
         raise InputError(
             f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS"
         )
-    if not (
-        is_own
-        or shapely.intersects(shapely.box(*region.bounds_m), shapely.box(*city.known_extent_m))
-    ):
+    box, known_box = shapely.box(*region.bounds_m), shapely.box(*city.known_extent_m)
+    if not is_own and not shapely.intersects(box, known_box):
         raise InputError(
             "the region and the city do not meet: check the bounds (west, south, east, north)"
         )
@@ -149,19 +147,14 @@ def check_region(city: City, region: Grid, is_own: bool = False) -> None:
 
 def region_of(city: City, bounds: Sequence[float] | None, resolution_m: float) -> Grid:
     """Return the grid of maps of a city: of bounds, its own ones, or what its buildings cover."""
-    bounds = bounds if bounds is not None else city.bounds
+    bounds = city.bounds if bounds is None else bounds
     if bounds is not None:
         return Grid.from_bounds(bounds, resolution_m, city.crs)
-    first = np.floor(np.asarray(city.extent_m[:2]) / resolution_m + 1e-6).astype(int)
-    end = np.ceil(np.asarray(city.extent_m[2:]) / resolution_m - 1e-6).astype(int)
-    return Grid(
-        city.crs,
-        resolution_m,
-        int(first[1]),
-        int(first[0]),
-        int(end[1] - first[1]),
-        int(end[0] - first[0]),
-    )
+    west, south, east, north = np.array(city.extent_m) / resolution_m
+    first_row, first_col = math.floor(south + 1e-6), math.floor(west + 1e-6)
+    end_row, end_col = math.ceil(north - 1e-6), math.ceil(east - 1e-6)
+    size = end_row - first_row, end_col - first_col
+    return Grid(city.crs, resolution_m, first_row, first_col, *size)
 
 
 def view_sky(region: Grid, gps: Gps) -> Sky:
@@ -173,14 +166,12 @@ def view_sky(region: Grid, gps: Gps) -> Sky:
       InputError: unreadable or stale orbits, or no satellite above the mask at some time.
     """
     times = gps.utc_times
-    lon_deg, lat_deg = gps.reference if gps.reference is not None else region.centre_lonlat
+    lon_deg, lat_deg = gps.reference or region.centre_lonlat
     satellites = read_orbits(gps.orbits)
-    guesses: Guesses = {}
-    is_papers = False
-    if times is None and (own_time := middle_epoch(satellites)) is not None:
-        times, guesses = (own_time,), time_guess(own_time)
-    elif times is None:
-        times, is_papers = (PAPER_TIME,), True
+    own_time = middle_epoch(satellites) if times is None else None
+    is_papers = times is None and own_time is None
+    times = times or (own_time or PAPER_TIME,)
+    guesses: Guesses = {} if own_time is None else time_guess(own_time)
     if satellites.nominal_systems:
         guesses |= nominal_guess(satellites.nominal_systems, times, is_papers)
     sky = look_angles(
@@ -191,9 +182,11 @@ def view_sky(region: Grid, gps: Gps) -> Sky:
         convergence_rad=region.convergence_rad(lon_deg, lat_deg),
         max_age_days=gps.max_age_days,
     ).under(gps.mask_deg)
-    for t in np.flatnonzero(~sky.is_in_view.any(axis=1)):
+    num_in_view = sky.is_in_view.sum(axis=1)
+    if not num_in_view.all():
+        time = sky.times[np.argmin(num_in_view)]
         raise InputError(
-            f"no satellite is above the elevation mask of {gps.mask_deg} degrees at {sky.times[t]}: "
+            f"no satellite is above the elevation mask of {gps.mask_deg} degrees at {time}: "
             "lower [gps] mask_deg, choose another time, or check the orbits"
         )
     return replace(sky, guesses=guesses)
@@ -267,24 +260,25 @@ def inputs_of(task: MapTask) -> MapInputs:
             "the maps as one function know no oversample, bounds, height_samples or own layers: leave them out, or "
             "make the maps with build_maps"
         )
-    if asked := [
-        name
-        for name, metric in task.metrics.items()
-        if name in ON_REQUEST and metric.traced is None
-    ]:
+    traced = {name: metric for name, metric in task.metrics.items() if metric.traced is not None}
+    untraced = [name for name in task.metrics if name in ON_REQUEST and name not in traced]
+    if untraced:
         raise InputError(
-            f"the maps as one function hold no {' and no '.join(asked)}: leave it out, or make the maps with build_maps"
+            f"the maps as one function hold no {' and no '.join(untraced)}: leave it out, or make the maps with "
+            "build_maps"
         )
     surface, blocks = task.surface().of_jax(), task.city.blocks
     ready: dict[str, Any] = {}
     settings: dict[str, Any] = {}
     fixed: dict[str, Any] = {}
-    for name, metric in task.metrics.items():
-        if metric.traced is None:
-            continue
-        given, default = task.settings_of(metric), metric.params()
-        given = replace(given, **{source: getattr(default, source) for source in metric.sources})
-        (fixed if metric.reach_m(given) else settings)[name] = given
+    for name, metric in traced.items():
+        default = metric.params()
+        unread = {source: getattr(default, source) for source in metric.sources}
+        given = replace(task.settings_of(metric), **unread)
+        if metric.reach_m(given):
+            fixed[name] = given
+        else:
+            settings[name] = given
         if metric.ready is not None:
             ready[name] = metric.ready(surface, params.altitudes_m, given, blocks)
     altitudes_m = jnp.asarray(params.altitudes_m, surface.roof_m.dtype)
@@ -397,16 +391,11 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: WeightsLike = None) -> di
         maps |= metric.traced(replace(scene, ready=inputs.ready.get(name)), settings)
     if weights is not None:
         maps["cost"] = _weighted(inputs, maps, Weights.of(weights))
-    if surface.has_data is not None:
-        has_data = surface.crop(
-            surface.has_data
-        )  # after the cost, so that its derivatives stay finite
-        maps = {
-            name: jnp.where(has_data, values, jnp.nan)
-            if jnp.issubdtype(values.dtype, jnp.floating)
-            else values
-            for name, values in maps.items()
-        }
+    if surface.has_data is not None:  # after the cost, so that its derivatives stay finite
+        has_data = surface.crop(surface.has_data)
+        for name, values in maps.items():
+            if jnp.issubdtype(values.dtype, jnp.floating):
+                maps[name] = jnp.where(has_data, values, jnp.nan)
     return maps
 
 

@@ -165,7 +165,7 @@ class SoftCity:
         """
         metric = self.metrics[one_of("the metric of a soft layer", name, self.names)]
         assert metric.soft is not None
-        settings = dict(self.own)[name] if name in dict(self.own) else params.settings_of(metric)
+        settings = dict(self.own).get(name) or params.settings_of(metric)
         scene = SoftScene(
             self.surface.with_heights(height_m, self.building),
             params.altitude_m,
@@ -244,9 +244,8 @@ class SoftCity:
           >>> dict(zip(soft.names, by_layer.round().tolist()))
           {'gps': 17.0, 'lidar': 128.0, 'population': 5.0, 'risk': 1.0}
         """
-        return self.layer_weights(weights) * (
-            self.layers(height_m, params, visits.cells) @ visits.times
-        )
+        layers = self.layers(height_m, params, visits.cells)
+        return self.layer_weights(weights) * (layers @ visits.times)
 
     def path_cost(
         self, height_m: Float[Array, " B"], params: SoftParams, weights: Weights, visits: PathVisits
@@ -296,14 +295,11 @@ def path_visits(
     counts = query.features(points_m).visits
     cells = np.argwhere(counts > 0)
     times = counts[tuple(cells.T)]
-    padding = -len(cells) % CELLS_STEP
+    padding = 0, -len(cells) % CELLS_STEP
+    filled = np.pad(cells, (padding, (0, 0)), mode="edge") if len(cells) else cells
+    length_m = np.hypot(*np.diff(points_m, axis=0).T).sum()
     return PathVisits(
-        jnp.asarray(
-            np.pad(cells, ((0, padding), (0, 0)), mode="edge" if len(cells) else "constant"),
-            jnp.int32,
-        ),
-        jnp.asarray(np.pad(times, (0, padding))),
-        jnp.asarray(np.hypot(*np.diff(points_m, axis=0).T).sum()),
+        jnp.asarray(filled, jnp.int32), jnp.asarray(np.pad(times, padding)), jnp.asarray(length_m)
     )
 
 
@@ -378,18 +374,19 @@ def soften(
     surface = task.surface().of_jax()
     terrain_m = None if surface.terrain_m is None else jnp.asarray(surface.terrain_m, dtype)
     surface = replace(surface, roof_m=jnp.asarray(surface.roof_m, dtype), terrain_m=terrain_m)
+    population = None
+    if city.blocks is not None:
+        population = BlockPopulation.of(city.blocks, task.region.bounds_m, dtype)
+    reach_m = {
+        name: metric.reach_m(task.settings_of(metric)) for name, metric in task.metrics.items()
+    }
     return SoftCity(
         surface=surface,
         building=jnp.asarray(building),
         height_m=jnp.asarray(city.buildings.height_m, dtype),
         view=SkyView.of(surface, *in_view.angles, clocks=in_view.clocks),
-        population=None
-        if city.blocks is None
-        else BlockPopulation.of(city.blocks, task.region.bounds_m, dtype),
+        population=population,
         time_of_day=time_of_day or params.population.times_of_day[0],
-        reach_m=tuple(
-            (name, float(metric.reach_m(task.settings_of(metric))))
-            for name, metric in task.metrics.items()
-        ),
+        reach_m=tuple(reach_m.items()),
         own=tuple(task.layers.items()),
     )

@@ -105,12 +105,8 @@ def work_in_threads(job: TileJob, num_threads: int, on_result: Tell) -> None:
 
     Where a task fails, those that run are waited for: none writes after the call.
     """
-
-    class Listener(Callback):
-        def _posttask(self, key: Any, result: Any, dsk: Any, state: Any, worker_id: Any) -> None:
-            on_result(result)
-
-    with ThreadPoolExecutor(num_threads) as pool, Listener():
+    listener = Callback(posttask=lambda key, result, *_: on_result(result))
+    with ThreadPoolExecutor(num_threads) as pool, listener:
         tasks = tile_graph(job, lambda function, *arguments: function(job, *arguments))
         dask.compute(*tasks, scheduler=dask.threaded.get, pool=pool)
 

@@ -128,10 +128,8 @@ def _coverage_guesses(city: City, region: Grid) -> Guesses:
     """Return how much of the region is taken as free of buildings, or of people, as nothing is known there."""
     share = outside_share(region, city.known_area)
     if share > LEAST_SHARE and city.buildings is not None:
-        share = outside_share(
-            region,
-            shapely.union_all([city.known_area, *_boxes_asked(city, city.buildings, region)]),
-        )
+        boxes = _boxes_asked(city, city.buildings, region)
+        share = outside_share(region, shapely.union_all([city.known_area, *boxes]))
     guesses = share_guess(
         share,
         WITHOUT_DATA,
@@ -181,12 +179,10 @@ def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tup
     evenly spread: all of them, or as many as make `MOST_RAYS`.
     """
     azimuth_rad, elevation_rad = sky.azimuth_rad[sky.is_in_view], sky.elevation_rad[sky.is_in_view]
-    stride = math.ceil(
-        math.sqrt(region.num_rows * region.num_cols * max(len(azimuth_rad), 1) / MOST_RAYS)
-    )
-    x_m, y_m = np.meshgrid(
-        *(at_m[min(stride, len(at_m)) // 2 :: stride] for at_m in (region.x_m, region.y_m))
-    )
+    num_rays = region.num_rows * region.num_cols * max(len(azimuth_rad), 1)
+    stride = math.ceil(math.sqrt(num_rays / MOST_RAYS))
+    first_row, first_col = np.minimum(stride, region.shape) // 2
+    x_m, y_m = np.meshgrid(region.x_m[first_col::stride], region.y_m[first_row::stride])
     start_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)[:, None]
     rise_m = highest_top_m(city) - altitude_m
     leaves = ~stays_within(city.known_ground, start_m, azimuth_rad, elevation_rad, rise_m)
@@ -198,20 +194,15 @@ def _scale_guesses(
 ) -> Guesses:
     """Return that one block sets the population's scale, at the first time of day where one does."""
     in_region = region_blocks(blocks, bounds_m)
-    for m, norm in zip(
-        np.asarray(population_layers.m, float), population_layers.norm_per_km2, strict=True
-    ):
-        inhabited = m[in_region][m[in_region] > 0]
+    if params.normalise != "max":
+        return {}
+    unit = "people" if params.quantity == "count" else "people per km2"
+    layers = np.asarray(population_layers.m, float)[:, in_region]
+    for m, norm in zip(layers, population_layers.norm_per_km2, strict=True):
+        inhabited = m[m > 0]
         num_high = (inhabited > SCALE_M).sum()
-        if (
-            params.normalise == "max"
-            and len(inhabited) >= 3
-            and num_high <= max(1, SCALE_SHARE * len(inhabited))
-        ):
-            top, unit = (
-                in_region[m[in_region].argmax()],
-                "people" if params.quantity == "count" else "people per km2",
-            )
+        if len(inhabited) >= 3 and num_high <= max(1, SCALE_SHARE * len(inhabited)):
+            top = in_region[m.argmax()]
             usual = float(f"{float(norm) * np.percentile(inhabited, 99):.1g}")
             return {
                 "one block sets the population scale": (

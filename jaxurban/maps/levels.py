@@ -78,11 +78,9 @@ class Levels:
             raise InputError(
                 f"level_step_m {step_m:g} makes more than {MOST_LEVELS} levels: choose a longer step"
             )
-        fixed = np.unique([low, *inside, high])
-        between = [
-            z_m for z_m in np.arange(low, high, step_m) if np.abs(fixed - z_m).min() > SAME_M
-        ]
-        return np.sort(np.concatenate([fixed, between]))
+        fixed, steps = np.unique([low, *inside, high]), np.arange(low, high, step_m)
+        is_new = np.abs(fixed - steps[:, None]).min(axis=1) > SAME_M
+        return np.sort(np.concatenate([fixed, steps[is_new]]))
 
 
 def values_at(
@@ -111,9 +109,9 @@ def values_at(
     high_m = min(altitude_m for altitude_m in altitudes_m if altitude_m > z_m)
     share = float((z_m - low_m) / (high_m - low_m))
     lower, upper = read(low_m), read(high_m)
-    return np.where(
-        is_under_sky(low_m), lower if is_count else (1 - share) * lower + share * upper, upper
-    )
+    if not is_count:
+        lower = (1 - share) * lower + share * upper
+    return np.where(is_under_sky(low_m), lower, upper)
 
 
 def listed_m(altitudes_m: Iterable[float]) -> str:

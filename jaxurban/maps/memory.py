@@ -143,11 +143,11 @@ def tile_gpu_bytes(task: MapTask, tile: Grid) -> int:
 
 def maps_bytes(task: MapTask) -> int:
     """Return how many bytes the values of a region's maps are."""
-    num_bytes = 0
+    cell_bytes = 0
     for variable in variables(task).values():
         num_maps = math.prod(task.sizes[dim] for dim in variable.dims)
-        num_bytes += num_maps * np.dtype(variable.dtype).itemsize
-    return num_bytes * _num_cells(task.region)
+        cell_bytes += num_maps * np.dtype(variable.dtype).itemsize
+    return cell_bytes * _num_cells(task.region)
 
 
 def _num_cells(grid: Grid, halo: int = 0) -> int:
@@ -205,9 +205,7 @@ def plan_run(
             )
         num_workers = min(num_workers, on_gpu // gpu_most)
     own, least = psutil.Process().memory_info().rss, num_processes or 1
-    ceiling = ceiling_bytes
-    if ceiling is None:
-        ceiling = int(own + DEFAULT_SHARE * free_bytes())
+    ceiling = ceiling_bytes or int(own + DEFAULT_SHARE * free_bytes())
     base = own + len(tasks) * PROGRAM_BYTES * least
     base += num_processes * WORKER_BYTES or COMPILING_BYTES
     fitting = (ceiling - base) // tile_most

@@ -13,6 +13,7 @@ import pyproj
 import rasterio
 import shapely
 
+from jaxurban.checks import values_given
 from jaxurban.errors import readable
 from jaxurban.io.city import City
 from jaxurban.io.files import digest_of, read_json, write_json
@@ -61,10 +62,9 @@ def run_record(
     }
     population = inside = None
     if city.blocks is not None:
-        population, inside = (
-            population_totals(city.blocks, scenario.population, region.bounds_m, is_cut)
-            for is_cut in (False, True)
-        )
+        people = city.blocks, scenario.population, region.bounds_m
+        population = population_totals(*people)
+        inside = population_totals(*people, is_cut=True)
     return {
         "started_utc": started_utc,
         "elapsed_s": {name: round(seconds, 3) for name, seconds in elapsed_s.items()},
@@ -77,9 +77,7 @@ def run_record(
         "region": {
             "crs": region.crs,
             "bounds_m": list(region.bounds_m),
-            "cells": {
-                short_number(task.region.resolution_m): list(task.region.shape) for task in tasks
-            },
+            "cells": {short_number(task.region.resolution_m): task.region.shape for task in tasks},
         },
         "buildings": _building_record(city, region),
         "epochs": list(sky.times),
@@ -136,8 +134,7 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
         named[f"layer_{layer_name}"] = layer.source
     return {
         role: {"path": name, "sha256": _sha256(located(scenario.path_of(name)), role)}
-        for role, name in named.items()
-        if name is not None
+        for role, name in values_given(named).items()
     }
 
 
@@ -153,17 +150,15 @@ def _companions(path: Path) -> list[Path]:
     """Return a file and those that belong to it (.dbf of a Shapefile, .tfw or .aux.xml of a raster), sorted."""
     if not path.is_file() or path.suffix.lower() not in COMPANIED_SUFFIXES:
         return [path]
-    names = (f"{glob.escape(path.stem)}.*", f"{glob.escape(path.name)}.*")
-    return sorted(
-        {path, *(part for name in names for part in path.parent.glob(name) if part.is_file())}
-    )
+    stem, name = glob.escape(path.stem), glob.escape(path.name)
+    others = {*path.parent.glob(f"{stem}.*"), *path.parent.glob(f"{name}.*")}
+    return sorted(part for part in others | {path} if part.is_file())
 
 
 def settings_of(scenario: Scenario) -> dict[str, Any]:
     """Return the settings of a scenario as run.json holds them: of ``[planning]`` those that were given."""
-    return json.loads(scenario.model_dump_json(exclude_none=True)) | {
-        "planning": scenario.planning.given
-    }
+    settings = json.loads(scenario.model_dump_json(exclude_none=True))
+    return settings | {"planning": scenario.planning.given}
 
 
 def code_hash() -> str:
@@ -179,10 +174,9 @@ def code_hash() -> str:
 
 def _of_maps(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings that maps depend on: `NOT_OF_MAPS` and the engine, which changes no bit, are left out."""
+    of_maps = {name: value for name, value in settings.items() if name not in NOT_OF_MAPS}
     region = {name: value for name, value in settings["region"].items() if name != "engine"}
-    return {name: value for name, value in settings.items() if name not in NOT_OF_MAPS} | {
-        "region": region
-    }
+    return of_maps | {"region": region}
 
 
 def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]], backend: str) -> str:
@@ -221,8 +215,9 @@ def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Differing:
 def differences_said(settings: Differing) -> str:
     """Return differing settings in words: ``gps.mask_deg was 5.0, now 10.0``; of many the first ones."""
     words = [f"{key} was {_shown(old)}, now {_shown(new)}" for key, (old, new) in settings.items()]
-    more = [f"and {len(words) - MOST_SAID} more"] if len(words) > MOST_SAID else []
-    return "; ".join(words[:MOST_SAID] + more)
+    if len(words) > MOST_SAID:
+        words[MOST_SAID:] = [f"and {len(words) - MOST_SAID} more"]
+    return "; ".join(words)
 
 
 def _shown(value: Any) -> str:
@@ -257,11 +252,12 @@ def other_maps(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[st
 
 def versions() -> dict[str, str]:
     """Return the versions of the packages that the maps depend on."""
-    return {name: importlib.metadata.version(name) for name in REPORTED_VERSIONS} | {
+    libraries = {
         "GDAL": rasterio.__gdal_version__,
         "GEOS": shapely.geos_version_string,
         "PROJ": pyproj.proj_version_str,
     }
+    return {name: importlib.metadata.version(name) for name in REPORTED_VERSIONS} | libraries
 
 
 def _building_record(city: City, region: Grid) -> dict[str, Any]:
@@ -270,16 +266,13 @@ def _building_record(city: City, region: Grid) -> dict[str, Any]:
         assert city.roofs is not None
         highest_m = float(np.nanmax(city.roofs.values, initial=0.0))
         return record | {"height_origin_shares": {"raster": 1.0}, "highest_m": highest_m}
-    inside = city.buildings.take(
-        shapely.intersects(city.buildings.polygons, shapely.box(*region.bounds_m))
-    )
-    counts = inside.origin_counts()
+    box = shapely.box(*region.bounds_m)
+    inside = city.buildings.take(shapely.intersects(city.buildings.polygons, box))
+    counts, num = inside.origin_counts(), max(len(inside), 1)
     return record | {
         "in_region": len(inside),
         "height_origin_counts": counts,
-        "height_origin_shares": {
-            name: round(n / max(len(inside), 1), 4) for name, n in counts.items()
-        },
+        "height_origin_shares": {name: round(count / num, 4) for name, count in counts.items()},
         "highest_m": float(inside.height_m.max(initial=0.0)),
         "hanging_parts": int((inside.min_height_m > 0).sum()),
     }
@@ -322,17 +315,16 @@ def population_totals(
         weight = weight * inside_m2 / np.where(blocks.area_m2 > 0, blocks.area_m2, 1.0)
 
     def by_zoning(count: np.ndarray) -> dict[str, float]:
+        people = count * weight
         zones = (Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER)
-        return {
-            zoning.name.lower(): float((count * weight)[blocks.zoning == zoning].sum())
-            for zoning in zones
-        }
+        return {zone.name.lower(): float(people[blocks.zoning == zone].sum()) for zone in zones}
 
-    night, gamma = by_zoning(blocks.night_count), {"commercial": params.gamma_commercial}
-    day = {name: count * gamma.get(name, params.gamma_residential) for name, count in night.items()}
-    if blocks.day_count is not None:
+    night = by_zoning(blocks.night_count)
+    if blocks.day_count is None:
+        day = {name: count * params.gamma_residential for name, count in night.items()}
+        day["commercial"] = night["commercial"] * params.gamma_commercial
+    else:
         day = by_zoning(blocks.day_count)
-    return {
-        name: {**counts, "total": sum(counts.values())}
-        for name, counts in (("night", night), ("day", day))
-    }
+    for counts in (night, day):
+        counts["total"] = sum(counts.values())
+    return {"night": night, "day": day}

@@ -15,6 +15,7 @@ from typing import Any
 import dask.array
 import jax
 
+from jaxurban.checks import values_given
 from jaxurban.errors import InputError
 from jaxurban.io import store
 from jaxurban.io.city import City
@@ -36,6 +37,7 @@ from jaxurban.maps.provenance import hash_inputs, other_maps, run_key, run_recor
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask, empty_dataset, with_series
 from jaxurban.maps.tiled import TileJob, Tiling
+from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES
 from jaxurban.metrics.variables import TimeTotals
 from jaxurban.programs import pass_over_unreadable
@@ -65,11 +67,8 @@ def load_city(scenario: Scenario) -> City:
 
     def placed(section: Any, *names: str) -> Any:
         """Return a section whose files are named from the current folder."""
-        files = {name: getattr(section, name) for name in names}
-        placed_files = {
-            name: scenario.path_of(file) for name, file in files.items() if file is not None
-        }
-        return replace(section, **placed_files)
+        files = values_given({name: getattr(section, name) for name in names})
+        return replace(section, **{name: scenario.path_of(file) for name, file in files.items()})
 
     return City.from_files(
         placed(scenario.buildings, "source"),
@@ -79,6 +78,13 @@ def load_city(scenario: Scenario) -> City:
         terrain=placed(scenario.terrain, "source"),
         gps=scenario.gps,
     )
+
+
+def gps_of(scenario: Scenario) -> Gps:
+    """Return the settings of satellites of a scenario, their files named from the current folder."""
+    names = as_tuple(scenario.gps.orbits)
+    orbits = [name if name == NOMINAL else scenario.path_of(name) for name in names]
+    return replace(scenario.gps, orbits=orbits)
 
 
 def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
@@ -94,16 +100,13 @@ def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
     region, params = scenario.region, scenario.map_params
     with stage("read"):
         city = load_city(scenario)
-    orbits = [
-        name if name == NOMINAL else scenario.path_of(name)
-        for name in as_tuple(scenario.gps.orbits)
-    ]
+    gps = gps_of(scenario)
     tasks = []
     with stage("orbits"):
         for resolution_m in region.resolution_m:
             grid = Grid.from_bounds(region.bounds, resolution_m, region.crs, region.resolution_m)
             bands = bands_of(scenario.layers, grid, params.altitudes_m, scenario.path_of(""))
-            sky = view_sky(grid, replace(scenario.gps, orbits=orbits))
+            sky = view_sky(grid, gps)
             tasks.append(MapTask(city, grid, sky, params, scenario.layers, bands))
     return tasks
 
@@ -213,7 +216,8 @@ def _files_of(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str]) -> 
 
 def _unused(folder: Path) -> str:
     """Return the folder's name with the first number that no folder beside it has."""
-    return next(name for k in count(2) if not Path(name := f"{folder}-{k}").exists())
+    names = (f"{folder}-{number}" for number in count(2))
+    return next(name for name in names if not Path(name).exists())
 
 
 @dataclass(frozen=True)
@@ -240,13 +244,12 @@ class RunContext:
 
 def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
     """Remove what killed runs left under a folder, but for the tiles that this one goes on with."""
-    unfinished = [
-        resolution_m for resolution_m in resolutions_m if stored_key(folder, resolution_m) != key
-    ]
-    kept = [store.work_path(folder, resolution_m) for resolution_m in unfinished]
-    for path in (folder / store.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}"):
-        if path not in kept:
-            WorkFolder(path).discard()
+    left = {*(folder / store.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}")}
+    for resolution_m in resolutions_m:
+        if stored_key(folder, resolution_m) != key:
+            left.discard(store.work_path(folder, resolution_m))
+    for path in left:
+        WorkFolder(path).discard()
     sweep_scraps(folder, folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER)
 
 
@@ -314,10 +317,8 @@ def make_zarr(
     work = WorkFolder(store.work_path(run.folder.resolve(), grid.resolution_m))
     for path in work.begin(f"{run.key} {shape}", run.map):
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
-    job, facts = (
-        TileJob(task, work, tiling),
-        {RUN_KEY: run.key, "guesses": json.dumps(task.guesses)},
-    )
+    job = TileJob(task, work, tiling)
+    facts = {RUN_KEY: run.key, "guesses": json.dumps(task.guesses)}
     empty = empty_dataset(task, _no_values).assign_attrs(facts)
     if work.done(ZARR) is None:
         store.create_zarr(empty, work.zarr, shape)
@@ -344,10 +345,8 @@ def make_zarr(
         work_on_cluster(job, run.client, take)
     if totals:
         made = with_series(empty, task, totals)
-        store.add_to_zarr(
-            made[[f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]],
-            work.zarr,
-        )
+        names = [f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]
+        store.add_to_zarr(made[names], work.zarr)
         work.mark_zarr()
     work.finish(store.zarr_path(run.folder, grid.resolution_m))
     return seconds

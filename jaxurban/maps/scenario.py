@@ -23,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxurban.checks import at_least, check_range, nearest_name, positive, typed
+from jaxurban.checks import at_least, check_range, nearest_name, positive, typed, values_given
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.samples import filled, is_sample, located
 from jaxurban.kernels.engine import Engine
@@ -235,15 +235,23 @@ class Scenario(BaseModel):
         find_planner(self.planning.planner)
         self._check_layers()
         self._request_what_is_weighed()
-        _ = self.map_params  # which refuses what does not go together
-        if self.is_synthetic and (
-            self.population.blocks or self.population.blocks_day or self.terrain.source
-        ):
+        people = self.map_params.population  # whose making refuses what does not go together
+        has_files = people.blocks or people.blocks_day or self.terrain.source
+        if self.is_synthetic and has_files:
             raise ValueError(
                 "the synthetic city (source = 'synthetic') has its own population and flat ground: leave out "
                 "the files of [population] and terrain.source, or name a source of real buildings"
             )
         return self
+
+    @property
+    def _weight_tables(self) -> dict[str, Weights]:
+        """All weights of the scenario, by where they stand in it."""
+        tables = {"weights": self.weights}
+        if not isinstance(self.study.weights, str):
+            for number, table in enumerate(self.study.weights):
+                tables[f"study.weights.{number}"] = table
+        return tables
 
     def _check_layers(self) -> None:
         for name, layer in check_layers(self.layers).items():
@@ -252,12 +260,7 @@ class Scenario(BaseModel):
                     f"layers.{name}: source must be the path of a raster, got {layer.source!r}"
                 )
         metrics = [*self.layers, *(metric.name for metric in known_beside(self.layers))]
-        tables = {"weights": self.weights}
-        if not isinstance(self.study.weights, str):
-            tables |= {
-                f"study.weights.{number}": table for number, table in enumerate(self.study.weights)
-            }
-        for where, table in tables.items():
+        for where, table in self._weight_tables.items():
             try:
                 table.checked(metrics)
             except InputError as error:
@@ -358,29 +361,24 @@ class Scenario(BaseModel):
 
     def _request_what_is_weighed(self) -> None:
         """Give the metrics made on request that have a weight above 0 and no section one of its defaults."""
-        listed = () if isinstance(self.study.weights, str) else self.study.weights
-        weighed = {
-            name
-            for table in (self.weights, *listed)
-            for name, value in table.to_dict().items()
-            if value
-        }
         for metric in known_beside(self.layers):
-            is_asked = metric.section in ON_REQUEST and metric.name in weighed
-            if is_asked and getattr(self, metric.section) is None:
+            tables = self._weight_tables.values()
+            is_weighed = any(table.to_dict().get(metric.name) for table in tables)
+            is_on_request = metric.section in ON_REQUEST
+            if is_on_request and is_weighed and getattr(self, metric.section) is None:
                 object.__setattr__(self, metric.section, metric.params())
 
     @property
     def map_params(self) -> MapParams:
         """What the maps depend on besides city, sky and grid."""
-        names = [name for name in (*METRICS, *ON_REQUEST) if getattr(self, name, None) is not None]
-        sections = {name: getattr(self, name) for name in names}
+        region = self.region
+        sections = {name: getattr(self, name, None) for name in (*METRICS, *ON_REQUEST)}
         return MapParams(
-            self.region.altitudes_m,
-            self.region.oversample,
+            region.altitudes_m,
+            region.oversample,
             self.buildings,
-            sections,
-            self.region.engine,
+            values_given(sections),
+            region.engine,
         )
 
     @property
@@ -400,17 +398,15 @@ def _with_times_as_text(settings: Any) -> Any:
 
 def _with_present_keys(settings: dict[str, Any]) -> dict[str, Any]:
     """Return settings whose former keys have their present names; one beside its successor stays, and is unknown."""
-    renamed = settings
     for former, present in RENAMED_KEYS.items():
         section, _, old = former.partition(".")
-        new = present.partition(".")[2]
-        table = renamed.get(section)
-        if not isinstance(table, Mapping) or old not in table or new in table:
-            continue
-        present_name("key", former, RENAMED_KEYS)
-        rest = {name: value for name, value in table.items() if name != old}
-        renamed = renamed | {section: {**rest, new: table[old]}}
-    return renamed
+        _, _, new = present.partition(".")
+        table = settings.get(section)
+        if isinstance(table, Mapping) and old in table and new not in table:
+            present_name("key", former, RENAMED_KEYS)
+            rest = {name: value for name, value in table.items() if name != old}
+            settings = {**settings, section: {**rest, new: table[old]}}
+    return settings
 
 
 def _with_bounds(
@@ -419,12 +415,9 @@ def _with_bounds(
     """Return settings with the bounds that the file of buildings covers, and these, where they give none."""
     region, buildings = settings.get("region", {}), settings.get("buildings")
     source = buildings.get("source") if isinstance(buildings, Mapping) else None
-    if (
-        not isinstance(region, Mapping)
-        or "bounds" in region
-        or not isinstance(source, str)
-        or source == SYNTHETIC
-    ):
+    if not isinstance(source, str) or source == SYNTHETIC:
+        return settings, None
+    if not isinstance(region, Mapping) or "bounds" in region:
         return settings, None
     from jaxurban.io.read.city import lonlat_extent  # imported here: it brings the readers
 
@@ -481,13 +474,13 @@ def changed(settings: dict[str, Any], changes: Iterable[str]) -> dict[str, Any]:
     return settings
 
 
-def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    tables = [
-        name
-        for name, value in new.items()
-        if isinstance(value, Mapping) and isinstance(old.get(name), Mapping)
-    ]
-    return {**old, **new, **{name: _merged(old[name], new[name]) for name in tables}}
+def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings over others, table by table."""
+    merged = {**old, **new}
+    for name, value in new.items():
+        if isinstance(value, Mapping) and isinstance(old.get(name), Mapping):
+            merged[name] = _merged(old[name], value)
+    return merged
 
 
 def _sentence_of(error: ValidationError, settings: Any, model: type) -> str:
@@ -523,7 +516,8 @@ def _check_truths(settings: Any, model: type, where: str = "") -> None:
                 f"{where}{name} cannot be {str(value).lower()}: give a number, a text or a list"
             )
         check_range(f"{where}{name}", value)
-        if inner := model_in(known.get(name)):
+        inner = model_in(known.get(name))
+        if inner:
             _check_truths(value, inner, f"{where}{name}: ")
 
 
@@ -537,11 +531,7 @@ def fields_of(model: type) -> dict[str, Any]:
 def _holds(settings: Any, part: str | int) -> bool:
     """Return whether settings have such a key, or such a place in a list."""
     if isinstance(part, int):
-        return (
-            isinstance(settings, Sequence)
-            and not isinstance(settings, str)
-            and part < len(settings)
-        )
+        return isinstance(settings, list | tuple) and part < len(settings)
     return isinstance(settings, Mapping) and part in settings
 
 

@@ -15,7 +15,7 @@ from jaxurban.maps.scenario import Scenario
 CityLike = City | MetricMaps | str | Path
 
 
-def scenario_of(folder: Path, sources: Path | None = None) -> Scenario:
+def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     """Return the scenario of the run that made the maps in a folder, its relative paths from where its files are.
 
     A record may be somebody else's. So a file counts only where its SHA-256 is the one that the run recorded.
@@ -35,7 +35,7 @@ def scenario_of(folder: Path, sources: Path | None = None) -> Scenario:
         )
     inputs = read_json(folder / RUN_FILE).get("inputs", {})
     others = inputs
-    for place in [folder, folder.parent, Path()] if sources is None else [sources]:
+    for place in [folder, folder.parent, Path()] if sources is None else [Path(sources)]:
         scenario = Scenario.from_dict(settings, str(folder / RUN_FILE), place)
         with suppress(InputError):  # where one of the files is missing
             files = hash_inputs(scenario)

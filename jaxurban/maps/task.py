@@ -152,11 +152,8 @@ class MapTask:
         """Names of the metrics whose spread by uncertain heights is computed: those that buildings decide."""
         if not self.params.heights.height_samples:
             return ()
-        return tuple(
-            name
-            for name, m in self.metrics.items()
-            if ALTITUDE in m.dims and name not in self.bands
-        )
+        of_altitudes = [name for name, each in self.metrics.items() if ALTITUDE in each.dims]
+        return tuple(name for name in of_altitudes if name not in self.bands)
 
     @property
     def reach_m(self) -> float:
@@ -166,11 +163,10 @@ class MapTask:
     @property
     def sizes(self) -> dict[str, int]:
         """How many values each dim of the metrics has."""
-        times_of_day = len(self.params.population.times_of_day)
         return {
             TIME: self.num_times,
             ALTITUDE: len(self.params.altitudes_m),
-            TIME_OF_DAY: times_of_day,
+            TIME_OF_DAY: len(self.params.population.times_of_day),
         }
 
     @property
@@ -233,11 +229,12 @@ class MapTask:
           highest_m: how far the highest roof can stand above the lowest ground; left out, the city's.
         """
         part = self.region if part is None else part
+        sky = self.sky
         toward_m = shadow_reach_m(
-            self.sky.azimuth_rad[self.sky.is_in_view],
-            self.sky.elevation_rad[self.sky.is_in_view],
+            sky.azimuth_rad[sky.is_in_view],
+            sky.elevation_rad[sky.is_in_view],
             highest_top_m(self.city) if highest_m is None else highest_m,
-            float(min(self.params.altitudes_m)),
+            min(self.params.altitudes_m),
             part.resolution_m,
         )
         return surface_grid(self.city, part, self.reach_m, toward_m)

@@ -6,11 +6,12 @@ Tasks share nothing but a work folder.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate, product
+from itertools import accumulate, pairwise, product
 from typing import Any
 
 import numpy as np
 
+from jaxurban.checks import values_given
 from jaxurban.errors import InputError
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
@@ -31,7 +32,7 @@ Tile = tuple[int, int]  # row and column of a tile in its tiling, the southwest 
 Quadrant = tuple[
     int, int
 ]  # 1 or -1 each: the source stands in the north (1) or south, in the east (1) or west
-QUADRANTS: tuple[Quadrant, ...] = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+QUADRANTS: dict[Quadrant, str] = {(1, 1): "ne", (1, -1): "nw", (-1, 1): "se", (-1, -1): "sw"}
 
 
 def quadrant_of(east: float, north: float) -> Quadrant:
@@ -117,40 +118,33 @@ class Tiling:
     @property
     def region_tiles(self) -> list[Tile]:
         """The tiles that maps report, row by row from the southwest."""
-        rows, cols = (
-            range(first, first + num) for first, num in zip(self.first, self.counts, strict=True)
-        )
-        return list(product(rows, cols))
+        (row, col), (num_rows, num_cols) = self.first, self.counts
+        return list(product(range(row, row + num_rows), range(col, col + num_cols)))
 
     def grid_of(self, tile: Tile) -> Grid:
         """Return the grid of a whole tile."""
         row, col = tile
-        (south, north), (west, east) = (
-            self.row_starts[row : row + 2],
-            self.col_starts[col : col + 2],
-        )
-        return Grid(
-            self.region.crs, self.region.resolution_m, south, west, north - south, east - west
-        )
+        south, north = self.row_starts[row : row + 2]
+        west, east = self.col_starts[col : col + 2]
+        place = south, west, north - south, east - west
+        return Grid(self.region.crs, self.region.resolution_m, *place)
 
     def reported(self, tile: Tile) -> tuple[slice, slice]:
         """Return the rows and columns of the region that a tile of the region reports: its last rows, first columns."""
         grid = self.grid_of(tile)
         row, col = grid.first_row - self.region.first_row, grid.first_col - self.region.first_col
-        return slice(max(row, 0), row + grid.num_rows), slice(
-            col, min(col + grid.num_cols, self.region.num_cols)
-        )
+        end_col = min(col + grid.num_cols, self.region.num_cols)
+        return slice(max(row, 0), row + grid.num_rows), slice(col, end_col)
 
     def touching(self, grid: Grid) -> Iterator[Tile]:
         """Yield the tiles that share a cell with ``grid``."""
 
-        def along(starts: Sequence[int], begin: int, end: int) -> list[int]:
-            return [i for i in range(len(starts) - 1) if starts[i] < end and starts[i + 1] > begin]
+        def along(starts: Sequence[int], first: int, num: int) -> list[int]:
+            spans = enumerate(pairwise(starts))
+            return [i for i, (begin, end) in spans if begin < first + num and end > first]
 
-        rows = along(self.row_starts, grid.first_row, grid.first_row + grid.num_rows)
-        yield from product(
-            rows, along(self.col_starts, grid.first_col, grid.first_col + grid.num_cols)
-        )
+        rows = along(self.row_starts, grid.first_row, grid.num_rows)
+        yield from product(rows, along(self.col_starts, grid.first_col, grid.num_cols))
 
     def upstream(self, tile: Tile, quadrant: Quadrant) -> list[Tile]:
         """Return the neighbours, up to three, whose shadows of a source in ``quadrant`` reach a tile first."""
@@ -160,12 +154,10 @@ class Tiling:
 
     def hands_on(self, tile: Tile, quadrant: Quadrant) -> bool:
         """Return whether shadows of a source in ``quadrant`` cross a tile on their way to another one of the region."""
-        last = tuple(first + num - 1 for first, num in zip(self.first, self.counts, strict=True))
-        end = tuple(
-            low if toward > 0 else high
-            for low, high, toward in zip(self.first, last, quadrant, strict=True)
-        )
-        return tile != end and all((tile[i] - end[i]) * quadrant[i] >= 0 for i in range(2))
+        first, toward = np.array(self.first), np.array(quadrant)
+        end = np.where(toward > 0, first, first + self.counts - 1)
+        from_end = (tile - end) * toward
+        return bool(from_end.any() and (from_end >= 0).all())
 
 
 @dataclass(frozen=True)
@@ -211,38 +203,30 @@ class TileJob:
         return bool(self.order[quadrant]) and self.tiling.hands_on(tile, quadrant)
 
 
-def _name(kind: str, tile: Tile, quadrant: Quadrant | None = None) -> str:
-    side = (
-        ""
-        if quadrant is None
-        else ("_n" if quadrant[0] > 0 else "_s") + ("e" if quadrant[1] > 0 else "w")
-    )
-    return f"{kind}_{tile[0]}_{tile[1]}{side}"
+def _name(kind: str, *parts: int | str) -> str:
+    """Return the name of a step in the work folder, by its tile and, if it is of one, its quadrant."""
+    return "_".join(map(str, (kind, *parts)))
+
+
+RASTERS = ("roof_m", "terrain_m", "has_data", "roof_guessed")  # of a `Surface`, that are kept
 
 
 def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     """Rasterise a tile and return the ``seconds`` it took by stage."""
-    watch, name, city = Stopwatch(), _name("raster", tile), job.task.city
+    watch, name, city = Stopwatch(), _name("raster", *tile), job.task.city
     if job.work.done(name) is None:
         with watch.stage("surface"):
             grid = job.tiling.grid_of(tile)
             is_reported = tile in job.tiling.region_tiles
             has_guessed = is_reported and job.task.has_guessed_roofs
             made = rasterise(city, grid, job.task.params.heights.all_touched, has_guessed)
-            arrays = {
-                key: getattr(made, key)
-                for key in ("roof_m", "terrain_m", "has_data", "roof_guessed")
-            }
+            arrays = {key: getattr(made, key) for key in RASTERS}
             if made.slabs is not None:
                 arrays |= {f"slab_{key}": values for key, values in made.slabs._asdict().items()}
             if is_reported:
-                arrays |= {
-                    "roof_touched_m": made.roof_touched_m,
-                    "block": rasterise_blocks(city, grid),
-                }
-            job.work.save_arrays(
-                name, **{key: values for key, values in arrays.items() if values is not None}
-            )
+                arrays["roof_touched_m"] = made.roof_touched_m
+                arrays["block"] = rasterise_blocks(city, grid)
+            job.work.save_arrays(name, **values_given(arrays))
     return {"seconds": watch.elapsed_s}
 
 
@@ -251,11 +235,11 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
 
     What is kept are the row and the column, of every satellite, that the next tiles' rings take up.
     """
-    watch, name, sky = Stopwatch(), _name("shadows", tile, quadrant), job.task.sky
+    watch, name, sky = Stopwatch(), _name("shadows", *tile, QUADRANTS[quadrant]), job.task.sky
     if job.work.done(name) is None:
         with watch.stage("gps"):
             grid = job.tiling.grid_of(tile)
-            kept = job.work.load_arrays(_name("raster", tile), "roof_m", "terrain_m")
+            kept = job.work.load_arrays(_name("raster", *tile), "roof_m", "terrain_m")
             top_m = kept["roof_m"] + kept.get("terrain_m", np.float32(0))
             pairs = job.order[quadrant]
             azimuth_rad = np.array([sky.azimuth_rad[pair] for pair in pairs])
@@ -277,13 +261,14 @@ def _rings(job: TileJob, tile: Tile, quadrant: Quadrant) -> Ring:
     for near in job.tiling.upstream(tile, quadrant):
         if not job.hands_on(near, quadrant):
             continue
-        kept = job.work.load_arrays(_name("shadows", near, quadrant), "rows", "cols")
+        kept = job.work.load_arrays(_name("shadows", *near, QUADRANTS[quadrant]), "rows", "cols")
         if near == (tile[0] + north, tile[1]):
             row[:, 1:-1] = kept["rows"]
         elif near == (tile[0], tile[1] + east):
             col[:] = kept["cols"]
         else:
-            row[:, -1 if east > 0 else 0] = kept["rows"][:, 0 if east > 0 else -1]
+            corner, nearest = (-1, 0) if east > 0 else (0, -1)
+            row[:, corner] = kept["rows"][:, nearest]
     sides = (no_row, row) if north > 0 else (row, no_row)
     ends = (no_col, col) if east > 0 else (col, no_col)
     return Ring(*sides, *ends)
@@ -294,8 +279,9 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
 
     ``seconds`` by stage; ``totals``: the facts of `TimeTotals` by metric, where statistics over time are kept.
     """
-    name = _name("tile", tile)
-    if (facts := job.work.done(name)) is not None:
+    name = _name("tile", *tile)
+    facts = job.work.done(name)
+    if facts is not None:
         return {**facts, "seconds": {}}
     watch = Stopwatch()
     with watch.stage("surface"):
@@ -336,14 +322,14 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
         row, col = other.first_row - grid.first_row, other.first_col - grid.first_col
         target = slice(max(row, 0), row + other.num_rows), slice(max(col, 0), col + other.num_cols)
         source = slice(max(-row, 0), grid.num_rows - row), slice(max(-col, 0), grid.num_cols - col)
-        for key, values in job.work.load_arrays(_name("raster", near), *rasters).items():
+        for key, values in job.work.load_arrays(_name("raster", *near), *rasters).items():
             rasters[key][target] = values[source]
     # What sticks out of the region counts for nothing.
     rows, cols = (part.stop - part.start for part in job.tiling.reported(tile))
     rasters["has_data"][halo : halo + region.num_rows - rows] = False
     rasters["has_data"][:, halo + cols : grid.num_cols - halo] = False
     own: dict[str, Any] = job.work.load_arrays(
-        _name("raster", tile), "block", "roof_touched_m", "roof_guessed"
+        _name("raster", *tile), "block", "roof_touched_m", "roof_guessed"
     )
     return Surface(
         roof_m=rasters["roof_m"],
@@ -363,7 +349,7 @@ def _slabs(job: TileJob, tile: Tile) -> Slabs:
     parts = []
     for near in job.tiling.touching(job.looked_at(tile)):
         kept = job.work.load_arrays(
-            _name("raster", near), *(f"slab_{name}" for name in Slabs._fields)
+            _name("raster", *near), *(f"slab_{name}" for name in Slabs._fields)
         )
         parts.append(Slabs(**{name.removeprefix("slab_"): values for name, values in kept.items()}))
     return Slabs.joined(parts)

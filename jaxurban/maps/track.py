@@ -51,9 +51,10 @@ class Track:
         Raises:
           InputError: a place outside the grid.
         """
-        lon_deg, lat_deg = (log.epochs[name].to_numpy() for name in (LON, LAT))
+        lon_deg, lat_deg = log.epochs[LON].to_numpy(), log.epochs[LAT].to_numpy()
         x_m, y_m = grid.xy_of_lonlat(lon_deg, lat_deg)
-        if not (is_inside := grid.contains_xy(x_m, y_m)).all():
+        is_inside = grid.contains_xy(x_m, y_m)
+        if not is_inside.all():
             num = int((~is_inside).sum())
             spans = f"{lon_deg.min():.4f}, {lat_deg.min():.4f}, {lon_deg.max():.4f}, {lat_deg.max():.4f}"
             raise InputError(
@@ -63,22 +64,18 @@ class Track:
             )
         row, col = grid.cell_of_xy(x_m, y_m)
         first = log.epochs[UTC].iloc[0]
-        window = ((log.epochs[UTC] - first).dt.total_seconds().to_numpy() // sky_step_s).astype(
-            np.int64
-        )
-        numbers, sky = np.unique(window, return_inverse=True)
-        middles = [
-            (first + pd.Timedelta(seconds=(number + 0.5) * sky_step_s)).round("s")
-            for number in numbers
-        ]
-        return cls(x_m, y_m, row, col, sky, tuple(f"{time:%Y-%m-%dT%H:%M:%S}Z" for time in middles))
+        elapsed_s = (log.epochs[UTC] - first).dt.total_seconds().to_numpy()
+        numbers, sky = np.unique((elapsed_s // sky_step_s).astype(np.int64), return_inverse=True)
+        middles_s = pd.to_timedelta((numbers + 0.5) * sky_step_s, "s")
+        times = (first + middles_s).round("s").strftime("%Y-%m-%dT%H:%M:%SZ")
+        return cls(x_m, y_m, row, col, sky, tuple(times))
 
     @cached_property
     def along_m(self) -> np.ndarray:
         """``[N]`` distance from the first epoch along the track."""
-        return np.cumsum(
-            np.hypot(np.diff(self.x_m, prepend=self.x_m[0]), np.diff(self.y_m, prepend=self.y_m[0]))
-        )
+        east_m = np.diff(self.x_m, prepend=self.x_m[0])
+        north_m = np.diff(self.y_m, prepend=self.y_m[0])
+        return np.cumsum(np.hypot(east_m, north_m))
 
 
 def predict(task: MapTask, track: Track, report: Report) -> dict[str, np.ndarray]:
@@ -139,9 +136,9 @@ def quality_along(task: MapTask, sky: np.ndarray, is_seen: np.ndarray) -> dict[s
         words = np.zeros((max(1, -(-len(bits) // WORD_BITS)), len(epochs)), np.uint32)
         for k, bit in enumerate(bits):
             words[k // WORD_BITS] |= bit.astype(np.uint32) << np.uint32(k % WORD_BITS)
-        nowhere = np.zeros(len(epochs), bool)
-        of_choices = words, nowhere, satellites_of(in_view), task.params.gps.gdop_threshold
-        maps, choice = maps_of_choices(*of_choices)
+        is_obstacle = np.zeros(len(epochs), bool)
+        threshold = task.params.gps.gdop_threshold
+        maps, choice = maps_of_choices(words, is_obstacle, satellites_of(in_view), threshold)
         for name, made in zip(("gps", *DOPS, NUM_VISIBLE), maps, strict=True):
             values[name][epochs] = made[choice]
     return values
@@ -164,20 +161,18 @@ def _legs(track: Track) -> Iterator[list[int]]:
 
 def _box(region: Grid, row: np.ndarray, col: np.ndarray) -> Grid:
     """Return the part of a region that holds cells."""
-    first_row, first_col = int(row.min()), int(col.min())
-    num_rows, num_cols = int(row.max()) - first_row + 1, int(col.max()) - first_col + 1
-    corner = {"first_row": region.first_row + first_row, "first_col": region.first_col + first_col}
-    return Grid(region.crs, region.resolution_m, **corner, num_rows=num_rows, num_cols=num_cols)
+    east, north = col.max() + 1 - region.num_cols, row.max() + 1 - region.num_rows
+    return region.padded(-int(col.min()), -int(row.min()), int(east), int(north))
 
 
 def _tile(task: MapTask, region: Grid, skies: list[int]) -> TileScene:
     """Return a part of a task, over another region and at some of its times, ready for its maps."""
-    sky = task.sky
-    of_time = {
-        name: getattr(sky, name)[skies]
-        for name in ("azimuth_rad", "elevation_rad", "element_age_days")
-    }
-    part = replace(
-        task, region=region, sky=replace(sky, times=tuple(sky.times[t] for t in skies), **of_time)
+    sky = replace(
+        task.sky,
+        times=tuple(task.sky.times[t] for t in skies),
+        azimuth_rad=task.sky.azimuth_rad[skies],
+        elevation_rad=task.sky.elevation_rad[skies],
+        element_age_days=task.sky.element_age_days[skies],
     )
+    part = replace(task, region=region, sky=sky)
     return TileScene(part, part.surface())

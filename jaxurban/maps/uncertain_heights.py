@@ -87,10 +87,8 @@ class Spread:
         """Return ``mean``, ``std`` (of the sample, n - 1), ``p05`` and ``p95`` (linear between samples)."""
         last = self.kept - 1
         low, low_next = self.lowest[self.below], self.lowest[min(self.below + 1, last)]
-        high, high_next = (
-            self.highest[last - self.below],
-            self.highest[max(last - self.below - 1, 0)],
-        )
+        above = last - self.below
+        high, high_next = self.highest[above], self.highest[max(above - 1, 0)]
         return {
             "mean": self.mean,
             "std": np.sqrt(self.squares / max(self.count - 1, 1)),

@@ -33,6 +33,7 @@ from jaxurban.metrics.base import (
 )
 from jaxurban.metrics.registry import METRICS, known_metrics
 from jaxurban.metrics.variables import AUXILIARY_VARIABLES, SERIES, derived
+from jaxurban.settings import not_negative
 from jaxurban.world.surface import Surface
 
 COLOURS = ("#56b4e9", "#d55e00", "#7f3c8d", "#80604d")  # of lines, none a built-in metric's
@@ -41,25 +42,11 @@ OF_RELEASE_1 = (
     *("gps", "lidar", "population", "risk"),
     *("gps_horizontal", "gps_vertical", "protection"),
 )
-DERIVED = (  # of a metric's map, behind its name
-    *(*SERIES, "epoch_mean", "worst_time"),
-    *("lower", "upper", "mean", "std", "p95"),
-)
+# Of a metric's map, behind its name.
+DERIVED = (*SERIES, "epoch_mean", "worst_time", "lower", "upper", "mean", "std", "p95")
 RESERVED_NAMES = {
-    *(
-        "distance",
-        "climb",
-        "descent",
-        "self",
-        "lon",
-        "lat",
-        ALTITUDE,
-        TIME,
-        TIME_OF_DAY,
-        "y",
-        "x",
-        "spatial_ref",
-    ),
+    *("distance", "climb", "descent", "self", "lon", "lat"),
+    *(ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref"),
     *AUXILIARY_VARIABLES,
     *OF_RELEASE_1,
     *("gdop", "pdop", "hdop", "vdop", "tdop", "num_visible"),
@@ -126,10 +113,7 @@ class Layer:
             raise InputError(
                 f"altitudes_m must name different altitudes, one for each band, got {heights}"
             )
-        if not finite("reach_m", self.reach_m) >= 0:
-            raise InputError(
-                f"reach_m must be 0 or a positive number of metres, got {self.reach_m}"
-            )
+        not_negative("reach_m", self.reach_m)
         if self.reach_m and not callable(self.source):
             raise InputError(
                 "reach_m says how far a function looks: leave it out for a raster or an array"
@@ -138,14 +122,15 @@ class Layer:
     @property
     def record(self) -> dict[str, Any]:
         """The settings as JSON can hold them, an array or a function by what it is."""
-        source = (
-            self.source
-            if isinstance(self.source, str)
-            else getattr(self.source, "__qualname__", "array")
-        )
-        held = {"source": source, "cost": self.cost, "scale": list(self.scale), "nan": self.nan}
-        held |= {} if self.altitudes_m is None else {"altitudes_m": list(self.altitudes_m)}
-        return held | ({"credit": self.credit} if self.credit else {})
+        source = self.source
+        if not isinstance(source, str):
+            source = getattr(source, "__qualname__", "array")
+        record = {"source": source, "cost": self.cost, "scale": [*self.scale], "nan": self.nan}
+        if self.altitudes_m is not None:
+            record["altitudes_m"] = [*self.altitudes_m]
+        if self.credit:
+            record["credit"] = self.credit
+        return record
 
     def scaled(self, values: Any) -> jax.Array:
         """Return m in [0, 1] of values in the source's unit; NaN stays. The gradient is 0 beyond the scale.
@@ -218,11 +203,10 @@ def known_beside(layers: Collection[str]) -> list[Metric]:
 
 
 def _beside(metric: Metric, layers: Collection[str]) -> Metric:
-    own = [metric.name, *(variable.name for variable in metric.also)]
     if metric.name in OF_RELEASE_1:
         return metric
-    names = {name: _free_name(name, layers) for name in own}
-    if own == [*names.values()]:
+    names = {name: _free_name(name, layers) for name in metric.variables}
+    if all(name == free for name, free in names.items()):
         return metric
     return replace(
         metric,
@@ -274,9 +258,9 @@ def metrics_of(
 def colour_of(name: str) -> str:
     """Return the colour of a metric's lines in figures, built-in or a user's, by its name alone."""
     known = known_metrics()
-    return (
-        known[name].colour if name in known else COLOURS[zlib.crc32(name.encode()) % len(COLOURS)]
-    )
+    if name in known:
+        return known[name].colour
+    return COLOURS[zlib.crc32(name.encode()) % len(COLOURS)]
 
 
 def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
@@ -308,13 +292,15 @@ def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
         str(name): array for name, array in ds.data_vars.items() if array.dims[-2:] == ("y", "x")
     }
     for name, array in maps.items():
-        long_name, unit = (
-            str(array.attrs.get(key, other)) for key, other in (("long_name", name), ("units", "1"))
+        variable = Variable(
+            name,
+            str(array.attrs.get("long_name", name)),
+            str(array.attrs.get("units", "1")),
+            dtype=array.dtype.type,
+            scale=Scale("viridis", low=None, high=None),
+            dims=tuple(map(str, array.dims[:-2])),
         )
-        dims, scale = tuple(map(str, array.dims[:-2])), Scale("viridis", low=None, high=None)
-        known.setdefault(
-            name, Variable(name, long_name, unit, dtype=array.dtype.type, scale=scale, dims=dims)
-        )
+        known.setdefault(name, variable)
     return {name: known[name] for name in maps}
 
 
@@ -325,9 +311,9 @@ def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:
       InputError: values of another shape than the tile's, or cells without a value where that is an error.
     """
     surface = _reaching(scene.surface, layer).of_jax()
-    values = (
-        layer.source(surface, scene.altitude_m) if callable(layer.source) else scene.rasters[name]
-    )
+    values: Any = scene.rasters.get(name)
+    if callable(layer.source):
+        values = layer.source(surface, scene.altitude_m)
     if isinstance(values, np.ma.MaskedArray):
         values = np.ma.filled(values.astype(np.float32), np.nan)
     if np.shape(values) != surface.region.shape:
@@ -335,15 +321,14 @@ def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:
             f"layer {name!r} gives values of shape {np.shape(values)} for cells of shape {surface.region.shape}: "
             "return one value for each cell of surface.region"
         )
-    m = layer.scaled(jnp.where(jnp.isfinite(jnp.asarray(values)), values, jnp.nan)).astype(
-        jnp.float32
-    )
-    is_lost = (
-        jnp.isnan(m) if surface.has_data is None else jnp.isnan(m) & surface.crop(surface.has_data)
-    )
-    if layer.nan == "error" and (num := int(is_lost.sum())):
+    known = jnp.where(jnp.isfinite(jnp.asarray(values)), values, jnp.nan)
+    m = layer.scaled(known).astype(jnp.float32)
+    is_lost = jnp.isnan(m)
+    if surface.has_data is not None:
+        is_lost &= surface.crop(surface.has_data)
+    if layer.nan == "error" and is_lost.any():
         raise InputError(
-            f'layer {name!r} has no value in {num:,} cells: fill them, or set nan = "closed"'
+            f'layer {name!r} has no value in {is_lost.sum():,} cells: fill them, or set nan = "closed"'
         )
     return {name: m}
 
@@ -355,7 +340,6 @@ def _reaching(surface: Surface, layer: Layer) -> Surface:
 
 def _soft(scene: SoftScene, layer: Layer) -> jax.Array:
     assert layer.soft is not None
-    m = layer.scaled(
-        layer.soft(_reaching(scene.surface, layer), scene.altitude_m, scene.softness_m)
-    )
+    surface = _reaching(scene.surface, layer)
+    m = layer.scaled(layer.soft(surface, scene.altitude_m, scene.softness_m))
     return m if scene.cells is None else m[scene.cells[:, 0], scene.cells[:, 1]]

@@ -122,43 +122,59 @@ class Gps:
         return self.mask_deg
 
     def _check_times(self) -> None:
+        """Check ``times``, or the series instead, and write them out as UTC.
+
+        Raises:
+          InputError: half a series, one beside times or one without end, the same time twice, or a part of a second.
+        """
         series = self.start, self.stop, self.step_s
-        if any(value is not None for value in series) and (
-            None in series or self.times is not None
-        ):
+        is_series = any(value is not None for value in series)
+        if is_series and (None in series or self.times is not None):
             raise InputError(
                 "a series of times needs all of start, stop and step_s, and no times beside them"
             )
+        if is_series:
+            self._check_series()
         if self.times is not None:
             object.__setattr__(self, "times", tuple(map(iso_utc, as_tuple(self.times))))
-        elif self.start is not None and self.stop is not None and self.step_s is not None:
-            at_least("step_s", self.step_s, 1)
-            for name in ("start", "stop"):
-                object.__setattr__(self, name, iso_utc(getattr(self, name)))
-            seconds = (parse_time(self.stop) - parse_time(self.start)).total_seconds()
-            if seconds < 0:
-                raise InputError(f"stop, {self.stop}, is before start, {self.start}")
-            if seconds / self.step_s >= MOST_TIMES:
-                raise InputError(
-                    f"start, stop and step_s make {seconds / self.step_s:.3g} times: make step_s longer"
-                )
         times = self.utc_times
-        if times is not None and (not times or len(set(times)) != len(times)):
+        if times is None:
+            return
+        if not times or len(set(times)) < len(times):
             raise InputError(
                 f"times must be different UTC times such as 2020-04-27T16:00:00Z, got {list(times)}"
             )
-        if any("." in time for time in times or ()):
+        if any("." in time for time in times):
             raise InputError("times must be whole seconds, as file names carry them")
+
+    def _check_series(self) -> None:
+        """Check a series of times and write out its ends as UTC.
+
+        Raises:
+          InputError: a step below a second, an end before the start, or more than `MOST_TIMES`.
+        """
+        step_s = at_least("step_s", self.step_s, 1)
+        ends: Any = self.start, self.stop
+        start, stop = map(parse_time, ends)
+        object.__setattr__(self, "start", iso_utc(start))
+        object.__setattr__(self, "stop", iso_utc(stop))
+        if stop < start:
+            raise InputError(f"stop, {self.stop}, is before start, {self.start}")
+        num_steps = (stop - start).total_seconds() / step_s
+        if num_steps >= MOST_TIMES:
+            raise InputError(
+                f"start, stop and step_s make {num_steps:.3g} times: make step_s longer"
+            )
 
     @property
     def utc_times(self) -> tuple[str, ...] | None:
         """The UTC times, ISO 8601 with a trailing Z; None where `jaxurban.maps.build.view_sky` chooses."""
         if self.start is None or self.stop is None or self.step_s is None:
             return None if self.times is None else tuple(self.times)
-        start, step = parse_time(self.start), timedelta(seconds=self.step_s)
-        return tuple(
-            iso_utc(start + step * i) for i in range((parse_time(self.stop) - start) // step + 1)
-        )
+        start, stop = parse_time(self.start), parse_time(self.stop)
+        step = timedelta(seconds=self.step_s)
+        num_steps = (stop - start) // step
+        return tuple(iso_utc(start + step * number) for number in range(num_steps + 1))
 
     def keeps_times(self, num_times: int) -> bool:
         """Return whether the maps of every time are kept, not statistics over them.
@@ -224,14 +240,13 @@ def maps_of_words(
         dops = dops_of_words(satellites, words)
         num_visible = jnp.sum(lax.population_count(words), axis=0).astype(jnp.uint8)
         m = gps_metric(dops.gdop, gdop_threshold)
-        return GpsMaps(m, dops.gdop, dops.pdop, dops.hdop, dops.vdop, dops.tdop, num_visible)
+        return GpsMaps._make((m, *dops, num_visible))
 
     num = max(math.prod(words.shape[1:]), BLOCK_CELLS)  # less than a block becomes one
     num_blocks = math.ceil(num / WIDE_BLOCK_CELLS)  # equal ones, so that hardly a cell fills up
     num_wide = math.ceil(num / num_blocks)
-    small, wide = (
-        partial(by_cells, maps, num_together=together) for together in (BLOCK_CELLS, num_wide)
-    )
+    small = partial(by_cells, maps, num_together=BLOCK_CELLS)
+    wide = partial(by_cells, maps, num_together=num_wide)
     return lax.platform_dependent(words, cpu=small, default=wide)
 
 
@@ -317,7 +332,8 @@ def has_no_fix(hdop: np.ndarray) -> np.ndarray:
 
 
 def _named(maps: GpsMaps) -> dict[str, Any]:
-    return {"gps": maps.m, **{name: getattr(maps, name) for name in (*DOPS, "num_visible")}}
+    named = maps._asdict()
+    return {"gps": named.pop("m"), **named}
 
 
 def _maps(scene: Scene, params: Gps) -> dict[str, Any]:

@@ -29,9 +29,8 @@ def gps_metric(gdop: Float[AnyArray, "*C"], gdop_threshold: float | Array) -> Fl
     Source: the paper's equation of m_gps, its GDOP_cut taken as T = GDOP_thresh. The derivative is 0
     beyond the threshold.
     """
-    return jnp.clip(
-        (gdop_threshold - jnp.minimum(gdop, gdop_threshold)) / (gdop_threshold - 1), 0, 1
-    )
+    below = gdop_threshold - jnp.minimum(gdop, gdop_threshold)
+    return jnp.clip(below / (gdop_threshold - 1), 0, 1)
 
 
 def soft_gps(
@@ -94,10 +93,10 @@ def _soft_gps(
     softness_m: Array,
     view: SkyView,
     cells: Array | None,
-    reception: ReceptionCurve | None = None,
+    reception: ReceptionCurve | None,
     *,
     window: Window,
-    dop: str = "gdop",
+    dop: str,
 ) -> Array:
     roof_m = jnp.asarray(roof_m)
     first_row, end_row, first_col, end_col, _ = window

@@ -125,16 +125,14 @@ class Population:
                 raise InputError(
                     f"{name} must be 24 shares in [0, 1], one an hour from 0 to 23, got {shares}"
                 )
-        if (
-            self.blocks is None
-            and self.blocks_day is None
-            and (self.table is not None or self.districts is not None)
-        ):
+        has_blocks = self.blocks is not None or self.blocks_day is not None
+        needs_blocks = self.table is not None or self.districts is not None
+        if needs_blocks and not has_blocks:
             raise InputError("table and districts need blocks, the polygons of the census blocks")
         if self.commercial is not None:
             object.__setattr__(self, "commercial", tuple(self.commercial))
         object.__setattr__(self, "time_of_day", as_tuple(self.time_of_day))
-        if not self.times_of_day or len(set(self.times_of_day)) != len(self.times_of_day):
+        if not self.times_of_day or len(set(self.times_of_day)) < len(self.times_of_day):
             raise InputError(
                 f"time_of_day must be different names such as day and night, got {[*self.time_of_day]}"
             )
@@ -158,17 +156,13 @@ class Population:
           ...     print(error)
           blocks_day and blocks_night go without factors: leave out gamma_commercial
         """
-        known = [
-            field
-            for field in fields(self)
-            if field.name in FACTORS and is_known(getattr(self, field.name))
-        ]
-        named = [
-            field.name for field in known if np.any(getattr(self, field.name) != field.default)
-        ]
-        named += [
-            f"time_of_day {name}" for name in self.times_of_day if name not in ("day", "night")
-        ]
+        named = []
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in FACTORS and is_known(value) and np.any(value != field.default):
+                named.append(field.name)
+        others = [name for name in self.times_of_day if name not in ("day", "night")]
+        named += [f"time_of_day {name}" for name in others]
         if named:
             raise InputError(
                 f"blocks_day and blocks_night go without factors: leave out {', '.join(named)}"
@@ -248,15 +242,15 @@ class BlockPopulation(NamedTuple):
           bounds_m: the region's box; left out, all blocks set the norm.
           dtype: float32 or, where JAX has it enabled, float64.
         """
-        columns = (blocks.night_count, blocks.area_m2, blocks.day_count)
-        people, area_m2, by_day = (
-            None if values is None else np.asarray(values, dtype) for values in columns
+        people = cls(
+            np.asarray(blocks.night_count, dtype),
+            np.asarray(blocks.area_m2, dtype),
+            blocks.zoning,
+            region_blocks(blocks, bounds_m),
         )
-        return cls(
-            *jax.device_put(
-                (people, area_m2, blocks.zoning, region_blocks(blocks, bounds_m), by_day)
-            )
-        )
+        if blocks.day_count is not None:
+            people = people._replace(day_count=np.asarray(blocks.day_count, dtype))
+        return jax.device_put(people)
 
 
 def _percentile(normalise: str | float) -> float | None:
@@ -322,7 +316,8 @@ def block_people(
 
 def density_per_km2(people: Float[Array, " N"], area_m2: Float[Array, " N"]) -> Float[Array, " N"]:
     """Return people per km2 of each block, 0 where its area is 0."""
-    return jnp.where(area_m2 > 0, people * M2_PER_KM2 / jnp.where(area_m2 > 0, area_m2, 1.0), 0.0)
+    has_area = area_m2 > 0
+    return jnp.where(has_area, people * M2_PER_KM2 / jnp.where(has_area, area_m2, 1.0), 0.0)
 
 
 def normaliser(values: Float[Array, " N"], normalise: str | float = "max") -> Float[Array, ""]:
@@ -370,9 +365,10 @@ def block_values(
       share: from `day_share`.
       params: gammas, quantity and norm.
     """
-    gammas = params.gamma_commercial, params.gamma_residential
-    people = block_people(blocks.night_count, blocks.zoning, share, *gammas)
-    if blocks.day_count is not None:
+    if blocks.day_count is None:
+        gammas = params.gamma_commercial, params.gamma_residential
+        people = block_people(blocks.night_count, blocks.zoning, share, *gammas)
+    else:
         people = (1.0 - share) * blocks.night_count + share * blocks.day_count
     density = density_per_km2(people, blocks.area_m2)
     values = people if params.quantity == "count" else density
@@ -407,19 +403,10 @@ def _filled(population: BlockPopulation) -> BlockPopulation:
     """Return blocks filled up by empty ones, which change nothing: few programs serve all cities."""
     num = len(population.night_count)
     most = max(LEAST_BLOCKS, 1 << num.bit_length())
-    of_blocks = (
-        None if values is None else np.pad(np.asarray(values), (0, most - num))
-        for values in (
-            population.night_count,
-            population.area_m2,
-            population.zoning,
-            population.day_count,
-        )
-    )
-    people, area_m2, zoning, by_day = of_blocks
-    in_region = np.full(most, num, np.int32)
+    in_region = np.full(most, num, np.int32)  # an empty one, where there is none
     in_region[: len(population.in_region)] = population.in_region
-    return BlockPopulation(people, area_m2, zoning, in_region, by_day)
+    filled = jax.tree.map(lambda values: np.pad(values, (0, most - num)), population)
+    return filled._replace(in_region=in_region)
 
 
 def _made_ready(
@@ -428,10 +415,8 @@ def _made_ready(
     """Return the blocks, and how far the population has moved from night to day at each time of the settings."""
     if blocks.day_count is not None:
         params.check_has_no_factor()
-    shares = np.array(
-        [day_share(time_of_day, params) for time_of_day in params.times_of_day], np.float32
-    )
-    return BlockPopulation.of(blocks, bounds_m), shares
+    shares = [day_share(time_of_day, params) for time_of_day in params.times_of_day]
+    return BlockPopulation.of(blocks, bounds_m), np.array(shares, np.float32)
 
 
 @jax.jit
@@ -467,9 +452,10 @@ def soft_population(
       InputError: no such time of day.
     """
     m, _, _ = block_values(population, day_share(time_of_day, params), params)
-    return _over_samples(
-        block if cells is None else block[cells[:, 0], cells[:, 1]], m, block.ndim > 2
-    )
+    has_samples = block.ndim > 2
+    if cells is not None:
+        block = block[cells[:, 0], cells[:, 1]]
+    return _over_samples(block, m, has_samples)
 
 
 def _over_samples(block: AnyArray, values: AnyArray, has_samples: bool) -> Any:
@@ -483,11 +469,12 @@ def _over_samples(block: AnyArray, values: AnyArray, has_samples: bool) -> Any:
 
 def _on_cells(surface: Surface, layers: BlockLayers) -> dict[str, Any]:
     """Return the maps of blocks, at one time of day or at several, by their variable."""
-    assert surface.block is not None
-    named = {"population": layers.m, "density": layers.density_per_km2}
+    block = surface.block
+    assert block is not None
+    has_samples = block.ndim > 2
     return {
-        name: _over_samples(surface.block, values, surface.block.ndim > 2)
-        for name, values in named.items()
+        "population": _over_samples(block, layers.m, has_samples),
+        "density": _over_samples(block, layers.density_per_km2, has_samples),
     }
 
 

@@ -99,17 +99,19 @@ def compute_risk(
     Raises:
       InputError: a traced threshold without ``reach_m``.
     """
-    if surface.slabs is not None and len(altitudes_m) > 1:
-        maps = [compute_risk(surface, [z_m], params, reach_m) for z_m in np.asarray(altitudes_m)]
-        return np.concatenate(maps)
     if surface.slabs is not None:
-        surface = surface.at_altitude(float(np.asarray(altitudes_m)[0]))
+        levels_m = np.asarray(altitudes_m)
+        if len(levels_m) > 1:
+            return np.concatenate(
+                [compute_risk(surface, [z_m], params, reach_m) for z_m in levels_m]
+            )
+        surface = surface.at_altitude(float(levels_m[0]))
     resolution_m, dtype = surface.grid.resolution_m, surface.roof_m.dtype
     reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
-    halo = halo_cells(params, resolution_m, reach_m)
     reach = kernel.window_cells(reach_m, resolution_m)
+    halo = rounded_up(reach)
     is_solid = params.distance == "solid"
-    terrain_m = ceiling_m = around = None
+    terrain_m = ceiling_m = around = None  # which the slice does not look at
     if is_solid and surface.terrain_m is not None:
         terrain_m = surface.terrain_m
         around = kernel.disc(reach_m, resolution_m, dtype)
@@ -125,8 +127,7 @@ def compute_risk(
     )
 
     def of_parts(cut: Cut) -> Array:
-        parts = [None if values is None else cut(values) for values in rasters]
-        return _risk(*parts, *settings)
+        return _risk(*jax.tree.map(cut, rasters), *settings)
 
     if surface.is_on_host:
         return over_blocks(surface, halo, reach, of_parts, len(settings[0]))
@@ -209,7 +210,7 @@ def soft_risk(
     check_softness(softness_m)
     dtype, resolution_m = surface.roof_m.dtype, surface.grid.resolution_m
     reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
-    halo = halo_cells(params, resolution_m, reach_m)
+    halo = rounded_up(kernel.window_cells(reach_m, resolution_m))
     altitude = jnp.asarray(altitude_m, dtype)
     threshold = jnp.asarray(params.threshold_m, dtype)
     softness = jnp.asarray(softness_m, dtype)

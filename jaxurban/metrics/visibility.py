@@ -1,6 +1,5 @@
 """Which satellites each cell sees, and how far away roofs may stand that hide them."""
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
@@ -39,15 +38,13 @@ def shadow_reach_m(
       resolution_m: side of a cell: one more cell pays for the digital line.
     """
     rise_m = max_top_m - min_altitude_m
-    margins_m = [0.0, 0.0, 0.0, 0.0]
     if rise_m <= 0:
         return 0.0, 0.0, 0.0, 0.0
-    for east, north, up in unit_vectors(azimuth_rad, elevation_rad):
-        for side, toward in enumerate((-east, -north, east, north)):
-            if toward > 0:
-                run_m = rise_m * toward / up if up > 0 else math.inf
-                margins_m[side] = max(margins_m[side], run_m + resolution_m)
-    west, south, east, north = margins_m
+    east, north, up = unit_vectors(azimuth_rad, elevation_rad).T
+    toward = np.stack([-east, -north, east, north])
+    run_m = np.divide(rise_m * toward, up, out=np.full(toward.shape, np.inf), where=up > 0)
+    margins_m = np.where(toward > 0, run_m + resolution_m, 0.0).max(axis=1, initial=0.0)
+    west, south, east, north = margins_m.tolist()
     return west, south, east, north
 
 
@@ -83,14 +80,12 @@ class SkyView(NamedTuple):
           multiple_of: satellites are filled up to a multiple of this, so that few programs are compiled.
           clocks: of the satellites; left out, all share one.
         """
-        azimuth, elevation = (
-            np.atleast_1d(np.asarray(angles, float)) for angles in (azimuth_rad, elevation_rad)
-        )
+        angles = np.array([azimuth_rad, elevation_rad], float).reshape(2, -1)
         dtype = np.dtype(surface.roof_m.dtype).type
-        satellites = geometry(unit_vectors(azimuth, elevation), dtype, multiple_of, clocks)
-        num, grid = len(azimuth), surface.grid
+        satellites = geometry(unit_vectors(*angles), dtype, multiple_of, clocks)
+        num, grid = angles.shape[1], surface.grid
         filled = np.zeros((2, len(satellites.rows)))
-        filled[:, :num] = azimuth, elevation
+        filled[:, :num] = angles
         place = grid.resolution_m, grid.first_row, grid.first_col, grid.shape
         lines = digital_lines(filled[0], filled[1], *place)
         return cls(stacked(lines), satellites, np.asarray(num, np.int32))
@@ -187,10 +182,8 @@ def _hide_behind_slabs(
     """Clear the bits of the satellites that slabs hide; arguments as for `visibility`."""
     region, every = surface.region, receivers.every
     middle = every // 2
-    first_row, first_col = (
-        (first + middle) * PER_CELL + PER_CELL // 2
-        for first in (region.first_row, region.first_col)
-    )
+    first_row = (region.first_row + middle) * PER_CELL + PER_CELL // 2
+    first_col = (region.first_col + middle) * PER_CELL + PER_CELL // 2
     ground_m = np.empty((0, 0), np.float32)
     if receivers.ground_m is not None:
         ground_m = receivers.ground_m[middle::every, middle::every]

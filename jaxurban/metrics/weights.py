@@ -47,7 +47,8 @@ class Weights:
         object.__setattr__(self, "values", tuple((named | dict(sorted(weights.items()))).items()))
 
     def __getattr__(self, name: str) -> Any:
-        if name not in (values := dict(self.__dict__.get("values", ()))):
+        values = dict(self.__dict__.get("values", ()))
+        if name not in values:
             raise AttributeError(f"there is no weight {name!r}")
         return values[name]
 
@@ -114,8 +115,8 @@ class Weights:
           {'gps': 1.0, 'noise': 2.0}
         """
         values: dict[str, float] = {}
-        for part in filter(None, (item.strip() for item in text.split(","))):
-            name, _, number = (item.strip() for item in part.partition("="))
+        for part in filter(None, map(str.strip, text.split(","))):
+            name, _, number = map(str.strip, part.partition("="))
             if name in values:
                 raise InputError(f"weight {name} is given twice in {text!r}: leave one of them out")
             try:

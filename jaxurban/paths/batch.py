@@ -17,6 +17,7 @@ from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.export.base import number_or_none
 from jaxurban.paths.path import PlannedPath, finish
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.queries import NOT_RUN, PlannedPaths, Query, path_of, read_queries, row_of
@@ -223,8 +224,8 @@ class _Results:
             return False
         path = None if row["search"] is None else finish(path_of(row))
         if path is not None:
-            kept_s = row["budget_s"] if np.isfinite(row["budget_s"]) else None
-            path = replace(path, settings={**path.settings, "budget_s": kept_s})
+            settings = {**path.settings, "budget_s": number_or_none(row["budget_s"])}
+            path = replace(path, settings=settings)
         self.add(k, row["status"], row["message"], path, key)
         return True
 
@@ -254,9 +255,8 @@ def _done(
         if query.error:
             yield refuse(k, query.error)
         else:
-            by_map.setdefault(
-                (query.altitude_m, query.time, query.time_of_day, query.weights), []
-            ).append(k)
+            map_key = query.altitude_m, query.time, query.time_of_day, query.weights
+            by_map.setdefault(map_key, []).append(k)
     waiting = list(by_map.items())
     while waiting:
         groups, waiting = waiting[:most_maps], waiting[most_maps:]
@@ -273,18 +273,16 @@ def _done(
             of_search = (replace(search, snap=False, budget_s=np.inf), solve.keywords["backend"])
             digest = fingerprint(shared.costs, shared.is_free, (*settings, of_search))
             for k in numbers:
+                query = results.queries[k]
                 try:
-                    ends = shared.ends(
-                        results.queries[k].start, results.queries[k].goal, snap=search.snap
-                    )
+                    ends = shared.ends(query.start, query.goal, snap=search.snap)
                 except InputError as error:
                     yield refuse(k, error)
                     continue
                 key = fingerprint(digest, ends)
                 located.append((k, key, shared, ends))
-                if results.take(
-                    k, key, search.budget_s, partial(finish, shared, ends=ends, search=search)
-                ):
+                finished = partial(finish, shared, ends=ends, search=search)
+                if results.take(k, key, search.budget_s, finished):
                     yield k
                 else:
                     unsolved.append(len(located) - 1)

@@ -8,7 +8,8 @@ import pandas as pd
 import shapely
 
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.constraints import FILE_MARGIN_M, Bound, Constraints
+from jaxurban.paths.clearance import FILE_MARGIN_M
+from jaxurban.paths.constraints import Bound, Constraints
 from jaxurban.paths.contacts import TOUCH_M, Prisms, contacts, merged
 from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.legs import Flight, Steps, spans
@@ -44,25 +45,14 @@ def judged(
       limits: zones in force, bounds, and clearances, all of which are there.
       times, time_of_day: of the maps that bounds are on.
     """
-    steps, low_m, high_m = flight.steps, min(maps.altitudes_m), max(maps.altitudes_m)
-    is_known = maps.ds["has_data"].values[tuple(steps.cell.T)] & np.isfinite(steps.z_m).all(axis=1)
+    steps = flight.steps
+    has_data = maps.ds["has_data"].values[tuple(steps.cell.T)]
+    is_known = has_data & np.isfinite(steps.z_m).all(axis=1)
     unknown = [flight.unknown, spans(steps.along_m[~is_known], NO_DATA)]
     steps = steps.take(is_known)
-    reached = shapely.buffer(known, -limits.horizontal_m) if limits.horizontal_m else known
-    shapely.prepare(reached)
-    is_off = ~shapely.intersects_xy(reached, *steps.ends_m.mean(axis=1).T)
-    unknown.append(spans(steps.along_m[is_off], NO_CITY))
-    kinds = np.array([leg.kind for leg in flight.mission.legs], object)[steps.leg]
-    is_on_site = np.isin(kinds, ON_SITE) | (steps.over_m == 0)
-    z_m = steps.z_m.mean(axis=1)
-    is_below = (z_m < low_m - GROUND_TOLERANCE_M) & ~is_on_site
-    is_above = z_m > high_m + GROUND_TOLERANCE_M
-    unknown += [
-        spans(steps.along_m[is_below], f"lie below the maps, which begin at {low_m:g} m"),
-        spans(steps.along_m[is_above], f"lie above the maps, which reach to {high_m:g} m"),
-    ]
     near = contacts(steps, buildings, maps, limits.horizontal_m)
     is_guessed = buildings.is_guessed[near["prism"]]
+    unknown += _beyond(flight, steps, maps, known, limits.horizontal_m)
     unknown.append(spans(near.loc[is_guessed, ["from_m", "to_m"]].to_numpy(), GUESSED_ROOFS))
     findings = [
         *_buildings(near, buildings, limits),
@@ -77,6 +67,26 @@ def judged(
     table = table.assign(item=items, lon=lon, lat=lat, height_m=first.z_m[:, 0])
     table = table.rename(columns={"from_m": "along_m"}).sort_values("along_m", ignore_index=True)
     return table.reindex(columns=COLUMNS), pd.concat(unknown, ignore_index=True)
+
+
+def _beyond(
+    flight: Flight, steps: Steps, maps: MetricMaps, known: shapely.Geometry, horizontal_m: float
+) -> Iterator[pd.DataFrame]:
+    """Yield the spans that lie where no building is known, nor within a clearance of there, or off the maps' heights.
+
+    Below the maps count only those that do not lead between the ground and the height of flight.
+    """
+    reached = shapely.buffer(known, -horizontal_m) if horizontal_m else known
+    shapely.prepare(reached)
+    is_off = ~shapely.intersects_xy(reached, *steps.ends_m.mean(axis=1).T)
+    yield spans(steps.along_m[is_off], NO_CITY)
+    kinds = np.array([leg.kind for leg in flight.mission.legs], object)[steps.leg]
+    is_on_site = np.isin(kinds, ON_SITE) | (steps.over_m == 0)
+    z_m, low_m, high_m = steps.z_m.mean(axis=1), min(maps.altitudes_m), max(maps.altitudes_m)
+    is_below = (z_m < low_m - GROUND_TOLERANCE_M) & ~is_on_site
+    is_above = z_m > high_m + GROUND_TOLERANCE_M
+    yield spans(steps.along_m[is_below], f"lie below the maps, which begin at {low_m:g} m")
+    yield spans(steps.along_m[is_above], f"lie above the maps, which reach to {high_m:g} m")
 
 
 def _buried(steps: Steps) -> pd.DataFrame:
@@ -118,11 +128,12 @@ def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> li
     close = close[close["to_m"] > np.append(around["to_m"] + TOUCH_M, -np.inf)[place]]
     hits, over = merged(near[is_hit]), merged(close[close["gap_m"] > 0])
     beside = merged(close[close["gap_m"].isna()])
-    passes = "passes {:.1f} m over or under a building", "passes {:.1f} m beside a building"
+    into_m, over_m, beside_m = -hits["gap_m"], over["gap_m"], beside["apart_m"]
+    above, aside = "passes {:.1f} m over or under a building", "passes {:.1f} m beside a building"
     return [
-        _described(hits, buildings, "flies up to {:.1f} m into a building", -hits["gap_m"]),
-        _described(over, buildings, passes[0], over["gap_m"], limits.vertical_m),
-        _described(beside, buildings, passes[1], beside["apart_m"], limits.horizontal_m),
+        _described(hits, buildings, "flies up to {:.1f} m into a building", into_m),
+        _described(over, buildings, above, over_m, limits.vertical_m),
+        _described(beside, buildings, aside, beside_m, limits.horizontal_m),
     ]
 
 

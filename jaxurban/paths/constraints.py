@@ -1,10 +1,4 @@
-"""Constraints: cells that no path may enter, whatever it would save: no-fly zones, bounds on any map, clearances.
-
-A clearance is kept between the squares of cells, so that no point of a free cell is nearer to the outline of a
-building, which lies within the cells that it touches. These distances come in steps: 0, 1, 1.41, 2, 2.24 ... cells.
-What is asked beyond a step, up to half a cell, the legs of routes keep from closed cells; more closes the next step.
-A straight line from a leg to an obstacle runs through closed cells last: so it is as long as both together, or longer.
-"""
+"""Constraints: cells that no path may enter, whatever it would save: no-fly zones, bounds on any map, clearances."""
 
 import math
 import operator
@@ -15,18 +9,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import binary_dilation, distance_transform_edt, minimum_filter
 
 from jaxurban.checks import nearest_name, typed
 from jaxurban.errors import IgnoredZoneWarning, InputError, warn
 from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
-from jaxurban.kernels.tolerances import SAME_LENGTH
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import known_metrics
+from jaxurban.paths.clearance import FILE_MARGIN_M, closed_by_clearance, closing_step_m, kept_m
+from jaxurban.paths.export.base import number_or_none
 from jaxurban.planners.base import Cell
 from jaxurban.public import listed
-from jaxurban.settings import CLEARANCES, Planning, Rules, Vehicle, not_negative, parse_time
+from jaxurban.settings import (
+    CLEARANCES,
+    DEFAULTS,
+    Planning,
+    Vehicle,
+    as_tuple,
+    not_negative,
+    parse_time,
+)
+from jaxurban.world.grid import Grid
 
 OPERATORS: dict[str, Callable] = {
     ">=": operator.ge,
@@ -44,12 +47,6 @@ KEPT_CLEAR = {  # entries of `Constraints.to_dict`, as messages call them
     "vertical_clearance_m": "vertical clearance",
 }
 Altitudes = float | Sequence[float]
-# What a file may take from a clearance: 8 mm by the seventh decimal of a degree, and up to 35 mm where a program draws
-# a leg of 1 km straight in degrees instead of in the maps' CRS (length^2 / 8 R x tan of a latitude up to 60 degrees).
-FILE_MARGIN_M = 0.05
-MOST_LEG_MARGIN = (
-    0.49  # cell sides: steps between the centres of cells keep half a side from closed cells
-)
 
 
 @dataclass(frozen=True)
@@ -91,7 +88,8 @@ class Bound:
         Raises:
           InputError: text that does not read name, comparison, number.
         """
-        if (parts := BOUND.fullmatch(text)) is None:
+        parts = BOUND.fullmatch(text)
+        if parts is None:
             raise InputError(
                 f"the bound {text!r} must read name, one of {', '.join(OPERATORS)}, number, as in gps>=0.3 or "
                 "num_visible>=4"
@@ -114,11 +112,7 @@ class Bound:
         """
         variable = maps.variable(self.variable)
         if variable not in maps.ds or maps.ds[variable].dims[-2:] != ("y", "x"):
-            names = sorted(
-                str(name)
-                for name, array in maps.ds.data_vars.items()
-                if array.dims[-2:] == ("y", "x")
-            )
+            names = sorted(str(name) for name in maps.ds if maps.ds[name].dims[-2:] == ("y", "x"))
             raise InputError(
                 f"the bound {self} is on a map that these maps do not hold{nearest_name(self.variable, names)}: choose "
                 f"one of {', '.join(names)}, or make maps that hold it"
@@ -171,8 +165,9 @@ class Constraints:
 
     def __post_init__(self) -> None:
         for name in CLEARANCES:
-            if (value := getattr(self, name)) is not None:
-                not_negative(name, value)
+            metres = getattr(self, name)
+            if metres is not None:
+                not_negative(name, metres)
 
     @classmethod
     @typed
@@ -206,12 +201,9 @@ class Constraints:
           >>> print(limits)
           1 no-fly zone, gps>=0.5, num_visible>=4, clearance of 5 m, vertical clearance of 3 m
         """
-        files = [no_fly] if isinstance(no_fly, (str, Path)) else no_fly
-        bounds = [
-            Bound.parse(text) for text in ([require] if isinstance(require, str) else require)
-        ]
-        zones = tuple(zone for file in files for zone in read_zones(file))
-        return cls(zones, tuple(bounds), clearance_m, vertical_clearance_m, vehicle)
+        zones = [zone for file in as_tuple(no_fly) for zone in read_zones(file)]
+        bounds = map(Bound.parse, as_tuple(require))
+        return cls(tuple(zones), tuple(bounds), clearance_m, vertical_clearance_m, vehicle)
 
     def __str__(self) -> str:
         return describe_constraints(self.to_dict())
@@ -233,10 +225,9 @@ class Constraints:
 
     @property
     def _clearances_m(self) -> dict[str, float]:
-        return {
-            name: getattr(self if getattr(self, name) is not None else Rules(), name)
-            for name in CLEARANCES
-        }
+        """Both clearances by name; what is left out is as without any scenario."""
+        whole = self.under(DEFAULTS, Vehicle())
+        return {name: getattr(whole, name) for name in CLEARANCES}
 
     def under(self, planning: Planning, vehicle: Vehicle) -> "Constraints":
         """Return the constraints, what they leave out taken from a ``[planning]`` and a vehicle.
@@ -249,10 +240,9 @@ class Constraints:
           >>> limits.clearance_m, limits.vertical_clearance_m, limits.vehicle.radius_m
           (5.0, 3.0, 0.5)
         """
-        rest = {**{name: getattr(planning.rules, name) for name in CLEARANCES}, "vehicle": vehicle}
-        return replace(
-            self, **{name: value for name, value in rest.items() if getattr(self, name) is None}
-        )
+        defaults = {**vars(planning.rules), "vehicle": vehicle}
+        left_out = [name for name in (*CLEARANCES, "vehicle") if getattr(self, name) is None]
+        return replace(self, **{name: defaults[name] for name in left_out})
 
     def leg_margin_m(self, resolution_m: float) -> float:
         """Return what straight legs keep from closed cells of that side, for the clearance (`closing_step_m`).
@@ -279,16 +269,7 @@ class Constraints:
           {'no_fly': [], 'require': ['gps>=0.5'], 'clearance_m': 5.0, 'vertical_clearance_m': 3.0}
         """
         return {
-            "no_fly": [
-                {
-                    "name": zone.name,
-                    "file": zone.source,
-                    "floor_m": zone.floor_m if math.isfinite(zone.floor_m) else None,
-                    "ceiling_m": zone.ceiling_m if math.isfinite(zone.ceiling_m) else None,
-                    "outline": zone.outline,
-                }
-                for zone in self.zones
-            ],
+            "no_fly": list(map(_record_of, self.zones)),
             "require": [str(bound) for bound in self.bounds],
             **{name: float(metres) for name, metres in self._clearances_m.items() if metres},
             **(self.vehicle or Vehicle()).to_dict(),
@@ -310,15 +291,13 @@ class Constraints:
         if time is None or not any(zone.start or zone.end for zone in self.zones):
             return self
         flight = parse_time(time)
-        is_on = [zone.is_in_force(flight) for zone in self.zones]
-        if off := [zone.label for zone, on in zip(self.zones, is_on, strict=True) if not on]:
+        off = [zone.label for zone in self.zones if not zone.is_in_force(flight)]
+        if off:
             sentence = (
                 f"zones not in force at {time} nor within an hour, which close nothing: {len(off)}"
             )
             warn(f"{sentence} ({listed(off)})", IgnoredZoneWarning)
-        return replace(
-            self, zones=tuple(zone for zone, on in zip(self.zones, is_on, strict=True) if on)
-        )
+        return replace(self, zones=tuple(zone for zone in self.zones if zone.is_in_force(flight)))
 
     def is_free(
         self,
@@ -376,28 +355,36 @@ class Constraints:
           >>> limits.closed(maps, [20.0, 60.0]).sum(axis=(1, 2)).tolist()
           [410, 174]
         """
-        levels_m = np.atleast_1d(np.asarray(altitude_m, float)).tolist()
-        grid = maps.grid
+        levels_m = np.atleast_1d(np.asarray(altitude_m, float))
+        closed = self._closed_by_zones(maps.grid, levels_m)
+        for level_closed, z_m in zip(closed, levels_m.tolist(), strict=True):
+            for bound in self.bounds:
+                level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
+            if self.keeps_clear:
+                level_closed |= closed_by_clearance(maps, z_m, self.horizontal_m, self.vertical_m)
+        return closed if np.ndim(altitude_m) else closed[0]
+
+    def _closed_by_zones(self, grid: Grid, levels_m: np.ndarray) -> np.ndarray:
+        """Return ``[K, Y, X]`` bool: the cells that zones close on each of ``[K]`` ascending levels (see `closed`).
+
+        A warning says where no zone is near the grid.
+        """
+        next_m = np.append(levels_m[1:], levels_m[-1])
         closed = np.zeros((len(levels_m), *grid.shape), bool)
-        levels, next_m = np.asarray(levels_m, float), np.append(levels_m[1:], levels_m[-1])
         is_near = False
         for zone in self.zones:
             part = zone.on(grid)
             is_near |= not part.is_empty
-            is_at = (zone.floor_m <= levels) & (levels <= zone.ceiling_m)
-            is_between = (levels < zone.floor_m) & (zone.ceiling_m < next_m)
-            if np.any(is_at | is_between):
-                closed[is_at | is_between] |= touched_cells(part, grid)
+            is_at = (zone.floor_m <= levels_m) & (levels_m <= zone.ceiling_m)
+            is_between = (levels_m < zone.floor_m) & (zone.ceiling_m < next_m)
+            is_closed = is_at | is_between
+            if is_closed.any():
+                closed[is_closed] |= touched_cells(part, grid)
         if self.zones and not is_near:
             files = ", ".join(sorted({repr(zone.source) for zone in self.zones}))
             sentence = f"no zone of {files} lies in the maps' region, so that nothing is closed: check the file"
             warn(sentence, IgnoredZoneWarning)
-        for level_closed, z_m in zip(closed, levels_m, strict=True):
-            for bound in self.bounds:
-                level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
-            if self.keeps_clear:
-                level_closed |= closed_by_clearance(maps, z_m, self)
-        return closed if np.ndim(altitude_m) else closed[0]
+        return closed
 
     def reasons(
         self,
@@ -419,26 +406,39 @@ class Constraints:
           []
         """
         (box,) = cell_boxes(maps.grid, np.array([cell]), 1)
-        zones = [
-            f"the no-fly zone {zone.label} ({zone.heights})"
-            for zone in self.zones
-            if zone.floor_m <= altitude_m <= zone.ceiling_m and zone.on(maps.grid).intersects(box)
-        ]
-        bounds = [
-            f"the bound {bound}"
-            for bound in self.bounds
-            if not bound.is_kept(maps, altitude_m, time, time_of_day)[cell]
-        ]
-        is_near = self.keeps_clear and closed_by_clearance(maps, altitude_m, self)[cell]
-        kept = f"the {' and the '.join(describe_clearances(self.to_dict()))} that is kept from obstacles and the border"
-        return [*zones, *bounds, *([kept] if is_near else [])]
+        reasons = []
+        for zone in self.zones:
+            is_at = zone.floor_m <= altitude_m <= zone.ceiling_m
+            if is_at and zone.on(maps.grid).intersects(box):
+                reasons.append(f"the no-fly zone {zone.label} ({zone.heights})")
+        for bound in self.bounds:
+            is_kept = bound.is_kept(maps, altitude_m, time, time_of_day)
+            if not is_kept[cell]:
+                reasons.append(f"the bound {bound}")
+        clearances = self.horizontal_m, self.vertical_m
+        if self.keeps_clear and closed_by_clearance(maps, altitude_m, *clearances)[cell]:
+            kept = " and the ".join(describe_clearances(self.to_dict()))
+            reasons.append(f"the {kept} that is kept from obstacles and the border")
+        return reasons
+
+
+def _record_of(zone: Zone) -> dict[str, Any]:
+    """Return a no-fly zone as plain, JSON-ready values: heights in metres, None where they have no end."""
+    return {
+        "name": zone.name,
+        "file": zone.source,
+        "floor_m": number_or_none(zone.floor_m),
+        "ceiling_m": number_or_none(zone.ceiling_m),
+        "outline": zone.outline,
+    }
 
 
 def describe_constraints(record: Mapping[str, Any]) -> str:
     """Return constraints as `Constraints.to_dict` holds them, for a person to read; empty where there are none."""
     num = len(record.get("no_fly", ()))
-    zones = [f"{num} no-fly zone" + "s" * (num > 1)] if num else []
-    return ", ".join([*zones, *record.get("require", ()), *describe_clearances(record)])
+    zones = {0: "", 1: "1 no-fly zone"}.get(num, f"{num} no-fly zones")
+    phrases = [zones, *record.get("require", ()), *describe_clearances(record)]
+    return ", ".join(filter(None, phrases))
 
 
 def describe_clearances(record: Mapping[str, Any]) -> list[str]:
@@ -451,94 +451,6 @@ def describe_kept(record: Mapping[str, Any], resolution_m: float) -> str:
     """Return the horizontal distance that is really kept, a phrase; empty where that is what such constraints ask."""
     asked_m = record.get("clearance_m", 0.0) + record.get("vehicle_radius_m", 0.0)
     kept = kept_m(asked_m, resolution_m)
-    return (
-        f"at least {kept:g} m kept on cells of {resolution_m:g} m"
-        if kept > asked_m + FILE_MARGIN_M
-        else ""
-    )
-
-
-def obstacles_within(
-    maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float
-) -> np.ndarray:
-    """Return ``[Y, X]`` bool: a roof that touches the cell reaches an altitude, or ends less than ``vertical_m`` below.
-
-    Roofs count where the maps' rule of obstacles has them, and where a distance is kept in every cell that they touch.
-    Cells without data and roofs of unknown height count, bare ground does not. Over terrain a roof is as high as it is
-    over the lowest ground within ``horizontal_m``, from which a path may pass it. No file is lower than planned.
-
-    Raises:
-      InputError: maps that hold no touched roofs.
-    """
-    name = "roof_touched" if horizontal_m or maps.obstacles == "touched" else "roof"
-    if name not in maps.ds:
-        raise InputError(
-            "these maps hold no 'roof_touched', from which a clearance is measured: make them again, or keep none "
-            "(clearance_m and vertical_clearance_m 0, no radius of the vehicle)"
-        )
-    roof_m = maps.m(name)
-    reached_m = np.float32(altitude_m - vertical_m)
-    over_m = roof_m + _over_lowest_ground_m(maps, horizontal_m) if "terrain" in maps.ds else roof_m
-    is_obstacle = (
-        (over_m >= reached_m) & (roof_m > 0) | np.isnan(roof_m) | ~maps.ds["has_data"].values
-    )
-    if altitude_m in maps.altitudes_m:
-        is_obstacle |= maps.m("obstacle", altitude_m) != 0
-    return is_obstacle
-
-
-def _over_lowest_ground_m(maps: MetricMaps, reach_m: float) -> np.ndarray:
-    """Return ``[Y, X]`` how much higher each cell's ground is than the lowest known within a reach (and more) of it."""
-    ground_m = np.where(maps.ds["has_data"].values, maps.m("terrain"), np.inf)
-    cells = min(
-        math.ceil(reach_m / maps.grid.resolution_m) + 1, max(ground_m.shape)
-    )  # squares, not centres, so near
-    lowest_m = minimum_filter(ground_m, 2 * cells + 1, mode="nearest")
-    return np.subtract(ground_m, lowest_m, out=np.zeros_like(ground_m), where=np.isfinite(ground_m))
-
-
-def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:
-    """Return ``[Y, X]`` exact distance from each cell's square to the nearest obstacle's, or to the maps' border.
-
-    Squares of ``[Y, X]`` obstacles that touch, by a side or a corner, are 0 apart. What stands beyond the border is not
-    known, so that it counts as an obstacle.
-    """
-    # From a cell's centre to the obstacles grown by one cell all around it is as far as from square to square.
-    grown = binary_dilation(np.pad(is_obstacle, 1, constant_values=True), np.ones((3, 3), bool))
-    return distance_transform_edt(~grown)[1:-1, 1:-1] * resolution_m
-
-
-def closing_step_m(horizontal_m: float, resolution_m: float) -> tuple[float, float]:
-    """Return a clearance as the distance between squares below which cells are closed, and what legs keep beside it."""
-    if horizontal_m == 0:  # closes the cells of obstacles alone
-        return 0.0, 0.0
-    sides = (horizontal_m + FILE_MARGIN_M) / resolution_m
-    whole = np.arange(math.ceil(sides) + 1)
-    steps = np.unique(np.hypot(whole, whole[:, None]))
-    step = float(steps[np.searchsorted(steps, sides - MOST_LEG_MARGIN)])
-    return step * resolution_m, max(0.0, sides - step) * resolution_m
-
-
-def kept_m(horizontal_m: float, resolution_m: float) -> float:
-    """Return what routes keep at least of obstacles under a clearance that is asked, in their files too."""
-    if horizontal_m == 0:
-        return 0.0
-    step_m, _ = closing_step_m(horizontal_m, resolution_m)
-    return max(horizontal_m, step_m - FILE_MARGIN_M)
-
-
-def closed_by_clearance(
-    maps: MetricMaps, altitude_m: float, constraints: Constraints
-) -> np.ndarray:
-    """Return ``[Y, X]`` bool: cells that the clearances of constraints close at an altitude above the ground.
-
-    The horizontal one is kept from obstacles and the maps' border, beside `FILE_MARGIN_M`, by legs that keep the margin
-    of `closing_step_m`; roofs less than the vertical one below the altitude are obstacles too.
-    """
-    is_obstacle = obstacles_within(
-        maps, altitude_m, constraints.horizontal_m, constraints.vertical_m
-    )
-    step_m, _ = closing_step_m(constraints.horizontal_m, maps.grid.resolution_m)
-    if step_m == 0:
-        return is_obstacle
-    return distance_to_obstacles_m(is_obstacle, maps.grid.resolution_m) < step_m * (1 - SAME_LENGTH)
+    if kept <= asked_m + FILE_MARGIN_M:
+        return ""
+    return f"at least {kept:g} m kept on cells of {resolution_m:g} m"

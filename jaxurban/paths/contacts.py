@@ -45,10 +45,10 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
             raise InputError(
                 f"sources is a city in {city.crs}, and the maps are in {grid.crs}: give the City that they are of"
             )
-        held = city.buildings
-        hangs = (held.min_height_m > 0) & (city.hanging == SLABS)
-        floor_m = np.where(hangs, held.min_height_m, -np.inf)
-        return Prisms(held.polygons, floor_m, held.height_m, held.is_guessed)
+        buildings = city.buildings
+        hangs = (buildings.min_height_m > 0) & (city.hanging == SLABS)
+        floor_m = np.where(hangs, buildings.min_height_m, -np.inf)
+        return Prisms(buildings.polygons, floor_m, buildings.height_m, buildings.is_guessed)
     if TOUCHED not in maps.ds:
         raise InputError(
             f"maps hold no {TOUCHED!r}, and no City that they are of is there: make them again, or name it (sources)"

@@ -1,5 +1,6 @@
 """The cells of a coarse grid that a corridor around a line touches, and the means of a map over them."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -26,20 +27,26 @@ class Cells(NamedTuple):
     boxes: np.ndarray
 
 
+def grid_over(crs: str, side_m: float, low_m: np.ndarray, high_m: np.ndarray) -> Grid:
+    """Return the grid of the fewest cells, at multiples of their side, over a box from a corner ``[2]`` to another."""
+    first_col, first_row = np.floor(low_m / side_m).astype(int).tolist()
+    end_col, end_row = np.ceil(high_m / side_m).astype(int).tolist()
+    return Grid(crs, side_m, first_row, first_col, end_row - first_row, end_col - first_col)
+
+
 def cells_within(shape: shapely.Geometry, reach_m: float, side_m: float, grid: Grid) -> Cells:
     """Return the cells of a grid of another side that are within a distance of a line or a box, borders included.
 
     Raises:
       InputError: more than `MOST_CELLS` around it.
     """
-    low = np.floor((np.array(shape.bounds[:2]) - reach_m) / side_m).astype(int) - 1
-    num = np.ceil((np.array(shape.bounds[2:]) + reach_m) / side_m).astype(int) + 1 - low
-    if num.prod() > MOST_CELLS:
+    low_m, high_m = np.reshape(shape.bounds, (2, 2))
+    coarse = grid_over(grid.crs, side_m, low_m - reach_m, high_m + reach_m).padded(1, 1, 1, 1)
+    num = math.prod(coarse.shape)
+    if num > MOST_CELLS:
         raise InputError(
-            f"cell_m {side_m:g} makes {num.prod():,} cells around the path or the maps: choose a larger one"
+            f"cell_m {side_m:g} makes {num:,} cells around the path or the maps: choose a larger one"
         )
-    (first_col, first_row), (num_cols, num_rows) = low.tolist(), num.tolist()
-    coarse = Grid(grid.crs, side_m, first_row, first_col, num_rows, num_cols)
     at = np.argwhere(np.ones(coarse.shape, bool))
     boxes = cell_boxes(coarse, at, 1)
     is_near = shapely.dwithin(boxes, shape, reach_m)
@@ -54,10 +61,10 @@ def cell_means(values: np.ndarray, grid: Grid, cells: Cells) -> tuple[np.ndarray
       grid: of the map.
       cells: of another grid in the same CRS.
     """
-    coarse, sums = cells.grid, np.zeros((2, *cells.grid.shape))
-    of_rows, of_cols = (
-        overlaps_m(*(_edges_m(each, axis) for each in (coarse, grid))) for axis in (0, 1)
-    )
+    coarse = cells.grid
+    sums = np.zeros((2, *coarse.shape))
+    of_rows = overlaps_m(_edges_m(coarse, 0), _edges_m(grid, 0))
+    of_cols = overlaps_m(_edges_m(coarse, 1), _edges_m(grid, 1))
     for number in np.unique(cells.at[:, 0]).tolist():
         rows = np.flatnonzero(of_rows[number])
         strip = values[rows].astype(float)

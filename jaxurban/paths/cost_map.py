@@ -36,7 +36,7 @@ from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.progress import warn_if_slow
 from jaxurban.public import FactsRepr
-from jaxurban.settings import Objective
+from jaxurban.settings import Objective, as_tuple
 from jaxurban.world.grid import Grid
 
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
@@ -144,24 +144,25 @@ class CostMap(FactsRepr):
     @cached_property
     def weight_vector(self) -> np.ndarray:
         """``[W]`` the weights that the cost of a path is under: w_0, each layer's, of climb and descent."""
-        given = self.weights.vector(("distance", *self.names)).tolist()
-        if self.levels is not None:
-            climb_cost = given[0] if self.levels.climb_cost is None else self.levels.climb_cost
-            given += [float(climb_cost), float(self.levels.descent_cost)]
-        return np.array(given)
+        weights = self.weights.vector(("distance", *self.names))
+        if self.levels is None:
+            return weights
+        climb_cost = self.levels.climb_cost
+        if climb_cost is None:
+            climb_cost = weights[0]
+        return np.append(weights, [climb_cost, self.levels.descent_cost])
 
     @cached_property
     def is_weighed(self) -> bool:
         """Whether anything but the shortest path is wanted: not with all weights zero."""
-        distance, *heights = self.weight_vector[
-            [0, *range(1 + len(self.names), len(self.weight_vector))]
-        ]
-        layers = zip(self.weight_vector[1:], self.costs, strict=False)
-        return self.objective == "weighted" and bool(
-            distance > 0
-            or any(heights)
-            or any(weight > 0 and layer.any() for weight, layer in layers)
-        )
+        if self.objective == "distance":
+            return False
+        is_used = self.weight_vector > 0
+        of_heights = is_used[1 + len(self.names) :]
+        if is_used[0] or of_heights.any():
+            return True
+        layers = zip(self.costs, is_used[1:], strict=False)
+        return any(is_weighed and layer.any() for layer, is_weighed in layers)
 
     @property
     def problem(self) -> Problem:
@@ -171,10 +172,10 @@ class CostMap(FactsRepr):
           InputError: no cell is free.
         """
         if self.cache.problem is None:
-            shortest = self.shortest
-            self.cache.problem = (
-                shortest.with_weights(self.weight_vector) if self.is_weighed else shortest
-            )
+            problem = self.shortest
+            if self.is_weighed:
+                problem = problem.with_weights(self.weight_vector)
+            self.cache.problem = problem
         return self.cache.problem
 
     @property
@@ -225,7 +226,7 @@ class CostMap(FactsRepr):
           >>> ju.cost_map(maps, 60.0).only(["risk", "gps"]).weight_names
           ('distance', 'gps', 'risk')
         """
-        names = (metrics,) if isinstance(metrics, str) else tuple(metrics)
+        names = as_tuple(metrics)
         for name in names:
             one_of("metric", name, self.names)
         if not names or len(set(names)) < len(names):
@@ -308,12 +309,15 @@ class CostMap(FactsRepr):
           ([586650, 4514550], (2, 2))
         """
         grid = self.grid
+        at: Any = place[:2]
         try:
-            at: Any = place[:2]
-            x_m, y_m = at if isinstance(place, XY) else grid.xy_of_lonlat(*at)
-            row, col = grid.cell_of_xy(*at) if isinstance(place, XY) else grid.cell_of_lonlat(*at)
+            if isinstance(place, XY):
+                xy_m, cell = at, grid.cell_of_xy(*at)
+            else:
+                xy_m, cell = grid.xy_of_lonlat(*at), grid.cell_of_lonlat(*at)
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
+        (x_m, y_m), (row, col) = xy_m, cell
         return (float(x_m), float(y_m)), (int(row), int(col))
 
     def locate(self, name: str, place: Point | XY, *, snap: bool | float = False) -> End:
@@ -407,11 +411,11 @@ class CostMap(FactsRepr):
     @property
     def remedy(self) -> str:
         """What opens cells."""
-        first = (
-            "fly higher" if self.levels is None else "fly at another level, raise max_altitude_m"
-        )
+        remedy = "fly higher"
+        if self.levels is not None:
+            remedy = "fly at another level, raise max_altitude_m"
         constraints = str(self.constraints)
-        return f"{first}, or loosen the constraints ({constraints})" if constraints else first
+        return f"{remedy}, or loosen the constraints ({constraints})" if constraints else remedy
 
     def why_closed(self, cell: Cell, level: int = 0) -> str:
         """Return what closes a cell of a level and which level over it is free (`jaxurban.paths.snapping`).
@@ -477,41 +481,39 @@ class CostMap(FactsRepr):
           >>> ju.cost_map(maps, 60.0).planned(start, goal, PathSearch.of(planner="ptp")).status.value
           'feasible'
         """
-        if (
-            self.is_prepared
-            and not search.exposure
-            and search.heuristic is None
-            and PLANNERS[search.planner].default_heuristic == AUTO
-        ):
+        is_guided = self.is_prepared and not search.exposure and search.heuristic is None
+        if is_guided and PLANNERS[search.planner].default_heuristic == AUTO:
             search = replace(search, heuristic="landmarks")
-        find_path = find_planner(
-            search.planner, search.heuristic, is_for_volumes=self.levels is not None
-        )
+        is_for_volumes = self.levels is not None
+        find_path = find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
         ends = self.ends(start, goal, snap=search.snap)
         problem = self.problem.between(ends[0].cell, ends[1].cell)
         if search.refine:
             check_line_model(problem, "refinement")
-        # An anytime planner would leave nothing of the budget to refine with.
-        share = 1 - REFINING_SHARE if search.refine else 1.0
         if search.exposure:
-            if self.cost_model.kind == "cell":
-                raise InputError(
-                    "a budget of exposure is of an integral along the path, which cost_model='cell' does not add up: "
-                    "choose cost_model='line' (--cost-model line)"
-                )
-            for name in search.exposure:
-                one_of("exposure", name, self.names)
+            self._check_exposure(search.exposure)
             find_path = partial(
                 within_budgets, planner=find_path, budgets=search.exposure, names=self.names
             )
+        # An anytime planner would leave nothing of the budget to refine with.
+        share = 1 - REFINING_SHARE if search.refine else 1.0
         with warn_if_slow(search.planner, search.budget_s):
             path = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
         if search.refine and path.status.has_path:
+            least_s = search.budget_s * REFINING_SHARE / 2
             left_s = search.budget_s - path.elapsed_s
-            path = refine_path(
-                problem, path, budget_s=max(left_s, search.budget_s * REFINING_SHARE / 2)
-            )
+            path = refine_path(problem, path, budget_s=max(left_s, least_s))
         return finish(self, with_corner_bound(problem, path), ends, search)
+
+    def _check_exposure(self, names: Iterable[str]) -> None:
+        """Raise InputError for budgets of exposure of layers that are not there, or that are not summed by length."""
+        if self.cost_model.kind == "cell":
+            raise InputError(
+                "a budget of exposure is of an integral along the path, which cost_model='cell' does not add up: "
+                "choose cost_model='line' (--cost-model line)"
+            )
+        for name in names:
+            one_of("exposure", name, self.names)
 
     def means(self, features: PathFeatures) -> dict[str, float]:
         """Return the mean of each metric m along a path, by the exact length in each cell.

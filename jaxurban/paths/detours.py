@@ -2,6 +2,7 @@
 
 from bisect import bisect_left
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ from jaxurban.io.read.zone import touched_cells
 from jaxurban.paths.corridor import cell_means, cells_within
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.ground_risk import DENSITY, OverflownDensity, overflown_density
+from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import XY
 
@@ -53,13 +55,11 @@ def density_detours(
     grid, reach_m, most = cost_map.grid, density.reach_m, density.density_per_km2
     times = [name or None for name in density.largest["time_of_day"].unique()]
     cells = cells_within(shapely.box(*grid.bounds_m), reach_m, density.settings["cell_m"], grid)
-    means = np.fmax.reduce(
-        [cell_means(cost_map.maps.m("density", time_of_day=name), grid, cells)[0] for name in times]
-    )
-    line = shapely.LineString(planned.xy_m[[0, *range(len(planned.xy_m))]])
+    people = [cost_map.maps.m("density", time_of_day=name) for name in times]
+    means = np.fmax.reduce([cell_means(each, grid, cells)[0] for each in people])
     is_kept = shapely.dwithin(cells.boxes, shapely.MultiPoint(planned.xy_m[[0, -1]]), reach_m)
     least = np.nanmax(means[is_kept], initial=0.0)
-    is_kept |= np.isnan(means) & shapely.dwithin(cells.boxes, line, reach_m)
+    is_kept |= np.isnan(means) & shapely.dwithin(cells.boxes, line_of(planned.xy_m), reach_m)
     level = np.where(np.isnan(means), np.inf, means)
     corners_m = planned.xy_m
     if cost_map.levels is not None:
@@ -73,32 +73,28 @@ def density_detours(
         return replace(cost_map, is_free=cost_map.is_free & ~closed)
 
     def joins(bound: float) -> bool:
-        of_start, of_goal = (up_to(bound).islands[node] for node in nodes)
+        islands = up_to(bound).islands
+        of_start, of_goal = (islands[node] for node in nodes)
         return bool(of_start > 0 and of_start == of_goal)
 
     bounds = np.unique(level[(level >= least) & (level < most)]).tolist()
+    corridor: dict[str, Any] = {**density.settings}
+    if len(times) == 1:
+        corridor["time_of_day"] = times[0]
+    joining = bounds[bisect_left(bounds, True, key=joins) :]
     rows: list[dict[str, float]] = []
-    for bound in bounds[bisect_left(bounds, True, key=joins) :][:1]:
-        for each in (bound, (bound + most) / 2):
-            route = up_to(each).plan(start, goal, budget_s=planned.settings.get("budget_s"))
-            if not route.status.has_path:
-                continue
-            lower = overflown_density(
-                cost_map.maps,
-                route,
-                half_width_m=density.settings["half_width_m"],
-                contingency_m=density.settings["contingency_m"],
-                buffer_m=density.settings["buffer_m"],
-                cell_m=density.settings["cell_m"],
-                time_of_day=times[0] if len(times) == 1 else None,
-            )
-            rows.append(
-                {
-                    DENSITY: lower.density_per_km2,
-                    "lowered_share": 1 - lower.density_per_km2 / most,
-                    "length_m": route.length_m,
-                    "extra_m": route.length_m - planned.length_m,
-                    "cost": route.cost,
-                }
-            )
+    for bound in [joining[0], (joining[0] + most) / 2] if joining else []:
+        route = up_to(bound).plan(start, goal, budget_s=planned.settings.get("budget_s"))
+        if not route.status.has_path:
+            continue
+        beneath = overflown_density(cost_map.maps, route, **corridor).density_per_km2
+        rows.append(
+            {
+                DENSITY: beneath,
+                "lowered_share": 1 - beneath / most,
+                "length_m": route.length_m,
+                "extra_m": route.length_m - planned.length_m,
+                "cost": route.cost,
+            }
+        )
     return pd.DataFrame(rows, columns=DETOUR)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.checks import positive, typed
+from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.traversal import Crossings
 from jaxurban.maps.levels import Levels
@@ -19,6 +19,7 @@ from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.export.base import numbers_or_none
 from jaxurban.paths.ground_risk import OverflownDensity
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import map_at
@@ -106,24 +107,24 @@ class RouteReport(FactsRepr):
         """A sentence: which segment costs the most, and for which layer, beside its length; empty where none costs."""
         if not self.segments["cost"].sum() > 0:
             return ""
-        place = int(np.argmax(self.segments["cost"]))
-        most, sums = self.segments.iloc[place], self.segments.sum()
-        share, of_length = (most[name] / sums[name] for name in ("cost", "length_m"))
+        place = int(self.segments["cost"].argmax())
+        most = self.segments.iloc[place]
+        share = most / self.segments.sum()
         sentence = (
             f"The most expensive stretch is segment {place + 1}, from {most['from_m']:.0f} to {most['to_m']:.0f} m: "
-            f"{share:.0%} of the cost on {of_length:.0%} of the length"
+            f"{share['cost']:.0%} of the cost on {share['length_m']:.0%} of the length"
         )
         parts = most.filter(like=COST_OF).drop(f"{COST_OF}distance")
         if not parts.max() > 0:
             return f"{sentence}, all of it for its length."
         layer = str(parts.idxmax()).removeprefix(COST_OF)
-        share = f"{_short(parts.max())} of {_short(most['cost'])}"
-        return f"{sentence}; beside its length it pays most for {layer} ({share})."
+        part = f"{_short(parts.max())} of {_short(most['cost'])}"
+        return f"{sentence}; beside its length it pays most for {layer} ({part})."
 
     @property
     def known_cautions(self) -> list[Caution]:
         """Its ``cautions``, and those of its ``density``."""
-        return [*self.cautions, *([] if self.density is None else self.density.cautions)]
+        return self.cautions + ([] if self.density is None else self.density.cautions)
 
     def __repr__(self) -> str:
         return "\n".join(
@@ -145,16 +146,19 @@ class RouteReport(FactsRepr):
           >>> round(record["length_m"]), [each["segment"] for each in record["segments"]]
           (719, [1, 2, 3])
         """
-        return {
-            **_plain(self.settings),
-            **_plain(self.totals),
+        record: dict[str, Any] = {
+            **numbers_or_none(self.settings),
+            **numbers_or_none(self.totals),
             "why": self.why,
             "cautions": self.cautions,
             "segments": [
-                {"segment": number, **_plain(row)}
+                {"segment": number, **numbers_or_none(row)}
                 for number, row in self.segments.to_dict("index").items()
             ],
-        } | ({} if self.density is None else {"overflown_density": self.density.to_dict()})
+        }
+        if self.density is not None:
+            record["overflown_density"] = self.density.to_dict()
+        return record
 
     def table(self) -> str:
         """Return the report for a terminal: totals, `why`, and segments.
@@ -178,16 +182,15 @@ class RouteReport(FactsRepr):
         return "\n\n".join(filter(None, [totals, self.why, segments, density]))
 
     def _segments(self) -> pd.DataFrame:
-        names = [str(name) for name in self.segments]
-        costs = [name for name in names if name.startswith(COST_OF)]
+        """Return the columns of the segments that a terminal has room for, as texts under their heads."""
         heads = {"from_m": "from m", "length_m": "length m", "cost": "cost"}
-        heads |= {
-            name: f"{'+' if k else '='}{name.removeprefix(COST_OF)}" for k, name in enumerate(costs)
-        }
-        heads = {name: head for name, head in (heads | SEGMENT_HEADS).items() if name in names}
-        shown = self.segments[list(heads)].map(_short)
-        shown.columns = pd.Index(list(heads.values()), name="segment")
-        return shown.rename_axis(None)
+        sign = "="
+        for name in map(str, self.segments.filter(regex=f"^{COST_OF}")):
+            heads[name] = sign + name.removeprefix(COST_OF)
+            sign = "+"
+        heads |= SEGMENT_HEADS
+        shown = self.segments.filter(list(heads)).map(_short)
+        return shown.rename(columns=heads).rename_axis(None).rename_axis("segment", axis="columns")
 
 
 @typed
@@ -241,11 +244,8 @@ def explain(
         raise InputError(f"num_segments must be at least 1, got {num_segments}")
     positive("swath_m", swath_m)
     cut, names, grid = cut_on(planned, maps), tuple(maps.metrics), maps.grid
-    vehicle = Vehicle.of(planned.settings)
-    if speed_m_s is not None:
-        vehicle = replace(vehicle, speed_m_s=speed_m_s)
-    if power_w is not None:
-        vehicle = replace(vehicle, power_w=power_w)
+    given = values_given({"speed_m_s": speed_m_s, "power_w": power_w})
+    vehicle = replace(Vehicle.of(planned.settings), **given)
     profile = profile_of(planned, maps, cut, {name: name for name in names} | EXTRA_MAPS)
     route = _Route(cut, profile, _cost_map_of(planned, maps), vehicle, swath_m)
 
@@ -259,7 +259,7 @@ def explain(
         pd.RangeIndex(1, len(parts) + 1, name="segment"),
         list(whole),
     )
-    x_m, y_m = route.states[:, 0] + grid.x_min_m, route.states[:, 1] + grid.y_min_m
+    x_m, y_m = (route.states[:, :2] + grid.bounds_m[:2]).T
     lonlat = np.stack(grid.lonlat_of_xy(x_m, y_m), axis=-1)
     return RouteReport(
         totals={
@@ -371,19 +371,7 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
     return replace(cost_map, is_free=np.ones_like(cost_map.is_free)).only(names)
 
 
-def _plain(values: Mapping[Any, Any]) -> dict[str, float | None]:
-    """Return numbers as JSON takes them: None for none, and for no number."""
-    return {
-        str(key): None if v is None or not math.isfinite(v) else float(v)
-        for key, v in values.items()
-    }
-
-
 def _short(value: float) -> str:
-    return (
-        "none"
-        if not math.isfinite(value)
-        else f"{value:,.0f}"
-        if abs(value) >= 1000
-        else f"{value:.3g}"
-    )
+    if not math.isfinite(value):
+        return "none"
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"

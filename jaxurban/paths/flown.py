@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,16 +31,16 @@ def values_on(
 
     NaN without a value, and more than `GROUND_TOLERANCE_M` beyond the altitudes.
     """
-    when: dict[str, Any] = {"time": time, "time_of_day": time_of_day}
+    read = partial(maps.m, name, time=time, time_of_day=time_of_day)
     cell, z_m, levels_m = tuple(steps.cell.T), steps.z_m.mean(axis=1), maps.altitudes_m
     if "altitude" not in maps.ds[maps.variable(name)].dims:
-        return maps.m(name, **when)[cell].astype(float)
+        return read()[cell].astype(float)
     nearest_m = nearest_level_m(z_m, levels_m)
-    is_held = np.abs(z_m - np.clip(z_m, min(levels_m), max(levels_m))) <= GROUND_TOLERANCE_M
+    is_near = np.abs(z_m - z_m.clip(min(levels_m), max(levels_m))) <= GROUND_TOLERANCE_M
     values = np.full(len(z_m), np.nan)
     for level_m in levels_m:
-        at = (nearest_m == level_m) & is_held
-        values[at] = maps.m(name, level_m, **when)[cell][at]
+        is_at = (nearest_m == level_m) & is_near
+        values[is_at] = read(level_m)[cell][is_at]
     return values
 
 
@@ -98,11 +99,11 @@ def costs_of(
     grid, is_over = maps.grid, flight.steps.over_m > 0
     if not is_over.any():
         return {"cost_note": "No leg leads over the maps, so there is no cost."}
-    median_m = float(np.nanmedian(flight.steps.z_m[is_over]).round(2))
+    median_m = np.nanmedian(flight.steps.z_m[is_over]).round(2)
     at_m = float(np.clip(median_m, min(maps.altitudes_m), max(maps.altitudes_m)))
     ends = [place[:2] for leg in flight.mission.legs for place in (leg.start, leg.end)]
     xy_m = np.stack(grid.xy_of_lonlat(*np.transpose(ends)), axis=-1)
-    points_m = xy_m - [grid.x_min_m, grid.y_min_m]
+    points_m = xy_m - grid.bounds_m[:2]
     figures: dict[str, Any] = {"compared_at_m": at_m}
     side_m = np.array(grid.shape[::-1]) * grid.resolution_m
     if not ((points_m >= 0) & (points_m <= side_m)).all():
@@ -119,10 +120,10 @@ def costs_of(
         cheapest = flown_on.planned(XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps, snap=True))
     except InputError as error:
         return figures | {"cost_note": f"No route to compare with: {str(error).partition(';')[0]}."}
-    if not cheapest.status.has_path or not cheapest.length_m > 0:
-        reason = (
-            "the mission ends where it starts" if cheapest.status.has_path else cheapest.message
-        )
+    if not cheapest.length_m > 0 or not cheapest.status.has_path:
+        reason = cheapest.message
+        if cheapest.status.has_path:
+            reason = "the mission ends where it starts"
         return figures | {"cost_note": f"No route to compare with: {reason}."}
     saved = of_flown["cost"] - cheapest.cost
     figures |= {"cheapest_cost": cheapest.cost, "cheapest_length_m": cheapest.length_m}

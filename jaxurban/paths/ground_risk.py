@@ -16,6 +16,7 @@ from jaxurban.io.read.guesses import is_of_people, percent
 from jaxurban.io.tables import records_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.paths.corridor import Cells, cell_means, cells_within
+from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.public import Caution, FactsRepr, caution_of_guesses
 from jaxurban.settings import not_negative
@@ -69,7 +70,7 @@ class OverflownDensity(FactsRepr):
 
     def _worst(self, cell_m: float) -> pd.Series:
         rows = self.largest[self.largest["cell_m"] == cell_m]
-        return rows.iloc[int(np.nanargmax(rows[DENSITY].fillna(-1.0)))]
+        return rows.iloc[int(rows[DENSITY].fillna(-1.0).argmax())]
 
     @property
     def facts(self) -> dict[str, str]:
@@ -94,13 +95,8 @@ class OverflownDensity(FactsRepr):
         if self.detours is None:
             return ""
         rows = self.detours.to_dict("records")
-        said = [f"{row[DENSITY]:,.0f} on {row['extra_m']:+,.0f} m" for row in rows]
-        return ", or ".join(said) or "no route between these ends is less dense"
-
-    @property
-    def known_cautions(self) -> list[Caution]:
-        """Its ``cautions``."""
-        return self.cautions
+        detours = [f"{row[DENSITY]:,.0f} on {row['extra_m']:+,.0f} m" for row in rows]
+        return ", or ".join(detours) or "no route between these ends is less dense"
 
     def to_dict(self) -> dict[str, Any]:
         """Return all of it as plain, JSON-ready values.
@@ -205,32 +201,33 @@ def overflown_density(
         "buffer_m": not_negative("buffer_m", buffer_m),
         "cell_m": positive("cell_m", cell_m),
     }
-    reach_m = settings["half_width_m"] + settings["contingency_m"] + settings["buffer_m"]
-    line = shapely.LineString(xy_m[[0, *range(len(xy_m))]])  # of one point too
+    reach_m = half_width_m + contingency_m + buffer_m
+    line = line_of(xy_m)
     ends_m = np.linspace(0.0, line.length, at_least("num_segments", num_segments, 1) + 1)
     parts = [substring(line, *ends) for ends in pairwise(ends_m)] if line.length else [line]
-    sides_m = sorted({*GRIDS_M, settings["cell_m"]})
+    sides_m = sorted({*GRIDS_M, cell_m})
     touched = {side_m: cells_within(line, reach_m, side_m, maps.grid) for side_m in sides_m}
     of_segment = [shapely.dwithin(touched[cell_m].boxes, part, reach_m) for part in parts]
     largest, segments = [], []
-    for name in maps.times_of_day if time_of_day is None else (time_of_day,):
+    times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
+    for name in times_of_day:
         density = maps.m("density", time_of_day=name)
         for side_m, cells in touched.items():
             means, share = cell_means(density, maps.grid, cells)
             row = {"cell_m": side_m, "time_of_day": name}
             largest.append(row | _largest(line, cells, means, share, np.ones(len(means), bool)))
-            if side_m != settings["cell_m"]:
+            if side_m != cell_m:
                 continue
             for number, is_near in enumerate(of_segment):
                 segment = {
                     "segment": number + 1,
                     "from_m": ends_m[number],
                     "to_m": ends_m[number + 1],
+                    "time_of_day": name,
                 }
-                most = _largest(line, cells, means, share, is_near)
-                segments.append(segment | {"time_of_day": name} | most)
+                segments.append(segment | _largest(line, cells, means, share, is_near))
     table = pd.DataFrame(largest)
-    if table.loc[table["cell_m"] == settings["cell_m"], DENSITY].isna().all():
+    if table.loc[table["cell_m"] == cell_m, DENSITY].isna().all():
         raise InputError(
             "no density of people is known in the corridor of the path: give maps that cover it, with [population] "
             "blocks there"
@@ -240,7 +237,7 @@ def overflown_density(
         pd.DataFrame(segments).set_index("segment"),
         settings,
         maps.attribution,
-        list(_cautions(maps, table[table["cell_m"] == settings["cell_m"]])),
+        list(_cautions(maps, table[table["cell_m"] == cell_m])),
     )
 
 
@@ -295,8 +292,9 @@ def _cautions(maps: MetricMaps, rows: pd.DataFrame) -> Iterator[Caution]:
     """Yield what to know of densities: guesses on people, what is unknown, whom they count and whom not."""
     people = {name: each for name, each in maps.guesses.items() if is_of_people(name)}
     yield from caution_of_guesses(people)
-    least = rows.iloc[int(np.argmax(rows["num_unknown"] + rows["num_partly_known"]))]
-    if num := int(least["num_unknown"] + least["num_partly_known"]):
+    least = rows.iloc[int((rows["num_unknown"] + rows["num_partly_known"]).argmax())]
+    num = int(least["num_unknown"] + least["num_partly_known"])
+    if num:
         yield Caution(
             f"People: {num} of {least['num_cells']} cells reach beyond what is known, {least['num_unknown']} of them "
             f"wholly; of the densest {percent(least['known_share'])} is known, and its mean is of that part alone.",

@@ -104,7 +104,8 @@ class Hiding:
         inner = rays.take(inside)
         height_m = self.known_ground_at(inner.x_m, inner.y_m) + altitude_m[inside]
         num = len(inside)
-        margin_m, distance_m, roof_m = np.full(num, np.inf), *np.full((2, num), np.nan)
+        margin_m = np.full(num, np.inf)
+        distance_m, roof_m = np.full((2, num), np.nan)
         is_guessed, is_gap = np.zeros((2, num), bool)
         if self.outlines is not None:
             buildings = self.outlines.buildings
@@ -122,13 +123,14 @@ class Hiding:
             roof_m[less] = np.where(here_m > 0, here_m, np.nan)[is_less]
         hides = (margin_m <= 0) & ~is_gap
         places = inner.places_m(np.arange(num), distance_m)
-        lonlat = transformer(self.city.crs, WGS84).transform(*places)
-        of_roof = dict(zip(ROOF, (roof_m, distance_m, *lonlat), strict=False))
+        lon, lat = transformer(self.city.crs, WGS84).transform(*places)
         columns = {"is_known": ~is_gap, "margin_m": np.where(is_gap, np.nan, margin_m)}
-        columns |= {name: np.where(hides, values, np.nan) for name, values in of_roof.items()}
-        table = pd.DataFrame(columns | {ROOF[-1]: is_guessed & hides}, inside)
-        table = table.reindex(range(len(rays.x_m)))
-        return table.assign(**{name: table[name].eq(True) for name in ("is_known", ROOF[-1])})
+        for name, values in zip(ROOF, (roof_m, distance_m, lon, lat, is_guessed), strict=True):
+            columns[name] = np.where(hides, values, np.nan)
+        table = pd.DataFrame(columns, inside).reindex(range(len(rays.x_m)))
+        for name in ("is_known", "roof_is_guessed"):
+            table[name] = table[name].eq(True)
+        return table
 
     def horizon_deg(
         self, x_m: float, y_m: float, altitude_m: float, azimuth_rad: np.ndarray, lowest_deg: float

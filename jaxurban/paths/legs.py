@@ -4,7 +4,6 @@ Between the ends of a leg the vehicle flies straight, or follows the ground wher
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -89,10 +88,8 @@ class Flight:
     @property
     def line_m(self) -> np.ndarray:
         """``[N, 3]`` x, y and height above ground where it flies over the maps; gaps are closed by straight lines."""
-        begins_m, ends_m = (
-            np.column_stack([self.steps.ends_m[:, end], self.steps.z_m[:, end]]) for end in (0, 1)
-        )
-        line_m = np.vstack([begins_m, ends_m[-1:]])
+        ends_m = np.dstack([self.steps.ends_m, self.steps.z_m])
+        line_m = np.vstack([ends_m[:, 0], ends_m[-1:, 1]])
         return line_m[np.isfinite(line_m).all(axis=1)]
 
 
@@ -106,12 +103,42 @@ def ground_at(places_m: np.ndarray, maps: MetricMaps) -> np.ndarray:
     if "terrain" not in maps.ds:
         return np.zeros(places_m.shape[:-1])
     grid = maps.grid
-    x_m, y_m = np.moveaxis(places_m - [grid.x_min_m, grid.y_min_m], -1, 0)
-    rows, cols = np.array(grid.shape) * grid.resolution_m
-    is_in = (x_m >= 0) & (x_m <= cols) & (y_m >= 0) & (y_m <= rows)
-    x_m, y_m = np.where(is_in, x_m, 0.0), np.where(is_in, y_m, 0.0)
-    elevation_m = elevation_at(x_m.ravel(), y_m.ravel(), maps.m("terrain"), grid.resolution_m)
-    return np.where(is_in, elevation_m.reshape(is_in.shape), np.nan)
+    from_corner_m = places_m - grid.bounds_m[:2]
+    side_m = np.array(grid.shape[::-1]) * grid.resolution_m
+    is_in = ((from_corner_m >= 0) & (from_corner_m <= side_m)).all(axis=-1)
+    elevation_m = np.full(is_in.shape, np.nan)
+    x_m, y_m = from_corner_m[is_in].T
+    elevation_m[is_in] = elevation_at(x_m, y_m, maps.m("terrain"), grid.resolution_m)
+    return elevation_m
+
+
+class Segments(NamedTuple):
+    """The straight segments of a mission, the chords of its loiters too. ``S`` of them, each with begin and end.
+
+    Attributes:
+      leg: ``[S]`` number of the leg, from 0.
+      lonlat: ``[S, 2, 2]`` longitude, latitude in degrees.
+      height_m: ``[S, 2]`` above the zero of its datum; NaN where the file leaves it open.
+      datum: ``[S, 2]`` what the height is above.
+    """
+
+    leg: np.ndarray
+    lonlat: np.ndarray
+    height_m: np.ndarray
+    datum: np.ndarray
+
+    @classmethod
+    def of(cls, mission: Mission) -> "Segments":
+        """Return the segments of a mission, in the order of travel."""
+        legs, ends = [], []
+        for number, leg in enumerate(mission.legs):
+            corners = _corners_of(leg)
+            legs += [number] * (len(corners) - 1)
+            ends += [place for pair in pairwise(corners) for place in pair]
+        table = pd.DataFrame(ends, columns=list(Place._fields))
+        lonlat = table[["lon", "lat"]].to_numpy(float).reshape(-1, 2, 2)
+        height_m = table["height_m"].to_numpy(float).reshape(-1, 2)
+        return cls(np.array(legs, int), lonlat, height_m, table["datum"].to_numpy().reshape(-1, 2))
 
 
 def flight_of(mission: Mission, maps: MetricMaps, geoid_m: float | None = None) -> Flight:
@@ -125,51 +152,60 @@ def flight_of(mission: Mission, maps: MetricMaps, geoid_m: float | None = None) 
     Raises:
       InputError: a mission that is too long over the maps.
     """
-    segments = [segment for each in enumerate(mission.legs) for segment in _segments_of(*each)]
-    places = [place for _, *ends in segments for place in ends]
-    lonlat = np.array([place[:2] for place in places], float).reshape(-1, 2, 2)
-    height_m = np.array([place.height_m for place in places], float).reshape(-1, 2)
-    datum = np.array([place.datum for place in places], object).reshape(-1, 2)
-    ends_m = np.stack(maps.grid.xy_of_lonlat(lonlat[..., 0], lonlat[..., 1]), axis=-1)
+    segments = Segments.of(mission)
+    lon, lat = np.moveaxis(segments.lonlat, -1, 0)
+    ends_m = np.stack(maps.grid.xy_of_lonlat(lon, lat), axis=-1)
     ends_m = np.nan_to_num(ends_m, posinf=NOWHERE_M)
-    zero_m = _zeros(mission, maps, geoid_m)
-    base_m = np.array([zero_m.get(each, 0.0) for each in datum.flat]).reshape(-1, 2)
-    is_ground: np.ndarray = np.array([each == "ground" for each in datum.flat]).reshape(-1, 2)
-    base_m = np.where(is_ground, ground_at(ends_m, maps), base_m)
-    follows: np.ndarray = np.logical_and(*is_ground.T)
+    is_ground = segments.datum == "ground"
+    follows = is_ground.all(axis=1)
+    base_m = np.where(is_ground, ground_at(ends_m, maps), np.nan)
+    for name, zero_m in _zeros_m(mission, maps, geoid_m).items():
+        base_m[segments.datum == name] = zero_m
     base_m[follows] = 0.0
-    z_m = height_m + base_m
-
-    over_m = GEOD.inv(*lonlat[:, 0].T, *lonlat[:, 1].T)[2] if segments else np.zeros(0)
-    length_m = np.hypot(over_m, np.nan_to_num(z_m[:, 1] - z_m[:, 0]))
-    end_m = np.cumsum(length_m)
-    along_m = np.stack([end_m - length_m, end_m], axis=1)
+    z_m = segments.height_m + base_m
+    along_m = _along_m(segments.lonlat, z_m)
+    shares = _shares_within(ends_m, maps.grid.bounds_m)
+    is_in = shares[:, 0] < shares[:, 1]
     is_known = np.isfinite(z_m).all(axis=1)
     unknown = [spans(along_m[:0], "")]
-    for place in np.flatnonzero(~is_known).tolist():
-        reason = NO_HEIGHT
-        if not np.isnan(height_m[place]).any():
-            open_datum = datum[place, np.argmax(np.isnan(base_m[place]))]
-            if open_datum == "ellipsoid" and geoid_m is not None:
-                open_datum = "geoid"  # which is what lacks a height then
-            reason = NO_ZERO[open_datum]
-        unknown.append(spans(along_m[[place]], reason))
-    first, last = _shares_within(ends_m, maps.grid.bounds_m)
-    is_in = first < last
-    enter_m = np.where(is_in, between(along_m, first), end_m)
-    leave_m = np.where(is_in, between(along_m, last), end_m)
-    before_m = np.stack([along_m[:, 0], enter_m], axis=1)
-    after_m = np.stack([leave_m, end_m], axis=1)
+    for number in np.flatnonzero(~is_known):
+        ends = segments.height_m[number], base_m[number], segments.datum[number]
+        unknown.append(spans(along_m[[number]], _why_unknown(*ends, geoid_m)))
+    enter_m, leave_m = np.where(is_in[:, None], between(along_m, shares), along_m[:, 1:]).T
+    before_m = np.column_stack([along_m[:, 0], enter_m])
+    after_m = np.column_stack([leave_m, along_m[:, 1]])
     for outside_m in (before_m, after_m):
         is_long = (outside_m[:, 0] < outside_m[:, 1]) | ~is_in
         unknown.append(spans(outside_m[is_long], OUTSIDE))
-
     flown = np.flatnonzero(is_in & is_known)
     states = np.dstack([ends_m, z_m, along_m])[flown]
-    shares = np.stack([first, last], axis=1)[flown]
-    leg = np.array([number for number, *_ in segments], int)[flown]
-    steps = _steps(states, shares, leg, follows[flown], maps)
-    return Flight(mission, steps, pd.concat(unknown), float(end_m.max(initial=0.0)))
+    steps = _steps(states, shares[flown], segments.leg[flown], follows[flown], maps)
+    return Flight(mission, steps, pd.concat(unknown), float(along_m.max(initial=0.0)))
+
+
+def _along_m(lonlat: np.ndarray, z_m: np.ndarray) -> np.ndarray:
+    """Return ``[S, 2]`` metres flown at begin and end of segments, which are level where a height is not known.
+
+    Args:
+      lonlat: ``[S, 2, 2]`` longitude, latitude of their ends in degrees.
+      z_m: ``[S, 2]`` their heights above one zero; NaN where they are not known.
+    """
+    _, _, over_m = GEOD.inv(*lonlat[:, 0].T, *lonlat[:, 1].T)
+    length_m = np.hypot(over_m, np.nan_to_num(z_m[:, 1] - z_m[:, 0]))
+    end_m = np.cumsum(length_m)
+    return np.stack([end_m - length_m, end_m], axis=1)
+
+
+def _why_unknown(
+    height_m: np.ndarray, base_m: np.ndarray, datum: np.ndarray, geoid_m: float | None
+) -> str:
+    """Return why a segment has no height over the ground; arguments are of its begin and end, ``[2]``."""
+    if np.isnan(height_m).any():
+        return NO_HEIGHT
+    open_datum = datum[np.argmax(np.isnan(base_m))]
+    if open_datum == "ellipsoid" and geoid_m is not None:
+        open_datum = "geoid"  # which is what lacks a height then
+    return NO_ZERO[open_datum]
 
 
 def _steps(
@@ -184,64 +220,68 @@ def _steps(
       follows: ``[S]`` its height is above the ground, else above the zero of the terrain.
       maps: the maps.
     """
+    grid = maps.grid
     share = shares[:, 1] - shares[:, 0]
-    held_m = share * (states[:, 1, 3] - states[:, 0, 3])
-    step_m = max(STEP_M, float(held_m.sum()) / MOST_STEPS)
+    inside_m = share * (states[:, 1, 3] - states[:, 0, 3])
+    total_m = float(inside_m.sum())
+    step_m = max(STEP_M, total_m / MOST_STEPS)
     if step_m > MOST_STEP_M:
         raise InputError(
-            f"mission flies {held_m.sum() / 1000:,.0f} km over the maps, too far to be looked at: split the file"
+            f"mission flies {total_m / 1000:,.0f} km over the maps, too far to be looked at: split the file"
         )
-    num = np.maximum(np.ceil(held_m / step_m), 1).astype(int)
+    num = np.maximum(np.ceil(inside_m / step_m), 1).astype(int)
     each = np.repeat(np.arange(len(num)), num)
     number = np.arange(len(each)) - np.repeat(np.cumsum(num) - num, num)
-    parts = (shares[each, 0] + (share / num)[each] * (number + end) for end in (0, 1))
-    begin_end = np.stack([between(states[each], part) for part in parts], axis=1)
-    places_m = begin_end[..., :2]
+    ends = number[:, None] + [0, 1]
+    parts = shares[each, :1] + (share / num)[each, None] * ends
+    x_m, y_m, height_m, along_m = np.moveaxis(between(states[each], parts), -1, 0)
+    places_m = np.stack([x_m, y_m], axis=-1)
     ground_m = ground_at(places_m, maps)
-    z_m = begin_end[..., 2] - np.where(follows[each, None], 0.0, ground_m)
-    corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
-    middle = (places_m.mean(axis=1) - corner_m) / maps.grid.resolution_m
-    cell = np.clip(middle[:, ::-1].astype(int), 0, np.array(maps.grid.shape) - 1)
-    return Steps(places_m, z_m, ground_m, begin_end[..., 3], leg[each], cell)
+    z_m = height_m - np.where(follows[each, None], 0.0, ground_m)
+    middle = (places_m.mean(axis=1) - grid.bounds_m[:2]) / grid.resolution_m
+    cell = np.clip(middle[:, ::-1].astype(int), 0, np.array(grid.shape) - 1)
+    return Steps(places_m, z_m, ground_m, along_m, leg[each], cell)
 
 
 def between(ends: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Return ``[S, ...]`` what lies at a share, from 0 to 1, between ends ``[S, 2, ...]``."""
-    share = share.reshape(-1, *[1] * (ends.ndim - 2))
-    return ends[:, 0] + share * (ends[:, 1] - ends[:, 0])
+    """Return ``[S, K, ...]`` what lies at shares ``[S, K]``, from 0 to 1, between ends ``[S, 2, ...]``."""
+    share = share.reshape(*share.shape, *[1] * (ends.ndim - 2))
+    return ends[:, :1] + share * (ends[:, 1:] - ends[:, :1])
 
 
-def _segments_of(number: int, leg: Leg) -> Iterator[tuple[int, Place, Place]]:
-    """Yield the straight segments of a leg: itself, or the chords of a circle and the ways to it and back."""
+def _corners_of(leg: Leg) -> list[Place]:
+    """Return the places that a leg runs through: its ends, and the corners of a loiter's circle between them."""
     if not leg.radius_m:
-        yield number, leg.start, leg.end
-        return
+        return [leg.start, leg.end]
     radius_m = abs(leg.radius_m)
     wanted = math.pi * math.sqrt(radius_m / (2 * CIRCLE_SAG_M))
     azimuths = np.linspace(0.0, 360.0, int(np.clip(wanted, FEWEST_CHORDS, MOST_CHORDS)))
     lons, lats, radii_m = np.full((len(azimuths), 3), [leg.end.lon, leg.end.lat, radius_m]).T
     lon, lat, _ = GEOD.fwd(lons, lats, azimuths, radii_m)
     circle = [leg.end._replace(lon=x, lat=y) for x, y in zip(lon, lat, strict=True)]
-    yield from ((number, *ends) for ends in pairwise([leg.start, *circle, leg.end]))
+    return [leg.start, *circle, leg.end]
 
 
-def _zeros(mission: Mission, maps: MetricMaps, geoid_m: float | None) -> dict[str, float]:
+def _zeros_m(mission: Mission, maps: MetricMaps, geoid_m: float | None) -> dict[str, float]:
     """Return the elevation of the zero of each datum in that of the ground, NaN where it is not known."""
-    home_m = math.nan
-    above_geoid_m = math.nan if mission.home_elevation_m is None else mission.home_elevation_m
+    home_m = above_geoid_m = math.nan
+    if mission.home_elevation_m is not None:
+        above_geoid_m = mission.home_elevation_m
     if mission.home is not None:
-        home_m = float(ground_at(np.array([maps.grid.xy_of_lonlat(*mission.home)]), maps)[0])
-        home_m = above_geoid_m if math.isnan(home_m) else home_m
+        home_xy_m = np.array(maps.grid.xy_of_lonlat(*mission.home))
+        home_m = float(ground_at(home_xy_m, maps))
+        if math.isnan(home_m):
+            home_m = above_geoid_m
     geoid_zero_m = 0.0 if "terrain" in maps.ds else -above_geoid_m
     ellipsoid_m = math.nan if geoid_m is None else geoid_zero_m - geoid_m
     return {"home": home_m, "geoid": geoid_zero_m, "ellipsoid": ellipsoid_m}
 
 
-def _shares_within(ends_m: np.ndarray, bounds_m: Bounds) -> tuple[np.ndarray, np.ndarray]:
-    """Return from which share to which a box holds lines ``[S, 2, 2]``; the same twice where it holds nothing."""
+def _shares_within(ends_m: np.ndarray, bounds_m: Bounds) -> np.ndarray:
+    """Return ``[S, 2]`` from which share to which a box holds lines ``[S, 2, 2]``; twice the same where nothing."""
     low_m, high_m = np.reshape(bounds_m, (2, 2))
     begin_m, moved_m = ends_m[:, 0], ends_m[:, 1] - ends_m[:, 0]
     moved_m[moved_m == 0] = 1e-9  # it stays beside the box, or within its sides
     cuts = np.sort([(low_m - begin_m) / moved_m, (high_m - begin_m) / moved_m], axis=0)
     first, last = np.clip([cuts[0].max(axis=1), cuts[1].min(axis=1)], 0.0, 1.0)
-    return np.minimum(first, last), last
+    return np.stack([np.minimum(first, last), last], axis=1)

@@ -1,7 +1,7 @@
 """PlannedPath: a path over metric maps, its cost, metrics, settings and the ground under it, and what is said of it."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -14,6 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
 from jaxurban.kernels.tolerances import SAME_EXPOSURE, SAME_PLACE_M
 from jaxurban.paths.constraints import describe_kept
+from jaxurban.paths.export.base import number_or_none, numbers_or_none
 from jaxurban.paths.export.write import MISSION, check_is_mission, write_path
 from jaxurban.paths.ground import Ground, ground_along
 from jaxurban.paths.snapping import End, pocket_note, snap_note, what_would_join
@@ -28,6 +29,15 @@ if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
     from jaxurban.paths.search import PathSearch
 
+NOT_MEASURED: dict[str, Any] = {  # of a search without a path, under the names of `PlannedPath`
+    "xy_m": np.empty((0, 2)),
+    "lonlat": np.empty((0, 2)),
+    "z_m": np.empty(0),
+    "cost": math.inf,
+    "cost_by_layer": {},
+    "length_m": math.inf,
+    "metrics": {},
+}
 OF_SEARCH = ("graph", "num_expanded", "elapsed_s", "setup_s", "planner", "heuristic", "backend")
 
 
@@ -93,11 +103,6 @@ class PlannedPath(FactsRepr):
         return [] if self.maps is None or not self.status.has_path else cautions(self, self.maps)
 
     @property
-    def known_cautions(self) -> list[Caution]:
-        """Its `cautions`."""
-        return self.cautions
-
-    @property
     def message(self) -> str:
         """What happened, and what a reader of the path must know beside it."""
         return " ".join(filter(None, (self.search.sentence, self.search.note)))
@@ -159,19 +164,15 @@ class PlannedPath(FactsRepr):
             raise InputError(f"there is no path to save: {self.status.sentence}")
         files = [FilePath(each) for each in (file, *more)]
         missions = [each for each in files if each.suffix.lower() == MISSION]
-        if not missions and not (end is None and fence_roofs_m is None):
+        if not missions and (end is not None or fence_roofs_m is not None):
             check_is_mission(files[0])
         roofs = None if fence_roofs_m is None else roof_fences(self, fence_roofs_m)
         for each in files:
-            is_mission = each in missions
-            write_path(
-                self,
-                each,
-                report,
-                end=end if is_mission else None,
-                roofs=roofs if is_mission else None,
-            )
-        return FilePath(file)
+            if each in missions:
+                write_path(self, each, report, end=end, roofs=roofs)
+            else:
+                write_path(self, each, report)
+        return files[0]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the points' arrays as plain, JSON-ready values.
@@ -185,36 +186,29 @@ class PlannedPath(FactsRepr):
           >>> record["status"], record["num_points"], record["settings"]["cost_model"]
           ('optimal', 27, 'line')
         """
+        search = self.search
         return {
             "status": self.status.value,
             "message": self.message,
-            "cost": _number(self.cost),
-            "cost_by_layer": _numbers(self.cost_by_layer),
-            "exposure_by_layer": _numbers(self.exposure_by_layer),
-            "length_m": _number(self.length_m),
-            "metrics": _numbers(self.metrics),
+            "cost": number_or_none(self.cost),
+            "cost_by_layer": numbers_or_none(self.cost_by_layer),
+            "exposure_by_layer": numbers_or_none(self.exposure_by_layer),
+            "length_m": number_or_none(self.length_m),
+            "metrics": numbers_or_none(self.metrics),
             "altitude_m": self.altitude_m,
-            "snap_distance_m": {"start": self.snap_distance_m[0], "goal": self.snap_distance_m[1]},
-            "objective_cost": _number(self.search.cost),
-            "lower_bound": _number(self.search.lower_bound),
-            "gap": _number(self.search.gap),
-            **{name: getattr(self.search, name) for name in OF_SEARCH},
+            "snap_distance_m": dict(zip(("start", "goal"), self.snap_distance_m, strict=True)),
+            "objective_cost": number_or_none(search.cost),
+            "lower_bound": number_or_none(search.lower_bound),
+            "gap": number_or_none(search.gap),
+            **{name: getattr(search, name) for name in OF_SEARCH},
             "num_points": len(self.xy_m),
             "batches": [
-                {"elapsed_s": seconds, "samples": samples, "cost": _number(cost)}
-                for seconds, samples, cost in self.search.history
+                {"elapsed_s": elapsed_s, "samples": samples, "cost": number_or_none(cost)}
+                for elapsed_s, samples, cost in search.history
             ],
             "crs": self.crs,
             "settings": dict(self.settings),
         }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _numbers(values: Mapping[str, float]) -> dict[str, float | None]:
-    return {name: _number(value) for name, value in values.items()}
 
 
 def finish(
@@ -229,25 +223,17 @@ def finish(
     """
     budget_s = search.budget_s if np.isfinite(search.budget_s) else None
     settings = map_settings(cost_map) | {"budget_s": budget_s, "seed": search.seed}
-    settings |= {"exposure": dict(search.exposure)} if search.exposure else {}
+    if search.exposure:
+        settings["exposure"] = dict(search.exposure)
+    start_m = cost_map.altitude_m
     if cost_map.levels is not None:
+        start_m = float(cost_map.altitudes_m[ends[0].cell[0]])
         settings["goal_altitude_m"] = float(cost_map.altitudes_m[ends[1].cell[0]])
-    if path.status.has_path:
-        measures = measured(cost_map, path.points_m)
-    else:
-        measures = {
-            "xy_m": np.empty((0, 2)),
-            "lonlat": np.empty((0, 2)),
-            "z_m": np.empty(0),
-            "cost": math.inf,
-            "cost_by_layer": {},
-            "length_m": math.inf,
-            "metrics": {},
-        }
+    measures = measured(cost_map, path.points_m) if path.status.has_path else NOT_MEASURED
     return PlannedPath(
         **measures,
         status=path.status,
-        altitude_m=float(cost_map.altitudes_m[0 if cost_map.levels is None else ends[0].cell[0]]),
+        altitude_m=start_m,
         snap_distance_m=(ends[0].snap_distance_m, ends[1].snap_distance_m),
         search=replace(path, note=_note(cost_map, path, ends)),
         settings=settings,
@@ -263,74 +249,76 @@ def measured(cost_map: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
     Args:
       points_m: ``[N, 2]`` x, y in metres from the map's southwest corner; in a volume ``[N, 3]``, with the altitude.
     """
-    grid = cost_map.grid
-    xy_m = points_m[:, :2] + np.array([grid.x_min_m, grid.y_min_m])
+    grid, weights = cost_map.grid, cost_map.weight_vector
+    plan_m = points_m[:, :2]
+    xy_m = plan_m + grid.bounds_m[:2]
+    z_m = np.full(len(xy_m), cost_map.altitude_m)
+    if cost_map.levels is not None:
+        z_m = points_m[:, 2]
+    ground = None
+    if cost_map.terrain_m is not None:
+        ground = ground_along(plan_m, cost_map.terrain_m, grid)
     features = cost_map.problem.features(points_m)
-    parts = zip(cost_map.weight_names, cost_map.weight_vector * features.phi, strict=True)
-    exposure = (
-        features.mean_costs * features.length_m.sum() / cost_map.cost_model.reference_length_m
-    )
+    costs = (weights * features.phi).tolist()
+    reference_m = cost_map.cost_model.reference_length_m
+    exposures = (features.mean_costs * features.length_m.sum() / reference_m).tolist()
     return {
         "xy_m": xy_m,
-        "lonlat": np.stack(grid.lonlat_of_xy(xy_m[:, 0], xy_m[:, 1]), axis=-1),
-        "z_m": np.full(len(xy_m), cost_map.altitude_m)
-        if cost_map.levels is None
-        else points_m[:, 2],
-        "cost": features.cost(cost_map.weight_vector),
-        "cost_by_layer": {name: float(cost) for name, cost in parts},
-        "exposure_by_layer": dict(zip(cost_map.names, exposure.tolist(), strict=True)),
+        "lonlat": np.stack(grid.lonlat_of_xy(*xy_m.T), axis=-1),
+        "z_m": z_m,
+        "cost": features.cost(weights),
+        "cost_by_layer": dict(zip(cost_map.weight_names, costs, strict=True)),
+        "exposure_by_layer": dict(zip(cost_map.names, exposures, strict=True)),
         "length_m": float(features.phi[0]),
         "metrics": cost_map.means(features),
-        "ground": None
-        if cost_map.terrain_m is None
-        else ground_along(points_m[:, :2], cost_map.terrain_m, grid),
+        "ground": ground,
     }
 
 
 def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
-    """Return what the planner noted, and what a reader of the path must know beside it."""
+    """Return what the planner noted, and what a reader of the path must know beside it: sentences."""
     has_path = path.status.has_path
+    constraints, grid = cost_map.constraints, cost_map.grid
     notes = [path.note]
     if not cost_map.is_weighed and cost_map.objective == "weighted":
         notes.append(
             "All weights are zero, so every path is as cheap: the distance was minimised instead."
         )
     notes.append(snap_note(*ends))
-    if kept := describe_kept(cost_map.constraints.to_dict(), cost_map.grid.resolution_m):
-        notes.append(
-            f"Distance to obstacles: {cost_map.constraints.horizontal_m:g} m asked, {kept}."
-        )
+    kept = describe_kept(constraints.to_dict(), grid.resolution_m)
+    if kept:
+        notes.append(f"Distance to obstacles: {constraints.horizontal_m:g} m asked, {kept}.")
     if cost_map.is_weighed and cost_map.weights.distance == 0 and not path.note and has_path:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
-    between = _between_m(cost_map)
-    if between:
-        low_m, high_m = between
+    between_m = _between_m(cost_map)
+    if between_m:
+        low_m, high_m = between_m
         notes.append(
             f"Metrics at {cost_map.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
         )
-    constraints = str(cost_map.constraints)
-    if constraints and not has_path:
-        without = sum(
-            int(cost_map.maps.is_free(z_m).sum()) for z_m in cost_map.altitudes_m.tolist()
-        )
-        share = 1 - cost_map.is_free.sum() / without
+    if str(constraints) and not has_path:
+        maps_free = [cost_map.maps.is_free(z_m) for z_m in cost_map.altitudes_m.tolist()]
+        share = 1 - cost_map.is_free.sum() / np.sum(maps_free)
         notes.append(
             f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."
         )
     if path.status is Status.NO_PATH:
-        notes += [
-            pocket_note(cost_map, *ends),
-            what_would_join(cost_map, ends[0].cell, ends[1].cell),
-        ]
+        notes.append(pocket_note(cost_map, *ends))
+        notes.append(what_would_join(cost_map, ends[0].cell, ends[1].cell))
+    return " ".join(filter(None, [*notes, *_metric_notes(cost_map)]))
+
+
+def _metric_notes(cost_map: "CostMap") -> Iterator[str]:
+    """Yield which weighed metrics the maps lack, and the caveats of those that a path pays for or is bounded by."""
     weighed = [name for name, weight in cost_map.weights.to_dict().items() if weight > 0]
     missing = [name for name in weighed if name not in ("distance", *cost_map.names)]
     if missing:
-        notes.append(f"These maps hold no {' and no '.join(missing)}, so that weight is ignored.")
+        yield f"These maps hold no {' and no '.join(missing)}, so that weight is ignored."
     bounded = {bound.variable for bound in cost_map.constraints.bounds}
-    for name, metric in cost_map.maps.metrics.items():  # that the path pays for or is bounded by
-        if (name in cost_map.names and cost_map.weights[name] > 0) or bounded & {*metric.variables}:
-            notes.append(metric.caveat)
-    return " ".join(filter(None, notes))
+    for name, metric in cost_map.maps.metrics.items():
+        is_paid_for = name in cost_map.names and cost_map.weights[name] > 0
+        if is_paid_for or not bounded.isdisjoint(metric.variables):
+            yield metric.caveat
 
 
 def map_settings(cost_map: "CostMap") -> dict[str, Any]:
@@ -346,8 +334,10 @@ def map_settings(cost_map: "CostMap") -> dict[str, Any]:
         "resolution_m": cost_map.grid.resolution_m,
     }
     if cost_map.levels is None:
-        between = _between_m(cost_map)
-        return settings | ({"metrics_between_m": between} if between else {})
+        between_m = _between_m(cost_map)
+        if between_m:
+            settings["metrics_between_m"] = between_m
+        return settings
     climb_cost, descent_cost = cost_map.weight_vector[-2:].tolist()
     return settings | {
         "min_altitude_m": cost_map.levels.min_altitude_m,
@@ -361,18 +351,20 @@ def map_settings(cost_map: "CostMap") -> dict[str, Any]:
 
 def _between_m(cost_map: "CostMap") -> list[float]:
     """Return the two altitudes that metrics are interpolated between; none in a volume or where the maps hold it."""
-    around = [] if cost_map.levels is not None else cost_map.maps.around(cost_map.altitude_m)
-    return around if len(around) == 2 else []
+    if cost_map.levels is not None:
+        return []
+    around_m = cost_map.maps.around(cost_map.altitude_m)
+    return around_m if len(around_m) == 2 else []
 
 
 def over_budget(exposure: Mapping[str, float], budgets: Mapping[str, float]) -> str:
     """Return the budgets of exposure that a path exceeds, in words; empty where it keeps all."""
-    over = {
-        name: most
+    over = [
+        f"the budget of {most:g} for {name}"
         for name, most in budgets.items()
         if exposure[name] > most * (1 + 2 * SAME_EXPOSURE)
-    }
-    return " and ".join(f"the budget of {most:g} for {name}" for name, most in over.items())
+    ]
+    return " and ".join(over)
 
 
 @renamed_arguments("2.0", on="cost_map")
@@ -407,27 +399,12 @@ def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> P
     """
     if not planned.status.has_path:
         return planned
-    # Only its own map knows what the path keeps clear of.
-    a_level = {"levels_m": None, "altitude_m": planned.altitude_m}  # unless the cost map has levels
-    of_path = {"crs": planned.crs, **a_level, **planned.settings}
-    of_map = {"crs": cost_map.grid.crs, **a_level, **map_settings(cost_map)}
-    if cost_map.levels is None:
-        of_map["altitude_m"] = cost_map.altitude_m
-    corner_m = np.array([cost_map.grid.x_min_m, cost_map.grid.y_min_m])
-    others = [name for name, value in of_map.items() if of_path.get(name) != value]
-    if not np.allclose(
-        planned.search.points_m[:, :2] + corner_m, planned.xy_m, rtol=0.0, atol=SAME_PLACE_M
-    ):
-        others.append("region")
-    if others:
-        raise InputError(
-            f"the path was planned under another {' and another '.join(others)} than those of this cost map: give the "
-            "cost map that it was planned on"
-        )
+    _check_same_map(planned, cost_map)
     points_m = planned.search.points_m
     simpler = simplify_path(cost_map.problem, planned.search, tolerance_m)
     after = measured(cost_map, simpler.points_m)
-    if over := over_budget(after["exposure_by_layer"], planned.settings.get("exposure", {})):
+    over = over_budget(after["exposure_by_layer"], planned.settings.get("exposure", {}))
+    if over:
         note = (
             f"{planned.search.note} Not simplified to {tolerance_m:g} m, which would exceed {over}."
         )
@@ -440,3 +417,25 @@ def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> P
     search = replace(simpler, note=" ".join(filter(None, (simpler.note, note))))
     settings = {**planned.settings, "simplify_m": tolerance_m}
     return replace(planned, **after, status=simpler.status, search=search, settings=settings)
+
+
+def _check_same_map(planned: PlannedPath, cost_map: "CostMap") -> None:
+    """Check that a path was planned on a cost map, as that alone knows what the path keeps clear of.
+
+    Raises:
+      InputError: another CRS, altitude, setting or region.
+    """
+    a_level = {"levels_m": None, "altitude_m": planned.altitude_m}  # unless the cost map has levels
+    of_path = {"crs": planned.crs, **a_level, **planned.settings}
+    of_map = {"crs": cost_map.grid.crs, **a_level, **map_settings(cost_map)}
+    if cost_map.levels is None:
+        of_map["altitude_m"] = cost_map.altitude_m
+    others = [name for name, value in of_map.items() if of_path.get(name) != value]
+    xy_m = planned.search.points_m[:, :2] + cost_map.grid.bounds_m[:2]
+    if not np.allclose(xy_m, planned.xy_m, rtol=0.0, atol=SAME_PLACE_M):
+        others.append("region")
+    if others:
+        raise InputError(
+            f"the path was planned under another {' and another '.join(others)} than those of this cost map: give the "
+            "cost map that it was planned on"
+        )

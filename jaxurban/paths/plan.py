@@ -22,6 +22,7 @@ from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Point, one_place
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import CostKind, Objective, Preset, Vehicle, iso_utc
+from jaxurban.world.grid import Grid
 
 NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/algorithms/search.md)
 
@@ -128,28 +129,21 @@ def map_at(
     **rules: Any,
 ) -> CostMap:
     """Return the cost map at altitudes that the maps reach; ``rules`` are further attributes of `CostMap`."""
-    needed = len(altitudes_m) * math.prod(maps.grid.shape) * NODE_BYTES
-    left = free_bytes()
-    if levels is not None and needed > left:
-        needed_text, left_text = distinct_texts(needed, left)
-        raise InputError(
-            f"a volume of {len(altitudes_m)} levels of {' x '.join(map(str, maps.grid.shape))} cells takes up to "
-            f"{needed_text} of memory and {left_text} are free: choose a longer level_step_m, closer "
-            "altitude bounds, or coarser maps"
-        )
+    if levels is not None:
+        _check_fits(len(altitudes_m), maps.grid)
     when: dict[str, Any] = {"time": time, "time_of_day": time_of_day}
     is_free = constraints.is_free(maps, altitudes_m.tolist(), **when)
     costs = np.empty((len(maps.metrics), *is_free.shape), np.float32)
     is_under_sky = cache(maps.is_under_sky)
-    levels_m = maps.altitudes_m
-    lowest_m = levels_m[0]
     for (name, metric), layers in zip(maps.metrics.items(), costs, strict=True):
         read = cache(partial(maps.m, name, **when))
         is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
         for level, z_m in enumerate(altitudes_m.tolist()):
-            m = read(lowest_m) if is_flat else values_at(z_m, levels_m, read, is_under_sky)
+            m = read() if is_flat else values_at(z_m, maps.altitudes_m, read, is_under_sky)
             # What is missing where nobody may fly counts as m = 0: searches take numbers alone.
-            layers[level] = metric.cost(np.where(np.isnan(m) & ~is_free[level], np.float32(0), m))
+            is_closed_gap = np.isnan(m) & ~is_free[level]
+            layers[level] = metric.cost(np.where(is_closed_gap, np.float32(0), m))
+    of_map = 0 if levels is None else slice(None)
     return CostMap(
         maps=maps,
         altitudes_m=altitudes_m,
@@ -159,9 +153,21 @@ def map_at(
         constraints=constraints,
         **rules,
         names=tuple(maps.metrics),
-        costs=costs[:, 0] if levels is None else costs,
-        is_free=is_free[0] if levels is None else is_free,
+        costs=costs[:, of_map],
+        is_free=is_free[of_map],
     )
+
+
+def _check_fits(num_levels: int, grid: Grid) -> None:
+    """Raise InputError where a volume, and a search that visits all of it, take more memory than is free."""
+    needed, left = num_levels * math.prod(grid.shape) * NODE_BYTES, free_bytes()
+    if needed > left:
+        needed_text, left_text = distinct_texts(needed, left)
+        raise InputError(
+            f"a volume of {num_levels} levels of {grid.num_rows} x {grid.num_cols} cells takes up to "
+            f"{needed_text} of memory and {left_text} are free: choose a longer level_step_m, closer "
+            "altitude bounds, or coarser maps"
+        )
 
 
 @typed

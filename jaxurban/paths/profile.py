@@ -14,9 +14,10 @@ from jaxurban.kernels.tolerances import AT_LIMIT, SAME_HEIGHT_M
 from jaxurban.maps.levels import values_at
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX, has_no_fix
+from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.cost import path_states
-from jaxurban.public import Caution, Level, caution_of_guesses
+from jaxurban.public import Caution, caution_of_guesses
 from jaxurban.settings import Vehicle
 
 TOUCHED, VISIBLE, GUESSED = "roof_touched", "num_visible", "roof_guessed"
@@ -36,7 +37,7 @@ def cut_evenly(states_m: np.ndarray, most: int) -> np.ndarray:
 
     A segment ends at the end of a step, so that its cost is the sum of its steps' costs.
     """
-    along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(states_m, axis=0), axis=1)))
+    along_m = along_of(states_m)
     wanted_m = along_m[-1] * np.arange(1, most) / most
     after = np.clip(np.searchsorted(along_m, wanted_m), 1, len(along_m) - 1)
     nearest = np.where(wanted_m - along_m[after - 1] <= along_m[after] - wanted_m, after - 1, after)
@@ -98,8 +99,9 @@ def cut_on(planned: PlannedPath, maps: MetricMaps) -> Crossings:
             f"the path was planned at {settings['resolution_m']:g} m in {planned.crs}, and these maps are "
             f"{grid.resolution_m:g} m in {grid.crs}: give the maps that it was planned on"
         )
-    points_m = planned.xy_m - [grid.x_min_m, grid.y_min_m]
-    if (points_m < 0).any() or (points_m[:, ::-1] > np.array(grid.shape) * grid.resolution_m).any():
+    points_m = planned.xy_m - grid.bounds_m[:2]
+    sides_m = np.array(grid.shape[::-1]) * grid.resolution_m
+    if (points_m < 0).any() or (points_m > sides_m).any():
         raise InputError(
             "the path leaves the region of these maps: give the maps that it was planned on"
         )
@@ -126,68 +128,76 @@ def profile_of(
       shown: columns by map.
     """
     ends_m, grid = cut.ends_m, maps.grid
-    middle, to_m, lines_m = ends_m.mean(axis=1), np.cumsum(cut.length_m), ends_m[:, :, :2]
-    lon, lat = grid.lonlat_of_xy(middle[:, 0] + grid.x_min_m, middle[:, 1] + grid.y_min_m)
-    columns = {
-        "from_m": to_m - cut.length_m,
-        "to_m": to_m,
-        "lon": lon,
-        "lat": lat,
-        "z_m": middle[:, 2],
-    }
+    lines_m, lowest_m = ends_m[:, :, :2], ends_m[:, :, 2].min(axis=1)
+    x_m, y_m, z_m = ends_m.mean(axis=1).T
+    lon, lat = grid.lonlat_of_xy(x_m + grid.x_min_m, y_m + grid.y_min_m)
+    to_m = np.cumsum(cut.length_m)
+    places = {"from_m": to_m - cut.length_m, "to_m": to_m, "lon": lon, "lat": lat, "z_m": z_m}
+    profile = pd.DataFrame(places)
     levels_m = planned.settings.get("levels_m") or [planned.altitude_m]
-    level_m, lowest_m = nearest_level_m(middle[:, 2], levels_m), ends_m[:, :, 2].min(axis=1)
+    level_m = nearest_level_m(z_m, levels_m)
     # The highest roof that touches a cell where the maps hold it, else that at its middle.
     roofs = TOUCHED if TOUCHED in maps.ds else "roof"
     for name, column in {**shown, roofs: "roof_m", GUESSED: GUESSED}.items():
         if maps.variable(name) in maps.ds:
-            columns[column] = _sample(planned, maps, cut, name, level_m)
-    if VISIBLE in columns:
-        columns[VISIBLE] = columns[VISIBLE].astype(int)
-    if GUESSED in columns:
-        is_over = columns[GUESSED] = columns[GUESSED].astype(bool)
+            profile[column] = _sample(planned, maps, cut, name, level_m)
+    if VISIBLE in profile:
+        profile[VISIBLE] = profile[VISIBLE].astype(int)
+    if GUESSED in profile:
+        is_over = profile[GUESSED] = profile[GUESSED].astype(bool)
         away_m = clearance_m(lines_m, maps.m(GUESSED).astype(bool), grid.resolution_m)
-        columns[TO_GUESSED] = np.where(
-            is_over, 0.0, away_m
-        )  # `clearance_m` leaves out what roofs surround
-    columns[OVER_ROOF] = np.where(columns["roof_m"] > 0, lowest_m - columns["roof_m"], np.nan)
-    side_m = np.array([grid.num_cols, grid.num_rows]) * grid.resolution_m
-    columns[OUTSIDE] = np.minimum(lines_m, side_m - lines_m).min(axis=(1, 2))
-    columns[CLEARANCE], below_m = np.empty(len(to_m)), level_below_m(lowest_m, levels_m)
-    for z_m in np.unique(below_m).tolist():
-        is_held = roofs != TOUCHED and z_m in maps.altitudes_m
-        is_obstacle = maps.m("obstacle", z_m) == 1 if is_held else maps.m(roofs) >= z_m
-        columns[CLEARANCE][below_m == z_m] = clearance_m(
-            lines_m[below_m == z_m], is_obstacle, grid.resolution_m
-        )
-    return pd.DataFrame(columns)
+        # `clearance_m` leaves out what roofs surround.
+        profile[TO_GUESSED] = np.where(is_over, 0.0, away_m)
+    over_m = lowest_m - profile["roof_m"]
+    profile[OVER_ROOF] = over_m.where(profile["roof_m"] > 0)
+    sides_m = np.array(grid.shape[::-1]) * grid.resolution_m
+    profile[OUTSIDE] = np.minimum(lines_m, sides_m - lines_m).min(axis=(1, 2))
+    profile[CLEARANCE] = _to_obstacles_m(lines_m, level_below_m(lowest_m, levels_m), maps, roofs)
+    return profile
+
+
+def _to_obstacles_m(
+    lines_m: np.ndarray, level_m: np.ndarray, maps: MetricMaps, roofs: str
+) -> np.ndarray:
+    """Return ``[M]`` the distance from straight lines to the nearest obstacle cell of a level (`clearance_m`).
+
+    Args:
+      lines_m: ``[M, 2, 2]`` start and end of each, metres from the maps' southwest corner.
+      level_m: ``[M]`` the altitude at which each meets obstacles.
+      maps: their obstacles count at an altitude of theirs, unless they hold the roofs that touch a cell.
+      roofs: the map of roofs that count else.
+    """
+    away_m = np.empty(len(lines_m))
+    for z_m in np.unique(level_m).tolist():
+        is_obstacle = maps.m(roofs) >= z_m
+        if roofs != TOUCHED and z_m in maps.altitudes_m:
+            is_obstacle = maps.m("obstacle", z_m) == 1
+        is_at = level_m == z_m
+        away_m[is_at] = clearance_m(lines_m[is_at], is_obstacle, maps.grid.resolution_m)
+    return away_m
 
 
 def _sample(
     planned: PlannedPath, maps: MetricMaps, cut: Crossings, name: str, level_m: np.ndarray
 ) -> np.ndarray:
     """Return ``[M]`` float64 the values of a map in the cells crossed, each at its own level (`values_at`)."""
-    when = {"time": planned.settings["time"], "time_of_day": planned.settings["time_of_day"]}
+    when = {key: planned.settings[key] for key in ("time", "time_of_day")}
     if "altitude" not in maps.ds[maps.variable(name)].dims:
         return maps.m(name, **when)[cut.row, cut.col].astype(float)
 
-    def at(z_m: float, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-        def read(map_m: float) -> np.ndarray:
-            return maps.m(name, map_m, **when)[row, col]
-
-        is_count = name == VISIBLE
+    def at(z_m: float, cells: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         return values_at(
             z_m,
             maps.altitudes_m,
-            read,
-            lambda z_m: maps.is_under_sky(z_m)[row, col],
-            is_count=is_count,
+            lambda map_m: maps.m(name, map_m, **when)[cells],
+            lambda map_m: maps.is_under_sky(map_m)[cells],
+            is_count=name == VISIBLE,
         )
 
     values = np.empty(len(level_m))
     for z_m in np.unique(level_m).tolist():
         is_at = level_m == z_m
-        values[is_at] = at(z_m, cut.row[is_at], cut.col[is_at])
+        values[is_at] = at(z_m, (cut.row[is_at], cut.col[is_at]))
     return values
 
 
@@ -205,12 +215,13 @@ def guessed_clearances(profile: pd.DataFrame) -> set[str]:
 
     The distance to buildings does where one of guessed height is as near, since it may reach the flight.
     """
+    if GUESSED not in profile:
+        return set()
     names, over_m = set(), profile[OVER_ROOF]
-    if GUESSED in profile:
-        if profile[TO_GUESSED].min() <= profile[[CLEARANCE, OUTSIDE]].to_numpy().min():
-            names.add(CLEARANCE)
-        if over_m.notna().any() and profile[GUESSED].iloc[int(np.nanargmin(over_m))]:
-            names.add(OVER_ROOF)
+    if profile[TO_GUESSED].min() <= profile[[CLEARANCE, OUTSIDE]].to_numpy().min():
+        names.add(CLEARANCE)
+    if over_m.notna().any() and profile[GUESSED].iloc[int(np.nanargmin(over_m))]:
+        names.add(OVER_ROOF)
     return names
 
 
@@ -219,10 +230,9 @@ def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
     if FIX not in profile:
         return []
     is_without = np.concatenate([[False], has_no_fix(profile[FIX].to_numpy()), [False]])
-    changes = np.flatnonzero(is_without[1:] != is_without[:-1]).reshape(-1, 2)
-    return [
-        (float(profile["from_m"].iloc[a]), float(profile["to_m"].iloc[b - 1])) for a, b in changes
-    ]
+    first, after = np.flatnonzero(np.diff(is_without)).reshape(-1, 2).T
+    from_m, to_m = profile[["from_m", "to_m"]].to_numpy().T
+    return list(zip(from_m[first].tolist(), to_m[after - 1].tolist(), strict=True))
 
 
 @typed
@@ -275,10 +285,8 @@ def guess_cautions(maps: MetricMaps | None, profile: pd.DataFrame | None = None)
     past = ""
     if profile is not None and GUESSED in profile:
         length_m = profile["to_m"] - profile["from_m"]
-        near_m, over_m = (
-            length_m[profile[TO_GUESSED] < NEAR_GUESSED_M].sum(),
-            length_m[profile[GUESSED]].sum(),
-        )
+        near_m = length_m[profile[TO_GUESSED] < NEAR_GUESSED_M].sum()
+        over_m = length_m[profile[GUESSED]].sum()
         past = (
             f"{near_m:.0f} of {length_m.sum():.0f} m of the route pass within {NEAR_GUESSED_M:g} m of guessed roofs, "
             f"{over_m:.0f} m over them"
@@ -293,16 +301,14 @@ def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
     segments = without_fix(profile)
     if not segments:
         return
-    longest = sorted(sorted(segments, key=lambda ends: ends[0] - ends[1])[:MOST_SEGMENTS])
-    where = ", ".join(f"{from_m:.0f} to {to_m:.0f} m" for from_m, to_m in longest)
-    no_fix_m = sum(to_m - from_m for from_m, to_m in segments)
+    longest = sorted(segments, key=lambda ends: ends[0] - ends[1])[:MOST_SEGMENTS]
+    listed = ", ".join(f"{from_m:.0f} to {to_m:.0f} m" for from_m, to_m in sorted(longest))
+    where = f"from {listed} along the route"
     if len(segments) > len(longest):
-        where += f" along the route and {len(segments) - len(longest)} shorter"
-    else:
-        where += " along the route"
-    yield Caution(
-        f"GPS: no fix on {no_fix_m:.0f} of {profile['to_m'].iloc[-1]:.0f} m: from {where}.", "limit"
-    )
+        where += f" and {len(segments) - len(longest)} shorter"
+    no_fix_m = sum(to_m - from_m for from_m, to_m in segments)
+    length_m = profile["to_m"].iloc[-1]
+    yield Caution(f"GPS: no fix on {no_fix_m:.0f} of {length_m:.0f} m: {where}.", "limit")
 
 
 def _clearance(profile: pd.DataFrame, apart_m: float) -> Caution:
@@ -332,47 +338,61 @@ def _clearance(profile: pd.DataFrame, apart_m: float) -> Caution:
 
 
 def _roofs(profile: pd.DataFrame, above_m: float) -> Iterator[Caution]:
-    is_beside = profile[OVER_ROOF] <= 0  # of a cell that a building only touches
+    """Yield where a route is beside a building in its own cells, and where it is lowest over a roof.
+
+    Args:
+      profile: of the route.
+      above_m: the height over roofs below which it is beyond limits.
+    """
+    over_m = profile[OVER_ROOF]
+    is_beside = over_m <= 0  # of a cell that a building only touches
     if is_beside.any():
-        beside_m = float((profile["to_m"] - profile["from_m"])[is_beside].sum())
+        length_m = profile["to_m"] - profile["from_m"]
         yield Caution(
-            f"Buildings: {beside_m:.1f} m of the route lie in cells that one as high touches, maybe in its outline.",
+            f"Buildings: {length_m[is_beside].sum():.1f} m of the route lie in cells that one as high touches, maybe "
+            "in its outline.",
             "limit",
         )
-    over_m = profile[OVER_ROOF].where(~is_beside)
-    if over_m.notna().any():
-        least = int(np.nanargmin(over_m))
-        roof, level = _roof(profile, least)
-        yield Caution(
-            f"Roofs: the least height over one is {over_m.iloc[least]:.1f} m, {_at(profile, least)} ({roof}).",
-            "limit" if over_m.iloc[least] < above_m - AT_LIMIT else level,
-        )
+    over_m = over_m.mask(is_beside)
+    if not over_m.notna().any():
+        return
+    least = int(np.nanargmin(over_m))
+    least_m = over_m.iloc[least]
+    roof = _roof(profile, least)
+    yield Caution(
+        f"Roofs: the least height over one is {least_m:.1f} m, {_at(profile, least)} ({roof}).",
+        "limit" if least_m < above_m - AT_LIMIT else roof.level,
+    )
 
 
 def _ends(profile: pd.DataFrame) -> Iterator[Caution]:
     for name, place in (("start", 0), ("goal", -1)):
-        roof_m = float(profile["roof_m"].iloc[place])
-        if roof_m >= float(profile["z_m"].iloc[place]):
+        row = profile.iloc[place]
+        if row["roof_m"] >= row["z_m"]:
             yield Caution(
-                f"The {name} is in a cell that a building of {roof_m:.1f} m touches.", "limit"
+                f"The {name} is in a cell that a building of {row['roof_m']:.1f} m touches.",
+                "limit",
             )
-        elif roof_m > 0:
-            roof, level = _roof(profile, place)
-            yield Caution(f"The {name} is over {roof}, not over the ground.", level)
+        elif row["roof_m"] > 0:
+            roof = _roof(profile, place)
+            yield Caution(f"The {name} is over {roof}, not over the ground.", roof.level)
 
 
-def _roof(profile: pd.DataFrame, place: int) -> tuple[str, Level]:
-    is_guessed = GUESSED in profile and bool(profile[GUESSED].iloc[place])
-    said = f"a {'guessed ' * is_guessed}roof of {float(profile['roof_m'].iloc[place]):.1f} m"
-    return said, "guess" if is_guessed else "note"
+def _roof(profile: pd.DataFrame, place: int) -> Caution:
+    """Return the roof beneath a place of a profile, in words, with the level of what rests on its height."""
+    roof = f"roof of {profile['roof_m'].iloc[place]:.1f} m"
+    if GUESSED in profile and profile[GUESSED].iloc[place]:
+        return Caution(f"a guessed {roof}", "guess")
+    return Caution(f"a {roof}")
 
 
 def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
     """Yield what of a route the vehicle flies only more slowly: its steepest climb and descent, its sharpest turn."""
     vehicle = Vehicle.of(planned.settings)
-    moved_m = np.diff(np.column_stack([planned.xy_m, planned.z_m]), axis=0)
+    points_m = np.column_stack([planned.xy_m, planned.z_m])
+    moved_m = np.diff(points_m, axis=0)
+    along_m, speed_m_s = along_of(points_m), vehicle.speed_m_s
     air_m = np.linalg.norm(moved_m, axis=1)
-    along_m, speed_m_s = np.append(0.0, np.cumsum(air_m)), vehicle.speed_m_s
     slope = moved_m[:, 2] / np.where(air_m > 0, air_m, 1.0)
     for name, most_m_s, share in (
         ("climb", vehicle.max_climb_m_s, slope),
@@ -380,7 +400,8 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
     ):
         if most_m_s is None or speed_m_s is None:
             continue
-        if num := int((speed_m_s * share > most_m_s * (1 + AT_LIMIT)).sum()):
+        num = int((speed_m_s * share > most_m_s * (1 + AT_LIMIT)).sum())
+        if num:
             steepest = int(np.argmax(share))
             yield (
                 f"Vehicle: legs that would need more than {most_m_s:g} m/s of {name} at {speed_m_s:g} m/s: {num}; the "
@@ -389,12 +410,12 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
             )
     if vehicle.max_turn_deg is None:
         return
-    ahead = np.flatnonzero(
-        np.hypot(moved_m[:, 0], moved_m[:, 1])
-    )  # straight up and down there is no heading
-    heading_deg = np.degrees(np.arctan2(moved_m[ahead, 1], moved_m[ahead, 0]))
+    ahead = np.flatnonzero(moved_m[:, :2].any(axis=1))  # straight up and down has no heading
+    east_m, north_m, _ = moved_m[ahead].T
+    heading_deg = np.degrees(np.arctan2(north_m, east_m))
     turn_deg = np.abs((np.diff(heading_deg) + 180) % 360 - 180)
-    if num := int((turn_deg > vehicle.max_turn_deg * (1 + AT_LIMIT)).sum()):
+    num = int((turn_deg > vehicle.max_turn_deg * (1 + AT_LIMIT)).sum())
+    if num:
         sharpest = int(np.argmax(turn_deg))
         yield (
             f"Vehicle: turns sharper than {vehicle.max_turn_deg:g} degrees: {num}; the sharpest, of "
@@ -403,6 +424,5 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
 
 
 def _at(profile: pd.DataFrame, place: int) -> str:
-    return (
-        f"{(profile['from_m'].iloc[place] + profile['to_m'].iloc[place]) / 2:.0f} m along the route"
-    )
+    middle_m = profile[["from_m", "to_m"]].iloc[place].mean()
+    return f"{middle_m:.0f} m along the route"

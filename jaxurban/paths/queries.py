@@ -25,6 +25,10 @@ LONLAT = ("start_lon", "start_lat", "goal_lon", "goal_lat")
 IN_METRES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
 WEIGHT_PREFIX = "w_"
 COLUMNS = (*LONLAT, *IN_METRES, "altitude_m", "time", "time_of_day")
+OF_SEARCH = (
+    *("objective_cost", "lower_bound", "num_points", "num_expanded", "elapsed_s", "setup_s"),
+    *("planner", "heuristic", "backend"),
+)
 NOT_RUN = "not-run"  # beside the names of `Status` and what `jaxurban.paths.rows` adds
 
 
@@ -99,7 +103,7 @@ def read_queries(
 def _place_columns(queries: pd.DataFrame, weight_names: Iterable[str]) -> Sequence[str]:
     """Return which columns of a table hold its places; raise InputError for unknown, missing or doubled columns."""
     known = (*COLUMNS, *(WEIGHT_PREFIX + name for name in weight_names))
-    unknown = [name for name in map(str, queries.columns) if name not in known]
+    unknown = [str(name) for name in queries if str(name) not in known]
     if unknown:
         raise InputError(
             f"queries have unknown columns {unknown}{nearest_name(unknown[0], known)}: leave them out, in pandas by "
@@ -140,14 +144,17 @@ def table_of(queries: Iterable[tuple[Point, Point]]) -> pd.DataFrame:
 def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:
     """Return the query of a row, with an error where a number is missing, not finite or no number."""
     values = {str(name): value for name, value in row.items() if not pd.isna(value)}
-    weight_columns = [name for name in values if name.startswith(WEIGHT_PREFIX)]
     time = values.get("time", base.time)
     query = base
     try:
-        start_x, start_y, goal_x, goal_y = [float(values.get(name, np.nan)) for name in names]
-        start, goal = (start_x, start_y), (goal_x, goal_y)
+        places = [float(values.get(name, np.nan)) for name in names]
+        start, goal = tuple(places[:2]), tuple(places[2:])
         is_xy = names == IN_METRES
-        weights = {name.removeprefix(WEIGHT_PREFIX): float(values[name]) for name in weight_columns}
+        weights = {
+            name.removeprefix(WEIGHT_PREFIX): float(value)
+            for name, value in values.items()
+            if name.startswith(WEIGHT_PREFIX)
+        }
         query = replace(
             base,
             start=XY(*start) if is_xy else start,
@@ -293,28 +300,20 @@ def row_of(
       key: stands for the query: map, weights, places, planner and settings.
     """
     row: dict[str, Any] = {"query": k, **query.to_dict(), "status": status, "message": message}
-    points: dict[str, Any] = {"budget_s": None, "x_m": None, "y_m": None, "search": None}
-    if planned is not None:
-        facts = planned.to_dict()
-        row |= {name: facts[name] for name in ("cost", "length_m")}
-        row |= {f"cost_{name}": value for name, value in facts["cost_by_layer"].items()}
-        row |= {f"m_{name}": value for name, value in facts["metrics"].items()}
-        names = (
-            "objective_cost",
-            "lower_bound",
-            "num_points",
-            "num_expanded",
-            "elapsed_s",
-            "setup_s",
-        )
-        row |= {name: facts[name] for name in (*names, "planner", "heuristic", "backend")}
-        row |= {f"{name}_snap_m": value for name, value in facts["snap_distance_m"].items()}
-        rest = {item.name: getattr(planned.search, item.name) for item in fields(Path)}
-        rest |= {"status": rest["status"].value, "points_m": planned.search.points_m[:1].tolist()}
-        budget_s = planned.settings["budget_s"]
-        points = {"budget_s": np.inf if budget_s is None else budget_s, "search": json.dumps(rest)}
-        points |= {"x_m": planned.xy_m[:, 0], "y_m": planned.xy_m[:, 1]}
-    return row | points | {"key": key}
+    if planned is None:
+        return row | dict.fromkeys(("budget_s", "x_m", "y_m", "search")) | {"key": key}
+    facts, search = planned.to_dict(), planned.search
+    row |= {name: facts[name] for name in ("cost", "length_m")}
+    row |= {f"cost_{name}": value for name, value in facts["cost_by_layer"].items()}
+    row |= {f"m_{name}": value for name, value in facts["metrics"].items()}
+    row |= {name: facts[name] for name in OF_SEARCH}
+    row |= {f"{name}_snap_m": value for name, value in facts["snap_distance_m"].items()}
+    budget_s = planned.settings["budget_s"]
+    row["budget_s"] = np.inf if budget_s is None else budget_s
+    row["x_m"], row["y_m"] = planned.xy_m.T
+    rest = {item.name: getattr(search, item.name) for item in fields(Path)}
+    rest |= {"status": search.status.value, "points_m": search.points_m[:1].tolist()}
+    return row | {"search": json.dumps(rest), "key": key}
 
 
 def path_of(row: Row) -> Path:

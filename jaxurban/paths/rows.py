@@ -118,13 +118,15 @@ class RouteRules:
         self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None
     ) -> Any:
         """Return the `CostMap` of routes at an altitude and time (errors as in `jaxurban.cost_map`)."""
-        rules: dict[str, Any] = {
-            "cost_model": self.cost_model,
-            "constraints": self.constraints,
-            "preset": self.preset,
-        }
         return cost_map(
-            maps, altitude_m, time=time, time_of_day=time_of_day, objective="weighted", **rules
+            maps,
+            altitude_m,
+            objective="weighted",
+            cost_model=self.cost_model,
+            time=time,
+            time_of_day=time_of_day,
+            constraints=self.constraints,
+            preset=self.preset,
         )
 
 
@@ -160,10 +162,10 @@ class RouteJob(RouteRules):
     def row_of(self, instance: Row, run: Run, facts: Row) -> dict[str, Any]:
         """Return a row: its key and what is known, None for what is no number."""
         row = self.key_of(instance, run) | dict(facts)
-        return {
-            name: None if isinstance(v, float) and not math.isfinite(v) else v
-            for name, v in row.items()
-        }
+        for name, value in row.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                row[name] = None
+        return row
 
 
 class InstanceRuns(NamedTuple):
@@ -185,17 +187,12 @@ class InstanceRuns(NamedTuple):
 
 def tasks_of(instances: pd.DataFrame, job: RouteJob, store: RowStore) -> list[InstanceRuns]:
     """Return what a store does not hold yet, instances of a city and on the same maps one after the other."""
-
-    def left(instance: Row) -> tuple[Run, ...]:
-        return tuple(
-            run for run in job.runs if tuple(job.key_of(instance, run).values()) not in store
-        )
-
-    tasks = [
-        InstanceRuns(instance, runs)
-        for instance in records_of(instances)
-        if (runs := left(instance))
-    ]
+    tasks = []
+    for instance in records_of(instances):
+        keys = {run: tuple(job.key_of(instance, run).values()) for run in job.runs}
+        runs = tuple(run for run, key in keys.items() if key not in store)
+        if runs:
+            tasks.append(InstanceRuns(instance, runs))
     return sorted(tasks, key=lambda task: (str(task.city), *map(str, task.map_key)))
 
 
@@ -234,11 +231,11 @@ def run_rows(
     store = RowStore(file, job.key, has_parts=True)
     tasks = tasks_of(instances, job, store)
     try:
-        with nullcontext() if workers == 1 or not tasks else cluster_client(workers) as client:
-            solve = solve_here if client is None else partial(solve_on, client)
-            keep_rows(
-                store, solve(tasks, sources, job), sum(len(task.runs) for task in tasks), report
-            )
+        is_here = workers == 1 or not tasks
+        with nullcontext() if is_here else cluster_client(workers) as client:
+            solve = solve_here if is_here else partial(solve_on, client)
+            num_left = sum(len(task.runs) for task in tasks)
+            keep_rows(store, solve(tasks, sources, job), num_left, report)
     finally:
         store.save(columns(store.rows))
     return read_table(file, "rows")
@@ -249,7 +246,7 @@ def solve_here(
 ) -> Iterator[list[dict[str, Any]]]:
     """Yield the rows of each task, made in this process."""
     for city, of_city in groupby(tasks, lambda task: task.city):
-        yield from map(_Solver(sources[city], job).solve, of_city)
+        yield from map(_solver(sources[city], job), of_city)
 
 
 def solve_on(
@@ -284,24 +281,18 @@ def solve_on(
         yield rows
 
 
-class _Solver:
-    """The cost map of the last altitude and time, kept for the tasks to come."""
-
-    def __init__(self, source: Source, job: RouteJob) -> None:
-        maps = source if isinstance(source, MetricMaps) else source.open()
-        self.job = job
-        self._map_of = lru_cache(maxsize=1)(partial(job.cost_map, maps))
-
-    def solve(self, task: InstanceRuns) -> list[dict[str, Any]]:
-        """Return the rows of a task."""
-        return solve_instance(self.job, self._map_of(*task.map_key), *task)
+def _solver(source: Source, job: RouteJob) -> Callable[[InstanceRuns], list[dict[str, Any]]]:
+    """Return what makes the rows of a task; the cost map of its altitude and time is kept for the tasks to come."""
+    maps = source if isinstance(source, MetricMaps) else source.open()
+    map_of = lru_cache(maxsize=1)(partial(job.cost_map, maps))
+    return lambda task: solve_instance(job, map_of(*task.map_key), *task)
 
 
-_solver_in_worker = lru_cache(maxsize=1)(_Solver)
+_solver_in_worker = lru_cache(maxsize=1)(_solver)
 
 
 def _solve_in_worker(source: MapsFolder, job: RouteJob, task: InstanceRuns) -> list[dict[str, Any]]:
-    return _solver_in_worker(source, job).solve(task)
+    return _solver_in_worker(source, job)(task)
 
 
 def solve_instance(
@@ -343,5 +334,6 @@ def keep_rows(
 
 
 def _outcome(row: Row) -> str:
-    status = row["status"]
-    return "paths" if status in HAS_PATH else "crashed" if status == CRASHED else "none"
+    if row["status"] in HAS_PATH:
+        return "paths"
+    return "crashed" if row["status"] == CRASHED else "none"

@@ -2,9 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
-from jaxurban.checks import finite, typed
+from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.snapping import snap_limit_m
@@ -69,14 +68,15 @@ class PathSearch:
         planning = DEFAULTS if maps is None else maps.planning
         if is_for_volumes:
             planning = replace(DEFAULTS, planner="astar-volume", budget_s=planning.budget_s)
-        given: dict[str, Any] = {"planner": planner, "budget_s": budget_s, "seed": seed}
-        planning = replace(
-            planning, **{name: value for name, value in given.items() if value is not None}
-        )
-        budgets = {
-            name: finite(f"the budget of exposure to {name}", most)
-            for name, most in (exposure or {}).items()
-        }
+        arguments = {"planner": planner, "budget_s": budget_s, "seed": seed}
+        planning = replace(planning, **values_given(arguments))
+        budgets = {}
+        for name, most in (exposure or {}).items():
+            budgets[name] = finite(f"the budget of exposure to {name}", most)
+            if budgets[name] < 0:
+                raise InputError(
+                    f"the budget of exposure to {name} must be 0 or a positive number, got {most:g}: raise it"
+                )
         search = cls(
             planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine, budgets
         )
@@ -86,11 +86,6 @@ class PathSearch:
                 "refine moves waypoints on one altitude: leave it out of a path that climbs and descends"
             )
         find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
-        for name, most in budgets.items():
-            if most < 0:
-                raise InputError(
-                    f"the budget of exposure to {name} must be 0 or a positive number, got {most:g}: raise it"
-                )
         if budgets and (search.refine or search.planner not in (*EXACT_PLANNERS, *VOLUME_PLANNERS)):
             raise InputError(
                 "budgets of exposure are of paths on the grid: leave out refine, and take the planner "

@@ -16,8 +16,9 @@ from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.maps.build import region_of, view_sky
+from jaxurban.maps.levels import listed_m
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.run import load_city
+from jaxurban.maps.run import gps_of, load_city
 from jaxurban.maps.sources import CityLike, folder_of, scenario_of
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.maps.track import NUM_VISIBLE, Track, quality_along, seen_along
@@ -26,7 +27,6 @@ from jaxurban.paths.hiding import Hiding
 from jaxurban.paths.snapping import XY, Point, one_place
 from jaxurban.progress import Report
 from jaxurban.public import Caution, caution_of_guesses, listed
-from jaxurban.settings import NOMINAL, as_tuple
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
 
@@ -71,7 +71,11 @@ class Sight:
 
     @classmethod
     def of(
-        cls, where: CityLike, gps: Gps | None, sources: Path | None, resolution_m: float | None
+        cls,
+        where: CityLike,
+        gps: Gps | None,
+        sources: str | Path | None,
+        resolution_m: float | None,
     ) -> "Sight":
         """Return the sight of a city, of maps or of their folder, see `jaxurban.sky`."""
         if isinstance(where, City):
@@ -81,23 +85,15 @@ class Sight:
             resolution_m = where.grid.resolution_m
         scenario = scenario_of(folder_of(where), sources)
         sizes = scenario.region.resolution_m
-        if resolution_m is None:
-            resolution_m = sizes[0]
+        resolution_m = sizes[0] if resolution_m is None else resolution_m
         if resolution_m not in sizes:
-            held = ", ".join(f"{size:g}" for size in sizes)
             raise InputError(
-                f"resolution_m must be that of maps in the folder, {held}, got {resolution_m:g}"
+                f"resolution_m must be that of maps in the folder, {listed_m(sizes)}, got {resolution_m:g}"
             )
         region = Grid.from_bounds(scenario.region.bounds, resolution_m, scenario.region.crs, sizes)
-        orbits = [
-            name if name == NOMINAL else scenario.path_of(name)
-            for name in as_tuple(scenario.gps.orbits)
-        ]
-        params = replace(
-            scenario.map_params,
-            heights=replace(scenario.buildings, height_samples=0),
-            sections={"gps": gps or replace(scenario.gps, orbits=orbits)},
-        )
+        heights = replace(scenario.buildings, height_samples=0)
+        sections = {"gps": gps or gps_of(scenario)}
+        params = replace(scenario.map_params, heights=heights, sections=sections)
         return cls(load_city(scenario), region, params)
 
     def task(
@@ -150,11 +146,12 @@ class Sight:
             raise InputError(
                 "by the map all places must lie in its region and at one altitude_m: take by='outlines'"
             )
-        low_m = float(np.min(altitude_m))
         lonlat = self.region.lonlat_of_xy(*xy_m.mean(axis=1).tolist())
-        task = self.task(times, low_m, self.params.gps.reference if by == "map" else lonlat)
+        reference = self.params.gps.reference if by == "map" else lonlat
+        task = self.task(times, float(np.min(altitude_m)), reference)
         sky = np.arange(task.num_times) if sky is None else sky
         x_m, y_m, height_m, _ = np.broadcast_arrays(*xy_m, altitude_m, sky)
+        num = len(sky)
         epoch, satellite = np.nonzero(task.sky.is_in_view[sky])
         at = sky[epoch], satellite
         azimuth_rad, elevation_rad = task.sky.azimuth_rad[at], task.sky.elevation_rad[at]
@@ -166,38 +163,36 @@ class Sight:
             is_seen, is_outdoors = seen_along(task, track, Report())
             behind = behind.iloc[:, :0]
         else:
-            is_seen = np.zeros((len(sky), len(task.sky.names)), bool)
+            is_seen = np.zeros((num, len(task.sky.names)), bool)
             is_seen[epoch, satellite] = is_known & (behind["margin_m"] > 0)
-            is_outdoors = (
-                np.bincount(epoch[behind["roof_distance_m"] == 0], minlength=len(sky)) == 0
-            )
+            is_outdoors = np.ones(num, bool)
+            is_outdoors[epoch[behind["roof_distance_m"] == 0]] = False
         state = np.select([~is_known, is_seen[epoch, satellite]], [UNKNOWN, SEEN], HIDDEN)
-        turn_rad = self.region.convergence_rad(*lonlat)
+        true_rad = azimuth_rad + self.region.convergence_rad(*lonlat)
         rows = {
             "satellite": np.array(task.sky.names)[satellite],
             "system": np.array(task.sky.systems)[satellite],
-            "azimuth_deg": np.degrees((azimuth_rad + turn_rad) % math.tau),
+            "azimuth_deg": np.degrees(true_rad % math.tau),
             "grid_azimuth_deg": np.degrees(azimuth_rad),
             "elevation_deg": np.degrees(elevation_rad),
             "state": state,
         }
-        counts = {
-            f"num_{each}": np.bincount(epoch[state == each], minlength=len(sky))
-            for each in (HIDDEN, UNKNOWN)
-        }
         quality = quality_along(task, sky, is_seen)
-        seen = {NUM_VISIBLE: quality[NUM_VISIBLE].astype(int)}
-        dops = pd.DataFrame(seen | counts | {name: quality[name] for name in DOPS})
-        return Look(task, sky, epoch, pd.DataFrame(rows).join(behind), dops, is_outdoors)
+        dops = {NUM_VISIBLE: quality[NUM_VISIBLE].astype(int)}
+        for each in (HIDDEN, UNKNOWN):
+            dops[f"num_{each}"] = np.bincount(epoch[state == each], minlength=num)
+        dops |= {name: quality[name] for name in DOPS}
+        rows_behind = pd.DataFrame(rows).join(behind)
+        return Look(task, sky, epoch, rows_behind, pd.DataFrame(dops), is_outdoors)
 
 
 def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
     """Return ``[2, N]`` easting and northing of places in degrees or in metres."""
-    given = [one_place(name, place, None) for place in places]
-    values = np.array([place[:2] for place in given], float).reshape(-1, 2).T
-    is_xy = np.array([isinstance(place, XY) for place in given], bool)
+    checked = [one_place(name, place, None) for place in places]
+    values = np.array([place[:2] for place in checked], float).reshape(-1, 2).T
+    is_xy = np.array([isinstance(place, XY) for place in checked], bool)
     xy_m = np.where(is_xy, values, grid.xy_of_lonlat(*np.where(is_xy, 0.0, values)))
-    if not given or not np.isfinite(xy_m).all():
+    if not checked or not np.isfinite(xy_m).all():
         raise InputError(
             f"{name} must be longitude, latitude in degrees in or near the city, got {listed([*map(str, places)])}"
         )
@@ -210,24 +205,26 @@ def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caut
     guesses = {**sight.city.guesses, **look.task.sky.guesses}
     if not sight.city.sources:  # the synthetic city has no real sky
         guesses.pop(NOMINAL_SKY, None)
-    if num_guessed := int(rows.get("roof_is_guessed", pd.Series(dtype=bool)).sum()):
+    num_guessed = int(rows["roof_is_guessed"].sum()) if "roof_is_guessed" in rows else 0
+    if num_guessed:
         guesses[f"heights of the roofs that hide {num_guessed} of {len(rows)} satellites"] = ""
     cautions = caution_of_guesses(guesses)
-    if num_unknown := int((rows["state"] == UNKNOWN).sum()):
-        counted = "; the map counts them as clear where nothing known hides them" * (by == "map")
-        cautions.append(
-            Caution(
-                f"{num_unknown} of {len(rows)} satellites are unknown: their rays leave the known buildings or "
-                f"terrain{counted}."
-            )
+    num_unknown = int((rows["state"] == UNKNOWN).sum())
+    if num_unknown:
+        sentence = (
+            f"{num_unknown} of {len(rows)} satellites are unknown: their rays leave the known buildings or "
+            "terrain"
         )
-    is_inside = shapely.intersects_xy(sight.city.known_ground, *xy_m)
+        if by == "map":
+            sentence += "; the map counts them as clear where nothing known hides them"
+        cautions.append(Caution(f"{sentence}."))
+    is_outside = ~shapely.intersects_xy(sight.city.known_ground, *xy_m)
     places = {
-        "outside what is known of the city": np.broadcast_to(~is_inside, num),
+        "outside what is known of the city": np.broadcast_to(is_outside, num),
         "in a building, where all that is known is hidden": ~look.is_outdoors,
         "without a position fix": has_no_fix(look.dops[FIX].to_numpy()),
     }
-    for what, is_so in places.items():
-        if is_so.any():
-            cautions.append(Caution(f"{int(is_so.sum())} of {num} rows are {what}.", "limit"))
+    for place, is_there in places.items():
+        if is_there.any():
+            cautions.append(Caution(f"{is_there.sum()} of {num} rows are {place}.", "limit"))
     return cautions

@@ -66,7 +66,7 @@ class SkyAt(FactsRepr):
     def facts(self) -> dict[str, str]:
         """Place, height, times, how it was computed, and how many satellites are seen, hidden and unknown."""
         lon, lat = self.lonlat
-        counts = [f"{len(self.table[self.table['state'] == state])} {state}" for state in STATES]
+        counts = [f"{(self.table['state'] == state).sum()} {state}" for state in STATES]
         return {
             "place": f"{lon:.6f}, {lat:.6f}",
             "altitude": f"{self.altitude_m:g} m above ground",
@@ -76,11 +76,6 @@ class SkyAt(FactsRepr):
             "HDOP": listed([f"{value:.3g}" for value in self.dops[FIX]]),
             "credit": self.attribution,
         }
-
-    @property
-    def known_cautions(self) -> list[Caution]:
-        """Its ``cautions``."""
-        return self.cautions
 
     @cached_property
     def horizon_deg(self) -> np.ndarray:
@@ -143,7 +138,7 @@ def sky(
       >>> list(here.table)[:7]
       ['time', 'satellite', 'system', 'azimuth_deg', 'grid_azimuth_deg', 'elevation_deg', 'state']
     """
-    sight = Sight.of(where, gps, None if sources is None else Path(sources), resolution_m)
+    sight = Sight.of(where, gps, sources, resolution_m)
     return sky_from(sight, place, altitude_m, time=time, by=by)
 
 

@@ -11,6 +11,7 @@ from jaxurban.checks import positive, typed
 from jaxurban.errors import InputError
 from jaxurban.maps.sources import CityLike
 from jaxurban.metrics.gps import FIX, Gps, has_no_fix
+from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.sight import By, Sight, cautions_of, xy_of
 from jaxurban.paths.snapping import XY, Point
@@ -54,11 +55,6 @@ class SkyAlong(FactsRepr):
             "credit": self.attribution,
         }
 
-    @property
-    def known_cautions(self) -> list[Caution]:
-        """Its ``cautions``."""
-        return self.cautions
-
 
 @typed
 def sky_along(
@@ -95,7 +91,7 @@ def sky_along(
       >>> len(flown.table), list(flown.table)[:4]
       (73, ['time', 'lon', 'lat', 'altitude_m'])
     """
-    sight = Sight.of(where, gps, None if sources is None else Path(sources), resolution_m)
+    sight = Sight.of(where, gps, sources, resolution_m)
     if isinstance(places, PlannedPath):
         altitude_m = places.z_m.tolist() if altitude_m is None else altitude_m
         places = [XY(*xy_m) for xy_m in places.xy_m.tolist()]
@@ -123,14 +119,13 @@ def sky_along(
     xy_m = np.stack([x_m, y_m])
     look = sight.look(by, xy_m, z_m, different.tolist(), sky)
     lon, lat = sight.region.lonlat_of_xy(x_m, y_m)
-    at = pd.DataFrame({"time": names, "lon": lon, "lat": lat, "altitude_m": z_m})
-    table = at.join(look.dops).assign(has_fix=~has_no_fix(look.dops[FIX].to_numpy()))
+    table = pd.DataFrame({"time": names, "lon": lon, "lat": lat, "altitude_m": z_m})
+    table = table.join(look.dops).assign(has_fix=~has_no_fix(look.dops[FIX].to_numpy()))
     return SkyAlong(table, by, cautions_of(sight, look, by, xy_m), sight.city.attribution)
 
 
 def _flown(corners_m: np.ndarray, speed_m_s: float) -> np.ndarray:
     """Return ``[4, N]`` x, y, z at each second of a route through corners ``[3, K]`` and at its end, and the time."""
-    legs_m = np.linalg.norm(np.diff(corners_m, axis=1), axis=0)
-    at_s = np.append(0.0, np.cumsum(legs_m)) / speed_m_s
+    at_s = along_of(corners_m.T) / speed_m_s
     elapsed_s = np.append(np.arange(0.0, at_s[-1]), at_s[-1])
     return np.stack([*(np.interp(elapsed_s, at_s, values) for values in corners_m), elapsed_s])

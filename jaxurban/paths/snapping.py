@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 Point = tuple[
     float | None, ...
 ]  # longitude, latitude in degrees, and between levels an altitude if liked
-SUCH_AS = ("(583960.0, 4507351.0)", "(-74.0, 40.7)")
+IN_METRES = "easting, northing in metres such as (583960.0, 4507351.0)"
+IN_DEGREES = "longitude, latitude in degrees such as (-74.0, 40.7)"
 MAX_SNAP_M = 50.0  # about half a city block, unless another distance is given
 
 
@@ -45,17 +46,15 @@ def one_place(name: str, lonlat: Point | XY | None, xy_m: Point | None) -> Point
     if (lonlat is None) == (xy_m is None):
         fault = "is missing" if xy_m is None else "must be given in one way, not both"
         raise InputError(f"{name} {fault}: give it as longitude, latitude or as {name}_xy_m")
-    if isinstance(lonlat, XY):
-        lonlat, xy_m = None, lonlat
     place: Any = lonlat if xy_m is None else xy_m
+    is_xy = xy_m is not None or isinstance(lonlat, XY)
     try:
         numbers: Any = [None if value is None else float(value) for value in place]
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) not in (2, 3) or None in numbers[:2]:
-        what = "longitude, latitude in degrees" if xy_m is None else "easting, northing in metres"
-        raise InputError(f"{name} must be {what} such as {SUCH_AS[xy_m is None]}, got {place!r}")
-    return XY(*numbers) if xy_m is not None else tuple(numbers)
+        raise InputError(f"{name} must be {IN_METRES if is_xy else IN_DEGREES}, got {place!r}")
+    return XY(*numbers) if is_xy else tuple(numbers)
 
 
 @dataclass(frozen=True)
@@ -139,9 +138,9 @@ def joined_ends(cost_map: "CostMap", starts: list[End], goals: list[End]) -> tup
     islands = cost_map.islands
 
     def apart_then_moved_m(ends: tuple[End, End]) -> tuple[bool, float]:
-        return bool(islands[ends[0].cell] != islands[ends[1].cell]), sum(
-            end.snap_distance_m for end in ends
-        )
+        start, goal = ends
+        are_apart = bool(islands[start.cell] != islands[goal.cell])
+        return are_apart, start.snap_distance_m + goal.snap_distance_m
 
     return min(product(starts, goals), key=apart_then_moved_m)
 
@@ -191,11 +190,12 @@ def islands_of(is_free: np.ndarray, cuts_corners: bool) -> np.ndarray:
 
     On one level cells join as on one altitude; from level to level straight up and down, which all climbs come to.
     """
-    touching = generate_binary_structure(2, 2 if cuts_corners else 1)
+    touching = flat = generate_binary_structure(2, 2 if cuts_corners else 1)
     if is_free.ndim == 3:
-        flat, touching = touching, generate_binary_structure(3, 1)
+        touching = generate_binary_structure(3, 1)
         touching[1] = flat
-    return np.asarray(label(is_free, touching)[0])
+    islands, _ = label(is_free, touching)
+    return islands
 
 
 def islands_at(cost_map: "CostMap", levels_m: tuple[float, ...]) -> np.ndarray:
@@ -212,19 +212,19 @@ def what_would_join(cost_map: "CostMap", start: Cell, goal: Cell) -> str:
     levels_m = cost_map.altitudes_m.tolist()
     is_plane = cost_map.levels is None
     higher_m = [z_m for z_m in sorted(cost_map.maps.altitudes_m) if z_m > levels_m[-1]]
-    joined = ""
-    if higher_m:
-        joined = "Start and goal are not joined at a greater altitude of these maps. "
-    for k, z_m in enumerate(higher_m):
-        levels = (z_m,) if is_plane else (*levels_m, *higher_m[: k + 1])
-        islands = cost_map.islands_at(levels)
-        if islands[start] == islands[goal] != 0:
-            how = "at" if is_plane else "with max_altitude_m"
-            joined = f"Start and goal are joined {how} {z_m:g} m. "
-            break
-    finer = (
-        "A smaller clearance or finer maps" if cost_map.constraints.keeps_clear else "Finer maps"
+    joined = (
+        "Start and goal are not joined at a greater altitude of these maps. " if higher_m else ""
     )
+    for z_m in higher_m:
+        levels_m = [z_m] if is_plane else [*levels_m, z_m]
+        islands = cost_map.islands_at(tuple(levels_m))
+        if islands[start] == islands[goal] != 0:
+            bound = "at" if is_plane else "with max_altitude_m"
+            joined = f"Start and goal are joined {bound} {z_m:g} m. "
+            break
+    finer = "Finer maps"
+    if cost_map.constraints.keeps_clear:
+        finer = "A smaller clearance or finer maps"
     return f"{joined}{finer} may join them too."
 
 

@@ -70,53 +70,44 @@ class Departures(FactsRepr):
 
         Of several routes what the maps guess, and what of each is beyond limits.
         """
-        planned = [path for path in self.paths if path is not None]
+        guesses = guess_cautions(next(filter(None, self.paths)).maps)
         if self.best is None:
-            return guess_cautions(planned[0].maps)
-        flown = self.routes.index[self.routes["departure"] == self.best]
-        paths = [self.paths[row] for row in flown]
-        if len(paths) == 1:
-            return paths[0].cautions
-        beyond = [
-            Caution(f"Route {number}: {each}", each.level)
-            for number, path in enumerate(paths)
-            if path is not None
-            for each in path.cautions
-            if each.level == "limit"
-        ]
-        return [*guess_cautions(planned[0].maps), *beyond]
-
-    @property
-    def known_cautions(self) -> list[Caution]:
-        """Its `cautions`."""
-        return self.cautions
+            return guesses
+        rows = self.routes.index[self.routes["departure"] == self.best]
+        if len(rows) == 1:
+            return self.paths[rows[0]].cautions
+        beyond = []
+        for number, row in enumerate(rows):
+            path = self.paths[row]
+            cautions = [] if path is None else path.cautions
+            limits = [each for each in cautions if each.level == "limit"]
+            beyond += [Caution(f"Route {number}: {each}", "limit") for each in limits]
+        return guesses + beyond
 
     @property
     def facts(self) -> dict[str, str]:
         """The best and the worst time, how small the effect is, and which routes have no path at some time."""
-        table, by_route, facts = (
-            self.table,
-            self.routes.groupby("query"),
-            {"times": f"{len(self.table)}"},
-        )
+        table = self.table
+        facts = {"times": f"{len(table)}"}
         if self.best is not None:
-            ends = table.loc[[self.best, table["cost"].idxmax()]]
-            best, worst = (", ".join(filter(None, names)) for names in ends[TIMES].to_numpy())
-            facts |= {"best": f"{best}, cost {ends['cost'].min():,.2f}"}
-            facts |= {"worst": f"{worst}, {ends['above_best'].fillna(0).max():.2%} above the best"}
-            facts |= {
-                "routes that change": f"{by_route['num_changed'].any().sum()} of {len(by_route)}"
-            }
-            facts |= {
-                "keeping those of the best": f"up to {table['kept_above'].max():.2%} more at another time"
-            }
+            best, worst = table.iloc[self.best], table.iloc[int(table["cost"].argmax())]
+            has_changed = self.routes.groupby("query")["num_changed"].any()
+            most_kept = table["kept_above"].max()
+            facts["best"] = f"{_time_of(best)}, cost {best['cost']:,.2f}"
+            facts["worst"] = f"{_time_of(worst)}, {worst['above_best']:.2%} above the best"
+            facts["routes that change"] = f"{has_changed.sum()} of {len(has_changed)}"
+            facts["keeping those of the best"] = f"up to {most_kept:.2%} more at another time"
         missing = self.routes[self.routes["cost"].isna()]
-        none = [
-            f"route {query} at {number}"
-            for query, number in missing.groupby("query").size().items()
-        ]
-        why = f" ({missing['message'].iloc[0]})" if none else ""
-        return facts | {"times without a path": listed(none) + why}
+        num_missing = missing.groupby("query").size()
+        without = listed([f"route {query} at {number}" for query, number in num_missing.items()])
+        if without:
+            without += f" ({missing['message'].iloc[0]})"
+        return facts | {"times without a path": without}
+
+
+def _time_of(row: pd.Series) -> str:
+    """Return time and time of day of a row of `Departures`, those that the maps hold."""
+    return ", ".join(filter(None, row[TIMES]))
 
 
 @typed
@@ -171,7 +162,7 @@ def when(
     maps = as_maps(maps)
     times = maps.times if maps.default_time and time is None else (time,)
     days = (maps.times_of_day or (None,)) if time_of_day is None else (time_of_day,)
-    table = pd.DataFrame([*product(times, days)], columns=TIMES)
+    table = pd.DataFrame(product(times, days), columns=TIMES)
     if len(table) == 1:
         raise InputError(
             "there is one time alone to fly at: make maps of several, as with gps=Gps(start=..., stop=..., "
@@ -211,13 +202,8 @@ def when(
         raise InputError(paths.rows[0]["message"])
     routes = paths.to_dataframe().astype({"cost": float, "length_m": float})
     routes["departure"], routes["query"] = np.divmod(routes["query"], len(wanted))
-    routes = routes.join(pd.DataFrame([_met(path) for path in paths]))
-    sums = [*routes.filter(regex="^(cost|length_m|no_fix_m|exposure_.+)$")]
-    flown = routes[routes.groupby("query")["cost"].transform("count") > 0]
-    table = table.join(flown.groupby("departure")[sums].sum(min_count=flown["query"].nunique()))
-    least = table["cost"].min()
-    above = table["cost"] / least - 1
-    table.insert(3, "above_best", above.mask(table["cost"] <= least * (1 + SAME_ROUTE_COST), 0.0))
+    routes = routes.join(pd.DataFrame(list(map(_along, paths))))
+    table = _with_sums(table, routes)
     best = Departures(table, routes, paths).best or 0
     kept = [paths[best * len(wanted) + query] for query in routes["query"]]
 
@@ -232,22 +218,41 @@ def when(
         cost_map = map_at(path.altitude_m, tuple(path.settings["weights"].items()), departure)
         return cost_map.problem.features(path.search.points_m).cost(cost_map.weight_vector)
 
-    kept_costs = np.array([*map(cost_at, kept, routes["departure"])])
+    kept_costs = np.array(list(map(cost_at, kept, routes["departure"])))
     kept_above = kept_costs / routes["cost"] - 1
-    routes["kept_above"] = np.where(kept_costs <= routes["cost"], 0.0, kept_above)
+    routes["kept_above"] = kept_above.mask(kept_costs <= routes["cost"], 0.0)
     routes["num_changed"] = routes["kept_above"] > SAME_ROUTE_COST
     of_time = routes.groupby("departure")
     table = table.join(of_time[[*routes.filter(like="longest_"), "kept_above"]].max())
     return Departures(table.join(of_time["num_changed"].sum()), routes, paths)
 
 
-def _met(path: PlannedPath | None) -> dict[str, float]:
-    """Return what a route meets, nothing without a path."""
+def _with_sums(table: pd.DataFrame, routes: pd.DataFrame) -> pd.DataFrame:
+    """Return a table of times with what routes cost and measure then together, and the share above the least cost.
+
+    A sum is NaN where one route has no path, but routes that have one at no time are in none.
+
+    Args:
+      table: a row per time.
+      routes: a row per time, whose row is ``departure``, and route, whose number is ``query``.
+    """
+    sums = list(routes.filter(regex="^(cost|length_m|no_fix_m|exposure_.+)$"))
+    flown = routes[routes.groupby("query")["cost"].transform("count") > 0]
+    num_flown = flown["query"].nunique()
+    table = table.join(flown.groupby("departure")[sums].sum(min_count=num_flown))
+    least = table["cost"].min()
+    above = table["cost"] / least - 1
+    table.insert(3, "above_best", above.mask(table["cost"] <= least * (1 + SAME_ROUTE_COST), 0.0))
+    return table
+
+
+def _along(path: PlannedPath | None) -> dict[str, float]:
+    """Return exposure by layer along a route, and metres without a fix; nothing without a path."""
     if path is None or path.maps is None or not path.status.has_path:
         return {}
-    met = {f"exposure_{name}": value for name, value in path.exposure_by_layer.items()}
+    measures = {f"exposure_{name}": value for name, value in path.exposure_by_layer.items()}
     profile = cautious_profile(path, path.maps)
     if FIX in profile:
         stretches_m = [0.0, *(to_m - from_m for from_m, to_m in without_fix(profile))]
-        met |= {"no_fix_m": sum(stretches_m), "longest_no_fix_m": max(stretches_m)}
-    return met
+        measures |= {"no_fix_m": sum(stretches_m), "longest_no_fix_m": max(stretches_m)}
+    return measures

@@ -13,7 +13,7 @@ from scipy.ndimage import label
 import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.io.read.zone import cell_boxes, touched_cells
-from jaxurban.paths.constraints import (
+from jaxurban.paths.clearance import (
     FILE_MARGIN_M,
     closing_step_m,
     distance_to_obstacles_m,

@@ -8,7 +8,7 @@ import jaxurban as ju
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.paths.constraints import obstacles_within
+from jaxurban.paths.clearance import obstacles_within
 from jaxurban.settings import TO_GROUND
 from jaxurban.world.grid import Grid
 from tests.hanging_city import CRS, DECK, DECK_TOP_M, HANGING, STANDING, X_M, Y_M, city

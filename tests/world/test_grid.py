@@ -138,7 +138,7 @@ def test_tiles_cover_the_region_once_and_the_margin(rows, cols, west, south, eas
         assert len(set(steps.tolist())) <= 3  # few shapes to compile for
 
 
-@given(sizes, sizes, margins, st.sampled_from(QUADRANTS))
+@given(sizes, sizes, margins, st.sampled_from([*QUADRANTS]))
 def test_whatever_a_tile_of_the_region_takes_up_was_handed_on(rows, cols, margin, quadrant):
     tiles = tiling(rows, cols, margin, margin, margin, margin, (30, 40))
     needed = {near for tile in tiles.region_tiles for near in tiles.upstream(tile, quadrant)}

@@ -6,11 +6,13 @@ thousands. No straight line between waypoints is lower than planned: these are r
 Over maps with terrain points are added until no line is more than `GROUND_TOLERANCE_M` higher.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from jaxurban.paths.lines import along_of
 from jaxurban.settings import Vehicle
 
 if TYPE_CHECKING:
@@ -47,6 +49,16 @@ class Format(NamedTuple):
     encode: Encode
     label: str
     is_of_waypoints: bool = False
+
+
+def number_or_none(value: float | None) -> float | None:
+    """Return a number as JSON takes it: None for one that is missing or not finite."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def numbers_or_none(values: Mapping[Any, float | None]) -> dict[str, float | None]:
+    """Return numbers by name as JSON takes them (`number_or_none`)."""
+    return {str(name): number_or_none(value) for name, value in values.items()}
 
 
 def positions(points: np.ndarray) -> list[list[float]]:
@@ -114,17 +126,18 @@ def waypoints(route: "PlannedPath") -> Waypoints:
         lonlat, number = ground.lonlat, np.arange(len(xyz_m))
         xyz_m = np.column_stack([np.interp(ground.at, number, values) for values in xyz_m.T])
         height_m, most_m = xyz_m[:, 2] + ground.cover_m, MISSED_M
-    along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xyz_m, axis=0), axis=1)))
-    kept = _bends(
-        along_m, np.column_stack([xyz_m, height_m]), np.array([*[STRAIGHT_M] * 3, most_m])
-    )
+    along_m = along_of(xyz_m)
+    missed_m = np.array([STRAIGHT_M, STRAIGHT_M, STRAIGHT_M, most_m])
+    kept = _bends(along_m, np.column_stack([xyz_m, height_m]), missed_m)
     too_low_m = height_m - np.interp(along_m, along_m[kept], height_m[kept])
     of_leg_m = np.maximum.reduceat(too_low_m, kept[:-1]) if len(kept) > 1 else np.zeros(0)
-    raised_m = height_m[kept] + np.maximum(np.append(of_leg_m, 0.0), np.append(0.0, of_leg_m)).clip(
-        0.0
-    )
-    elevation_m = None if ground is None else ground.elevation_m[kept]
-    z_m = raised_m if elevation_m is None else raised_m - elevation_m
+    # A waypoint is raised by what the leg before it lacks, or the one after it.
+    raise_m = np.maximum(np.append(of_leg_m, 0.0), np.append(0.0, of_leg_m)).clip(0.0)
+    z_m = height_m[kept] + raise_m
+    elevation_m = None
+    if ground is not None:
+        elevation_m = ground.elevation_m[kept]
+        z_m = z_m - elevation_m
     return Waypoints(np.round(lonlat[kept], DECIMALS), z_m, elevation_m)
 
 
@@ -138,12 +151,12 @@ def _bends(along_m: np.ndarray, values_m: np.ndarray, most_m: np.ndarray) -> np.
       values_m: ``[G, V]`` x, y and what else runs straight along a line.
       most_m: ``[V]`` by how much a line may miss each.
     """
-    kept, spans = {0, len(along_m) - 1}, [(0, len(along_m) - 1)]
+    whole = 0, len(along_m) - 1
+    kept, spans = {*whole}, [whole]
     while spans:
         first, last = spans.pop()
-        share = (along_m[first:last] - along_m[first]) / max(
-            along_m[last] - along_m[first], np.finfo(float).tiny
-        )
+        length_m = max(along_m[last] - along_m[first], np.finfo(float).tiny)
+        share = (along_m[first:last] - along_m[first]) / length_m
         line_m = values_m[first] + share[:, None] * (values_m[last] - values_m[first])
         missed = np.max(np.abs(values_m[first:last] - line_m) / most_m, axis=1)
         if missed.max(initial=0.0) > 1:

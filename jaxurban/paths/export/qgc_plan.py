@@ -10,7 +10,6 @@ and so are roofs beside it where they are asked for (`roof_fences`). The file ho
 """
 
 import json
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import polygonal
+from jaxurban.paths.corridor import grid_over
 from jaxurban.paths.export.base import (
     DECIMALS,
     GROUND_TOLERANCE_M,
@@ -30,6 +30,7 @@ from jaxurban.paths.export.base import (
     upward,
     waypoints,
 )
+from jaxurban.paths.lines import line_of
 from jaxurban.world.grid import Grid
 
 if TYPE_CHECKING:
@@ -80,9 +81,9 @@ def height_note(route: "PlannedPath") -> str:
 def mission_note(route: "PlannedPath", end: str, roofs: "RoofFences | None" = None) -> str:
     """Return what to know of a ``.plan``: its altitudes, its end and its geofence, in a few sentences."""
     of_roofs = "" if roofs is None else roofs.note
-    return " ".join(
-        filter(None, (height_note(route), END_NOTES[end], exclusions(route)[1], of_roofs))
-    )
+    _, of_zones = exclusions(route)
+    notes = height_note(route), END_NOTES[end], of_zones, of_roofs
+    return " ".join(filter(None, notes))
 
 
 def to_qgc_plan(
@@ -145,23 +146,15 @@ def to_qgc_plan(
 def _items(along: Waypoints, speed_m_s: float | None, end: str) -> list[dict[str, Any]]:
     """Return the items of a mission: take-off, the speed if it is given, waypoints, the end."""
     places = zip(along.lonlat.tolist(), upward(along.above_home_m).tolist(), strict=True)
-    takeoff, *others = [
-        _place(MAV_CMD_NAV_WAYPOINT if number else MAV_CMD_NAV_TAKEOFF, lonlat, z_m)
-        for number, (lonlat, z_m) in enumerate(places)
-    ]
-    items = [takeoff]
+    items = [_place(MAV_CMD_NAV_TAKEOFF, *next(places))]
     if speed_m_s is not None:
-        items.append(
-            _command(
-                MAV_CMD_DO_CHANGE_SPEED, [GROUND_SPEED, speed_m_s, THROTTLE_AS_IT_IS, 0, 0, 0, 0]
-            )
-        )
-    items += others
+        params = [GROUND_SPEED, speed_m_s, THROTTLE_AS_IT_IS, 0, 0, 0, 0]
+        items.append(_command(MAV_CMD_DO_CHANGE_SPEED, params))
+    items += [_place(MAV_CMD_NAV_WAYPOINT, *place) for place in places]
     if end == "land":
         ground_m = 0.0 if along.ground_m is None else float(along.ground_m[-1] - along.ground_m[0])
-        items.append(
-            _place(MAV_CMD_NAV_LAND, along.lonlat[-1].tolist(), round(ground_m, Z_DECIMALS))
-        )
+        last = along.lonlat[-1].tolist()
+        items.append(_place(MAV_CMD_NAV_LAND, last, round(ground_m, Z_DECIMALS)))
     elif end == "return":
         items.append(_command(MAV_CMD_NAV_RETURN_TO_LAUNCH, [0] * 7))
     return [item | {"doJumpId": number} for number, item in enumerate(items, start=1)]
@@ -170,13 +163,10 @@ def _items(along: Waypoints, speed_m_s: float | None, end: str) -> list[dict[str
 def _place(command: int, lonlat: Sequence[float], z_m: float) -> dict[str, Any]:
     """Return an item at a place, its altitude above home."""
     lon, lat = lonlat
-    return _command(
-        command, [0, 0, 0, None, lat, lon, z_m], MAV_FRAME_GLOBAL_RELATIVE_ALT
-    ) | {  # None: any yaw
-        "Altitude": z_m,
-        "AltitudeMode": ALTITUDE_RELATIVE,
-        "AMSLAltAboveTerrain": None,
-    }
+    any_yaw = None
+    params = [0, 0, 0, any_yaw, lat, lon, z_m]
+    height = {"Altitude": z_m, "AltitudeMode": ALTITUDE_RELATIVE, "AMSLAltAboveTerrain": None}
+    return _command(command, params, MAV_FRAME_GLOBAL_RELATIVE_ALT) | height
 
 
 def _command(
@@ -200,10 +190,10 @@ def exclusions(route: "PlannedPath") -> tuple[list[np.ndarray], str]:
     """
     if not route.zones:
         return [], ""
-    low_m, high_m = float(np.min(route.z_m)), float(np.max(route.z_m))
-    near, line = _surroundings(route), shapely.LineString(route.xy_m[[0, *range(len(route.xy_m))]])
+    low_m, high_m = route.z_m.min(), route.z_m.max()
+    near, line = _surroundings(route), line_of(route.xy_m)
     rings: list[np.ndarray] = []
-    num_held = num_elsewhere = 0
+    num_fenced = num_elsewhere = 0
     for zone in route.zones:
         part = polygonal(shapely.intersection(zone.on(near), shapely.box(*near.bounds_m)))
         if part.is_empty:
@@ -211,14 +201,22 @@ def exclusions(route: "PlannedPath") -> tuple[list[np.ndarray], str]:
         if not (zone.floor_m <= high_m and low_m <= zone.ceiling_m) or part.intersects(line):
             num_elsewhere += 1
             continue
-        num_held += 1
-        for whole in without_holes(polygonal(shapely.simplify(part, SMOOTH_M))):
-            corners = np.asarray(whole.exterior.coords)[:-1]
-            rings.append(np.round(np.stack(near.lonlat_of_xy(*corners.T), axis=-1), DECIMALS))
-    said = f"The geofence keeps out of {num_held} no-fly zone{'s' * (num_held != 1)} within {NEAR_M / 1000:g} km"
+        num_fenced += 1
+        wholes = without_holes(polygonal(shapely.simplify(part, SMOOTH_M)))
+        rings += [ring_of(whole, near) for whole in wholes]
+    zones = "no-fly zone" if num_fenced == 1 else "no-fly zones"
+    sentence = f"The geofence keeps out of {num_fenced} {zones} within {NEAR_M / 1000:g} km"
     if num_elsewhere:
-        said += f"; it has no heights, so {num_elsewhere} above or below the flight are left out"
-    return rings, f"{said}."
+        sentence += (
+            f"; it has no heights, so {num_elsewhere} above or below the flight are left out"
+        )
+    return rings, f"{sentence}."
+
+
+def ring_of(polygon: shapely.Polygon, grid: Grid) -> np.ndarray:
+    """Return a polygon's corners ``[N, 2]`` in longitude and latitude, as files hold them."""
+    corners = np.asarray(polygon.exterior.coords)[:-1]
+    return np.round(np.stack(grid.lonlat_of_xy(*corners.T), axis=-1), DECIMALS)
 
 
 def without_holes(polygon: shapely.Geometry) -> list[shapely.Polygon]:
@@ -239,14 +237,5 @@ def without_holes(polygon: shapely.Geometry) -> list[shapely.Polygon]:
 
 def _surroundings(route: "PlannedPath") -> Grid:
     """Return the land within `NEAR_M` of a path's box, as a coarse grid."""
-    side_m = NEAR_M / 10
-    west, south = (math.floor((low - NEAR_M) / side_m) for low in route.xy_m.min(axis=0).tolist())
-    east, north = (math.ceil((high + NEAR_M) / side_m) for high in route.xy_m.max(axis=0).tolist())
-    return Grid(
-        route.crs,
-        side_m,
-        first_row=south,
-        first_col=west,
-        num_rows=north - south,
-        num_cols=east - west,
-    )
+    low_m, high_m = route.xy_m.min(axis=0) - NEAR_M, route.xy_m.max(axis=0) + NEAR_M
+    return grid_over(route.crs, NEAR_M / 10, low_m, high_m)

@@ -17,9 +17,10 @@ from jaxurban.checks import positive
 from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.zone import cell_boxes, made_valid, touched_cells
-from jaxurban.paths.constraints import FILE_MARGIN_M
-from jaxurban.paths.export.base import DECIMALS, waypoints
-from jaxurban.paths.export.qgc_plan import exclusions, without_holes
+from jaxurban.paths.clearance import FILE_MARGIN_M
+from jaxurban.paths.export.base import waypoints
+from jaxurban.paths.export.qgc_plan import exclusions, ring_of, without_holes
+from jaxurban.paths.lines import line_of
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import stands_at
 
@@ -89,15 +90,13 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
         legs, predicate="dwithin", distance=near_m
     )
     reaching = np.unique(of_roof[stands_at(roofs.height_m[of_roof], floor_m[of_leg])])
-    lonlat = waypoints(route).lonlat
-    flown = shapely.LineString(
-        np.stack(grid.xy_of_lonlat(*lonlat[[0, *range(len(lonlat))]].T), axis=-1)
-    )
+    flown = line_of(np.stack(grid.xy_of_lonlat(*waypoints(route).lonlat.T), axis=-1))
     zones, _ = exclusions(route)
     most = MOST_VERTICES - sum(map(len, zones))
     fences, num_met = _fewest(roofs.polygons[reaching], flown, grid, most)
-    rings = [_rounded(fence, grid) for fence in fences]
-    if (num := sum(map(len, rings))) > most:
+    rings = [ring_of(fence, grid) for fence in fences]
+    num = sum(map(len, rings))
+    if num > most:
         raise InputError(
             f"{len(reaching)} {roofs.called} within {near_m:g} m of the route take {num} vertices of a fence, and "
             f"autopilots hold {MOST_VERTICES}, zones included: name a smaller distance, fly higher, or split the "
@@ -107,7 +106,8 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
         f"The geofence keeps out of the {roofs.called} within {near_m:g} m that reach the flight: "
         f"{len(reaching) - num_met}, {roofs.why}"
     )
-    if num_guessed := int(roofs.is_guessed[reaching].sum()):
+    num_guessed = int(roofs.is_guessed[reaching].sum())
+    if num_guessed:
         note += f", {num_guessed} of guessed height"
     if fences:
         note += f", in {num} vertices; the nearest is {shapely.distance(fences, flown).min():.1f} m from the route"
@@ -181,11 +181,5 @@ def _fences(
     return fences, num_met + len(left)
 
 
-def _rounded(polygon: shapely.Polygon, grid: Grid) -> np.ndarray:
-    """Return a polygon's corners ``[N, 2]`` in longitude and latitude, as files hold them."""
-    corners = np.asarray(polygon.exterior.coords)[:-1]
-    return np.round(np.stack(grid.lonlat_of_xy(*corners.T), axis=-1), DECIMALS)
-
-
 def _as_written(polygon: shapely.Polygon, grid: Grid) -> shapely.Polygon:
-    return shapely.Polygon(np.stack(grid.xy_of_lonlat(*_rounded(polygon, grid).T), axis=-1))
+    return shapely.Polygon(np.stack(grid.xy_of_lonlat(*ring_of(polygon, grid).T), axis=-1))

@@ -71,16 +71,14 @@ def to_geojson(routes: Named, report: "RouteReport | None") -> bytes:
         # A GIS takes nested properties for text.
         facts |= {f"cost_{name}": value for name, value in facts.get("cost_by_layer", {}).items()}
         facts |= {f"mean_{name}": value for name, value in facts.get("metrics", {}).items()}
-        heights: dict[str, Any] = {"z_m": upward(route.z_m).tolist()}
-        if route.ground is not None:
-            elevation_m = np.interp(
-                np.arange(len(route.z_m)), route.ground.at, route.ground.elevation_m
-            )
-            heights |= {
-                "ground_m": np.round(elevation_m, Z_DECIMALS).tolist(),
-                "ground_reference": GROUND_REFERENCE,
-            }
-        features.append(_feature(({"name": name} if name else {}) | facts | heights, route.lonlat))
+        facts["z_m"] = upward(route.z_m).tolist()
+        ground = route.ground
+        if ground is not None:
+            elevation_m = np.interp(np.arange(len(route.z_m)), ground.at, ground.elevation_m)
+            facts["ground_m"] = np.round(elevation_m, Z_DECIMALS).tolist()
+            facts["ground_reference"] = GROUND_REFERENCE
+        properties = {"name": name} | facts if name else facts
+        features.append(_feature(properties, route.lonlat))
         lines = () if report is None else report.lines
         features += [_feature(segment, line) for segment, line in zip(segments, lines, strict=True)]
     collection = {"type": "FeatureCollection", "features": features}
@@ -105,13 +103,11 @@ def to_gpx(routes: Named, report: "RouteReport | None") -> bytes:
         SubElement(element, "name").text = name or _title(route, facts)
         SubElement(element, "desc").text = description_of(facts, elevation_note(route))
         for number, ((lon, lat), z_m) in enumerate(zip(along.lonlat, along.z_m, strict=True)):
-            point = SubElement(
-                element, "rtept", lat=f"{lat:.{DECIMALS}f}", lon=f"{lon:.{DECIMALS}f}"
-            )
+            degrees = {"lat": f"{lat:.{DECIMALS}f}", "lon": f"{lon:.{DECIMALS}f}"}
+            point = SubElement(element, "rtept", degrees)
             if along.ground_m is not None:
-                SubElement(
-                    point, "ele"
-                ).text = f"{upward(along.ground_m[number] + z_m):.{Z_DECIMALS}f}"
+                elevation_m = upward(along.ground_m[number] + z_m)
+                SubElement(point, "ele").text = f"{elevation_m:.{Z_DECIMALS}f}"
             SubElement(point, "name").text = str(number + 1)
             SubElement(point, "desc").text = f"{upward(z_m):.{Z_DECIMALS}f} m above ground"
     return _encoded(root)
@@ -191,22 +187,21 @@ def write_path(
     if end is not None or roofs is not None:
         check_is_mission(file)
         encode = partial(to_qgc_plan, end=one_of("end", end or "land", ENDS), roofs=roofs)
-    routes = list(route) if isinstance(route, Sequence) else [route]
-    given = names or (
-        [""] if not isinstance(route, Sequence) else [str(k + 1) for k in range(len(routes))]
-    )
-    if len(given) != len(routes) or isinstance(given, str):
-        raise InputError(f"names must be one for each of the {len(routes)} paths, got {given!r}")
-    found = [
-        (name, path)
-        for name, path in zip(given, routes, strict=True)
-        if path and path.status.has_path
-    ]
-    if report is not None and len(found) > 1:
+    routes: list[PlannedPath | None]
+    if isinstance(route, Sequence):
+        routes, numbers = list(route), [str(number) for number in range(1, len(route) + 1)]
+    else:
+        routes, numbers = [route], [""]
+    names = names or numbers
+    if len(names) != len(routes) or isinstance(names, str):
+        raise InputError(f"names must be one for each of the {len(routes)} paths, got {names!r}")
+    named = zip(names, routes, strict=True)
+    reached = [(name, path) for name, path in named if path and path.status.has_path]
+    if report is not None and len(reached) > 1:
         raise InputError("a report is of one path: write several paths without it")
-    if found:
-        write_whole(file, encode(found, report))
-    return bool(found)
+    if reached:
+        write_whole(file, encode(reached, report))
+    return bool(reached)
 
 
 def check_is_mission(file: Path) -> None:

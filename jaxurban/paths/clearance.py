@@ -1,0 +1,107 @@
+"""Clearances: the cells that are closed because an obstacle stands nearer than a path may come.
+
+A clearance is kept between the squares of cells, so that no point of a free cell is nearer to the outline of a
+building, which lies within the cells that it touches. These distances come in steps: 0, 1, 1.41, 2, 2.24 ... cells.
+What is asked beyond a step, up to half a cell, the legs of routes keep from closed cells; more closes the next step.
+A straight line from a leg to an obstacle runs through closed cells last: so it is as long as both together, or longer.
+"""
+
+import math
+
+import numpy as np
+from scipy.ndimage import binary_dilation, distance_transform_edt, minimum_filter
+
+from jaxurban.errors import InputError
+from jaxurban.kernels.tolerances import SAME_LENGTH
+from jaxurban.maps.metric_maps import MetricMaps
+
+# What a file may take from a clearance: 8 mm by the seventh decimal of a degree, and up to 35 mm where a program draws
+# a leg of 1 km straight in degrees instead of in the maps' CRS (length^2 / 8 R x tan of a latitude up to 60 degrees).
+FILE_MARGIN_M = 0.05
+MOST_LEG_MARGIN = (
+    0.49  # cell sides: steps between the centres of cells keep half a side from closed cells
+)
+
+
+def obstacles_within(
+    maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float
+) -> np.ndarray:
+    """Return ``[Y, X]`` bool: a roof that touches the cell reaches an altitude, or ends less than ``vertical_m`` below.
+
+    Roofs count where the maps' rule of obstacles has them, and where a distance is kept in every cell that they touch.
+    Cells without data and roofs of unknown height count, bare ground does not. Over terrain a roof is as high as it is
+    over the lowest ground within ``horizontal_m``, from which a path may pass it. No file is lower than planned.
+
+    Raises:
+      InputError: maps that hold no touched roofs.
+    """
+    name = "roof_touched" if horizontal_m or maps.obstacles == "touched" else "roof"
+    if name not in maps.ds:
+        raise InputError(
+            "these maps hold no 'roof_touched', from which a clearance is measured: make them again, or keep none "
+            "(clearance_m and vertical_clearance_m 0, no radius of the vehicle)"
+        )
+    roof_m = maps.m(name)
+    over_m = roof_m
+    if "terrain" in maps.ds:
+        over_m = roof_m + _over_lowest_ground_m(maps, horizontal_m)
+    is_obstacle = (roof_m > 0) & (over_m >= np.float32(altitude_m - vertical_m))
+    is_obstacle |= np.isnan(roof_m) | ~maps.ds["has_data"].values
+    if altitude_m in maps.altitudes_m:
+        is_obstacle |= maps.m("obstacle", altitude_m) != 0
+    return is_obstacle
+
+
+def _over_lowest_ground_m(maps: MetricMaps, reach_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` how much higher each cell's ground is than the lowest known within a reach (and more) of it."""
+    ground_m = np.where(maps.ds["has_data"].values, maps.m("terrain"), np.inf)
+    # One cell more, as the distance is between squares and not between centres.
+    cells = min(math.ceil(reach_m / maps.grid.resolution_m) + 1, max(ground_m.shape))
+    lowest_m = minimum_filter(ground_m, 2 * cells + 1, mode="nearest")
+    return np.subtract(ground_m, lowest_m, out=np.zeros_like(ground_m), where=np.isfinite(ground_m))
+
+
+def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` exact distance from each cell's square to the nearest obstacle's, or to the maps' border.
+
+    Squares of ``[Y, X]`` obstacles that touch, by a side or a corner, are 0 apart. What stands beyond the border is not
+    known, so that it counts as an obstacle.
+    """
+    # From a cell's centre to the obstacles grown by one cell all around it is as far as from square to square.
+    grown = binary_dilation(np.pad(is_obstacle, 1, constant_values=True), np.ones((3, 3), bool))
+    return distance_transform_edt(~grown)[1:-1, 1:-1] * resolution_m
+
+
+def closing_step_m(horizontal_m: float, resolution_m: float) -> tuple[float, float]:
+    """Return a clearance as the distance between squares below which cells are closed, and what legs keep beside it."""
+    if horizontal_m == 0:  # closes the cells of obstacles alone
+        return 0.0, 0.0
+    sides = (horizontal_m + FILE_MARGIN_M) / resolution_m
+    whole = np.arange(math.ceil(sides) + 1)
+    steps = np.unique(np.hypot(whole, whole[:, None]))
+    step = float(steps[np.searchsorted(steps, sides - MOST_LEG_MARGIN)])
+    return step * resolution_m, max(0.0, sides - step) * resolution_m
+
+
+def kept_m(horizontal_m: float, resolution_m: float) -> float:
+    """Return what routes keep at least of obstacles under a clearance that is asked, in their files too."""
+    if horizontal_m == 0:
+        return 0.0
+    step_m, _ = closing_step_m(horizontal_m, resolution_m)
+    return max(horizontal_m, step_m - FILE_MARGIN_M)
+
+
+def closed_by_clearance(
+    maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float
+) -> np.ndarray:
+    """Return ``[Y, X]`` bool: cells that a horizontal and a vertical clearance close at an altitude above the ground.
+
+    The horizontal one is kept from obstacles and the maps' border, beside `FILE_MARGIN_M`, by legs that keep the margin
+    of `closing_step_m`; roofs less than the vertical one below the altitude are obstacles too.
+    """
+    resolution_m = maps.grid.resolution_m
+    is_obstacle = obstacles_within(maps, altitude_m, horizontal_m, vertical_m)
+    step_m, _ = closing_step_m(horizontal_m, resolution_m)
+    if step_m == 0:
+        return is_obstacle
+    return distance_to_obstacles_m(is_obstacle, resolution_m) < step_m * (1 - SAME_LENGTH)
