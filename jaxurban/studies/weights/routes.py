@@ -23,7 +23,7 @@ from jaxurban.maps.uncertain_heights import perturbed_cities
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import RouteJob, Run
 from jaxurban.planners.astar import astar
-from jaxurban.studies.demonstrations import cells_of
+from jaxurban.studies.demonstrations import overlap_of
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import located
 from jaxurban.studies.queries import RouteQuery, outcomes_of, query_between
@@ -336,13 +336,10 @@ def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> di
     own, moved = on_nominal(nominal_m), on_nominal(other_m)
     kept, best = on_other(nominal_m), on_other(other_m)
     is_same = moved.is_valid and np.allclose(moved.phi, own.phi, rtol=SAME_SUMS, atol=SAME_SUMS)
-    resolution_m = nominal.cost_map.grid.resolution_m
-    cells = cells_of(nominal_m, resolution_m)
-    shared = cells & cells_of(other_m, resolution_m)
     return {
         "status": paths[0].status.value,
         "is_other": float(not is_same),
-        "overlap": len(shared) / len(cells),
+        "overlap": overlap_of(nominal_m, other_m, nominal.cost_map.grid.resolution_m),
         "is_closed": float(not moved.is_valid),
         "nominal_is_closed": float(not kept.is_valid),
         "regret": _regret(moved.cost(weights), own.cost(weights)),
