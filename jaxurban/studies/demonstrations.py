@@ -522,6 +522,6 @@ def overlap_of(points_m: np.ndarray, others_m: np.ndarray, resolution_m: float) 
       points_m, others_m: ``[N, 2]`` cell by cell, metres from the map's southwest corner.
       resolution_m: side of a cell.
     """
-    cells = pd.MultiIndex.from_arrays(np.floor(points_m / resolution_m).T).unique()
-    others = pd.MultiIndex.from_arrays(np.floor(others_m / resolution_m).T)
+    cells = pd.MultiIndex.from_arrays([*np.floor(points_m / resolution_m).T]).unique()
+    others = pd.MultiIndex.from_arrays([*np.floor(others_m / resolution_m).T])
     return float(cells.isin(others).mean())

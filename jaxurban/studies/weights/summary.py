@@ -155,7 +155,7 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _sizes_of(part: pd.DataFrame) -> dict[str, int]:
+def _sizes_of(part: pd.DataFrame) -> dict[str, float]:
     """Return how many routes, pairs of places and cities a part of a table holds."""
     return {
         "routes": len(part),
@@ -247,7 +247,7 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
 
 def _changes_of(part: pd.DataFrame) -> dict[str, float]:
     """Return how many routes a part of a table of changed maps holds, and its statistics with their intervals."""
-    row: dict[str, float] = _sizes_of(part)
+    row = _sizes_of(part)
     clusters = pairs_of(part)
     if "draw" in part:
         clusters = clusters.crossed(Clusters(part.draw, seed=1))
