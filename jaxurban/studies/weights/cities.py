@@ -60,31 +60,34 @@ def named_sources(sources: Any) -> dict[str, Source]:
     Raises:
       InputError: none, or two of one name.
     """
+    several = sources
     if isinstance(sources, Mapping):
-        listed = [(str(name), source) for name, source in sources.items()]
-    else:
-        several = [sources] if isinstance(sources, str | Path | MapsFolder) else list(sources)
-        if any(isinstance(source, MetricMaps) for source in several):
-            raise InputError(
-                "maps in memory have no name: give them by name, as {'manhattan': maps}"
-            )
-        folders = [
-            source.folder if isinstance(source, MapsFolder) else source for source in several
-        ]
-        listed = [
-            (Path(each).resolve().name, source)
-            for each, source in zip(folders, several, strict=True)
-        ]
-    names = [name for name, _ in listed]
+        several = sources.values()
+    elif isinstance(sources, str | Path | MapsFolder):
+        several = [sources]
+    opened: list[Source] = [
+        source if isinstance(source, MetricMaps | MapsFolder) else MapsFolder(source)
+        for source in several
+    ]
+    names = list(map(str, sources)) if isinstance(sources, Mapping) else _folder_names(opened)
     if not names or len(set(names)) < len(names):
         raise InputError(
             f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}: folders "
             "are called as they are, so name each once and rename one of two alike (in Python give {'name': folder})"
         )
-    result: dict[str, Source] = {}
-    for name, source in listed:
-        result[name] = source if isinstance(source, MetricMaps | MapsFolder) else MapsFolder(source)
-    return result
+    return dict(zip(names, opened, strict=True))
+
+
+def _folder_names(sources: Iterable[Source]) -> list[str]:
+    """Return the names of folders of maps."""
+    names = []
+    for source in sources:
+        if isinstance(source, MetricMaps):
+            raise InputError(
+                "maps in memory have no name: give them by name, as {'manhattan': maps}"
+            )
+        names.append(Path(source.folder).resolve().name)
+    return names
 
 
 def open_cities(

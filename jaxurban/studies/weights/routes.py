@@ -161,9 +161,7 @@ def route_facts(
     """
     begin_s = time.perf_counter()
     query, weights = query_of(cost_map, instance)
-    names = query.names
-    varied = varied_columns(names, weights, settings.vary)
-    vary, columns = list(varied), list(varied.values())
+    varied = varied_columns(query.names, weights, settings.vary)
     first = astar(query.problem(weights))
     if not first.status.has_path:
         return {"status": first.status.value, "note": first.status.sentence}
@@ -176,32 +174,58 @@ def route_facts(
     facts: dict[str, Any] = {
         "status": first.status.value,
         "note": first.note,
-        "vary": ",".join(vary),
+        "vary": ",".join(varied),
         "cost": cost,
     }
-    facts |= {name: float(value) for name, value in outcomes_of(integrals, names).items()}
-    for name, weight, feature in zip(names, weights, features, strict=True):
-        facts[f"elasticity:{name}"] = float(weight * feature / cost)
+    facts |= {name: float(value) for name, value in outcomes_of(integrals, query.names).items()}
+    for name, share in zip(query.names, weights * features / cost, strict=True):
+        facts[f"elasticity:{name}"] = float(share)
     pool = RoutePool([query], workers=settings.num_threads)
-    nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
-    wrong = np.tile(weights, (len(vary), 2, 1))  # of each that varies, too small and too large
-    for number, column in enumerate(columns):
-        wrong[number, :, column] *= 1 / settings.wrong, settings.wrong
-    cheapest = pool.cheapest(wrong.reshape(-1, len(weights)))[0, 0]
-    regret = np.maximum(cheapest @ weights / cost - 1, 0.0).reshape(-1, 2)
-    values = np.hstack([nearest, regret]).tolist()
-    for name, (below, above, regret_low, regret_high) in zip(vary, values, strict=True):
-        facts |= {f"below:{name}": below, f"above:{name}": above}
-        facts |= {f"regret_low:{name}": regret_low, f"regret_high:{name}": regret_high}
+    facts |= _changes(pool, weights, varied, settings, cost)
     if settings.num_samples:
         seed = seed_at(settings.seed, int(instance.get(CITY_NUMBER, 0)), int(instance["instance"]))
         shares = sobol_of_weights(
-            pool, weights, columns, settings.factors, settings.num_samples, seed % 2**31
+            pool,
+            weights,
+            list(varied.values()),
+            settings.factors,
+            settings.num_samples,
+            seed % 2**31,
         )
         for share in shares.reset_index().to_dict("records"):
             where = f"{share['factor']}:{share['outcome']}"
             facts |= {f"{kind}:{where}": float(share[kind]) for kind in OF_SHARE}
     return facts | {"num_plans": pool.num_plans + 1, "elapsed_s": time.perf_counter() - begin_s}
+
+
+def _changes(
+    pool: RoutePool,
+    weights: np.ndarray,
+    varied: Mapping[str, int],
+    settings: SensitivityStudySettings,
+    cost: float,
+) -> dict[str, float]:
+    """Return the breakpoints of the weights that vary, and the regrets of wrong ones, as columns of a row.
+
+    Args:
+      pool: of the route's query.
+      weights: ``[K]``.
+      varied: columns of the weights that vary, by their names.
+      settings: of the study.
+      cost: of the cheapest route.
+    """
+    columns = list(varied.values())
+    nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
+    wrong = np.tile(weights, (len(columns), 2, 1))  # of each that varies, too small and too large
+    for number, column in enumerate(columns):
+        wrong[number, :, column] *= 1 / settings.wrong, settings.wrong
+    cheapest = pool.cheapest(wrong.reshape(-1, len(weights)))[0, 0]
+    regret = np.maximum(cheapest @ weights / cost - 1, 0.0).reshape(-1, 2)
+    facts = {}
+    for name, values in zip(varied, np.hstack([nearest, regret]).tolist(), strict=True):
+        for kind, value in zip(OF_WEIGHT[1:], values, strict=True):
+            facts[f"{kind}:{name}"] = value
+    return facts
 
 
 def seed_at(seed: int, *place: int) -> int:
