@@ -145,7 +145,7 @@ def _note(result: computed.MapComparison, time: str | None) -> str:
 
 def comparison_outputs(result: computed.MapComparison) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a comparison writes, by file name, and what it is of."""
-    key: dict[str, Any] = {
+    key = {
         "maps": list(result.names),
         "of": [result.a.identity, result.b.identity],
         "times": dict(result.times),
@@ -154,7 +154,7 @@ def comparison_outputs(result: computed.MapComparison) -> tuple[dict[str, Output
     }
     figures = comparison_figures(result)
     size = short_number(result.grid.resolution_m)
-    outputs: dict[str, Output] = {
+    outputs = {
         f"difference/{layer}_{size}m.tif": partial(_write_difference, result, layer)
         for layer in result.layers
     }

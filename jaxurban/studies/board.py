@@ -71,7 +71,7 @@ def make_benchmark(
     cities = [*SAMPLED, SYNTHETIC] if maps is None else [*maps]
     names = [QUERIES, DEMONSTRATIONS, CHECKSUMS, *TEXTS, *(f"{city}.npz" for city in cities)]
     queries: list[dict[str, Any]] = []
-    demonstrations: list[dict[str, Any]] = []
+    demonstrations = []
     with (
         Workspace.open(folder, "score --make", names=names, is_shared=True),
         reporting("score --make", progress) as report,

@@ -118,7 +118,7 @@ def check(
     _, _, limits = rules_on(maps, None, limits, "")
     flights = [parse_time(at) for at in times if at is not None]
     zones = [zone for zone in limits.zones if not flights or any(map(zone.is_in_force, flights))]
-    figures: dict[str, Any] = {"num_zones": len(limits.zones), "num_zones_in_force": len(zones)}
+    figures = {"num_zones": len(limits.zones), "num_zones_in_force": len(zones)}
     lasting = tuple(replace(zone, start=None, end=None) for zone in zones)
     limits = replace(limits, zones=lasting)
     city, outlines = _city_of(maps, sources)

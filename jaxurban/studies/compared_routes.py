@@ -50,7 +50,7 @@ def compared_routes(
     Raises:
       InputError: fewer than two cells are free in both at an altitude, or the scenario asks what B does not hold.
     """
-    rows: list[dict[str, Any]] = []
+    rows = []
     for k, altitude_m in enumerate(a.altitudes_m):
         report("routes", k, len(a.altitudes_m))
         on_a = cost_map(a, altitude_m, time=times[0])

@@ -226,7 +226,7 @@ def compare(
         settings=settings,
         tolerance=tolerance,
     )
-    rows: list[dict[str, Any]] = []
+    rows = []
     with reporting("compare", progress) as report:
         layers = result.layers
         for number, layer in enumerate(layers):

@@ -6,7 +6,7 @@ where it draws any, and a route that costs otherwise than its row says is left o
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -142,7 +142,7 @@ def demonstrations_from_study(
     _check_one_weights(source.name, table)
     whole = cache(lambda *at: job.cost_map(maps, *at))
     fitted = whole if metrics is None else cache(lambda *at: whole(*at).only(metrics))
-    demonstrations: list[Demonstration] = []
+    demonstrations = []
     reasons: Counter[str] = Counter()
     for row in records_of(table):
         at = row["altitude_m"], row["time"], row["time_of_day"]
@@ -279,7 +279,7 @@ def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.nda
         raise InputError(f"{planner} found no path")
     start, goal, weights = located(cost_map, row)
     options = {"max_samples": int(row["num_samples"])} if draws_samples(planner) else {}
-    search: Callable[..., Any] = find_planner(planner)
+    search = find_planner(planner)
     problem = cost_map.shortest.between(start, goal).with_weights(weights).alone()
     result = search(problem, budget_s=math.inf, seed=job.seed_of(row["instance"]), **options)
     if not result.status.has_path:

@@ -274,7 +274,7 @@ def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.Dat
     free_tiles = np.unique(tile[is_ever_free])
     tile = np.searchsorted(free_tiles, tile)
     draws = draws_of(len(free_tiles))
-    result: list[dict[str, float]] = []
+    result = []
     for altitude_m in sorted(altitudes_m):
         is_free = maps.is_free(altitude_m, "centre")
         gps = maps.m("gps", altitude_m)[is_free].astype(np.float64)

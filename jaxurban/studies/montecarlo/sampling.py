@@ -319,7 +319,7 @@ def _always_free(maps: MetricMaps, altitude_m: float, constraints: Constraints) 
     """Return ``[Y, X]`` bool: cells that are free at every time of the maps."""
     if not constraints.bounds:  # which alone close other cells at other times
         return constraints.is_free(maps, altitude_m)
-    times: Sequence[str | None] = (None,) if maps.default_time is None else maps.times
+    times = (None,) if maps.default_time is None else maps.times
     places = itertools.product([altitude_m], times, maps.times_of_day or (None,))
     free = [constraints.is_free(maps, z_m, time=time, time_of_day=day) for z_m, time, day in places]
     return np.logical_and.reduce(free)

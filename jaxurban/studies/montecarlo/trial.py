@@ -172,7 +172,7 @@ def draws_samples(planner: str) -> bool:
 
 
 def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -> dict[str, Any]:
-    facts: dict[str, Any] = {
+    facts = {
         "status": result.status.value,
         "lower_bound": result.lower_bound,
         "elapsed_s": result.elapsed_s,

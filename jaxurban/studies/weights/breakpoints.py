@@ -117,22 +117,21 @@ def find_breakpoints(
     """
     before = pool.num_plans
     growing = _Growing(corners, tolerance)
-    is_complete = True
-    while len(places := growing.unverified()):
-        if max_plans is not None and pool.num_plans - before >= max_plans:
-            is_complete = False
-            break
-        result = pool.cheapest(places @ corners)[:, 0]
-        growing.verify(places, result)
+    most = np.inf if max_plans is None else max_plans
+    places = growing.unverified()
+    while len(places) and pool.num_plans - before < most:
+        growing.verify(places, pool.cheapest(places @ corners)[:, 0])
+        places = growing.unverified()
         if on_plans is not None:
             on_plans(pool.num_plans - before)
     order = growing.order()
+    facts = np.array([growing.facts[route] for route in order])
     return Partition(
         corners=corners,
-        features=np.array([growing.facts[route][0] for route in order]),
-        integrals=np.array([growing.facts[route][1] for route in order]),
+        features=facts[:, 0],
+        integrals=facts[:, 1],
         cells=tuple(growing.cells[route] for route in order),
-        is_complete=is_complete,
+        is_complete=not len(places),
         tolerance=tolerance,
         num_plans=pool.num_plans - before,
         names=pool.names,
@@ -271,7 +270,7 @@ def _clip(cell: np.ndarray, excess: np.ndarray) -> np.ndarray:
     above = cell @ excess
     if above.max(initial=0.0) <= 0:
         return cell
-    kept: list[np.ndarray] = []
+    kept = []
     following, above_following = np.roll(cell, -1, axis=0), np.roll(above, -1)
     for corner, other, a, b in zip(cell, following, above, above_following, strict=True):
         if a <= 0:

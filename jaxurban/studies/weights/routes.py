@@ -171,7 +171,7 @@ def route_facts(
         raise InputError(
             "the cheapest route costs nothing, so no weight has a share of its cost: give a weight above 0"
         )
-    facts: dict[str, Any] = {
+    facts = {
         "status": first.status.value,
         "note": first.note,
         "vary": ",".join(varied),
@@ -261,7 +261,7 @@ def with_parameter(task: MapTask, parameter: str, factor: float) -> MapTask:
     """
     metric, _, name = parameter.partition(".")
     of = task.metrics[metric]
-    settings: Any = task.settings_of(of)
+    settings = task.settings_of(of)
     settings = replace(settings, **{name: factor * getattr(settings, name)})
     return replace(
         task,

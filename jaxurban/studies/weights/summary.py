@@ -143,7 +143,7 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
             if cut == ALL and of_weight.city.nunique() >= FEWEST_GROUPS:
                 draws[OVER_CITIES, OVER_CITIES] = Clusters(of_weight.city)
             for (drawn_cut, drawn_value), clusters in draws.items():
-                row: dict[str, Any] = {
+                row = {
                     "cut": drawn_cut,
                     "value": drawn_value,
                     "weight_name": name,
