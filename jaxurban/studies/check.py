@@ -189,17 +189,15 @@ def _limits(
     for name, unknown_name, most, unit, most_a_metre in limits:
         if most is None:
             continue
+        value, unknown_m = figures.get(name, 0.0), figures.get(unknown_name, 0.0)
+        reason = ""
         if name not in figures:
-            sentences.append(
-                f"The limit of {most:g} {unit} is not judged: the maps do not hold them."
-            )
-            continue
-        value, unknown_m = figures[name], figures[unknown_name]
-        if value > most:
+            reason = "the maps do not hold them"
+        elif value > most:
             what = f"{value:,.0f} {unit}; the limit is {most:g}"
             rows.append({"kind": "limit", "what": what, "by_m": value - most})
         elif unknown_m > 0 and value + unknown_m * most_a_metre > most:
-            sentences.append(
-                f"The limit of {most:g} {unit} is not judged: {value:,.0f} are known, and {unknown_m:,.0f} m are not."
-            )
+            reason = f"{value:,.0f} are known, and {unknown_m:,.0f} m are not"
+        if reason:
+            sentences.append(f"The limit of {most:g} {unit} is not judged: {reason}.")
     return pd.DataFrame(rows, columns=COLUMNS), sentences

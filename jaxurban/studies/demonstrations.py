@@ -82,8 +82,8 @@ class Demonstration:
         side_m = cost_map.grid.resolution_m
         cells = np.floor(self.points_m[:, ::-1] / side_m).astype(int)
         pad = int(np.ceil(self.drawn_cells))
-        window = _window(cells.min(axis=0) - pad, cells.max(axis=0) + pad)
-        low = np.array([part.start for part in window])
+        low = np.maximum(cells.min(axis=0) - pad, 0)
+        window = _window(low, cells.max(axis=0) + pad)
         is_free = cost_map.is_free[window]
         is_far = np.ones(is_free.shape, bool)
         is_far[tuple((cells - low).T)] = False
@@ -459,8 +459,8 @@ def _shortest_within(
     """Return the shortest grid path whose cells' centres lie within ``width`` of a leg, in cell sides; None without."""
     west, south, east, north = np.floor(leg.bounds).astype(int)
     pad = int(np.ceil(width)) + 1
-    window = _window(np.array([south, west]) - pad, np.array([north, east]) + pad)
-    low = np.array([part.start for part in window])
+    low = np.maximum([south - pad, west - pad], 0)
+    window = _window(low, np.array([north + pad, east + pad]))
     is_free = cost_map.is_free[window]
     rows, cols = np.indices(is_free.shape) + low[:, None, None]
     is_free = is_free & shapely.dwithin(shapely.points(cols + 0.5, rows + 0.5), leg, width)
@@ -481,11 +481,9 @@ def _shortest_within(
     return path.points_m + low[::-1] if path.status.has_path else None
 
 
-def _window(first: np.ndarray, last: np.ndarray) -> tuple[slice, slice]:
-    """Return the rows and the columns from one cell to another, without those before the map's first."""
-    south, west = np.maximum(first, 0).tolist()
-    north, east = last.tolist()
-    return slice(south, north + 1), slice(west, east + 1)
+def _window(first: np.ndarray, last: np.ndarray) -> tuple[slice, ...]:
+    """Return the rows and the columns from one cell of a map to another; the latter may lie beyond it."""
+    return tuple(map(slice, first, last + 1))
 
 
 def compared_routes(

@@ -463,14 +463,13 @@ def _outcome_table(
     targets: Sequence[Target], result: Sequence[_Best], at_shortest: np.ndarray
 ) -> pd.DataFrame:
     """Return a row per target, each as its own search reached it."""
-    own = range(len(targets))
     table = pd.DataFrame(
         {
             "wished": [target.value for target in targets],
             "shortest": at_shortest,
-            "reached": [result[number].reached[number] for number in own],
-            "missed_by": [result[number].missed[number] for number in own],
+            "reached": np.diag([each.reached for each in result]),
+            "missed_by": np.diag([each.missed for each in result]),
         },
-        index=pd.Index([str(target) for target in targets], name="wish"),
+        index=pd.Index(map(str, targets), name="wish"),
     )
     return table.assign(is_met=table.missed_by <= MET)
