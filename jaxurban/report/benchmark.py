@@ -9,7 +9,7 @@ import pandas as pd
 from jaxurban.errors import InputError
 from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.store import short_number
-from jaxurban.io.tables import write_table
+from jaxurban.io.tables import INSTANCES_FILE, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
@@ -19,16 +19,8 @@ from jaxurban.report.write import fill
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics, weight_columns
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED, Benchmark
 
-INSTANCES_FILE, COSTS_FOLDER, GRID_FOLDER, PAGE_FILE = (
-    "instances.parquet",
-    "costs",
-    "movingai",
-    "README.md",
-)
-GRID_PLANNERS = (
-    "astar-dist",
-    "astar-plus",
-)  # what is optimal on the grid, where their status says so
+COSTS_FOLDER, GRID_FOLDER, PAGE_FILE = "costs", "movingai", "README.md"
+GRID_PLANNERS = "astar-dist", "astar-plus"  # optimal on the grid, where their status says so
 # MovingAI's grid format: ``.map`` and ``.scen`` files (Sturtevant 2012, movingai.com/benchmarks/formats), whose first
 # row is the northern one and whose y counts southward; here row 0 is in the south.
 FREE, BLOCKED = ".", "@"
@@ -38,11 +30,9 @@ BUCKET = 4  # problems are sorted into buckets of so many cells of optimal lengt
 def write_map(is_free: np.ndarray, file: Path) -> None:
     """Write ``[Y, X]`` free cells as a ``.map`` file."""
     num_rows, num_cols = is_free.shape
-    text = np.full((num_rows, num_cols + 1), ord("\n"), np.uint8)
-    text[:, :-1] = np.where(is_free[::-1], ord(FREE), ord(BLOCKED))
-    write_whole(
-        file, f"type octile\nheight {num_rows}\nwidth {num_cols}\nmap\n".encode() + text.tobytes()
-    )
+    cells = np.where(is_free[::-1], FREE, BLOCKED).tolist()
+    head = ["type octile", f"height {num_rows}", f"width {num_cols}", "map"]
+    write_whole(file, "\n".join([*head, *map("".join, cells)]) + "\n")
 
 
 def write_scenarios(
@@ -55,22 +45,20 @@ def write_scenarios(
     """
     num_rows, num_cols = shape
     in_order = problems.sort_values("length", kind="stable")
-    ends = {"x0": in_order.start_col, "y0": num_rows - 1 - in_order.start_row}
-    ends |= {
-        "x1": in_order.goal_col,
-        "y1": num_rows - 1 - in_order.goal_row,
-        "length": in_order.length.map("{:.8f}".format),
-    }
-    of_map = {
-        "bucket": (in_order.length / BUCKET).astype(int),
-        "map": map_name,
-        "width": num_cols,
-        "height": num_rows,
-    }
-    write_whole(
-        file,
-        "version 1\n" + pd.DataFrame(of_map | ends).to_csv(sep="\t", header=False, index=False),
+    lines = pd.DataFrame(
+        {
+            "bucket": (in_order.length / BUCKET).astype(int),
+            "map": map_name,
+            "width": num_cols,
+            "height": num_rows,
+            "x0": in_order.start_col,
+            "y0": num_rows - 1 - in_order.start_row,
+            "x1": in_order.goal_col,
+            "y1": num_rows - 1 - in_order.goal_row,
+            "length": in_order.length.map("{:.8f}".format),
+        }
     )
+    write_whole(file, "version 1\n" + lines.to_csv(sep="\t", header=False, index=False))
 
 
 def export_benchmark(
@@ -118,10 +106,8 @@ def _export(
 ) -> dict[str, int]:
     num_shortest = 0
     for altitude_m in sorted(instances.altitude_m.unique()):
-        stem = f"{name}_{short_number(altitude_m)}m"
-        num_shortest += _write_grid(
-            maps, instances, rows, folder, altitude_m, stem, settings.constraints
-        )
+        file = folder / GRID_FOLDER / f"{name}_{short_number(altitude_m)}m.map"
+        num_shortest += _write_grid(maps, instances, rows, altitude_m, file, settings.constraints)
     for key, _ in instances.groupby(["altitude_m", "time", "time_of_day"], dropna=False):
         _write_costs(maps, folder, key, name, settings)
     table = instances.merge(_references(rows), on=list(KEY), how="left")
@@ -133,11 +119,13 @@ def _export(
         "proven": int(table.grid_optimum.notna().sum()),
     }
     model = CostModel.of(settings.cost_model)
-    length_m = model.reference_length_m
-    cost_rules = {
-        "cell": "plus w_j c_j(Q) summed over j, Q the cell in which the step ends",
-        "line": f"plus the integral of w_j c_j along it over {length_m:g} m, cut exactly at cell borders",
-    }
+    cost_rule = "plus w_j c_j(Q) summed over j, Q the cell in which the step ends"
+    if model.kind == "line":
+        length = f"{model.reference_length_m:g} m"
+        cost_rule = (
+            f"plus the integral of w_j c_j along it over {length}, cut exactly at cell borders"
+        )
+    columns = weight_columns(weighed_metrics(instances.columns))
     page = fill(
         "benchmark",
         name=name,
@@ -145,10 +133,8 @@ def _export(
         credits=[maps.attribution],
         counts=counts,
         model=model,
-        cost_rule=cost_rules[model.kind],
-        weights=", ".join(
-            f"`{column}`" for column in weight_columns(weighed_metrics(instances.columns))
-        ),
+        cost_rule=cost_rule,
+        weights=", ".join(f"`{column}`" for column in columns),
     )
     write_whole(folder / PAGE_FILE, page)
     return counts
@@ -173,35 +159,22 @@ def _write_grid(
     maps: MetricMaps,
     instances: pd.DataFrame,
     rows: pd.DataFrame,
-    folder: Path,
     altitude_m: float,
-    stem: str,
+    file: Path,
     constraints: Constraints,
 ) -> int:
     """Write the ``.map`` and ``.scen`` of one altitude and return the number of problems."""
-    is_free, grid = constraints.is_free(maps, altitude_m), maps.grid
-    proven = rows[
-        (rows.objective == DISTANCE)
-        & (rows.status == Status.OPTIMAL.value)
-        & rows.planner.isin(GRID_PLANNERS)
-    ]
-    proven = proven[proven.altitude_m == altitude_m].drop_duplicates("instance")
+    is_proven = (rows.objective == DISTANCE) & _is_optimum(rows)
+    proven = rows[is_proven & (rows.altitude_m == altitude_m)].drop_duplicates("instance")
     pairs = instances[instances.altitude_m == altitude_m].merge(
         proven[["instance", "length_m"]], on="instance"
     )
-    start_row, start_col = grid.cell_of_xy(pairs.start_x_m.to_numpy(), pairs.start_y_m.to_numpy())
-    goal_row, goal_col = grid.cell_of_xy(pairs.goal_x_m.to_numpy(), pairs.goal_y_m.to_numpy())
-    cells = {
-        "start_row": start_row,
-        "start_col": start_col,
-        "goal_row": goal_row,
-        "goal_col": goal_col,
-    }
-    problems = pd.DataFrame(cells | {"length": pairs.length_m.to_numpy() / grid.resolution_m})
-    write_map(is_free, folder / GRID_FOLDER / f"{stem}.map")
-    write_scenarios(
-        problems, is_free.shape, f"{stem}.map", folder / GRID_FOLDER / f"{stem}.map.scen"
-    )
+    problems = pd.DataFrame({"length": pairs.length_m / maps.grid.resolution_m})
+    for end in ("start", "goal"):
+        places_m = pairs[[f"{end}_x_m", f"{end}_y_m"]].to_numpy().T
+        problems[f"{end}_row"], problems[f"{end}_col"] = maps.grid.cell_of_xy(*places_m)
+    write_map(constraints.is_free(maps, altitude_m), file)
+    write_scenarios(problems, maps.grid.shape, file.name, file.with_name(f"{file.name}.scen"))
     return len(problems)
 
 
@@ -214,12 +187,10 @@ def _write_costs(
     parts = [name, f"{short_number(altitude_m)}m", *filter(None, [time_of_day])]
     if len(maps.times) > 1 and time is not None:
         parts.append(time.translate({45: None, 58: None}))
-    with (
-        whole_file(folder / COSTS_FOLDER / f"{'_'.join(parts)}.npz") as scratch,
-        scratch.open("wb") as file,
-    ):
+    file = folder / COSTS_FOLDER / f"{'_'.join(parts)}.npz"
+    with whole_file(file) as scratch, scratch.open("wb") as stream:
         np.savez_compressed(
-            file,
+            stream,
             names=np.array(cost_map.names),
             costs=cost_map.costs,
             is_free=cost_map.is_free,
@@ -234,6 +205,10 @@ def _references(rows: pd.DataFrame) -> pd.DataFrame:
     result = rows[rows.cost.notna() & (rows.objective == WEIGHTED)]
     best = result.loc[result.groupby(list(KEY)).cost.idxmin(), [*KEY, "cost", "planner"]]
     best = best.rename(columns={"cost": "best_known", "planner": "best_planner"})
-    proven = result[(result.status == Status.OPTIMAL.value) & result.planner.isin(GRID_PLANNERS)]
-    optimum = proven.groupby(list(KEY)).cost.min().rename("grid_optimum").reset_index()
+    optimum = result[_is_optimum(result)].groupby(list(KEY)).cost.min().rename("grid_optimum")
     return best.merge(optimum, on=list(KEY), how="left")
+
+
+def _is_optimum(rows: pd.DataFrame) -> pd.Series:
+    """Return which rows hold a path that is proven to be the best on the grid."""
+    return (rows.status == Status.OPTIMAL.value) & rows.planner.isin(GRID_PLANNERS)

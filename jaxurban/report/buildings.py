@@ -1,6 +1,5 @@
 """What buildings cost a route over a folder of maps: the sources read again, a table and a map written."""
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -74,10 +73,10 @@ def plot_building_costs(
     low = np.maximum(planned.xy_m.min(axis=0) - MARGIN_M, grid.bounds_m[:2])
     high = np.minimum(planned.xy_m.max(axis=0) + MARGIN_M, grid.bounds_m[2:])
     first = np.floor(low / grid.resolution_m + 1e-6).astype(int)
-    num_cols, num_rows = map(int, np.ceil(high / grid.resolution_m - 1e-6).astype(int) - first)
-    near = replace(
-        grid, first_row=int(first[1]), first_col=int(first[0]), num_rows=num_rows, num_cols=num_cols
-    )
+    end = np.ceil(high / grid.resolution_m - 1e-6).astype(int)
+    first_col, first_row = first.tolist()
+    num_cols, num_rows = (end - first).tolist()
+    near = Grid(grid.crs, grid.resolution_m, first_row, first_col, num_rows, num_cols)
     panels = [MapPanel(f"{planned.search.planner}, cost {planned.cost:,.1f}")]
     heading = "What one more metre of each building costs the route"
     legend: list[LegendEntry] = [("route", ROUTE_COLOUR), *ENDS]
@@ -145,13 +144,12 @@ def write_buildings(
             f"softness_m must be a positive number of metres such as 2, got {softness_m}"
         )
     resolution_m, time = planned.settings["resolution_m"], planned.settings["time"]
-    task = next(
-        (task for task in tasks_of(settings) if task.region.resolution_m == resolution_m), None
-    )
-    if task is None:
+    tasks = {task.region.resolution_m: task for task in tasks_of(settings)}
+    if resolution_m not in tasks:
         raise InputError(
             f"the route lies on cells of {resolution_m:g} m, which these maps do not hold"
         )
+    task = tasks[resolution_m]
     if time not in task.sky.times:
         raise InputError(
             "the route was planned on GPS statistics over many epochs, which have no gradient by building: make maps "

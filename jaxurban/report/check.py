@@ -87,8 +87,7 @@ def plot_flown_heights(result: MissionCheck) -> Figure:
         roof_m = result.maps.m(TOUCHED)[tuple(steps.cell.T)].astype(float)
         roof_m[:-1][np.diff(along_m) > GAP_M] = np.nan  # beyond the maps no roof is known
         axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
-    look: dict[str, Any] = {"markersize": 1.5, "color": ALTITUDE_COLOUR, "label": "mission"}
-    axes.plot(along_m, steps.z_m[:, 0], ".", **look)
+    axes.plot(along_m, steps.z_m[:, 0], ".", markersize=1.5, color=ALTITUDE_COLOUR, label="mission")
     places = result.findings.dropna(subset=["lon"])
     axes.plot(places["along_m"], places["height_m"], **FOUND)
     _number(axes, places.index, places["along_m"], places["height_m"])
@@ -100,10 +99,16 @@ def plot_flown_heights(result: MissionCheck) -> Figure:
 
 def _number(axes: Axes, rows: pd.Index, x: Iterable[float], y: Iterable[float]) -> None:
     """Write the numbers of findings, from 1, beside their marks."""
-    for number, *at in zip(rows + 1, x, y, strict=True):
-        look: dict[str, Any] = {"textcoords": "offset points", "color": FOUND["color"]}
-        look["bbox"] = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
-        axes.annotate(str(number), (at[0], at[1]), (4, 3), zorder=6, **look)
+    for number, right, up in zip(rows + 1, x, y, strict=True):
+        axes.annotate(
+            str(number),
+            (right, up),
+            (4, 3),
+            textcoords="offset points",
+            color=FOUND["color"],
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
+            zorder=6,
+        )
 
 
 def _name(figure: Figure, axes: Axes) -> None:

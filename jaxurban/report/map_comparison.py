@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from itertools import compress
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -73,30 +74,41 @@ def plot_difference(
     places = result.places(one_of("layer", layer, result.layers))
     times = list(dict.fromkeys(place.time for place in places))
     time = times[0] if time is None else one_of("time", time, times)
-    rows: list[Any] = list(result.table[result.table.layer == layer].itertuples())
-    drawn = [(place, row) for place, row in zip(places, rows, strict=True) if place.time == time]
-    maps = [result.of(layer, **place._asdict()) for place, _ in drawn]
+    is_drawn = [place.time == time for place in places]
+    rows = result.table[result.table.layer == layer][is_drawn].itertuples()
+    places = list(compress(places, is_drawn))
+    maps = [result.of(layer, **place._asdict()) for place in places]
     changed = np.concatenate([np.abs(values[np.abs(values) > result.tolerance]) for values in maps])
     colours = difference_colours(changed, _label(result, layer))
-    has_data = result.a.ds["has_data"].values & result.b.ds["has_data"].values
     panels = []
-    for (place, row), values in zip(drawn, maps, strict=True):
+    for place, row, values in zip(places, rows, maps, strict=True):
         where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
-        is_grey = np.isnan(values)
-        if layer in MASKS and place.altitude_m is not None:
-            is_free = result.a.is_free(place.altitude_m, None if layer == CLOSED else "centre")
-            is_grey = ~is_free & (values == 0)
-        change = "unchanged"
-        if row.share_changed:
-            change = f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed"
         layers = [
             MapLayer(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours),
-            flat_layer(is_grey & has_data, OBSTACLE_COLOUR),
+            flat_layer(_is_grey(result, layer, place, values), OBSTACLE_COLOUR),
         ]
-        panels.append(MapPanel(joined(where, change), layers))
+        panels.append(MapPanel(joined(where, _change_text(row)), layers))
     legend = [(f"blocked in A {'and' if layer in MASKS else 'or'} B", OBSTACLE_COLOUR)]
     heading, note = f"{heading_of(result, layer)}, B - A", _note(result, time)
     return draw_maps(result.grid, panels, heading, note, legend=legend, colours=colours)[0]
+
+
+def _is_grey(
+    result: computed.MapComparison, layer: str, place: computed.OneMap, values: np.ndarray
+) -> np.ndarray:
+    """Return ``[Y, X]`` bool: cells with data that are drawn as blocked, beside differences ``[Y, X]`` of a place."""
+    is_grey = np.isnan(values)
+    if layer in MASKS and place.altitude_m is not None:
+        is_free = result.a.is_free(place.altitude_m, None if layer == CLOSED else "centre")
+        is_grey = ~is_free & (values == 0)
+    return is_grey & result.a.ds["has_data"].values & result.b.ds["has_data"].values
+
+
+def _change_text(row: Any) -> str:
+    """Return how far a map changed, of its row of the table."""
+    if not row.share_changed:
+        return "unchanged"
+    return f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed"
 
 
 def difference_colours(changed: np.ndarray, label: str) -> Colours:
@@ -119,14 +131,11 @@ def _label(result: computed.MapComparison, layer: str) -> str:
 
 def _note(result: computed.MapComparison, time: str | None) -> str:
     """Return the name of both, what each guesses, and each one's time where the layer has any."""
-    times = (None, None) if time is None else (time, result.times[time])
     lines = []
-    for side, name, maps, its_time in zip(
-        "AB", result.names, (result.a, result.b), times, strict=True
-    ):
+    for side, name, maps in zip("AB", result.names, (result.a, result.b), strict=True):
         facts = [f"{side}: {name}"]
-        if its_time:
-            facts.append(time_said(its_time))
+        if time:
+            facts.append(time_said(time if side == "A" else result.times[time]))
         guesses = guesses_said(maps, time is not None)
         if guesses:
             facts.append(f"guessed: {guesses}")
@@ -136,17 +145,16 @@ def _note(result: computed.MapComparison, time: str | None) -> str:
 
 def comparison_outputs(result: computed.MapComparison) -> tuple[dict[str, Output], dict[str, Any]]:
     """Return what a comparison writes, by file name, and what it is of."""
-    key: dict[str, Any] = {
+    key = {
         "maps": list(result.names),
-        "of": [maps.identity for maps in (result.a, result.b)],
+        "of": [result.a.identity, result.b.identity],
+        "times": dict(result.times),
+        "tolerance": result.tolerance,
+        "values": crc32(result.table.to_csv().encode()),  # maps in memory have no name of their own
     }
-    key |= {"times": dict(result.times), "tolerance": result.tolerance}
-    key["values"] = crc32(
-        result.table.to_csv().encode()
-    )  # maps in memory have no name of their own
     figures = comparison_figures(result)
     size = short_number(result.grid.resolution_m)
-    outputs: dict[str, Output] = {
+    outputs = {
         f"difference/{layer}_{size}m.tif": partial(_write_difference, result, layer)
         for layer in result.layers
     }
@@ -178,11 +186,14 @@ def _write_difference(result: computed.MapComparison, layer: str, file: Path) ->
 
 def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> str:
     """Return the report as Markdown; ``figures`` are the layers whose pictures lie beside it."""
+    rows = result.table
     same = [str(layer) for layer, share in result.most_changed.items() if not share > 0]
-    first = result.table.time.isna() | (result.table.time == result.table.time.dropna().min())
-    changed = (
-        result.table[first & ~result.table.layer.isin(same)].drop(columns="time").astype(object)
-    )
+    is_first = rows.time.isna() | (rows.time == rows.time.dropna().min())
+    changed = rows[is_first & ~rows.layer.isin(same)].drop(columns="time").astype(object)
+    values = "Not one value differs."
+    if len(changed):
+        values = framed(changed.where(changed.notna(), ""))
+    pictures = [f"![{heading_of(result, name)}, B - A](figures/{name}.png)" for name in figures]
     facts = result.a.facts
     left_out = bullets(f"{name}: {why}" for name, why in result.left_out.items())
     return fill(
@@ -192,15 +203,10 @@ def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> s
         result=result,
         extent=f"Compared are {facts['grid']} ({facts['CRS']}) at {facts['altitudes']}.",
         settings=_settings(result),
-        values=framed(changed.where(changed.notna(), ""))
-        if len(changed)
-        else "Not one value differs.",
+        values=values,
         unchanged=f"The same in both: {listed(same)}." if same else "",
         left_out=f"Not compared:\n\n{left_out}" if left_out else "",
-        pictures="\n\n".join(
-            f"![{heading_of(result, name)}, B - A](figures/{name}.png)" for name in figures
-        )
-        or "None: a layer is drawn where it differs.",
+        pictures="\n\n".join(pictures) or "None: a layer is drawn where it differs.",
     )
 
 

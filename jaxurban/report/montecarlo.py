@@ -1,6 +1,5 @@
 """report.md of a Monte Carlo benchmark of planners, with its tables and figures."""
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -72,15 +71,11 @@ def report_markdown(
 ) -> str:
     """Return the report; ``figures`` are the names of the pictures beside it."""
     table, settings, study = result.table, result.settings, result.settings.study
-    joined = (
-        table.drop_duplicates(["instance", "altitude_m"]).groupby("altitude_m").is_joined.mean()
-    )
-    samples = study.budget_iterations
-    budget = (
-        f"{study.budget_s:g} s a run"
-        if samples is None
-        else f"{samples} samples, others to their end"
-    )
+    pairs = table.drop_duplicates(["instance", "altitude_m"])
+    joined = pairs.groupby("altitude_m").is_joined.mean()
+    budget = f"{study.budget_iterations} samples, others to their end"
+    if study.budget_iterations is None:
+        budget = f"{study.budget_s:g} s a run"
     return fill(
         "study",
         {**tables, "success": _by_range(tables["success"])},
@@ -106,6 +101,6 @@ def report_markdown(
 def _by_range(success: pd.DataFrame) -> pd.DataFrame:
     """Return shares by planner and range, a column an altitude."""
     shares = success.pivot(index=["planner", "range"], columns="altitude_m", values="share_joined")
-    rows = itertools.product(sorted(success.planner.unique()), analysis.range_names(success))
-    shares = shares.reindex(pd.MultiIndex.from_tuples(rows, names=shares.index.names))
+    names = sorted(success.planner.unique()), analysis.range_names(success)
+    shares = shares.reindex(pd.MultiIndex.from_product(names, names=shares.index.names))
     return shares.rename(columns=lambda z: f"{z:g} m").reset_index()

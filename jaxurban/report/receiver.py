@@ -57,11 +57,10 @@ def plot_scatter(result: computed.ReceiverValidation) -> Figure:
     )
     for panel, row in zip(axes, rows, strict=True):
         witness, name = row["witness"], row["prediction"]
-        known = result.pieces[result.pieces[witness].notna() & result.pieces[name].notna()]
-        x, y = (
-            known[quantity].clip(*ends_of(known[quantity].to_numpy()))
-            for quantity in (name, witness)
-        )
+        known = result.pieces.dropna(subset=[witness, name])
+        x, y = known[name], known[witness]
+        x = x.clip(*ends_of(x.to_numpy()))
+        y = y.clip(*ends_of(y.to_numpy()))
         _scale_axis(panel.xaxis, panel.set_xscale, name)
         _scale_axis(panel.yaxis, panel.set_yscale, witness)
         panel.scatter(x, y, s=12, color=MAP_COLOUR, alpha=0.2, linewidths=0)
@@ -124,12 +123,14 @@ def validation_markdown(result: computed.ReceiverValidation) -> str:
     is_main = result.scores.prediction == result.scores.witness.map(MAIN)
     others = result.scores[~is_main]
     satellites = result.satellites
-    tables: dict[str, pd.DataFrame] = {}
-    sentences: dict[str, str] = {}
+    tables = {}
+    sentences = {}
     verdict = peak = ""
     if satellites is not None:
-        tables, sentences = satellite_tables(satellites), sentences_of(satellites)
-        verdict, peak = f"**{satellites.verdict}**", peak_text(satellites)
+        tables = satellite_tables(satellites)
+        sentences = sentences_of(satellites)
+        verdict = f"**{satellites.verdict}**"
+        peak = peak_text(satellites)
     return fill(
         "validate",
         tables=tables,
@@ -188,18 +189,11 @@ def score_table(scores: pd.DataFrame) -> str:
     """Return rows of scores as a table."""
     rows = []
     for row in scores.to_dict("records"):
-        cells = [
-            LABELS[row["witness"]],
-            name_of(row["prediction"]),
-            f"{row['piece_m']:g} m",
-            f"{row['num']:,}",
-        ]
+        cells = [LABELS[row["witness"]], name_of(row["prediction"])]
+        cells += [f"{row['piece_m']:g} m", f"{row['num']:,}"]
         for name in COEFFICIENTS:
-            cells += [
-                with_interval(row, name),
-                _number(row[f"{name}_shifts_95"]),
-                _number(row[f"{name}_p"], 3),
-            ]
+            cells += [with_interval(row, name), _number(row[f"{name}_shifts_95"])]
+            cells.append(_number(row[f"{name}_p"], 3))
         rows.append(cells)
     of_each = [head for name in COEFFICIENTS for head in (HEADS[name], "95 % of shifts below", "p")]
     return table(("receiver", "maps", "pieces of", "number", *of_each), rows)

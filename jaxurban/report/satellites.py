@@ -130,11 +130,9 @@ def peak_text(of: SatelliteAgreement) -> str:
 def sentences_of(of: SatelliteAgreement) -> dict[str, str]:
     """Return what the report says of how this log was judged: of rays, of the signal, and of rows left out."""
     judged = "Which rays are unknown is decided from place and direction alone, whether or not a roof hides them."
-    strong = (
-        "this log's median"
-        if of.counts["is_median"]
-        else "the weakest that was received: of most nothing was"
-    )
+    strong = "the weakest that was received: of most nothing was"
+    if of.counts["is_median"]:
+        strong = "this log's median"
     every = of.counts["every"]
     part = f"All that moves cities or roofs, and the rules, take one of {every} epochs of this long log."
     return {
@@ -147,11 +145,11 @@ def sentences_of(of: SatelliteAgreement) -> dict[str, str]:
 def _with_digits(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table of the report, scores and losses with three digits behind the point."""
     rows = table.to_dict("records")
-    texts = {}
-    for name in SCORES:
-        if name in table:
-            texts[name] = [score_text(row, name) for row in rows]
-    return table.reset_index(drop=True).assign(**texts)[without_ends(table)]
+    columns = without_ends(table)
+    texts = table[columns].reset_index(drop=True)
+    for name in texts.columns.intersection([*SCORES]):
+        texts[name] = [score_text(row, name) for row in rows]
+    return texts
 
 
 def score_text(row: Mapping[Any, Any], name: str) -> str:
@@ -217,18 +215,15 @@ def plot_margin(of: SatelliteAgreement) -> Figure:
         strength_dbhz = judged.cn0_dbhz[number == k]
         is_heard = strength_dbhz > 0
         colour = HIDDEN if k < len(MARGINS_M) / 2 else SEEN
-        look = {
-            "boxprops": {"facecolor": colour},
-            "medianprops": {"color": "white"},
-            "patch_artist": True,
-        }
         panel.boxplot(
             strength_dbhz[is_heard],
             positions=[k],
             widths=0.7,
             whis=(5, 95),
             showfliers=False,
-            **look,
+            patch_artist=True,
+            boxprops={"facecolor": colour},
+            medianprops={"color": "white"},
         )
         panel.annotate(
             f"{len(is_heard):,}", (k, 1.0), xycoords=("data", "axes fraction"), ha="center"
@@ -318,23 +313,22 @@ def plot_skies(of: SatelliteAgreement) -> Figure:
             rows = sky.satellites[sky.satellites.is_seen == is_seen].sort_values("azimuth_deg")
             colours = STRENGTH(rows.cn0_dbhz.to_numpy())
             colours[rows.cn0_dbhz == 0] = 1.0
-            look = {
-                "marker": marker,
-                "c": colours,
-                "edgecolors": INK,
-                "linewidths": 0.7,
-                "label": label,
-            }
-            x, y = np.radians(rows.azimuth_deg), 90 - rows.elevation_deg
-            alpha = (
-                np.where(rows.is_judged, 1.0, 0.3) if len(rows) else None
-            )  # Matplotlib refuses none
-            panel.scatter(x, y, s=50, alpha=alpha, **look)
-            for k, name in enumerate(rows.satellite):
+            azimuth_rad, zenith_deg = np.radians(rows.azimuth_deg), 90 - rows.elevation_deg
+            panel.scatter(
+                azimuth_rad,
+                zenith_deg,
+                s=50,
+                alpha=np.where(rows.is_judged, 1.0, 0.3) if len(rows) else None,  # not of no row
+                marker=marker,
+                c=colours,
+                edgecolors=INK,
+                linewidths=0.7,
+                label=label,
+            )
+            places = zip(rows.satellite, azimuth_rad, zenith_deg, strict=True)
+            for k, (name, *place) in enumerate(places):
                 offset = (4, 4) if k % 2 else (4, -9)
-                panel.annotate(
-                    name, (x.iloc[k], y.iloc[k]), offset, textcoords="offset points", size=6
-                )
+                panel.annotate(name, place, offset, textcoords="offset points", size=6)
     letter_all(axes)
     add_colour_bar(figure, axes, STRENGTH)
     legend_below(figure, axes[0])

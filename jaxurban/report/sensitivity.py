@@ -120,20 +120,19 @@ def ranges(result: computed.Sensitivity, name: str) -> dict[str, float]:
     """
     table = result.breakpoints(name)
     outcomes = table[list(outcome_names(result.names))]
-    given = int(np.argmax(table["is_given"]))
-    route = outcomes.iloc[given]
+    given = table[table["is_given"]]
+    route = outcomes.loc[given.index].iloc[0]
     change = (outcomes - route).abs() / route.abs().clip(lower=1e-9)
-    is_alike = ~(change > ALIKE).any(axis=1).to_numpy()
-    first = last = given
-    while first > 0 and is_alike[first - 1]:
-        first -= 1
-    while last < len(table) - 1 and is_alike[last + 1]:
-        last += 1
+    is_other = (change > ALIKE).any(axis=1)
+    num_others = (
+        is_other.cumsum()
+    )  # from the first route on: constant over neighbours that are alike
+    alike = table[~is_other & (num_others == num_others[given.index].iloc[0])]
     return {
-        "same_from": float(table["from"].iloc[given]),
-        "same_to": float(table["to"].iloc[given]),
-        "alike_from": float(table["from"].iloc[first]),
-        "alike_to": float(table["to"].iloc[last]),
+        "same_from": float(given["from"].iloc[0]),
+        "same_to": float(given["to"].iloc[0]),
+        "alike_from": float(alike["from"].iloc[0]),
+        "alike_to": float(alike["to"].iloc[-1]),
     }
 
 

@@ -20,18 +20,10 @@ from jaxurban.studies.weights.routes import SensitivityStudySettings
 from jaxurban.studies.weights.sobol import FEW_SAMPLES
 from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES, UNCLEAR
 
-TABLES = (
-    *("routes", "weights", "summary", "sobol", "sobol_summary"),
-    *("remade", "remade_summary", "parameters", "parameters_summary"),
-)
-FIGURES = "regret", "nearest"
-FILES = files_of(
-    [
-        *(f"tables/{name}" for name in TABLES),
-        *(f"figures/{name}.png" for name in FIGURES),
-        REPORT_FILE,
-    ]
-)
+TABLES = ["routes", "weights", "summary", "sobol", "sobol_summary"]
+TABLES += ["remade", "remade_summary", "parameters", "parameters_summary"]
+FIGURES = ["figures/regret.png", "figures/nearest.png"]
+FILES = files_of([*(f"tables/{name}" for name in TABLES), *FIGURES, REPORT_FILE])
 SAMPLED = (
     "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "
     "anyone flies: means are over such routes, not over traffic."
@@ -101,9 +93,9 @@ class SensitivityStudy:
 
 def write_sensitivity_study(result: SensitivityStudy) -> list[Path]:
     """Write the report, tables (CSV, Parquet) and figures (PNG) of a study into its folder and return the files."""
-    figures = (
-        study_figures(result.tables, result.settings.wrong) if "weights" in result.tables else {}
-    )
+    figures = {}
+    if "weights" in result.tables:
+        figures = study_figures(result.tables, result.settings.wrong)
     return save(result.folder, study_outputs(study_markdown(result), result.tables, figures))
 
 
@@ -111,9 +103,7 @@ def study_markdown(result: SensitivityStudy) -> str:
     """Return the report as Markdown; it names figures and tables as `write_sensitivity_study` does."""
     settings, tables = result.settings, result.tables
     lost = result.rows[~result.rows.status.isin(HAS_PATH)].fillna({"note": ""})
-    reasons = (
-        lost.value_counts(["status", "note"]).head(MOST_REASONS).rename("routes").reset_index()
-    )
+    reasons = lost.value_counts(["status", "note"]).head(MOST_REASONS).reset_index(name="routes")
     return fill(
         "sensitivity_study",
         {"cities": _cities(result), **shown_tables(tables)},
@@ -140,10 +130,16 @@ def _cities(result: SensitivityStudy) -> pd.DataFrame:
             f"{number:,.0f} ({day})" for day, number in population_norms(maps).items()
         )
         altitudes = ", ".join(f"{z:g} m" for z in sorted(part.altitude_m.unique()))
-        row = {"city": city, "maps": maps.facts["grid"], "altitudes": altitudes}
-        row |= {"pairs of places": part.instance.nunique(), "routes": len(part)}
         rows.append(
-            row | {"found": part.status.isin(HAS_PATH).sum(), "population is divided by": norms}
+            {
+                "city": city,
+                "maps": maps.facts["grid"],
+                "altitudes": altitudes,
+                "pairs of places": part.instance.nunique(),
+                "routes": len(part),
+                "found": part.status.isin(HAS_PATH).sum(),
+                "population is divided by": norms,
+            }
         )
     return pd.DataFrame(rows)
 
@@ -181,16 +177,14 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
 
 def _total_shares(sobol: pd.DataFrame) -> pd.DataFrame:
     """Return the total Sobol shares of the report, without numbers where they are not clear of 0."""
-    total = sobol.query("kind == 'total'")
-    at_most = total.share_high.where(total.verdict == UNCLEAR).clip(lower=0)
-    remedy = total.samples_needed.map(": about {:.0f} samples should do".format)
+    total = sobol[sobol.kind == "total"].copy()
     share = columns_of("share")
-    shares = total[share].where(total.verdict == CLEAR)
-    verdict = total.verdict + remedy.where(total.samples_needed > 0, "")
-    labels = total.outcome.map(outcome_label)
-    return total.assign(outcome=labels, verdict=verdict, **{"at most": at_most}, **shares)[
-        ["outcome", "weight_name", *share, "at most", "verdict"]
-    ]
+    remedy = total.samples_needed.map(": about {:.0f} samples should do".format)
+    total["at most"] = total.share_high.where(total.verdict == UNCLEAR).clip(lower=0)
+    total[share] = total[share].where(total.verdict == CLEAR)
+    total["verdict"] += remedy.where(total.samples_needed > 0, "")
+    total["outcome"] = total.outcome.map(outcome_label)
+    return total[["outcome", "weight_name", *share, "at most", "verdict"]]
 
 
 def weights_said(instances: pd.DataFrame) -> str:

@@ -109,7 +109,7 @@ def run_tuning(
         demonstrations = [each for of_city in cities.values() for each in of_city]
         settings_of_fit = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
         fit: WeightFit | TargetFit
-        result: FitComparison | None = None
+        result = None
         # Other fits differ in the state of the fit, which holds its settings.
         pictures = [f"figures/{name}.png" for name in ("weights", *_pictures(demonstrations))]
         outputs = [*TABLES, *pictures, "weights.toml", REPORT_FILE]
@@ -163,7 +163,7 @@ def _demonstrations(
         raise InputError(
             "sampled instances have no routes of their own: name the weights of the pilot who flies them"
         )
-    options = dict(settings.routes)
+    options = settings.routes
     altitude_m = options.get("altitude_m")
     under = {name: options[name] for name in UNDER if name in options}
     pilot = settings.pilot or Weights()
@@ -233,7 +233,7 @@ def outputs_of(
     units = [weight_units(first)[name] for name in fit.names]
     vector, fields = fit.weights.vector(fit.names), dict[str, Any](texts)
     routes = compared_routes(demonstrations, planned)
-    tables: dict[str, pd.DataFrame] = {}
+    tables = {}
     outputs: dict[str, Output] = {"learning_curve": fit.curve}
     if isinstance(fit, WeightFit):
         template, noun, weights = "imitation", "demonstration", fit.table.reset_index()
@@ -301,10 +301,10 @@ def _regrets(fit: WeightFit) -> pd.DataFrame:
         "explained": (regret <= EXPLAINED).sum(),
         "mean": regret.mean(),
         "median": np.median(regret),
+        "largest": regret.max(),
+        "least mean found": fit.best_mean_regret,
     }
-    return pd.DataFrame(
-        [facts | {"largest": regret.max(), "least mean found": fit.best_mean_regret}]
-    )
+    return pd.DataFrame([facts])
 
 
 def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
@@ -326,16 +326,20 @@ def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
 
 def _means(routes: pd.DataFrame) -> pd.DataFrame:
     """Return the means over routes of their length and of each metric along them, as given and under the weights."""
-    mean = routes.mean(numeric_only=True)
-    names = [name for name in mean.index if f"planned_{name}" in mean.index]
-    planned = mean[[f"planned_{name}" for name in names]].to_numpy()
+    planned = routes.filter(regex="^planned_").mean()
+    names = planned.index.str.removeprefix("planned_")
+    given = routes[names].mean()
     return pd.DataFrame(
-        {"mean over routes": names, "as given": mean[names].to_numpy(), "planned": planned}
+        {
+            "mean over routes": names,
+            "as given": given.to_numpy(),
+            "planned": planned.to_numpy(),
+        }
     )
 
 
 def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
-    facts: dict[str, Any] = {
+    facts = {
         "folder": str(folder),
         "message": fit.sentence,
         "weights": fit.weights.to_dict(),
@@ -344,12 +348,9 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
         "elapsed_s": fit.elapsed_s,
     }
     if isinstance(fit, WeightFit):
-        interval = None
-        if fit.table[["low", "high"]].notna().any(axis=None):
-            ends = fit.table[["low", "high"]].to_numpy().tolist()
-            interval = dict(zip(fit.names, ends, strict=True))
+        ends = fit.table[["low", "high"]]
         return facts | {
-            "interval": interval,
+            "interval": ends.T.to_dict("list") if ends.notna().any(axis=None) else None,
             "mean_regret": float(fit.regret.mean()),
             "best_mean_regret": fit.best_mean_regret,
             "is_settled": fit.is_settled,

@@ -25,7 +25,7 @@ Output = str | pd.DataFrame | Callable[..., Any]
 
 def files_of(names: Iterable[str]) -> list[str]:
     """Return the names of the files that `save` writes for outputs of these names."""
-    files: list[str] = []
+    files = []
     for name in names:
         suffixes = [""] if Path(name).suffix else reversed(SUFFIXES)
         files += [f"{name}{suffix}" for suffix in suffixes]

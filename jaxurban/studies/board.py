@@ -18,6 +18,7 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.maps.build import build_maps
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.plan import cost_map
 from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar_plus
@@ -70,32 +71,26 @@ def make_benchmark(
     cities = [*SAMPLED, SYNTHETIC] if maps is None else [*maps]
     names = [QUERIES, DEMONSTRATIONS, CHECKSUMS, *TEXTS, *(f"{city}.npz" for city in cities)]
     queries: list[dict[str, Any]] = []
-    demonstrations: list[dict[str, Any]] = []
-    arrays: dict[str, dict[str, Any]] = {}
+    demonstrations = []
     with (
         Workspace.open(folder, "score --make", names=names, is_shared=True),
         reporting("score --make", progress) as report,
     ):
         maps = city_maps() if maps is None else maps
+        written = []
         for seed, (city, of_city) in enumerate(maps.items()):
             costs = cost_map(of_city, of_city.altitudes_m[0], cost_model="line")
             problem = costs.problem.with_costs(np.round(costs.costs, DECIMALS))
+            written.append(_pack(costs, problem, folder / f"{city}.npz"))
             weights = ["distance", *costs.names]
-            southwest_m = costs.grid.bounds_m[:2]
-            arrays[city] = {
-                "layers": costs.names,
-                "crs": costs.grid.crs,
-                "west_south_m": southwest_m,
-                "resolution_m": problem.resolution_m,
-                "reference_length_m": costs.cost_model.reference_length_m,
-                "costs": problem.costs,
-                "is_free": problem.is_free,
-            }
-            lowest_m, num = of_city.altitudes_m[:1], 2 * num_queries
             instances = sample_joined(
-                of_city, num, altitudes_m=lowest_m, cost_model="line", seed=seed
+                of_city,
+                2 * num_queries,
+                altitudes_m=of_city.altitudes_m[:1],
+                cost_model="line",
+                seed=seed,
             )
-            instances[ENDS] -= np.tile(southwest_m, 2)
+            instances[ENDS] -= np.tile(costs.grid.bounds_m[:2], 2)
             columns = [*ENDS, *(f"w_{name}" for name in weights)]
             for turn, instance in enumerate(records_of(instances[columns])):
                 report(city, turn, len(instances))
@@ -106,10 +101,9 @@ def make_benchmark(
                 else:
                     route = astar_plus(problem_of(problem, weights, row | TRUTH)).points_m
                     demonstrations.append({"city": city, "route": shapely.LineString(route).wkt})
-        written = [_pack(arrays[city], folder / f"{city}.npz") for city in arrays]
         for name, text in TEXTS.items():
             write_whole(folder / name, (files("jaxurban") / text).read_text(encoding="utf-8"))
-        written += [folder / name for name in TEXTS]
+            written.append(folder / name)
         written.append(write_table(pd.DataFrame(queries), folder / QUERIES))
         written.append(write_table(pd.DataFrame(demonstrations), folder / DEMONSTRATIONS))
         sums = "".join(f"{digest_of(file)}  {file.name}\n" for file in written)
@@ -126,35 +120,46 @@ def city_maps() -> dict[str, MetricMaps]:
     }
 
 
-def _pack(arrays: Mapping[str, Any], file: Path) -> Path:
-    """Write a compressed .npz, whose entries NumPy dates 1980 (the same arrays, the same bytes); return the file."""
+def _pack(costs: CostMap, problem: Problem, file: Path) -> Path:
+    """Write a city's map as a compressed .npz, dated 1980 by NumPy (the same map, the same bytes); return the file."""
     with whole_file(file) as scratch, scratch.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)
+        np.savez_compressed(
+            stream,
+            layers=costs.names,
+            crs=costs.grid.crs,
+            west_south_m=costs.grid.bounds_m[:2],
+            resolution_m=problem.resolution_m,
+            reference_length_m=costs.cost_model.reference_length_m,
+            costs=problem.costs,
+            is_free=problem.is_free,
+        )
     return file
 
 
 def problem_of(problem: Problem, names: list[str], row: Mapping[str, Any]) -> Problem:
     """Return the planners' view of a query on its city's map."""
-    x0, y0, x1, y1 = (int(row[end] // problem.resolution_m) for end in ENDS)
-    return problem.between((y0, x0), (y1, x1)).with_weights(
-        np.array([row[f"w_{name}"] for name in names])
+    start_col, start_row, goal_col, goal_row = (
+        int(row[end] // problem.resolution_m) for end in ENDS
     )
+    weights = np.array([row[f"w_{name}"] for name in names])
+    return problem.between((start_row, start_col), (goal_row, goal_col)).with_weights(weights)
 
 
 def _queries_of_tracks(
     problem: Problem, names: list[str], row: dict[str, Any], layer: str
 ) -> Iterator[dict[str, Any]]:
     """Yield a query of each track, with a lower bound and the cost of the best route known."""
-    query, column = problem_of(problem, names, row), names.index(layer)
+    query = problem_of(problem, names, row)
+    column = names.index(layer)
     routes = [astar_plus(query), astar_plus(query.with_weights(np.eye(len(names))[column]))]
-    budget = float(np.mean([query.features(route.points_m).phi[column] for route in routes]))
+    exposures = [query.features(route.points_m).phi[column] for route in routes]
+    budget = float(np.mean(exposures))
     within = within_budgets(query, astar_plus, {layer: budget}, names[1:], budget_s=np.inf, seed=0)
     any_angle = refine(query, theta_star(query)).cost
     yield row | {"track": "grid", "bound": routes[0].cost, "best": routes[0].cost}
     yield row | {"track": "any-angle", "bound": corner_bound(query), "best": any_angle}
-    exposure = {"layer": layer, "budget": budget}
     bounds = {"track": "budget", "bound": within.lower_bound, "best": within.cost}
-    yield row | bounds | exposure
+    yield row | bounds | {"layer": layer, "budget": budget}
     cost = astar_plus(problem_of(problem, names, row | TRUTH)).cost
     true_weights = {name: TRUTH[name] for name in TRUTH if name in row}
     yield row | true_weights | {"track": "weights", "bound": cost, "best": cost}
@@ -200,6 +205,31 @@ def score(
     queries = read_table(folder / QUERIES, "queries")
     is_weights = queries["track"] == "weights"
     queries["row"] = queries["city"].where(is_weights, queries["query"])  # of a submission
+    _check_answers(submission, table, queries)
+    table = table.reindex(columns=[*KEYS, *CLAIMED]).rename(columns={"query": "row"})
+    queries = queries[queries["track"].isin(table["track"])]
+    routes = queries.merge(table, "left", ["track", "row"], indicator="outcome")
+    cities = {city: f"{city}.npz" for city in routes["city"].unique()}
+    _check_files(folder, cities.values(), digests)
+    city_problems = {city: unpacked(folder / name) for city, name in cities.items()}
+    claims = {f"claimed_{name}": _claims(submission, routes[name]) for name in CLAIMED}
+    verdicts = [_judged(*city_problems[row["city"]], row) for row in records_of(routes)]
+    routes[["outcome", "cost"]] = pd.DataFrame(verdicts, routes.index)
+    routes["gap"] = routes["cost"] / routes["bound"] - 1
+    routes["over_best"] = routes["cost"] / routes["best"] - 1
+    routes = routes.assign(**claims)
+    rows = []
+    for (track, city), part in routes.groupby(["track", "city"], sort=False):
+        head = dict(zip(LINE, (method, digest_of(sums)[:12], track, city), strict=True))
+        rows.append(head | _summary(part))
+    lines = pd.DataFrame(rows)
+    if board is not None:
+        _enter(lines, Path(board))
+    return lines, routes[["track", "query", "city", "outcome", "cost", "gap", "over_best", *claims]]
+
+
+def _check_answers(submission: str | Path, table: pd.DataFrame, queries: pd.DataFrame) -> None:
+    """Raise InputError where a submission is empty, or answers what is not asked, or anything twice."""
     answers = table.set_index(["track", "query"]).index
     is_wrong = ~answers.isin(queries.set_index(["track", "row"]).index) | answers.duplicated()
     fault = "is empty" if table.empty else ""
@@ -209,32 +239,21 @@ def score(
         raise InputError(
             f"{str(submission)!r} {fault}: write one row for each query of a track in {QUERIES}"
         )
-    table = table.reindex(columns=[*KEYS, *CLAIMED]).rename(columns={"query": "row"})
-    queries = queries[queries["track"].isin(table["track"])]
-    routes = queries.merge(table, "left", ["track", "row"], indicator="outcome")
-    cities = {city: f"{city}.npz" for city in routes["city"].unique()}
-    _check_files(folder, cities.values(), digests)
-    problems = {city: unpacked(folder / name) for city, name in cities.items()}
-    claims = {f"claimed_{name}": pd.to_numeric(routes[name], errors="coerce") for name in CLAIMED}
-    for name in CLAIMED:
-        texts = routes.loc[routes[name].notna() & claims[f"claimed_{name}"].isna(), name]
-        if len(texts):
-            raise InputError(
-                f"{str(submission)!r} claims the {name} {texts.iloc[0]!r}: give a number, or leave it out"
-            )
-    verdicts = [_judged(*problems[row["city"]], row) for row in records_of(routes)]
-    routes["outcome"], routes["cost"] = zip(*verdicts, strict=True)
-    routes["gap"] = routes["cost"] / routes["bound"] - 1
-    routes["over_best"] = routes["cost"] / routes["best"] - 1
-    routes = routes.assign(**claims)
-    head = {"method": method, "bundle": digest_of(sums)[:12]}
-    parts = routes.groupby(["track", "city"], sort=False)
-    lines = pd.DataFrame(
-        [head | {"track": track, "city": city} | _summary(part) for (track, city), part in parts]
-    )
-    if board is not None:
-        _enter(lines, Path(board))
-    return lines, routes[["track", "query", "city", "outcome", "cost", "gap", "over_best", *claims]]
+
+
+def _claims(submission: str | Path, claimed: pd.Series) -> pd.Series:
+    """Return the numbers that a submission claims in a column, NaN where it claims none.
+
+    Raises:
+      InputError: a claim that is no number.
+    """
+    numbers = pd.to_numeric(claimed, errors="coerce")
+    texts = claimed[claimed.notna() & numbers.isna()]
+    if len(texts):
+        raise InputError(
+            f"{str(submission)!r} claims the {claimed.name} {texts.iloc[0]!r}: give a number, or leave it out"
+        )
+    return numbers
 
 
 def _check_files(folder: Path, names: Iterable[str], digests: Mapping[str, str]) -> None:
@@ -250,12 +269,20 @@ def _check_files(folder: Path, names: Iterable[str], digests: Mapping[str, str])
 
 def unpacked(file: Path) -> tuple[Problem, list[str]]:
     """Return a city's map, from its first free cell to itself, and its weights' names."""
-    what = "a city's map", "make the benchmark again"
-    with readable(file, *what, KeyError, IndexError, TypeError, BadZipFile), np.load(file) as city:
-        free = tuple(np.argwhere(city["is_free"])[0].tolist())
-        model = CostModel("line", reference_length_m=float(city["reference_length_m"]))
+    faults = KeyError, IndexError, TypeError, BadZipFile
+    with (
+        readable(file, "a city's map", "make the benchmark again", *faults),
+        np.load(file) as city,
+    ):
+        first_free = tuple(np.argwhere(city["is_free"])[0].tolist())
         problem = Problem(
-            city["costs"], city["is_free"], free, free, float(city["resolution_m"]), 1.0, model
+            city["costs"],
+            city["is_free"],
+            start=first_free,
+            goal=first_free,
+            resolution_m=float(city["resolution_m"]),
+            weights=1.0,
+            cost_model=CostModel("line", reference_length_m=float(city["reference_length_m"])),
         )
         return problem, ["distance", *city["layers"].tolist()]
 
@@ -270,21 +297,24 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
         weights = Weights.parse(str(row["route"]), none).checked(names)
         route = astar_plus(problem.with_weights(weights.vector(names)))
         return VALID, problem.cost_of(route.points_m)
-    side_m, ends_m = problem.resolution_m, [row[end] for end in ENDS]
+    side_m = problem.resolution_m
+    ends_m = np.array([row[end] for end in ENDS]).reshape(2, 2)
     with np.errstate(invalid="ignore"):  # of NaN
         line = shapely.from_wkt(str(row["route"]), on_invalid="ignore")
     points_m = shapely.get_coordinates(line)
     is_line = isinstance(line, shapely.LineString) and len(points_m)
     if not is_line or not np.isfinite(points_m).all():
         return "no line", np.inf
-    if np.abs(points_m[[0, -1]].ravel() - ends_m).max() > NEAR_M:
+    if np.abs(points_m[[0, -1]] - ends_m).max() > NEAR_M:
         return "wrong ends", np.inf
-    points_m[[0, -1]] = np.reshape(ends_m, (2, 2))
-    if (points_m < 0).any() or (points_m > np.array(problem.is_free.shape[::-1]) * side_m).any():
+    points_m[[0, -1]] = ends_m
+    size_m = np.array(problem.is_free.shape[::-1]) * side_m
+    if (points_m < 0).any() or (points_m > size_m).any():
         return "leaves the map", np.inf
     if row["track"] != "any-angle":
         cells = points_m // side_m
-        centres_m, legs = (cells + 0.5) * side_m, np.abs(np.diff(cells, axis=0))
+        centres_m = (cells + 0.5) * side_m
+        legs = np.abs(np.diff(cells, axis=0))
         is_straight = (legs.min(axis=1) == 0) | (legs[:, 0] == legs[:, 1])
         if np.abs(points_m - centres_m).max() > NEAR_M or not is_straight.all():
             return "off the grid", np.inf

@@ -61,34 +61,34 @@ class Clusters:
         """
         groups = np.asarray(groups)
         names = np.zeros(len(groups)) if cities is None else np.asarray(cities, str)
-        self._city = pd.factorize(names)[0]
+        self._city, present = pd.factorize(names)
         self._group = np.zeros(len(groups), int)
         draws = [np.empty((NUM_DRAWS, 0))]
-        for city in np.unique(self._city):
+        num_before = 0
+        for city in range(len(present)):
             inside = self._city == city
-            group, _ = pd.factorize(groups[inside])
-            drawn = draws_of(int(group.max()) + 1, [seed, city])
-            self._group[inside] = group + sum(part.shape[1] for part in draws)
+            group, members = pd.factorize(groups[inside])
+            self._group[inside] = num_before + group
+            num_before += len(members)
+            drawn = draws_of(len(members), [seed, city])
             draws.append(drawn * (drawn.shape[1] / drawn[0].sum()))  # a city weighs what it has
-        self._column, self._draws = (
-            self._group,
-            np.hstack(draws),
-        )  # values are counted as their column of the draws
-        self._most = self.num_groups = len(groups)
-        self._most = self.num_groups = self.groups_of(np.ones(len(groups), bool))
+        self._draws = np.hstack(draws)
+        self._column = self._group  # of the draws, by which each value is counted
+        self.num_groups = len(groups)
+        self.num_groups = self.groups_of(np.ones(len(groups), bool))
 
     def groups_of(self, chosen: np.ndarray) -> int:
         """Return how many groups, as `num_groups` counts them, the values ``[N]`` bool hold that are chosen."""
-        return min(
-            self._most, len(np.unique(self._group[chosen])) - len(np.unique(self._city[chosen])) + 1
-        )
+        num_groups = len(np.unique(self._group[chosen]))
+        num_cities = len(np.unique(self._city[chosen]))
+        return min(self.num_groups, num_groups - num_cities + 1)
 
     def crossed(self, other: "Clusters") -> "Clusters":
         """Return draws in which both are drawn: Owen's pigeonhole bootstrap (Ann. Appl. Stat. 1(2), 2007)."""
         both = copy(self)
         both._draws = self._draws[:, self._column] * other._draws[:, other._column]
         both._column = np.arange(len(self._column))
-        both._most = both.num_groups = min(self.num_groups, other.num_groups)
+        both.num_groups = min(self.num_groups, other.num_groups)
         return both
 
     def drawn(self, values: np.ndarray, statistic: Statistic = "mean") -> np.ndarray:
@@ -112,30 +112,30 @@ class Clusters:
         if not known.any():
             return Interval(np.nan, np.nan, np.nan)
         num_groups = self.groups_of(known)
-        plain = (
-            np.quantile(values[known], 0.5, method="inverted_cdf")
-            if statistic == "median"
-            else values[known].mean()
-        )
-        if statistic == "share" and num_groups >= FEWEST_GROUPS and plain in (0.0, 1.0):
+        value = values[known].mean()
+        if statistic == "median":
+            value = np.quantile(values[known], 0.5, method="inverted_cdf")
+        is_alike = statistic == "share" and value in (0.0, 1.0)
+        if is_alike and num_groups >= FEWEST_GROUPS:
             least = (1 - LEVEL) ** (1 / num_groups)
-            return Interval(0.0, 0.0, 1 - least) if plain == 0 else Interval(1.0, least, 1.0)
-        return Interval(float(plain), *ends_of(self.drawn(values, statistic), num_groups))
+            return Interval(0.0, 0.0, 1 - least) if value == 0 else Interval(1.0, least, 1.0)
+        return interval_of(value, self.drawn(values, statistic), num_groups)
 
 
-def ends_of(drawn: np.ndarray, num_groups: int) -> tuple[float, float]:
-    """Return the 95 % interval of a statistic drawn ``[B]`` times; NaN with too few groups, or where it is unknown.
+def interval_of(value: float, drawn: np.ndarray, num_groups: int) -> Interval:
+    """Return a statistic and its 95 % interval, which is NaN with too few groups, or where too few draws are known.
 
     Args:
-      drawn: over the draws of `draws_of`.
+      value: of the statistic, without draws.
+      drawn: ``[B]`` the statistic over the draws of `draws_of`; NaN where a draw does not define it.
       num_groups: degrees of freedom and 1: one less for each city but the first, where groups are drawn within cities.
     """
     known = drawn[np.isfinite(drawn)]
-    if num_groups < FEWEST_GROUPS or len(known) < LEVEL * len(drawn):
-        return np.nan, np.nan
-    tail = special.ndtr(-reach_of(num_groups))
-    low, high = np.quantile(known, [tail, 1 - tail])
-    return float(low), float(high)
+    ends = [np.nan, np.nan]
+    if num_groups >= FEWEST_GROUPS and len(known) >= LEVEL * len(drawn):
+        tail = special.ndtr(-reach_of(num_groups))
+        ends = np.quantile(known, [tail, 1 - tail]).tolist()
+    return Interval(float(value), *ends)
 
 
 def reach_of(num_groups: int) -> float:

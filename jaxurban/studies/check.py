@@ -118,35 +118,29 @@ def check(
     _, _, limits = rules_on(maps, None, limits, "")
     flights = [parse_time(at) for at in times if at is not None]
     zones = [zone for zone in limits.zones if not flights or any(map(zone.is_in_force, flights))]
-    all_limits, limits = (
-        limits,
-        replace(limits, zones=tuple(replace(zone, start=None, end=None) for zone in zones)),
-    )
-
+    figures = {"num_zones": len(limits.zones), "num_zones_in_force": len(zones)}
+    lasting = tuple(replace(zone, start=None, end=None) for zone in zones)
+    limits = replace(limits, zones=lasting)
     city, outlines = _city_of(maps, sources)
     known = shapely.box(*maps.grid.bounds_m) if city is None else city.known_ground
     flight = flight_of(mission, maps, geoid_m)
     findings, unknown = judged(
         flight, maps, buildings_of(maps, city), known, limits, times, time_of_day
     )
-    figures: dict[str, Any] = {"num_zones": len(all_limits.zones), "num_zones_in_force": len(zones)}
     figures |= figures_of(flight, maps, times, time_of_day, swath_m)
     figures |= costs_of(flight, maps, weights, limits, times[0], time_of_day)
     beyond, open_limits = _limits(figures, max_no_fix_m, max_people)
-    gaps = [name for name in maps.guesses if name.endswith(WITHOUT_DATA) and city is None]
-    not_judged = [
-        *(f"{each[:1].upper()}{each[1:]}." for each in mission.not_judged),
-        *(["The mission holds no leg."] if not mission.legs else []),
-        *(
-            f"{union_m(rows):,.0f} m {reason}."
-            for reason, rows in unknown.groupby("reason", sort=False)
-        ),
-        *open_limits,
-        *(
-            f"The city is gone, and with it where what it leaves open lies: {guess}."
-            for guess in gaps
-        ),
-    ]
+    not_judged = [f"{each[:1].upper()}{each[1:]}." for each in mission.not_judged]
+    if not mission.legs:
+        not_judged.append("The mission holds no leg.")
+    for reason, rows in unknown.groupby("reason", sort=False):
+        not_judged.append(f"{union_m(rows):,.0f} m {reason}.")
+    not_judged += open_limits
+    for guess in maps.guesses if city is None else ():
+        if guess.endswith(WITHOUT_DATA):
+            not_judged.append(
+                f"The city is gone, and with it where what it leaves open lies: {guess}."
+            )
     findings = pd.concat([each for each in (findings, beyond) if len(each)] or [findings])
     return MissionCheck(
         findings.reset_index(drop=True),
@@ -195,17 +189,15 @@ def _limits(
     for name, unknown_name, most, unit, most_a_metre in limits:
         if most is None:
             continue
+        value, unknown_m = figures.get(name, 0.0), figures.get(unknown_name, 0.0)
+        reason = ""
         if name not in figures:
-            sentences.append(
-                f"The limit of {most:g} {unit} is not judged: the maps do not hold them."
-            )
-            continue
-        value, unknown_m = figures[name], figures[unknown_name]
-        if value > most:
+            reason = "the maps do not hold them"
+        elif value > most:
             what = f"{value:,.0f} {unit}; the limit is {most:g}"
             rows.append({"kind": "limit", "what": what, "by_m": value - most})
         elif unknown_m > 0 and value + unknown_m * most_a_metre > most:
-            sentences.append(
-                f"The limit of {most:g} {unit} is not judged: {value:,.0f} are known, and {unknown_m:,.0f} m are not."
-            )
+            reason = f"{value:,.0f} are known, and {unknown_m:,.0f} m are not"
+        if reason:
+            sentences.append(f"The limit of {most:g} {unit} is not judged: {reason}.")
     return pd.DataFrame(rows, columns=COLUMNS), sentences

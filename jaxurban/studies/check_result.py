@@ -63,9 +63,13 @@ class MissionCheck(FactsRepr):
     @property
     def facts(self) -> dict[str, str]:
         """The state, the mission, how buildings were looked at, and the figures."""
-        facts = {"state": self.sentence, "mission": self.flight.mission.name}
-        facts |= {"buildings": self.outlines, **self.numbers}
-        return facts | {"note": self.figures.get("cost_note", "")}
+        return {
+            "state": self.sentence,
+            "mission": self.flight.mission.name,
+            "buildings": self.outlines,
+            **self.numbers,
+            "note": self.figures.get("cost_note", ""),
+        }
 
     @property
     def lines(self) -> list[str]:
@@ -129,14 +133,10 @@ class MissionCheck(FactsRepr):
           ['building']
         """
         rows = records_of(self.findings[self.findings["lon"].notna()])
-        features = [
-            {
-                "type": "Feature",
-                "geometry": {"type": "Point", "coordinates": [row.pop("lon"), row.pop("lat")]},
-                "properties": row,
-            }
-            for row in rows
-        ]
+        features = []
+        for row in rows:
+            point = {"type": "Point", "coordinates": [row.pop("lon"), row.pop("lat")]}
+            features.append({"type": "Feature", "geometry": point, "properties": row})
         return {"type": "FeatureCollection", "state": self.state, "features": features}
 
 

@@ -1,5 +1,6 @@
 """Routes planned on each of two sets of maps and judged by the other: what a difference of maps changes for routes."""
 
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -49,7 +50,7 @@ def compared_routes(
     Raises:
       InputError: fewer than two cells are free in both at an altitude, or the scenario asks what B does not hold.
     """
-    rows: list[dict[str, Any]] = []
+    rows = []
     for k, altitude_m in enumerate(a.altitudes_m):
         report("routes", k, len(a.altitudes_m))
         on_a = cost_map(a, altitude_m, time=times[0])
@@ -77,7 +78,6 @@ def compared_routes(
             start_x_m, start_y_m = on_a.grid.xy_of_cell(*start_cell)
             goal_x_m, goal_y_m = on_a.grid.xy_of_cell(*goal_cell)
             for planned_on, judged_on in WAYS:
-                path, best = paths[planned_on][pair], paths[judged_on][pair]
                 row = {
                     "pair": pair,
                     "altitude_m": altitude_m,
@@ -88,6 +88,7 @@ def compared_routes(
                     "goal_x_m": goal_x_m,
                     "goal_y_m": goal_y_m,
                 }
+                path, best = paths[planned_on][pair], paths[judged_on][pair]
                 rows.append(row | _judged(cost_maps[judged_on], path, best))
     report("routes", len(a.altitudes_m), len(a.altitudes_m))
     return pd.DataFrame(rows)
@@ -98,12 +99,12 @@ def _planned(cost_map: CostMap, ends: np.ndarray) -> list[Path]:
     problems = [
         cost_map.problem.between(tuple(start), tuple(goal)) for start, goal in ends.tolist()
     ]
-    paths: dict[int, Path] = {}
-    for k, outcome in solve_many(problems):
+    paths = []
+    for _, outcome in sorted(solve_many(problems), key=itemgetter(0)):
         if isinstance(outcome, Exception):
             raise outcome
-        paths[k] = outcome
-    return [paths[k] for k in range(len(problems))]
+        paths.append(outcome)
+    return paths
 
 
 def _judged(cost_map: CostMap, path: Path, best: Path) -> dict[str, Any]:
@@ -116,13 +117,17 @@ def _judged(cost_map: CostMap, path: Path, best: Path) -> dict[str, Any]:
         return facts | dict.fromkeys(NUMBERS, np.nan)
     features = cost_map.problem.features(path.points_m)
     cost = features.cost(cost_map.problem.weights) if features.is_valid else np.nan
-    closed_m = float(features.length_m[~cost_map.is_free[features.crossed]].sum())
     regret = 0.0
     if not cost <= best.cost * SAME_COST:  # also where it is closed
         regret = cost / best.cost - 1 if best.cost > 0 else np.inf
-    length_m, is_closed = float(features.length_m.sum()), float(not features.is_valid)
-    numbers = path.cost, length_m, cost, regret, closed_m, is_closed
-    return facts | dict(zip(NUMBERS, numbers, strict=True))
+    return facts | {
+        "cost": path.cost,
+        "length_m": features.length_m.sum(),
+        "cost_there": cost,
+        "regret": regret,
+        "closed_m": features.length_m[~cost_map.is_free[features.crossed]].sum(),
+        "is_closed": float(not features.is_valid),
+    }
 
 
 def regrets(rows: pd.DataFrame) -> pd.DataFrame:
@@ -138,13 +143,16 @@ def regrets(rows: pd.DataFrame) -> pd.DataFrame:
     for head, routes in rows.groupby(HEAD, sort=False):
         routes = routes[routes["is_closed"].notna()]
         clusters = Clusters(routes["pair"])
-        closed = clusters.interval(routes["is_closed"], "share")
-        regret = clusters.interval(routes["regret"], "median")
-        open_there = routes["regret"].dropna()
-        p90, worst = open_there.quantile([0.9, 1.0]) if len(open_there) else (np.nan, np.nan)
-        row = dict(zip(HEAD, head, strict=True)) | {"routes": len(routes)}
-        row |= named("closed", closed)
-        row["closed_m"] = routes["closed_m"][routes["is_closed"] > 0].median()
-        row |= named("regret", regret)
-        table.append(row | {"regret_p90": p90, "regret_worst": worst})
+        regret = routes["regret"]
+        table.append(
+            {
+                **dict(zip(HEAD, head, strict=True)),
+                "routes": len(routes),
+                **named("closed", clusters.interval(routes["is_closed"], "share")),
+                "closed_m": routes["closed_m"][routes["is_closed"] > 0].median(),
+                **named("regret", clusters.interval(regret, "median")),
+                "regret_p90": regret.quantile(0.9),
+                "regret_worst": regret.quantile(1.0),
+            }
+        )
     return pd.DataFrame(table)

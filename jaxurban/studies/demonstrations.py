@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -16,7 +16,7 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError, OtherSettingsWarning, SkippedRouteWarning, warn
 from jaxurban.io.read.routes import read_routes
 from jaxurban.io.tables import SUFFIXES
-from jaxurban.maps.metric_maps import MapsLike, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints, describe_constraints
 from jaxurban.paths.cost_map import CostMap
@@ -28,7 +28,6 @@ from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import CostKind, Preset
 from jaxurban.studies.queries import RouteQuery
-from jaxurban.world.grid import Grid
 
 # Of a cell side: a point this near a centre is the centre, written with few decimals.
 ON_CENTRE = 0.01
@@ -79,29 +78,26 @@ class Demonstration:
         """``[K]`` below which no feature of the route that was meant lies: each the least within ``drawn_cells``."""
         if not self.drawn_cells:
             return self.features
-        cost_map, side_m = self.query.cost_map, self.query.cost_map.grid.resolution_m
+        cost_map = self.query.cost_map
+        side_m = cost_map.grid.resolution_m
         cells = np.floor(self.points_m[:, ::-1] / side_m).astype(int)
         pad = int(np.ceil(self.drawn_cells))
-        low, high = np.maximum(cells.min(axis=0) - pad, 0), cells.max(axis=0) + pad + 1
-        window = tuple(map(slice, low, high))
+        low = np.maximum(cells.min(axis=0) - pad, 0)
+        window = _window(low, cells.max(axis=0) + pad)
         is_free = cost_map.is_free[window]
         is_far = np.ones(is_free.shape, bool)
         is_far[tuple((cells - low).T)] = False
-        weights = np.eye(self.features.size)
         start, goal = map(tuple, (cells[[0, -1]] - low).tolist())
-        problem = Problem(
-            cost_map.costs[:, *window],
-            is_free & (distance_transform_edt(is_far) <= self.drawn_cells),
-            start,
-            goal,
-            side_m,
-            weights[0],
-            cost_map.cost_model,
-            leg_margin_m=cost_map.leg_margin_m,
+        problem = replace(
+            cost_map.shortest,
+            costs=cost_map.costs[:, *window],
+            is_free=is_free & (distance_transform_edt(is_far) <= self.drawn_cells),
+            start=start,
+            goal=goal,
         )
         least = self.features
-        for each in weights:
-            route_m = astar(problem.with_weights(each)).points_m + low[::-1] * side_m
+        for only_one in np.eye(least.size):
+            route_m = astar(problem.with_weights(only_one)).points_m + low[::-1] * side_m
             least = np.minimum(least, self.query.sums(route_m)[0])
         return least
 
@@ -158,10 +154,8 @@ def read_demonstrations(
         )
     routes = read_routes(file)
     planned = [(f"route {route.name!r} of {str(file)!r}", route.settings) for route in routes]
-    rules = RouteRules(
-        cost_model=cost_model, constraints=constraints or Constraints(), preset=preset
-    )
-    grid, map_of = _cost_maps(maps, planned, rules, metrics)
+    maps = as_maps(maps)
+    map_of = _cost_maps(maps, planned, cost_model, constraints, preset, metrics)
     demonstrations, reasons = [], []
     for number, route in enumerate(routes, start=1):
         z_m = route.altitude_m if altitude_m is None else altitude_m
@@ -173,7 +167,7 @@ def read_demonstrations(
                     "it has no altitude: give it a property altitude_m, or pass --altitude (altitude_m=)"
                 )
             cost_map = map_of(float(z_m), time or route.time, time_of_day or route.time_of_day)
-            xy_m = np.stack(grid.xy_of_lonlat(*route.lonlat.T), axis=-1)
+            xy_m = np.stack(maps.grid.xy_of_lonlat(*route.lonlat.T), axis=-1)
             demonstrations.append(demonstration_from_line(cost_map, xy_m, route.name))
         except InputError as error:
             reasons.append(f"{label}: {error}")
@@ -219,10 +213,7 @@ def demonstrations_from_paths(
     if not paths:
         raise InputError("there are no paths: give at least one")
     planned = [(f"path {number}", path.settings) for number, path in enumerate(paths, start=1)]
-    rules = RouteRules(
-        cost_model=cost_model, constraints=constraints or Constraints(), preset=preset
-    )
-    _, map_of = _cost_maps(maps, planned, rules, metrics)
+    map_of = _cost_maps(as_maps(maps), planned, cost_model, constraints, preset, metrics)
     demonstrations = []
     for number, path in enumerate(paths, start=1):
         try:
@@ -249,12 +240,14 @@ def _from_path(map_of: MapOf, path: PlannedPath, name: str) -> Demonstration:
 
 
 def _cost_maps(
-    maps_like: MapsLike,
+    maps: MetricMaps,
     planned: Sequence[tuple[str, Mapping]],
-    rules: RouteRules,
+    cost_model: CostModel | CostKind | None,
+    constraints: Constraints | None,
+    preset: Preset,
     metrics: Sequence[str] | None,
-) -> tuple[Grid, MapOf]:
-    """Return the maps' grid, and a function of altitude, time and time of day: the cost map there, made once.
+) -> MapOf:
+    """Return a function of altitude, time and time of day: the cost map there, made once.
 
     The cost model is the one given, else the one that the routes, by name with their settings, were planned under, else
     the default. Warns of the first route that was planned under another one, or under other constraints.
@@ -262,21 +255,13 @@ def _cost_maps(
     Raises:
       InputError: an invalid cost model in the settings, or routes that name different ones.
     """
-    maps, settled = rules.under(as_maps(maps_like))
-    models: dict[str, CostModel] = {}
-    for name, settings in planned:
-        if "cost_model" in settings:
-            models[name] = CostModel.from_settings(settings)
-    if rules.cost_model is None and models:
-        (first, model), *others = models.items()
-        for name, other in others:
-            if other != model:
-                raise InputError(
-                    f"{first} was planned under the cost model {model} and {name} under {other}: fit them apart, or "
-                    "name one for all (--cost-model, cost_model=)"
-                )
-        settled = replace(settled, cost_model=model)
-    fitted = settled.rules()
+    if cost_model is None:
+        cost_model = _common_model(planned)
+    rules = RouteRules(
+        cost_model=cost_model, constraints=constraints or Constraints(), preset=preset
+    )
+    maps, rules = rules.under(maps)
+    fitted = rules.rules()
     now = _describe_rules(fitted)
     for name, settings in planned:
         before = _describe_rules({key: settings.get(key, fitted[key]) for key in fitted})
@@ -290,10 +275,30 @@ def _cost_maps(
 
     @cache
     def map_of(*place: Any) -> CostMap:
-        cost_map = settled.cost_map(maps, *place)
+        cost_map = rules.cost_map(maps, *place)
         return cost_map if metrics is None else cost_map.only(metrics)
 
-    return maps.grid, map_of
+    return map_of
+
+
+def _common_model(planned: Sequence[tuple[str, Mapping]]) -> CostModel | None:
+    """Return the cost model that routes, by name with their settings, were planned under; None where none names any.
+
+    Raises:
+      InputError: an invalid one, or different ones.
+    """
+    models = {}
+    for name, settings in planned:
+        if "cost_model" in settings:
+            models[name] = CostModel.from_settings(settings)
+    first = next(iter(models), "")
+    for name, other in models.items():
+        if other != models[first]:
+            raise InputError(
+                f"{first} was planned under the cost model {models[first]} and {name} under {other}: fit them apart, "
+                "or name one for all (--cost-model, cost_model=)"
+            )
+    return models.get(first)
 
 
 def _describe_rules(rules: Mapping[str, Any]) -> str:
@@ -340,36 +345,56 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
         raise InputError(
             "it leaves the maps: clip it to their region, or make maps of a larger one"
         )
-    note, drawn_cells = "", 0.0
+    # Decimals lost in a file must not make a diagonal step graze a third cell.
     filled = _filled(local)
-    if _is_grid_path(cost_map, filled):
-        # Decimals lost in a file must not make a diagonal step graze a third cell.
-        local = np.floor(filled) + 0.5
-    else:
-        try:
-            ends = cost_map.ends(XY(*points[0].tolist()), XY(*points[-1].tolist()), snap=True)
-        except InputError as error:
-            raise InputError(
-                "it starts or ends inside an obstacle or in a closed cell, and no free cell is within "
-                f"{MAX_SNAP_M:g} m of it: move that end there"
-            ) from error
-        for k, end in ((0, ends[0]), (-1, ends[1])):
-            if end.is_snapped:
-                local[k] = np.array(end.cell[::-1]) + 0.5
-        local, widest = _follow(cost_map, local)
-        notes = [snap_note(*ends).removesuffix(".")]
-        if widest > CORRIDORS_CELLS[0]:
-            width_m = widest * grid.resolution_m
-            notes.append(
-                f"followed within {width_m:.0f} m, since obstacles block the way nearer to it"
-            )
-        note = "; ".join(filter(None, notes))
-        drawn_cells = max(widest, DRAWN_CELLS)
-    start, goal = map(tuple, np.floor(local[[0, -1], ::-1]).astype(int).tolist())
+    route = _Followed(np.floor(filled) + 0.5, 0.0)
+    if not _is_grid_path(cost_map, filled):
+        route = _redrawn(cost_map, points, local)
+    start, goal = map(tuple, np.floor(route.centres[[0, -1], ::-1]).astype(int).tolist())
     if start == goal:
         raise InputError("it starts and ends in one cell: leave it out, or cut it in two")
     query = RouteQuery(cost_map, start, goal, name)
-    return Demonstration(query, local * grid.resolution_m, note, drawn_cells)
+    return Demonstration(query, route.centres * grid.resolution_m, route.note, route.within_cells)
+
+
+class _Followed(NamedTuple):
+    """A grid path along a line: centres ``[N, 2]`` in cell sides, how near to the line it runs, and what was done."""
+
+    centres: np.ndarray
+    within_cells: float
+    note: str = ""
+
+
+def _redrawn(cost_map: CostMap, xy_m: np.ndarray, local: np.ndarray) -> _Followed:
+    """Return a grid path along a line, its ends moved to free cells.
+
+    Args:
+      cost_map: of the maps.
+      xy_m: ``[N, 2]`` the line in the maps' CRS.
+      local: ``[N, 2]`` the same in cell sides from the southwest corner.
+
+    Raises:
+      InputError: no free cell is near an end, or no way through free cells near the line.
+    """
+    start, goal = xy_m[[0, -1]].tolist()
+    try:
+        ends = cost_map.ends(XY(*start), XY(*goal), snap=True)
+    except InputError as error:
+        raise InputError(
+            "it starts or ends inside an obstacle or in a closed cell, and no free cell is within "
+            f"{MAX_SNAP_M:g} m of it: move that end there"
+        ) from error
+    line = local.copy()
+    for k, end in zip((0, -1), ends, strict=True):
+        if end.is_snapped:
+            line[k] = np.array(end.cell[::-1]) + 0.5
+    route = _follow(cost_map, line)
+    notes = [snap_note(*ends).removesuffix(".")]
+    if route.within_cells > CORRIDORS_CELLS[0]:
+        width_m = route.within_cells * cost_map.grid.resolution_m
+        notes.append(f"followed within {width_m:.0f} m, since obstacles block the way nearer to it")
+    note = "; ".join(filter(None, notes))
+    return _Followed(route.centres, max(route.within_cells, DRAWN_CELLS), note)
 
 
 def _filled(local: np.ndarray) -> np.ndarray:
@@ -395,43 +420,50 @@ def _is_grid_path(cost_map: CostMap, local: np.ndarray) -> bool:
     return cost_map.problem.features((cells + 0.5) * cost_map.grid.resolution_m).is_valid
 
 
-def _follow(cost_map: CostMap, local: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the centres ``[N, 2]`` of a grid path along a line, in cell sides, and the corridor that it needed."""
-    line = shapely.LineString(local).simplify(0.5)
-    corners = shapely.get_coordinates(line)
-    cells = [(int(row), int(col)) for col, row in np.floor(corners)]
+def _follow(cost_map: CostMap, local: np.ndarray) -> _Followed:
+    """Return a grid path along a line ``[N, 2]``, in cell sides, leg by leg."""
+    corners = shapely.get_coordinates(shapely.LineString(local).simplify(0.5))
+    cells = [tuple(cell) for cell in np.floor(corners[:, ::-1]).astype(int).tolist()]
     # A corner inside an obstacle is skipped: the legs around it are one.
     kept = [k for k, cell in enumerate(cells) if cost_map.is_free[cell]]
-    points, widest = [np.array(cells[0][::-1]) + 0.5], CORRIDORS_CELLS[0]
-    for i, j in pairwise(kept):
-        if cells[i] == cells[j]:
-            continue
-        leg = shapely.LineString(corners[i : j + 1])
-        for width in CORRIDORS_CELLS:
-            path = _shortest_within(cost_map, leg, width, cells[i], cells[j])
-            if path is not None:
-                break
-        else:
-            raise InputError(
-                f"it cannot be followed through free cells at {cost_map.altitude_m:g} m within "
-                f"{CORRIDORS_CELLS[-1] * cost_map.grid.resolution_m:.0f} m of it: fly higher, or draw it elsewhere"
-            )
-        widest = max(widest, width)
-        points.extend(path[1:])
-    return np.array(points), widest
+    centres = [np.array(cells[0][::-1]) + 0.5]
+    widest = CORRIDORS_CELLS[0]
+    for first, last in pairwise(kept):
+        if cells[first] != cells[last]:
+            leg = shapely.LineString(corners[first : last + 1])
+            path = _follow_leg(cost_map, leg, cells[first], cells[last])
+            centres.extend(path.centres[1:])
+            widest = max(widest, path.within_cells)
+    return _Followed(np.array(centres), widest)
+
+
+def _follow_leg(cost_map: CostMap, leg: shapely.LineString, start: Cell, goal: Cell) -> _Followed:
+    """Return the shortest grid path between two cells in the narrowest corridor around a leg that holds one.
+
+    Raises:
+      InputError: no corridor holds one.
+    """
+    for width in CORRIDORS_CELLS:
+        centres = _shortest_within(cost_map, leg, width, start, goal)
+        if centres is not None:
+            return _Followed(centres, width)
+    raise InputError(
+        f"it cannot be followed through free cells at {cost_map.altitude_m:g} m within "
+        f"{CORRIDORS_CELLS[-1] * cost_map.grid.resolution_m:.0f} m of it: fly higher, or draw it elsewhere"
+    )
 
 
 def _shortest_within(
     cost_map: CostMap, leg: shapely.LineString, width: float, start: Cell, goal: Cell
 ) -> np.ndarray | None:
     """Return the shortest grid path whose cells' centres lie within ``width`` of a leg, in cell sides; None without."""
-    west, south, east, north = leg.bounds
+    west, south, east, north = np.floor(leg.bounds).astype(int)
     pad = int(np.ceil(width)) + 1
-    low = np.maximum(np.floor([south, west]).astype(int) - pad, 0)
-    high = np.minimum(np.floor([north, east]).astype(int) + pad + 1, cost_map.is_free.shape)
-    rows, cols = np.mgrid[low[0] : high[0], low[1] : high[1]]
-    near = shapely.dwithin(shapely.points(cols + 0.5, rows + 0.5), leg, width)
-    is_free = cost_map.is_free[low[0] : high[0], low[1] : high[1]] & near
+    low = np.maximum([south - pad, west - pad], 0)
+    window = _window(low, np.array([north + pad, east + pad]))
+    is_free = cost_map.is_free[window]
+    rows, cols = np.indices(is_free.shape) + low[:, None, None]
+    is_free = is_free & shapely.dwithin(shapely.points(cols + 0.5, rows + 0.5), leg, width)
     start, goal = map(tuple, (np.array([start, goal]) - low).tolist())
     if not is_free[start] or not is_free[goal]:
         return None
@@ -447,6 +479,11 @@ def _shortest_within(
     )
     path = astar(problem)
     return path.points_m + low[::-1] if path.status.has_path else None
+
+
+def _window(first: np.ndarray, last: np.ndarray) -> tuple[slice, ...]:
+    """Return the rows and the columns from one cell of a map to another; the latter may lie beyond it."""
+    return tuple(map(slice, first, last + 1))
 
 
 def compared_routes(
@@ -471,14 +508,18 @@ def compared_routes(
             row[f"{prefix}length_m"] = length_m
             for name, integral in zip(cost_map.names, integrals, strict=True):
                 row[f"{prefix}mean_{name}"] = integral / length_m
-        resolution_m = cost_map.grid.resolution_m
-        cells = cells_of(demonstration.points_m, resolution_m)
-        shared = cells & cells_of(route.points_m, resolution_m)
-        row |= {"overlap": len(shared) / len(cells), "note": demonstration.note}
-        rows.append(row)
+        overlap = overlap_of(demonstration.points_m, route.points_m, cost_map.grid.resolution_m)
+        rows.append(row | {"overlap": overlap, "note": demonstration.note})
     return pd.DataFrame(rows)
 
 
-def cells_of(points_m: np.ndarray, resolution_m: float) -> set[tuple[int, int]]:
-    """Return the cells, column and row, of points ``[N, 2]`` in metres from the map's southwest corner."""
-    return set(map(tuple, np.floor(points_m / resolution_m).astype(int).tolist()))
+def overlap_of(points_m: np.ndarray, others_m: np.ndarray, resolution_m: float) -> float:
+    """Return the share of the cells of a route that another one shares.
+
+    Args:
+      points_m, others_m: ``[N, 2]`` cell by cell, metres from the map's southwest corner.
+      resolution_m: side of a cell.
+    """
+    cells = pd.MultiIndex.from_arrays([*np.floor(points_m / resolution_m).T]).unique()
+    others = pd.MultiIndex.from_arrays([*np.floor(others_m / resolution_m).T])
+    return float(cells.isin(others).mean())

@@ -29,7 +29,6 @@ from jaxurban.world.grid import Grid
 CLOSED = "closed"
 MASKS = ("obstacle", CLOSED)
 SAME = 1e-6  # values that differ by no more, as on another device, have not changed
-QUANTILES = (0.5, 0.05, 0.95)
 
 
 class OneMap(NamedTuple):
@@ -227,7 +226,7 @@ def compare(
         settings=settings,
         tolerance=tolerance,
     )
-    rows: list[dict[str, Any]] = []
+    rows = []
     with reporting("compare", progress) as report:
         layers = result.layers
         for number, layer in enumerate(layers):
@@ -290,12 +289,16 @@ def _values(maps: MetricMaps, layer: str, place: OneMap) -> np.ndarray:
 def _statistics(values: np.ndarray, tolerance: float) -> dict[str, Any]:
     """Return what differences ``[N]`` come to; infinite ones count as changed and nowhere else."""
     numbers = values[np.isfinite(values)].astype(np.float64)
-    numbers = numbers if len(numbers) else np.array([np.nan])
-    gained, lost = int((values > tolerance).sum()), int((values < -tolerance).sum())
+    if not len(numbers):
+        numbers = np.array([np.nan])
+    gained = int((values > tolerance).sum())
+    lost = int((values < -tolerance).sum())
     return {
         "cells": len(values),
         "mean": numbers.mean(),
-        **dict(zip(("median", "p05", "p95"), np.quantile(numbers, QUANTILES), strict=True)),
+        "median": np.quantile(numbers, 0.5),
+        "p05": np.quantile(numbers, 0.05),
+        "p95": np.quantile(numbers, 0.95),
         "rms": np.sqrt(np.mean(numbers**2)),
         "gained": gained,
         "lost": lost,
@@ -320,19 +323,21 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
             f"the maps share no altitude: A holds {of_a} m and B {of_b} m; add one of A's to B's scenario"
         )
     days = [day for day in a.times_of_day if day in b.times_of_day]
-    layers = []
-    has_times = False
+    layers = {}
     for name, array in a.ds.data_vars.items():
         dims = set(array.dims)
         is_in_both = name in b.ds and set(b.ds[name].dims) == dims
         if {"y", "x"} <= dims and is_in_both and (days or TIME_OF_DAY not in dims):
-            layers.append(name)
-            has_times |= TIME in dims
-    pairs = _paired(a, b) if has_times else {}
+            layers[name] = dims
+    times_a, times_b = a.times, b.times
+    if any(TIME in dims for dims in layers.values()):
+        pairs = _paired(a, b)
+        times_a, times_b = tuple(pairs), tuple(pairs.values())
     shared: dict[str, Sequence[Any]] = {ALTITUDE: altitudes_m, TIME_OF_DAY: days}
-    part_a = _part(a, grid, layers, shared | {TIME: list(pairs) or a.times})
-    part_b = _part(b, grid, layers, shared | {TIME: list(pairs.values()) or b.times})
-    return part_a, part_b
+    return (
+        _part(a, grid, [*layers], shared | {TIME: times_a}),
+        _part(b, grid, [*layers], shared | {TIME: times_b}),
+    )
 
 
 def _part(
@@ -364,14 +369,12 @@ def _shared_grid(a: Grid, b: Grid) -> Grid:
             f"is in both: make B again with [region] crs = {a.crs!r} and resolution_m = {a.resolution_m:g} (a list "
             "makes several, of which --resolution chooses)"
         )
-    first = max(a.first_row, b.first_row), max(a.first_col, b.first_col)
-    end = (
-        min(a.first_row + a.num_rows, b.first_row + b.num_rows),
-        min(a.first_col + a.num_cols, b.first_col + b.num_cols),
-    )
-    if end[0] <= first[0] or end[1] <= first[1]:
+    first_a, first_b = [a.first_row, a.first_col], [b.first_row, b.first_col]
+    first = np.maximum(first_a, first_b)
+    shape = np.minimum(np.add(first_a, a.shape), np.add(first_b, b.shape)) - first
+    if shape.min() <= 0:
         raise InputError("the maps share no cell: compare maps of regions that overlap")
-    return Grid(a.crs, a.resolution_m, *first, end[0] - first[0], end[1] - first[1])
+    return Grid(a.crs, a.resolution_m, *first.tolist(), *shape.tolist())
 
 
 def _paired(a: MetricMaps, b: MetricMaps) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """What studies share: queries, and what routes between their ends add up."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,6 @@ from jaxtyping import Float
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.base import Metric
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.paths.cost_map import CostMap
@@ -200,12 +199,12 @@ def outcome_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(of_weight.get(name, f"mean_{name}") for name in names)
 
 
-def outcome_label(outcome: str, metrics: Mapping[str, Metric] = METRICS) -> str:
-    """Return what tables and figures call an outcome of maps that hold these metrics."""
+def outcome_label(outcome: str) -> str:
+    """Return what tables and figures call an outcome."""
     if outcome in PLAIN:
         return PLAIN[outcome][0]
     metric = outcome.removeprefix("mean_")
-    return metrics[metric].label if metric in metrics else metric
+    return METRICS[metric].label if metric in METRICS else metric
 
 
 def outcome_unit(outcome: str) -> str:

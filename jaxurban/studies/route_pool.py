@@ -64,12 +64,9 @@ class RoutePool:
         self.num_plans = 0
         self._store = store
         self._workers = workers or os.cpu_count() or 1
-        self._routes: list[dict[tuple[str, ...], np.ndarray]] = [
-            {} for _ in self.queries
-        ]  # [2, K] by features
-        self._sums: dict[
-            tuple[int, bytes], np.ndarray
-        ] = {}  # [2, K] by query and hash of the points
+        # [2, K] of each query by features, and of all by query and hash of the points.
+        self._routes: list[dict[tuple[str, ...], np.ndarray]] = [{} for _ in self.queries]
+        self._sums: dict[tuple[int, bytes], np.ndarray] = {}
         for query, route in enumerate(known):
             self._add(query, route)
 
@@ -101,31 +98,36 @@ class RoutePool:
         weights = np.broadcast_to(weights, (len(self.queries), *np.shape(weights)[-2:]))
         key = fingerprint(weights.shape, weights)
         row = None if self._store is None else self._store.get(key)
-        shape = 2, *weights.shape
-        result = (
-            self._search_all(weights) if row is None else np.frombuffer(row["found"]).reshape(shape)
-        )
-        if self._store is not None and row is None:
-            self._store.add([{"weights": key, "found": result.tobytes()}])
-            self._store.save()
+        if row is not None:
+            result = np.frombuffer(row["found"]).reshape(2, *weights.shape)
+        else:
+            result = self._search_all(weights)
+            self._keep(key, result)
         self.num_plans += weights.shape[0] * weights.shape[1]
         for query, routes in enumerate(np.moveaxis(result, 0, 2)):
             for route in routes:
                 self._add(query, route)
         return result
 
+    def _keep(self, key: str, result: np.ndarray) -> None:
+        """Keep what searches found in the store, if there is one."""
+        if self._store is not None:
+            self._store.add([{"weights": key, "found": result.tobytes()}])
+            self._store.save()
+
     def _search_all(self, weights: np.ndarray) -> np.ndarray:
         """Return ``[2, Q, M, K]`` as `cheapest` does: the one place where routes are searched for."""
-        jobs = [(query, w) for query, each in zip(self.queries, weights, strict=True) for w in each]
+        num_queries, num_weights, _ = weights.shape
+        numbers = np.repeat(np.arange(num_queries), num_weights).tolist()
+        queries = [self.queries[number] for number in numbers]
+        rows = weights.reshape(len(queries), -1)
         if all(query.cost_map.is_free.size < FEW_CELLS for query in self.queries):
-            points = [query.cheapest(w) for query, w in jobs]
+            routes = list(map(RouteQuery.cheapest, queries, rows))
         else:
             with ThreadPoolExecutor(self._workers) as threads:
-                points = list(threads.map(lambda job: job[0].cheapest(job[1]), jobs))
-        result = np.array(
-            [self._sums_of(k // weights.shape[1], points_m) for k, points_m in enumerate(points)]
-        )
-        return np.moveaxis(result.reshape(*weights.shape[:2], 2, -1), 2, 0)
+                routes = list(threads.map(RouteQuery.cheapest, queries, rows))
+        result = np.array(list(map(self._sums_of, numbers, routes)))
+        return np.moveaxis(result.reshape(num_queries, num_weights, 2, -1), 2, 0)
 
     def _sums_of(self, query: int, points_m: np.ndarray) -> np.ndarray:
         """Return `RouteQuery.sums` of a route, added up once: many weights have the same cheapest route."""
@@ -192,19 +194,10 @@ def pool_of_fit(
     """
     store = None
     if settings.state_file is not None:
-        on_maps = [
-            fingerprint(
-                (
-                    cost_map.names,
-                    cost_map.cost_model,
-                    cost_map.grid.resolution_m,
-                    cost_map.costs.shape,
-                ),
-                cost_map.costs,
-                cost_map.is_free,
-            )
-            for cost_map in maps_of(queries)
-        ]
+        on_maps = []
+        for one in maps_of(queries):
+            model = one.names, one.cost_model, one.grid.resolution_m, one.costs.shape
+            on_maps.append(fingerprint(model, one.costs, one.is_free))
         routes = fingerprint(on_maps, [(query.start, query.goal) for query in queries])
         key = {"fit of routes and maps": routes, "seed": settings.seed, **fit}
         store = RowStore(Path(settings.state_file), ["weights"], settings=key)

@@ -6,7 +6,7 @@ where it draws any, and a route that costs otherwise than its row says is left o
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -112,15 +112,18 @@ def demonstrations_from_study(
         )
     if altitude_m is not None:
         altitude_m = finite("altitude_m", altitude_m)
+    if isinstance(study, BenchmarkResult):
+        maps = study.maps if maps is None else maps
+        constraints = study.settings.constraints if constraints is None else constraints
+        study = study.folder
     maps = as_maps(_maps_of(study) if maps is None else maps)
-    if constraints is None and not isinstance(study, pd.DataFrame | str | Path):
-        constraints = study.settings.constraints
     flown = {} if pilot is None else as_columns(pilot.checked(maps.metrics), maps.metrics)
     source = _source(study, maps, planner, flown)
+    if cost_model is None and source.settings:
+        cost_model = CostModel.from_settings(source.settings)
     job = Benchmark(
         study=Study(seed=source.settings.get("seed", 0)),
-        cost_model=cost_model
-        or (CostModel.from_settings(source.settings) if source.settings else None),
+        cost_model=cost_model,
         constraints=constraints or Constraints(),
         preset=preset,
     )
@@ -139,7 +142,7 @@ def demonstrations_from_study(
     _check_one_weights(source.name, table)
     whole = cache(lambda *at: job.cost_map(maps, *at))
     fitted = whole if metrics is None else cache(lambda *at: whole(*at).only(metrics))
-    demonstrations: list[Demonstration] = []
+    demonstrations = []
     reasons: Counter[str] = Counter()
     for row in records_of(table):
         at = row["altitude_m"], row["time"], row["time_of_day"]
@@ -168,12 +171,10 @@ def study_in(folder: Path) -> Path | None:
     return next((each for each in (folder, folder / "study") if (each / ROWS_FILE).is_file()), None)
 
 
-def _maps_of(study: BenchmarkResult | pd.DataFrame | str | Path) -> MapsLike:
-    """Return the maps that a study was run on, where they are known."""
+def _maps_of(study: pd.DataFrame | str | Path) -> Path:
+    """Return the folder of the maps that a study was run on."""
     if isinstance(study, pd.DataFrame):
         raise InputError("a table does not hold the maps that its routes lie on: give them (maps=)")
-    if not isinstance(study, str | Path):
-        return study.maps
     folder = Path(study)
     if (folder / ROWS_FILE).is_file():
         folder = folder.parent
@@ -185,33 +186,30 @@ def _maps_of(study: BenchmarkResult | pd.DataFrame | str | Path) -> MapsLike:
 
 
 def _source(
-    study: BenchmarkResult | pd.DataFrame | str | Path,
-    maps: MetricMaps,
-    planner: str | None,
-    flown: Mapping,
+    study: pd.DataFrame | str | Path, maps: MetricMaps, planner: str | None, flown: Mapping
 ) -> _Source:
     """Return the instances of a study or of a table, with all columns; those of weights as ``flown``, if it has any."""
-    if not isinstance(study, pd.DataFrame | str | Path):
-        return _of_folder(study.folder, planner, flown)
-    if not isinstance(study, pd.DataFrame) and Path(study).is_dir():
+    if isinstance(study, pd.DataFrame):
+        name, table = "the table", study
+    elif Path(study).is_dir():
         return _of_folder(study_in(Path(study)) or Path(study), planner, flown)
+    else:
+        name, table = str(study), read_table(study, "instances")
     if planner is not None:
         raise InputError(
             f"planner is one of a study's, and this is a table of instances: leave {planner!r} out"
         )
-    name = "the table" if isinstance(study, pd.DataFrame) else str(study)
-    table = study if isinstance(study, pd.DataFrame) else read_table(study, "instances")
     table = table.assign(**flown)
-    if not _weights_in(table) and STARTS.intersection(table.columns):
+    if table.filter(regex=f"^{WEIGHT_PREFIX}").empty and STARTS.intersection(table.columns):
         raise InputError(
             f"{name!r} has no weights under which its routes are the cheapest: give a column for each (w_distance, "
             "w_gps ...), or the weights of a pilot who flies all of them (--pilot, pilot=)"
         )
     if "instance" in table or "crs" in table:
-        return _Source(name, checked_instances(table, f"the instances file {name!r}"), {}, EXACT)
-    return _Source(
-        name, instances_of_queries(maps, read_queries(table, metrics=maps.metrics)), {}, EXACT
-    )
+        instances = checked_instances(table, f"the instances file {name!r}")
+    else:
+        instances = instances_of_queries(maps, read_queries(table, metrics=maps.metrics))
+    return _Source(name, instances, {}, EXACT)
 
 
 def _of_folder(folder: Path, planner: str | None, flown: Mapping) -> _Source:
@@ -240,9 +238,8 @@ def _of_folder(folder: Path, planner: str | None, flown: Mapping) -> _Source:
             ends.sort_values(["proven", "found"], ascending=False, kind="stable").index[0]
         )
     rows = rows[rows.planner == one_of("planner", planner, ends.index)]
-    return _Source(
-        str(folder), table.merge(rows[[*KEY, *OF_ROW]], "left", list(KEY)), settings, planner
-    )
+    instances = table.merge(rows[[*KEY, *OF_ROW]], "left", list(KEY))
+    return _Source(str(folder), instances, settings, planner)
 
 
 def _check_settings(source: _Source, now: Mapping[str, Any]) -> None:
@@ -257,20 +254,19 @@ def _check_settings(source: _Source, now: Mapping[str, Any]) -> None:
             )
 
 
-def _weights_in(table: pd.DataFrame) -> list[str]:
-    return [name for name in map(str, table.columns) if name.startswith(WEIGHT_PREFIX)]
-
-
 def _check_one_weights(name: str, table: pd.DataFrame) -> None:
     """Raise InputError where the rows of a table are under weights of different ratios."""
-    weights = table[_weights_in(table)].to_numpy(np.float64)
-    shares = weights / np.maximum(weights.sum(axis=1, keepdims=True), np.finfo(float).tiny)
-    if len(shares) and np.ptp(shares, axis=0).max() > ALIKE:
-        raise InputError(
-            f"the routes of {name!r} were planned under {len(np.unique(shares, axis=0))} different weights, and a fit "
-            "finds one W: run the study under one ([study] weights = [{ gps = 1.0 }]), or name the weights of a pilot "
-            "who flies all of its pairs (--pilot, pilot=)"
-        )
+    weights = table.filter(regex=f"^{WEIGHT_PREFIX}").to_numpy(np.float64)
+    sums = weights.sum(axis=1, keepdims=True)
+    shares = weights / np.maximum(sums, np.finfo(float).tiny)
+    if table.empty or np.ptp(shares, axis=0).max() <= ALIKE:
+        return
+    num_weights = len(np.unique(shares, axis=0))
+    raise InputError(
+        f"the routes of {name!r} were planned under {num_weights} different weights, and a fit finds one W: run the "
+        "study under one ([study] weights = [{ gps = 1.0 }]), or name the weights of a pilot who flies all of its "
+        "pairs (--pilot, pilot=)"
+    )
 
 
 def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.ndarray:
@@ -283,7 +279,7 @@ def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.nda
         raise InputError(f"{planner} found no path")
     start, goal, weights = located(cost_map, row)
     options = {"max_samples": int(row["num_samples"])} if draws_samples(planner) else {}
-    search: Callable[..., Any] = find_planner(planner)
+    search = find_planner(planner)
     problem = cost_map.shortest.between(start, goal).with_weights(weights).alone()
     result = search(problem, budget_s=math.inf, seed=job.seed_of(row["instance"]), **options)
     if not result.status.has_path:

@@ -10,9 +10,8 @@ from scipy.stats import binom
 from jaxurban.studies.bootstrap import (
     FEWEST_GROUPS,
     Clusters,
-    Interval,
     draws_of,
-    ends_of,
+    interval_of,
     median_of,
 )
 from jaxurban.studies.montecarlo import analysis
@@ -142,7 +141,7 @@ def test_the_planner_to_choose_answers_reliably_and_costs_least(table):
 def test_complementarity_is_numpys_over_the_free_cells_of_the_altitudes_that_are_chosen():
     maps = made_maps(300, 240)
     assert analysis.complementarity(maps, altitudes_m=[60]).altitude_m.tolist() == [60.0]
-    for row in analysis.complementarity(maps).itertuples():
+    for row in analysis.complementarity(maps, altitudes_m=maps.altitudes_m).itertuples():
         is_free = maps.is_free(row.altitude_m, "centre")
         gps, lidar = (
             maps.m(name, row.altitude_m)[is_free].astype(float) for name in ("gps", "lidar")
@@ -157,13 +156,15 @@ def test_complementarity_is_numpys_over_the_free_cells_of_the_altitudes_that_are
 
 def test_a_few_tiles_give_no_interval_and_a_sky_without_buildings_no_correlation():
     maps = made_maps(100, 90)
-    few = analysis.complementarity(maps)
+    few = analysis.complementarity(maps, altitudes_m=maps.altitudes_m)
     assert few.correlation.notna().all()
     assert few.correlation_low.isna().all()
     maps.ds["gps"][:] = 0.95
     maps.ds["lidar"][:] = 0.0
     assert (
-        analysis.complementarity(maps)[["correlation", "lidar_where_gps_poor"]]
+        analysis.complementarity(maps, altitudes_m=maps.altitudes_m)[
+            ["correlation", "lidar_where_gps_poor"]
+        ]
         .isna()
         .all(axis=None)
     )
@@ -273,7 +274,7 @@ def correlated(num, truth):
         gps = rng.normal(size=num)
         lidar = truth * gps + np.sqrt(1 - truth**2) * rng.normal(size=num)
         sums = np.stack([np.ones(num), gps, lidar, gps**2, lidar**2, gps * lidar], axis=1)
-        return Interval(truth, *ends_of(analysis.correlation_of(draws @ sums), num)), truth
+        return interval_of(truth, analysis.correlation_of(draws @ sums), num), truth
 
     return drawn
 

@@ -13,14 +13,15 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.rows import BAD_INPUT, HAS_PATH
+from jaxurban.paths.rows import BAD_INPUT, CRASHED, HAS_PATH
 from jaxurban.planners.base import Status
-from jaxurban.studies.bootstrap import Clusters, Interval, draws_of, ends_of, named
+from jaxurban.studies.bootstrap import Clusters, Interval, draws_of, interval_of, named
 from jaxurban.studies.montecarlo.sampling import KEY, RANGES
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 
 CLOSE, NEAR = 1.01, 1.05  # ratios that count as the best, and as near it
 OFTEN = 0.8  # least share of joined pairs solved for a planner's metrics to be compared
+NEAR_SHARE = 0.9  # least share of joined pairs near the best for a planner to be called near it
 RELIABLE = 0.95  # least share of joined pairs solved for a planner to be advised
 GOOD = 0.5  # a sensor serves where its m is at least this
 TILE_M = 500.0  # cells nearer than this are much alike, so whole tiles are drawn
@@ -34,26 +35,19 @@ def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
     not free on these maps (``bad-input``) does not.
     """
     wanted = [*KEY, "range", "start_stratum", "goal_stratum", "time_of_day", "distance_m"]
-    table = rows.merge(
-        instances[[name for name in wanted if name in instances]],
-        on=list(KEY),
-        validate="many_to_one",
-    )
-    if "range" not in table:
-        table["range"] = "any"
-    table["range"] = table["range"].astype(object).where(table["range"].notna(), "any")
+    table = rows.merge(instances.filter(wanted), on=list(KEY), validate="many_to_one")
+    table["range"] = table.get("range", pd.Series(index=table.index)).astype(object).fillna("any")
     table["has_path"] = table.status.isin(HAS_PATH)
-    marked = table.assign(
-        is_refuted=table.status == Status.NO_PATH.value, is_bad=table.status == BAD_INPUT
-    )
-    pairs = marked.groupby(list(KEY), sort=False)
-    is_refuted = pairs.is_refuted.transform("any")
-    is_bad = pairs.is_bad.transform("all")
-    table["is_joined"] = (pairs.has_path.transform("any") | ~is_refuted) & ~is_bad
-    best = pairs.cost.transform("min")
+    pairs = [table[name] for name in KEY]
+    is_reached = table.has_path.groupby(pairs).transform("any")
+    is_refuted = (table.status == Status.NO_PATH.value).groupby(pairs).transform("any")
+    is_bad = (table.status == BAD_INPUT).groupby(pairs).transform("all")
+    table["is_joined"] = (is_reached | ~is_refuted) & ~is_bad
+    best = table.cost.groupby(pairs).transform("min")
+    ratio = table.cost / best.where(best > 0)
     # A path of no cost at all is the best one, whatever is divided.
-    table["ratio"] = np.where(table.cost == best, 1.0, table.cost / best.where(best > 0))
-    table.loc[~table.has_path, "ratio"] = np.nan
+    ratio = ratio.where(table.cost != best, 1.0)
+    table["ratio"] = ratio.where(table.has_path)
     return table
 
 
@@ -73,11 +67,9 @@ def weighted_rows(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def range_names(table: pd.DataFrame) -> list[str]:
-    """Return the ranges that a table holds, from short to long."""
-    present = set(table.range)
-    return [name for name in (*RANGES, "any") if name in present] + sorted(
-        present - {*RANGES, "any"}
-    )
+    """Return the ranges that a table holds, from short to long, and after them any other name."""
+    names = dict.fromkeys([*RANGES, "any", *sorted(set(table.range))])
+    return [name for name in names if name in set(table.range)]
 
 
 def success(table: pd.DataFrame) -> pd.DataFrame:
@@ -85,7 +77,10 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
 
     ``share`` is of all pairs, ``share_joined`` of those that some path joins; ``proven`` the share with status optimal.
     """
-    rows = weighted_rows(table).assign(proven=lambda rows: rows.status == Status.OPTIMAL.value)
+    rows = weighted_rows(table)
+    rows = rows.assign(
+        proven=rows.status == Status.OPTIMAL.value, has_crashed=rows.status == CRASHED
+    )
     grouped = rows.groupby(["planner", "altitude_m", "range"], sort=True)
     result = grouped.agg(
         pairs=("has_path", "size"), paths=("has_path", "sum"), joined=("is_joined", "sum")
@@ -93,7 +88,7 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
     result["share"] = result.paths / result.pairs
     result["share_joined"] = (result.paths / result.joined).where(result.joined > 0)
     result["proven"] = grouped.proven.mean()
-    result["crashed"] = grouped.status.apply(lambda status: int((status == "crashed").sum()))
+    result["crashed"] = grouped.has_crashed.sum()
     return result.reset_index()
 
 
@@ -122,29 +117,22 @@ def usage(table: pd.DataFrame) -> pd.DataFrame:
     num_runs = len(table[["planner", "objective"]].drop_duplicates())
     result = table[table.has_path]
     result = result[result.groupby(list(KEY)).has_path.transform("size") == num_runs]
-    return (
-        result.groupby(["planner", "objective", "altitude_m"])[[*facts_of(result), "detour"]]
-        .mean()
-        .assign(instances=result.groupby(["planner", "objective", "altitude_m"]).size())
-        .reset_index()
-    )
+    runs = result.groupby(["planner", "objective", "altitude_m"])
+    means = runs[[*facts_of(result), "detour"]].mean()
+    return means.assign(instances=runs.size()).reset_index()
 
 
 def times(table: pd.DataFrame) -> pd.DataFrame:
     """Return seconds, expansions and samples of each planner by altitude."""
     rows = weighted_rows(table).astype({"num_expanded": float, "num_samples": float})
-    return (
-        rows[rows.elapsed_s.notna()]
-        .groupby(["planner", "altitude_m"])
-        .agg(
-            runs=("elapsed_s", "size"),
-            median_s=("elapsed_s", "median"),
-            p95_s=("elapsed_s", lambda seconds: seconds.quantile(0.95)),
-            median_expanded=("num_expanded", "median"),
-            median_samples=("num_samples", "median"),
-        )
-        .reset_index()
-    )
+    grouped = rows[rows.elapsed_s.notna()].groupby(["planner", "altitude_m"])
+    return grouped.agg(
+        runs=("elapsed_s", "size"),
+        median_s=("elapsed_s", "median"),
+        p95_s=("elapsed_s", lambda seconds: seconds.quantile(0.95)),
+        median_expanded=("num_expanded", "median"),
+        median_samples=("num_samples", "median"),
+    ).reset_index()
 
 
 def paired(table: pd.DataFrame) -> pd.DataFrame:
@@ -157,25 +145,27 @@ def paired(table: pd.DataFrame) -> pd.DataFrame:
     rows = weighted_rows(table)
     cost = rows[rows.has_path].pivot(index=list(KEY), columns="planner", values="cost")
     cost = cost.reindex(columns=sorted(rows.planner.unique()))
+    is_solved = cost.notna()
     seconds = rows.pivot(index=list(KEY), columns="planner", values="elapsed_s")
     result = []
     for first, second in itertools.combinations(cost.columns, 2):
         both = cost[(cost[first] > 0) & (cost[second] > 0)]
-        log_ratio = np.log((both[first] / both[second]).to_numpy())
+        log_ratio = np.log(both[first] / both[second])
         interval = Clusters(both.index.get_level_values("instance")).interval(log_ratio)
+        time_ratio = (seconds[first] / seconds[second]).loc[both.index]
         result.append(
             {
                 "first": first,
                 "second": second,
                 "both": len(both),
-                "only_first": int((cost[first].notna() & cost[second].isna()).sum()),
-                "only_second": int((cost[second].notna() & cost[first].isna()).sum()),
+                "only_first": (is_solved[first] & ~is_solved[second]).sum(),
+                "only_second": (is_solved[second] & ~is_solved[first]).sum(),
                 "cost_ratio": np.exp(interval.value),
                 "low": np.exp(interval.low),
                 "high": np.exp(interval.high),
-                "first_cheaper": float((log_ratio < -1e-3).mean()) if len(both) else np.nan,
-                "second_cheaper": float((log_ratio > 1e-3).mean()) if len(both) else np.nan,
-                "time_ratio": float((seconds[first] / seconds[second]).loc[both.index].median()),
+                "first_cheaper": (log_ratio < -1e-3).mean(),
+                "second_cheaper": (log_ratio > 1e-3).mean(),
+                "time_ratio": time_ratio.median(),
             }
         )
     return pd.DataFrame(result)
@@ -193,29 +183,35 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
     for planner in sorted(both_ways):
         rows = table[(table.planner == planner) & table.has_path].set_index([*KEY, "objective"])
         wide = rows[["cost", *facts_of(rows)]].unstack("objective")
-        for altitude_m, indices in wide.groupby(level="altitude_m"):
-            both = indices.dropna(subset=[("cost", WEIGHTED), ("cost", DISTANCE)])
-            both = both[(both["cost"] > 0).all(axis=1)]
-            clusters = Clusters(both.index.get_level_values("instance"))
-            row: dict[str, object] = {
-                "planner": planner,
-                "altitude_m": altitude_m,
-                "pairs": len(both),
-            }
-            for name in ("cost", *facts_of(rows)):
-                shortest = both[name, DISTANCE].to_numpy(np.float64)
-                cheapest = both[name, WEIGHTED].to_numpy(np.float64)
-                is_ratio = name in ("cost", "length_m")
-                change = np.log(shortest / cheapest) if is_ratio else shortest - cheapest
-                if not np.isfinite(change).all():
-                    continue
-                label, interval = f"{name}_change", clusters.interval(change)
-                if is_ratio:
-                    label = f"{name.removesuffix('_m')}_ratio"
-                    interval = Interval(*np.exp(interval).tolist())
-                row |= named(label, interval)
-            result.append(row)
+        for altitude_m, runs in wide.groupby(level="altitude_m"):
+            has_both = runs["cost"].notna().all(axis=1) & (runs["cost"] > 0).all(axis=1)
+            pairs = runs[has_both]
+            row = {"planner": planner, "altitude_m": altitude_m, "pairs": len(pairs)}
+            result.append(row | _changes(pairs.astype(np.float64)))
     return pd.DataFrame(result)
+
+
+def _changes(pairs: pd.DataFrame) -> dict[str, float]:
+    """Return how the shortest paths differ from the cheapest ones, each number with its interval over instances.
+
+    Args:
+      pairs: a row per instance; a column per number of a path and objective. A number that a path lacks is left out.
+    """
+    clusters = Clusters(pairs.index.get_level_values("instance"))
+    columns: dict[str, float] = {}
+    for name in pairs.columns.unique(0):
+        shortest, cheapest = pairs[name, DISTANCE], pairs[name, WEIGHTED]
+        is_ratio = name in ("cost", "length_m")
+        change = np.log(shortest / cheapest) if is_ratio else shortest - cheapest
+        if not np.isfinite(change).all():
+            continue
+        interval = clusters.interval(change)
+        if is_ratio:
+            ratios = Interval(*np.exp(interval).tolist())
+            columns |= named(f"{name.removesuffix('_m')}_ratio", ratios)
+        else:
+            columns |= named(f"{name}_change", interval)
+    return columns
 
 
 def choices(table: pd.DataFrame) -> pd.DataFrame:
@@ -227,39 +223,38 @@ def choices(table: pd.DataFrame) -> pd.DataFrame:
     """
     rows = weighted_rows(table)
     rows = rows[rows.is_joined].assign(is_near=lambda rows: rows.ratio <= NEAR)
-    result: list[dict[str, Any]] = []
-    for (altitude_m, name), cell in rows.groupby(["altitude_m", "range"]):
-        facts = cell.groupby("planner").agg(
-            pairs=("ratio", "size"),
-            share=("has_path", "mean"),
-            ratio=("ratio", "mean"),
-            near=("is_near", "mean"),
-            median_s=("elapsed_s", "median"),
-        )
-        facts = facts.sort_values("median_s")  # of equals the faster one is named
-        reliable = facts[facts.share >= RELIABLE]
-        near = facts[facts.near >= 0.9]
-        result.append(
-            {
-                "altitude_m": altitude_m,
-                "range": name,
-                "joined_pairs": int(facts.pairs.max()),
-                "reliable": ", ".join(sorted(reliable.index)) or "none",
-                "cheapest": reliable.ratio.round(9).idxmin() if len(reliable) else "none",
-                "cheapest_ratio": reliable.ratio.min() if len(reliable) else np.nan,
-                "fastest_near_best": near.median_s.idxmin() if len(near) else "none",
-                "fastest_s": near.median_s.min() if len(near) else np.nan,
-                "straight_enough": facts.near.get("ptp", np.nan),
-            }
-        )
+    result = []
+    for (altitude_m, name), pairs in rows.groupby(["altitude_m", "range"]):
+        result.append({"altitude_m": altitude_m, "range": name, **_choice(pairs)})
     order = {name: number for number, name in enumerate(range_names(rows))}
     result.sort(key=lambda row: (row["altitude_m"], order[row["range"]]))
     return pd.DataFrame(result)
 
 
-def complementarity(
-    maps: MetricMaps, *, altitudes_m: Sequence[float] | None = None, time: str | None = None
-) -> pd.DataFrame:
+def _choice(pairs: pd.DataFrame) -> dict[str, Any]:
+    """Return which planners to choose for the joined pairs of one altitude and range; "none" and NaN without any."""
+    facts = pairs.groupby("planner").agg(
+        pairs=("ratio", "size"),
+        share=("has_path", "mean"),
+        ratio=("ratio", "mean"),
+        near=("is_near", "mean"),
+        median_s=("elapsed_s", "median"),
+    )
+    facts = facts.sort_values("median_s")  # of equals the faster one is named
+    reliable = facts[facts.share >= RELIABLE]
+    near = facts[facts.near >= NEAR_SHARE]
+    return {
+        "joined_pairs": int(facts.pairs.max()),
+        "reliable": ", ".join(sorted(reliable.index)) or "none",
+        "cheapest": reliable.ratio.round(9).idxmin() if len(reliable) else "none",
+        "cheapest_ratio": reliable.ratio.min(),
+        "fastest_near_best": near.median_s.idxmin() if len(near) else "none",
+        "fastest_s": near.median_s.min(),
+        "straight_enough": facts.near.get("ptp", np.nan),
+    }
+
+
+def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.DataFrame:
     """Return whether GPS and lidar complement each other over the free cells, the paper's main finding.
 
     A row for each altitude, lowest first. ``gps``, ``lidar``: mean m. ``gps_serves``, ``lidar_serves``,
@@ -269,41 +264,47 @@ def complementarity(
     in fewer than 0.5 % of the cells, or there are fewer than eight tiles.
 
     Args:
-      maps: with gps and lidar.
-      altitudes_m: some of the maps' altitudes; all if left out.
-      time: UTC time of the GPS map; the first if left out.
+      maps: with gps and lidar; of the GPS maps the first time counts.
+      altitudes_m: some of the maps' altitudes.
     """
     side = max(1, round(TILE_M / maps.grid.resolution_m))
     rows, cols = np.indices(maps.grid.shape, np.int32) // side
     tile = rows * (int(cols.max()) + 1) + cols
-    free_tiles = np.unique(
-        tile[np.logical_or.reduce([maps.is_free(z, "centre") for z in maps.altitudes_m])]
-    )
-    tile, draws = np.searchsorted(free_tiles, tile), draws_of(len(free_tiles))
-    result: list[dict[str, float]] = []
-    for altitude_m in sorted(maps.altitudes_m if altitudes_m is None else altitudes_m):
+    is_ever_free = np.logical_or.reduce([maps.is_free(z, "centre") for z in maps.altitudes_m])
+    free_tiles = np.unique(tile[is_ever_free])
+    tile = np.searchsorted(free_tiles, tile)
+    draws = draws_of(len(free_tiles))
+    result = []
+    for altitude_m in sorted(altitudes_m):
         is_free = maps.is_free(altitude_m, "centre")
-        gps = maps.m("gps", altitude_m, time=time)[is_free].astype(np.float64)
+        gps = maps.m("gps", altitude_m)[is_free].astype(np.float64)
         lidar = maps.m("lidar", altitude_m)[is_free].astype(np.float64)
-        parts = (np.ones_like(gps), gps, lidar, gps**2, lidar**2, gps * lidar)
-        sums = np.stack(
-            [np.bincount(tile[is_free], part, len(free_tiles)) for part in parts], axis=1
-        )
-        serves = {
-            "gps": gps >= GOOD,
-            "lidar": lidar >= GOOD,
-            "either": (gps >= GOOD) | (lidar >= GOOD),
-        }
-        is_poor = ~serves["gps"]
-        row = {"altitude_m": altitude_m, "gps": gps.mean(), "lidar": lidar.mean()}
-        row |= {f"{name}_serves": where.mean() for name, where in serves.items()}
-        has_poor = FEWEST <= is_poor.mean() < 1
-        row["lidar_where_gps_poor"] = lidar[is_poor].mean() if has_poor else np.nan
-        row["lidar_where_gps_good"] = lidar[~is_poor].mean() if has_poor else np.nan
+        row = {"altitude_m": altitude_m, **_sensors(gps, lidar)}
+        parts = np.ones_like(gps), gps, lidar, gps**2, lidar**2, gps * lidar
+        of_tiles = [np.bincount(tile[is_free], part, len(free_tiles)) for part in parts]
+        sums = np.stack(of_tiles, axis=1)
         correlation = correlation_of(sums.sum(axis=0)[None])[0]
-        ends = ends_of(correlation_of(draws @ sums), len(free_tiles))
-        result.append(row | named("correlation", Interval(correlation, *ends)))
+        interval = interval_of(correlation, correlation_of(draws @ sums), len(free_tiles))
+        result.append(row | named("correlation", interval))
     return pd.DataFrame(result)
+
+
+def _sensors(gps: np.ndarray, lidar: np.ndarray) -> dict[str, float]:
+    """Return how well GPS and lidar serve, alone and together, from the m of both in ``[N]`` free cells."""
+    gps_serves, lidar_serves = gps >= GOOD, lidar >= GOOD
+    in_poor = in_good = np.nan
+    if FEWEST <= (~gps_serves).mean() < 1:
+        in_poor = lidar[~gps_serves].mean()
+        in_good = lidar[gps_serves].mean()
+    return {
+        "gps": gps.mean(),
+        "lidar": lidar.mean(),
+        "gps_serves": gps_serves.mean(),
+        "lidar_serves": lidar_serves.mean(),
+        "either_serves": (gps_serves | lidar_serves).mean(),
+        "lidar_where_gps_poor": in_poor,
+        "lidar_where_gps_good": in_good,
+    }
 
 
 def correlation_of(sums: np.ndarray) -> np.ndarray:
@@ -311,7 +312,6 @@ def correlation_of(sums: np.ndarray) -> np.ndarray:
     n, a, b, aa, bb, ab = sums.T
     n = np.maximum(n, 1.0)  # a draw of tiles without a free cell at this altitude varies in nothing
     spread = np.maximum(aa / n - (a / n) ** 2, 0) * np.maximum(bb / n - (b / n) ** 2, 0)
+    covariance = ab / n - a * b / n**2
     varies = spread > 1e-12
-    return np.where(
-        varies, (ab / n - a * b / n**2) / np.sqrt(np.where(varies, spread, 1.0)), np.nan
-    )
+    return np.where(varies, covariance / np.sqrt(np.where(varies, spread, 1.0)), np.nan)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import shapely
-from scipy.ndimage import label
+from scipy.ndimage import label, uniform_filter
 
 from jaxurban.checks import at_least, one_of, typed
 from jaxurban.errors import InputError
@@ -201,7 +201,8 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
       InputError: a query that cannot be read, or a place outside what the projection can show (names its row).
     """
     maps = as_maps(maps)
-    grid, strata, rows = maps.grid, strata_of(maps), []
+    grid, strata = maps.grid, strata_of(maps)
+    rows = []
     for number, query in enumerate(queries):
         row: dict[str, Any] = {"instance": number, "altitude_m": query.altitude_m, "crs": grid.crs}
         try:
@@ -240,18 +241,16 @@ def _end_facts(grid: Grid, end: str, x_m: float, y_m: float) -> dict[str, object
 
 def _stratum_at(strata: np.ndarray, grid: Grid, x_m: float, y_m: float) -> str | None:
     """Return the name of the stratum at a place, of those of all cells (`strata_of`)."""
-    if not grid.contains_xy(x_m, y_m):
-        return None
-    stratum = int(strata[grid.cell_of_xy(x_m, y_m)])
+    stratum = NO_STRATUM
+    if grid.contains_xy(x_m, y_m):
+        stratum = int(strata[grid.cell_of_xy(x_m, y_m)])
     return None if stratum == NO_STRATUM else STRATA[stratum]
 
 
 def _range_of(share: float) -> str | None:
     """Return the name of the range that a share of the region's diagonal lies in."""
-    for name, (low, high) in RANGES.items():
-        if low <= share < high:
-            return name
-    return None
+    names = [name for name, (low, high) in RANGES.items() if low <= share < high]
+    return next(iter(names), None)
 
 
 def _diagonal_m(grid: Grid) -> float:
@@ -290,48 +289,39 @@ class _Places:
             first, second, name = self._next_kind()
             pair = self._pair(first, second, RANGES[name], rng)
             if pair is not None:
-                facts = {
-                    "start_stratum": STRATA[first],
-                    "goal_stratum": STRATA[second],
-                    "range": name,
-                }
-                return self._facts(*pair) | facts
+                strata = {"start_stratum": STRATA[first], "goal_stratum": STRATA[second]}
+                return pair | strata | {"range": name}
         raise InputError(
             "no two free cells of these maps lie far enough apart for a benchmark: use a larger region"
         )
 
     def _pair(
         self, first: int, second: int, range_shares: tuple[float, float], rng: np.random.Generator
-    ) -> tuple[tuple[int, int], tuple[int, int]] | None:
-        low_m, high_m = (share * _diagonal_m(self.grid) for share in range_shares)
+    ) -> dict[str, object] | None:
+        """Return the ends and the distance of a pair of places in two strata; None where no try finds one."""
+        low_m, high_m = np.multiply(range_shares, _diagonal_m(self.grid))
         for _ in range(NUM_TRIES):
-            row, col = divmod(int(rng.choice(self.cells[first])), self.grid.num_cols)
-            rows, cols = np.divmod(rng.choice(self.cells[second], NUM_GOALS), self.grid.num_cols)
-            away_m = np.hypot(rows - row, cols - col) * self.grid.resolution_m
+            start = np.divmod(rng.choice(self.cells[first]), self.grid.num_cols)
+            goals = np.divmod(rng.choice(self.cells[second], NUM_GOALS), self.grid.num_cols)
+            away_m = np.hypot(goals[0] - start[0], goals[1] - start[1]) * self.grid.resolution_m
             fits = np.flatnonzero((away_m >= low_m) & (away_m < high_m))
             if len(fits):
-                return (row, col), (int(rows[fits[0]]), int(cols[fits[0]]))
+                goal = goals[0][fits[0]], goals[1][fits[0]]
+                ends = self._end("start", start) | self._end("goal", goal)
+                return ends | {"distance_m": float(away_m[fits[0]])}
         return None
 
-    def _facts(self, start: tuple[int, int], goal: tuple[int, int]) -> dict[str, object]:
-        facts: dict[str, object] = {}
-        for end, cell in (("start", start), ("goal", goal)):
-            facts |= _end_facts(self.grid, end, *map(float, self.grid.xy_of_cell(*cell)))
-        away = np.hypot(start[0] - goal[0], start[1] - goal[1])
-        return facts | {"distance_m": float(away) * self.grid.resolution_m}
+    def _end(self, end: str, cell: tuple[int, int]) -> dict[str, object]:
+        return _end_facts(self.grid, end, *map(float, self.grid.xy_of_cell(*cell)))
 
 
 def _always_free(maps: MetricMaps, altitude_m: float, constraints: Constraints) -> np.ndarray:
     """Return ``[Y, X]`` bool: cells that are free at every time of the maps."""
-    times: Sequence[str | None] = (None,)
-    times_of_day: Sequence[str | None] = (None,)
-    if constraints.bounds:
-        times = times if maps.default_time is None else maps.times
-        times_of_day = maps.times_of_day or times_of_day
-    free = [
-        constraints.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
-        for time, time_of_day in itertools.product(times, times_of_day)
-    ]
+    if not constraints.bounds:  # which alone close other cells at other times
+        return constraints.is_free(maps, altitude_m)
+    times = (None,) if maps.default_time is None else maps.times
+    places = itertools.product([altitude_m], times, maps.times_of_day or (None,))
+    free = [constraints.is_free(maps, z_m, time=time, time_of_day=day) for z_m, time, day in places]
     return np.logical_and.reduce(free)
 
 
@@ -392,14 +382,14 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
 
 def share_around(mask: np.ndarray, half: int) -> np.ndarray:
     """Return ``[Y, X]`` the share of set cells in the square up to ``half`` cells away from each, cut at edges."""
-    total = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1), np.int64)
-    np.cumsum(np.cumsum(mask, axis=0, dtype=np.int64), axis=1, out=total[1:, 1:])
-    rows, cols = map(np.arange, mask.shape)
-    south, north = np.maximum(rows - half, 0), np.minimum(rows + half + 1, len(rows))
-    west, east = np.maximum(cols - half, 0), np.minimum(cols + half + 1, len(cols))
-    count = total[np.ix_(north, east)] - total[np.ix_(south, east)]
-    count -= total[np.ix_(north, west)] - total[np.ix_(south, west)]
-    return count / np.outer(north - south, east - west)
+    side = 2 * half + 1
+
+    def num_around(cells: np.ndarray) -> np.ndarray:
+        """Return ``[Y, X]`` how many set cells the square around each holds."""
+        means = uniform_filter(cells.astype(np.float64), side, mode="constant")
+        return np.rint(means * side**2)
+
+    return num_around(mask) / num_around(np.ones_like(mask))
 
 
 def read_instances(file: str | Path) -> pd.DataFrame:
@@ -449,9 +439,8 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
             f"{name} holds instance {number:g} at {altitude_m:g} m twice: renumber them"
         )
     for column in OPTIONAL:
-        if column not in table:
-            table[column] = None
-        table[column] = table[column].astype(object).where(table[column].notna(), None)
+        texts = table.get(column, pd.Series(index=table.index)).astype(object)
+        table[column] = texts.where(texts.notna(), None)
     if "distance_m" not in table:
         table["distance_m"] = np.hypot(
             table.goal_x_m - table.start_x_m, table.goal_y_m - table.start_y_m

@@ -11,7 +11,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.base_map import base_map_source, land_cover_in
 from jaxurban.io.read.osm import OSM_SUFFIXES, read_land_cover
 from jaxurban.io.samples import is_sample
-from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, write_table
+from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, records_of, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.scenario import Scenario, Study
@@ -116,7 +116,7 @@ def study(
     """
     folder, chosen = Path(folder), settings or Study()
     job = Benchmark(
-        study=chosen if not isinstance(instances, int) else replace(chosen, instances=instances),
+        study=replace(chosen, instances=instances) if isinstance(instances, int) else chosen,
         cost_model=cost_model or chosen.cost_model,
         constraints=constraints or Constraints(),
         preset=preset,
@@ -192,17 +192,18 @@ def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constr
     """Raise InputError if not one instance starts and ends on a free cell; a few that do not are rows."""
     if instances.is_connected.notna().any():
         return
-    first = instances.iloc[0]
+    first = records_of(instances.head(1))[0]
+    altitude_m = first["altitude_m"]
     is_free = constraints.is_free(
-        maps, first.altitude_m, time=first.time, time_of_day=first.time_of_day
+        maps, altitude_m, time=first["time"], time_of_day=first["time_of_day"]
     )
     for end in ("start", "goal"):
         try:
-            free_cell(maps.grid, is_free, first[f"{end}_x_m"], first[f"{end}_y_m"])
+            free_cell(maps.grid, is_free, first, end)
         except InputError as error:
             raise InputError(
-                f"no instance lies on these maps, from the first one on, instance {first.instance} at "
-                f"{first.altitude_m:g} m, whose {end} is not free ({error}): use the maps that they are for"
+                f"no instance lies on these maps, from the first one on, instance {first['instance']} at "
+                f"{altitude_m:g} m, whose {end} is not free ({error}): use the maps that they are for"
             ) from error
 
 

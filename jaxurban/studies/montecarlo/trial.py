@@ -129,13 +129,14 @@ def row_columns(instance: Iterable[Any] = ()) -> dict[str, str]:
     }
 
 
-def free_cell(grid: Grid, is_free: np.ndarray, x_m: float, y_m: float) -> Cell:
-    """Return the cell of a place.
+def free_cell(grid: Grid, is_free: np.ndarray, instance: Row, end: str) -> Cell:
+    """Return the cell of an instance's end, ``"start"`` or ``"goal"``.
 
     Raises:
       InputError: it is outside the grid, or not free.
     """
-    row, col = (int(value) for value in grid.cell_of_xy(x_m, y_m))
+    x_m, y_m = instance[f"{end}_x_m"], instance[f"{end}_y_m"]
+    row, col = map(int, grid.cell_of_xy(x_m, y_m))
     if not is_free[row, col]:
         raise InputError(
             f"the place {x_m:.1f}, {y_m:.1f} is inside an obstacle, where there are no data, or closed by a constraint"
@@ -149,8 +150,9 @@ def located(cost_map: CostMap, instance: Row) -> tuple[Cell, Cell, np.ndarray]:
     Raises:
       InputError: a place that is not a free cell.
     """
-    ends = ((instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal"))
-    start, goal = (free_cell(cost_map.grid, cost_map.is_free, x_m, y_m) for x_m, y_m in ends)
+    start, goal = (
+        free_cell(cost_map.grid, cost_map.is_free, instance, end) for end in ("start", "goal")
+    )
     return start, goal, np.array([float(instance[f"w_{name}"]) for name in cost_map.weight_names])
 
 
@@ -170,7 +172,7 @@ def draws_samples(planner: str) -> bool:
 
 
 def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -> dict[str, Any]:
-    facts: dict[str, Any] = {
+    facts = {
         "status": result.status.value,
         "lower_bound": result.lower_bound,
         "elapsed_s": result.elapsed_s,
@@ -190,10 +192,8 @@ def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -
             "status": INVALID,
             "note": "The planner's path crosses an obstacle or leaves the map.",
         }
-    straight_m, length_m = (
-        float(np.hypot(*(result.points_m[-1] - result.points_m[0]))),
-        float(of_path.phi[0]),
-    )
+    straight_m = float(np.hypot(*(result.points_m[-1] - result.points_m[0])))
+    length_m = float(of_path.phi[0])
     facts |= {f"cost_{kind}": features[kind].cost(weights) for kind in COST_KINDS}
     facts |= {f"m_{name}": m for name, m in cost_map.means(of_path).items()}
     return facts | {

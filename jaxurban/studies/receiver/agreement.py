@@ -140,9 +140,9 @@ class SatelliteAgreement(FactsRepr):
     def known_cautions(self) -> list[Caution]:
         """Which rows were not judged, and which satellites were left out."""
         counts = self.counts
+        judged = "not judged" if counts["is_guarded"] else "judged as if nothing stood beyond"
         sentences = []
         if counts["unknown"]:
-            judged = "not judged" if counts["is_guarded"] else "judged as if nothing stood beyond"
             sentences.append(
                 f"{counts['unknown']:,} rows are {judged}: their rays leave what is known of the city."
             )
@@ -273,43 +273,42 @@ def agreement_of(
     rows["is_strong"] = rows.cn0_dbhz >= strong_dbhz
     report("scores")
     scores = score_table(rows, settings.seed)
-    null, field, scales, peak = displaced.tables(rows[is_moved], settings.seed)
-    chosen = is_taken & rows.is_judged.to_numpy()
-    off_street_rad = rays.azimuth_rad - headings_rad(track.x_m, track.y_m)[rows.epoch]
+    of_displaced = displaced.tables(rows[is_moved], settings.seed)
+    chosen = rows[is_taken & rows.is_judged]
+    rays_chosen = rays.take(chosen.index.to_numpy())
+    street_rad = headings_rad(track.x_m, track.y_m)[chosen.epoch]
     rules = features_of(
-        rows.margin_m.to_numpy()[chosen], rays.elevation_rad[chosen], off_street_rad[chosen]
+        chosen.margin_m.to_numpy(), rays_chosen.elevation_rad, rays_chosen.azimuth_rad - street_rad
     )
-    truths = rows.is_strong.to_numpy()[chosen], rows.block.to_numpy()[chosen]
+    truths = chosen.is_strong.to_numpy(), chosen.block.to_numpy()
     rivals = compared_rules(rules, *truths, settings.seed)
-    block_lengths = gain_by_length(rules, *truths, settings.sky_block_m, settings.seed)
-    num_blocks = int(rows.block[chosen].nunique())
-    counts = {
-        "rows": len(rows),
-        "judged": int(rows.is_judged.sum()),
-        "is_guarded": is_guarded,
-        "unknown": int((~rows.is_known).sum()),
-        "inside": int((is_open & rows.is_inside).sum()),
-        "num_satellites": int(rows.satellite.nunique()),
-        "num_blocks": num_blocks,
-        "num_displaced": int(null.auc.notna().sum()),
-        "num_asked": settings.num_displaced,
-        "every": every,
-        "is_median": median_dbhz > 0,
-        "left_out": dict(log.left_out),
-    }
+    num_blocks = int(chosen.block.nunique())
     return SatelliteAgreement(
         rows=rows,
         scores=scores,
-        displaced=null,
-        field=field,
-        scales=scales,
-        peak=peak,
+        displaced=of_displaced.null,
+        field=of_displaced.field,
+        scales=of_displaced.scales,
+        peak=of_displaced.peak,
         rivals=rivals,
-        block_lengths=block_lengths,
+        block_lengths=gain_by_length(rules, *truths, settings.sky_block_m, settings.seed),
         skies=_skies(rows, rays, log, city, grid, reach_m, settings.antenna_height_m),
         strong_dbhz=strong_dbhz,
-        verdict=verdict_of(scores, null, rivals, num_blocks),
-        counts=counts,
+        verdict=verdict_of(scores, of_displaced.null, rivals, num_blocks),
+        counts={
+            "rows": len(rows),
+            "judged": int(rows.is_judged.sum()),
+            "is_guarded": is_guarded,
+            "unknown": int((~rows.is_known).sum()),
+            "inside": int((is_open & rows.is_inside).sum()),
+            "num_satellites": int(rows.satellite.nunique()),
+            "num_blocks": num_blocks,
+            "num_displaced": int(of_displaced.null.auc.notna().sum()),
+            "num_asked": settings.num_displaced,
+            "every": every,
+            "is_median": median_dbhz > 0,
+            "left_out": dict(log.left_out),
+        },
     )
 
 
@@ -338,10 +337,10 @@ def _rows_of(
         is_kept &= system.isin(list(settings.systems))
     rows = log.satellites[is_kept].assign(system=system[is_kept]).reset_index(drop=True)
     if rows.empty:
+        systems = f" of the systems {', '.join(settings.systems)}" if settings.systems else ""
         raise InputError(
-            f"the receiver log {log.name!r} has no satellite above the mask of {mask_deg:g} degrees"
-            + (f" of the systems {', '.join(settings.systems)}" if settings.systems else "")
-            + ": lower [gps] mask_deg, or see whether elevation_deg is in degrees"
+            f"the receiver log {log.name!r} has no satellite above the mask of {mask_deg:g} degrees{systems}: lower "
+            "[gps] mask_deg, or see whether elevation_deg is in degrees"
         )
     rows["block"] = (track.along_m[rows.epoch] // settings.sky_block_m).astype(int)
     centre = float(log.epochs[LON].median()), float(log.epochs[LAT].median())
@@ -363,21 +362,23 @@ def _skies(
     judged = rows[rows.is_judged]
     agrees = (judged.is_seen == judged.is_strong).groupby(judged.block).agg(["mean", "size"])
     agrees = agrees[agrees["size"] >= min(FEWEST_SEEN, agrees["size"].max())]
+    blocks = {
+        "least agreement": agrees["mean"].idxmin(),
+        "most agreement": agrees["mean"].idxmax(),
+    }
     skies = []
-    for name, block in (
-        ("least agreement", agrees["mean"].idxmin()),
-        ("most agreement", agrees["mean"].idxmax()),
-    ):
+    for name, block in blocks.items():
         epochs = np.sort(judged.epoch[judged.block == block].unique())
         epoch = int(epochs[len(epochs) // 2])
         of_epoch = rows[rows.epoch == epoch]
         place = rays.take(of_epoch.index.to_numpy()[:1])
-        lon, lat = (float(log.epochs[column].iloc[epoch]) for column in (LON, LAT))
+        fix = log.epochs.iloc[epoch]
+        lon, lat = float(fix[LON]), float(fix[LAT])
         ground = Ground.around(city, box_of(grid, place, 0.0), reach_m, antenna_m)
         turn = int(np.rint(np.degrees(grid.convergence_rad(lon, lat))))
         horizon = np.roll(ground.horizon_deg(float(place.x_m[0]), float(place.y_m[0])), turn)
-        utc = log.epochs[UTC].iloc[epoch].isoformat()
-        skies.append(PlaceSky(name, lon, lat, utc, horizon, of_epoch.reset_index(drop=True)))
+        satellites = of_epoch.reset_index(drop=True)
+        skies.append(PlaceSky(name, lon, lat, fix[UTC].isoformat(), horizon, satellites))
     return tuple(skies)
 
 

@@ -5,6 +5,7 @@ of the track, ``D`` draws of them, the first one each block once.
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -85,61 +86,75 @@ class Displaced:
         east_m, north_m = self.moves_m[number]
         return rays.moved(-east_m, -north_m)
 
-    def tables(
-        self, rows: pd.DataFrame, seed: int
-    ) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, dict[str, float]]:
-        """Return the null, the field, the scales and their peak, as `SatelliteAgreement` holds them.
+    def tables(self, rows: pd.DataFrame, seed: int) -> "DisplacedScores":
+        """Return how displaced cities and other roofs score.
 
         Args:
           rows: ``[R]`` of the agreement.
           seed: of the bootstrap.
         """
-        level, satellite = levels_of(rows.cn0_dbhz), rows.satellite.cat.codes.to_numpy()
+        level = levels_of(rows.cn0_dbhz)
+        satellite = rows.satellite.cat.codes.to_numpy()
         is_judged = rows.is_judged.to_numpy()
         block, weights = drawn_blocks(rows.block.where(rows.is_judged).to_numpy(), seed)
-        few, once = weights[: 1 + NUM_DRAWS], weights[:1]
         keeps = is_judged & ~self.is_out
         null = np.full((self.num_null, 2), np.nan)
         for number in np.flatnonzero(keeps[: self.num_null].sum(axis=1) >= FEWEST_ROWS):
             keep = keeps[number]
-            of_city = self.is_seen[number, keep], level[keep], block[keep], once
+            of_city = self.is_seen[number, keep], level[keep], block[keep], weights[:1]
             null[number] = aucs(*of_city)[0], aucs(*of_city, satellite[keep])[0]
 
         def drawn(is_seen: np.ndarray, keep: np.ndarray) -> np.ndarray:
-            return aucs(is_seen[keep], level[keep], block[keep], few)
+            """Return ``[D]`` the AUC of the rows that are kept, under each draw of blocks."""
+            return aucs(is_seen[keep], level[keep], block[keep], weights[: 1 + NUM_DRAWS])
 
         around = range(self.num_null, len(keeps))
         by_move = np.array([drawn(self.is_seen[number], keeps[number]) for number in around])
         by_scale = np.array([drawn(is_seen, is_judged) for is_seen in self.of_scale])
-        cities = pd.DataFrame(self.moves_m, columns=["east_m", "north_m"]).assign(
-            rows=keeps.sum(axis=1)
-        )
-        displaced = cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1])
+        cities = pd.DataFrame(self.moves_m, columns=["east_m", "north_m"])
+        cities["rows"] = keeps.sum(axis=1)
         near = cities[self.num_null :].assign(auc=by_move[:, 0]).reset_index(drop=True)
-        scales = pd.DataFrame(
-            {"scale": SCALES, "rows": int(is_judged.sum()), "auc": by_scale[:, 0]}
-        )
+        scales = {"scale": SCALES, "rows": int(is_judged.sum()), "auc": by_scale[:, 0]}
         if weights.shape[1] < FEWEST_GROUPS:
             by_move, by_scale = np.full_like(by_move, np.nan), np.full_like(by_scale, np.nan)
-        east_m, north_m = (peaks(by_move, near[name].to_numpy()) for name in ("east_m", "north_m"))
-        scale = peaks(by_scale, SCALES)
-        low, high = np.quantile(scale[1:], [0.025, 0.975])
-        peak = {
-            "east_m": float(east_m[0]),
-            "north_m": float(north_m[0]),
-            "within_95_m": float(np.quantile(np.hypot(east_m, north_m)[1:], 0.95)),
-            "scale": float(scale[0]),
-            "scale_low": float(low),
-            "scale_high": float(high),
-        }
-        return displaced, near, scales, peak
+        return DisplacedScores(
+            cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1]),
+            near,
+            pd.DataFrame(scales),
+            _peak(peaks(by_move, near[["east_m", "north_m"]].to_numpy()), peaks(by_scale, SCALES)),
+        )
+
+
+class DisplacedScores(NamedTuple):
+    """What a `jaxurban.studies.receiver.agreement.SatelliteAgreement` holds of displaced cities and other roofs."""
+
+    null: pd.DataFrame
+    field: pd.DataFrame
+    scales: pd.DataFrame
+    peak: dict[str, float]
+
+
+def _peak(moves_m: np.ndarray, scale: np.ndarray) -> dict[str, float]:
+    """Return where a city fits best, of displacements ``[D, 2]`` and scales ``[D]`` that are best in each draw."""
+    east_m, north_m = moves_m[0].tolist()
+    low, high = np.quantile(scale[1:], [0.025, 0.975]).tolist()
+    return {
+        "east_m": east_m,
+        "north_m": north_m,
+        "within_95_m": float(np.quantile(np.hypot(*moves_m[1:].T), 0.95)),
+        "scale": float(scale[0]),
+        "scale_low": low,
+        "scale_high": high,
+    }
 
 
 def peaks(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return ``[D]`` at which of ``[F]`` each draw's values ``[F, D]`` are highest; NaN where all known are alike."""
-    low, high = (np.nan_to_num(values, nan=unknown) for unknown in (np.inf, -np.inf))
-    has_peak = high.max(axis=0) > low.min(axis=0)
-    return np.where(has_peak, at[np.argmax(high, axis=0)], np.nan)
+    """Return ``[D, ...]`` where, of ``[F, ...]``, a draw's values ``[F, D]`` are highest; NaN where all are alike."""
+    highest = np.nan_to_num(values, nan=-np.inf)
+    has_peak = highest.max(axis=0) > np.nan_to_num(values, nan=np.inf).min(axis=0)
+    places = at[np.argmax(highest, axis=0)].astype(np.float64)
+    places[~has_peak] = np.nan
+    return places
 
 
 def displacements(num: int, seed: int) -> np.ndarray:

@@ -118,18 +118,22 @@ def task_at(
 
     People, layers that a user added and uncertainty are left out: satellites depend on none of them.
     """
-    of_log: dict[str, Any] = {"times": tuple(times), "start": None, "stop": None, "step_s": None}
-    of_log |= {
-        "reference": scenario.gps.reference or grid.centre_lonlat,
-        "series": "epochs",
-        "bounds": False,
-    }
     region = replace(
         scenario.region, resolution_m=(grid.resolution_m,), altitudes_m=(antenna_height_m,)
     )
+    gps = replace(
+        scenario.gps,
+        times=tuple(times),
+        start=None,
+        stop=None,
+        step_s=None,
+        reference=scenario.gps.reference or grid.centre_lonlat,
+        series="epochs",
+        bounds=False,
+    )
     update = {
         "region": region,
-        "gps": replace(scenario.gps, **of_log),
+        "gps": gps,
         "buildings": replace(scenario.buildings, height_samples=0),
         "population": Population(),
         "layers": {},

@@ -12,7 +12,7 @@ import pandas as pd
 from scipy.special import expit, logit
 
 from jaxurban.metrics.reception import ReceptionCurve
-from jaxurban.studies.bootstrap import Interval, ends_of, named
+from jaxurban.studies.bootstrap import interval_of, named
 from jaxurban.studies.receiver.scores import drawn_blocks
 
 MOST_FOLDS = 100  # with more blocks, every hundredth is left out together
@@ -70,12 +70,13 @@ def losses(features: np.ndarray, is_strong: np.ndarray, block: np.ndarray) -> np
     lost = np.full(len(block), np.nan)
     fold = block % MOST_FOLDS
     folds = np.unique(fold)
-    for number in folds if len(folds) > 1 else ():
+    if len(folds) == 1:
+        return lost
+    for number in folds:
         is_left = fold == number
         chance = expit(features[is_left] @ fitted(features[~is_left], is_strong[~is_left]))
-        lost[is_left] = -np.log(
-            np.clip(np.where(is_strong[is_left], chance, 1 - chance), LEAST_CHANCE, 1.0)
-        )
+        of_truth = np.where(is_strong[is_left], chance, 1 - chance)
+        lost[is_left] = -np.log(np.clip(of_truth, LEAST_CHANCE, 1.0))
     return lost
 
 
@@ -100,7 +101,7 @@ def compared_rules(
     rows = []
     for name, mean in means.items():
         gain = means[STREET] - mean
-        interval = Interval(gain[0], *ends_of(gain[1:], num_blocks))
+        interval = interval_of(gain[0], gain[1:], num_blocks)
         rows.append({"model": name, "log_loss": mean[0], **named("gain", interval)})
     return pd.DataFrame(rows)
 

@@ -140,13 +140,8 @@ class Ground:
         azimuth_rad = np.radians(HORIZON_DEG)
         of_row = np.rint(row + away * np.cos(azimuth_rad)).astype(int)
         of_col = np.rint(col + away * np.sin(azimuth_rad)).astype(int)
-        is_on = (
-            (of_row >= 0)
-            & (of_row < self.grid.num_rows)
-            & (of_col >= 0)
-            & (of_col < self.grid.num_cols)
-        )
-        at = np.where(is_on, of_row, row), np.where(is_on, of_col, col)
+        at = of_row.clip(0, self.grid.num_rows - 1), of_col.clip(0, self.grid.num_cols - 1)
+        is_on = (at[0] == of_row) & (at[1] == of_col)
         above_m = self.roof_m[at] - self.antenna_m
         if self.terrain_m is not None:
             above_m += self.terrain_m[at] - self.terrain_m[row, col]
@@ -169,15 +164,11 @@ def legs(x_m: np.ndarray, y_m: np.ndarray, resolution_m: float) -> Iterator[slic
 
 def box_of(grid: Grid, rays: Rays, around_m: float) -> Grid:
     """Return the cells, aligned with those of a grid, that hold the places and so many metres around them."""
-    corners = rays.x_m.min(), rays.y_m.min(), rays.x_m.max(), rays.y_m.max()
-    first_col, first_row = (
-        math.floor((corner - around_m) / grid.resolution_m) for corner in corners[:2]
-    )
-    last_col, last_row = (
-        math.floor((corner + around_m) / grid.resolution_m) for corner in corners[2:]
-    )
-    shape = last_row - first_row + 1, last_col - first_col + 1
-    return Grid(grid.crs, grid.resolution_m, first_row, first_col, *shape)
+    low_m = np.array([rays.y_m.min(), rays.x_m.min()]) - around_m
+    high_m = np.array([rays.y_m.max(), rays.x_m.max()]) + around_m
+    first = np.floor(low_m / grid.resolution_m).astype(int)
+    last = np.floor(high_m / grid.resolution_m).astype(int)
+    return Grid(grid.crs, grid.resolution_m, *first.tolist(), *(last - first + 1).tolist())
 
 
 def known_of(known: str | float | Path, city: City, track: Track) -> shapely.Geometry:
@@ -230,9 +221,8 @@ def counted(
       num_epochs: N; an epoch without a judged row has NaN.
     """
     judged = rows[rows.is_judged]
-    counts = [
-        np.bincount(judged.epoch[is_counted], minlength=num_epochs).astype(float)
-        for is_counted in (judged.is_judged, judged.is_seen, judged[CN0] > 0)
-    ]
-    in_view, received = (np.where(counts[0] > 0, count, np.nan) for count in counts[1:])
+    num_seen = judged.is_seen.groupby(judged.epoch).sum()
+    num_received = (judged[CN0] > 0).groupby(judged.epoch).sum()
+    in_view = num_seen.reindex(range(num_epochs)).to_numpy(float)
+    received = num_received.reindex(range(num_epochs)).to_numpy(float)
     return {NUM_VISIBLE: in_view}, {TRACKED: received}

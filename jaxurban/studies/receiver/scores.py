@@ -7,7 +7,7 @@ one each block once.
 import numpy as np
 import pandas as pd
 
-from jaxurban.studies.bootstrap import Interval, draws_of, ends_of, named
+from jaxurban.studies.bootstrap import draws_of, interval_of, named
 
 LEVEL_DBHZ = 0.1  # to which C/N0 is rounded: no receiver resolves less
 
@@ -87,7 +87,6 @@ def score_table(rows: pd.DataFrame, seed: int) -> pd.DataFrame:
         row = {"which": which, "rows": len(chosen), "share": len(chosen) / len(rows)}
         for name, group in (("auc", None), ("within", satellite)):
             drawn = aucs(is_seen, level, block, weights, group)
-            interval = Interval(drawn[0], *ends_of(drawn[1:], weights.shape[1]))
-            row |= named(name, interval)
+            row |= named(name, interval_of(drawn[0], drawn[1:], weights.shape[1]))
         table.append(row | {"num_satellites": int((both == 2).sum())})
     return pd.DataFrame(table)

@@ -329,7 +329,7 @@ def compared(
 
     More is better in both, so that coefficients are positive where the receiver does better where the maps say so.
     """
-    known = pieces[pieces[witness].notna() & pieces[prediction].notna()]
+    known = pieces.dropna(subset=[witness, prediction])
 
     def quality(name: str) -> np.ndarray:
         values = known[name].to_numpy(float)
@@ -354,7 +354,7 @@ def tables(
         for witness in witnesses:
             scored = predictions if piece_m == settings.piece_m else (MAIN[witness],)
             for prediction in scored:
-                row: dict[str, Any] = {
+                row = {
                     "witness": witness,
                     "prediction": prediction,
                     "piece_m": piece_m,

@@ -38,7 +38,8 @@ def draw_counts(cities: np.ndarray, num_draws: int, rng: np.random.Generator) ->
     members = [np.flatnonzero(cities == city) for city in range(cities.max(initial=0) + 1)]
     counts = np.zeros((num_draws, len(cities)))
     for row in counts:
-        for city in rng.integers(len(members), size=len(members)) if len(members) > 1 else (0,):
+        drawn = rng.integers(len(members), size=len(members)) if len(members) > 1 else [0]
+        for city in drawn:
             of_city = members[city]
             row[of_city] += rng.multinomial(len(of_city), np.full(len(of_city), 1 / len(of_city)))
     return counts
@@ -56,11 +57,8 @@ def refit(log_weights: np.ndarray, task: FitTask, counts: np.ndarray) -> np.ndar
     """
     if len(counts) == 0 or len(task.demo) < 2:
         return np.empty((0, len(log_weights)))
-    return np.asarray(
-        _fits(
-            jnp.asarray(log_weights), task, jnp.asarray(counts * np.asarray(task.trust) + NO_TRUST)
-        )
-    )
+    trusts = jnp.asarray(counts * np.asarray(task.trust) + NO_TRUST)
+    return np.asarray(_fits(jnp.asarray(log_weights), task, trusts))
 
 
 @jax.jit
@@ -96,10 +94,7 @@ def near_optimal_range(
     cost = demo @ weights
     share = trust / trust.sum() / cost
     query, route = np.nonzero(routes @ weights <= FAR * cost[:, None])
-    slack = np.zeros((len(query), num_queries))
-    slack[np.arange(len(query)), query] = -cost[
-        query
-    ]  # slacks are counted in costs, so that all are near 1
+    slack = np.diag(-cost)[query]  # counted in costs, so that all slacks are near 1
     regret = float(np.sum(share * np.maximum(cost - np.min(routes @ weights, axis=1), 0.0)))
     centre = demo.mean(axis=0) / (demo.mean(axis=0) @ weights)
     bound = np.concatenate([-(regret + tolerance) * centre, share * cost])
@@ -174,14 +169,13 @@ def indistinct_weights(
         return sentences
     values, directions = np.linalg.eigh(covariance[np.ix_(is_seen, is_seen)])
     unseen = directions[:, values <= UNSEEN * values[-1]]
-    if num := unseen.shape[1]:
+    num = unseen.shape[1]
+    if num:
         part = np.linalg.norm(unseen, axis=1)
         involved = names[is_seen][part > MUCH * part.max()]
         listed = f"{', '.join(involved[:-1])} and {involved[-1]}"
-        why = (
-            "competing routes trade them at one rate"
-            if num == 1
-            else f"{num} of their mixtures change no comparison"
-        )
+        why = f"{num} of their mixtures change no comparison"
+        if num == 1:
+            why = "competing routes trade them at one rate"
         sentences.append(f"The weights of {listed} cannot be distinguished: {why}.")
     return sentences

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -200,18 +200,10 @@ def fit_targets(
       wish
       detour <= 0.2     0.2       0.0    True
     """
-    begin_s, settings = time.perf_counter(), settings or FitSettings()
+    begin_s = time.perf_counter()
+    settings = settings or FitSettings()
     names = check_alike(queries)
-    if not targets:
-        raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
-    texts = [targets] if isinstance(targets, str) else targets
-    wanted = [Target.parse(each) if isinstance(each, str) else each for each in texts]
-    outcomes = ["detour", "length_m"]
-    if "population" in names:
-        outcomes.append("people")
-    outcomes += [MEAN + name for name in names[1:]]
-    for target in wanted:
-        one_of("the outcome of a target", target.outcome, outcomes)
+    wanted = _wanted(targets, names)
     weights = None if start is None else start.vector(names)
     pool = pool_of_fit(
         settings,
@@ -227,7 +219,7 @@ def fit_targets(
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         search = _Search(
             pool,
-            tuple(wanted),
+            wanted,
             np.concatenate(shortest, axis=-1),
             log_start=np.log(first / first.sum()),
             settings=settings,
@@ -236,17 +228,13 @@ def fit_targets(
         )
         search.explore()
         best = search.run(wanted)
+        alone = [best] * len(wanted)
+        conflicts = []
         is_met = bool(np.all(best.missed <= MET))
-        alone = [best if is_met or len(wanted) == 1 else search.run([target]) for target in wanted]
-        conflicts: list[tuple[str, str]] = []
         if not is_met:
-            missed_alone = [result.missed[number] for number, result in enumerate(alone)]
-            reachable = np.flatnonzero(np.array(missed_alone) <= MET).tolist()
-            for i, j in itertools.combinations(reachable, 2):
-                pair = [wanted[i], wanted[j]]
-                both = best if len(wanted) == 2 else search.run(pair)
-                if both.missed[[i, j]].max() > MET:
-                    conflicts.append((str(wanted[i]), str(wanted[j])))
+            if len(wanted) > 1:
+                alone = [search.run([target]) for target in wanted]
+            conflicts = search.conflicts(best, alone)
         at_shortest = search.outcomes(search.shortest)
     weights = np.exp(best.log_weights)
     return TargetFit(
@@ -263,9 +251,44 @@ def fit_targets(
     )
 
 
+def _wanted(targets: Sequence[Target | str], names: Sequence[str]) -> tuple[Target, ...]:
+    """Return targets, texts among them parsed, of routes with these weights.
+
+    Raises:
+      InputError: none, a text of another form, or an outcome that such routes do not have.
+    """
+    if not targets:
+        raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
+    outcomes = ["detour", "length_m", *(MEAN + name for name in names[1:])]
+    if "population" in names:
+        outcomes.insert(2, "people")
+    wanted = []
+    for each in [targets] if isinstance(targets, str) else targets:
+        target = Target.parse(each) if isinstance(each, str) else each
+        one_of("the outcome of a target", target.outcome, outcomes)
+        wanted.append(target)
+    return tuple(wanted)
+
+
+class _Aim(NamedTuple):
+    """What weights are judged by over known routes: ``Q`` queries, ``R`` routes of each, ``N`` targets, ``K`` weights.
+
+    Attributes:
+      bound: ``[N]`` of each target.
+      sign: ``[N]`` +1 (at least), -1 (at most) or 0 (this target does not count).
+      routes: ``[Q, R, 2 K]`` features and integrals of the known routes.
+      shortest: ``[Q, 2 K]`` those of the shortest ones.
+    """
+
+    bound: AnyArray
+    sign: AnyArray
+    routes: AnyArray
+    shortest: AnyArray
+
+
 @dataclass(frozen=True, eq=False)
 class _Best:
-    """The best weights of one search; what is reached and missed ``[N]`` of all targets, and a row per round."""
+    """The best weights of one search; what is reached and missed ``[N]`` of all targets, and a row per round so far."""
 
     log_weights: np.ndarray
     reached: np.ndarray
@@ -287,31 +310,30 @@ class _Search:
 
     def run(self, active: Sequence[Target]) -> _Best:
         """Return the best weights for some of the targets; the others count as met."""
-        sign = [{">=": 1.0, "<=": -1.0}[target.sense] for target in self.targets]
-        is_active = [target in active for target in self.targets]
+        senses = {">=": 1.0, "<=": -1.0}
+        sign = jnp.array([senses[each.sense] * (each in active) for each in self.targets])
         bound = jnp.array([target.value for target in self.targets])
-        misses = bound, jnp.array(sign) * jnp.array(is_active)
         rng = np.random.default_rng(self.settings.seed)
-        noises = jnp.asarray(draw_pairs(self.settings.seed, NUM_NOISE, len(self.log_start)))
+        num_weights = len(self.log_start)
+        noises = jnp.asarray(draw_pairs(self.settings.seed, NUM_NOISE, num_weights))
         spread = FAR_SPREAD * np.geomspace(1.0, NEAR_SPREAD / FAR_SPREAD, NUM_CANDIDATES)[:, None]
         widths = np.geomspace(*PROBE_NOISE, NUM_PROBES)[:, None]
-        best: _Best | None = None
+        nothing = np.full(len(self.targets), np.inf)
         rows: list[dict] = []
+        best = _Best(self.log_start, nothing, nothing, rows)
         for number in range(self.settings.max_rounds):
             routes = jnp.asarray(np.concatenate(self.pool.routes, axis=-1))
-            where = (*misses, routes, self.shortest, self.pool.names, self.targets)
-            about = self.log_start if best is None else best.log_weights
-            anywhere = about + spread * rng.normal(size=(NUM_CANDIDATES, len(about)))
-            candidates = np.array([about, self.log_start, *self._corners(), *anywhere])
-            starts = _least(candidates, NUM_STARTS, where)
-            descended = np.asarray(_descend(jnp.asarray(starts), noises, *where))
-            for log_weights in _least(np.concatenate([descended, starts]), NUM_TRIED, where):
+            aim = _Aim(bound, sign, routes, self.shortest)
+            anywhere = best.log_weights + spread * rng.normal(size=(NUM_CANDIDATES, num_weights))
+            candidates = np.vstack([best.log_weights, self.log_start, self._corners(), anywhere])
+            starts = self._least(candidates, NUM_STARTS, aim)
+            descended = _descend(jnp.asarray(starts), noises, aim, self.pool.names, self.targets)
+            for log_weights in self._least(np.concatenate([descended, starts]), NUM_TRIED, aim):
                 sums = self.pool.cheapest(np.exp(log_weights)[None])[:, :, 0]
                 reached = self.outcomes(np.concatenate(sums, axis=-1))
-                missed = np.asarray(_missed(reached, *misses))
-                if best is None or np.sum(missed**2) < np.sum(best.missed**2):
+                missed = np.asarray(_missed(reached, bound, sign))
+                if np.sum(missed**2) < np.sum(best.missed**2):
                     best = _Best(log_weights, reached, missed, rows)
-            assert best is not None
             row = {
                 "round": number + 1,
                 "loss": float(np.sum(best.missed**2)),
@@ -322,10 +344,30 @@ class _Search:
             is_stuck = number >= PATIENCE and rows[-1]["loss"] >= rows[-1 - PATIENCE]["loss"]
             if not np.any(best.missed) or is_stuck or time.perf_counter() > self.end_s:
                 break
-            near = best.log_weights + widths * rng.normal(size=(NUM_PROBES, len(self.log_start)))
+            near = best.log_weights + widths * rng.normal(size=(NUM_PROBES, num_weights))
             self.pool.cheapest(np.exp(near))
-        assert best is not None
         return best
+
+    def conflicts(self, best: _Best, alone: Sequence[_Best]) -> list[tuple[str, str]]:
+        """Return pairs of targets, each met alone, that are not met together.
+
+        Args:
+          best: of all targets together.
+          alone: of each of them.
+        """
+        reachable = [k for k, result in enumerate(alone) if result.missed[k] <= MET]
+        conflicts = []
+        for pair in itertools.combinations(reachable, 2):
+            one, other = (self.targets[k] for k in pair)
+            both = best if len(self.targets) == 2 else self.run([one, other])
+            if both.missed[list(pair)].max() > MET:
+                conflicts.append((str(one), str(other)))
+        return conflicts
+
+    def _least(self, candidates: np.ndarray, num: int, aim: _Aim) -> np.ndarray:
+        """Return ``[num, K]`` the log weights, of ``[S, K]``, whose cheapest known routes miss least."""
+        misses = _known_misses(jnp.asarray(candidates), aim, self.pool.names, self.targets)
+        return candidates[np.argsort(np.asarray(misses), kind="stable")[:num]]
 
     def explore(self) -> None:
         """Fill the pool with routes under weights of all kinds."""
@@ -381,23 +423,21 @@ def _missed(values: AnyArray, bound: AnyArray, sign: AnyArray) -> Array:
     return jnp.maximum(sign * (bound - values) / jnp.maximum(jnp.abs(bound), 1e-3), 0.0)
 
 
-@partial(jax.jit, static_argnames=("names", "targets"))
-def _descend(
-    starts: Any,
-    draws: Any,
-    bound: Any,
-    sign: Any,
-    routes: Any,
-    shortest: Any,
-    names: Any,
-    targets: Any,
+def _squared_misses(
+    sums: AnyArray, aim: _Aim, names: Sequence[str], targets: Sequence[Target]
 ) -> Array:
+    """Return the sum of the squared misses of routes that add up to ``[Q, 2 K]``."""
+    values = outcome_values(sums, aim.shortest, names, targets)
+    return jnp.sum(_missed(values, aim.bound, aim.sign) ** 2)
+
+
+@partial(jax.jit, static_argnames=("names", "targets"))
+def _descend(starts: Array, draws: Array, aim: _Aim, names: Any, targets: Any) -> Array:
     """Return log weights ``[S, K]`` after descents from each start over known routes."""
 
     def squared(log_weights: Any, noise: Any) -> Array:
-        expected = known_route_sums(log_weights, routes, draws, noise)
-        values = outcome_values(expected, shortest, names, targets)
-        return jnp.sum(_missed(values, bound, sign) ** 2)
+        expected = known_route_sums(log_weights, aim.routes, draws, noise)
+        return _squared_misses(expected, aim, names, targets)
 
     rates = optax.exponential_decay(FIRST_RATE, NUM_STEPS, LAST_RATE / FIRST_RATE)
     noises = jnp.geomspace(FIRST_NOISE, LAST_NOISE, NUM_STEPS)
@@ -406,23 +446,15 @@ def _descend(
     )
 
 
-def _least(candidates: np.ndarray, num: int, where: tuple) -> np.ndarray:
-    """Return ``[num, K]`` the log weights, of ``[S, K]``, whose cheapest known routes miss least."""
-    misses = np.asarray(_known_misses(jnp.asarray(candidates), *where))
-    return candidates[np.argsort(misses, kind="stable")[:num]]
-
-
 @partial(jax.jit, static_argnames=("names", "targets"))
-def _known_misses(
-    candidates: Any, bound: Any, sign: Any, routes: Any, shortest: Any, names: Any, targets: Any
-) -> Array:
+def _known_misses(candidates: Array, aim: _Aim, names: Any, targets: Any) -> Array:
     """Return ``[S]`` the squared misses of the cheapest known routes under log weights ``[S, K]``."""
 
     def squared(log_weights: Any) -> Array:
-        cheapest = jnp.argmin(routes[..., : len(names)] @ jnp.exp(log_weights), axis=-1)
-        chosen = jnp.take_along_axis(routes, cheapest[:, None, None], axis=1)[:, 0]
-        values = outcome_values(chosen, shortest, names, targets)
-        return jnp.sum(_missed(values, bound, sign) ** 2)
+        costs = aim.routes[..., : len(names)] @ jnp.exp(log_weights)
+        cheapest = jnp.argmin(costs, axis=-1)[:, None, None]
+        chosen = jnp.take_along_axis(aim.routes, cheapest, axis=1)[:, 0]
+        return _squared_misses(chosen, aim, names, targets)
 
     return jax.lax.map(squared, candidates, batch_size=64)
 
@@ -431,14 +463,13 @@ def _outcome_table(
     targets: Sequence[Target], result: Sequence[_Best], at_shortest: np.ndarray
 ) -> pd.DataFrame:
     """Return a row per target, each as its own search reached it."""
-    missed = [float(each.missed[number]) for number, each in enumerate(result)]
-    return pd.DataFrame(
+    table = pd.DataFrame(
         {
             "wished": [target.value for target in targets],
             "shortest": at_shortest,
-            "reached": [each.reached[number] for number, each in enumerate(result)],
-            "missed_by": missed,
-            "is_met": [share <= MET for share in missed],
+            "reached": np.diag([each.reached for each in result]),
+            "missed_by": np.diag([each.missed for each in result]),
         },
-        index=pd.Index([str(target) for target in targets], name="wish"),
+        index=pd.Index(map(str, targets), name="wish"),
     )
+    return table.assign(is_met=table.missed_by <= MET)

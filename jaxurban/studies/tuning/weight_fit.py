@@ -116,16 +116,12 @@ class WeightFit:
     @property
     def cautions(self) -> list[str]:
         """What the demonstrations cannot say: ``unidentified`` and ``warnings``, but for the ``sentence``."""
-        return [
-            sentence
-            for sentence in (*self.unidentified, *self.warnings)
-            if sentence != self.sentence
-        ]
+        sentences = self.unidentified + self.warnings
+        return [sentence for sentence in sentences if sentence != self.sentence]
 
     def __repr__(self) -> str:
-        return "\n".join(
-            [self.sentence, *self.cautions, self.table.to_string(float_format="{:.3g}".format)]
-        )
+        table = self.table.to_string(float_format="{:.3g}".format)
+        return "\n".join([self.sentence, *self.cautions, table])
 
     def _repr_html_(self) -> str:
         cautions = "".join(f"<li>{escape(sentence)}</li>" for sentence in self.cautions)
@@ -200,7 +196,7 @@ def fit_weights(
     )
     unit = np.where(is_fitted, feature_units(queries, demo), 1.0)
     fit = _Fit(pool, demo, unit, is_fitted, settings.seed)
-    rows: list[dict[str, Any]] = []
+    rows = []
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         for number in range(settings.max_rounds):
             row = fit.run_round(number, _noise_of(number, noise_rounds))
@@ -334,11 +330,10 @@ class _Fit:
         unit = self.unit[self.is_fitted]
         task = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
         task = task._replace(demo=(least / self.unit)[:, self.is_fitted])
-        ends = np.zeros((2, len(self.unit)))
         scaled = (self.weights * self.unit)[self.is_fitted]
-        ends[:, self.is_fitted] = (
-            near_optimal_range(scaled, task, scale[self.is_fitted] / unit, SETTLED) / unit
-        )
+        sides = scale[self.is_fitted] / unit
+        ends = np.zeros((2, len(self.unit)))
+        ends[:, self.is_fitted] = near_optimal_range(scaled, task, sides, SETTLED) / unit
         return ends
 
     def least_mean_regret(self, best: float) -> float:

@@ -117,22 +117,21 @@ def find_breakpoints(
     """
     before = pool.num_plans
     growing = _Growing(corners, tolerance)
-    is_complete = True
-    while len(places := growing.unverified()):
-        if max_plans is not None and pool.num_plans - before >= max_plans:
-            is_complete = False
-            break
-        result = pool.cheapest(places @ corners)[:, 0]
-        growing.verify(places, result)
+    most = np.inf if max_plans is None else max_plans
+    places = growing.unverified()
+    while len(places) and pool.num_plans - before < most:
+        growing.verify(places, pool.cheapest(places @ corners)[:, 0])
+        places = growing.unverified()
         if on_plans is not None:
             on_plans(pool.num_plans - before)
     order = growing.order()
+    facts = np.array([growing.facts[route] for route in order])
     return Partition(
         corners=corners,
-        features=np.array([growing.facts[route][0] for route in order]),
-        integrals=np.array([growing.facts[route][1] for route in order]),
+        features=facts[:, 0],
+        integrals=facts[:, 1],
         cells=tuple(growing.cells[route] for route in order),
-        is_complete=is_complete,
+        is_complete=not len(places),
         tolerance=tolerance,
         num_plans=pool.num_plans - before,
         names=pool.names,
@@ -167,8 +166,9 @@ def nearest_breakpoints(
         rows, ends = np.nonzero(is_due)
         places = np.tile(weights, (len(rows), 1))
         places[np.arange(len(rows)), np.asarray(columns)[rows]] *= factors_at[rows, ends]
+        others = pool.cheapest(places)[0, 0]
         for row, end, place, other in zip(
-            rows.tolist(), ends.tolist(), places, pool.cheapest(places)[0, 0], strict=True
+            rows.tolist(), ends.tolist(), places, others, strict=True
         ):
             excess = features - other
             if place @ excess <= TIE * (place @ features):
@@ -239,9 +239,8 @@ class _Growing:
         self.verified.update(map(_key, places))
         for place, features, integrals in zip(places, *result, strict=True):
             ends = self.corners @ features
-            if not self.ends or place @ ends < np.min(np.array(self.ends) @ place) * (
-                1 - self.tolerance
-            ):
+            known = np.min(np.array(self.ends) @ place) if self.ends else np.inf
+            if place @ ends < known * (1 - self.tolerance):
                 self._add(np.stack([features, integrals]), ends)
 
     def _add(self, facts: np.ndarray, ends: np.ndarray) -> None:
@@ -267,26 +266,22 @@ def _clip(cell: np.ndarray, excess: np.ndarray) -> np.ndarray:
 
     One half-plane of Sutherland and Hodgman's clipping (1974).
     """
-    if not len(cell):
-        return cell
+    empty = np.empty((0, len(excess)))
     above = cell @ excess
-    if above.max() <= 0:
+    if above.max(initial=0.0) <= 0:
         return cell
-    kept: list[np.ndarray] = []
-    for corner, following, a, b in zip(
-        cell, np.roll(cell, -1, axis=0), above, np.roll(above, -1), strict=True
-    ):
+    kept = []
+    following, above_following = np.roll(cell, -1, axis=0), np.roll(above, -1)
+    for corner, other, a, b in zip(cell, following, above, above_following, strict=True):
         if a <= 0:
             kept.append(corner)
-        if (a < 0 < b) or (b < 0 < a):
-            kept.append(corner + (following - corner) * (a / (a - b)))
-    points = list({_key(place): place for place in kept}.values())
-    clipped = np.array(points) if points else np.empty((0, len(excess)))
-    return (
-        clipped
-        if len(points) >= len(excess) and _size(clipped) > EMPTY
-        else np.empty((0, len(excess)))
-    )
+        if a * b < 0:  # the side crosses the line between
+            kept.append(corner + (other - corner) * (a / (a - b)))
+    points = {_key(place): place for place in kept}
+    if len(points) < len(excess):
+        return empty
+    clipped = np.array([*points.values()])
+    return clipped if _size(clipped) > EMPTY else empty
 
 
 def _size(cell: np.ndarray) -> float:

@@ -1,6 +1,5 @@
 """Which buildings cost a route most: the gradient of its cost by every building's height, as a ranked table."""
 
-from collections.abc import Mapping
 from functools import partial
 
 import jax
@@ -53,7 +52,7 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
 
 def weights_of(planned: PlannedPath) -> Weights:
     """Return the weights that a route was planned under; 0 for metrics that its maps did not hold."""
-    used: Mapping[str, float] = planned.settings["weights"]
+    used = planned.settings["weights"]
     return Weights(
         **dict.fromkeys(("distance", *METRICS), 0.0)
         | {name: float(value) for name, value in used.items()}
@@ -107,9 +106,9 @@ def building_costs(
     visits = _visits(soft, planned, params)
     weights = weights_of(planned) if weights is None else Weights.of(weights).checked(soft.names)
     slopes, soft_cost = _slopes(soft, params, weights, visits)
-    by_metric = {name: np.asarray(slope, np.float64) for name, slope in slopes.items()}
-    per_metre = np.sum(list(by_metric.values()), axis=0)
-    listed = np.flatnonzero(np.any([slope != 0 for slope in by_metric.values()], axis=0))
+    parts = pd.DataFrame({name: np.asarray(slope, np.float64) for name, slope in slopes.items()})
+    per_metre = np.sum([parts[name] for name in parts], axis=0)
+    listed = np.flatnonzero((parts != 0).any(axis=1))
     listed = listed[np.argsort(-per_metre[listed], kind="stable")]
     buildings = city.buildings.take(listed)
     inside = shapely.point_on_surface(buildings.polygons)
@@ -119,7 +118,7 @@ def building_costs(
         {
             "building": listed,
             "per_metre": per_metre[listed],
-            **{name: slope[listed] for name, slope in by_metric.items()},
+            **{name: parts[name].to_numpy()[listed] for name in slopes},
             "height_m": buildings.height_m,
             "origin": [HeightOrigin(origin).name.lower() for origin in buildings.origin],
             "lon": lon,

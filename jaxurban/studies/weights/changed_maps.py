@@ -43,7 +43,7 @@ def add_changed_rows(
     Returns:
       The rows by the folder of the study in which they are kept, and why some maps were not made.
     """
-    stores: Stores = {}
+    stores = {}
     wanted = {
         OnPerturbedMaps: cities.settings.num_heights > 0,
         OnOtherParameters: cities.settings.has_parameters,
@@ -51,7 +51,7 @@ def add_changed_rows(
     for kind, is_wanted in wanted.items():
         if is_wanted:
             stores[kind] = RowStore(folder / kind.folder / ROWS_FILE, kind.key, has_parts=True)
-    skipped: list[str] = []
+    skipped = []
     try:
         for city in cities.maps if stores else ():
             of_city = instances[instances.city == city]

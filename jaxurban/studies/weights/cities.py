@@ -60,31 +60,34 @@ def named_sources(sources: Any) -> dict[str, Source]:
     Raises:
       InputError: none, or two of one name.
     """
+    several = sources
     if isinstance(sources, Mapping):
-        listed = [(str(name), source) for name, source in sources.items()]
-    else:
-        several = [sources] if isinstance(sources, str | Path | MapsFolder) else list(sources)
-        if any(isinstance(source, MetricMaps) for source in several):
-            raise InputError(
-                "maps in memory have no name: give them by name, as {'manhattan': maps}"
-            )
-        folders = [
-            source.folder if isinstance(source, MapsFolder) else source for source in several
-        ]
-        listed = [
-            (Path(each).resolve().name, source)
-            for each, source in zip(folders, several, strict=True)
-        ]
-    names = [name for name, _ in listed]
+        several = sources.values()
+    elif isinstance(sources, str | Path | MapsFolder):
+        several = [sources]
+    opened = [
+        source if isinstance(source, MetricMaps | MapsFolder) else MapsFolder(source)
+        for source in several
+    ]
+    names = list(map(str, sources)) if isinstance(sources, Mapping) else _folder_names(opened)
     if not names or len(set(names)) < len(names):
         raise InputError(
             f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}: folders "
             "are called as they are, so name each once and rename one of two alike (in Python give {'name': folder})"
         )
-    result: dict[str, Source] = {}
-    for name, source in listed:
-        result[name] = source if isinstance(source, MetricMaps | MapsFolder) else MapsFolder(source)
-    return result
+    return dict(zip(names, opened, strict=True))
+
+
+def _folder_names(sources: Iterable[Source]) -> list[str]:
+    """Return the names of folders of maps."""
+    names = []
+    for source in sources:
+        if isinstance(source, MetricMaps):
+            raise InputError(
+                "maps in memory have no name: give them by name, as {'manhattan': maps}"
+            )
+        names.append(Path(source.folder).resolve().name)
+    return names
 
 
 def open_cities(
@@ -95,9 +98,9 @@ def open_cities(
     Raises:
       InputError: maps whose scenarios differ in what all routes share, or whose costs cannot be compared.
     """
-    opened: dict[str, Source] = {}
-    all_maps: dict[str, MetricMaps] = {}
-    rules: dict[str, tuple[SensitivityStudySettings, Weights]] = {}
+    opened = {}
+    all_maps = {}
+    rules = {}
     for city, source in sources.items():
         maps = source if isinstance(source, MetricMaps) else source.open()
         maps, settings_of_city = settings.under(maps)
@@ -105,8 +108,8 @@ def open_cities(
         opened[city] = maps if isinstance(source, MetricMaps) else source.at(maps)
         rules[city] = settings_of_city, Weights.of(weights, maps.recorded.get("weights"))
     first = next(iter(rules))
-    for city in rules:
-        if rules[city] != rules[first]:
+    for city, other in rules.items():
+        if other != rules[first]:
             raise InputError(
                 f"the scenarios of {first} and {city} give other weights, cost models, clearances or vehicles: name "
                 "them for both (--weights, --cost-model, --clearance, --vertical-clearance), or make them the same"
@@ -211,12 +214,14 @@ def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:
             )
         return
     named = dict.fromkeys(map(str, routes["city"]))
-    if strange := [name for name in named if name not in cities]:
+    strange = [name for name in named if name not in cities]
+    if strange:
         raise InputError(
             f"the routes name the city {strange[0]!r}, and the maps are of {', '.join(cities)}: add its maps, or leave "
             "its routes out"
         )
-    if lost := [city for city in cities if city not in named]:
+    lost = [city for city in cities if city not in named]
+    if lost:
         raise InputError(
             f"the routes hold none of the city {lost[0]!r}: add some, or leave its maps out"
         )
@@ -232,7 +237,5 @@ def in_order(rows: pd.DataFrame, cities: Iterable[str]) -> pd.DataFrame:
     """Return rows, which are kept by the cities' names, in the order of the cities, on which their intervals depend."""
     if rows.empty:
         return rows
-    order = {city: number for number, city in enumerate(cities)}
-    return rows.sort_values(
-        "city", key=lambda names: names.map(order), kind="stable", ignore_index=True
-    )
+    order = pd.Categorical(rows["city"], [*cities])
+    return rows.iloc[order.argsort(kind="stable")].reset_index(drop=True)

@@ -23,7 +23,7 @@ from jaxurban.maps.uncertain_heights import perturbed_cities
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import RouteJob, Run
 from jaxurban.planners.astar import astar
-from jaxurban.studies.demonstrations import cells_of
+from jaxurban.studies.demonstrations import overlap_of
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import located
 from jaxurban.studies.queries import RouteQuery, outcomes_of, query_between
@@ -161,9 +161,7 @@ def route_facts(
     """
     begin_s = time.perf_counter()
     query, weights = query_of(cost_map, instance)
-    names = query.names
-    varied = varied_columns(names, weights, settings.vary)
-    vary, columns = list(varied), list(varied.values())
+    varied = varied_columns(query.names, weights, settings.vary)
     first = astar(query.problem(weights))
     if not first.status.has_path:
         return {"status": first.status.value, "note": first.status.sentence}
@@ -173,35 +171,61 @@ def route_facts(
         raise InputError(
             "the cheapest route costs nothing, so no weight has a share of its cost: give a weight above 0"
         )
-    facts: dict[str, Any] = {
+    facts = {
         "status": first.status.value,
         "note": first.note,
-        "vary": ",".join(vary),
+        "vary": ",".join(varied),
         "cost": cost,
     }
-    facts |= {name: float(value) for name, value in outcomes_of(integrals, names).items()}
-    for name, weight, feature in zip(names, weights, features, strict=True):
-        facts[f"elasticity:{name}"] = float(weight * feature / cost)
+    facts |= {name: float(value) for name, value in outcomes_of(integrals, query.names).items()}
+    for name, share in zip(query.names, weights * features / cost, strict=True):
+        facts[f"elasticity:{name}"] = float(share)
     pool = RoutePool([query], workers=settings.num_threads)
-    nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
-    wrong = np.tile(weights, (len(vary), 2, 1))  # of each that varies, too small and too large
-    for number, column in enumerate(columns):
-        wrong[number, :, column] *= 1 / settings.wrong, settings.wrong
-    cheapest = pool.cheapest(wrong.reshape(-1, len(weights)))[0, 0]
-    regret = np.maximum(cheapest @ weights / cost - 1, 0.0).reshape(-1, 2)
-    values = np.hstack([nearest, regret]).tolist()
-    for name, (below, above, regret_low, regret_high) in zip(vary, values, strict=True):
-        facts |= {f"below:{name}": below, f"above:{name}": above}
-        facts |= {f"regret_low:{name}": regret_low, f"regret_high:{name}": regret_high}
+    facts |= _changes(pool, weights, varied, settings, cost)
     if settings.num_samples:
         seed = seed_at(settings.seed, int(instance.get(CITY_NUMBER, 0)), int(instance["instance"]))
         shares = sobol_of_weights(
-            pool, weights, columns, settings.factors, settings.num_samples, seed % 2**31
+            pool,
+            weights,
+            list(varied.values()),
+            settings.factors,
+            settings.num_samples,
+            seed % 2**31,
         )
         for share in shares.reset_index().to_dict("records"):
             where = f"{share['factor']}:{share['outcome']}"
             facts |= {f"{kind}:{where}": float(share[kind]) for kind in OF_SHARE}
     return facts | {"num_plans": pool.num_plans + 1, "elapsed_s": time.perf_counter() - begin_s}
+
+
+def _changes(
+    pool: RoutePool,
+    weights: np.ndarray,
+    varied: Mapping[str, int],
+    settings: SensitivityStudySettings,
+    cost: float,
+) -> dict[str, float]:
+    """Return the breakpoints of the weights that vary, and the regrets of wrong ones, as columns of a row.
+
+    Args:
+      pool: of the route's query.
+      weights: ``[K]``.
+      varied: columns of the weights that vary, by their names.
+      settings: of the study.
+      cost: of the cheapest route.
+    """
+    columns = list(varied.values())
+    nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
+    wrong = np.tile(weights, (len(columns), 2, 1))  # of each that varies, too small and too large
+    for number, column in enumerate(columns):
+        wrong[number, :, column] *= 1 / settings.wrong, settings.wrong
+    cheapest = pool.cheapest(wrong.reshape(-1, len(weights)))[0, 0]
+    regret = np.maximum(cheapest @ weights / cost - 1, 0.0).reshape(-1, 2)
+    facts = {}
+    for name, values in zip(varied, np.hstack([nearest, regret]).tolist(), strict=True):
+        for kind, value in zip(OF_WEIGHT[1:], values, strict=True):
+            facts[f"{kind}:{name}"] = value
+    return facts
 
 
 def seed_at(seed: int, *place: int) -> int:
@@ -237,7 +261,7 @@ def with_parameter(task: MapTask, parameter: str, factor: float) -> MapTask:
     """
     metric, _, name = parameter.partition(".")
     of = task.metrics[metric]
-    settings: Any = task.settings_of(of)
+    settings = task.settings_of(of)
     settings = replace(settings, **{name: factor * getattr(settings, name)})
     return replace(
         task,
@@ -336,13 +360,10 @@ def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> di
     own, moved = on_nominal(nominal_m), on_nominal(other_m)
     kept, best = on_other(nominal_m), on_other(other_m)
     is_same = moved.is_valid and np.allclose(moved.phi, own.phi, rtol=SAME_SUMS, atol=SAME_SUMS)
-    resolution_m = nominal.cost_map.grid.resolution_m
-    cells = cells_of(nominal_m, resolution_m)
-    shared = cells & cells_of(other_m, resolution_m)
     return {
         "status": paths[0].status.value,
         "is_other": float(not is_same),
-        "overlap": len(shared) / len(cells),
+        "overlap": overlap_of(nominal_m, other_m, nominal.cost_map.grid.resolution_m),
         "is_closed": float(not moved.is_valid),
         "nominal_is_closed": float(not kept.is_valid),
         "regret": _regret(moved.cost(weights), own.cost(weights)),

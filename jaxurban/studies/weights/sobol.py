@@ -146,14 +146,10 @@ def sobol_of_weights(
 
 def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
     """Return the indices of one outcome, a row per factor."""
-    table = pd.DataFrame(
-        np.nan,
-        pd.Index(problem["names"], name="factor"),
-        ["first", "first_ci", "total", "total_ci"],
-    )
-    table = table.assign(
-        mean=values.mean(), std=values.std(), lowest=values.min(), highest=values.max()
-    )
+    facts = dict.fromkeys(("first", "first_ci", "total", "total_ci"), np.nan)
+    facts |= {"mean": values.mean(), "std": values.std()}
+    facts |= {"lowest": values.min(), "highest": values.max()}
+    table = pd.DataFrame(facts, pd.Index(problem["names"], name="factor"))
     if np.ptp(values) <= CONSTANT * np.abs(values).max():
         return table
     with warnings.catch_warnings():
@@ -169,11 +165,14 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
             seed=seed + 1,  # SALib takes 0 for none
         )
     num_samples = len(values) // (len(table) + 2)
-    wider = reach_of(num_samples) / special.ndtri(
-        (1 + CONFIDENCE) / 2
-    )  # SALib's ends are those of the normal law
-    parts = {"first": result["S1"], "first_ci": result["S1_conf"] * wider}
-    return table.assign(**parts, total=result["ST"], total_ci=result["ST_conf"] * wider)
+    # SALib's ends are those of the normal law.
+    wider = reach_of(num_samples) / special.ndtri((1 + CONFIDENCE) / 2)
+    return table.assign(
+        first=result["S1"],
+        first_ci=result["S1_conf"] * wider,
+        total=result["ST"],
+        total_ci=result["ST_conf"] * wider,
+    )
 
 
 def cost_gradient(names: Sequence[str], weights: np.ndarray, features: np.ndarray) -> pd.DataFrame:
@@ -216,16 +215,13 @@ def outcome_slopes(
     Raises:
       InputError: a query without a path.
     """
-    values = {
-        name: float(np.mean(value)) for name, value in outcomes_of(integrals, pool.names).items()
-    }
+    values = {name: np.mean(value) for name, value in outcomes_of(integrals, pool.names).items()}
     repeats = range(seed * NUM_REPEATS, (seed + 1) * NUM_REPEATS)
     estimates = [_expected(pool, weights, noise, each) for each in repeats]
-    expected = np.array([outcomes for outcomes, _ in estimates])
-    slopes = np.array([of_outcomes for _, of_outcomes in estimates])
+    expected, slopes = map(np.array, zip(*estimates, strict=True))
     num = len(pool.names)
     columns = {
-        "value": np.repeat(list(values.values()), num),
+        "value": np.repeat([*values.values()], num),
         "expected": np.repeat(expected.mean(axis=0), num),
         "expected_slope": slopes.mean(axis=0).ravel(),
         "expected_slope_se": slopes.std(axis=0, ddof=1).ravel() / np.sqrt(len(slopes)),

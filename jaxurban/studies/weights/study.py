@@ -50,15 +50,15 @@ class Sensitivity(FactsRepr):
     def facts(self) -> dict[str, str]:
         """The route, and of each weight that varies its share of the cost and how many routes its range holds."""
         low, high = self.settings.factors
-        shares = dict(zip(self.names, self.cost["elasticity"], strict=True))
-        return {
+        facts = {
             "route": f"cost {self.route.cost:,.2f}, {self.route.length_m:,.0f} m at {self.route.altitude_m:g} m",
             "each weight varies": f"from {low:g} to {high:g} times its value",
-        } | {
-            name: f"{weight:g}, {shares[name]:.1%} of the cost, routes over its range: {len(self.lines[name].cells)}"
-            for name, weight in zip(self.names, self.weights, strict=True)
-            if name in self.lines
         }
+        for name, weight in zip(self.names, self.weights, strict=True):
+            if name in self.lines:
+                share, num = self.cost["elasticity"][name], len(self.lines[name].cells)
+                facts[name] = f"{weight:g}, {share:.1%} of the cost, routes over its range: {num}"
+        return facts
 
     @typed
     def breakpoints(self, name: str) -> pd.DataFrame:
@@ -155,9 +155,8 @@ class SensitivitySettings:
             raise InputError(
                 f"tolerance must be at least {EXACT:g} and below 1, got {self.tolerance}"
             )
-        if len(self.objectives) not in (0, 2, 3) or len(set(self.objectives)) < len(
-            self.objectives
-        ):
+        num = len(self.objectives)
+        if num not in (0, 2, 3) or len(set(self.objectives)) < num:
             raise InputError(
                 f"objectives must name 2 or 3 different weights, got {', '.join(self.objectives)}"
             )
@@ -203,7 +202,8 @@ def sensitivity(
       [0.44, 3.03, 10.0]
     """
     check_flat(cost_map)
-    begin_s, settings = time.perf_counter(), settings or SensitivitySettings()
+    begin_s = time.perf_counter()
+    settings = settings or SensitivitySettings()
     query, route = _plan(cost_map, start, goal, snap)
     names, weights, pool = query.names, cost_map.weight_vector, RoutePool([query])
     columns = varied_columns(names, weights, settings.vary)

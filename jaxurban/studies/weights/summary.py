@@ -136,26 +136,32 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
       weights: from `weights_table`.
       wrong: factor of a wrong weight.
     """
-    rows, statistics = [], statistics_of(wrong)
+    rows = []
     for cut, value, part in cuts_of(weights):
         for name, of_weight in part.groupby("weight_name", sort=False):
-            pairs, num_cities = pairs_of(of_weight), of_weight.city.nunique()
-            draws = [(cut, value, pairs)]
-            if cut == ALL and num_cities >= FEWEST_GROUPS:
-                draws.append((OVER_CITIES, OVER_CITIES, Clusters(of_weight.city)))
-            for drawn_cut, drawn_value, clusters in draws:
-                row: dict[str, Any] = {
+            draws = {(cut, value): pairs_of(of_weight)}
+            if cut == ALL and of_weight.city.nunique() >= FEWEST_GROUPS:
+                draws[OVER_CITIES, OVER_CITIES] = Clusters(of_weight.city)
+            for (drawn_cut, drawn_value), clusters in draws.items():
+                row = {
                     "cut": drawn_cut,
                     "value": drawn_value,
                     "weight_name": name,
-                    "routes": len(of_weight),
-                    "pairs": pairs.num_groups + num_cities - 1,
-                    "cities": num_cities,
+                    **_sizes_of(of_weight),
                 }
-                for statistic, (values_of, mean) in statistics.items():
+                for statistic, (values_of, mean) in statistics_of(wrong).items():
                     row |= named(statistic, clusters.interval(values_of(of_weight), mean))
                 rows.append(row)
     return pd.DataFrame(rows)
+
+
+def _sizes_of(part: pd.DataFrame) -> dict[str, float]:
+    """Return how many routes, pairs of places and cities a part of a table holds."""
+    return {
+        "routes": len(part),
+        "pairs": part.groupby(["city", "instance"]).ngroups,
+        "cities": part.city.nunique(),
+    }
 
 
 def shares_table(routes: pd.DataFrame) -> pd.DataFrame:
@@ -189,18 +195,19 @@ def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
     rows = []
     for (outcome, name), part in shares.groupby(["outcome", "weight_name"], sort=False):
         for kind in ("first", "total"):
-            known = part[part[kind].notna()].reset_index(drop=True)
+            known = part[part[kind].notna()]
             share = pairs_of(known).interval(known[kind])
-            row = {
-                "outcome": outcome,
-                "weight_name": name,
-                "kind": kind,
-                "routes": len(known),
-                **named("share", share),
-                "own_ci": known[f"{kind}_ci"].median(),
-                "verdict": _verdict(share, len(known)),
-            }
-            rows.append(row)
+            rows.append(
+                {
+                    "outcome": outcome,
+                    "weight_name": name,
+                    "kind": kind,
+                    "routes": len(known),
+                    **named("share", share),
+                    "own_ci": known[f"{kind}_ci"].median(),
+                    "verdict": _verdict(share, len(known)),
+                }
+            )
     table = pd.DataFrame(rows)
     is_unresolved = table.verdict == UNRESOLVED
     for name in ("share", "share_high"):
@@ -226,29 +233,22 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
     Of parameters so for each ``parameter`` and ``factor``. Of heights all draws together, draws and routes being drawn
     both. Columns are means of those of `jaxurban.studies.weights.routes.OnPerturbedMaps`.
     """
-    changed = changed[changed.status.isin(HAS_PATH)]
+    changed = changed[changed.status.isin(HAS_PATH)].assign(**{ALL: ALL})
     kinds = [name for name in ("parameter", "factor") if name in changed]
     by_kind = changed.groupby(kinds, sort=False) if kinds else [((), changed)]
     rows = []
     for kind, of_kind in by_kind:
         head = dict(zip(kinds, kind, strict=True))
-        rows.append(head | {"cut": ALL, "of": ALL} | _changes_of(of_kind))
-        for cut in ("city", "altitude_m"):
+        for cut in (ALL, "city", "altitude_m"):
             for value, part in of_kind.groupby(cut, sort=False):
                 rows.append(head | {"cut": cut, "of": _text_of(value)} | _changes_of(part))
     return pd.DataFrame(rows)
 
 
-def _changes_of(part: pd.DataFrame) -> dict[str, Any]:
-    """Return how many routes a part of a table of changed maps holds, and their statistics with intervals."""
+def _changes_of(part: pd.DataFrame) -> dict[str, float]:
+    """Return how many routes a part of a table of changed maps holds, and its statistics with their intervals."""
+    row = _sizes_of(part)
     clusters = pairs_of(part)
-    num_cities = part.city.nunique()
-    row: dict[str, Any] = {
-        "routes": len(part),
-        # `num_groups` is one less for each city but the first.
-        "pairs": clusters.num_groups + num_cities - 1,
-        "cities": num_cities,
-    }
     if "draw" in part:
         clusters = clusters.crossed(Clusters(part.draw, seed=1))
         row["draws"] = part.draw.nunique()
