@@ -425,7 +425,8 @@ class _OnStderr(logging.Handler):
 @contextmanager
 def logged_on_stderr() -> Iterator[None]:
     """Show the package's log on stderr."""
-    handler, level = _OnStderr(), LOG.level
+    handler = _OnStderr()
+    level = LOG.level
     LOG.addHandler(handler)
     LOG.setLevel(logging.INFO)
     try:

@@ -90,12 +90,10 @@ def _set_up_libraries() -> None:
     gc.set_threshold(10_000, 10, 10)
     atexit.register(gc.freeze)
     os.environ["MPLBACKEND"] = "agg"  # pictures go to files, whatever is set for windows
-    os.environ.setdefault(
-        "GDAL_CACHEMAX", "64"
-    )  # MiB; its own way takes a twentieth of the machine's
-    os.environ.setdefault(
-        "XLA_PYTHON_CLIENT_PREALLOCATE", "false"
-    )  # JAX's own way takes three quarters at once
+    # MiB; its own way takes a twentieth of the machine's.
+    os.environ.setdefault("GDAL_CACHEMAX", "64")
+    # JAX's own way takes three quarters at once.
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -340,9 +340,11 @@ def _write_departures(
     for sentence in departures.cautions:
         LOG.info(sentence)
     facts = {name: fact for name, fact in departures.facts.items() if fact}
-    code, message = ExitCode.DONE, ""
+    code = ExitCode.DONE
+    message = ""
     if departures.best is None:
-        code, message = ExitCode.NO_PATH, facts["times without a path"]
+        code = ExitCode.NO_PATH
+        message = facts["times without a path"]
     if as_json:
         all_facts = {
             "best": departures.best,
@@ -398,7 +400,8 @@ def _write(
             sentence = f"{sentence} (an older one is still there)"
         LOG.info(sentence)
         return
-    suffix, notes = file.suffix.lower(), []
+    suffix = file.suffix.lower()
+    notes = []
     if suffix in WAYPOINTS and outputs.simplify_m is None:
         former_note = planned.search.note
         planned = simplify(planned, costs, costs.grid.resolution_m / 2)

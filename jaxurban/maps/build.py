@@ -138,7 +138,8 @@ def check_region(city: City, region: Grid, is_own: bool = False) -> None:
         raise InputError(
             f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS"
         )
-    box, known_box = shapely.box(*region.bounds_m), shapely.box(*city.known_extent_m)
+    box = shapely.box(*region.bounds_m)
+    known_box = shapely.box(*city.known_extent_m)
     if not is_own and not shapely.intersects(box, known_box):
         raise InputError(
             "the region and the city do not meet: check the bounds (west, south, east, north)"
@@ -151,7 +152,8 @@ def region_of(city: City, bounds: Sequence[float] | None, resolution_m: float) -
     if bounds is not None:
         return Grid.from_bounds(bounds, resolution_m, city.crs)
     west, south, east, north = np.array(city.extent_m) / resolution_m
-    first_row, first_col = math.floor(south + 1e-6), math.floor(west + 1e-6)
+    first_row = math.floor(south + 1e-6)
+    first_col = math.floor(west + 1e-6)
     end_row, end_col = math.ceil(north - 1e-6), math.ceil(east - 1e-6)
     size = end_row - first_row, end_col - first_col
     return Grid(city.crs, resolution_m, first_row, first_col, *size)
@@ -267,7 +269,8 @@ def inputs_of(task: MapTask) -> MapInputs:
             f"the maps as one function hold no {' and no '.join(untraced)}: leave it out, or make the maps with "
             "build_maps"
         )
-    surface, blocks = task.surface().of_jax(), task.city.blocks
+    surface = task.surface().of_jax()
+    blocks = task.city.blocks
     ready: dict[str, Any] = {}
     settings: dict[str, Any] = {}
     fixed: dict[str, Any] = {}

@@ -28,9 +28,8 @@ from jaxurban.settings import SLABS, TO_GROUND
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
-CELLS_STEP = (
-    256  # visited cells are filled up to a multiple of it, so that programs meet few shapes
-)
+# Visited cells are filled up to a multiple of it, so that programs meet few shapes.
+CELLS_STEP = 256
 
 
 @jax.tree_util.register_dataclass
@@ -368,7 +367,9 @@ def soften(
         raise InputError(
             f"time_index must be 0 to {task.num_times - 1}, one of the sky's times, got {time_index}"
         )
-    city, params, in_view = task.city, task.params, task.in_view(time_index)
+    city = task.city
+    params = task.params
+    in_view = task.in_view(time_index)
     building = building_index(city, task.with_margin(), params.heights.all_touched)
     assert city.buildings is not None
     surface = task.surface().of_jax()

@@ -55,7 +55,8 @@ def tile_graph(job: TileJob, call: Callable[..., Any]) -> list[Delayed]:
       job: the job.
       call: calls ``raster_tile``, ``sweep_tile`` or ``finish_tile`` with the job and further arguments.
     """
-    tiling, sweeps = job.tiling, dict[tuple[Tile, Quadrant], Delayed]()
+    tiling = job.tiling
+    sweeps = dict[tuple[Tile, Quadrant], Delayed]()
 
     def task(function: Callable, name: str, *arguments: Any, after: list[Delayed]) -> Delayed:
         key = f"{function.__name__}-{name}"

@@ -59,11 +59,13 @@ def _group_levels(root: Path) -> Iterator[tuple[Path, str]]:
                 names["cgroup"] = name
     for line in mounts:
         before, _, after = line.partition(" - ")
-        kind, fields = after.split(" ")[0], before.split()
+        kind = after.split(" ")[0]
+        fields = before.split()
         if kind not in names or len(fields) < 5:
             continue
         top, place = map(_unescaped, fields[3:5])
-        group, mounted = PurePosixPath(names[kind]), root / place.lstrip("/")
+        group = PurePosixPath(names[kind])
+        mounted = root / place.lstrip("/")
         within = PurePosixPath()
         if group.is_relative_to(top) and ".." not in group.parts:
             within = group.relative_to(top)

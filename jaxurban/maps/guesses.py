@@ -113,7 +113,8 @@ def _boxes_asked(city: City, buildings: Footprints, region: Grid) -> list[shapel
 
     Such bounds are rounded, stand askew in the CRS and are snapped to cells: they reach a little beyond the walls.
     """
-    parts, boxes = shapely.get_parts(city.known_area), []
+    parts = shapely.get_parts(city.known_area)
+    boxes = []
     for part in parts[shapely.intersects(parts, shapely.box(*region.bounds_m))]:
         own = buildings.polygons[shapely.intersects(buildings.polygons, part)]
         if len(own):
@@ -178,7 +179,8 @@ def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tup
     Of cells: those with any such ray. Of visibilities: a cell, a satellite, a time each. Rays start at cells' centres,
     evenly spread: all of them, or as many as make `MOST_RAYS`.
     """
-    azimuth_rad, elevation_rad = sky.azimuth_rad[sky.is_in_view], sky.elevation_rad[sky.is_in_view]
+    azimuth_rad = sky.azimuth_rad[sky.is_in_view]
+    elevation_rad = sky.elevation_rad[sky.is_in_view]
     num_rays = region.num_rows * region.num_cols * max(len(azimuth_rad), 1)
     stride = math.ceil(math.sqrt(num_rays / MOST_RAYS))
     first_row, first_col = np.minimum(stride, region.shape) // 2

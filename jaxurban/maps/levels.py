@@ -61,11 +61,13 @@ class Levels:
           >>> ju.Levels(level_step_m=15.0).of(maps.altitudes_m).tolist()
           [20.0, 35.0, 50.0, 60.0]
         """
-        known_m, step_m = np.array(sorted(altitudes_m)), self.level_step_m
+        known_m = np.array(sorted(altitudes_m))
+        step_m = self.level_step_m
         lowest = known_m[0] if self.min_altitude_m is None else self.min_altitude_m
         highest = known_m[-1] if self.max_altitude_m is None else self.max_altitude_m
         inside = known_m[(known_m >= lowest) & (known_m <= highest)]
-        low, high = max(lowest, known_m[0]), min(highest, known_m[-1])
+        low = max(lowest, known_m[0])
+        high = min(highest, known_m[-1])
         if low > high or (step_m is None and inside.size == 0):
             raise InputError(
                 f"the maps hold no altitude from {lowest:g} to {highest:g} m, only {listed_m(known_m)} m: change "
@@ -78,7 +80,8 @@ class Levels:
             raise InputError(
                 f"level_step_m {step_m:g} makes more than {MOST_LEVELS} levels: choose a longer step"
             )
-        fixed, steps = np.unique([low, *inside, high]), np.arange(low, high, step_m)
+        fixed = np.unique([low, *inside, high])
+        steps = np.arange(low, high, step_m)
         is_new = np.abs(fixed - steps[:, None]).min(axis=1) > SAME_M
         return np.sort(np.concatenate([fixed, steps[is_new]]))
 

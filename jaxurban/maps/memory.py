@@ -103,7 +103,8 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
       tile: a part of its region, or all of it.
       around: what is rasterised for it; left out, the halo of a tile that its neighbours hand shadows on to.
     """
-    params, cells = task.params, _num_cells(tile)
+    params = task.params
+    cells = _num_cells(tile)
     num_altitudes = len(params.altitudes_m)
     num_rasters = task.has_terrain + (task.city.hanging == SLABS)
     surface_bytes = SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * num_rasters
@@ -156,7 +157,8 @@ def _num_cells(grid: Grid, halo: int = 0) -> int:
 
 def check_fits(task: MapTask) -> None:
     """Raise InputError where the maps of a region take more memory than is free, made at once as `build_maps` does."""
-    region, free = task.region, free_bytes()
+    region = task.region
+    free = free_bytes()
     work = tile_bytes(task, region, task.with_margin())
     needed = COMPILING_BYTES + PROGRAM_BYTES + work + maps_bytes(task)
     if needed > free:
@@ -188,7 +190,8 @@ def plan_run(
     """
     tile_most, gpu_most, num_tiles = 0, 0, 1
     for task in tasks:
-        region, (num_rows, num_cols) = task.region, shape_of_tiles(task)
+        region = task.region
+        num_rows, num_cols = shape_of_tiles(task)
         tile = replace(region, num_rows=num_rows, num_cols=num_cols)
         num_of_task = -(-region.num_rows // num_rows) * -(-region.num_cols // num_cols)
         geotiff_bytes = num_rows * region.num_cols * GEOTIFF_CELL_BYTES
@@ -204,7 +207,8 @@ def plan_run(
                 "uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
             )
         num_workers = min(num_workers, on_gpu // gpu_most)
-    own, least = psutil.Process().memory_info().rss, num_processes or 1
+    own = psutil.Process().memory_info().rss
+    least = num_processes or 1
     ceiling = ceiling_bytes or int(own + DEFAULT_SHARE * free_bytes())
     base = own + len(tasks) * PROGRAM_BYTES * least
     base += num_processes * WORKER_BYTES or COMPILING_BYTES

@@ -34,12 +34,8 @@ REPORTED_VERSIONS = (
     *("jaxurban", "jax", "jaxlib", "numpy", "osmium", "pyproj"),
     *("rasterio", "shapely", "skyfield", "xarray", "zarr"),
 )
-NOT_OF_MAPS = (
-    "weights",
-    "planning",
-    "vehicle",
-    "study",
-)  # sections of the scenario that no map depends on
+# Sections of the scenario that no map depends on.
+NOT_OF_MAPS = ("weights", "planning", "vehicle", "study")
 MOST_SAID, NOT_SET = 6, "not set"  # of differing settings in one sentence
 MAP_FOLDERS = ("kernels", "world", "metrics", "io", "maps")  # of the package: what maps depend on
 
@@ -56,7 +52,9 @@ def run_record(
     messages: Sequence[str],
 ) -> dict[str, Any]:
     """Return what run.json holds; the arguments are what `run_scenario` worked with, a task for each resolution."""
-    city, region, sky = tasks[0].city, tasks[0].region, tasks[-1].sky
+    city = tasks[0].city
+    region = tasks[0].region
+    sky = tasks[-1].sky
     leaving = {
         short_number(z): leaving_shares(city, region, sky, z) for z in scenario.region.altitudes_m
     }
@@ -232,7 +230,9 @@ def other_maps(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[st
     """Return how the maps under a folder differ from a scenario: by their record in settings, files, versions."""
     try:
         record = read_json(folder / RUN_FILE)
-        settings, files, made_by = record["settings"], record["inputs"], record["versions"]
+        settings = record["settings"]
+        files = record["inputs"]
+        made_by = record["versions"]
     except (OSError, ValueError, LookupError):
         return "maps of other settings or inputs, or made by another version of jaxurban or its libraries"
     words = []
@@ -268,7 +268,8 @@ def _building_record(city: City, region: Grid) -> dict[str, Any]:
         return record | {"height_origin_shares": {"raster": 1.0}, "highest_m": highest_m}
     box = shapely.box(*region.bounds_m)
     inside = city.buildings.take(shapely.intersects(city.buildings.polygons, box))
-    counts, num = inside.origin_counts(), max(len(inside), 1)
+    counts = inside.origin_counts()
+    num = max(len(inside), 1)
     return record | {
         "in_region": len(inside),
         "height_origin_counts": counts,

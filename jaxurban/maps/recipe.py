@@ -143,7 +143,8 @@ def _bounds(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
 def _bound(
     tile: TileScene, metric: Metric, name: str, city: City, is_lower: bool
 ) -> Iterator[MapLayer]:
-    task, params = tile.task, tile.task.params
+    task = tile.task
+    params = tile.task.params
     fine = replace(tile.finer(city, all_touched=is_lower), slabs=None)
     for t in range(task.num_times):
         angles = task.in_view(t).angles
@@ -164,7 +165,9 @@ def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
     samples with an obstacle; in those m is 0. Time: that of the plain maps per sample; memory: about ten arrays of
     a metric's size.
     """
-    task, region, heights = tile.task, tile.surface.region, tile.task.params.heights
+    task = tile.task
+    region = tile.surface.region
+    heights = tile.task.params.heights
     bare = replace(task.city, blocks=None)
     draws = bare, heights.height_std_m, heights.height_samples, heights.height_seed
     grid = task.with_margin(region, max(map(highest_top_m, perturbed_cities(*draws))))

@@ -140,7 +140,8 @@ def run_scenario(
       InputError: bad settings or sources, too little memory or disk, a layer that the maps would not hold, or a folder
         that holds another job's maps.
     """
-    started_utc, backend = datetime.now(UTC).isoformat(timespec="seconds"), jax.default_backend()
+    started_utc = datetime.now(UTC).isoformat(timespec="seconds")
+    backend = jax.default_backend()
     with reporting("maps", progress) as report, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         pass_over_unreadable()
@@ -257,7 +258,8 @@ def _maps_of(
     run: RunContext, workspace: Workspace, watch: Stopwatch, report: Report
 ) -> tuple[MetricMaps, bool]:
     """Return the maps at one resolution, and whether they were made: those on disk are kept if whole and this job's."""
-    folder, resolution_m = run.folder, run.task.region.resolution_m
+    folder = run.folder
+    resolution_m = run.task.region.resolution_m
     path = store.zarr_path(folder, resolution_m)
     with watch.stage("verify"):
         files = [folder / name for name in workspace.written if path in (folder / name).parents]
@@ -307,7 +309,8 @@ def make_zarr(
     Raises:
       InputError: rasters without data in the region, or workers that are killed again and again.
     """
-    task, grid = run.task, run.task.region
+    task = run.task
+    grid = run.task.region
     warn_of_jax(task.params.engine)
     shape = shape or shape_of_tiles(task)
     tiling = Tiling.over(grid, task.with_margin(), shape)
@@ -325,7 +328,8 @@ def make_zarr(
         work.mark_zarr()
     seconds: dict[str, float] = {}
     totals: dict[str, TimeTotals] = {}
-    num_done, stage = 0, f"tiles of {store.short_number(grid.resolution_m)} m"
+    num_done = 0
+    stage = f"tiles of {store.short_number(grid.resolution_m)} m"
     report(stage, num_done, len(tiling.region_tiles))
 
     def take(found: dict[str, Any]) -> None:

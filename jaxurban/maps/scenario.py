@@ -43,9 +43,8 @@ from jaxurban.world.grid import Bounds, check_bounds, projected_crs
 
 SYNTHETIC = "synthetic"
 MOST_INSTANCES = 1_000_000
-MOST_EMPTY_CELLS = (
-    50_000_000  # of a region most of which is empty and that nobody asked for: 35 x 35 km of 5 m
-)
+# Of a region most of which is empty and that nobody asked for: 35 x 35 km of 5 m.
+MOST_EMPTY_CELLS = 50_000_000
 PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
 RENAMED_KEYS: dict[str, str] = {}  # present ones of a section by former ones, as "section.key"
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
@@ -413,7 +412,8 @@ def _with_bounds(
     settings: Mapping[str, Any], folder: Path
 ) -> tuple[Mapping[str, Any], Bounds | None]:
     """Return settings with the bounds that the file of buildings covers, and these, where they give none."""
-    region, buildings = settings.get("region", {}), settings.get("buildings")
+    region = settings.get("region", {})
+    buildings = settings.get("buildings")
     source = buildings.get("source") if isinstance(buildings, Mapping) else None
     if not isinstance(source, str) or source == SYNTHETIC:
         return settings, None

@@ -78,7 +78,8 @@ class TileScene:
     def words(self, time_index: int) -> np.ndarray:
         """Return the visibility words ``[W, A, y, x]`` of a time; keeps the last."""
         if time_index not in self._words:
-            in_view, params = self.task.in_view(time_index), self.task.params
+            in_view = self.task.in_view(time_index)
+            params = self.task.params
             rings = None
             if self.rings is not None and self.supersampled is None:
                 rings = [self.rings[time_index, int(s)] for s in in_view.numbers]
@@ -104,7 +105,8 @@ class TileScene:
     def at(self, metric: Metric, place: tuple[int, ...], only_m: bool = False) -> Scene:
         """Return what a metric may use at one place along its dims; ``only_m``: for m and nothing else."""
         index = dict(zip(metric.dims, place, strict=True))
-        task, params = self.task, self.task.params
+        task = self.task
+        params = self.task.params
         scene = Scene(
             self.surface, oversample=params.oversample, only_m=only_m, engine=params.engine
         )

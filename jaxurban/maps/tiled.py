@@ -29,9 +29,8 @@ from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Slabs, Surface
 
 Tile = tuple[int, int]  # row and column of a tile in its tiling, the southwest one first
-Quadrant = tuple[
-    int, int
-]  # 1 or -1 each: the source stands in the north (1) or south, in the east (1) or west
+# 1 or -1 each: the source stands in the north (1) or south, in the east (1) or west.
+Quadrant = tuple[int, int]
 QUADRANTS: dict[Quadrant, str] = {(1, 1): "ne", (1, -1): "nw", (-1, 1): "se", (-1, -1): "sw"}
 
 
@@ -52,7 +51,8 @@ def _spans(size: int, side: int, low: int, high: int) -> tuple[list[int], int, i
         return [-(-margin // num)] * num if num else []
 
     num_inner = -(-size // side)
-    before, after = outer(low), outer(max(0, high - (num_inner * side - size)))
+    before = outer(low)
+    after = outer(max(0, high - (num_inner * side - size)))
     return [*before, *[side] * num_inner, *after], len(before), num_inner
 
 
@@ -132,7 +132,8 @@ class Tiling:
     def reported(self, tile: Tile) -> tuple[slice, slice]:
         """Return the rows and columns of the region that a tile of the region reports: its last rows, first columns."""
         grid = self.grid_of(tile)
-        row, col = grid.first_row - self.region.first_row, grid.first_col - self.region.first_col
+        row = grid.first_row - self.region.first_row
+        col = grid.first_col - self.region.first_col
         end_col = min(col + grid.num_cols, self.region.num_cols)
         return slice(max(row, 0), row + grid.num_rows), slice(col, end_col)
 
@@ -154,7 +155,8 @@ class Tiling:
 
     def hands_on(self, tile: Tile, quadrant: Quadrant) -> bool:
         """Return whether shadows of a source in ``quadrant`` cross a tile on their way to another one of the region."""
-        first, toward = np.array(self.first), np.array(quadrant)
+        first = np.array(self.first)
+        toward = np.array(quadrant)
         end = np.where(toward > 0, first, first + self.counts - 1)
         from_end = (tile - end) * toward
         return bool(from_end.any() and (from_end >= 0).all())
@@ -213,7 +215,9 @@ RASTERS = ("roof_m", "terrain_m", "has_data", "roof_guessed")  # of a `Surface`,
 
 def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     """Rasterise a tile and return the ``seconds`` it took by stage."""
-    watch, name, city = Stopwatch(), _name("raster", *tile), job.task.city
+    watch = Stopwatch()
+    name = _name("raster", *tile)
+    city = job.task.city
     if job.work.done(name) is None:
         with watch.stage("surface"):
             grid = job.tiling.grid_of(tile)
@@ -235,7 +239,9 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
 
     What is kept are the row and the column, of every satellite, that the next tiles' rings take up.
     """
-    watch, name, sky = Stopwatch(), _name("shadows", *tile, QUADRANTS[quadrant]), job.task.sky
+    watch = Stopwatch()
+    name = _name("shadows", *tile, QUADRANTS[quadrant])
+    sky = job.task.sky
     if job.work.done(name) is None:
         with watch.stage("gps"):
             grid = job.tiling.grid_of(tile)
@@ -319,7 +325,8 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
         rasters["terrain_m"] = np.zeros(grid.shape, np.float32)
     for near in job.tiling.touching(grid):
         other = job.tiling.grid_of(near)
-        row, col = other.first_row - grid.first_row, other.first_col - grid.first_col
+        row = other.first_row - grid.first_row
+        col = other.first_col - grid.first_col
         target = slice(max(row, 0), row + other.num_rows), slice(max(col, 0), col + other.num_cols)
         source = slice(max(-row, 0), grid.num_rows - row), slice(max(-col, 0), grid.num_cols - col)
         for key, values in job.work.load_arrays(_name("raster", *near), *rasters).items():

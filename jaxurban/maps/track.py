@@ -51,7 +51,8 @@ class Track:
         Raises:
           InputError: a place outside the grid.
         """
-        lon_deg, lat_deg = log.epochs[LON].to_numpy(), log.epochs[LAT].to_numpy()
+        lon_deg = log.epochs[LON].to_numpy()
+        lat_deg = log.epochs[LAT].to_numpy()
         x_m, y_m = grid.xy_of_lonlat(lon_deg, lat_deg)
         is_inside = grid.contains_xy(x_m, y_m)
         if not is_inside.all():
@@ -131,7 +132,8 @@ def quality_along(task: MapTask, sky: np.ndarray, is_seen: np.ndarray) -> dict[s
     """
     values = {name: np.full(len(sky), np.nan) for name in ("gps", *DOPS, NUM_VISIBLE)}
     for number in np.unique(sky):
-        epochs, in_view = np.flatnonzero(sky == number), task.in_view(number)
+        epochs = np.flatnonzero(sky == number)
+        in_view = task.in_view(number)
         bits = is_seen[np.ix_(epochs, in_view.numbers)].T
         words = np.zeros((max(1, -(-len(bits) // WORD_BITS)), len(epochs)), np.uint32)
         for k, bit in enumerate(bits):
@@ -147,13 +149,15 @@ def quality_along(task: MapTask, sky: np.ndarray, is_seen: np.ndarray) -> dict[s
 def _legs(track: Track) -> Iterator[list[int]]:
     """Yield runs of skies whose places lie in one box that is not too large; one sky at least."""
     leg: list[int] = []
-    low, high = np.array([np.inf, np.inf]), np.array([-np.inf, -np.inf])
+    low = np.array([np.inf, np.inf])
+    high = np.array([-np.inf, -np.inf])
     for number in range(len(track.sky_times)):
         cells = np.stack([track.row, track.col])[:, track.sky == number]
         joined = np.minimum(low, cells.min(axis=1)), np.maximum(high, cells.max(axis=1))
         if leg and np.prod(joined[1] - joined[0] + 1) > LEG_CELLS:
             yield leg
-            leg, joined = [], (cells.min(axis=1), cells.max(axis=1))
+            leg = []
+            joined = (cells.min(axis=1), cells.max(axis=1))
         low, high = joined
         leg.append(number)
     yield leg
@@ -161,7 +165,8 @@ def _legs(track: Track) -> Iterator[list[int]]:
 
 def _box(region: Grid, row: np.ndarray, col: np.ndarray) -> Grid:
     """Return the part of a region that holds cells."""
-    east, north = col.max() + 1 - region.num_cols, row.max() + 1 - region.num_rows
+    east = col.max() + 1 - region.num_cols
+    north = row.max() + 1 - region.num_rows
     return region.padded(-int(col.min()), -int(row.min()), int(east), int(north))
 
 

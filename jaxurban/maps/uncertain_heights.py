@@ -86,9 +86,11 @@ class Spread:
     def results(self) -> dict[str, np.ndarray]:
         """Return ``mean``, ``std`` (of the sample, n - 1), ``p05`` and ``p95`` (linear between samples)."""
         last = self.kept - 1
-        low, low_next = self.lowest[self.below], self.lowest[min(self.below + 1, last)]
+        low = self.lowest[self.below]
+        low_next = self.lowest[min(self.below + 1, last)]
         above = last - self.below
-        high, high_next = self.highest[above], self.highest[max(above - 1, 0)]
+        high = self.highest[above]
+        high_next = self.highest[max(above - 1, 0)]
         return {
             "mean": self.mean,
             "std": np.sqrt(self.squares / max(self.count - 1, 1)),

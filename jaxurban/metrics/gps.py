@@ -189,17 +189,11 @@ class Gps:
         return self.series == "epochs" or (self.series == "auto" and num_times <= MAX_STORED_TIMES)
 
 
-RATING_UPPER_GDOP = (
-    1.0,
-    4.0,
-    6.0,
-    8.0,
-    20.0,
-)  # the paper's table of DOP ratings, Poor above the last
+# The paper's table of DOP ratings, Poor above the last.
+RATING_UPPER_GDOP = (1.0, 4.0, 6.0, 8.0, 20.0)
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
-BLOCK_CELLS = (
-    2**11
-)  # cells whose DOPs are made at once, by one core: what they need in between fits its cache
+# Cells whose DOPs are made at once, by one core: what they need in between fits its cache.
+BLOCK_CELLS = 2**11
 WIDE_BLOCK_CELLS = 2**22  # the same on a GPU, which has a launch for every block
 
 

@@ -18,9 +18,8 @@ from jaxurban.metrics.settings import check_softness
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.world.surface import Surface, soft_obstacle
 
-SOFT_BLOCK_CELLS = (
-    2**12
-)  # made at once: half as many are faster on a CPU, and a third more launches on a GPU
+# Made at once: half as many are faster on a CPU, and a third more launches on a GPU.
+SOFT_BLOCK_CELLS = 2**12
 
 
 def gps_metric(gdop: Float[AnyArray, "*C"], gdop_threshold: float | Array) -> Float[Array, "*C"]:

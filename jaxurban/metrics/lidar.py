@@ -167,7 +167,8 @@ def beam_heights(
       params: the lidar.
       surface: whose cells and type of roofs count, and whether there is terrain.
     """
-    resolution_m, range_m = surface.grid.resolution_m, params.range_m
+    resolution_m = surface.grid.resolution_m
+    range_m = params.range_m
     steps = _num_steps(params, resolution_m)
     heights_m = kernel.lowest_heights(
         np.asarray(altitudes_m, float), params.elevations_rad, resolution_m, range_m, steps
@@ -205,14 +206,16 @@ def _by_numba(
     is_obstacle: Bool[AnyArray, "A y x"],
 ) -> Float[AnyArray, "A y x"]:
     """Return m_lidar over terrain, from every ``oversample``-th cell of the region both ways."""
-    steps, n = kernel.num_steps(surface.grid.resolution_m, params.range_m), oversample
+    steps = kernel.num_steps(surface.grid.resolution_m, params.range_m)
+    n = oversample
     halo = kernel.halo_cells(steps, n)
 
     def phases(values: AnyArray | None) -> Any:
         return kernel.phases(surface.part(np.asarray(values), halo * n), n)
 
     roof_m, terrain_m = phases(surface.roof_m), phases(surface.terrain_m)
-    starts, beams_m = _starts(params.azimuths, steps, n, halo), np.asarray(heights_m)[:, :steps]
+    starts = _starts(params.azimuths, steps, n, halo)
+    beams_m = np.asarray(heights_m)[:, :steps]
     counts = count_on_terrain_on_host(roof_m, terrain_m, beams_m, starts, halo, _receiver_phase(n))
     number = roof_m.dtype.type
     share = counts * (number(1) / number(params.azimuths))  # XLA makes a product of a division
@@ -227,7 +230,8 @@ def _by_jax(
     oversample: int,
 ) -> Float[AnyArray, "A y x"]:
     """Return m_lidar from every ``oversample``-th cell of the region both ways, as `_lidar`."""
-    resolution_m, n = surface.grid.resolution_m, oversample
+    resolution_m = surface.grid.resolution_m
+    n = oversample
     halo = halo_cells(params, resolution_m * n, n)
     reach = kernel.halo_cells(kernel.num_steps(resolution_m, params.range_m), n)
     starts = _starts(params.azimuths, heights_m.shape[1], n, halo)
@@ -385,7 +389,8 @@ def soft_lidar(
 
 
 def _map(scene: Scene, params: Lidar) -> dict[str, AnyArray]:
-    altitudes_m, engine = [scene.altitude_m], scene.engine
+    altitudes_m = [scene.altitude_m]
+    engine = scene.engine
     if scene.supersampled is None:
         return {"lidar": np.asarray(compute_lidar(scene.surface, altitudes_m, params, engine))[0]}
     is_obstacle = scene.is_obstacle[None]

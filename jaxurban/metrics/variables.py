@@ -13,11 +13,8 @@ FREE_COLOUR, BUILT_COLOUR = "#f4f4ee", "#4a4a4a"
 GUESSED_COLOUR, NO_DATA_COLOUR = "#d55e00", "#bdbdbd"
 CAVEAT = "comment"  # attribute: what whoever reads the values must know; the name is that of the CF conventions
 NEEDED = ("obstacle", "has_data")  # without these maps it is not a folder of maps
-SERIES = (
-    "availability",
-    "median",
-    "p05",
-)  # what is kept of a long series, behind the metric's name
+# What is kept of a long series, behind the metric's name.
+SERIES = ("availability", "median", "p05")
 _roof = partial(Variable, unit="m", scale=Scale(high=None, stretch="sqrt", zero="no building"))
 
 AUXILIARY_VARIABLES = {
@@ -85,7 +82,8 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
     always = f"m_{own.name} is above the threshold"
     if metric.available:
         condition = metric.variables[metric.available].long_name
-        share, always = f"with {condition}", f"{condition},"
+        share = f"with {condition}"
+        always = f"{condition},"
     uncertain = "over uncertain heights"
     series = {  # what it is, and what 1 means
         "availability": (f"share of times {share}", f"{always} at every epoch"),
@@ -136,9 +134,8 @@ def no_value(dtype: np.dtype) -> Any:
 
 LOW_SHARE = 0.05  # of the times: the percentile kept beside the median
 CELLS_AT_ONCE = 2**13  # a block's values at all times stay in a core's cache
-SCALE = (
-    2.0**14
-)  # means over cells add up whole numbers of 1 / SCALE, so that no order of tiles changes them
+# Means over cells add up whole numbers of 1 / SCALE, so that no order of tiles changes them.
+SCALE = 2.0**14
 
 
 def series_statistics(
@@ -174,7 +171,8 @@ def _quantile(ordered: np.ndarray, share: float) -> np.ndarray:
     """Return a quantile of each row of ``[C, T]`` ascending values."""
     place = share * (ordered.shape[1] - 1)
     below = int(place)
-    low, high = ordered[:, below], ordered[:, min(below + 1, ordered.shape[1] - 1)]
+    low = ordered[:, below]
+    high = ordered[:, min(below + 1, ordered.shape[1] - 1)]
     return low + np.float32(place - below) * (high - low)
 
 

@@ -83,7 +83,8 @@ class SkyView(NamedTuple):
         angles = np.array([azimuth_rad, elevation_rad], float).reshape(2, -1)
         dtype = np.dtype(surface.roof_m.dtype).type
         satellites = geometry(unit_vectors(*angles), dtype, multiple_of, clocks)
-        num, grid = angles.shape[1], surface.grid
+        num = angles.shape[1]
+        grid = surface.grid
         filled = np.zeros((2, len(satellites.rows)))
         filled[:, :num] = angles
         place = grid.resolution_m, grid.first_row, grid.first_col, grid.shape
@@ -139,12 +140,17 @@ def visibility(
         ``n // 2`` on. With an odd n they hold the centres of the map's cells; with an even one, whose centres are
         corners of four cells, they lie half a cell northeast of them.
     """
-    azimuth, elevation = np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float)
+    azimuth = np.asarray(azimuth_rad, float)
+    elevation = np.asarray(elevation_rad, float)
     rows, cols = surface.window
-    top_m, grid, ring = np.asarray(surface.top_m), surface.grid, None
+    top_m = np.asarray(surface.top_m)
+    grid = surface.grid
+    ring = None
     first_cell = rows.start, cols.start
     if rings is not None:
-        top_m, grid, first_cell = top_m[rows, cols], surface.region, (0, 0)
+        top_m = top_m[rows, cols]
+        grid = surface.region
+        first_cell = (0, 0)
         ring = Ring(*(np.stack(values) for values in zip(*rings, strict=True)))
     words, receivers = _receivers(surface, altitudes_m, first_cell, len(azimuth), every)
     blocks.mark_visible(words, top_m, receivers, ringed_lines(grid, azimuth, elevation), ring)

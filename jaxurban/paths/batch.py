@@ -202,7 +202,8 @@ class _Results:
         self, k: int, status: str, message: str, path: PlannedPath | None = None, key: str = ""
     ) -> int:
         """Note a result, keep it in the file, and return the query's number."""
-        self.rows[k], self.paths[k] = row_of(k, self.queries[k], status, message, path, key), path
+        self.rows[k] = row_of(k, self.queries[k], status, message, path, key)
+        self.paths[k] = path
         self.counts["paths" if path is not None and path.status.has_path else "none"] += 1
         if self._store is not None:
             self._store.add([self.rows[k]])
@@ -259,7 +260,8 @@ def _done(
             by_map.setdefault(map_key, []).append(k)
     waiting = list(by_map.items())
     while waiting:
-        groups, waiting = waiting[:most_maps], waiting[most_maps:]
+        groups = waiting[:most_maps]
+        waiting = waiting[most_maps:]
         located: list[tuple[int, str, CostMap, tuple[End, End]]] = []
         unsolved: list[int] = []  # by their numbers among those located
         for (*at, weights), numbers in groups:

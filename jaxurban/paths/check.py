@@ -15,9 +15,8 @@ from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.legs import Flight, Steps, spans
 from jaxurban.paths.profile import nearest_level_m
 
-LEVEL_M = (
-    0.02  # so near an altitude of the maps a step is at it: files round heights up to centimetres
-)
+# So near an altitude of the maps a step is at it: files round heights up to centimetres.
+LEVEL_M = 0.02
 ON_SITE = ("climb", "land")  # kinds of legs between the ground and the height of flight
 NO_DATA = "lie over cells without data"
 NO_CITY = "lie where the source of the buildings does not know what stands"
@@ -82,7 +81,9 @@ def _beyond(
     yield spans(steps.along_m[is_off], NO_CITY)
     kinds = np.array([leg.kind for leg in flight.mission.legs], object)[steps.leg]
     is_on_site = np.isin(kinds, ON_SITE) | (steps.over_m == 0)
-    z_m, low_m, high_m = steps.z_m.mean(axis=1), min(maps.altitudes_m), max(maps.altitudes_m)
+    z_m = steps.z_m.mean(axis=1)
+    low_m = min(maps.altitudes_m)
+    high_m = max(maps.altitudes_m)
     is_below = (z_m < low_m - GROUND_TOLERANCE_M) & ~is_on_site
     is_above = z_m > high_m + GROUND_TOLERANCE_M
     yield spans(steps.along_m[is_below], f"lie below the maps, which begin at {low_m:g} m")
@@ -126,10 +127,14 @@ def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> li
     around = merged(close.loc[close["gap_m"] <= 0, ["from_m", "to_m"]])
     place = np.searchsorted(around["from_m"] - TOUCH_M, close["from_m"], side="right") - 1
     close = close[close["to_m"] > np.append(around["to_m"] + TOUCH_M, -np.inf)[place]]
-    hits, over = merged(near[is_hit]), merged(close[close["gap_m"] > 0])
+    hits = merged(near[is_hit])
+    over = merged(close[close["gap_m"] > 0])
     beside = merged(close[close["gap_m"].isna()])
-    into_m, over_m, beside_m = -hits["gap_m"], over["gap_m"], beside["apart_m"]
-    above, aside = "passes {:.1f} m over or under a building", "passes {:.1f} m beside a building"
+    into_m = -hits["gap_m"]
+    over_m = over["gap_m"]
+    beside_m = beside["apart_m"]
+    above = "passes {:.1f} m over or under a building"
+    aside = "passes {:.1f} m beside a building"
     return [
         _described(hits, buildings, "flies up to {:.1f} m into a building", into_m),
         _described(over, buildings, above, over_m, limits.vertical_m),

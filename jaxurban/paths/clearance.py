@@ -18,9 +18,8 @@ from jaxurban.maps.metric_maps import MetricMaps
 # What a file may take from a clearance: 8 mm by the seventh decimal of a degree, and up to 35 mm where a program draws
 # a leg of 1 km straight in degrees instead of in the maps' CRS (length^2 / 8 R x tan of a latitude up to 60 degrees).
 FILE_MARGIN_M = 0.05
-MOST_LEG_MARGIN = (
-    0.49  # cell sides: steps between the centres of cells keep half a side from closed cells
-)
+# Cell sides: steps between the centres of cells keep half a side from closed cells.
+MOST_LEG_MARGIN = 0.49
 
 
 def obstacles_within(

@@ -312,7 +312,8 @@ class CostMap(FactsRepr):
         at: Any = place[:2]
         try:
             if isinstance(place, XY):
-                xy_m, cell = at, grid.cell_of_xy(*at)
+                xy_m = at
+                cell = grid.cell_of_xy(*at)
             else:
                 xy_m, cell = grid.xy_of_lonlat(*at), grid.cell_of_lonlat(*at)
         except InputError as error:

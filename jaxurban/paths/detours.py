@@ -52,7 +52,9 @@ def density_detours(
       >>> detours[["lowered_share", "extra_m"]].round(2).to_numpy().tolist()
       [[0.51, 327.7], [0.26, 16.57]]
     """
-    grid, reach_m, most = cost_map.grid, density.reach_m, density.density_per_km2
+    grid = cost_map.grid
+    reach_m = density.reach_m
+    most = density.density_per_km2
     times = [name or None for name in density.largest["time_of_day"].unique()]
     cells = cells_within(shapely.box(*grid.bounds_m), reach_m, density.settings["cell_m"], grid)
     people = [cost_map.maps.m("density", time_of_day=name) for name in times]
@@ -64,7 +66,8 @@ def density_detours(
     corners_m = planned.xy_m
     if cost_map.levels is not None:
         corners_m = np.column_stack([planned.xy_m, planned.z_m])
-    start, goal = XY(*corners_m[0]), XY(*corners_m[-1])
+    start = XY(*corners_m[0])
+    goal = XY(*corners_m[-1])
     nodes = [end.cell for end in cost_map.ends(start, goal)]
 
     def up_to(bound: float) -> CostMap:

@@ -243,7 +243,9 @@ def explain(
     if num_segments < 1:
         raise InputError(f"num_segments must be at least 1, got {num_segments}")
     positive("swath_m", swath_m)
-    cut, names, grid = cut_on(planned, maps), tuple(maps.metrics), maps.grid
+    cut = cut_on(planned, maps)
+    names = tuple(maps.metrics)
+    grid = maps.grid
     given = values_given({"speed_m_s": speed_m_s, "power_w": power_w})
     vehicle = replace(Vehicle.of(planned.settings), **given)
     profile = profile_of(planned, maps, cut, {name: name for name in names} | EXTRA_MAPS)
@@ -351,7 +353,9 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
     Raises:
       InputError: the maps lack a metric that the path was planned on.
     """
-    settings, levels, altitudes_m = planned.settings, None, np.array([planned.altitude_m])
+    settings = planned.settings
+    levels = None
+    altitudes_m = np.array([planned.altitude_m])
     if "levels_m" in settings:
         levels = Levels(
             climb_cost=settings.get("climb_cost"), descent_cost=settings.get("descent_cost", 0.0)

@@ -32,7 +32,9 @@ def values_on(
     NaN without a value, and more than `GROUND_TOLERANCE_M` beyond the altitudes.
     """
     read = partial(maps.m, name, time=time, time_of_day=time_of_day)
-    cell, z_m, levels_m = tuple(steps.cell.T), steps.z_m.mean(axis=1), maps.altitudes_m
+    cell = tuple(steps.cell.T)
+    z_m = steps.z_m.mean(axis=1)
+    levels_m = maps.altitudes_m
     if "altitude" not in maps.ds[maps.variable(name)].dims:
         return read()[cell].astype(float)
     nearest_m = nearest_level_m(z_m, levels_m)
@@ -96,7 +98,8 @@ def costs_of(
     ``cost_note`` says why one of them is not there. Both are costed at the mission's median height, within the maps'
     altitudes; climbs and landings are left out.
     """
-    grid, is_over = maps.grid, flight.steps.over_m > 0
+    grid = maps.grid
+    is_over = flight.steps.over_m > 0
     if not is_over.any():
         return {"cost_note": "No leg leads over the maps, so there is no cost."}
     median_m = np.nanmedian(flight.steps.z_m[is_over]).round(2)

@@ -29,9 +29,8 @@ class Ground:
     @property
     def cover_m(self) -> np.ndarray:
         """``[G]`` elevations that, joined by straight lines, are nowhere below the ground."""
-        cover_m = (
-            self.elevation_m.copy()
-        )  # a parabola that bulges up lies below its tangents, which meet in the middle
+        # A parabola that bulges up lies below its tangents, which meet in the middle.
+        cover_m = self.elevation_m.copy()
         cover_m[1::2] += np.maximum(cover_m[1::2] - (cover_m[:-1:2] + cover_m[2::2]) / 2, 0.0)
         return cover_m
 
@@ -44,18 +43,17 @@ def ground_along(points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> Gro
       terrain_m: ``[Y, X]`` elevation of the ground in each cell.
       grid: of ``terrain_m``.
     """
-    between_centres = crossed_cells(
-        points_m + grid.resolution_m / 2, grid.resolution_m
-    )  # where the ground bends
-    leg, is_bend = between_centres.segment, np.diff(between_centres.segment) == 0
+    # Where the ground bends.
+    between_centres = crossed_cells(points_m + grid.resolution_m / 2, grid.resolution_m)
+    leg = between_centres.segment
+    is_bend = np.diff(between_centres.segment) == 0
     bends = np.unique(
         np.append(np.arange(len(points_m)), (leg + between_centres.shares[:, 1])[:-1][is_bend])
     )
     *_, elevation_m = _halved(bends, points_m, terrain_m, grid)
     bulge_m = np.abs(elevation_m[1::2] - (elevation_m[:-1:2] + elevation_m[2::2]) / 2)
-    pieces = np.fmax(
-        np.ceil(np.sqrt(bulge_m / MOST_BULGE_M)), 1
-    )  # each of n bulges by the bulge / n²
+    # Each of n bulges by the bulge / n².
+    pieces = np.fmax(np.ceil(np.sqrt(bulge_m / MOST_BULGE_M)), 1)
     bends = np.interp(np.arange(pieces.sum() + 1), np.append(0, np.cumsum(pieces)), bends)
     at, x_m, y_m, elevation_m = _halved(bends, points_m, terrain_m, grid)
     lonlat = np.stack(grid.lonlat_of_xy(x_m + grid.x_min_m, y_m + grid.y_min_m), axis=-1)

@@ -274,7 +274,8 @@ def _largest(
 ) -> dict[str, float]:
     """Return the largest mean of the cells that are near, where it lies, and how much of them is known."""
     worst = int(np.argmax(np.where(is_near & np.isfinite(means), means, -1.0)))
-    middle, near_share = shapely.centroid(cells.boxes[worst]), share[is_near]
+    middle = shapely.centroid(cells.boxes[worst])
+    near_share = share[is_near]
     lon, lat = cells.grid.lonlat_of_xy(middle.x, middle.y)
     place = [means[worst], lon, lat, shapely.line_locate_point(line, middle), share[worst]]
     if not near_share.any():

@@ -119,7 +119,9 @@ class Hiding:
             clears_m = np.where(counts, above_m - here_m, np.inf)
             is_less = clears_m < np.minimum(margin_m[ray], FARTHEST_MARGIN_M)
             less = ray[is_less]
-            margin_m[less], distance_m[less], is_guessed[less] = clears_m[is_less], along_m, False
+            margin_m[less] = clears_m[is_less]
+            distance_m[less] = along_m
+            is_guessed[less] = False
             roof_m[less] = np.where(here_m > 0, here_m, np.nan)[is_less]
         hides = (margin_m <= 0) & ~is_gap
         places = inner.places_m(np.arange(num), distance_m)
@@ -150,7 +152,8 @@ class Hiding:
         rays = Rays(np.full(num, x_m), np.full(num, y_m), azimuth_rad, lowest_rad)
         rise_m = self.rise_m(np.full(num, altitude_m))
         height_m = self.known_ground_at(rays.x_m, rays.y_m) + altitude_m
-        slope, gap_m = np.tan(lowest_rad), np.full(num, np.inf)
+        slope = np.tan(lowest_rad)
+        gap_m = np.full(num, np.inf)
         if self.outlines is not None:
             over = self.outlines.stretches(rays, height_m, 0.0)
             for along_m in (over.from_m, over.to_m):

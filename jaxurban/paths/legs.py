@@ -280,7 +280,8 @@ def _zeros_m(mission: Mission, maps: MetricMaps, geoid_m: float | None) -> dict[
 def _shares_within(ends_m: np.ndarray, bounds_m: Bounds) -> np.ndarray:
     """Return ``[S, 2]`` from which share to which a box holds lines ``[S, 2, 2]``; twice the same where nothing."""
     low_m, high_m = np.reshape(bounds_m, (2, 2))
-    begin_m, moved_m = ends_m[:, 0], ends_m[:, 1] - ends_m[:, 0]
+    begin_m = ends_m[:, 0]
+    moved_m = ends_m[:, 1] - ends_m[:, 0]
     moved_m[moved_m == 0] = 1e-9  # it stays beside the box, or within its sides
     cuts = np.sort([(low_m - begin_m) / moved_m, (high_m - begin_m) / moved_m], axis=0)
     first, last = np.clip([cuts[0].max(axis=1), cuts[1].min(axis=1)], 0.0, 1.0)

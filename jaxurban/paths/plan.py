@@ -160,7 +160,8 @@ def map_at(
 
 def _check_fits(num_levels: int, grid: Grid) -> None:
     """Raise InputError where a volume, and a search that visits all of it, take more memory than is free."""
-    needed, left = num_levels * math.prod(grid.shape) * NODE_BYTES, free_bytes()
+    needed = num_levels * math.prod(grid.shape) * NODE_BYTES
+    left = free_bytes()
     if needed > left:
         needed_text, left_text = distinct_texts(needed, left)
         raise InputError(

@@ -24,12 +24,10 @@ TOUCHED, VISIBLE, GUESSED = "roof_touched", "num_visible", "roof_guessed"
 CLEARANCE, OUTSIDE, OVER_ROOF = "nearest_wall_m", "walls_outside_m", "least_over_roofs_m"
 TO_GUESSED = "guessed_roof_away_m"
 MOST_SEGMENTS = 3  # that a terminal line lists
-NEAR_GUESSED_M = (
-    50.0  # of a guessed roof a route passes it: what the risk metric counts as near by default
-)
-LEAST_OVER_ROOFS_M = (
-    1.0  # below which a height over a roof is beyond limits, where no vertical clearance was asked
-)
+# Of a guessed roof a route passes it: what the risk metric counts as near by default.
+NEAR_GUESSED_M = 50.0
+# Below which a height over a roof is beyond limits, where no vertical clearance was asked.
+LEAST_OVER_ROOFS_M = 1.0
 
 
 def cut_evenly(states_m: np.ndarray, most: int) -> np.ndarray:
@@ -128,7 +126,8 @@ def profile_of(
       shown: columns by map.
     """
     ends_m, grid = cut.ends_m, maps.grid
-    lines_m, lowest_m = ends_m[:, :, :2], ends_m[:, :, 2].min(axis=1)
+    lines_m = ends_m[:, :, :2]
+    lowest_m = ends_m[:, :, 2].min(axis=1)
     x_m, y_m, z_m = ends_m.mean(axis=1).T
     lon, lat = grid.lonlat_of_xy(x_m + grid.x_min_m, y_m + grid.y_min_m)
     to_m = np.cumsum(cut.length_m)
@@ -217,7 +216,8 @@ def guessed_clearances(profile: pd.DataFrame) -> set[str]:
     """
     if GUESSED not in profile:
         return set()
-    names, over_m = set(), profile[OVER_ROOF]
+    names = set()
+    over_m = profile[OVER_ROOF]
     if profile[TO_GUESSED].min() <= profile[[CLEARANCE, OUTSIDE]].to_numpy().min():
         names.add(CLEARANCE)
     if over_m.notna().any() and profile[GUESSED].iloc[int(np.nanargmin(over_m))]:
@@ -391,7 +391,8 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
     vehicle = Vehicle.of(planned.settings)
     points_m = np.column_stack([planned.xy_m, planned.z_m])
     moved_m = np.diff(points_m, axis=0)
-    along_m, speed_m_s = along_of(points_m), vehicle.speed_m_s
+    along_m = along_of(points_m)
+    speed_m_s = vehicle.speed_m_s
     air_m = np.linalg.norm(moved_m, axis=1)
     slope = moved_m[:, 2] / np.where(air_m > 0, air_m, 1.0)
     for name, most_m_s, share in (

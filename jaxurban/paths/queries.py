@@ -129,7 +129,8 @@ def table_of(queries: Iterable[tuple[Point, Point]]) -> pd.DataFrame:
         is_xy = [isinstance(place, XY) for pair in pairs for place in pair]
         places = np.array(pairs, float)
     except (TypeError, ValueError):  # no numbers, or not as many in each
-        is_xy, places = [], np.empty(0)
+        is_xy = []
+        places = np.empty(0)
     in_metres = bool(is_xy) and all(is_xy)
     if in_metres and np.isnan(places[..., 2]).all():  # no altitudes of their own
         places = places[..., :2]
@@ -148,7 +149,8 @@ def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:
     query = base
     try:
         places = [float(values.get(name, np.nan)) for name in names]
-        start, goal = tuple(places[:2]), tuple(places[2:])
+        start = tuple(places[:2])
+        goal = tuple(places[2:])
         is_xy = names == IN_METRES
         weights = {
             name.removeprefix(WEIGHT_PREFIX): float(value)
@@ -302,7 +304,8 @@ def row_of(
     row: dict[str, Any] = {"query": k, **query.to_dict(), "status": status, "message": message}
     if planned is None:
         return row | dict.fromkeys(("budget_s", "x_m", "y_m", "search")) | {"key": key}
-    facts, search = planned.to_dict(), planned.search
+    facts = planned.to_dict()
+    search = planned.search
     row |= {name: facts[name] for name in ("cost", "length_m")}
     row |= {f"cost_{name}": value for name, value in facts["cost_by_layer"].items()}
     row |= {f"m_{name}": value for name, value in facts["metrics"].items()}

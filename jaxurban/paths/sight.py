@@ -154,7 +154,8 @@ class Sight:
         num = len(sky)
         epoch, satellite = np.nonzero(task.sky.is_in_view[sky])
         at = sky[epoch], satellite
-        azimuth_rad, elevation_rad = task.sky.azimuth_rad[at], task.sky.elevation_rad[at]
+        azimuth_rad = task.sky.azimuth_rad[at]
+        elevation_rad = task.sky.elevation_rad[at]
         rays = Rays(x_m[epoch], y_m[epoch], azimuth_rad, elevation_rad)
         behind = self.hiding.behind(rays, height_m[epoch])
         is_known = behind.pop("is_known").to_numpy()
@@ -201,7 +202,8 @@ def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
 
 def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caution]:
     """Return what whoever uses skies must know."""
-    rows, num = look.rows, len(look.sky)
+    rows = look.rows
+    num = len(look.sky)
     guesses = {**sight.city.guesses, **look.task.sky.guesses}
     if not sight.city.sources:  # the synthetic city has no real sky
         guesses.pop(NOMINAL_SKY, None)

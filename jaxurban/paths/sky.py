@@ -84,7 +84,8 @@ class SkyAt(FactsRepr):
         At each whole degree of azimuth, clockwise from true north; at least the elevation mask, or 1 degree where that
         is lower. NaN where a ray along the horizon leaves what is known.
         """
-        sight, grid = self._sight, self._sight.region
+        sight = self._sight
+        grid = self._sight.region
         azimuth_rad = np.radians(np.arange(360.0)) - grid.convergence_rad(*self.lonlat)
         lowest_deg = max(sight.params.gps.mask_deg, LOWEST_DEG)
         xy_m = grid.xy_of_lonlat(*self.lonlat)
@@ -153,5 +154,6 @@ def sky_from(
     times = np.array(look.task.sky.times)
     look.rows.insert(0, "time", times[look.epoch])
     look.dops.insert(0, "time", times)
-    cautions, credit = cautions_of(sight, look, by, xy_m), sight.city.attribution
+    cautions = cautions_of(sight, look, by, xy_m)
+    credit = sight.city.attribution
     return SkyAt((lon, lat), altitude_m, by, look.rows, look.dops, cautions, credit, sight)

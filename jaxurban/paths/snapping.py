@@ -15,9 +15,8 @@ from jaxurban.planners.base import Cell
 if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
 
-Point = tuple[
-    float | None, ...
-]  # longitude, latitude in degrees, and between levels an altitude if liked
+# Longitude, latitude in degrees, and between levels an altitude if liked.
+Point = tuple[float | None, ...]
 IN_METRES = "easting, northing in metres such as (583960.0, 4507351.0)"
 IN_DEGREES = "longitude, latitude in degrees such as (-74.0, 40.7)"
 MAX_SNAP_M = 50.0  # about half a city block, unless another distance is given

@@ -90,7 +90,8 @@ class Departures(FactsRepr):
         table = self.table
         facts = {"times": f"{len(table)}"}
         if self.best is not None:
-            best, worst = table.iloc[self.best], table.iloc[int(table["cost"].argmax())]
+            best = table.iloc[self.best]
+            worst = table.iloc[int(table["cost"].argmax())]
             has_changed = self.routes.groupby("query")["num_changed"].any()
             most_kept = table["kept_above"].max()
             facts["best"] = f"{_time_of(best)}, cost {best['cost']:,.2f}"

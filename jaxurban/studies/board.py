@@ -189,14 +189,16 @@ def score(
       InputError: a bundle that was changed; a file that is no table, lacks a column, holds no row, answers what is not
         asked, or a query twice; invalid weights; a folder that holds no board, or was changed.
     """
-    folder, method = Path(folder), method or Path(submission).stem
+    folder = Path(folder)
+    method = method or Path(submission).stem
     table = read_table(submission, "submission")
     for name in KEYS:
         if name not in table:
             raise InputError(
                 f"{str(submission)!r} has no column {name!r}: a submission has {', '.join(KEYS)}"
             )
-    sums, digests = folder / CHECKSUMS, dict[str, str]()
+    sums = folder / CHECKSUMS
+    digests = dict[str, str]()
     with readable(sums, "checksums of a benchmark", f"make one by jaxurban score {folder} --make"):
         for line in sums.read_text().splitlines():
             digest, name = line.split("  ")
@@ -332,7 +334,9 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
 
 def _summary(routes: pd.DataFrame) -> dict[str, Any]:
     """Return the counts and gaps of a track in a city; each quantile is a route's own value."""
-    is_valid, gap, claims = routes["outcome"] == VALID, routes["gap"], routes["claimed_cost"]
+    is_valid = routes["outcome"] == VALID
+    gap = routes["gap"]
+    claims = routes["claimed_cost"]
     is_true = np.isclose(claims, routes["cost"], rtol=SAME_COST, atol=0)
     failed = routes.loc[~is_valid, "outcome"].value_counts()
     return {

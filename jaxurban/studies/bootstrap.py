@@ -96,7 +96,8 @@ class Clusters:
         known = ~np.isnan(values)
         if statistic == "median":
             return median_of(values[known], self._draws[:, self._column[known]])
-        columns, num = self._column[known], self._draws.shape[1]
+        columns = self._column[known]
+        num = self._draws.shape[1]
         total = self._draws @ np.bincount(columns, minlength=num)
         sums = self._draws @ np.bincount(columns, values[known], num)
         return np.divide(sums, total, out=np.full(len(total), np.nan), where=total > 0)

@@ -189,7 +189,8 @@ def _limits(
     for name, unknown_name, most, unit, most_a_metre in limits:
         if most is None:
             continue
-        value, unknown_m = figures.get(name, 0.0), figures.get(unknown_name, 0.0)
+        value = figures.get(name, 0.0)
+        unknown_m = figures.get(unknown_name, 0.0)
         reason = ""
         if name not in figures:
             reason = "the maps do not hold them"

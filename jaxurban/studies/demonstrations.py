@@ -496,7 +496,8 @@ def compared_routes(
     """
     rows = []
     for number, (demonstration, route) in enumerate(zip(demonstrations, planned, strict=True), 1):
-        query, cost_map = demonstration.query, demonstration.query.cost_map
+        query = demonstration.query
+        cost_map = demonstration.query.cost_map
         row = {
             "name": query.name or f"{number}",
             "altitude_m": cost_map.altitude_m,

@@ -265,7 +265,8 @@ def _side(
     if isinstance(maps, MetricMaps):
         return maps, otherwise, None
     source = maps if isinstance(maps, MapsFolder) else MapsFolder(maps)
-    opened, name = source.open(), str(source.folder)
+    opened = source.open()
+    name = str(source.folder)
     try:
         return opened, name, read_json(Path(name) / RUN_FILE)["settings"]
     except (OSError, ValueError, LookupError):
@@ -332,7 +333,8 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
     times_a, times_b = a.times, b.times
     if any(TIME in dims for dims in layers.values()):
         pairs = _paired(a, b)
-        times_a, times_b = tuple(pairs), tuple(pairs.values())
+        times_a = tuple(pairs)
+        times_b = tuple(pairs.values())
     shared: dict[str, Sequence[Any]] = {ALTITUDE: altitudes_m, TIME_OF_DAY: days}
     return (
         _part(a, grid, [*layers], shared | {TIME: times_a}),
@@ -369,7 +371,8 @@ def _shared_grid(a: Grid, b: Grid) -> Grid:
             f"is in both: make B again with [region] crs = {a.crs!r} and resolution_m = {a.resolution_m:g} (a list "
             "makes several, of which --resolution chooses)"
         )
-    first_a, first_b = [a.first_row, a.first_col], [b.first_row, b.first_col]
+    first_a = [a.first_row, a.first_col]
+    first_b = [b.first_row, b.first_col]
     first = np.maximum(first_a, first_b)
     shape = np.minimum(np.add(first_a, a.shape), np.add(first_b, b.shape)) - first
     if shape.min() <= 0:

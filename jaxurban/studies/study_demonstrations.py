@@ -194,7 +194,8 @@ def _source(
     elif Path(study).is_dir():
         return _of_folder(study_in(Path(study)) or Path(study), planner, flown)
     else:
-        name, table = str(study), read_table(study, "instances")
+        name = str(study)
+        table = read_table(study, "instances")
     if planner is not None:
         raise InputError(
             f"planner is one of a study's, and this is a table of instances: leave {planner!r} out"

@@ -28,9 +28,8 @@ HEIGHT_REFERENCE = (
 MOST_BULGE_M = 0.05  # between two places of a `Ground`, by which it leaves the straight line
 STRAIGHT_M = 0.01  # a waypoint that straight lines miss by no more, in x, y and height, is left out
 GROUND_TOLERANCE_M = 1.0  # by which the straight lines may exceed the planned height above ground
-MISSED_M = (
-    GROUND_TOLERANCE_M / 2 - MOST_BULGE_M
-)  # twice, and the rest is for the ground's cover and for rounding up
+# Twice, and the rest is for the ground's cover and for rounding up.
+MISSED_M = GROUND_TOLERANCE_M / 2 - MOST_BULGE_M
 
 Named = Sequence[tuple[str, "PlannedPath"]]  # "" for a path without a name
 # The bytes of a file from paths by name and, if there is one, the report of the one path.
@@ -121,11 +120,14 @@ def waypoints(route: "PlannedPath") -> Waypoints:
     """Return the waypoints of a path."""
     ground, lonlat = route.ground, route.lonlat
     xyz_m = np.column_stack([route.xy_m, route.z_m])
-    height_m, most_m = xyz_m[:, 2], np.inf
+    height_m = xyz_m[:, 2]
+    most_m = np.inf
     if ground is not None:
-        lonlat, number = ground.lonlat, np.arange(len(xyz_m))
+        lonlat = ground.lonlat
+        number = np.arange(len(xyz_m))
         xyz_m = np.column_stack([np.interp(ground.at, number, values) for values in xyz_m.T])
-        height_m, most_m = xyz_m[:, 2] + ground.cover_m, MISSED_M
+        height_m = xyz_m[:, 2] + ground.cover_m
+        most_m = MISSED_M
     along_m = along_of(xyz_m)
     missed_m = np.array([STRAIGHT_M, STRAIGHT_M, STRAIGHT_M, most_m])
     kept = _bends(along_m, np.column_stack([xyz_m, height_m]), missed_m)
@@ -152,7 +154,8 @@ def _bends(along_m: np.ndarray, values_m: np.ndarray, most_m: np.ndarray) -> np.
       most_m: ``[V]`` by how much a line may miss each.
     """
     whole = 0, len(along_m) - 1
-    kept, spans = {*whole}, [whole]
+    kept = {*whole}
+    spans = [whole]
     while spans:
         first, last = spans.pop()
         length_m = max(along_m[last] - along_m[first], np.finfo(float).tiny)

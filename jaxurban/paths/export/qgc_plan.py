@@ -191,7 +191,8 @@ def exclusions(route: "PlannedPath") -> tuple[list[np.ndarray], str]:
     if not route.zones:
         return [], ""
     low_m, high_m = route.z_m.min(), route.z_m.max()
-    near, line = _surroundings(route), line_of(route.xy_m)
+    near = _surroundings(route)
+    line = line_of(route.xy_m)
     rings: list[np.ndarray] = []
     num_fenced = num_elsewhere = 0
     for zone in route.zones:
@@ -237,5 +238,6 @@ def without_holes(polygon: shapely.Geometry) -> list[shapely.Polygon]:
 
 def _surroundings(route: "PlannedPath") -> Grid:
     """Return the land within `NEAR_M` of a path's box, as a coarse grid."""
-    low_m, high_m = route.xy_m.min(axis=0) - NEAR_M, route.xy_m.max(axis=0) + NEAR_M
+    low_m = route.xy_m.min(axis=0) - NEAR_M
+    high_m = route.xy_m.max(axis=0) + NEAR_M
     return grid_over(route.crs, NEAR_M / 10, low_m, high_m)

@@ -29,18 +29,11 @@ if TYPE_CHECKING:
     from jaxurban.paths.path import PlannedPath
 
 MOST_VERTICES = 63  # of all polygons of a fence
-REACHES_M = (
-    0.5,
-    2.0,
-    5.0,
-    10.0,
-    20.0,
-    40.0,
-)  # by which outlines grow before corners are cut by less
+# By which outlines grow before corners are cut by less.
+REACHES_M = (0.5, 2.0, 5.0, 10.0, 20.0, 40.0)
 APART_M = 3.0  # that outlines keep from the path as they grow
-SIMPLER = (
-    0.45  # of the reach: half of it is taken back from what was grown, so outlines stay covered
-)
+# Of the reach: half of it is taken back from what was grown, so outlines stay covered.
+SIMPLER = 0.45
 ROUND = 1.01  # by how much a polygon lies within its circle, and a little more
 ROUNDED_M = 0.02  # by which the nearest ones grow, for the digits of a degree
 
@@ -80,7 +73,9 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
         raise InputError(
             "fence_roofs_m needs the maps of the path, and this one has none: plan it, or leave that out"
         )
-    grid, xy_m, z_m = route.maps.grid, route.xy_m, route.z_m
+    grid = route.maps.grid
+    xy_m = route.xy_m
+    z_m = route.z_m
     ends = np.array([*pairwise([0, *range(len(xy_m))])])  # of one point too
     legs = shapely.linestrings(xy_m[ends])
     over_m = route.settings.get("limits", {}).get("vertical_clearance_m", 0.0)
@@ -129,7 +124,8 @@ def _roofs_near(maps: "MetricMaps", line: shapely.Geometry, near_m: float) -> _R
     if buildings is not None:
         near = buildings.take(shapely.dwithin(buildings.polygons, line, near_m))
         return _Roofs(near.polygons, near.height_m, near.is_guessed, "roofs", "by their outlines")
-    grid, roof_m = maps.grid, maps.m("roof_touched")
+    grid = maps.grid
+    roof_m = maps.m("roof_touched")
     near_cells = touched_cells(shapely.buffer(line, near_m * ROUND), grid)
     at = np.argwhere(near_cells & (roof_m > 0))
     rows, cols = at.T

@@ -99,7 +99,8 @@ def to_gpx(routes: Named, report: "RouteReport | None") -> bytes:
     )
     for name, route in routes:
         facts, _ = facts_of(route, report, is_alone=len(routes) == 1)
-        element, along = SubElement(root, "rte"), waypoints(route)
+        element = SubElement(root, "rte")
+        along = waypoints(route)
         SubElement(element, "name").text = name or _title(route, facts)
         SubElement(element, "desc").text = description_of(facts, elevation_note(route))
         for number, ((lon, lat), z_m) in enumerate(zip(along.lonlat, along.z_m, strict=True)):
@@ -189,9 +190,11 @@ def write_path(
         encode = partial(to_qgc_plan, end=one_of("end", end or "land", ENDS), roofs=roofs)
     routes: list[PlannedPath | None]
     if isinstance(route, Sequence):
-        routes, numbers = list(route), [str(number) for number in range(1, len(route) + 1)]
+        routes = list(route)
+        numbers = [str(number) for number in range(1, len(route) + 1)]
     else:
-        routes, numbers = [route], [""]
+        routes = [route]
+        numbers = [""]
     names = names or numbers
     if len(names) != len(routes) or isinstance(names, str):
         raise InputError(f"names must be one for each of the {len(routes)} paths, got {names!r}")

@@ -201,7 +201,8 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
       InputError: a query that cannot be read, or a place outside what the projection can show (names its row).
     """
     maps = as_maps(maps)
-    grid, strata = maps.grid, strata_of(maps)
+    grid = maps.grid
+    strata = strata_of(maps)
     rows = []
     for number, query in enumerate(queries):
         row: dict[str, Any] = {"instance": number, "altitude_m": query.altitude_m, "crs": grid.crs}
@@ -423,7 +424,8 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
         raise InputError(f"{name} holds no row: give at least one instance")
     for column in ("instance", "altitude_m", *PLACES, *weights):
         values = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
-        is_valid, kind = np.isfinite(values), "a number"
+        is_valid = np.isfinite(values)
+        kind = "a number"
         if column in weights:
             is_valid = (values >= 0) & (values <= MOST_WEIGHT)
             kind = f"a number >= 0, at most {MOST_WEIGHT:.0e}"

@@ -114,7 +114,8 @@ def study(
       2         1  astar-dist  distance  optimal
       3         1  astar-plus  weighted  optimal
     """
-    folder, chosen = Path(folder), settings or Study()
+    folder = Path(folder)
+    chosen = settings or Study()
     job = Benchmark(
         study=replace(chosen, instances=instances) if isinstance(instances, int) else chosen,
         cost_model=cost_model or chosen.cost_model,
@@ -124,7 +125,8 @@ def study(
     source = maps if isinstance(maps, MetricMaps | MapsFolder) else MapsFolder(maps)
     check_workers(workers, [source])
     opened, job = job.under(source if isinstance(source, MetricMaps) else source.open())
-    model, constraints = CostModel.of(job.cost_model), job.constraints
+    model = CostModel.of(job.cost_model)
+    constraints = job.constraints
     source = opened if isinstance(source, MetricMaps) else source.at(opened)
     if not isinstance(instances, pd.DataFrame):
         instances = sample_instances(
@@ -141,7 +143,8 @@ def study(
         check_instances(instances, opened)
         instances = with_connection(instances, opened, model, constraints)
         _check_places(instances, opened, constraints)
-    key, names = job.deciding(opened), [ROWS_FILE, INSTANCES_FILE]
+    key = job.deciding(opened)
+    names = [ROWS_FILE, INSTANCES_FILE]
     with Workspace.open(
         folder,
         "study",
@@ -153,7 +156,8 @@ def study(
     ) as workspace:
         _check_growth(workspace, instances)
         write_table(instances, folder / INSTANCES_FILE)
-        file, columns = folder / ROWS_FILE, row_columns(instances.columns)
+        file = folder / ROWS_FILE
+        columns = row_columns(instances.columns)
         with reporting("study", progress) as report:
             sources = {None: source}
             rows = run_rows(
@@ -171,7 +175,8 @@ def land_cover_of(scenario: Scenario) -> LandCover | None:
     Raises:
       InputError: the file cannot be read, or is not an OSM file.
     """
-    region, named = scenario.region, scenario.study.land_cover
+    region = scenario.region
+    named = scenario.study.land_cover
     if named is None and scenario.is_synthetic:
         return demo_cover_for_bounds(region.bounds, region.crs)
     source = named or str(scenario.buildings.source)
@@ -209,7 +214,8 @@ def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constr
 
 def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
     """Raise InputError unless all instances of the benchmark in a folder, if there is one, are among these."""
-    folder, file = workspace.folder, workspace.folder / INSTANCES_FILE
+    folder = workspace.folder
+    file = workspace.folder / INSTANCES_FILE
     remedy = "choose another folder, or pass --overwrite (overwrite=True) to replace it"
     if not (folder / ROWS_FILE).exists() and not any((folder / PARTS_FOLDER).glob("*.json")):
         return
@@ -221,7 +227,8 @@ def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
         raise InputError(
             f"{str(folder)!r} holds a study whose instances are lost ({error}): {remedy}"
         ) from error
-    now, columns = instances.set_index(list(KEY)), query_columns(instances.columns)
+    now = instances.set_index(list(KEY))
+    columns = query_columns(instances.columns)
     if len(lost := before.index.difference(now.index)):
         number, altitude_m = lost[0]
         raise InputError(

@@ -191,7 +191,8 @@ def headings_rad(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     While the receiver stands it is the last one.
     """
     places = np.column_stack([x_m, y_m])
-    anchors, of_epoch = [0], np.zeros(len(places), int)
+    anchors = [0]
+    of_epoch = np.zeros(len(places), int)
     for number, place in enumerate(places):
         if np.hypot(*(place - places[anchors[-1]])) >= STILL_M:
             anchors.append(number)
@@ -240,7 +241,8 @@ def agreement_of(
     is_moved = is_taken & (rows.is_known.to_numpy() | (not is_guarded))
     displaced = Displaced.of(settings.num_displaced, settings.seed, int(is_moved.sum()))
     reach_m = (max(rise * SCALES[-1], 0.0) + FARTHEST_MARGIN_M) / np.tan(rays.elevation_rad.min())
-    rows["margin_m"], rows["is_inside"] = np.nan, False
+    rows["margin_m"] = np.nan
+    rows["is_inside"] = False
     for leg in legs(track.x_m, track.y_m, grid.resolution_m):
         at = np.flatnonzero((rows.epoch >= leg.start) & (rows.epoch < leg.stop))
         if not len(at):
@@ -253,7 +255,8 @@ def agreement_of(
         rows.loc[at, "is_inside"] = ground.is_inside(of_leg)
         rows.loc[at, "margin_m"] = ground.margins_m(of_leg)
         moved = at[is_moved[at]]
-        of_moved, column = rays.take(moved), (np.cumsum(is_moved) - 1)[moved]
+        of_moved = rays.take(moved)
+        column = (np.cumsum(is_moved) - 1)[moved]
         for number in range(len(displaced.moves_m)):
             report("displaced cities", number, len(displaced.moves_m))
             displaced.fill(number, column, ground, of_moved)

@@ -116,7 +116,8 @@ class Displaced:
         near = cities[self.num_null :].assign(auc=by_move[:, 0]).reset_index(drop=True)
         scales = {"scale": SCALES, "rows": int(is_judged.sum()), "auc": by_scale[:, 0]}
         if weights.shape[1] < FEWEST_GROUPS:
-            by_move, by_scale = np.full_like(by_move, np.nan), np.full_like(by_scale, np.nan)
+            by_move = np.full_like(by_move, np.nan)
+            by_scale = np.full_like(by_scale, np.nan)
         return DisplacedScores(
             cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1]),
             near,

@@ -15,9 +15,8 @@ from jaxurban.world.grid import Grid
 
 OF_CITY, EVERYWHERE = "city", "all"  # what `ReceiverSettings.known` may say
 SYSTEMS = "GRECJIS"  # GPS, GLONASS, Galileo, BeiDou, QZSS, NavIC, SBAS
-MAX_SKY_STEP_S = (
-    300.0  # a satellite moves by half a degree a minute: more would no longer be the log's sky
-)
+# A satellite moves by half a degree a minute: more would no longer be the log's sky.
+MAX_SKY_STEP_S = 300.0
 
 
 @typed

@@ -34,9 +34,8 @@ def features_of(
       off_street_rad: ``[R]`` angle between its azimuth and the street.
     """
     sky = [elevation_rad, elevation_rad**2]
-    across_rad = np.arctan2(
-        np.tan(elevation_rad), np.abs(np.sin(off_street_rad))
-    )  # up the walls of the street
+    # Up the walls of the street.
+    across_rad = np.arctan2(np.tan(elevation_rad), np.abs(np.sin(off_street_rad)))
     chance = ReceptionCurve.measured_in_tokyo().chance(jnp.asarray(margin_m))
     of_margin = logit(np.asarray(chance, np.float64))
     rules = {

@@ -37,9 +37,8 @@ from jaxurban.world.sky import Sky
 from jaxurban.world.surface import stands_at
 
 LEG_CELLS = 4_000_000  # of the box around a leg of the track
-FARTHEST_MARGIN_M = (
-    60.0  # `ReceptionCurve` cuts margins there: what stands farther from the line is not looked for
-)
+# `ReceptionCurve` cuts margins there: what stands farther from the line is not looked for.
+FARTHEST_MARGIN_M = 60.0
 HORIZON_DEG = np.arange(360.0)
 
 
@@ -152,12 +151,14 @@ class Ground:
 def legs(x_m: np.ndarray, y_m: np.ndarray, resolution_m: float) -> Iterator[slice]:
     """Yield runs of ``[N]`` epochs whose places lie in one box of at most `LEG_CELLS`; one epoch at least."""
     first = 0
-    low, high = np.array([np.inf, np.inf]), np.array([-np.inf, -np.inf])
+    low = np.array([np.inf, np.inf])
+    high = np.array([-np.inf, -np.inf])
     for number, place in enumerate(np.column_stack([x_m, y_m])):
         joined = np.minimum(low, place), np.maximum(high, place)
         if number > first and np.prod((joined[1] - joined[0]) / resolution_m + 1) > LEG_CELLS:
             yield slice(first, number)
-            first, joined = number, (place, place)
+            first = number
+            joined = (place, place)
         low, high = joined
     yield slice(first, len(x_m))
 

@@ -26,7 +26,8 @@ def aucs(
       weights: ``[D, B]`` how often a draw holds each block.
       group: ``[R]`` satellites, for pairs of rows of one satellite alone, all pairs counted alike; None: all pairs.
     """
-    num_blocks, num_levels = weights.shape[1], int(level.max(initial=0)) + 1
+    num_blocks = weights.shape[1]
+    num_levels = int(level.max(initial=0)) + 1
     cell = block * num_levels + level
 
     def counts(is_counted: np.ndarray) -> np.ndarray:

@@ -145,14 +145,16 @@ def validate(
             f"the track of the receiver log {logged.name!r} is {track.along_m[-1]:.0f} m long, less than "
             f"{FEWEST_PIECES} pieces of {settings.piece_m:g} m: give a longer log, or shorter pieces"
         )
-    satellites, guesses = None, dict[str, str]()
+    satellites = None
+    guesses = dict[str, str]()
     with reporting("validate", progress) as report:
         report("read")
         lacks_angles = logged.satellites is not None and AZIMUTH not in logged.satellites
         needs_counts = logged.satellites is None or bool(logged.witnesses)
         if needs_counts or lacks_angles:
             task = task_at(scenario, track.sky_times, grid, float(settings.antenna_height_m))
-            city, guesses = task.city, dict(task.sky.guesses)
+            city = task.city
+            guesses = dict(task.sky.guesses)
         else:
             city = load_city(scenario)
         if logged.satellites is not None:

@@ -17,9 +17,8 @@ UNBOUNDED = 3  # status of scipy.optimize.linprog
 NO_TRUST = 1e-12  # so that a sum of trusts is never 0
 FLAT = 1e-6  # a layer that varies by less over free cells is constant
 COMPETES = 0.1  # routes within this share of the cheapest are those that weights choose between
-UNSEEN = (
-    1e-6  # of the largest variance: a direction of W with less leaves every comparison as it is
-)
+# Of the largest variance: a direction of W with less leaves every comparison as it is.
+UNSEEN = 1e-6
 MUCH = 0.1  # of the largest: a weight with such a part in a direction belongs to it
 LEAST_SHARE = 0.01  # of a random walk's features
 
@@ -154,7 +153,8 @@ def indistinct_weights(
       weights: ``[K]`` W of features in their own units.
       is_fitted: ``[K]`` the weights that are judged.
     """
-    routes, names = pool.routes[0], np.array(pool.names)[is_fitted]
+    routes = pool.routes[0]
+    names = np.array(pool.names)[is_fitted]
     cost = np.where(routes[..., 0] < NOT_A_ROUTE, routes @ weights, np.inf)
     competes = cost <= cost.min(axis=1, keepdims=True) * (1 + COMPETES)
     cheapest = np.take_along_axis(routes, cost.argmin(axis=1)[:, None, None], axis=1)

@@ -35,10 +35,8 @@ FIRST_NOISE, LAST_NOISE = 0.7, 0.05  # of the perturbed planner, from the first 
 NUM_NOISE, NUM_STEPS = 128, 100
 NUM_EXPLORED = 16  # weights planned under at first
 CORNER = 30.0  # times more that a corner cares for one thing
-NUM_CANDIDATES, NUM_STARTS = (
-    1000,
-    6,
-)  # weights evaluated over known routes, and descended from, per round
+# Weights evaluated over known routes, and descended from, per round.
+NUM_CANDIDATES, NUM_STARTS = 1000, 6
 FAR_SPREAD, NEAR_SPREAD = 3.0, 0.1  # of the candidates' log weights about the best
 NUM_TRIED, NUM_PROBES = 3, 8  # weights planned for, and searches around the best, a round
 PROBE_NOISE = (0.05, 0.8)  # of those searches' log weights, from the nearest to the farthest

@@ -223,9 +223,8 @@ class _Growing:
         self.tolerance = tolerance
         self.facts: list[np.ndarray] = []
         self.ends: list[np.ndarray] = []
-        self.cells: list[
-            np.ndarray
-        ] = []  # empty where another route is as cheap or cheaper everywhere
+        # Empty where another route is as cheap or cheaper everywhere.
+        self.cells: list[np.ndarray] = []
         self.verified: set[tuple[int, ...]] = set()
 
     def unverified(self) -> np.ndarray:
@@ -271,7 +270,8 @@ def _clip(cell: np.ndarray, excess: np.ndarray) -> np.ndarray:
     if above.max(initial=0.0) <= 0:
         return cell
     kept = []
-    following, above_following = np.roll(cell, -1, axis=0), np.roll(above, -1)
+    following = np.roll(cell, -1, axis=0)
+    above_following = np.roll(above, -1)
     for corner, other, a, b in zip(cell, following, above, above_following, strict=True):
         if a <= 0:
             kept.append(corner)

@@ -144,9 +144,8 @@ def _slopes(
     def part(name: str, height_m: jax.Array) -> jax.Array:
         return weights[name] * (soft.layer(name, height_m, params, visits.cells) @ visits.times)
 
-    by_height = [
-        name for name, metric in soft.metrics.items() if TIME_OF_DAY not in metric.dims
-    ]  # not people
+    # Not people.
+    by_height = [name for name, metric in soft.metrics.items() if TIME_OF_DAY not in metric.dims]
     result = {name: jax.value_and_grad(partial(part, name))(soft.height_m) for name in by_height}
     cost = weights.distance * visits.length_m + sum(value for value, _ in result.values())
     cost += sum(part(name, soft.height_m) for name in soft.names if name not in by_height)

@@ -77,7 +77,8 @@ def _add_city(
     report: Report,
 ) -> list[InputError]:
     """Add the rows of a city's routes on its changed maps to the stores, and return why some maps are not made."""
-    maps, settings = cities.maps[city], cities.settings
+    maps = cities.maps[city]
+    settings = cities.settings
     try:
         task = _map_task(cities.sources[city], maps, scenario)
     except InputError as error:

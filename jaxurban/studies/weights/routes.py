@@ -236,7 +236,8 @@ def seed_at(seed: int, *place: int) -> int:
 def plain_task(task: MapTask) -> MapTask:
     """Return a task of the metrics alone, without bounds and spreads."""
     params = task.params
-    gps, heights = replace(params.gps, bounds=False), replace(params.heights, height_samples=0)
+    gps = replace(params.gps, bounds=False)
+    heights = replace(params.heights, height_samples=0)
     return replace(
         task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps})
     )

@@ -153,9 +153,8 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
     if np.ptp(values) <= CONSTANT * np.abs(values).max():
         return table
     with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", "Constant values encountered"
-        )  # of a part: the intervals show it
+        # Of a part: the intervals show it.
+        warnings.filterwarnings("ignore", "Constant values encountered")
         result = analysis.analyze(
             problem,
             np.asarray(values, np.float64),

@@ -56,7 +56,8 @@ class Sensitivity(FactsRepr):
         }
         for name, weight in zip(self.names, self.weights, strict=True):
             if name in self.lines:
-                share, num = self.cost["elasticity"][name], len(self.lines[name].cells)
+                share = self.cost["elasticity"][name]
+                num = len(self.lines[name].cells)
                 facts[name] = f"{weight:g}, {share:.1%} of the cost, routes over its range: {num}"
         return facts
 
@@ -205,7 +206,9 @@ def sensitivity(
     begin_s = time.perf_counter()
     settings = settings or SensitivitySettings()
     query, route = _plan(cost_map, start, goal, snap)
-    names, weights, pool = query.names, cost_map.weight_vector, RoutePool([query])
+    names = query.names
+    weights = cost_map.weight_vector
+    pool = RoutePool([query])
     columns = varied_columns(names, weights, settings.vary)
     for name in settings.objectives:
         one_of("each of objectives", name, names)
