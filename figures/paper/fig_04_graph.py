@@ -195,7 +195,7 @@ def main() -> None:
         (edge.origin, edge.target) for edge in edges[2]
     }
     note = f"{PATH_M:g} m cells; v2 and v5 blocked in (b) and (c)"
-    figure = chart(11.0, 3.9, f"Steps between neighbouring cells, and their lengths ({note})")
+    figure = chart(2.9, f"Steps between neighbouring cells, and their lengths ({note})")
     for number, (panel, title, problem) in enumerate(
         zip(figure.subplots(1, 3), titles, problems, strict=True)
     ):

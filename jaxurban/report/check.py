@@ -27,7 +27,7 @@ FOUND: dict[str, Any] = {
     "label": "findings, by number",
 }
 GAP_M = 10.0  # between steps, which are shorter: nothing is drawn there
-SIZE_IN = 8.0, 3.4
+HEIGHT_IN = 3.4
 HEADS = ["item", "kind", "what", "along_m", "height_m", "lon", "lat"]
 
 
@@ -81,7 +81,7 @@ def plot_flown_heights(result: MissionCheck) -> Figure:
     """Return the height above the ground along the mission, the roofs of the cells below, and findings."""
     steps = result.flight.steps
     along_m = steps.along_m[:, 0]
-    figure = chart(*SIZE_IN, "Height along the mission", result.sentence)
+    figure = chart(HEIGHT_IN, "Height along the mission", result.sentence)
     axes = figure.subplots()
     if TOUCHED in result.maps.ds:
         roof_m = result.maps.m(TOUCHED)[tuple(steps.cell.T)].astype(float)

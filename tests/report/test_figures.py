@@ -25,7 +25,7 @@ from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.paths import LINE_PT, PLANNER_COLOURS, lanes_of, maps_figures
 from jaxurban.report.figures.style import chart
-from jaxurban.report.write import DPI, write_png
+from jaxurban.report.write import DPI, write_picture
 from tests.made_maps import made_maps
 from tests.paths.volumes import made_path
 
@@ -151,7 +151,7 @@ def test_pictures_say_what_they_show():
     near, none = "(1: no obstacle within 50 m)", "no people\nin the data"
     for figure, said in (
         (
-            plotting.plot_metric(maps, "gps", altitudes_m=[60.0]),
+            plotting.plot_metric(maps, "gps", altitude_m=[60.0]),
             (f"60 m  ·  mean {mean:.2f}", *frame),
         ),
         (plotting.plot_gps_rating(maps), (f"20 m  ·  {percent(good)} good or better", *ratings)),
@@ -177,9 +177,9 @@ def test_pictures_say_what_they_show():
 
 def test_classes_people_and_costs_have_the_colours_of_their_values(maps):
     rating, people = plotting.plot_gps_rating(maps), plotting.plot_population(maps)
-    dop = plotting.plot_metric(maps, "gdop", altitudes_m=[20.0])
+    dop = plotting.plot_metric(maps, "gdop", altitude_m=[20.0])
     cost, choice = (
-        plotting.plot_paths(maps, (), altitudes_m=[20.0]),
+        plotting.plot_paths(maps, (), altitude_m=[20.0]),
         plotting.plot_sensor_choice(maps),
     )
     gdop, is_free = maps.m("gdop", 20.0), maps.is_free(20.0, "centre")
@@ -418,7 +418,7 @@ def test_no_label_is_cut_and_no_two_overlap(rows, cols, monkeypatch):
 
 def test_a_large_map_is_thinned_and_keeps_its_place():
     maps = make_maps(9001, 6, 1.0)
-    image = panels_of(plotting.plot_metric(maps, "risk", altitudes_m=[20.0]))[0].images[0]
+    image = panels_of(plotting.plot_metric(maps, "risk", altitude_m=[20.0]))[0].images[0]
     assert image.get_array().shape[:2] == (3001, 2)
     assert image.get_extent() == [583_000, 583_006, 4_507_000, 4_507_000 + 9003]
     assert image.axes.get_ylim() == (4_507_000, 4_507_000 + 9001)
@@ -426,7 +426,7 @@ def test_a_large_map_is_thinned_and_keeps_its_place():
 
 def test_cells_without_data_are_told_from_obstacles():
     maps = make_maps(has_all_data=False)
-    figure = plotting.plot_metric(maps, "risk", altitudes_m=[20.0])
+    figure = plotting.plot_metric(maps, "risk", altitude_m=[20.0])
     assert "no data" in texts_of(figure)
     assert len({*drawn(panels_of(figure)[0])[-3:, -5:].ravel()} - {OBSTACLE_COLOUR}) == 1
     assert "no data" not in texts_of(plotting.plot_metric(make_maps(), "risk", altitudes_m=[20.0]))
@@ -457,7 +457,7 @@ def test_all_figures_are_written_small_whole_and_the_same_again(maps, tmp_path):
         with Image.open(file) as image:
             assert image.format == "PNG"
             assert 700 <= image.size[0] <= 1300
-    write_png(plotting.plot_paths(maps, paths), tmp_path / "paths.png")
+    write_picture(plotting.plot_paths(maps, paths), tmp_path / "paths.png")
     assert (tmp_path / "paths.png").read_bytes() == (
         tmp_path / "figures" / "paths.png"
     ).read_bytes()
@@ -501,7 +501,7 @@ def test_what_cannot_be_drawn_is_named(maps):
     ):
         plotting.plot_metric(maps, "wind")
     with pytest.raises(InputError, match="altitude 33"):
-        plotting.plot_metric(maps, "risk", altitudes_m=[33.0])
+        plotting.plot_metric(maps, "risk", altitude_m=[33.0])
     with pytest.raises(InputError, match="hold no population"):
         plotting.plot_population(MetricMaps(maps.ds.drop_vars("density")))
 

@@ -129,7 +129,7 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
 def plot_pareto(result: Sensitivity) -> Figure:
     """Return the supported Pareto points of two or three features; the last is the colour."""
     front = result.front
-    figure = chart(7.6, 4.0, f"Best trade-offs between {listed(front.objectives)}")
+    figure = chart(4.0, f"Best trade-offs between {listed(front.objectives)}")
     panel = figure.subplots()
     points = front.points[[*front.objectives]].to_numpy()
     gradient = result.cost["gradient"].loc[[*front.objectives]].to_numpy()

@@ -35,7 +35,7 @@ def plot_weights(fit: WeightFit) -> Figure:
     """Return each fitted weight with its interval; one that cannot be identified has neither."""
     table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
     table = table.where(table.weight > 0)
-    figure, (panel,) = panels(1, "Fitted weights and their intervals", panel_in=(5.9, 2.5))
+    figure, (panel,) = panels(1, "Fitted weights and their intervals", height_in=2.5)
     for place, name in enumerate(table.index):
         dots(
             panel,
