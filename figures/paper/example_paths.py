@@ -163,8 +163,8 @@ def draw(
         outcomes = "\n".join(outcome_of(path, path.search.planner) for path in paths)
         cut = [crop(layer, maps.grid, part) for layer in layers]
         panels.append(MapPanel(case.title, cut, outcomes, part))
-    by_day = f", {shared.time_of_day}" if shared.time_of_day else ""
-    heading = f"Example paths {altitude_m:g} m above ground: {town.title}{by_day}"
+    heading = f"Example paths {altitude_m:g} m above ground: {town.title}"
+    heading = joined(heading, shared.time_of_day, by=", ")
     note = joined(f"{PATH_M:g} m cells", "below: cost, length", maps.attribution)
     colours = planner_colours(PAPER_PLANNERS)
     legend = obstacle_patches(maps, BLOCKED_COLOUR)

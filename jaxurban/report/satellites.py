@@ -255,7 +255,7 @@ def plot_displacement(of: SatelliteAgreement) -> Figure:
         "Cross and line: best fit; circle and band: 95 % of the best fits of resampled tracks."
     )
     figure = chart(3.4, "Would another place, city or height fit the receiver as well?", note)
-    field, cities, scales = axes = figure.subplots(1, 3)
+    field, cities, scales = axes = figure.subplots(1, 3, width_ratios=(1.0, 1.5, 0.8))
     for panel in axes:
         dress(panel)
     auc = of.field.pivot(index="north_m", columns="east_m", values="auc")
@@ -274,9 +274,7 @@ def plot_displacement(of: SatelliteAgreement) -> Figure:
     scales.axvspan(of.peak["scale_low"], of.peak["scale_high"], color=ROOFS, alpha=0.5)
     scales.axvline(of.peak["scale"], color=INK)
     scales.plot(of.scales.scale, of.scales.auc, color=SEEN)
-    scales.set(
-        xlabel="heights of all roofs times", ylabel="AUC", title="roofs made lower and higher"
-    )
+    scales.set(xlabel="heights of all roofs times", ylabel="AUC", title="roofs scaled")
     letter_all(axes)
     return figure
 

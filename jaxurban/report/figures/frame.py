@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.offsetbox import AnchoredOffsetbox, AnchoredText
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
@@ -33,6 +34,7 @@ from jaxurban.report.figures.style import (
     Colours,
     Width,
     add_colour_bar,
+    bar_ticks,
     chart,
     columns_of,
     inches,
@@ -45,13 +47,23 @@ MAX_CELLS = 4000  # a side: of larger maps every second, third ... row and colum
 MAX_HEIGHT_IN = 6.5  # of all panels together
 TITLE_IN, FOOT_IN, BAR_IN = 0.3, 0.4, 0.6  # above each panel; below all, below each
 NORTHING_IN, SIDE_IN = 0.55, 1.9  # left of all panels, right of them where a legend fits there
-MIN_WIDTH_IN, TICK_IN = 1.7, 0.75  # of a panel with its title and foot; of an easting
+MIN_WIDTH_IN, MIN_BAR_IN, TICK_IN = (
+    1.7,
+    1.0,
+    0.75,
+)  # of a panel, of a bar of more than two ticks; of an easting
 OBSTACLE_COLOUR, NO_DATA_COLOUR, GUESSED_COLOUR = "#c4c4c4", "#efe4d6", "#d98c4a"
 NO_DATA_PATCH = ("no data", NO_DATA_COLOUR)
 GAP = "  ·  "  # between two facts of a line
 MOST_RULES = 2  # weights, or the like, of the routes of one picture
 MAP = "map"  # gid of a panel over a grid
+# Where scale bar and north stand, the first ones first, as shares of the panel; and how near an end is in the way.
+CORNERS = {"lower left": (0, 0), "upper right": (1, 1), "lower right": (1, 0), "upper left": (0, 1)}
+NEAR = 0.2
 NORTH = "▲\nN"
+SETTLING = (
+    3  # runs of the layout, after which panels have their size and lines below them stand still
+)
 END_LOOK: dict[str, Any] = {
     "linestyle": "none",
     "markeredgecolor": "black",
@@ -107,18 +119,15 @@ def draw_maps(
       note: the lines beneath it, broken where they are too long.
       legend: entries beside the panels.
       colours: of one bar for all panels; left out, each panel whose last layer is none of classes has one below it.
-      has_ticks: whether eastings and northings are shown.
+      has_ticks: whether eastings and northings are shown, where no bar is in their place.
       width: of the figure, see `jaxurban.report.figures.style.inches`.
     """
     bars = [_own_bar(panel) if colours is None else None for panel in panels]
+    has_ticks = has_ticks and not any(bars)
     width_in, beside_in = inches(width), NORTHING_IN if has_ticks else 0.0
     num_cols = max(1, min(columns_of(len(panels)), int(width_in / MIN_WIDTH_IN)))
     num_rows = math.ceil(len(panels) / num_cols)
     cell_in = (width_in - beside_in) / num_cols
-    panels = [
-        panel._replace(title=wrapped(panel.title, cell_in), foot=wrapped(panel.foot, cell_in))
-        for panel in panels
-    ]
     foot_in = BAR_IN * any(bars) + LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
     tall = (grid.y_max_m - grid.y_min_m) / (grid.x_max_m - grid.x_min_m)
     panel_in = min(cell_in, (MAX_HEIGHT_IN / num_rows - foot_in) / tall)
@@ -128,12 +137,23 @@ def draw_maps(
         for each in legend
     ]
     is_beside = width_in - beside_in - num_cols * panel_in > SIDE_IN
+    cell_in -= SIDE_IN * is_beside / num_cols
+    panels = [
+        panel._replace(
+            title=wrapped(letter(number, len(panels)) + panel.title, cell_in, TEXT_PT),
+            foot=wrapped(panel.foot, cell_in),
+        )
+        for number, panel in enumerate(panels)
+    ]
     has_gap = len(panels) < num_cols * num_rows
     has_row = bool(handles) and not is_beside and not has_gap
     height_in = num_rows * (TITLE_IN + panel_in * tall + foot_in) + FOOT_IN
-    key_in = LINE_IN * len(handles) / num_cols
+    names = [str(each.get_label()).splitlines() for each in handles]
+    letters = max((len(line) for name in names for line in name), default=0)
+    key_cols = 1
     if has_row:
-        height_in += key_in
+        key_cols = max(1, int((width_in - EDGE_IN) / (ENTRY_IN + letters / LETTERS_PER_IN)))
+        height_in += LINE_IN * math.ceil(len(handles) / key_cols) * max(map(len, names))
     if colours is not None and not is_beside:
         height_in += BAR_IN
     figure = chart(height_in, heading, note, width)
@@ -145,7 +165,7 @@ def draw_maps(
     ):
         shown = own_grid or grid
         ticks = max(1, min(3, int(panel_in / TICK_IN)))
-        _dress(panel, shown, letter(number, len(panels)) + title, ticks)
+        _dress(panel, shown, title, ticks)
         is_left = number % num_cols == 0 and has_ticks
         is_bottom = number + num_cols >= len(panels) and has_ticks
         panel.tick_params(
@@ -158,8 +178,11 @@ def draw_maps(
             draw_layers(panel, shown, layers)
         if bar is not None:
             under = panel.inset_axes((0, -0.15 / (panel_in * tall), 1, 0.07 / (panel_in * tall)))
-            label = wrapped(bar.label, cell_in)
-            add_colour_bar(figure, [panel], replace(bar, label=label), cax=under)
+            ticks_of = bar_ticks(bar)
+            if panel_in < MIN_BAR_IN:
+                ticks_of = ticks_of[:: len(ticks_of) - 1]
+            drawn = replace(bar, label=wrapped(bar.label, cell_in), ticks=ticks_of)
+            add_colour_bar(figure, [panel], drawn, cax=under)
         _orient(panel)
     if colours is not None:
         add_colour_bar(figure, axes, colours, "right" if is_beside else "bottom")
@@ -170,10 +193,13 @@ def draw_maps(
         room = spots[-1, :] if has_row else spots[divmod(len(panels), num_cols)]
         holder = figure.add_subplot(room)
         holder.set_axis_off()
-        letters = max(len(line) for each in handles for line in str(each.get_label()).splitlines())
-        most = int((width_in - EDGE_IN) / (ENTRY_IN + letters / LETTERS_PER_IN))
-        look["ncols"] = max(1, min(len(handles), most)) if has_row else 1
-        holder.legend(loc="upper left", borderaxespad=0, **look)
+        holder.legend(loc="upper left", borderaxespad=0, ncols=key_cols, **look)
+    layout: Any = figure.get_layout_engine()
+    for _ in range(SETTLING):
+        layout.execute(figure)
+        cell, height_in = axes[0].get_position(original=True), figure.get_figheight()
+        lack_in = min(panel_in, cell.width * width_in) * tall - cell.height * height_in
+        figure.set_figheight(height_in + num_rows * lack_in)
     return figure, axes
 
 
@@ -203,10 +229,19 @@ def _dress(panel: Axes, grid: Grid, title: str, num_ticks: int) -> None:
 def mark_ends(
     panel: Axes, start_xy_m: Iterable[Any], goal_xy_m: Iterable[Any], size: float = 1.1
 ) -> None:
-    """Mark where a route starts (circle) and ends (star); `ENDS` are their entries in a legend."""
+    """Mark where a route starts (circle) and ends (star), and move scale bar and north to corners without either.
+
+    `ENDS` are their entries in a legend.
+    """
     for end, at in zip(ENDS, (start_xy_m, goal_xy_m), strict=True):
         look = END_LOOK | {"marker": end.get_marker(), "markersize": size * end.get_markersize()}
         panel.plot(*at, zorder=20, clip_on=False, **look)
+    low, high = np.transpose([panel.get_xlim(), panel.get_ylim()])
+    shares = (np.array([[*start_xy_m], [*goal_xy_m]], float) - low) / (high - low)
+    away = {loc: np.abs(shares - corner).max(axis=1).min() for loc, corner in CORNERS.items()}
+    marks = [mark for mark in panel.artists if isinstance(mark, AnchoredOffsetbox)]
+    for mark, loc in zip(marks, sorted(CORNERS, key=lambda loc: away[loc] < NEAR), strict=False):
+        mark.loc = AnchoredOffsetbox.codes[loc]
 
 
 def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
@@ -259,21 +294,11 @@ def _orient(panel: Axes) -> None:
     bar.patch.set(edgecolor="none", boxstyle="square,pad=0")
     bar.set_zorder(15)
     panel.add_artist(bar)
-    look = {"boxstyle": "square,pad=0.15", "facecolor": "white", "edgecolor": "none"}
-    panel.annotate(
-        NORTH,
-        (1, 1),
-        (-3, -3),
-        xycoords="axes fraction",
-        textcoords="offset points",
-        ha="right",
-        va="top",
-        linespacing=0.9,
-        size=SMALL_PT,
-        color=INK,
-        bbox=look,
-        zorder=15,
-    )
+    look = {"size": SMALL_PT, "color": INK, "ha": "center", "linespacing": 0.9}
+    north = AnchoredText(NORTH, "upper right", prop=look, pad=0.15, borderpad=0.3)
+    north.patch.set(edgecolor="none", boxstyle="square,pad=0")
+    north.set_zorder(15)
+    panel.add_artist(north)
 
 
 def frame_note(
@@ -340,9 +365,9 @@ def ground_said(maps: MetricMaps) -> tuple[str, ...]:
     )
 
 
-def joined(*facts: str | None) -> str:
+def joined(*facts: str | None, by: str = GAP) -> str:
     """Return facts as one line, without those that are empty."""
-    return GAP.join(filter(None, facts))
+    return by.join(filter(None, facts))
 
 
 def place_said(grid: Grid) -> str:

@@ -159,9 +159,9 @@ def plot_paths(
     drawn = list(chain.from_iterable(paths_at))
     colours = planner_colours(name for _, name in named)
     note = frame_note(maps, times[0] if len(times) == 1 else None)
-    days = {day for *_, day in places if day}
-    by_day = f", {days.pop()}" if len(days) == 1 else ""
-    heading = f"Cost{' and paths' if drawn else ''}, by altitude above ground{by_day}"
+    days = list({day for *_, day in places})
+    heading = f"Cost{' and paths' if drawn else ''}, by altitude above ground"
+    heading = joined(heading, days[0] if len(days) == 1 else "", by=", ")
     if drawn:
         rules = rules_said(*(path.settings for path, _ in drawn))
         note = "\n".join(filter(None, [joined(note, "below: cost, length"), rules]))
@@ -274,8 +274,7 @@ class Beside(AbstractPathEffect):
         look = renderer.new_gc()
         look.copy_properties(gc)
         if self.width_pt:
-            width_px: Any = renderer.points_to_pixels(self.width_pt)
-            look.set_linewidth(width_px)
+            look.set_linewidth(self.width_pt)
         if self.colour:
             look.set_foreground(self.colour)
         (points,) = affine.transform_path(tpath).to_polygons(closed_only=False)
@@ -378,7 +377,7 @@ def plot_overview(
     legend += [*obstacle_patches(maps, BLOCKED_COLOUR), *path_entries(colours, drawn)]
     rules = rules_said(*(path.settings for path in drawn))
     note = "\n".join(filter(None, [frame_note(maps, time), rules]))
-    heading = ", ".join(filter(None, (f"Metric maps{what}, {z:g} m above ground", time_of_day)))
+    heading = joined(f"Metric maps{what}, {z:g} m above ground", time_of_day, by=", ")
     look: dict[str, Any] = {"legend": legend, "has_ticks": False, "width": width}
     figure, axes = draw_maps(maps.grid, panels, heading, note, **look)
     draw_paths(axes[-1], drawn, [colours[name] for _, name in named])

@@ -34,6 +34,7 @@ ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#c51b8a", "#1a1a1a", "#ffd9d
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
 CLEARANCE_TICKS_M = (0, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 NO_FIX_PT = 1.0  # at the ends of what is shaded, so that a single cell is seen
+LIFT = 0.2  # of the first legend, over the numbers of segments
 HEIGHT_IN, SECOND_IN = 6.1, 1.2  # of the figure; of a second panel of metrics
 
 
@@ -102,13 +103,13 @@ def plot_profile(
             panel.axvline(cut_m / 1000, color=FAINT_INK, linewidth=0.4, linestyle=":", zorder=0)
         dress(panel)
         if panel.get_legend_handles_labels()[0]:
-            legend_above(panel)
+            legend_above(panel, LIFT if panel is axes[0] else 0.0)
     figure.align_ylabels(axes)
     above = axes[0].secondary_xaxis("top")  # the numbers of the report's segments
     middles_km = (report.segments["from_m"] + report.segments["to_m"]).astype(float) / 2000
     above.set_xticks(middles_km, [str(number) for number in middles_km.index])
     above.tick_params(length=0, labelsize=SMALL_PT, labelcolor=FAINT_INK)
-    above.set_xlabel("segment", color=FAINT_INK)
+    above.set_xlabel("segment", color=FAINT_INK, loc="right")
     above.spines[:].set_visible(False)
     return figure
 

@@ -184,9 +184,8 @@ def _maps(
     """Return maps of the normalised cost with the route's ends, on which routes are drawn."""
     settings, z = result.route.settings, result.route.altitude_m
     layers = cost_layers(result.maps, z, settings["time"], settings["time_of_day"])
-    facts = joined(
-        f"{z:g} m above ground", settings["time_of_day"], "grey: normalised cost, black: lowest"
-    )
+    heading = joined(heading, settings["time_of_day"], by=", ")
+    facts = joined(f"{z:g} m above ground", "grey: normalised cost, black: lowest")
     note = "\n".join([facts, frame_note(result.maps, settings["time"]), rules_said(settings)])
     entries = [*obstacle_patches(result.maps, BLOCKED_COLOUR), *legend, *ENDS]
     panels_of = [MapPanel(title, layers) for title in titles]

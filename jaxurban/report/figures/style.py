@@ -29,7 +29,7 @@ WIDTHS_MM = {"column": 88.9, "page": 182.0}
 LEAST_MM, MM_PER_IN = 60.0, 25.4
 Width = Literal["column", "page"] | float
 INK, FAINT_INK = "#1a1a1a", "#555555"
-HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.2, 0.13, 17.0  # of a line of a heading, of SMALL_PT
+HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.2, 0.13, 18.0  # of a line of a heading, of SMALL_PT
 # Of several series that are no metrics, whose colours these avoid; dark and light ones by turns.
 SERIES_COLOURS = ("#1a1a1a", "#d55e00", "#56b4e9", "#7f7f7f", "#8c510a", "#66c2a5", "#f0c800")
 MARKERS = "osD^vP*X"
@@ -168,9 +168,12 @@ def label_rows(axes: Sequence[Axes], label: str) -> None:
 
 
 def letter_all(axes: Sequence[Axes]) -> None:
-    """Put letters before the titles of panels."""
+    """Put letters before the titles of panels, and break those that are too long."""
     for number, panel in enumerate(axes):
-        panel.set_title(letter(number, len(axes)) + panel.get_title(loc="left"))
+        spec: Any = panel.get_subplotspec()
+        room_in = spec.get_gridspec().figure.get_figwidth() / spec.get_gridspec().ncols
+        title = letter(number, len(axes)) + panel.get_title(loc="left")
+        panel.set_title(wrapped(title, room_in, TEXT_PT))
 
 
 def dress(panel: Axes) -> None:
@@ -179,12 +182,16 @@ def dress(panel: Axes) -> None:
     panel.grid(axis="y", linewidth=0.4, alpha=0.5)
 
 
-def legend_above(panel: Axes) -> None:
-    """Write the legend of a panel above it, in as many columns as it may be wide."""
+def legend_above(panel: Axes, lift: float = 0.0) -> None:
+    """Write the legend of a panel above it, higher by a share of its height, in as many columns as have room."""
     handles, names = panel.get_legend_handles_labels()
     figure: Any = panel.figure
     room = figure.get_figwidth() / (ENTRY_IN + max(map(len, names)) / LETTERS_PER_IN)
-    look: dict[str, Any] = {"bbox_to_anchor": (0, 1), "borderaxespad": 0.3, "columnspacing": 1.2}
+    look: dict[str, Any] = {
+        "bbox_to_anchor": (0, 1 + lift),
+        "borderaxespad": 0.3,
+        "columnspacing": 1.2,
+    }
     panel.legend(handles, names, loc="lower left", ncols=max(1, int(room)), **look)
 
 
@@ -283,7 +290,8 @@ def add_colour_bar(
     cax: Axes | None = None,
 ) -> None:
     """Add a colour bar beside (``right``) or below (``bottom``) panels, or in axes of its own, lying."""
-    place: dict[str, Any] = {"ax": axes, "location": location, "aspect": 25, "panchor": False}
+    place: dict[str, Any] = {"ax": axes, "location": location, "panchor": False}
+    place["aspect"] = 25 if location == "right" else 50
     if cax is not None:
         place = {"cax": cax, "orientation": "horizontal"}
     bar = figure.colorbar(
