@@ -1,6 +1,7 @@
 """Pictures show the right colour in the right place, to scale, with every label whole."""
 
 import json
+import re
 import subprocess
 import sys
 from itertools import combinations
@@ -11,6 +12,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.legend import Legend
+from matplotlib.offsetbox import AnchoredOffsetbox
 from matplotlib.text import Text
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from PIL import Image
@@ -366,6 +368,84 @@ def test_scale_bar_is_as_long_as_it_says(rows, cols, resolution_m):
             [(583_000, 4_507_000), (583_000 + length_m, 4_507_000 + length_m)]
         )
         np.testing.assert_allclose(np.diff(x_pixels, axis=0)[0], width, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("width", "width_mm"), [("column", 88.9), ("page", 182.0), (120, 120.0)])
+def test_a_file_is_as_wide_as_asked_and_its_text_stays_text(maps, tmp_path, width, width_mm):
+    figure = plotting.plot_metric(maps, "risk", altitude_m=60, width=width)
+    for suffix in ("png", "pdf", "svg"):
+        figure.savefig(tmp_path / f"risk.{suffix}")
+    with Image.open(tmp_path / "risk.png") as image:
+        assert image.info["dpi"] == pytest.approx((300, 300), abs=0.1)
+        assert image.size[0] / 300 * 25.4 == pytest.approx(width_mm, abs=0.1)
+    svg = (tmp_path / "risk.svg").read_text(encoding="utf-8")
+    width_pt = float(re.search(r'<svg[^>]* width="([\d.]+)pt"', svg)[1])
+    assert width_pt / 72 * 25.4 == pytest.approx(width_mm, abs=0.1)
+    assert "easting (km)</text>" in svg
+    pdf = (tmp_path / "risk.pdf").read_bytes()
+    assert b"/TrueType" in pdf or b"/CIDFontType2" in pdf
+    assert b"/Type3" not in pdf
+    write_picture(figure, tmp_path / "again.pdf")
+    assert (tmp_path / "again.pdf").read_bytes() == pdf
+
+
+@pytest.mark.parametrize("width", ["poster", 20.0, float("nan")])
+def test_a_width_that_is_none_is_refused(maps, width):
+    with pytest.raises(
+        InputError, match=r"'column' \(88.9 mm\) or 'page' \(182 mm\), or at least 60"
+    ):
+        plotting.plot_obstacles(maps, width=width)
+
+
+def test_every_function_takes_altitude_m_and_those_of_1_0_the_former_name(maps):
+    for name, draw in (("risk", plotting.plot_metric), ((), plotting.plot_paths)):
+        assert len(panels_of(draw(maps, name, altitude_m=60.0))) == 1
+        with pytest.warns(DeprecationWarning, match="altitudes_m .* is now altitude_m"):
+            assert len(panels_of(draw(maps, name, altitudes_m=[20.0, 60.0]))) == 2
+    for draw in (plotting.plot_obstacles, plotting.plot_gps_rating, plotting.plot_sensor_choice):
+        assert len(panels_of(draw(maps, altitude_m=[20.0, 60.0]))) == 2
+        with pytest.warns(DeprecationWarning, match="altitudes_m .* is now altitude_m"):
+            assert len(panels_of(draw(maps, altitudes_m=[20.0]))) == 1
+
+
+@pytest.mark.parametrize("width", ["page", "column"])
+def test_no_axes_are_empty_and_no_bar_is_wider_than_its_map(maps, width):
+    bare = MetricMaps(maps.ds.drop_vars(["population", "density", "time_of_day"]))
+    figure = plotting.plot_overview(bare, make_paths(bare), width=width)
+    figure.draw_without_rendering()
+    assert len(panels_of(figure)) == 5
+    for axes in figure.axes:
+        assert axes.images or axes.get_legend() or axes.collections or axes.patches
+    for panel in panels_of(figure):
+        (bar,) = panel.child_axes
+        assert bar.get_window_extent().width == pytest.approx(panel.get_window_extent().width)
+
+
+def test_titles_name_the_time_of_day_and_legends_lanes(maps):
+    day = [make_path(maps, name) for name in ("astar-dist", "ptp")]
+    night = make_path(maps, "ptp", time_of_day="night")
+    assert plotting.plot_paths(maps, day).get_suptitle().endswith("ground, day")
+    assert plotting.plot_overview(maps, night).get_suptitle().endswith("ground, night")
+    assert plotting.plot_paths(maps, [day[0], night]).get_suptitle().endswith("ground")
+    for paths, is_said in ((day, True), (day[:1], False)):
+        text = texts_of(plotting.plot_paths(maps, paths))
+        assert ("shared stretches:\nside by side" in text) == is_said
+
+
+def test_scale_and_north_keep_out_of_the_way_of_a_routes_ends(maps):
+    grid = maps.grid
+    ends = np.reshape(grid.bounds_m, (2, 2)) + np.array([[150.0], [-150.0]])
+    path = made_path(
+        grid, ends, 20.0, Status.OPTIMAL, "ptp", settings=make_path(maps, "p").settings
+    )
+    figure = plotting.plot_paths(maps, path)
+    figure.draw_without_rendering()
+    (panel,) = panels_of(figure)
+    marks = panel.findobj(AnchoredOffsetbox)
+    boxes = [mark.get_window_extent() for mark in marks if mark.axes is panel]
+    assert len(boxes) >= 2
+    for x, y in panel.transData.transform(ends):
+        assert not any(box.contains(x, y) for box in boxes)
 
 
 def all_figures(maps):
