@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import jaxurban as ju
+from figures.gallery import SCREEN_DPI
 from jaxurban.report.figures import plot_overview, save_profile
 from jaxurban.report.write import write_picture
 
@@ -27,7 +28,8 @@ def main() -> None:
         name: ju.plan(maps, objective=objective, **query)
         for name, objective in (("cheapest route", "weighted"), ("shortest route", "distance"))
     }
-    write_picture(plot_overview(maps, [*routes.values()], names=[*routes]), DOCS / "overview.png")
+    figure = plot_overview(maps, [*routes.values()], names=[*routes])
+    write_picture(figure, DOCS / "overview.png", dpi=SCREEN_DPI)
     save_profile(routes["cheapest route"], maps, DOCS / "profile.png")
 
 

@@ -50,6 +50,7 @@ CENSUS = {
     "table": DATA / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
     "districts": DATA / "districts/nyc_community_districts.geojson",
 }
+LOOK_DPI = 200  # of the pictures to look at
 CREDIT = "buildings © OpenStreetMap contributors (ODbL); US Census Bureau; NYC Open Data"
 HEADS = ("The paper", "Here", "Why they differ")
 
@@ -201,8 +202,8 @@ def draw_metric(
 def save(figure: Figure, name: str, caption: Caption) -> None:
     """Write a figure: figures/paper/NAME.png to look at, its caption in NAME.md, out/figures/NAME.pdf to print."""
     write_text(name, caption)
-    write_picture(figure, folder() / f"{name}.png")
-    figure.savefig(OUT / f"{name}.pdf", dpi=300, metadata={"CreationDate": None})
+    write_picture(figure, folder() / f"{name}.png", dpi=LOOK_DPI)
+    write_picture(figure, OUT / f"{name}.pdf")
 
 
 def folder() -> Path:
