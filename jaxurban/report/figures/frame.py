@@ -11,6 +11,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.offsetbox import AnchoredOffsetbox, AnchoredText
 from matplotlib.patches import Patch
@@ -45,7 +46,8 @@ from jaxurban.world.grid import Grid
 
 MAX_CELLS = 4000  # a side: of larger maps every second, third ... row and column is drawn
 MAX_HEIGHT_IN = 6.5  # of all panels together
-TITLE_IN, FOOT_IN, BAR_IN = 0.3, 0.4, 0.6  # above each panel; below all, below each
+TITLE_IN, FOOT_IN, BAR_IN = 0.3, 1.5, 0.6  # above each panel; below all, below each
+BAR_AT_IN, THICK_IN = 0.15, 0.07  # of a bar below its panel
 NORTHING_IN, SIDE_IN = 0.55, 1.9  # left of all panels, right of them where a legend fits there
 MIN_WIDTH_IN, MIN_BAR_IN, TICK_IN = (
     1.7,
@@ -131,11 +133,6 @@ def draw_maps(
     foot_in = BAR_IN * any(bars) + LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
     tall = (grid.y_max_m - grid.y_min_m) / (grid.x_max_m - grid.x_min_m)
     panel_in = min(cell_in, (MAX_HEIGHT_IN / num_rows - foot_in) / tall)
-    look: dict[str, Any] = {"edgecolor": FAINT_INK, "linewidth": 0.4}
-    handles = [
-        Patch(facecolor=each[1], label=each[0], **look) if isinstance(each, tuple) else each
-        for each in legend
-    ]
     is_beside = width_in - beside_in - num_cols * panel_in > SIDE_IN
     cell_in -= SIDE_IN * is_beside / num_cols
     panels = [
@@ -146,16 +143,8 @@ def draw_maps(
         for number, panel in enumerate(panels)
     ]
     has_gap = len(panels) < num_cols * num_rows
-    has_row = bool(handles) and not is_beside and not has_gap
+    has_row = not is_beside and not has_gap
     height_in = num_rows * (TITLE_IN + panel_in * tall + foot_in) + FOOT_IN
-    names = [str(each.get_label()).splitlines() for each in handles]
-    letters = max((len(line) for name in names for line in name), default=0)
-    key_cols = 1
-    if has_row:
-        key_cols = max(1, int((width_in - EDGE_IN) / (ENTRY_IN + letters / LETTERS_PER_IN)))
-        height_in += LINE_IN * math.ceil(len(handles) / key_cols) * max(map(len, names))
-    if colours is not None and not is_beside:
-        height_in += BAR_IN
     figure = chart(height_in, heading, note, width)
     ratios = [*[panel_in * tall] * num_rows, *[0.01] * has_row]
     spots = figure.add_gridspec(num_rows + has_row, num_cols, height_ratios=ratios)
@@ -177,23 +166,15 @@ def draw_maps(
         if layers:
             draw_layers(panel, shown, layers)
         if bar is not None:
-            under = panel.inset_axes((0, -0.15 / (panel_in * tall), 1, 0.07 / (panel_in * tall)))
-            ticks_of = bar_ticks(bar)
-            if panel_in < MIN_BAR_IN:
-                ticks_of = ticks_of[:: len(ticks_of) - 1]
-            drawn = replace(bar, label=wrapped(bar.label, cell_in), ticks=ticks_of)
-            add_colour_bar(figure, [panel], drawn, cax=under)
+            bar = replace(bar, label=wrapped(bar.label, cell_in))
+            _add_bar_below(figure, panel, bar, panel_in, panel_in * tall)
         _orient(panel)
     if colours is not None:
         add_colour_bar(figure, axes, colours, "right" if is_beside else "bottom")
-    look = {"handles": handles, "fontsize": SMALL_PT, "frameon": False, "handlelength": 1.4}
-    if is_beside:
-        figure.legend(loc="outside right center", **look)
-    elif handles:
-        room = spots[-1, :] if has_row else spots[divmod(len(panels), num_cols)]
-        holder = figure.add_subplot(room)
-        holder.set_axis_off()
-        holder.legend(loc="upper left", borderaxespad=0, ncols=key_cols, **look)
+    gap = None
+    if not is_beside:
+        gap = spots[-1, :] if has_row else spots[divmod(len(panels), num_cols)]
+    _add_key(figure, legend, gap, width_in if has_row else 0.0)
     layout: Any = figure.get_layout_engine()
     for _ in range(SETTLING):
         layout.execute(figure)
@@ -201,6 +182,38 @@ def draw_maps(
         lack_in = min(panel_in, cell.width * width_in) * tall - cell.height * height_in
         figure.set_figheight(height_in + num_rows * lack_in)
     return figure, axes
+
+
+def _add_bar_below(
+    figure: Figure, panel: Axes, bar: Colours, width_in: float, height_in: float
+) -> None:
+    """Add a colour bar as wide as a panel of a size below it, with two ticks where there is no room for more."""
+    ticks = bar_ticks(bar)
+    if width_in < MIN_BAR_IN:
+        ticks = ticks[:: len(ticks) - 1]
+    under = panel.inset_axes((0, -BAR_AT_IN / height_in, 1, THICK_IN / height_in))
+    add_colour_bar(figure, [panel], replace(bar, ticks=ticks), cax=under)
+
+
+def _add_key(
+    figure: Figure, legend: Iterable[LegendEntry], gap: SubplotSpec | None, width_in: float
+) -> None:
+    """Add a legend in a gap of the grid of panels, in as many columns as its width holds; beside all where none is."""
+    edge: dict[str, Any] = {"edgecolor": FAINT_INK, "linewidth": 0.4}
+    handles = [
+        Patch(facecolor=each[1], label=each[0], **edge) if isinstance(each, tuple) else each
+        for each in legend
+    ]
+    look: dict[str, Any] = {"fontsize": SMALL_PT, "frameon": False, "handlelength": 1.4}
+    if gap is None:
+        figure.legend(handles=handles, loc="outside right center", **look)
+        return
+    lines = [line for each in handles for line in str(each.get_label()).splitlines()]
+    entry_in = ENTRY_IN + max(map(len, lines), default=0) / LETTERS_PER_IN
+    holder = figure.add_subplot(gap)
+    holder.set_axis_off()
+    look |= {"ncols": max(1, int((width_in - EDGE_IN) / entry_in)), "borderaxespad": 0}
+    holder.legend(handles=handles, loc="upper left", **look)
 
 
 def _own_bar(panel: MapPanel) -> Colours | None:
