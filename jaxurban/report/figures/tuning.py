@@ -21,7 +21,7 @@ from jaxurban.report.figures.frame import (
     rules_said,
 )
 from jaxurban.report.figures.metrics import line_colour, obstacle_patches
-from jaxurban.report.figures.paths import APART_PT, BLOCKED_COLOUR, Beside, lanes_of
+from jaxurban.report.figures.paths import APART_PT, BESIDE, BLOCKED_COLOUR, Beside, lanes_of
 from jaxurban.report.figures.style import Colours, dots, panels, show_plain_log, styled
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.weight_fit import WeightFit
@@ -90,6 +90,7 @@ def plot_routes(
         ("closed to paths", BLOCKED_COLOUR),
         *obstacle_patches(maps)[1:],
         *ENDS,
+        BESIDE,
     ]
     heading = f"{given.capitalize()}s and routes under the fitted weights"
     figure, (panel,) = draw_maps(grid, shown_maps, heading, note, legend=legend, colours=colours)
