@@ -46,7 +46,7 @@ from jaxurban.world.grid import Grid
 
 MAX_CELLS = 4000  # a side: of larger maps every second, third ... row and column is drawn
 MAX_HEIGHT_IN = 6.5  # of all panels together
-TITLE_IN, FOOT_IN, BAR_IN = 0.3, 1.5, 0.6  # above each panel; below all, below each
+TITLE_IN, FOOT_IN, BAR_IN = 0.3, 4.0, 0.6  # above each panel; below all at first, below each
 BAR_AT_IN, THICK_IN = 0.15, 0.07  # of a bar below its panel
 NORTHING_IN, SIDE_IN = 0.55, 1.9  # left of all panels, right of them where a legend fits there
 MIN_WIDTH_IN, MIN_BAR_IN, TICK_IN = (
