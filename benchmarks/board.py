@@ -27,7 +27,7 @@ from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.bitstar.bounds import cost_grid_of, reachable_cells
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.refine import refine
-from jaxurban.report.write import write_png
+from jaxurban.report.write import write_picture
 from jaxurban.studies.board import city_maps, problem_of, score, unpacked
 from jaxurban.studies.demonstrations import demonstration_from_line
 
@@ -193,7 +193,7 @@ def draw(board: pd.DataFrame, file: Path) -> None:
         panel.set(title=f"track {track}", xlabel="gap to the bound, %", xlim=(-1, 100 * MOST_GAP))
         panel.grid(axis="x", alpha=0.3)
     panels[0].legend(loc="center right")
-    write_png(figure, file)
+    write_picture(figure, file)
 
 
 def main() -> None:

@@ -37,7 +37,7 @@ from jaxurban.report.figures.style import (
     letter_all,
     styled,
 )
-from jaxurban.report.write import write_png
+from jaxurban.report.write import write_picture
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 PART_M = 110.0  # half the side of what is drawn larger
@@ -116,7 +116,7 @@ def draw(panel: Axes, problem: Problem, lines: dict[str, np.ndarray]) -> None:
 @styled
 def picture() -> Figure:
     """Return the figure."""
-    figure = chart(11.0, 4.4, "A path on the grid, Theta*'s and the refined one")
+    figure = chart(3.6, "A path on the grid, Theta*'s and the refined one")
     left, middle, right = axes = figure.subplots(1, 3)
     problem, bent_m = two_media()
     paths = paths_of(problem)
@@ -162,7 +162,7 @@ def picture() -> Figure:
 
 def main() -> None:
     """Draw the figure beside this script."""
-    write_png(picture(), File(__file__).with_suffix(".png"))
+    write_picture(picture(), File(__file__).with_suffix(".png"))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.differentiable import SoftParams, soften
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.report.buildings import plot_building_costs
-from jaxurban.report.write import write_png
+from jaxurban.report.write import write_picture
 from jaxurban.studies.weights.buildings import building_costs
 from jaxurban.world.grid import Grid
 
@@ -33,7 +33,7 @@ def main() -> None:
     with jax.enable_x64(True):
         soft = soften(task, dtype=np.float64)
         table = building_costs(city, soft, planned, SoftParams(ALTITUDE_M))
-    write_png(plot_building_costs(city, planned, table, region), FILE)
+    write_picture(plot_building_costs(city, planned, table, region), FILE)
 
 
 if __name__ == "__main__":

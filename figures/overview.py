@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import jaxurban as ju
+from figures.gallery import SCREEN_DPI
 from jaxurban.report.figures import plot_overview, save_profile
-from jaxurban.report.write import write_png
+from jaxurban.report.write import write_picture
 
 DOCS = Path(__file__).parents[1] / "docs"
 ALTITUDE_M, RESOLUTION_M = 40.0, 5.0
@@ -27,7 +28,8 @@ def main() -> None:
         name: ju.plan(maps, objective=objective, **query)
         for name, objective in (("cheapest route", "weighted"), ("shortest route", "distance"))
     }
-    write_png(plot_overview(maps, [*routes.values()], names=[*routes]), DOCS / "overview.png")
+    figure = plot_overview(maps, [*routes.values()], names=[*routes])
+    write_picture(figure, DOCS / "overview.png", dpi=SCREEN_DPI)
     save_profile(routes["cheapest route"], maps, DOCS / "profile.png")
 
 

@@ -10,7 +10,7 @@ from matplotlib.ticker import PercentFormatter
 import jaxurban as ju
 from jaxurban.report.figures.style import INK, chart, dress, letter_all, styled
 from jaxurban.report.satellites import CLASSES, SEEN, draw_cities, draw_horizon, satellite_figures
-from jaxurban.report.write import write_png
+from jaxurban.report.write import write_picture
 from jaxurban.studies.receiver.agreement import SatelliteAgreement
 
 NAMES = ("sky", "sky_track", "sky_margin", "sky_displacement", "sky_skies")
@@ -30,7 +30,7 @@ LEAST_DBHZ["45 and\nmore"] = 45
 def plot_sky(of: SatelliteAgreement, credit: str) -> Figure:
     """Return the sky of one place, how strongly hidden and visible satellites are heard, and displaced cities."""
     heading = "Where the maps say that a building hides a satellite, the receiver mostly hears it weakly or not at all"
-    figure = chart(11.0, 3.3, heading, credit)
+    figure = chart(2.8, heading, credit)
     grid = figure.add_gridspec(1, 3, width_ratios=(1.1, 1.2, 1.0))
     place = figure.add_subplot(grid[0], projection="polar")
     strengths, cities = figure.add_subplot(grid[1]), figure.add_subplot(grid[2])
@@ -83,7 +83,7 @@ def main() -> None:
         f"sky_{name}": draw for name, draw in satellite_figures(found, found.satellites).items()
     }
     for name in NAMES:
-        write_png(figures[name](), DOCS / f"{name}.png")
+        write_picture(figures[name](), DOCS / f"{name}.png")
 
 
 if __name__ == "__main__":

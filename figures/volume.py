@@ -17,7 +17,7 @@ import jaxurban as ju
 from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Problem
 from jaxurban.report.figures.style import chart, styled
-from jaxurban.report.write import write_png
+from jaxurban.report.write import write_picture
 
 FILE = Path(__file__).with_suffix(".png")
 ROOF, COLOURS, LEVELS_M = "#8a8a8a", "plasma", (10.0, 40.0)
@@ -130,7 +130,7 @@ def draw_profile(
 @styled
 def picture() -> Figure:
     """Return the figure."""
-    figure = chart(10.5, 8.6, "Over or around: what a metre of climb costs decides")
+    figure = chart(7.6, "Over or around: what a metre of climb costs decides")
     figure.get_layout_engine().set(rect=(0.015, 0, 0.985, 1))  # else a label at the left is cut
     cities = {"a wall of 30 m": wall(), "the synthetic city": city()}
     axes = figure.subplot_mosaic("ab;ac;de;df", width_ratios=(1, 1.25))
@@ -160,7 +160,7 @@ def picture() -> Figure:
 
 
 def main() -> None:
-    write_png(picture(), FILE)
+    write_picture(picture(), FILE)
 
 
 if __name__ == "__main__":

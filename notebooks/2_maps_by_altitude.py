@@ -54,16 +54,16 @@ plot_heights(maps)
 # range becomes a larger error in position: by the factor GDOP. `m_gps` is 1 at GDOP 1 and 0 at GDOP 20.
 
 # %%
-plot_metric(maps, "num_visible", altitudes_m=shown)
+plot_metric(maps, "num_visible", altitude_m=shown)
 
 # %%
-plot_metric(maps, "gps", altitudes_m=shown)
+plot_metric(maps, "gps", altitude_m=shown)
 
 # %% [markdown]
 # The same in words that pilots use: the rating of the paper.
 
 # %%
-plot_gps_rating(maps, altitudes_m=shown)
+plot_gps_rating(maps, altitude_m=shown)
 
 # %% [markdown]
 # ## Lidar: the other way round
@@ -72,13 +72,13 @@ plot_gps_rating(maps, altitudes_m=shown)
 # to see.
 
 # %%
-plot_metric(maps, "lidar", altitudes_m=shown)
+plot_metric(maps, "lidar", altitude_m=shown)
 
 # %% [markdown]
 # ## Which of the two to trust
 
 # %%
-plot_sensor_choice(maps, altitudes_m=shown)
+plot_sensor_choice(maps, altitude_m=shown)
 
 # %% [markdown]
 # ## People: they do not change with altitude, but with the hour
@@ -93,7 +93,7 @@ plot_population(maps)
 # ## Walls: how much room there is
 
 # %%
-plot_metric(maps, "risk", altitudes_m=shown)
+plot_metric(maps, "risk", altitude_m=shown)
 
 # %% [markdown]
 # ## All of it in one picture

@@ -70,7 +70,7 @@ layers = {
     "gusts": ju.Layer(gusts, "high-is-bad", (0.0, 50.0), reach_m=30.0),
 }
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0, 60.0), layers=layers)
-plot_metric(maps, "complaints", altitudes_m=[20.0])
+plot_metric(maps, "complaints", altitude_m=[20.0])
 
 # %%
 plot_metric(maps, "gusts")

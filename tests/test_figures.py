@@ -8,8 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from figures import gallery
 from figures.paper import common, example_paths
+from jaxurban.report import figures
 from jaxurban.report.figures.frame import MapPanel, classes_layer, draw_maps
 from jaxurban.world.grid import Grid
 
@@ -83,6 +86,34 @@ def test_a_figure_is_drawn_for_the_eye_and_for_print_and_a_small_one_is_kept_apa
     assert (tmp_path / "print" / "fig_99_try.pdf").read_bytes()[:4] == b"%PDF"
     monkeypatch.setattr(common, "IS_SMALL", True)
     assert common.folder() == common.OUT
+
+
+def test_the_gallery_shows_every_function_and_keeps_what_its_page_shows():
+    text, names = gallery.PAGE.read_text(encoding="utf-8"), gallery.shown()
+    draws = {name for name in dir(figures) if name.startswith("plot_")}
+    assert [name for name in draws if f"figures.{name}(" not in text] == []
+    kept = {
+        file.relative_to(gallery.DOCS / "gallery").with_suffix("").as_posix(): file.stat().st_size
+        for file in (gallery.DOCS / "gallery").rglob("*.webp")
+    }
+    assert sorted(kept) == sorted(names)
+    assert max(kept.values()) < 300_000
+    assert sum(kept.values()) < 1_500_000
+
+
+def test_the_gallery_draws_what_the_lines_of_its_page_write(tmp_path, monkeypatch):
+    lines = """```python
+from jaxurban.report.figures.style import chart
+chart(2.0, "Two").savefig("two.png")
+```
+![two](gallery/two.webp)
+"""
+    (tmp_path / "gallery.md").write_text(lines, encoding="utf-8")
+    monkeypatch.setattr(gallery, "DOCS", tmp_path)
+    monkeypatch.setattr(gallery, "PAGE", tmp_path / "gallery.md")
+    gallery.main()
+    with Image.open(tmp_path / "gallery" / "two.webp") as image:
+        assert image.size[0] == pytest.approx(182 / 25.4 * gallery.SCREEN_DPI, abs=1)
 
 
 def test_an_unknown_figure_is_answered_with_those_there_are():

@@ -27,7 +27,7 @@ from jaxurban.io.samples import SAMPLES
 from jaxurban.maps.run import ScenarioRun, run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.report.figures import plot_metric
-from jaxurban.report.write import framed, write_png
+from jaxurban.report.write import framed, write_picture
 from jaxurban.studies.montecarlo.sampling import STRATA, strata_of
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.grid import Grid
@@ -50,6 +50,7 @@ CENSUS = {
     "table": DATA / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
     "districts": DATA / "districts/nyc_community_districts.geojson",
 }
+LOOK_DPI = 200  # of the pictures to look at
 CREDIT = "buildings © OpenStreetMap contributors (ODbL); US Census Bureau; NYC Open Data"
 HEADS = ("The paper", "Here", "Why they differ")
 
@@ -194,15 +195,15 @@ def draw_metric(
     """Draw the maps of a metric for every town, with the caption that they get."""
     for town in TOWNS:
         maps = town.maps(MAP_M)
-        figure = plot_metric(maps, metric, altitudes_m=DRAWN_M)
+        figure = plot_metric(maps, metric, altitude_m=DRAWN_M)
         save(figure, f"fig_{number:02}_{metric}_{town.name}", caption(town, maps))
 
 
 def save(figure: Figure, name: str, caption: Caption) -> None:
     """Write a figure: figures/paper/NAME.png to look at, its caption in NAME.md, out/figures/NAME.pdf to print."""
     write_text(name, caption)
-    write_png(figure, folder() / f"{name}.png")
-    figure.savefig(OUT / f"{name}.pdf", dpi=300, metadata={"CreationDate": None})
+    write_picture(figure, folder() / f"{name}.png", dpi=LOOK_DPI)
+    write_picture(figure, OUT / f"{name}.pdf")
 
 
 def folder() -> Path:

@@ -24,8 +24,6 @@ from jaxurban.report.figures.frame import (
     NO_DATA_COLOUR,
     MapLayer,
     MapPanel,
-    add_scale,
-    draw_layers,
     draw_maps,
     joined,
     rules_said,
@@ -159,19 +157,20 @@ def draw(
 ) -> Figure:
     maps, altitude_m = shared.maps, shared.altitude_m
     parts = [window(maps.grid, paths) for paths in results]
+    layers = cost_layers(maps, altitude_m, shared.time, shared.time_of_day)
     panels = []
-    for case, paths in zip(cases, results, strict=True):
+    for case, part, paths in zip(cases, parts, results, strict=True):
         outcomes = "\n".join(outcome_of(path, path.search.planner) for path in paths)
-        panels.append(MapPanel(case.title, foot=outcomes))
+        cut = [crop(layer, maps.grid, part) for layer in layers]
+        panels.append(MapPanel(case.title, cut, outcomes, part))
     heading = f"Example paths {altitude_m:g} m above ground: {town.title}"
-    note = joined(
-        f"{PATH_M:g} m cells", shared.time_of_day, "below: cost, length", maps.attribution
-    )
+    heading = joined(heading, shared.time_of_day, by=", ")
+    note = joined(f"{PATH_M:g} m cells", "below: cost, length", maps.attribution)
     colours = planner_colours(PAPER_PLANNERS)
     legend = obstacle_patches(maps, BLOCKED_COLOUR)
     if any(not _holds(maps.grid, part) for part in parts):
         legend = [*legend[:1], ("beyond the\nregion, or\nno data", NO_DATA_COLOUR)]
-    entries = path_entries(colours, [path for paths in results for path in paths])
+    entries = path_entries(colours, *results)
     look = {"legend": [*legend, *entries], "colours": COST_COLOURS, "has_ticks": False}
     figure, axes = draw_maps(
         parts[0],
@@ -180,13 +179,8 @@ def draw(
         f"{note}\npreset paper  ·  {rules_said(map_settings(shared))}",
         **look,
     )
-    layers = cost_layers(maps, altitude_m, shared.time, shared.time_of_day)
-    for panel, part, paths in zip(axes, parts, results, strict=True):
-        draw_layers(panel, part, [crop(layer, maps.grid, part) for layer in layers])
-        panel.set(xlim=(part.x_min_m, part.x_max_m), ylim=(part.y_min_m, part.y_max_m))
+    for panel, paths in zip(axes, results, strict=True):
         add_paths(panel, paths, [colours[path.search.planner] for path in paths])
-        if panel is not axes[0]:
-            add_scale(panel)
     return figure
 
 

@@ -12,7 +12,7 @@ from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import STEPS, CostModel, allowed_moves
 from jaxurban.planners.grid_search import graph_of
 from jaxurban.report.figures.metrics import percent
-from jaxurban.report.figures.style import INK, SMALL_PT, TEXT_PT, chart
+from jaxurban.report.figures.style import INK, SMALL_PT, TEXT_PT, chart, inches, wrapped
 
 ALTITUDE_M = 20.0
 # v_0 in the middle; v_1 north of it, then clockwise, so that straight neighbours are odd and diagonal ones even.
@@ -66,7 +66,9 @@ def draw(panel: Axes, title: str, problem: Problem, lost: set[tuple[Cell, Cell]]
     """Draw cells, nodes and edges, with the costs of those from v_0; ``lost`` ones are allowed by (b) but not here."""
     panel.set(xlim=(-0.52, 2.52), ylim=(-0.52, 2.52), aspect="equal")
     panel.set_axis_off()
-    panel.set_title(title, size=TEXT_PT, loc="left", color=INK)
+    panel.set_title(
+        wrapped(title, inches("page") / 3, TEXT_PT), size=TEXT_PT, loc="left", color=INK
+    )
     for row, col in np.ndindex(3, 3):
         look = {} if problem.is_free[row, col] else {"facecolor": "#7d7d7d", "hatch": "///"}
         panel.add_patch(
@@ -195,7 +197,7 @@ def main() -> None:
         (edge.origin, edge.target) for edge in edges[2]
     }
     note = f"{PATH_M:g} m cells; v2 and v5 blocked in (b) and (c)"
-    figure = chart(11.0, 3.9, f"Steps between neighbouring cells, and their lengths ({note})")
+    figure = chart(2.9, f"Steps between neighbouring cells, and their lengths ({note})")
     for number, (panel, title, problem) in enumerate(
         zip(figure.subplots(1, 3), titles, problems, strict=True)
     ):

@@ -170,7 +170,7 @@ class RouteFiles(NamedTuple):
 @click.option(
     "--profile",
     type=PATH,
-    help="Write a picture (PNG) of heights, metrics and clearance along the route.",
+    help="Write a picture (.png, .pdf or .svg) of heights, metrics and clearance along the route.",
 )
 @FLAG(
     "--when",

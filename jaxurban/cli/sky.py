@@ -23,7 +23,7 @@ from jaxurban.progress import LOG
 if TYPE_CHECKING:
     from jaxurban.paths.sky_along import SkyAlong
 
-PICTURE, MOST_ROWS = ".png", 40
+MOST_ROWS = 40
 NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
 
 
@@ -58,7 +58,7 @@ NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
 )
 @NUMBER("--resolution", "resolution_m", help="Cell size of the maps, for --by map.")
 @FILES(
-    help="File to write: .csv or .parquet, or a picture (.png) of the sky at a place; repeatable.",
+    help="File to write: .csv or .parquet, or a picture (.png, .pdf, .svg) of the sky at a place; repeatable.",
 )
 @JSON_FLAG
 def sky(
@@ -75,7 +75,7 @@ def sky(
     """Say which satellites are seen from a place, or along a track, over the maps in DIR, and what hides the others."""
     from jaxurban.paths.sky import sky as sky_at
     from jaxurban.report.figures.sky import plot_sky
-    from jaxurban.report.write import save
+    from jaxurban.report.write import PICTURES, save
 
     _check_files(files, track)
     result: Any
@@ -90,7 +90,7 @@ def sky(
     else:
         raise click.UsageError("give either --at, a place, or --track, a file")
     for file in files:
-        is_picture = file.suffix.lower() == PICTURE
+        is_picture = file.suffix.lower() in PICTURES
         save(file.parent, {file.name: partial(plot_sky, result) if is_picture else result.table})
         LOG.info(f"wrote {file}")
     for sentence in result.cautions:
@@ -113,8 +113,9 @@ def sky(
 def _check_files(files: tuple[Path, ...], track: Path | None) -> None:
     """Raise UsageError for a file that cannot be written, or is the track that is read."""
     from jaxurban.io.tables import SUFFIXES
+    from jaxurban.report.write import PICTURES
 
-    suffixes = (*SUFFIXES, PICTURE) if track is None else SUFFIXES
+    suffixes = (*SUFFIXES, *PICTURES) if track is None else SUFFIXES
     for file in files:
         if file.suffix.lower() not in suffixes:
             raise click.UsageError(f"-o must end in {' or '.join(suffixes)}, got {str(file)!r}")

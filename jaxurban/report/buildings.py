@@ -57,7 +57,6 @@ def plot_building_costs(
     place = (
         f"{planned.altitude_m:g} m above ground",
         time_said(settings["time"]),
-        settings["time_of_day"],
     )
     cells = (
         f"softness {table.attrs['softness_m']:g} m",
@@ -79,6 +78,7 @@ def plot_building_costs(
     near = Grid(grid.crs, grid.resolution_m, first_row, first_col, num_rows, num_cols)
     panels = [MapPanel(f"{planned.search.planner}, cost {planned.cost:,.1f}")]
     heading = "What one more metre of each building costs the route"
+    heading = joined(heading, settings["time_of_day"], by=", ")
     legend: list[LegendEntry] = [("route", ROUTE_COLOUR), *ENDS]
     figure, (panel,) = draw_maps(near, panels, heading, note, legend=legend, colours=colours)
     panel.set_facecolor(LAND_COLOUR)

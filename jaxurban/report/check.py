@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.constraints import describe_constraints
@@ -16,7 +17,7 @@ from jaxurban.paths.profile import TOUCHED
 from jaxurban.report.figures.frame import MapPanel, draw_maps, frame_note
 from jaxurban.report.figures.metrics import roof_layers
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
-from jaxurban.report.figures.style import chart, dress, styled
+from jaxurban.report.figures.style import chart, dress, legend_above, styled
 from jaxurban.report.write import Output, bullets, fill, study_outputs
 from jaxurban.studies.check_result import MissionCheck
 
@@ -26,8 +27,15 @@ FOUND: dict[str, Any] = {
     "linestyle": "none",
     "label": "findings, by number",
 }
+MISSION: dict[str, Any] = {
+    "color": ALTITUDE_COLOUR,
+    "marker": ".",
+    "markersize": 1.5,
+    "linestyle": "none",
+    "label": "mission",
+}
 GAP_M = 10.0  # between steps, which are shorter: nothing is drawn there
-SIZE_IN = 8.0, 3.4
+HEIGHT_IN = 3.4
 HEADS = ["item", "kind", "what", "along_m", "height_m", "lon", "lat"]
 
 
@@ -66,13 +74,14 @@ def plot_mission(result: MissionCheck) -> Figure:
     """Return the mission over the roofs, as far as the maps hold it, and its findings."""
     steps, grid = result.flight.steps, result.maps.grid
     panel = MapPanel(f"Roof height (m), {result.flight.mission.name}", roof_layers(result.maps))
-    figure, (axes,) = draw_maps(grid, [panel], result.sentence, frame_note(result.maps))
-    axes.plot(*steps.ends_m[:, 0].T, ".", markersize=1.5, color=ALTITUDE_COLOUR, label="mission")
+    legend = [Line2D([], [], **MISSION), Line2D([], [], **FOUND)]
+    note = frame_note(result.maps)
+    figure, (axes,) = draw_maps(grid, [panel], result.sentence, note, legend=legend)
+    axes.plot(*steps.ends_m[:, 0].T, **MISSION)
     places = result.findings.dropna(subset=["lon"])
     xy_m = grid.xy_of_lonlat(*places[["lon", "lat"]].to_numpy().T)
     axes.plot(*xy_m, zorder=5, **FOUND)
     _number(axes, places.index, *xy_m)
-    _name(figure, axes)
     return figure
 
 
@@ -81,19 +90,19 @@ def plot_flown_heights(result: MissionCheck) -> Figure:
     """Return the height above the ground along the mission, the roofs of the cells below, and findings."""
     steps = result.flight.steps
     along_m = steps.along_m[:, 0]
-    figure = chart(*SIZE_IN, "Height along the mission", result.sentence)
+    figure = chart(HEIGHT_IN, "Height along the mission", result.sentence)
     axes = figure.subplots()
     if TOUCHED in result.maps.ds:
         roof_m = result.maps.m(TOUCHED)[tuple(steps.cell.T)].astype(float)
         roof_m[:-1][np.diff(along_m) > GAP_M] = np.nan  # beyond the maps no roof is known
         axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
-    axes.plot(along_m, steps.z_m[:, 0], ".", markersize=1.5, color=ALTITUDE_COLOUR, label="mission")
+    axes.plot(along_m, steps.z_m[:, 0], **MISSION)
     places = result.findings.dropna(subset=["lon"])
     axes.plot(places["along_m"], places["height_m"], **FOUND)
     _number(axes, places.index, places["along_m"], places["height_m"])
     axes.set(xlabel="flown (m)", ylabel="height above\nground (m)")
     dress(axes)
-    _name(figure, axes)
+    legend_above(axes)
     return figure
 
 
@@ -109,7 +118,3 @@ def _number(axes: Axes, rows: pd.Index, x: Iterable[float], y: Iterable[float]) 
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
             zorder=6,
         )
-
-
-def _name(figure: Figure, axes: Axes) -> None:
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside right center", frameon=False)

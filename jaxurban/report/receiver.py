@@ -52,9 +52,8 @@ def name_of(prediction: str) -> str:
 def plot_scatter(result: computed.ReceiverValidation) -> Figure:
     """Return the receiver against the prediction that is its own, a point per piece of track, darker where many are."""
     rows = result.main.to_dict("records")
-    figure, axes = panels(
-        len(rows), "Receiver against prediction, with rank correlations", panel_in=(4.2, 3.4)
-    )
+    heading = "Receiver against prediction, with rank correlations"
+    figure, axes = panels(len(rows), heading, height_in=2.8)
     for panel, row in zip(axes, rows, strict=True):
         witness, name = row["witness"], row["prediction"]
         known = result.pieces.dropna(subset=[witness, name])

@@ -177,7 +177,7 @@ def plot_track(result: ReceiverValidation, of: SatelliteAgreement) -> Figure:
     share = agrees.reindex(places.index).to_numpy()
     is_known = np.isfinite(share)
     note = f"Agreement: in view and {of.strong_dbhz:g} dBHz or more, or hidden and weaker. By chance it would be half."
-    figure = chart(6.0, 5.2, "Where maps and receiver agree", note)
+    figure = chart(5.2, "Where maps and receiver agree", note)
     panel = figure.subplots()
     dress(panel)
     panel.plot(x_m, y_m, color=FAINT_INK, linewidth=0.6, zorder=0)
@@ -209,7 +209,7 @@ def plot_margin(of: SatelliteAgreement) -> Figure:
     judged = of.rows[of.rows.is_judged]
     number = np.digitize(judged.margin_m, MARGINS_M)
     note = "Boxes: the middle half of the received satellites; lines: 5 to 95 %. Above: how many were judged."
-    figure = chart(7.4, 4.2, "How strongly satellites are heard, by how deep they are hidden", note)
+    figure = chart(4.2, "How strongly satellites are heard, by how deep they are hidden", note)
     panel, below = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     for k in np.unique(number):
         strength_dbhz = judged.cn0_dbhz[number == k]
@@ -249,8 +249,8 @@ def plot_displacement(of: SatelliteAgreement) -> Figure:
         "AUC: of two satellites of which the maps hide one, how often the one in view is the stronger.\n"
         "Cross and line: best fit; circle and band: 95 % of the best fits of resampled tracks."
     )
-    figure = chart(11.0, 3.9, "Would another place, city or height fit the receiver as well?", note)
-    field, cities, scales = axes = figure.subplots(1, 3)
+    figure = chart(3.4, "Would another place, city or height fit the receiver as well?", note)
+    field, cities, scales = axes = figure.subplots(1, 3, width_ratios=(1.0, 1.5, 0.8))
     for panel in axes:
         dress(panel)
     auc = of.field.pivot(index="north_m", columns="east_m", values="auc")
@@ -269,9 +269,7 @@ def plot_displacement(of: SatelliteAgreement) -> Figure:
     scales.axvspan(of.peak["scale_low"], of.peak["scale_high"], color=ROOFS, alpha=0.5)
     scales.axvline(of.peak["scale"], color=INK)
     scales.plot(of.scales.scale, of.scales.auc, color=SEEN)
-    scales.set(
-        xlabel="heights of all roofs times", ylabel="AUC", title="roofs made lower and higher"
-    )
+    scales.set(xlabel="heights of all roofs times", ylabel="AUC", title="roofs scaled")
     letter_all(axes)
     return figure
 
@@ -302,9 +300,7 @@ def draw_cities(panel: Axes, of: SatelliteAgreement, colours: Mapping[str, str])
 @styled
 def plot_skies(of: SatelliteAgreement) -> Figure:
     """Return the sky over the places of least and of most agreement: roofs, and satellites by strength."""
-    figure = chart(
-        9.0, 4.2, "The sky over two places: the zenith in the middle, the horizon at the rim"
-    )
+    figure = chart(4.2, "The sky over two places: the zenith in the middle, the horizon at the rim")
     axes = figure.subplots(1, len(of.skies), subplot_kw={"projection": "polar"}, squeeze=False)[0]
     for panel, sky in zip(axes, of.skies, strict=True):
         draw_horizon(panel, sky.horizon_deg)

@@ -18,7 +18,9 @@ from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.tables import SUFFIXES, write_table
 
 REPORT_FILE = "report.md"
-DPI, NUM_COLOURS = 110, 256
+DPI = 300  # of images, which the IEEE asks of colour
+NUM_COLOURS, SAMPLED = 256, 3  # of a PNG; every which pixel they are chosen of
+PICTURES = (".png", ".pdf", ".svg")
 # A text, a table, or what draws a picture or writes a map.
 Output = str | pd.DataFrame | Callable[..., Any]
 
@@ -48,7 +50,7 @@ def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:
     Args:
       folder: where to; made if it is not there, as are folders in the names.
       outputs: texts; tables, as CSV or Parquet by the name's end, or as both where it has none; functions that draw a
-        picture, a PNG; functions that write the file, a map, that they are given (``.tif``).
+        picture (`PICTURES`); functions that write the file, a map, that they are given (``.tif``).
 
     Raises:
       InputError: the folder cannot be written to.
@@ -62,26 +64,39 @@ def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:
         written.append(file)
         if isinstance(output, str):
             write_whole(file, output)
-        elif file.suffix == ".png":
+        elif file.suffix.lower() in PICTURES:
             with whole_file(file) as scratch:
-                write_png(output(), scratch)
+                write_picture(output(), scratch, file.suffix.lower())
         else:
             output(file)
     return written
 
 
-def write_png(figure: Figure, file: Path) -> None:
-    """Write a figure as PNG of 256 colours, about a quarter of the size of full colour."""
-    figure.set_dpi(DPI)
+def write_picture(figure: Figure, file: str | Path, suffix: str = "", dpi: float = DPI) -> None:
+    """Write a figure: PDF and SVG with text as text, PNG of 256 colours, about a quarter of the size of full colour.
+
+    Args:
+      figure: to write.
+      file: where to.
+      suffix: which of `PICTURES`; left out, the file's.
+      dpi: dots an inch of a PNG.
+    """
+    suffix = suffix or Path(file).suffix.lower()
+    if suffix != ".png":
+        figure.savefig(file, format=suffix[1:])
+        return
+    figure.set_dpi(dpi)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+    few = image.resize((image.width // SAMPLED, image.height // SAMPLED), Image.Resampling.NEAREST)
     rare_too, plain = (
         Image.Quantize.MAXCOVERAGE,
         Image.Dither.NONE,
     )  # by median cut, lines and legends lose theirs
-    image.quantize(NUM_COLOURS, rare_too, kmeans=1, dither=plain).save(
-        file, format="png", optimize=True
+    palette = few.quantize(NUM_COLOURS, rare_too, kmeans=1)
+    image.quantize(palette=palette, dither=plain).save(
+        file, format="png", optimize=True, dpi=(dpi, dpi)
     )
 
 

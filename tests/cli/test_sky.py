@@ -72,7 +72,7 @@ def test_a_track_and_a_route_give_a_row_a_place(maps, tmp_path, capsys):
     [
         ((), "give either --at, a place, or --track, a file"),
         (("--at=-73.9,40.7",), "--at needs --altitude"),
-        ((*AT, "-o", "sky.pdf"), "-o must end in .parquet or .csv or .png"),
+        ((*AT, "-o", "sky.gif"), "-o must end in .parquet or .csv or .png or .pdf or .svg"),
         (("--track", "t.csv", "--speed", 3), "a table has its own times"),
         (("--track", "t.gpx", "--altitude", 3), "a route needs --speed"),
         (("--track", "no.csv", "--altitude", 3), "no.csv"),

@@ -394,7 +394,7 @@ def test_roofs_of_guessed_height_and_stretches_above_every_obstacle_are_told_apa
     np.testing.assert_array_equal(
         steps(walls)["distance to obstacles"].get_data().values, clear_m.where(~is_first)
     )
-    assert "gaps: above every\nobstacle" in [
+    assert "gaps: above every obstacle" in [
         text.get_text() for text in walls.get_legend().get_texts()
     ]
     assert not walls.texts

@@ -1,6 +1,7 @@
 """Pictures show the right colour in the right place, to scale, with every label whole."""
 
 import json
+import re
 import subprocess
 import sys
 from itertools import combinations
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
+from matplotlib.legend import Legend
+from matplotlib.offsetbox import AnchoredOffsetbox
 from matplotlib.text import Text
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from PIL import Image
@@ -25,7 +28,7 @@ from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.paths import LINE_PT, PLANNER_COLOURS, lanes_of, maps_figures
 from jaxurban.report.figures.style import chart
-from jaxurban.report.write import DPI, write_png
+from jaxurban.report.write import DPI, write_picture
 from tests.made_maps import made_maps
 from tests.paths.volumes import made_path
 
@@ -151,7 +154,7 @@ def test_pictures_say_what_they_show():
     near, none = "(1: no obstacle within 50 m)", "no people\nin the data"
     for figure, said in (
         (
-            plotting.plot_metric(maps, "gps", altitudes_m=[60.0]),
+            plotting.plot_metric(maps, "gps", altitude_m=[60.0]),
             (f"60 m  ·  mean {mean:.2f}", *frame),
         ),
         (plotting.plot_gps_rating(maps), (f"20 m  ·  {percent(good)} good or better", *ratings)),
@@ -177,9 +180,9 @@ def test_pictures_say_what_they_show():
 
 def test_classes_people_and_costs_have_the_colours_of_their_values(maps):
     rating, people = plotting.plot_gps_rating(maps), plotting.plot_population(maps)
-    dop = plotting.plot_metric(maps, "gdop", altitudes_m=[20.0])
+    dop = plotting.plot_metric(maps, "gdop", altitude_m=[20.0])
     cost, choice = (
-        plotting.plot_paths(maps, (), altitudes_m=[20.0]),
+        plotting.plot_paths(maps, (), altitude_m=[20.0]),
         plotting.plot_sensor_choice(maps),
     )
     gdop, is_free = maps.m("gdop", 20.0), maps.is_free(20.0, "centre")
@@ -230,7 +233,9 @@ def test_paths_have_the_papers_colours_and_coinciding_ones_both_show(maps):
             "astar-dist: 1,235, 5.68 km",
             "astar-plus: 1,235, 5.68 km",
         ]
-    entries = [zip(legend.texts, legend.legend_handles, strict=True) for legend in figure.legends]
+    entries = [
+        zip(legend.texts, legend.legend_handles, strict=True) for legend in figure.findobj(Legend)
+    ]
     named = {text.get_text(): line for entry in entries for text, line in entry}
     assert named["astar-plus"].get_color() == PLANNER_COLOURS["astar-plus"]
 
@@ -271,9 +276,9 @@ def test_colour_bars_carry_both_ends_and_satellites_whole_numbers(maps, name):
     figure = (
         plotting.plot_population(maps) if name == "population" else plotting.plot_metric(maps, name)
     )
-    (bar,) = [axes for axes in figure.axes if axes.get_ylabel() and axes.get_gid() != MAP]
-    assert bar.get_yticks()[[0, -1]] == pytest.approx(bar.get_ylim())
-    assert name != "num_visible" or ({*bar.get_yticks() % 1}, bar.get_ylim()) == (
+    (bar,) = [axes for axes in figure.axes if axes.get_xlabel() and axes.get_gid() != MAP]
+    assert bar.get_xticks()[[0, -1]] == pytest.approx(bar.get_xlim())
+    assert name != "num_visible" or ({*bar.get_xticks() % 1}, bar.get_xlim()) == (
         {0},
         (0, 7),
     )  # there are 7
@@ -351,15 +356,100 @@ def test_scale_bar_is_as_long_as_it_says(rows, cols, resolution_m):
     frame_maps = make_maps(rows, cols, resolution_m)
     figure = plotting.plot_metric(frame_maps, "risk")
     figure.draw_without_rendering()
-    (scale,) = figure.findobj(AnchoredSizeBar)
+    scales, shown = figure.findobj(AnchoredSizeBar), panels_of(figure)
+    assert [scale.axes for scale in scales] == shown
+    scale = scales[0]
     number, unit = scale.txt_label.get_text().split()
     length_m = float(number) * {"m": 1, "km": 1000}[unit]
     width = scale.size_bar.get_window_extent().width
-    for panel in panels_of(figure):
+    for panel in shown:
+        assert "▲\nN" in [text.get_text() for text in panel.findobj(Text)]
         x_pixels = panel.transData.transform(
             [(583_000, 4_507_000), (583_000 + length_m, 4_507_000 + length_m)]
         )
         np.testing.assert_allclose(np.diff(x_pixels, axis=0)[0], width, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("width", "width_mm"), [("column", 88.9), ("page", 182.0), (120, 120.0)])
+def test_a_file_is_as_wide_as_asked_and_its_text_stays_text(maps, tmp_path, width, width_mm):
+    def draw():
+        return plotting.plot_metric(maps, "risk", altitude_m=60, width=width)
+
+    for suffix in ("png", "pdf", "svg"):
+        draw().savefig(tmp_path / f"risk.{suffix}")
+        if suffix != "png":
+            write_picture(draw(), tmp_path / f"again.{suffix}")
+            files = [(tmp_path / f"{name}.{suffix}").read_bytes() for name in ("risk", "again")]
+            assert files[0] == files[1]
+    with Image.open(tmp_path / "risk.png") as image:
+        assert image.info["dpi"] == pytest.approx((300, 300), abs=0.1)
+        assert image.size[0] / 300 * 25.4 == pytest.approx(width_mm, abs=0.1)
+    svg = (tmp_path / "risk.svg").read_text(encoding="utf-8")
+    width_pt = float(re.search(r'<svg[^>]* width="([\d.]+)pt"', svg)[1])
+    assert width_pt / 72 * 25.4 == pytest.approx(width_mm, abs=0.1)
+    assert "easting (km)</text>" in svg
+    pdf = (tmp_path / "risk.pdf").read_bytes()
+    assert b"/TrueType" in pdf or b"/CIDFontType2" in pdf
+    assert b"/Type3" not in pdf
+
+
+@pytest.mark.parametrize("width", ["poster", 20.0, float("nan")])
+def test_a_width_that_is_none_is_refused(maps, width):
+    with pytest.raises(
+        InputError, match=r"'column' \(88.9 mm\) or 'page' \(182 mm\), or at least 60"
+    ):
+        plotting.plot_obstacles(maps, width=width)
+
+
+def test_every_function_takes_altitude_m_and_those_of_1_0_the_former_name(maps):
+    for name, draw in (("risk", plotting.plot_metric), ((), plotting.plot_paths)):
+        assert len(panels_of(draw(maps, name, altitude_m=60.0))) == 1
+        with pytest.warns(DeprecationWarning, match="altitudes_m .* is now altitude_m"):
+            assert len(panels_of(draw(maps, name, altitudes_m=[20.0, 60.0]))) == 2
+    for draw in (plotting.plot_obstacles, plotting.plot_gps_rating, plotting.plot_sensor_choice):
+        assert len(panels_of(draw(maps, altitude_m=[20.0, 60.0]))) == 2
+        with pytest.warns(DeprecationWarning, match="altitudes_m .* is now altitude_m"):
+            assert len(panels_of(draw(maps, altitudes_m=[20.0]))) == 1
+
+
+@pytest.mark.parametrize("width", ["page", "column"])
+def test_no_axes_are_empty_and_no_bar_is_wider_than_its_map(maps, width):
+    bare = MetricMaps(maps.ds.drop_vars(["population", "density", "time_of_day"]))
+    figure = plotting.plot_overview(bare, make_paths(bare), width=width)
+    figure.draw_without_rendering()
+    assert len(panels_of(figure)) == 5
+    for axes in figure.axes:
+        assert axes.images or axes.get_legend() or axes.collections or axes.patches
+    for panel in panels_of(figure):
+        (bar,) = panel.child_axes
+        assert bar.get_window_extent().width == pytest.approx(panel.get_window_extent().width)
+
+
+def test_titles_name_the_time_of_day_and_legends_lanes(maps):
+    day = [make_path(maps, name) for name in ("astar-dist", "ptp")]
+    night = make_path(maps, "ptp", time_of_day="night")
+    assert plotting.plot_paths(maps, day).get_suptitle().endswith("ground, day")
+    assert plotting.plot_overview(maps, night).get_suptitle().endswith("ground, night")
+    assert plotting.plot_paths(maps, [day[0], night]).get_suptitle().endswith("ground")
+    for paths, is_said in ((day, True), (day[:1], False)):
+        text = texts_of(plotting.plot_paths(maps, paths))
+        assert ("shared stretches:\nside by side" in text) == is_said
+
+
+def test_scale_and_north_keep_out_of_the_way_of_a_routes_ends(maps):
+    grid = maps.grid
+    ends = np.reshape(grid.bounds_m, (2, 2)) + np.array([[150.0], [-150.0]])
+    path = made_path(
+        grid, ends, 20.0, Status.OPTIMAL, "ptp", settings=make_path(maps, "p").settings
+    )
+    figure = plotting.plot_paths(maps, path)
+    figure.draw_without_rendering()
+    (panel,) = panels_of(figure)
+    marks = panel.findobj(AnchoredOffsetbox)
+    boxes = [mark.get_window_extent() for mark in marks if mark.axes is panel]
+    assert len(boxes) >= 2
+    for x, y in panel.transData.transform(ends):
+        assert not any(box.contains(x, y) for box in boxes)
 
 
 def all_figures(maps):
@@ -399,8 +489,8 @@ def test_no_label_is_cut_and_no_two_overlap(rows, cols, monkeypatch):
     for figure in all_figures(make_maps(rows, cols, has_all_data=False)):
         drawn_texts.clear()
         figure.draw_without_rendering()
-        assert figure.get_figwidth() * DPI < 1300
-        assert figure.get_figheight() * DPI < 1100
+        assert figure.get_figheight() < 11
+        assert min(text.get_size() for text in drawn_texts) >= 6
         shown = (text for text in drawn_texts if text.get_text().strip() and text.get_visible())
         boxes = [(text.get_text(), text.get_window_extent()) for text in shown]
         assert len(boxes) > 10
@@ -418,7 +508,7 @@ def test_no_label_is_cut_and_no_two_overlap(rows, cols, monkeypatch):
 
 def test_a_large_map_is_thinned_and_keeps_its_place():
     maps = make_maps(9001, 6, 1.0)
-    image = panels_of(plotting.plot_metric(maps, "risk", altitudes_m=[20.0]))[0].images[0]
+    image = panels_of(plotting.plot_metric(maps, "risk", altitude_m=[20.0]))[0].images[0]
     assert image.get_array().shape[:2] == (3001, 2)
     assert image.get_extent() == [583_000, 583_006, 4_507_000, 4_507_000 + 9003]
     assert image.axes.get_ylim() == (4_507_000, 4_507_000 + 9001)
@@ -426,10 +516,10 @@ def test_a_large_map_is_thinned_and_keeps_its_place():
 
 def test_cells_without_data_are_told_from_obstacles():
     maps = make_maps(has_all_data=False)
-    figure = plotting.plot_metric(maps, "risk", altitudes_m=[20.0])
+    figure = plotting.plot_metric(maps, "risk", altitude_m=[20.0])
     assert "no data" in texts_of(figure)
     assert len({*drawn(panels_of(figure)[0])[-3:, -5:].ravel()} - {OBSTACLE_COLOUR}) == 1
-    assert "no data" not in texts_of(plotting.plot_metric(make_maps(), "risk", altitudes_m=[20.0]))
+    assert "no data" not in texts_of(plotting.plot_metric(make_maps(), "risk", altitude_m=[20.0]))
 
 
 def test_percentages_are_exact_only_where_they_are():
@@ -453,11 +543,12 @@ def test_all_figures_are_written_small_whole_and_the_same_again(maps, tmp_path):
     assert sorted(file.stem for file in written) == names.split()
     assert sorted(written) == sorted((tmp_path / "figures").glob("*.png"))
     for file in written:
-        assert file.stat().st_size < 400_000
+        assert file.stat().st_size < 500_000
         with Image.open(file) as image:
             assert image.format == "PNG"
-            assert 700 <= image.size[0] <= 1300
-    write_png(plotting.plot_paths(maps, paths), tmp_path / "paths.png")
+            assert image.size[0] == pytest.approx(DPI * 182 / 25.4, abs=1)
+            assert image.info["dpi"] == pytest.approx((DPI, DPI), abs=0.1)
+    write_picture(plotting.plot_paths(maps, paths), tmp_path / "paths.png")
     assert (tmp_path / "paths.png").read_bytes() == (
         tmp_path / "figures" / "paths.png"
     ).read_bytes()
@@ -501,13 +592,13 @@ def test_what_cannot_be_drawn_is_named(maps):
     ):
         plotting.plot_metric(maps, "wind")
     with pytest.raises(InputError, match="altitude 33"):
-        plotting.plot_metric(maps, "risk", altitudes_m=[33.0])
+        plotting.plot_metric(maps, "risk", altitude_m=[33.0])
     with pytest.raises(InputError, match="hold no population"):
         plotting.plot_population(MetricMaps(maps.ds.drop_vars("density")))
 
 
 def test_a_single_panel_keeps_the_maps_proportions():
-    figure = plotting.plot_metric(make_maps(300, 100, 10.0), "risk", altitudes_m=[20.0])
+    figure = plotting.plot_metric(make_maps(300, 100, 10.0), "risk", altitude_m=[20.0])
     (panel,) = panels_of(figure)
     figure.draw_without_rendering()
     box = panel.get_window_extent()
@@ -523,7 +614,7 @@ def test_drawing_does_not_import_pyplot():
 
 def test_a_notebook_shows_heading_and_note_too():
     """Jupyter cuts a figure to its tight box, which holds only what is in the layout."""
-    figure = chart(7.2, 3.0, "Heading", "note")
+    figure = chart(3.0, "Heading", "note")
     figure.subplots()
     shown = figure.get_tightbbox().transformed(figure.dpi_scale_trans)
     boxes = [text.get_window_extent() for text in figure.texts]

@@ -73,7 +73,7 @@ def test_one_scale_is_centred_at_zero_and_says_its_unit(found):
     assert colours.norm.vmin == -colours.norm.vmax
     assert colours.norm(0.0) == 0.5
     figure = plot_difference(found, "roof")
-    labels = [" ".join(axes.get_ylabel().split()) for axes in figure.axes]
+    labels = [" ".join(axes.get_xlabel().split()) for axes in figure.axes]
     assert "roof [m], B - A (red: B is higher)" in labels
     panels = [axes for axes in plot_difference(found, "gps").axes if axes.get_title(loc="left")]
     assert len(panels) == 2

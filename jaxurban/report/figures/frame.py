@@ -1,8 +1,9 @@
-"""Maps in a projected frame: panels of one grid with scale bar, colour bar, legend, and a note beneath."""
+"""Maps in a projected frame: panels with scale bar, north arrow and colour bar, a legend, and a note beneath."""
 
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +11,9 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
+from matplotlib.offsetbox import AnchoredOffsetbox, AnchoredText
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
@@ -21,33 +24,48 @@ from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.variables import CAVEAT, names_in
 from jaxurban.paths.constraints import describe_clearances, describe_kept
 from jaxurban.report.figures.style import (
+    EDGE_IN,
+    ENTRY_IN,
     FAINT_INK,
     INK,
+    LETTERS_PER_IN,
+    LINE_IN,
     SMALL_PT,
     TEXT_PT,
     Colours,
+    Width,
     add_colour_bar,
+    bar_ticks,
     chart,
     columns_of,
+    inches,
     letter,
+    wrapped,
 )
 from jaxurban.world.grid import Grid
 
 MAX_CELLS = 4000  # a side: of larger maps every second, third ... row and column is drawn
-MAX_WIDTH_IN, MAX_HEIGHT_IN = 7.4, 7.0  # of all panels together
-SIDE_IN, TITLE_IN, FOOT_IN, BAR_IN, LINE_IN = (
-    3.3,
-    0.42,
-    0.4,
-    0.66,
-    0.15,
-)  # beside all panels; above, below each
-MIN_WIDTH_IN, TICK_IN = 1.95, 0.75  # of a panel with its title and foot; of an easting
+MAX_HEIGHT_IN = 6.5  # of all panels together
+TITLE_IN, FOOT_IN, BAR_IN = 0.3, 4.0, 0.6  # above each panel; below all at first, below each
+BAR_AT_IN, THICK_IN = 0.15, 0.07  # of a bar below its panel
+NORTHING_IN, SIDE_IN = 0.55, 1.9  # left of all panels, right of them where a legend fits there
+MIN_WIDTH_IN, MIN_BAR_IN, TICK_IN = (
+    1.7,
+    1.0,
+    0.75,
+)  # of a panel, of a bar of more than two ticks; of an easting
 OBSTACLE_COLOUR, NO_DATA_COLOUR, GUESSED_COLOUR = "#c4c4c4", "#efe4d6", "#d98c4a"
 NO_DATA_PATCH = ("no data", NO_DATA_COLOUR)
 GAP = "  ·  "  # between two facts of a line
 MOST_RULES = 2  # weights, or the like, of the routes of one picture
 MAP = "map"  # gid of a panel over a grid
+# Where scale bar and north stand, the first ones first, as shares of the panel; and how near an end is in the way.
+CORNERS = {"lower left": (0, 0), "upper right": (1, 1), "lower right": (1, 0), "upper left": (0, 1)}
+NEAR = 0.2
+NORTH = "▲\nN"
+SETTLING = (
+    3  # runs of the layout, after which panels have their size and lines below them stand still
+)
 END_LOOK: dict[str, Any] = {
     "linestyle": "none",
     "markeredgecolor": "black",
@@ -73,11 +91,12 @@ class MapLayer(NamedTuple):
 
 
 class MapPanel(NamedTuple):
-    """A map of a figure: its title, its layers, later ones over earlier ones, and the lines below it."""
+    """A map of a figure: title, layers, later ones over earlier ones, lines below it, and its own grid, if any."""
 
     title: str
     layers: Sequence[MapLayer] = ()
     foot: str = ""
+    grid: Grid | None = None
 
 
 def draw_maps(
@@ -89,45 +108,55 @@ def draw_maps(
     legend: Iterable[LegendEntry] = (),
     colours: Colours | None = None,
     has_ticks: bool = True,
-    is_key_of_last: bool = False,
+    width: Width = "page",
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure of maps and the axes of its panels, in reading order.
 
+    The legend stands where a panel is missing to a full row, beside the panels where these are narrow, else below.
+
     Args:
-      grid: of all panels, which keep its proportions.
+      grid: of all panels without their own; all keep its proportions.
       panels: what they show.
       heading: first line of the figure, bold.
       note: the lines beneath it, broken where they are too long.
       legend: entries beside the panels.
-      colours: of the bar beside the panels; left out, each panel whose last layer is none of classes has one below it.
-      has_ticks: whether eastings and northings are shown.
-      is_key_of_last: whether the legend stands beside the last panel, not beside all of them.
+      colours: of one bar for all panels; left out, each panel whose last layer is none of classes has one below it.
+      has_ticks: whether eastings and northings are shown, where no bar is in their place.
+      width: of the figure, see `jaxurban.report.figures.style.inches`.
     """
     bars = [_own_bar(panel) if colours is None else None for panel in panels]
-    foot_in = BAR_IN * any(bars) + LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
-    num_cols = columns_of(len(panels))
+    has_ticks = has_ticks and not any(bars)
+    width_in, beside_in = inches(width), NORTHING_IN if has_ticks else 0.0
+    num_cols = max(1, min(columns_of(len(panels)), int(width_in / MIN_WIDTH_IN)))
     num_rows = math.ceil(len(panels) / num_cols)
+    cell_in = (width_in - beside_in) / num_cols
+    foot_in = BAR_IN * any(bars) + LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
     tall = (grid.y_max_m - grid.y_min_m) / (grid.x_max_m - grid.x_min_m)
-    width_in = min(MAX_WIDTH_IN / num_cols, (MAX_HEIGHT_IN / num_rows - foot_in) / tall)
-    height_in = num_rows * (TITLE_IN + width_in * tall + foot_in) + FOOT_IN
-    figure = chart(num_cols * max(width_in, MIN_WIDTH_IN) + SIDE_IN, height_in, heading, note)
-    axes = figure.subplots(num_rows, num_cols, squeeze=False).ravel().tolist()
-    for empty in axes[len(panels) :]:
-        empty.remove()
-    axes = axes[: len(panels)]
-    for number, (panel, (title, layers, foot), bar) in enumerate(
+    panel_in = min(cell_in, (MAX_HEIGHT_IN / num_rows - foot_in) / tall)
+    is_beside = width_in - beside_in - num_cols * panel_in > SIDE_IN
+    cell_in -= SIDE_IN * is_beside / num_cols
+    panels = [
+        panel._replace(
+            title=wrapped(letter(number, len(panels)) + panel.title, cell_in, TEXT_PT),
+            foot=wrapped(panel.foot, cell_in),
+        )
+        for number, panel in enumerate(panels)
+    ]
+    has_gap = len(panels) < num_cols * num_rows
+    has_row = not is_beside and not has_gap
+    height_in = num_rows * (TITLE_IN + panel_in * tall + foot_in) + FOOT_IN
+    figure = chart(height_in, heading, note, width)
+    ratios = [*[panel_in * tall] * num_rows, *[0.01] * has_row]
+    spots = figure.add_gridspec(num_rows + has_row, num_cols, height_ratios=ratios)
+    axes = [figure.add_subplot(spots[divmod(k, num_cols)]) for k in range(len(panels))]
+    for number, (panel, (title, layers, foot, own_grid), bar) in enumerate(
         zip(axes, panels, bars, strict=True)
     ):
-        _dress(
-            panel,
-            grid,
-            letter(number, len(panels)) + title,
-            max(1, min(3, int(width_in / TICK_IN))),
-        )
-        is_left, is_bottom = (
-            number % num_cols == 0 and has_ticks,
-            number + num_cols >= len(panels) and has_ticks,
-        )
+        shown = own_grid or grid
+        ticks = max(1, min(3, int(panel_in / TICK_IN)))
+        _dress(panel, shown, title, ticks)
+        is_left = number % num_cols == 0 and has_ticks
+        is_bottom = number + num_cols >= len(panels) and has_ticks
         panel.tick_params(
             labelleft=is_left, labelbottom=is_bottom, left=has_ticks, bottom=has_ticks
         )
@@ -135,23 +164,56 @@ def draw_maps(
         below = "\n".join(filter(None, ("easting (km)" if is_bottom else "", foot)))
         panel.set_xlabel(below, size=SMALL_PT, loc="left" if foot else "center")
         if layers:
-            draw_layers(panel, grid, layers)
+            draw_layers(panel, shown, layers)
         if bar is not None:
-            add_colour_bar(figure, [panel], bar, "bottom")
-    add_scale(axes[0])
+            bar = replace(bar, label=wrapped(bar.label, cell_in))
+            _add_bar_below(figure, panel, bar, panel_in, panel_in * tall)
+        _orient(panel)
     if colours is not None:
-        add_colour_bar(figure, axes, colours)
-    look: dict[str, Any] = {"edgecolor": FAINT_INK, "linewidth": 0.4}
+        add_colour_bar(figure, axes, colours, "right" if is_beside else "bottom")
+    gap = None
+    if not is_beside:
+        gap = spots[-1, :] if has_row else spots[divmod(len(panels), num_cols)]
+    _add_key(figure, legend, gap, width_in if has_row else 0.0)
+    layout: Any = figure.get_layout_engine()
+    for _ in range(SETTLING):
+        layout.execute(figure)
+        cell, height_in = axes[0].get_position(original=True), figure.get_figheight()
+        lack_in = min(panel_in, cell.width * width_in) * tall - cell.height * height_in
+        figure.set_figheight(height_in + num_rows * lack_in)
+    return figure, axes
+
+
+def _add_bar_below(
+    figure: Figure, panel: Axes, bar: Colours, width_in: float, height_in: float
+) -> None:
+    """Add a colour bar as wide as a panel of a size below it, with two ticks where there is no room for more."""
+    ticks = bar_ticks(bar)
+    if width_in < MIN_BAR_IN:
+        ticks = ticks[:: len(ticks) - 1]
+    under = panel.inset_axes((0, -BAR_AT_IN / height_in, 1, THICK_IN / height_in))
+    add_colour_bar(figure, [panel], replace(bar, ticks=ticks), cax=under)
+
+
+def _add_key(
+    figure: Figure, legend: Iterable[LegendEntry], gap: SubplotSpec | None, width_in: float
+) -> None:
+    """Add a legend in a gap of the grid of panels, in as many columns as its width holds; beside all where none is."""
+    edge: dict[str, Any] = {"edgecolor": FAINT_INK, "linewidth": 0.4}
     handles = [
-        Patch(facecolor=each[1], label=each[0], **look) if isinstance(each, tuple) else each
+        Patch(facecolor=each[1], label=each[0], **edge) if isinstance(each, tuple) else each
         for each in legend
     ]
-    look = {"handles": handles, "fontsize": SMALL_PT, "frameon": False, "handlelength": 1.4}
-    if is_key_of_last:
-        axes[-1].legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), **look)
-    else:
-        figure.legend(loc="outside right center", **look)
-    return figure, axes
+    look: dict[str, Any] = {"fontsize": SMALL_PT, "frameon": False, "handlelength": 1.4}
+    if gap is None:
+        figure.legend(handles=handles, loc="outside right center", **look)
+        return
+    lines = [line for each in handles for line in str(each.get_label()).splitlines()]
+    entry_in = ENTRY_IN + max(map(len, lines), default=0) / LETTERS_PER_IN
+    holder = figure.add_subplot(gap)
+    holder.set_axis_off()
+    look |= {"ncols": max(1, int((width_in - EDGE_IN) / entry_in)), "borderaxespad": 0}
+    holder.legend(handles=handles, loc="upper left", **look)
 
 
 def _own_bar(panel: MapPanel) -> Colours | None:
@@ -180,10 +242,19 @@ def _dress(panel: Axes, grid: Grid, title: str, num_ticks: int) -> None:
 def mark_ends(
     panel: Axes, start_xy_m: Iterable[Any], goal_xy_m: Iterable[Any], size: float = 1.1
 ) -> None:
-    """Mark where a route starts (circle) and ends (star); `ENDS` are their entries in a legend."""
+    """Mark where a route starts (circle) and ends (star), and move scale bar and north to corners without either.
+
+    `ENDS` are their entries in a legend.
+    """
     for end, at in zip(ENDS, (start_xy_m, goal_xy_m), strict=True):
         look = END_LOOK | {"marker": end.get_marker(), "markersize": size * end.get_markersize()}
         panel.plot(*at, zorder=20, clip_on=False, **look)
+    low, high = np.transpose([panel.get_xlim(), panel.get_ylim()])
+    shares = (np.array([[*start_xy_m], [*goal_xy_m]], float) - low) / (high - low)
+    away = {loc: np.abs(shares - corner).max(axis=1).min() for loc, corner in CORNERS.items()}
+    marks = [mark for mark in panel.artists if isinstance(mark, AnchoredOffsetbox)]
+    for mark, loc in zip(marks, sorted(CORNERS, key=lambda loc: away[loc] < NEAR), strict=False):
+        mark.loc = AnchoredOffsetbox.codes[loc]
 
 
 def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
@@ -221,8 +292,8 @@ def flat_layer(is_drawn: np.ndarray, colour: str) -> MapLayer:
     return classes_layer(np.where(is_drawn, np.int8(0), np.int8(-1)), [colour])
 
 
-def add_scale(panel: Axes) -> None:
-    """Draw a scale bar in a panel's lower left corner: the longest of 1, 2 or 5 x 10^k metres that is short enough."""
+def _orient(panel: Axes) -> None:
+    """Draw north, and a scale bar of the longest of 1, 2 or 5 x 10^k metres that is short enough."""
     low_m, high_m = panel.get_xlim()
     most_m = 0.3 * (high_m - low_m)
     power_m = 10.0 ** math.floor(math.log10(most_m))
@@ -236,6 +307,11 @@ def add_scale(panel: Axes) -> None:
     bar.patch.set(edgecolor="none", boxstyle="square,pad=0")
     bar.set_zorder(15)
     panel.add_artist(bar)
+    look = {"size": SMALL_PT, "color": INK, "ha": "center", "linespacing": 0.9}
+    north = AnchoredText(NORTH, "upper right", prop=look, pad=0.15, borderpad=0.3)
+    north.patch.set(edgecolor="none", boxstyle="square,pad=0")
+    north.set_zorder(15)
+    panel.add_artist(north)
 
 
 def frame_note(
@@ -302,9 +378,9 @@ def ground_said(maps: MetricMaps) -> tuple[str, ...]:
     )
 
 
-def joined(*facts: str | None) -> str:
+def joined(*facts: str | None, by: str = GAP) -> str:
     """Return facts as one line, without those that are empty."""
-    return GAP.join(filter(None, facts))
+    return by.join(filter(None, facts))
 
 
 def place_said(grid: Grid) -> str:

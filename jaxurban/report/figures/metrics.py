@@ -17,6 +17,7 @@ from jaxurban.metrics.custom import colour_of, held_variables
 from jaxurban.metrics.gps import RATING_UPPER_GDOP, Rating, rating
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR, derived
+from jaxurban.public import renamed_arguments
 from jaxurban.report.figures.frame import (
     GUESSED_COLOUR,
     NO_DATA_PATCH,
@@ -32,13 +33,15 @@ from jaxurban.report.figures.frame import (
     meaning_of,
     symbol_of,
 )
-from jaxurban.report.figures.style import Colours, ends_of
+from jaxurban.report.figures.style import Colours, Width, ends_of
 
-AVAILABILITY = "gps_availability"
+AVAILABILITY, RATED = "gps_availability", "gdop"
 DISTANCE_COLOUR = "#555555"
 # Behind what a colour bar names; others as they are.
 UNITS = {"1": "", "km-2": "", "m": " in metres"}
 EMPTY_COLOUR = "#ffffff"
+Altitudes = float | Sequence[float] | None
+renamed = renamed_arguments("2.0", altitudes_m="altitude_m")
 
 
 def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tuple[str, str]]:
@@ -169,37 +172,47 @@ def free_layer(maps: MetricMaps, name: str, altitude_m: float, time: str | None 
     )
 
 
+def altitudes_of(maps: MetricMaps, altitude_m: Altitudes) -> Sequence[float]:
+    """Return the altitudes that a figure shows: one, several, or all of the maps where none is named."""
+    if altitude_m is None:
+        return maps.altitudes_m
+    return np.atleast_1d(np.asarray(altitude_m, float)).tolist() or maps.altitudes_m
+
+
+@renamed
 def plot_metric(
     maps: MapsLike,
     name: str,
     *,
-    altitudes_m: Sequence[float] | None = None,
+    altitude_m: Altitudes = None,
     time: str | None = None,
     time_of_day: str | None = None,
+    width: Width = "page",
 ) -> Figure:
     """Return panels of one metric (of the cost, a user's own too, a DOP or num_visible), all on one scale.
 
     Args:
       maps: from `build_maps` or `open_maps`.
       name: which metric.
-      altitudes_m: which altitudes; all if left out.
+      altitude_m: which altitude, or which ones; all if left out.
       time: UTC time of the GPS maps; the first if left out.
       time_of_day: of the population maps; all of them, a panel each, if left out.
+      width: ``"column"`` or ``"page"`` of a journal (88.9 or 182 mm), or millimetres.
 
     Raises:
-      InputError: a name, altitude, time or time of day that these maps do not hold.
+      InputError: a name, altitude, time or time of day that these maps do not hold, or a width that is none.
     """
     maps = as_maps(maps)
     variables = drawn_variables(maps)
     variable = variables[one_of("a map to draw from these maps", name, variables)]
     if name == "obstacle":
-        return plot_obstacles(maps, altitudes_m=altitudes_m)
+        return plot_obstacles(maps, altitude_m=altitude_m, width=width)
     colours, patches = metric_colours(maps, name), obstacle_patches(maps)
     if ALTITUDE in variable.dims:
         time = (time or maps.times[0]) if TIME in variable.dims else None
         panels = [
             _panel(maps, name, variable, f"{z:g} m", z, time)
-            for z in altitudes_m or maps.altitudes_m
+            for z in altitudes_of(maps, altitude_m)
         ]
         over = "" if variable.name in maps.ds else f" over {len(maps.times)} epochs"
         heading = f"{variable.heading}{over}, by altitude above ground"
@@ -221,17 +234,20 @@ def plot_metric(
         positive, colour = classes[1]
         classes[1] = f"{positive}\n({meaning})", colour
     bar = None if classes else colours
-    legend = [*classes, *patches]
-    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=bar)[0]
+    look: dict[str, Any] = {"legend": [*classes, *patches], "colours": bar, "width": width}
+    return draw_maps(maps.grid, panels, heading, note, **look)[0]
 
 
-def plot_epochs(maps: MapsLike, name: str = "gps", *, altitude_m: float | None = None) -> Figure:
+def plot_epochs(
+    maps: MapsLike, name: str = "gps", *, altitude_m: float | None = None, width: Width = "page"
+) -> Figure:
     """Return panels of one map at every time that these maps hold, at one altitude and all on one scale.
 
     Args:
       maps: from `build_maps` or `open_maps`.
       name: which map: gps, a DOP or num_visible.
       altitude_m: at which altitude; the lowest if left out.
+      width: see `plot_metric`.
 
     Raises:
       InputError: a map that has no times, or an altitude that these maps do not hold.
@@ -245,9 +261,9 @@ def plot_epochs(maps: MapsLike, name: str = "gps", *, altitude_m: float | None =
         _panel(maps, name, variable, time[5:16].replace("T", " "), z, time) for time in maps.times
     ]
     heading = f"{variable.heading} at each epoch, {z:g} m above ground"
-    legend, colours = obstacle_patches(maps), metric_colours(maps, name)
-    note = frame_note(maps, of=name)
-    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours)[0]
+    look: dict[str, Any] = {"legend": obstacle_patches(maps), "width": width}
+    look["colours"] = metric_colours(maps, name)
+    return draw_maps(maps.grid, panels, heading, frame_note(maps, of=name), **look)[0]
 
 
 def _panel(
@@ -276,15 +292,23 @@ def _middle_of(
     return f"mean {values.mean(dtype=np.float64):.{0 if unit else 2}f}{unit}"
 
 
-def plot_obstacles(maps: MapsLike, *, altitudes_m: Sequence[float] | None = None) -> Figure:
+@renamed
+def plot_obstacles(
+    maps: MapsLike, *, altitude_m: Altitudes = None, width: Width = "page"
+) -> Figure:
     """Return panels of free and obstacle cells by altitude; titles give the share of obstacles.
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      altitude_m: which altitude, or which ones; all if left out.
+      width: see `plot_metric`.
 
     Raises:
       InputError: an altitude that these maps do not hold.
     """
     maps = as_maps(maps)
     has_data, panels = maps.ds["has_data"].values, []
-    for z in altitudes_m or maps.altitudes_m:
+    for z in altitudes_of(maps, altitude_m):
         share = "no data"
         if has_data.any():
             share = f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked"
@@ -292,7 +316,7 @@ def plot_obstacles(maps: MapsLike, *, altitudes_m: Sequence[float] | None = None
         panels.append(MapPanel(f"{z:g} m  ·  {share}", layers))
     legend = [("free", FREE_COLOUR), *obstacle_patches(maps, BUILT_COLOUR)]
     heading, note = "Obstacles, by altitude above ground", frame_note(maps, has_sky=False)
-    return draw_maps(maps.grid, panels, heading, note, legend=legend)[0]
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, width=width)[0]
 
 
 def percent(share: float) -> str:
@@ -313,8 +337,9 @@ def _plot_classes(
     title: str,
     last: int,
     *,
-    altitudes_m: Sequence[float] | None,
+    altitude_m: Altitudes,
     time: str | None,
+    width: Width,
 ) -> Figure:
     """Return panels of classes by altitude over free cells.
 
@@ -325,25 +350,38 @@ def _plot_classes(
       classes_at: returns the numbers ``[Y, X]`` at an altitude.
       title: of a panel; ``{}`` stands for the share of free cells of the classes up to ``last``.
       last: a number.
-      altitudes_m: of the panels; None: all of the maps.
+      altitude_m: of the panels; None: all of the maps.
       time: of the GPS maps.
+      width: of the figure.
     """
     panels = []
     colours = [colour for _, colour in classes]
-    for z in altitudes_m or maps.altitudes_m:
+    for z in altitudes_of(maps, altitude_m):
         numbers, is_free = classes_at(z), maps.is_free(z, "centre")
         share = float((numbers[is_free] <= last).mean()) if is_free.any() else 0.0
         drawn = np.where(is_free, numbers.astype(int), -1)
         layers = [classes_layer(drawn, colours), obstacle_layer(maps, z)]
         panels.append(MapPanel(f"{z:g} m  ·  {title.format(percent(share))}", layers))
-    heading, legend = f"{heading}, by altitude above ground", [*classes, *obstacle_patches(maps)]
-    return draw_maps(maps.grid, panels, heading, frame_note(maps, time), legend=legend)[0]
+    look: dict[str, Any] = {"legend": [*classes, *obstacle_patches(maps)], "width": width}
+    heading = f"{heading}, by altitude above ground"
+    return draw_maps(maps.grid, panels, heading, frame_note(maps, time), **look)[0]
 
 
+@renamed
 def plot_gps_rating(
-    maps: MapsLike, *, altitudes_m: Sequence[float] | None = None, time: str | None = None
+    maps: MapsLike,
+    *,
+    altitude_m: Altitudes = None,
+    time: str | None = None,
+    width: Width = "page",
 ) -> Figure:
     """Return panels of the paper's GPS rating by altitude; titles give the share of free cells rated good or better.
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      altitude_m: which altitude, or which ones; all if left out.
+      time: UTC time of the GPS maps; the first if left out.
+      width: see `plot_metric`.
 
     Raises:
       InputError: an altitude or time that these maps do not hold.
@@ -361,18 +399,30 @@ def plot_gps_rating(
         maps,
         "GPS rating",
         classes,
-        lambda z: np.asarray(rating(maps.m("gdop", z, time=time))),
+        lambda z: np.asarray(rating(maps.m(RATED, z, time=time))),
         "{} good or better",
         Rating.GOOD,
-        altitudes_m=altitudes_m,
+        altitude_m=altitude_m,
         time=time,
+        width=width,
     )
 
 
+@renamed
 def plot_sensor_choice(
-    maps: MapsLike, *, altitudes_m: Sequence[float] | None = None, time: str | None = None
+    maps: MapsLike,
+    *,
+    altitude_m: Altitudes = None,
+    time: str | None = None,
+    width: Width = "page",
 ) -> Figure:
     """Return panels of the better sensor by altitude: GPS where m_gps > m_lidar, else lidar.
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      altitude_m: which altitude, or which ones; all if left out.
+      time: UTC time of the GPS maps; the first if left out.
+      width: see `plot_metric`.
 
     Raises:
       InputError: an altitude or time that these maps do not hold.
@@ -390,13 +440,18 @@ def plot_sensor_choice(
         lambda z: np.where(maps.prefers_gps(z, time=time), 0, 1),
         "GPS in {}",
         0,
-        altitudes_m=altitudes_m,
+        altitude_m=altitude_m,
         time=time,
+        width=width,
     )
 
 
-def plot_population(maps: MapsLike) -> Figure:
+def plot_population(maps: MapsLike, *, width: Width = "page") -> Figure:
     """Return panels of people per km2 by time of day, on one logarithmic scale; titles give the people in the region.
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      width: see `plot_metric`.
 
     Raises:
       InputError: maps without population.
@@ -414,9 +469,9 @@ def plot_population(maps: MapsLike) -> Figure:
         title = f"{item}  ·  {np.nansum(values, dtype=np.float64) * cell_km2:,.0f} people"
         panels.append(MapPanel(title, layers_above_zero(values, colours)))
     legend = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
+    look: dict[str, Any] = {"legend": legend, "colours": colours, "width": width}
     note = frame_note(maps, has_sky=False)
-    heading = "Population density"
-    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours)[0]
+    return draw_maps(maps.grid, panels, "Population density", note, **look)[0]
 
 
 def layers_above_zero(values: np.ndarray, colours: Colours) -> list[MapLayer]:
@@ -433,10 +488,14 @@ def roof_layers(maps: MetricMaps) -> list[MapLayer]:
     return layers_above_zero(roof_m, replace(metric_colours(maps, "roof", roof_m), label=""))
 
 
-def plot_heights(maps: MapsLike) -> Figure:
+def plot_heights(maps: MapsLike, *, width: Width = "page") -> Figure:
     """Return roof heights above ground and, where it is not flat, the terrain's elevation.
 
     Where maps know which roofs have a guessed height, a panel shows these.
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      width: see `plot_metric`.
     """
     maps = as_maps(maps)
     legend: list[LegendEntry] = [("no building", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
@@ -459,4 +518,4 @@ def plot_heights(maps: MapsLike) -> Figure:
         panels.append(MapPanel(f"height guessed: {share} of roofs", layers))
         legend.append(("height guessed", GUESSED_COLOUR))
     note = frame_note(maps, has_sky=False)
-    return draw_maps(maps.grid, panels, "Heights (m)", note, legend=legend)[0]
+    return draw_maps(maps.grid, panels, "Heights (m)", note, legend=legend, width=width)[0]

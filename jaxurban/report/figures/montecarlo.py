@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,6 +24,7 @@ from jaxurban.report.figures.style import (
     panels,
     styled,
 )
+from jaxurban.report.write import listed
 from jaxurban.studies.montecarlo.analysis import range_names, rows_of, weighted_rows
 
 SHARES = Colours(
@@ -38,7 +40,7 @@ RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ra
 
 def _panels(num: int, heading: str) -> tuple[Figure, list[Axes]]:
     """Return a figure with panels of one scale."""
-    return panels(num, heading, panel_in=(2.45, 2.38), shares_y=True)
+    return panels(num, heading, shares_y=True)
 
 
 def _by_altitude(
@@ -118,28 +120,28 @@ def _show_shares(axes: Sequence[Axes], label: str, ends: tuple[float, float] = (
 
 @styled
 def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
-    """Return how m_gps and m_lidar share the free cells, by altitude.
+    """Return how the two metrics of a table share the free cells, by altitude.
 
     The squares of a panel are shaded by the share of free cells, on one logarithmic scale; the dashed line parts cells
-    where GPS is the better one (below) from those where lidar is.
+    where the first is the better one (below) from those where the second is.
     """
-    figure, axes = _panels(len(table), "GPS and lidar over the free cells")
+    names = [str(name) for name in table if name in maps.metrics]
+    labels = [maps.metrics[name].label for name in names]
+    figure, axes = _panels(len(table), f"{listed(labels)} over the free cells")
     bins = np.linspace(0, 1, 41)
     for panel, row in zip(axes, rows_of(table), strict=True):
         is_free = maps.is_free(row.altitude_m, "centre")
-        gps, lidar = (
-            maps.m("gps", row.altitude_m)[is_free],
-            maps.m("lidar", row.altitude_m)[is_free],
-        )
-        of_all = np.full(len(gps), 1 / max(len(gps), 1))
-        panel.hist2d(
-            gps, lidar, bins, weights=of_all, cmin=1e-12, cmap=SHARES.cmap, norm=SHARES.norm
-        )
+        x, y = (maps.m(name, row.altitude_m)[is_free] for name in names)
+        of_all = np.full(is_free.sum(), 1 / max(is_free.sum(), 1))
+        look: dict[str, Any] = {"cmap": SHARES.cmap, "norm": SHARES.norm, "cmin": 1e-12}
+        panel.hist2d(x, y, bins, weights=of_all, **look)
         panel.plot([0, 1], [0, 1], "--", color=FAINT_INK, linewidth=0.8)
         panel.grid(visible=False)
         correlation = f", r = {row.correlation:+.2f}" if np.isfinite(row.correlation) else ""
-        panel.set(xlim=(0, 1), xlabel=symbol_of("gps"), title=f"{row.altitude_m:g} m{correlation}")
-    label_rows(axes, symbol_of("lidar"))
+        panel.set(
+            xlim=(0, 1), xlabel=symbol_of(names[0]), title=f"{row.altitude_m:g} m{correlation}"
+        )
+    label_rows(axes, symbol_of(names[1]))
     letter_all(axes)
     add_colour_bar(figure, axes, SHARES)
     return figure

@@ -21,7 +21,9 @@ from scipy.sparse.csgraph import connected_components
 from jaxurban.errors import InputError
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
+from jaxurban.metrics.base import TIME, TIME_OF_DAY
 from jaxurban.metrics.registry import ON_REQUEST
+from jaxurban.metrics.variables import AUXILIARY_VARIABLES
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.frame import (
     ENDS,
@@ -38,6 +40,9 @@ from jaxurban.report.figures.frame import (
 from jaxurban.report.figures.metrics import (
     AVAILABILITY,
     EMPTY_COLOUR,
+    RATED,
+    Altitudes,
+    altitudes_of,
     drawn_variables,
     free_layer,
     layers_above_zero,
@@ -51,9 +56,10 @@ from jaxurban.report.figures.metrics import (
     plot_obstacles,
     plot_population,
     plot_sensor_choice,
+    renamed,
     roof_layers,
 )
-from jaxurban.report.figures.style import Colours
+from jaxurban.report.figures.style import Colours, Width
 from jaxurban.report.write import save
 
 # A family of planners has a hue, its members a dark and a light tone: the colour-blind see both.
@@ -67,6 +73,7 @@ PLANNER_COLOURS = {
 OTHER_COLOURS = ("#00857a", "#7b3fb5", "#7fc241", "#8c510a", "#59d8c8", "#d9a3ff", "#404040")
 COST_COLOURS = Colours("gray", Normalize(0, 1), "$H_\\mathrm{norm}$\n(0: best free cell, 1: worst)")
 BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
+BESIDE = Line2D([], [], linestyle="none", label="shared stretches:\nside by side")
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
 LINE_PT = 1.6  # of a path
 EDGE_PT = 0.4  # of its white edge, which parts it from the map and from the next one
@@ -100,14 +107,16 @@ def planner_colours(planners: Iterable[str]) -> dict[str, str]:
     return {name: PLANNER_COLOURS.get(name) or next(others) for name in dict.fromkeys(planners)}
 
 
+@renamed
 def plot_paths(
     maps: MapsLike,
     paths: Paths,
     *,
-    altitudes_m: Sequence[float] | None = None,
+    altitude_m: Altitudes = None,
     names: Sequence[str] | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
+    width: Width = "page",
 ) -> Figure:
     """Return the normalised cost by altitude (black best, white worst) with the paths of all planners.
 
@@ -118,17 +127,20 @@ def plot_paths(
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
       paths: one, several or a batch; empty for the costs alone.
-      altitudes_m: which altitudes; left out, those of the paths, or all of the maps' where there is none.
+      altitude_m: which altitude, or which ones; left out, those of the paths, or all of the maps' where there is none.
       names: what the paths are called, one after the other; left out, by their planners.
       time: UTC time of the GPS maps of a panel without paths; the first if left out.
       time_of_day: of the population map of a panel without paths; the first if left out.
+      width: see `plot_metric`.
 
     Raises:
       InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
     """
     maps, planned = as_maps(maps), paths_in(paths)
     named = list(zip(planned, _names_of(planned, names), strict=True))
-    drawn_m = altitudes_m or sorted({path.altitude_m for path in planned}) or maps.altitudes_m
+    if altitude_m is None:
+        altitude_m = sorted({path.altitude_m for path in planned})
+    drawn_m = altitudes_of(maps, altitude_m)
     places = list(
         chain.from_iterable(_places_at(maps, z, planned, time, time_of_day) for z in drawn_m)
     )
@@ -147,20 +159,23 @@ def plot_paths(
     drawn = list(chain.from_iterable(paths_at))
     colours = planner_colours(name for _, name in named)
     note = frame_note(maps, times[0] if len(times) == 1 else None)
-    heading = "Cost, by altitude above ground"
+    days = list({day for *_, day in places})
+    heading = f"Cost{' and paths' if drawn else ''}, by altitude above ground"
+    heading = joined(heading, days[0] if len(days) == 1 else "", by=", ")
     if drawn:
-        heading = "Cost and paths, by altitude above ground"
         rules = rules_said(*(path.settings for path, _ in drawn))
         note = "\n".join(filter(None, [joined(note, "below: cost, length"), rules]))
     legend: list[LegendEntry] = [
         *obstacle_patches(maps, BLOCKED_COLOUR),
-        *path_entries({name: colours[name] for _, name in drawn}, [path for path, _ in drawn]),
+        *path_entries(
+            {name: colours[name] for _, name in drawn},
+            *([path for path, _ in of_place] for of_place in paths_at),
+        ),
     ]
-    figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, colours=COST_COLOURS)
+    look: dict[str, Any] = {"legend": legend, "colours": COST_COLOURS, "width": width}
+    figure, axes = draw_maps(maps.grid, panels, heading, note, **look)
     for panel, of_place in zip(axes, paths_at, strict=True):
         draw_paths(panel, [path for path, _ in of_place], [colours[name] for _, name in of_place])
-    if drawn:
-        figure.draw_without_rendering()  # the layout of many lines below panels settles only at its second drawing
     return figure
 
 
@@ -207,13 +222,18 @@ def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]
     drawn = [
         (path, colour) for path, colour in zip(paths, colours, strict=True) if path.status.has_path
     ]
-    near_m = max((path.settings["resolution_m"] for path, _ in drawn), default=0.0)
-    lanes = lanes_of([path.xy_m for path, _ in drawn], near_m)
-    for (path, colour), lane in zip(drawn, lanes, strict=True):
+    for (path, colour), lane in zip(drawn, lanes_in(paths), strict=True):
         beside = [Beside(lane * APART_PT, LINE_PT + 2 * EDGE_PT, "white"), Beside(lane * APART_PT)]
         look: dict[str, Any] = {"solid_joinstyle": "round", "path_effects": beside}
         panel.plot(*path.xy_m.T, color=colour, zorder=4, linewidth=LINE_PT, **look)
     draw_ends(panel, paths)
+
+
+def lanes_in(paths: Sequence[PlannedPath]) -> list[float]:
+    """Return the lanes (`lanes_of`) of those paths of one panel that were found."""
+    drawn = [path for path in paths if path.status.has_path]
+    near_m = max((path.settings["resolution_m"] for path in drawn), default=0.0)
+    return lanes_of([path.xy_m for path in drawn], near_m)
 
 
 def lanes_of(lines_m: Sequence[np.ndarray], near_m: float) -> list[float]:
@@ -254,8 +274,7 @@ class Beside(AbstractPathEffect):
         look = renderer.new_gc()
         look.copy_properties(gc)
         if self.width_pt:
-            width_px: Any = renderer.points_to_pixels(self.width_pt)
-            look.set_linewidth(width_px)
+            look.set_linewidth(self.width_pt)
         if self.colour:
             look.set_foreground(self.colour)
         (points,) = affine.transform_path(tpath).to_polygons(closed_only=False)
@@ -268,13 +287,22 @@ class Beside(AbstractPathEffect):
         look.restore()
 
 
-def path_entries(colours: Mapping[str, str], paths: Sequence[PlannedPath]) -> list[Line2D]:
-    """Return the legend's entries of the names that paths are drawn under, and of their ends where one was found."""
+def path_entries(colours: Mapping[str, str], *paths_at: Sequence[PlannedPath]) -> list[Line2D]:
+    """Return the legend's entries of the names that paths are drawn under, of their ends, and of lanes.
+
+    Args:
+      colours: by name.
+      paths_at: the paths of each panel.
+    """
     lines = [
         Line2D([], [], color=colour, linewidth=2.5, label=shortened(name))
         for name, colour in colours.items()
     ]
-    return [*lines, *(ENDS if any(path.status.has_path for path in paths) else ())]
+    if any(path.status.has_path for paths in paths_at for path in paths):
+        lines += ENDS
+    if any(lane for paths in paths_at for lane in lanes_in(paths)):
+        lines.append(BESIDE)
+    return lines
 
 
 def outcome_of(path: PlannedPath, name: str) -> str:
@@ -302,6 +330,7 @@ def plot_overview(
     *,
     altitude_m: float | None = None,
     names: Sequence[str] | None = None,
+    width: Width = "page",
 ) -> Figure:
     """Return one picture of a region: roof heights, the map of each metric, and paths over the cost.
 
@@ -310,6 +339,7 @@ def plot_overview(
       paths: one, several or a batch.
       altitude_m: one of the maps'; left out, the lowest of the paths', or the maps' first where there is none.
       names: what the paths are called, one after the other; left out, by their planners.
+      width: see `plot_metric`.
 
     Raises:
       InputError: an altitude that these maps do not hold, or another number of names than paths.
@@ -328,28 +358,28 @@ def plot_overview(
     ]
     drawn = [path for path, _ in named]
     panels = [MapPanel("Roof height (m)", roof_layers(maps))]
+    blank = [AUXILIARY_VARIABLES["roof"].scale.zero]
     for name, metric in maps.metrics.items():
-        if name == "population":
-            layers = layers_above_zero(
-                maps.m("density", time_of_day=time_of_day), metric_colours(maps, "density")
-            )
-            panels.append(MapPanel(f"People, {time_of_day}", layers))
-        else:
+        apart = [each for each in metric.variables.values() if each.scale.zero]
+        for each in apart:
+            values = maps.m(each.name, time_of_day=time_of_day)
+            layers = layers_above_zero(values, metric_colours(maps, each.name))
+            panels.append(MapPanel(joined(metric.label, time_of_day), layers))
+            blank.append(each.scale.zero)
+        if not apart:
             layers = [obstacle_layer(maps, z, BLOCKED_COLOUR), free_layer(maps, name, z, time=time)]
             panels.append(MapPanel(metric.label, layers))
     what = " and paths" if drawn else ""
     costs = cost_layers(maps, z, time, time_of_day)[::-1]
-    panels.append(MapPanel(", ".join(filter(None, (f"Cost{what}", time_of_day))), costs))
+    panels.append(MapPanel(joined(f"Cost{what}", time_of_day), costs))
     colours = planner_colours(name for _, name in named)
-    blank = "no building, nobody" if "population" in maps.metrics else "no building"
-    legend: list[LegendEntry] = [(blank, EMPTY_COLOUR), *obstacle_patches(maps, BLOCKED_COLOUR)]
-    legend += path_entries(colours, drawn)
+    legend: list[LegendEntry] = [(",\n".join(blank), EMPTY_COLOUR)]
+    legend += [*obstacle_patches(maps, BLOCKED_COLOUR), *path_entries(colours, drawn)]
     rules = rules_said(*(path.settings for path in drawn))
     note = "\n".join(filter(None, [frame_note(maps, time), rules]))
-    heading = f"Metric maps{what}, {z:g} m above ground"
-    figure, axes = draw_maps(
-        maps.grid, panels, heading, note, legend=legend, has_ticks=False, is_key_of_last=True
-    )
+    heading = joined(f"Metric maps{what}, {z:g} m above ground", time_of_day, by=", ")
+    look: dict[str, Any] = {"legend": legend, "has_ticks": False, "width": width}
+    figure, axes = draw_maps(maps.grid, panels, heading, note, **look)
     draw_paths(axes[-1], drawn, [colours[name] for _, name in named])
     return figure
 
@@ -376,11 +406,12 @@ def save_figures(maps: MapsLike, paths: Paths, folder: str | Path) -> list[Path]
 
 def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figure]]:
     """Return what draws each picture of these maps and paths, by file name."""
+    by_day = [name for name, metric in maps.metrics.items() if TIME_OF_DAY in metric.dims]
     figures: dict[str, Callable[[], Figure]] = {
         "overview": lambda: plot_overview(maps, paths),
         "heights": lambda: plot_heights(maps),
         "obstacle": lambda: plot_obstacles(maps),
-        **{name: partial(plot_metric, maps, name) for name in maps.metrics if name != "population"},
+        **{name: partial(plot_metric, maps, name) for name in maps.metrics if name not in by_day},
         "sensor_choice": lambda: plot_sensor_choice(maps),
     }
     if paths_in(paths):
@@ -397,9 +428,11 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figur
         if name == AVAILABILITY or is_of_series or variable.of in on_request:
             figures[name] = partial(plot_metric, maps, name)
     if len(maps.times) > 1 and maps.default_time is not None:
-        figures["gps_epochs"] = lambda: plot_epochs(maps)
-    if "gdop" in maps.ds:  # statistics over a long series hold none
+        for name, metric in maps.metrics.items():
+            if TIME in metric.dims and name not in on_request:
+                figures[f"{name}_epochs"] = partial(plot_epochs, maps, name)
+    if RATED in maps.ds:  # statistics over a long series hold none
         figures["gps_rating"] = lambda: plot_gps_rating(maps)
-    if "density" in maps.ds:
-        figures["population"] = lambda: plot_population(maps)
+    for name in by_day:
+        figures[name] = lambda: plot_population(maps)
     return figures

@@ -20,23 +20,32 @@ from jaxurban.report.figures.style import (
     FAINT_INK,
     SMALL_PT,
     TEXT_PT,
+    Width,
     chart,
     dress,
+    legend_above,
     letter,
     show_plain,
     styled,
 )
-from jaxurban.report.write import save
+from jaxurban.report.write import PICTURES, save
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#c51b8a", "#1a1a1a", "#ffd9d4"
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
 CLEARANCE_TICKS_M = (0, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 NO_FIX_PT = 1.0  # at the ends of what is shaded, so that a single cell is seen
-SIZE_IN, SECOND_IN = (10.0, 6.1), 1.2  # of the figure; of a second panel of metrics
+LIFT = 0.2  # of the first legend, over the numbers of segments
+HEIGHT_IN, SECOND_IN = 6.1, 1.2  # of the figure; of a second panel of metrics
 
 
 @styled
-def plot_profile(planned: PlannedPath, maps: MapsLike, report: RouteReport | None = None) -> Figure:
+def plot_profile(
+    planned: PlannedPath,
+    maps: MapsLike,
+    report: RouteReport | None = None,
+    *,
+    width: Width = "page",
+) -> Figure:
     """Return altitude and roofs beneath, metrics, and the clearance along a route, one above the other.
 
     Metrics of which 1 is the best and those of which 1 is the worst have a panel each.
@@ -48,6 +57,7 @@ def plot_profile(planned: PlannedPath, maps: MapsLike, report: RouteReport | Non
       planned: from `plan`.
       maps: the maps it was planned on, or their folder.
       report: from `explain`; made here if left out.
+      width: see `plot_metric`.
 
     Raises:
       InputError: there is no path, or the maps are others.
@@ -63,13 +73,9 @@ def plot_profile(planned: PlannedPath, maps: MapsLike, report: RouteReport | Non
         filter(None, [*facts, planned.settings["time_of_day"], f"cost {planned.cost:,.1f}"])
     )
     kinds = list(dict.fromkeys(metric.one_is for metric in maps.metrics.values()))
-    height_in = SIZE_IN[1] + SECOND_IN * (len(kinds) - 1)
-    figure = chart(
-        SIZE_IN[0],
-        height_in,
-        f"Route profile: {summary}",
-        frame_note(maps, planned.settings["time"]),
-    )
+    height_in = HEIGHT_IN + SECOND_IN * (len(kinds) - 1)
+    note = frame_note(maps, planned.settings["time"])
+    figure = chart(height_in, f"Route profile: {summary}", note, width)
     axes = figure.subplots(
         2 + len(kinds), 1, sharex=True, height_ratios=(1, *(1.1, 0.7)[: len(kinds)], 1)
     )
@@ -97,13 +103,13 @@ def plot_profile(planned: PlannedPath, maps: MapsLike, report: RouteReport | Non
             panel.axvline(cut_m / 1000, color=FAINT_INK, linewidth=0.4, linestyle=":", zorder=0)
         dress(panel)
         if panel.get_legend_handles_labels()[0]:
-            panel.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02))
+            legend_above(panel, LIFT if panel is axes[0] else 0.0)
     figure.align_ylabels(axes)
     above = axes[0].secondary_xaxis("top")  # the numbers of the report's segments
     middles_km = (report.segments["from_m"] + report.segments["to_m"]).astype(float) / 2000
     above.set_xticks(middles_km, [str(number) for number in middles_km.index])
     above.tick_params(length=0, labelsize=SMALL_PT, labelcolor=FAINT_INK)
-    above.set_xlabel("segment", color=FAINT_INK)
+    above.set_xlabel("segment", color=FAINT_INK, loc="right")
     above.spines[:].set_visible(False)
     return figure
 
@@ -152,7 +158,7 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
     label = f"least: {nearest_m:.3g} m"
     panel.plot(at_km, nearest_m, "v", color=CLEARANCE_COLOUR, label=label, zorder=10, clip_on=False)
     if not is_known.all():
-        panel.plot([], [], linestyle="none", label="gaps: above every\nobstacle")
+        panel.plot([], [], linestyle="none", label="gaps: above every obstacle")
     top_m = 1.15 * max(drawn_m.max(), 2 * LINEAR_UP_TO_M)
     panel.set_yscale("symlog", linthresh=LINEAR_UP_TO_M)
     panel.set_ylim(0, top_m)
@@ -166,8 +172,8 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
 def check_picture(file: str | Path) -> None:
     """Raise InputError unless `save_profile` can write this file: call it before a long search."""
     file = Path(file)
-    if file.suffix.lower() != ".png":
-        raise InputError(f"cannot draw {str(file)!r}: end its name in .png")
+    if file.suffix.lower() not in PICTURES:
+        raise InputError(f"cannot draw {str(file)!r}: end its name in {' or '.join(PICTURES)}")
     if not file.parent.is_dir() or file.is_dir():
         raise InputError(f"cannot write {str(file)!r}: name a file in a folder that is there")
 
@@ -175,7 +181,7 @@ def check_picture(file: str | Path) -> None:
 def save_profile(
     planned: PlannedPath, maps: MapsLike, file: str | Path, report: RouteReport | None = None
 ) -> None:
-    """Write the profile of a route (`plot_profile`) as PNG; the file appears whole or not at all.
+    """Write the profile of a route (`plot_profile`) as PNG, PDF or SVG; the file appears whole or not at all.
 
     Raises:
       InputError: there is no path, the maps are others, or the file cannot be written.

@@ -129,7 +129,7 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
 def plot_pareto(result: Sensitivity) -> Figure:
     """Return the supported Pareto points of two or three features; the last is the colour."""
     front = result.front
-    figure = chart(7.6, 4.0, f"Best trade-offs between {listed(front.objectives)}")
+    figure = chart(4.0, f"Best trade-offs between {listed(front.objectives)}")
     panel = figure.subplots()
     points = front.points[[*front.objectives]].to_numpy()
     gradient = result.cost["gradient"].loc[[*front.objectives]].to_numpy()
@@ -184,9 +184,8 @@ def _maps(
     """Return maps of the normalised cost with the route's ends, on which routes are drawn."""
     settings, z = result.route.settings, result.route.altitude_m
     layers = cost_layers(result.maps, z, settings["time"], settings["time_of_day"])
-    facts = joined(
-        f"{z:g} m above ground", settings["time_of_day"], "grey: normalised cost, black: lowest"
-    )
+    heading = joined(heading, settings["time_of_day"], by=", ")
+    facts = joined(f"{z:g} m above ground", "grey: normalised cost, black: lowest")
     note = "\n".join([facts, frame_note(result.maps, settings["time"]), rules_said(settings)])
     entries = [*obstacle_patches(result.maps, BLOCKED_COLOUR), *legend, *ENDS]
     panels_of = [MapPanel(title, layers) for title in titles]

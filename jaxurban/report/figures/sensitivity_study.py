@@ -47,7 +47,7 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
     part = summary[summary.cut == ("city" if (summary.cut == "city").any() else ALL)]
     cities = part.value.unique()
     heading = f"What a weight costs that is {wrong:g} times too large or too small"
-    figure, (panel,) = panels(1, heading, panel_in=(5.9, 2.5))
+    figure, (panel,) = panels(1, heading, height_in=2.5)
     for k, city in enumerate(cities):
         rows = part[part.value == city].set_index("weight_name").reindex(weights)
         look = {

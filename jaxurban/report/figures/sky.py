@@ -11,9 +11,18 @@ from jaxurban.errors import InputError
 from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN
 from jaxurban.paths.sky import SkyAt
 from jaxurban.report.figures.frame import joined, time_said
-from jaxurban.report.figures.style import INK, MARKERS, SERIES_COLOURS, chart, styled
+from jaxurban.report.figures.style import (
+    INK,
+    MARKERS,
+    SERIES_COLOURS,
+    Width,
+    chart,
+    inches,
+    styled,
+)
 
 ROOFS = "#cfcac2"
+SKY, KEY_IN = 0.62, 0.8  # height of the sky by the figure's width; of the legend
 EDGE_DEG = 8.0  # of the band at the rim that is hatched where the horizon is not known
 LOOKS: dict[str, dict[str, Any]] = {  # of states; the marker is the system's
     SEEN: {"linewidths": 0.7},
@@ -24,12 +33,13 @@ MARKS = {SEEN: "", HIDDEN: " ✕", UNKNOWN: " ?"}  # behind a satellite's name
 
 
 @styled
-def plot_sky(of: SkyAt, time: str | None = None) -> Figure:
+def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Figure:
     """Return the sky over a place at a time: north up, the zenith in the middle, the horizon filled.
 
     Args:
       of: from `jaxurban.sky`.
       time: one of its times; the first, if left out.
+      width: see `plot_metric`.
 
     Raises:
       InputError: no such time.
@@ -44,7 +54,7 @@ def plot_sky(of: SkyAt, time: str | None = None) -> Figure:
     }
     note = [joined(time_said(time), methods[of.by], of.attribution), *of.cautions]
     heading = f"The sky {of.altitude_m:g} m above ground at {lon:.5f}, {lat:.5f}"
-    figure = chart(7.2, 5.2, heading, "\n".join(note))
+    figure = chart(SKY * inches(width) + KEY_IN, heading, "\n".join(note), width)
     panel: Any = figure.add_subplot(projection="polar")
     draw_horizon(panel, of.horizon_deg)
     now = of.table[of.table["time"] == time]
@@ -62,7 +72,7 @@ def plot_sky(of: SkyAt, time: str | None = None) -> Figure:
             short = name.removesuffix(" (nominal)").split()[-1].strip("()") + MARKS[state]
             offset = (5, -9 if k % 2 else 4)
             panel.annotate(short, (x_at, y_at), offset, textcoords="offset points", size=7)
-    panel.legend(loc="upper left", bbox_to_anchor=(1.05, 1.0))
+    panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=2)
     return figure
 
 

@@ -5,7 +5,8 @@ import string
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -19,14 +20,22 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-SMALL_PT, TEXT_PT = 8.0, 9.0  # of tick labels, of titles and notes
+from jaxurban.errors import InputError
+from jaxurban.report.write import DPI
+
+SMALL_PT, TEXT_PT, HEADING_PT = 7.0, 8.0, 10.0  # of tick labels and notes; of titles
+# One column and two of a journal, by the IEEE Author Center's "Size Requirements for Graphics".
+WIDTHS_MM = {"column": 88.9, "page": 182.0}
+LEAST_MM, MM_PER_IN = 60.0, 25.4
+Width = Literal["column", "page"] | float
 INK, FAINT_INK = "#1a1a1a", "#555555"
-HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.4, 0.15, 15.0  # of a heading; of a line of SMALL_PT
+HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.2, 0.13, 18.0  # of a line of a heading, of SMALL_PT
 # Of several series that are no metrics, whose colours these avoid; dark and light ones by turns.
 SERIES_COLOURS = ("#1a1a1a", "#d55e00", "#56b4e9", "#7f7f7f", "#8c510a", "#66c2a5", "#f0c800")
 MARKERS = "osD^vP*X"
 DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
-LABEL_LETTERS = 32  # on a line of a colour bar's label
+LABEL_IN = 1.9  # of a line of the label of an upright colour bar
+BOLD = 1.2  # how much wider bold letters are
 
 styled = (
     rc_context(  # a decorator of functions that draw; ticks are made later, so `dress` sets theirs
@@ -47,22 +56,76 @@ styled = (
         }
     )
 )
+printed = rc_context(
+    {
+        "savefig.dpi": DPI,
+        "pdf.fonttype": 42,  # TrueType: text that can be searched, in fonts that journals accept
+        "svg.fonttype": "none",
+        "svg.hashsalt": "jaxurban",  # else two files of one figure differ
+    }
+)
 LEGEND_COLUMNS = 6
+ENTRY_IN = 0.45  # of a legend's entry, beside its letters
 WIDE = 5.0  # an axis whose ends differ by this factor has ticks at 1, 2 and 5 of each decade
-EDGE_IN, GAP_IN, TITLE_IN = 0.2, 0.6, 0.8
+EDGE_IN, TITLE_IN = 0.1, 0.8
 
 
-def chart(width_in: float, height_in: float, heading: str, note: str = "") -> Figure:
-    """Return an empty figure with a heading above and a note beneath so many inches, all laid out by matplotlib."""
-    lines = [textwrap.fill(line, int(width_in * LETTERS_PER_IN)) for line in note.splitlines()]
-    size_in = width_in, height_in + HEAD_IN + LINE_IN * sum(line.count("\n") + 1 for line in lines)
-    figure = Figure(
-        figsize=size_in, layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.09), facecolor="white"
-    )
+class Picture(Figure):
+    """A figure whose files are fit for print: text stays text in PDF and SVG, images have 300 dots an inch."""
+
+    @printed
+    def savefig(self, fname: Any, **options: Any) -> None:
+        """Write the figure, in the format that the file's name ends in; the same bytes each time."""
+        kind = str(options.get("format") or Path(str(fname)).suffix[1:]).lower()
+        undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(kind)
+        super().savefig(fname, **{"metadata": undated, **options})
+
+
+def inches(width: Width) -> float:
+    """Return the width of a figure in inches.
+
+    Args:
+      width: ``"column"`` or ``"page"`` (`WIDTHS_MM`), or millimetres.
+
+    Raises:
+      InputError: another name, or too few millimetres for text that can be read.
+    """
+    width_mm = WIDTHS_MM.get(width) if isinstance(width, str) else width
+    if width_mm is None or not LEAST_MM <= width_mm < math.inf:
+        names = " or ".join(f"{name!r} ({each:g} mm)" for name, each in WIDTHS_MM.items())
+        raise InputError(
+            f"width must be {names}, or at least {LEAST_MM:g} millimetres, got {width!r}"
+        )
+    return width_mm / MM_PER_IN
+
+
+def wrapped(text: str, width_in: float, size_pt: float = SMALL_PT) -> str:
+    """Return lines broken so that they fit into a width."""
+    most = max(8, int((width_in - EDGE_IN) * LETTERS_PER_IN * SMALL_PT / size_pt))
+    return "\n".join(textwrap.fill(line, most) for line in text.splitlines())
+
+
+def chart(height_in: float, heading: str, note: str = "", width: Width = "page") -> Picture:
+    """Return an empty figure with a heading above and a note beneath so many inches, all laid out by matplotlib.
+
+    Args:
+      height_in: between heading and note.
+      heading: its first lines, bold.
+      note: the lines beneath.
+      width: ``"column"``, ``"page"``, or millimetres.
+
+    Raises:
+      InputError: a width that is none.
+    """
+    width_in = inches(width)
+    head, foot = wrapped(heading, width_in, BOLD * HEADING_PT), wrapped(note, width_in)
+    height_in += HEAD_IN * len(head.splitlines()) + LINE_IN * len(foot.splitlines())
+    layout = ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.06)
+    figure = Picture(figsize=(width_in, height_in), layout=layout, facecolor="white")
     look = {"x": EDGE_IN / width_in, "ha": "left"}
-    figure.suptitle(heading, size=12, weight="bold", color=INK, **look)
-    if lines:
-        figure.supxlabel("\n".join(lines), size=SMALL_PT, color=FAINT_INK, **look)
+    figure.suptitle(head, size=HEADING_PT, weight="bold", color=INK, **look)
+    if foot:
+        figure.supxlabel(foot, size=SMALL_PT, color=FAINT_INK, **look)
     return figure
 
 
@@ -72,20 +135,19 @@ def columns_of(num: int) -> int:
 
 
 def panels(
-    num: int, heading: str, *, panel_in: tuple[float, float] = (2.9, 2.0), shares_y: bool = False
+    num: int, heading: str, *, height_in: float = 2.0, shares_y: bool = False
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with so many panels of equal size.
 
     Args:
       num: of panels.
       heading: see `chart`.
-      panel_in: width and height of a panel, about.
+      height_in: of a panel, about.
       shares_y: whether the panels have one scale, labelled at the left of each row.
     """
     num_cols = columns_of(num)
     num_rows = math.ceil(num / num_cols)
-    width_in, height_in = num_cols * (panel_in[0] + GAP_IN), num_rows * (panel_in[1] + TITLE_IN)
-    figure = chart(max(width_in, 6.4), height_in, heading)
+    figure = chart(num_rows * (height_in + TITLE_IN), heading)
     axes = figure.subplots(num_rows, num_cols, sharey=shares_y, squeeze=False).ravel().tolist()
     for panel in axes[num:]:
         panel.remove()
@@ -106,15 +168,31 @@ def label_rows(axes: Sequence[Axes], label: str) -> None:
 
 
 def letter_all(axes: Sequence[Axes]) -> None:
-    """Put letters before the titles of panels."""
+    """Put letters before the titles of panels, and break those that are too long."""
     for number, panel in enumerate(axes):
-        panel.set_title(letter(number, len(axes)) + panel.get_title(loc="left"))
+        spec: Any = panel.get_subplotspec()
+        room_in = spec.get_gridspec().figure.get_figwidth() / spec.get_gridspec().ncols
+        title = letter(number, len(axes)) + panel.get_title(loc="left")
+        panel.set_title(wrapped(title, room_in, TEXT_PT))
 
 
 def dress(panel: Axes) -> None:
     """Give a panel its ticks and its lines across."""
     panel.tick_params(labelsize=SMALL_PT, length=3, color=FAINT_INK)
     panel.grid(axis="y", linewidth=0.4, alpha=0.5)
+
+
+def legend_above(panel: Axes, lift: float = 0.0) -> None:
+    """Write the legend of a panel above it, higher by a share of its height, in as many columns as have room."""
+    handles, names = panel.get_legend_handles_labels()
+    figure: Any = panel.figure
+    room = figure.get_figwidth() / (ENTRY_IN + max(map(len, names)) / LETTERS_PER_IN)
+    look: dict[str, Any] = {
+        "bbox_to_anchor": (0, 1 + lift),
+        "borderaxespad": 0.3,
+        "columnspacing": 1.2,
+    }
+    panel.legend(handles, names, loc="lower left", ncols=max(1, int(room)), **look)
 
 
 def legend_below(figure: Figure, panel: Axes) -> None:
@@ -205,23 +283,27 @@ def bar_ticks(colours: Colours) -> list[float]:
 
 
 def add_colour_bar(
-    figure: Figure, axes: Sequence[Axes], colours: Colours, location: str = "right"
+    figure: Figure,
+    axes: Sequence[Axes],
+    colours: Colours,
+    location: str = "right",
+    cax: Axes | None = None,
 ) -> None:
-    """Add a colour bar beside (``right``) or below (``bottom``) panels."""
+    """Add a colour bar beside (``right``) or below (``bottom``) panels, or in axes of its own, lying."""
+    place: dict[str, Any] = {"ax": axes, "location": location, "panchor": False}
+    place["aspect"] = 25 if location == "right" else 50
+    if cax is not None:
+        place = {"cax": cax, "orientation": "horizontal"}
     bar = figure.colorbar(
         ScalarMappable(cmap=colours.cmap, norm=colours.norm),
-        ax=axes,
-        location=location,
         extend=colours.extend,
         ticks=bar_ticks(colours),
         format=FuncFormatter(lambda value, _: tick_label(value)),
-        aspect=25,
-        panchor="NW" if location == "bottom" else False,
+        **place,
     )
-    bar.set_label(
-        "\n".join(textwrap.fill(line, LABEL_LETTERS) for line in colours.label.splitlines()),
-        size=SMALL_PT,
-    )
+    is_long = cax is None and location == "bottom"
+    label = wrapped(colours.label, figure.get_figwidth() if is_long else LABEL_IN)
+    bar.set_label(label, size=SMALL_PT)
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
     bar.outline.set(linewidth=0.4)
     bar.ax.minorticks_off()

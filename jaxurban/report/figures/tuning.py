@@ -21,7 +21,7 @@ from jaxurban.report.figures.frame import (
     rules_said,
 )
 from jaxurban.report.figures.metrics import line_colour, obstacle_patches
-from jaxurban.report.figures.paths import APART_PT, BLOCKED_COLOUR, Beside, lanes_of
+from jaxurban.report.figures.paths import APART_PT, BESIDE, BLOCKED_COLOUR, Beside, lanes_of
 from jaxurban.report.figures.style import Colours, dots, panels, show_plain_log, styled
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.weight_fit import WeightFit
@@ -35,7 +35,7 @@ def plot_weights(fit: WeightFit) -> Figure:
     """Return each fitted weight with its interval; one that cannot be identified has neither."""
     table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
     table = table.where(table.weight > 0)
-    figure, (panel,) = panels(1, "Fitted weights and their intervals", panel_in=(5.9, 2.5))
+    figure, (panel,) = panels(1, "Fitted weights and their intervals", height_in=2.5)
     for place, name in enumerate(table.index):
         dots(
             panel,
@@ -90,6 +90,7 @@ def plot_routes(
         ("closed to paths", BLOCKED_COLOUR),
         *obstacle_patches(maps)[1:],
         *ENDS,
+        BESIDE,
     ]
     heading = f"{given.capitalize()}s and routes under the fitted weights"
     figure, (panel,) = draw_maps(grid, shown_maps, heading, note, legend=legend, colours=colours)

@@ -7,15 +7,23 @@ from matplotlib.figure import Figure
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.paths.when import Departures
 from jaxurban.report.figures.frame import frame_note, joined
-from jaxurban.report.figures.style import SERIES_COLOURS, chart, dress, letter, styled
+from jaxurban.report.figures.style import (
+    SERIES_COLOURS,
+    Width,
+    chart,
+    dress,
+    legend_above,
+    letter,
+    styled,
+)
 
-MOST_TICKS, SIZE_IN = 8, (10.0, 3.0)
+MOST_TICKS, HEIGHT_IN = 8, 3.0
 FOOT = 0.05  # of the scales, below 0, so that marks there are whole
 LEAST_TOP = 10.0, 50.0  # of the scales, percent and metres, so that a small effect looks small
 
 
 @styled
-def plot_when(departures: Departures, maps: MapsLike) -> Figure:
+def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") -> Figure:
     """Return the cost above the best time and the length without a fix by time, a line for each time of day.
 
     At hollow marks a route differs from the best time's. A line has a gap where a route has no path.
@@ -23,13 +31,15 @@ def plot_when(departures: Departures, maps: MapsLike) -> Figure:
     Args:
       departures: from `jaxurban.when`.
       maps: that it was planned on, or their folder.
+      width: see `plot_metric`.
     """
     table, facts = departures.table.fillna({"time": "", "time_of_day": ""}), departures.facts
     by, of = ("time", "time_of_day") if table["time"].nunique() > 1 else ("time_of_day", "time")
     labels = [name[11:16] if by == "time" else name for name in table[by].unique()]
     table["x"] = table[by].factorize()[0]
     facts_line = joined(*(f"{name}: {fact}" for name, fact in facts.items() if fact))
-    figure = chart(*SIZE_IN, "When to fly", f"{facts_line}\n{frame_note(as_maps(maps))}")
+    note = f"{facts_line}\n{frame_note(as_maps(maps))}"
+    figure = chart(HEIGHT_IN, "When to fly", note, width)
     cost, no_fix = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     for colour, (name, part) in zip(SERIES_COLOURS, table.groupby(of, sort=False), strict=False):
         above, changed = 100 * part["above_best"], part["num_changed"] > 0
@@ -37,8 +47,8 @@ def plot_when(departures: Departures, maps: MapsLike) -> Figure:
         cost.plot(part["x"][changed], above[changed], "o", color=colour, markerfacecolor="white")
         if "no_fix_m" in part:
             no_fix.plot(part["x"], part["no_fix_m"], color=colour)
-    cost.plot([], [], "ok", markerfacecolor="white", label="a route differs\nfrom the best time's")
-    cost.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02))
+    cost.plot([], [], "ok", markerfacecolor="white", label="a route differs from the best time's")
+    legend_above(cost)
     for number, (panel, label) in enumerate(
         zip(axes, ("cost above best (%)", "no fix (m)"), strict=True)
     ):
