@@ -105,6 +105,15 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     Object.assign(pen, { font: '600 12px system-ui', strokeStyle: '#fff', fillStyle: ink, lineWidth: 3 });
     for (const write of ['strokeText', 'fillText']) pen[write](name, left + 11, top + 4);
   };
+  // --- the sheet of controls; where the page is wider they stand beside the map, and it has nothing to open
+  const sheet = root.querySelector('[data-do="sheet"]'), aside = root.querySelector('aside'), bar = aside.firstElementChild;
+  const open = isOpen => { sheet.ariaExpanded = isOpen; };
+  const reveal = part => { // below the bar
+    open(true);
+    aside.scrollTop += part.getBoundingClientRect().top - bar.getBoundingClientRect().bottom;
+  };
+  bar.onpointerdown = ({ clientY }) => { state.grip = clientY; };
+  bar.onpointerup = ({ clientY }) => { if (Math.abs(clientY - state.grip) > 20) open(clientY < state.grip); };
   // --- the pointer
   const look = latest(async ([x, y]) => {
     const cell = [y, x].map(metres => Math.floor(metres / side)), table = is('values');
@@ -130,48 +139,77 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const showSky = latest(async () => { // over the place that was clicked; the first one waits for the city
     if (state.sky) tell('Looking at the sky …');
     is('sky').innerHTML = state.sky ? await ask('sky', { at: places(), place: toLonLat(state.sky) }) : '';
-    if (state.sky) tell('');
+    if (!state.sky) return;
+    tell('');
+    reveal(is('sky-box'));
   });
   const setEnd = (name, place) => {
     state.ends[name] = place;
     delete state.marks[name];
   };
-  const endAt = (...at) => state.tab === 'plan' && !state.drawing && Object.keys(state.ends).find(name =>
-    Math.hypot(...toPixel(markOf(name)).map((pixel, k) => pixel - at[k])) < 12);
-  map.onpointerdown = ({ pointerId, button, offsetX: left, offsetY: top }) => {
-    if (button === 0) map.setPointerCapture(pointerId); else return;
-    state.drag = { end: endAt(left, top), left, top, isMoved: false };
+  const fingers = new Map(); // on the map, or the mouse's button: where they are
+  const grip = () => { // their middle, and how far they are from it
+    const points = [...fingers.values()], [x, y] = [0, 1].map(k => points.reduce((sum, at) => sum + at[k], 0) / points.length);
+    return [x, y, Math.hypot(points[0][0] - x, points[0][1] - y)];
   };
-  map.onpointermove = ({ offsetX: left, offsetY: top }) => {
-    const drag = state.drag, place = toMetres(left, top);
-    if (drag) {
-      drag.isMoved ||= Math.hypot(left - drag.left, top - drag.top) > 3;
-      if (drag.end && drag.isMoved && isInside(place)) setEnd(drag.end, place);
-      if (!drag.end && drag.isMoved) {
-        view.shift(left - drag.left, top - drag.top);
-        Object.assign(drag, { left, top });
-      }
-      draw();
-    }
+  const endAt = (at, reach) => state.tab === 'plan' && !state.drawing && Object.keys(state.ends).find(name =>
+    Math.hypot(...toPixel(markOf(name)).map((pixel, k) => pixel - at[k])) < reach);
+  const showValues = place => { // of the cell below a finger that rests
+    state.drag.isMoved = true;
+    state.drag.end = null;
+    choose('look');
     point(place);
+    reveal(is('values'));
   };
-  map.onpointerup = ({ offsetX, offsetY }) => {
-    const { end, isMoved } = state.drag ?? { isMoved: true };
-    state.drag = null;
-    if (end) plan(); else if (!isMoved) click(toMetres(offsetX, offsetY));
+  map.onpointerdown = ({ pointerId, button, pointerType, offsetX, offsetY }) => {
+    if (button !== 0) return;
+    const at = [offsetX, offsetY], slack = pointerType === 'touch' ? 12 : 3;
+    map.setPointerCapture(pointerId);
+    fingers.set(pointerId, at);
+    clearTimeout(state.drag?.rest);
+    state.drag = { at, slack, isMoved: fingers.size > 1, end: fingers.size < 2 && endAt(at, slack + 9) };
+    if (slack > 3 && fingers.size < 2) state.drag.rest = setTimeout(showValues, 500, toMetres(...at));
   };
+  map.onpointermove = ({ pointerId, offsetX, offsetY }) => {
+    const { drag } = state, at = [offsetX, offsetY], place = toMetres(...at);
+    if (!fingers.has(pointerId)) return point(place);
+    drag.isMoved ||= Math.hypot(at[0] - drag.at[0], at[1] - drag.at[1]) > drag.slack;
+    if (!drag.isMoved) return;
+    clearTimeout(drag.rest);
+    const [x, y, reach] = grip();
+    fingers.set(pointerId, at);
+    const [x2, y2, reach2] = grip();
+    if (!drag.end) view.shift(x2 - x, y2 - y);
+    else if (isInside(place)) setEnd(drag.end, place);
+    if (reach && reach2) view.zoom(reach / reach2, x2, y2);
+    point(place);
+    draw();
+  };
+  map.onpointerup = ({ pointerId, type, offsetX, offsetY }) => {
+    if (!fingers.delete(pointerId) || fingers.size) return;
+    const { end, isMoved, rest } = state.drag, place = toMetres(offsetX, offsetY);
+    clearTimeout(rest);
+    if (end) return plan();
+    if (isMoved || type !== 'pointerup') return;
+    point(place);
+    click(place);
+  };
+  map.onpointercancel = map.onpointerup;
+  map.oncontextmenu = () => !fingers.size; // else a resting finger opens the browser's menu
   map.onwheel = event => {
     event.preventDefault();
     view.zoom(1.001 ** clamp(event.deltaY, -300, 300), event.offsetX, event.offsetY);
   };
   map.onkeydown = event => {
     const move = (left, top) => () => view.shift(left, top);
-    const acts = { '+': actions.closer, '-': actions.farther, 0: actions.fit, Enter: () => click([view.x, view.y]),
-      Escape: () => { state.drawing = state.sky = null; showSky(); hint(); draw(); }, ArrowLeft: move(60, 0),
+    const put = end => () => click([view.x, view.y], end), isPlan = state.tab === 'plan';
+    const acts = { '+': actions.closer, '-': actions.farther, 0: actions.fit, Enter: put(),
+      ...isPlan && { s: put('start'), g: put('goal'), z: actions.zone }, Escape: () => { state.drawing = state.sky = null; showSky(); hint(); draw(); }, ArrowLeft: move(60, 0),
       ArrowRight: move(-60, 0), ArrowUp: move(0, 60), ArrowDown: move(0, -60) };
-    if (!acts[event.key] || event.ctrlKey || event.metaKey) return; // the browser's own zoom
+    const act = acts[event.key] ?? acts[event.key.toLowerCase()];
+    if (!act || event.ctrlKey || event.metaKey) return; // the browser's own zoom
     event.preventDefault();
-    acts[event.key]();
+    act();
     point([view.x, view.y]);
   };
   // --- routes
@@ -226,8 +264,10 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const ends = JSON.stringify(state.ends);
     if (state.framed === ends) return;
     state.framed = ends;
+    reveal(is('routes'));
     if (view.isWhole) view.fit();
-    const free = [is('legend').offsetWidth + 24, 24, map.clientWidth - 60, map.clientHeight - 24]; // beside the legend
+    const { offsetWidth: across, parentElement: { offsetHeight: below } } = is('legend'), isWide = map.clientWidth > 3 * across;
+    const free = [isWide ? across + 24 : 24, 24, map.clientWidth - 74, map.clientHeight - (isWide ? 24 : below + 24)];
     const [[left, right], [low, top]] = [0, 1].map(k => route.xy_m.map(place => place[k])).map(each =>
       [Math.min(...each), Math.max(...each)]);
     const [x, y] = toPixel([left, top]), [x2, y2] = toPixel([right, low]);
@@ -248,11 +288,11 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const share = (clientX - left) / width, ends = state.report?.to_share;
     if (ends) link(clamp(ends.findIndex(end => end >= share), 0, ends.length - 1));
   };
-  const click = place => {
+  const click = (place, end = state.ends.start ? 'goal' : 'start') => {
     if (!isInside(place) || !scene.can_plan) return;
     if (state.tab === 'look') showSky(state.sky = place);
     else if (state.drawing) state.drawing.push(place);
-    else { setEnd(state.ends.start ? 'goal' : 'start', place); plan(); }
+    else { setEnd(end, place); plan(); }
     draw();
   };
   const closeZone = () => {
@@ -267,7 +307,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     button.ariaPressed = Boolean(drawing);
     button.textContent = drawing ? 'Close the zone' : 'Draw a no-fly zone';
     root.querySelector('[data-do="save-zones"]').hidden = !length;
-    is('hint').textContent = drawing ? 'Click the corners of the zone; a double click closes it, Escape gives up.'
+    is('hint').textContent = drawing ? 'Click the corners of the zone; a double click, Z or the button closes it, Escape gives up.'
       : isReady() ? 'Drag start or goal, or move a weight.' : `Click the map for the ${ends.start ? 'goal' : 'start'}.`;
   };
   const download = (bytes, name) => {
@@ -276,7 +316,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     setTimeout(() => URL.revokeObjectURL(href), 9000);
   };
   const actions = {
-    zone: () => { if (state.drawing) closeZone(); else state.drawing = []; hint(); draw(); },
+    zone: () => { if (state.drawing) closeZone(); else { state.drawing = []; map.focus({ preventScroll: true }); } hint(); draw(); },
+    sheet: () => open(sheet.ariaExpanded === 'false'),
     'save-zones': () => download(zones(), 'zones.geojson'),
     clear: () => { Object.assign(state, { ends: {}, zones: [], drawing: null }); tell(''); showRoutes([]); plan(); },
     closer: () => view.zoom(0.7),
@@ -348,7 +389,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     for (const each of all('[data-tab]')) each.ariaSelected = each.dataset.tab === tab;
     for (const page of all('[data-page]')) page.hidden = page.dataset.page !== tab;
   };
-  for (const button of all('[data-tab]')) button.onclick = () => { choose(button.dataset.tab); keep(); draw(); };
+  for (const button of all('[data-tab]')) button.onclick = () => { choose(button.dataset.tab); open(true); keep(); draw(); };
   const first = kept(), held = keepsPlan && window.location.hash.slice(1);
   try { if (held) restore(JSON.parse(decodeURIComponent(held))); } catch {
     restore(first);
@@ -364,6 +405,6 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
 const held = document.getElementById('jv-data')?.textContent;
 if (held !== undefined) start(document.querySelector('.jv'), held ? inFile(JSON.parse(held)) : overHttp());
 export default { render({ model, el }) {
-  el.innerHTML = `<div class="jv jv-inset">${model.get('markup')}</div>`;
+  el.innerHTML = `<div class="jv jv-inset" data-lm-suppress-shortcuts="true">${model.get('markup')}</div>`;
   start(el.firstElementChild, overWidget(model), false);
 } };
