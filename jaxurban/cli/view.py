@@ -1,6 +1,7 @@
 """jaxurban view."""
 
 import webbrowser
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,12 @@ if TYPE_CHECKING:
 @RESOLUTION
 @OBSTACLES
 @PRESET
+@click.option(
+    "--against",
+    type=PATH,
+    metavar="DIR",
+    help="Other maps of the place, whose layers the page can subtract from those of the first.",
+)
 @click.option(
     "--export", type=PATH, metavar="PAGE.html", help="Write one page that shows the maps, and end."
 )
@@ -40,6 +47,7 @@ def view(
     resolution_m: float | None,
     obstacles: "Obstacles | None",
     preset: "Preset",
+    against: Path | None,
     export: Path | None,
     size_mib: float,
     port: int,
@@ -53,7 +61,13 @@ def view(
 
     def open_viewer() -> Viewer:
         maps = open_maps(folder, resolution_m, obstacles=obstacles)
-        return Viewer(maps, name=folder.resolve().name, folder=str(folder), preset=preset)
+        viewer = partial(
+            Viewer, maps, name=folder.resolve().name, folder=str(folder), preset=preset
+        )
+        if against is None:
+            return viewer()
+        others = open_maps(against, maps.grid.resolution_m)
+        return viewer(against=others, against_name=str(against))
 
     viewer = open_viewer()
     if export is not None:

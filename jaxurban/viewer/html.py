@@ -117,11 +117,13 @@ def _maps_of(viewer: Viewer) -> Iterator[View]:
 def _page(viewer: Viewer, maps: list[View], stride: int, most_bytes: int) -> bytes | None:
     """Return the page with every map at one stride; None where it has more bytes."""
     scene = viewer.scene(Request()) | {"strides": [stride], "can_plan": False, "key": ""}
+    outlines = base64.b64encode(viewer.answer("outlines", {}).body).decode()
     answers: dict[str, Any] = {_key("scene", {}): scene, _key("base", {}): viewer.base(Request())}
-    num_bytes = 0
+    answers[_key("outlines", {})] = outlines
+    num_bytes = len(outlines)
     num_rows, num_cols = (math.ceil(size / stride / TILE) for size in viewer.maps.grid.shape)
     for view in maps:
-        params = view.model_dump(mode="json")
+        params = view.model_dump(mode="json", exclude_none=True)
         answers[_key("legend", params)] = viewer.legend(view)
         for row, col in product(range(num_rows), range(num_cols)):
             of_tile = params | {"stride": stride, "row": row, "col": col}

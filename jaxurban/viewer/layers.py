@@ -15,6 +15,7 @@ from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import EMPTY_COLOUR, drawn_variables, metric_colours, values_of
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
 from jaxurban.report.figures.style import Colours, bar_ticks, tick_label
+from jaxurban.report.map_comparison import difference_colours
 from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.markup import legend
 
@@ -136,15 +137,33 @@ def _group(maps: MetricMaps, variable: Variable) -> str:
     return "Further maps" if ALTITUDE in variable.dims and variable.name != "obstacle" else "Ground"
 
 
-def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
+def difference(values: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return ``[Y, X]`` values less others: `OBSTACLE` where either is, `NOTHING` where one has no finite value.
+
+    Where both are infinite, as dilutions of precision without a fix, the difference is 0.
+    """
+    with np.errstate(invalid="ignore"):
+        change = np.where(values == others, np.float32(0), values - others)
+    change[~np.isfinite(change)] = NOTHING
+    change[(values == OBSTACLE) | (others == OBSTACLE)] = OBSTACLE
+    return change
+
+
+def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "") -> dict[str, Any]:
     """Return how values become colours on the page, as JSON holds it.
+
+    With a ``difference_label`` the values are differences, drawn on a scale as far on either side of 0.
 
     ``edges`` has one number more than there are ``colours`` (base64; red, green, blue and 255): colour k is drawn from
     edge k up to edge k + 1, the first and the last one beyond them too. ``flat`` are the colours of cells in obstacles,
     of those without a value, and of a value of 0, where that is drawn apart; ``html`` is the legend.
     """
-    scale, zero = layer.colours(values), layer.variable.scale.zero
     maps = layer.maps
+    if difference_label:
+        is_changed = np.isfinite(values) & (values != 0)
+        scale, zero = difference_colours(np.abs(values[is_changed]), difference_label), ""
+    else:
+        scale, zero = layer.colours(values), layer.variable.scale.zero
     flat = [_packed(layer.blocked), _packed(NO_DATA_PATCH[1]), None]
     patches = []
     if zero:

@@ -69,7 +69,7 @@ class Plans:
             )
 
         # Without its cost map, which is large.
-        return self._routes.get(query.model_dump_json(), make)
+        return self._routes.get(_route_key(query), make)
 
     def report(self, query: Plan, at: OneMap) -> tuple[RouteReport, PlannedPath]:
         """Return a route explained, with what its pilot should know, and the route.
@@ -77,8 +77,13 @@ class Plans:
         Raises:
           InputError: there is no route.
         """
-        planned, maps = self.route(query, at), self.maps.with_obstacles(query.obstacles)
-        return self._reports.get(query.model_dump_json(), lambda: explain(planned, maps)), planned
+        planned = self.route(query, at)
+        report = self._reports.get(query.model_dump_json(), lambda: self._explained(planned, query))
+        return report, planned
+
+    def _explained(self, planned: PlannedPath, query: Plan) -> RouteReport:
+        maps = self.maps.with_obstacles(query.obstacles)
+        return explain(planned, maps, speed_m_s=query.speed_m_s, power_w=query.power_w)
 
     def file(self, query: Plan, at: OneMap, suffix: str) -> bytes:
         """Return a route as ``jaxurban plan -o`` writes it; as waypoints, simplified by half a cell.
@@ -92,7 +97,9 @@ class Plans:
             planned = self.mission(query, at)
         if not planned.status.has_path:
             raise InputError(f"there is no route to save: {planned.status.sentence}")
-        return file_format.encode([("", planned)], None)
+        has_flight = query.speed_m_s is not None or query.power_w is not None
+        report = self._explained(planned, query) if has_flight else None
+        return file_format.encode([("", planned)], report)
 
     def mission(self, query: Plan, at: OneMap) -> PlannedPath:
         """Return the route that files of waypoints hold: simplified by half a cell, priced by the route's cost model.
@@ -101,7 +108,7 @@ class Plans:
           InputError: as for `jaxurban.plan`.
         """
         planned = self.route(query, at)
-        key = "mission", query.model_dump_json()
+        key = "mission", _route_key(query)
         half_cell_m = self.maps.grid.resolution_m / 2
         return self._routes.get(
             key, lambda: simplify(planned, self._cost_map(query, at), half_cell_m)
@@ -144,6 +151,8 @@ class Plans:
             "--clearance": repr(query.clearance_m),
             "--vertical-clearance": repr(self._over_roofs_m(query)),
             "--no-fly": ZONES_FILE if query.zones else None,
+            "--speed": _written(query.speed_m_s),
+            "--power": _written(query.power_w),
         }
         words = ["jaxurban", "plan", self.folder]
         for option, value in values.items():
@@ -210,6 +219,15 @@ class Plans:
 def _count_one(_: object) -> int:
     """Return the size of whatever is kept by number."""
     return 1
+
+
+def _written(value: float | None) -> str | None:
+    return None if value is None else repr(value)
+
+
+def _route_key(query: Plan) -> str:
+    """Return what two queries of one route share: how fast it is flown does not change it."""
+    return query.model_dump_json(exclude={"speed_m_s", "power_w"})
 
 
 def _budget_s(planner: str) -> float:

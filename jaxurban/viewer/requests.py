@@ -23,11 +23,23 @@ class Request(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class View(Request):
+class OneView(Request):
     """A map: its layer, and the numbers of its altitude, time and time of day in the lists of the scene."""
 
     layer: Name
     at: MapIndex
+
+
+class Subtrahend(OneView):
+    """A map that is subtracted from another one: of the maps that are looked at, or of those beside them."""
+
+    is_other: bool = False
+
+
+class View(OneView):
+    """A map, or by how much it is above another one."""
+
+    minus: Subtrahend | None = None
 
 
 class Tile(View):
@@ -39,11 +51,12 @@ class Tile(View):
 
 
 class Cell(Request):
-    """A cell, at an altitude, time and time of day."""
+    """A cell, at an altitude, time and time of day, and the map whose value in it comes first, if one is named."""
 
     at: MapIndex
     row: Index
     col: Index
+    view: View | None = None
 
 
 class Sky(Request):
@@ -57,7 +70,7 @@ class Plan(Request):
     """A route that is wanted; `jaxurban.plan` names the same.
 
     ``zones`` is GeoJSON of the no-fly zones drawn, as text. Left out, ``vertical_clearance_m`` is that of the maps'
-    scenario and ``flight_m``, the altitude of flight, the level of ``at``.
+    scenario, ``flight_m``, the altitude of flight, the level of ``at``, and speed and power those of the vehicle.
     """
 
     start: Place
@@ -70,6 +83,8 @@ class Plan(Request):
     clearance_m: Metres = Rules.clearance_m
     vertical_clearance_m: Metres | None = None
     flight_m: Metres | None = None
+    speed_m_s: Metres | None = None
+    power_w: Metres | None = None
     snap: Annotated[bool, Field(strict=True)] = True
     zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
 

@@ -4,6 +4,7 @@ No file is ever served by its name. A request must name this host, as a page of 
 127.0.0.1 would not, and must not come from a page of another origin.
 """
 
+import gzip
 import json
 import logging
 from collections.abc import Callable
@@ -14,7 +15,8 @@ from typing import Any
 
 from jaxurban.errors import InputError, RemadeError
 from jaxurban.viewer.html import html_page, policy_of
-from jaxurban.viewer.viewer import JSON, Answer, Viewer
+from jaxurban.viewer.tiles import LEVEL
+from jaxurban.viewer.viewer import BYTES, JSON, Answer, Viewer
 
 HOST = "127.0.0.1"
 MOST_BODY = 128 * 1024  # bytes of a request
@@ -167,6 +169,10 @@ class _Handler(BaseHTTPRequestHandler):
             "Referrer-Policy": "no-referrer",
             "Content-Security-Policy": policy_of("'self'"),
         }
+        is_text = status == HTTPStatus.OK and answer.kind != BYTES
+        if is_text and "gzip" in self.headers.get("Accept-Encoding", ""):
+            answer = answer._replace(body=gzip.compress(answer.body, LEVEL))
+            headers |= {"Content-Encoding": "gzip", "Content-Length": str(len(answer.body))}
         self.send_response(status)
         if self.close_connection:
             headers["Connection"] = "close"

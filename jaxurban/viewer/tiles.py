@@ -17,6 +17,7 @@ from jaxurban.world.grid import Grid
 
 TILE = 256  # cells a side of a tile
 MOST_BYTES = 256 * 2**20  # of layers that are kept
+LEVEL = 4  # of deflating: tiles have a fifth less than at level 1, and some milliseconds more
 DEGREE, NUM_FITTED = 4, 17  # of the polynomials, and places a side that they are fitted to
 
 
@@ -53,8 +54,13 @@ def tile_bytes(values: np.ndarray, stride: int, row: int, col: int) -> bytes:
         raise InputError(
             f"there is no tile {row}, {col} at stride {stride}: tiles are numbered from 0"
         )
-    cells = np.ascontiguousarray(values[np.ix_(rows, cols)], "<f4")
-    return zlib.compress(cells.view(np.uint8).reshape(-1, 4).T.tobytes(), 1)
+    return packed(values[np.ix_(rows, cols)])
+
+
+def packed(values: np.ndarray) -> bytes:
+    """Return numbers as bytes by significance, deflated, see `tile_bytes`."""
+    numbers = np.ascontiguousarray(values, "<f4")
+    return zlib.compress(numbers.view(np.uint8).reshape(-1, 4).T.tobytes(), LEVEL)
 
 
 def lonlat_fit(grid: Grid) -> dict[str, np.ndarray]:

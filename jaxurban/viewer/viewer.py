@@ -2,7 +2,10 @@
 
 import json
 import math
+import re
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from html import escape
 from typing import Any, NamedTuple
@@ -11,12 +14,13 @@ from uuid import uuid4
 import numpy as np
 
 from jaxurban.checks import one_of
-from jaxurban.errors import InputError, RemadeError
+from jaxurban.errors import InputError, JaxurbanError, RemadeError
 from jaxurban.io.store import OPENED
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import WeightsLike
+from jaxurban.paths.explain import RouteReport
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.path import PlannedPath
@@ -28,19 +32,38 @@ from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.metrics import line_colour
 from jaxurban.report.figures.paths import planner_colours
-from jaxurban.settings import Preset
-from jaxurban.studies.map_comparison import OneMap
+from jaxurban.settings import Preset, Vehicle
+from jaxurban.studies.map_comparison import MapComparison, OneMap, shared_part
 from jaxurban.viewer import markup
 from jaxurban.viewer.base import base_of
-from jaxurban.viewer.layers import H_NORM, DrawnLayer, layers_of, legend_of
+from jaxurban.viewer.layers import (
+    H_NORM,
+    NOTHING,
+    DrawnLayer,
+    difference,
+    layers_of,
+    legend_of,
+)
 from jaxurban.viewer.markup import number, options, sentences
+from jaxurban.viewer.outlines import STEP_M, outlines_of
 from jaxurban.viewer.plans import Plans
-from jaxurban.viewer.requests import Cell, Plan, Request, Save, Sky, Tile, View, parse
+from jaxurban.viewer.requests import (
+    Cell,
+    OneView,
+    Plan,
+    Request,
+    Save,
+    Sky,
+    Subtrahend,
+    Tile,
+    View,
+    parse,
+)
 from jaxurban.viewer.sky import sky_html
 from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, strides_of, tile_bytes
 
 JSON, BYTES = "application/json", "application/octet-stream"
-OPACITY_PERCENT = 70  # of a map over streets
+SECONDS_PER_MINUTE = 60
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
 PLANNER_LINES = planner_colours(PLANNERS)
 TOTALS = {  # of `RouteReport.totals`, as the page shows them
@@ -50,8 +73,15 @@ TOTALS = {  # of `RouteReport.totals`, as the page shows them
     "no_fix_m": ("Without a fix", "m"),
     "nearest_wall_m": ("Least clearance", "m"),
     "least_over_roofs_m": ("Least over roofs", "m"),
-    "time_s": ("Time", "s"),
-    "energy_wh": ("Energy", "Wh"),
+}
+
+VEHICLE = {  # of `Vehicle.to_dict`, as the page shows it; of climb, descent and turns the limits
+    "vehicle_radius_m": ("Vehicle, radius", "m"),
+    "vehicle_speed_m_s": ("Vehicle, speed", "m/s"),
+    "vehicle_power_w": ("Vehicle, power", "W"),
+    "vehicle_max_climb_m_s": ("Vehicle, climb", "m/s"),
+    "vehicle_max_descent_m_s": ("Vehicle, descent", "m/s"),
+    "vehicle_max_turn_deg": ("Vehicle, turns", "°"),
 }
 
 
@@ -69,9 +99,11 @@ class Viewer:
       maps: that are looked at and planned on.
       name: what they are called.
       folder, weights, preset: of `Plans`.
+      against: other maps of the place, whose layers can be subtracted on the cells that both hold.
+      against_name: what these are called.
 
     Raises:
-      InputError: as of `Plans`.
+      InputError: as of `Plans`, or as of `shared_part` for the other maps.
 
     Attributes:
       key: of this viewer alone: a page that has another's answers asks for no more of them here.
@@ -85,14 +117,24 @@ class Viewer:
         folder: str = "",
         weights: WeightsLike = None,
         preset: Preset = "",
+        against: MetricMaps | None = None,
+        against_name: str = "the other maps",
     ) -> None:
         self.plans = Plans(maps, folder, weights, preset)
         self.maps, self.name = self.plans.maps, name
         self.layers = layers_of(self.maps)
+        self.names: tuple[str, ...] = (name,)
+        self.against = against
+        if against is not None:
+            self.names = name, against_name
+            others = against.with_obstacles(self.maps.obstacles)
+            self.shared = MapComparison(self.names, *shared_part(self.maps, others), {})
+            self.other_layers = layers_of(self.shared.b)
         self.kept, self.key = Kept(), uuid4().hex
         self._answers: dict[str, tuple[type[Request], Callable[[Any], Any]]] = {
             "scene": (Request, self.scene),
             "base": (Request, self.base),
+            "outlines": (Request, self.outlines),
             "legend": (View, self.legend),
             "tile": (Tile, self.tile),
             "values": (Cell, self.values_at),
@@ -123,13 +165,15 @@ class Viewer:
             raise RemadeError(
                 "the maps of this page were made again or removed since they were opened: load it again"
             )
-        if OPENED in self.maps.ds.encoding:
-            self.maps.ds.encoding[OPENED].check()
+        for maps in filter(None, (self.maps, self.against)):
+            if OPENED in maps.ds.encoding:
+                maps.ds.encoding[OPENED].check()
 
     def scene(self, _: Request) -> dict[str, Any]:
         """Return what the page must know before it asks for anything else; ``html`` fills its places by name."""
         grid = self.maps.grid
         north_deg = math.degrees(grid.convergence_rad(*grid.centre_lonlat))
+        vehicle = self.plans.limits.vehicle or Vehicle()
         return {
             "key": self.key,
             "rows": grid.num_rows,
@@ -148,13 +192,17 @@ class Viewer:
             "altitudes_m": self.maps.altitudes_m,
             "has_base": self.maps.base_map is not None,
             "no_fix": FIX if FIX in self.layers else None,
+            "file_name": re.sub(r"[^\w.-]+", "-", self.name).strip("-."),
+            "step_m": STEP_M,
             "fields": {
                 "cost_model": self.plans.cost_model.kind,
                 "obstacles": self.maps.obstacles,
                 "clearance_m": self.plans.limits.clearance_m,
                 "vertical_clearance_m": self.plans.limits.vertical_clearance_m,
                 "flight_m": next(iter(self.maps.altitudes_m), 0.0),
-                "opacity": 100 if self.maps.base_map is None else OPACITY_PERCENT,
+                "opacity": 100,
+                "speed_m_s": vehicle.speed_m_s or "",
+                "power_w": vehicle.power_w or "",
             },
             "can_plan": True,
             "html": self._texts(north_deg),
@@ -164,6 +212,14 @@ class Viewer:
         """Return the base map (`base_of`)."""
         return base_of(self.maps)
 
+    def outlines(self, _: Request) -> bytes:
+        """Return the outlines of all buildings (`outlines_of`): exact ones where the city can be read again."""
+        try:
+            buildings = self._sight.city.buildings
+        except (JaxurbanError, OSError):
+            buildings = None
+        return outlines_of(self.maps, buildings)
+
     def _texts(self, north_deg: float) -> dict[str, str]:
         """Return the texts and lists of the page by the names of their places."""
         grid, maps, layers = self.maps.grid, self.maps, self.layers
@@ -172,8 +228,14 @@ class Viewer:
         first = next((name for name in ("gps", H_NORM) if name in layers), next(iter(layers)))
         north = f"true north {abs(north_deg):.2f}° {'west' if north_deg > 0 else 'east'} of the grid's north"
         guessed = guesses_said(maps, has_sky=True)
+        headings = [(name, each.variable.heading, each.group) for name, each in layers.items()]
+        lists = {
+            "altitude": options([f"{z_m:g} m" for z_m in maps.altitudes_m]),
+            "time_of_day": options(maps.times_of_day),
+            "time": options([*map(time_said, self.axes[TIME])]),
+        }
         return {
-            "title": escape(self.name),
+            "title": escape(" against ".join(self.names)),
             "guesses": escape(guessed and f"Guessed: {guessed}"),
             "guesses-text": escape("\n".join(maps.guesses.values())),
             "place": "<br>".join([place_said(grid), f"{cells} · {grid.crs}", north]),
@@ -182,12 +244,12 @@ class Viewer:
             "planners": markup.planners(summaries, PLANNER_LINES, "astar-plus"),
             "formats": markup.save_buttons(FORMATS, of_waypoints=False),
             "formats-of-waypoints": markup.save_buttons(FORMATS, of_waypoints=True),
-            "altitude": options([f"{z_m:g} m" for z_m in maps.altitudes_m]),
-            "time_of_day": options(maps.times_of_day),
-            "time": options([*map(time_said, self.axes[TIME])]),
-            "layer": markup.layer_options(
-                ((name, each.variable.heading, each.group) for name, each in layers.items()), first
-            ),
+            **lists,
+            **{f"minus-{name}": text for name, text in lists.items()},
+            "layer": markup.layer_options(headings, first),
+            "minus-layer": '<option value="">nothing</option>'
+            + markup.layer_options(headings, first if self.against else ""),
+            "minus-is_other": options(self.names, -1) if len(self.names) > 1 else "",
             "north": f'<path d="M0-12 5 8 0 4-5 8Z" transform="rotate({-north_deg:.2f})"/>',
         }
 
@@ -236,15 +298,75 @@ class Viewer:
         return at._replace(altitude_m=query.flight_m)
 
     def values(self, view: View) -> np.ndarray:
-        """Return the values ``[Y, X]`` of a map as they travel (`DrawnLayer.values`)."""
-        layer = self.layers[one_of("layer", view.layer, self.layers)]
-        at = self.place(view.at, layer.dims)
+        """Return the values ``[Y, X]`` of a map, or its `difference` from another one, as they travel.
+
+        Raises:
+          InputError: an unknown layer or place, or layers of different units.
+        """
+        values = self._values(view)
+        if view.minus is None:
+            return values
+        if unit_of(self._layer(view.minus)[0]) != unit_of(self.layers[view.layer]):
+            raise InputError(
+                f"{view.layer} and {view.minus.layer} have different units, so they have no difference: choose "
+                "two layers of one unit"
+            )
+        others = self._others(view.minus) if view.minus.is_other else self._values(view.minus)
+        return self.kept.get(view.model_dump_json(), lambda: difference(values, others))
+
+    def _values(self, view: OneView) -> np.ndarray:
+        layer, at = self._layer(view)
         return self.kept.get((view.layer, at), lambda: layer.values(at))
+
+    def _layer(self, view: OneView) -> tuple[DrawnLayer, OneMap]:
+        """Return a layer of these maps, and which map of it."""
+        layer = self.layers[one_of("layer", view.layer, self.layers)]
+        return layer, self.place(view.at, layer.dims)
+
+    def _others(self, view: Subtrahend) -> np.ndarray:
+        """Return values of the other maps on these maps' cells ``[Y, X]``, `NOTHING` where the others have none."""
+        if self.against is None:
+            raise InputError("there are no other maps: name their folder (--against)")
+        layer = self.other_layers[one_of("layer", view.layer, self.other_layers)]
+        _, at = self._layer(view)
+        if at.time is not None:
+            at = at._replace(time=self.shared.times.get(at.time, at.time))
+
+        def make() -> np.ndarray:
+            values = np.full(self.maps.grid.shape, NOTHING)
+            values[self.shared.grid.window_in(self.maps.grid)] = layer.values(at)
+            return values
+
+        return self.kept.get((self.names[1:], view.layer, at), make)
 
     def legend(self, view: View) -> dict[str, Any]:
         """Return how these values become colours (`legend_of`)."""
         values = self.values(view)  # refuses an unknown layer
-        return legend_of(self.layers[view.layer], values)
+        label = self._difference_label(view, view.minus) if view.minus else ""
+        return legend_of(self.layers[view.layer], values, label)
+
+    def _difference_label(self, view: View, minus: Subtrahend) -> str:
+        """Return what is subtracted from what, in which unit."""
+        unit = unit_of(self.layers[view.layer])
+        names = [self._said(view, self.names[0]), self._said(minus, self.names[minus.is_other])]
+        label = f"{names[0]} minus {names[1]}"
+        if unit:
+            label = f"{label}, {unit}"
+        return f"{label} (red: the first is higher)"
+
+    def _said(self, view: OneView, name: str) -> str:
+        """Return a layer, its altitude, time and time of day, and, of several maps, which ones in words."""
+        layer, at = self._layer(view)
+        words = [layer.variable.heading]
+        if at.altitude_m is not None:
+            words.append(f"{at.altitude_m:g} m")
+        if at.time is not None and len(self.axes[TIME]) > 1:
+            words.append(time_said(at.time))
+        if at.time_of_day is not None:
+            words.append(at.time_of_day)
+        if len(self.names) > 1:
+            words.append(f"in {name}")
+        return " ".join(words)
 
     def tile(self, tile: Tile) -> bytes:
         """Return a tile of what is drawn (`tile_bytes`)."""
@@ -259,6 +381,11 @@ class Viewer:
             )
         is_inside = self._value_in(self.layers["obstacle"], cell) != 0
         values = []
+        if cell.view is not None:
+            unit = unit_of(self._layer(cell.view)[0])
+            value = float(self.values(cell.view)[cell.row, cell.col])
+            words = {"told": "Difference", "classes": [], "unit": unit}
+            values.append({"name": "difference", "value": _number(value), **words})
         for name, layer in self.layers.items():
             words = _words(layer)
             if not words["told"]:
@@ -288,8 +415,10 @@ class Viewer:
 
     @cached_property
     def _sight(self) -> Sight:
-        """The city of the maps, read again when the first sky is asked for."""
-        return Sight.of(self.maps, None, None, None)
+        """The city of the maps, read again when its outlines or a sky are asked for first."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # the page shows what the maps guess
+            return Sight.of(self.maps, None, None, None)
 
     def sky(self, query: Sky) -> str:
         """Return the sky over a place (`sky_html`).
@@ -335,11 +464,11 @@ class Viewer:
             name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()
         }
         drawing = markup.profile(table, lines, without_fix(table))
-        rows = [
-            (label, f"{number(totals[name])} {unit}")
-            for name, (label, unit) in TOTALS.items()
-            if name in totals
-        ]
+        rows = []
+        for name, (label, unit) in TOTALS.items():
+            if name in totals:
+                rows.append((label, f"{number(totals[name])} {unit}"))
+        rows += _flight_rows(report, planned)
         lonlat = waypoints(mission).lonlat
         saved = [f"{len(lonlat)} waypoints, cost {number(mission.cost)}"]
         if planned.cost > 0:
@@ -377,6 +506,24 @@ class Viewer:
         """Return a route as a file."""
         route = Plan(**query.model_dump(exclude={"format"}))
         return self.plans.file(route, self.flight(query), query.format)
+
+
+def _flight_rows(report: RouteReport, planned: PlannedPath) -> list[tuple[str, str]]:
+    """Return the time and the energy of a route, and what flies it, as far as they are known."""
+    totals, settings, rows = report.totals, report.settings, []
+    if "time_s" in totals:
+        minutes, seconds = divmod(round(totals["time_s"]), SECONDS_PER_MINUTE)
+        rows.append(("Time", f"{minutes} min {seconds} s" if minutes else f"{seconds} s"))
+    if "energy_wh" in totals:
+        rows.append(("Energy", f"{number(totals['energy_wh'])} Wh"))
+    vehicle = replace(
+        Vehicle.of(planned.settings), speed_m_s=settings["speed_m_s"], power_w=settings["power_w"]
+    )
+    known = vehicle.to_dict()
+    for name, (label, unit) in VEHICLE.items():
+        if name in known:
+            rows.append((label, f"{number(known[name])} {unit}"))
+    return rows
 
 
 def status_said(planned: PlannedPath) -> str:

@@ -32,8 +32,11 @@ def served(viewer: Viewer, again: Again = None) -> Iterator[ViewerServer]:
 
 
 @contextmanager
-def opened(browser: Any, url: str, is_well: bool = True) -> Iterator[Any]:
-    """Open a page and yield it; in the end it has asked nobody else, and, if it is to be well, nothing went wrong."""
+def opened(browser: Any, url: str, is_well: bool = True, **screen: Any) -> Iterator[Any]:
+    """Open a page and yield it; in the end it has asked nobody else, and, if it is to be well, nothing went wrong.
+
+    ``screen`` are options of a context of Playwright: its size, and whether it is touched.
+    """
     asked, wrong = list[str](), list[str]()
 
     def let_through(route: Any) -> None:
@@ -41,7 +44,7 @@ def opened(browser: Any, url: str, is_well: bool = True) -> Iterator[Any]:
         is_here = route.request.url.startswith(("http://127.0.0.1:", "file:", "data:", "blob:"))
         route.continue_() if is_here else route.abort()
 
-    context = browser.new_context(viewport=SIZE, accept_downloads=True)
+    context = browser.new_context(**{"viewport": SIZE, "accept_downloads": True} | screen)
     page = context.new_page()
     page.route("**/*", let_through)
     page.on("pageerror", lambda error: wrong.append(str(error)))

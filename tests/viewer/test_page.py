@@ -269,14 +269,105 @@ def test_cautions_stand_open_the_mission_is_drawn_before_it_is_saved_and_letters
     assert sizes == {"14 11px"}
 
 
-def test_every_format_of_paths_has_a_button_whose_file_bears_planner_and_altitude(page):
+def metres_per_pixel(page) -> float:
+    length, unit = text_of(page, "scale-text").split()
+    width = page.locator('[data-is="scale"]').bounding_box()["width"]
+    return float(length) * {"m": 1, "km": 1000}[unit] / width
+
+
+def test_the_view_fits_the_route_the_map_keeps_its_size_and_0_shows_all(page):
+    page.set_viewport_size({"width": 1440, "height": 800})
+    page.click('[data-tab="plan"]')
+    page.click('[data-do="clear"]')
+    show_all(page)
+    page.wait_for_timeout(300)
+    map_box = page.locator('[data-is="map"]').bounding_box
+    before, whole = map_box(), metres_per_pixel(page)
+    ends = [[60, 80], [90, 120]]
+    for end in ends:
+        near = FREE[np.hypot(*(FREE - end).T).argmin()].tolist()
+        page.mouse.click(*middle_of(page, near))
+    settle(page)
+    assert map_box() == before
+    fitted = metres_per_pixel(page)
+    lonlat = np.array(route_of(page)["geometry"]["coordinates"])[:, :2]
+    x_m, y_m = GRID.xy_of_lonlat(*lonlat.T)
+    share = max(np.ptp(x_m) / before["width"], np.ptp(y_m) / before["height"]) / fitted
+    assert 0.5 < share < 0.95
+    page.set_viewport_size({"width": 1300, "height": 600})
+    page.wait_for_timeout(400)
+    assert metres_per_pixel(page) > 1.1 * fitted  # it still fits the route
+    show_all(page)
+    page.set_viewport_size({"width": 1440, "height": 800})
+    page.wait_for_timeout(400)
+    assert math.isclose(metres_per_pixel(page), whole, rel_tol=0.02)
+    page.set_viewport_size(SIZE)
+
+
+def test_outlines_of_buildings_below_the_flight_are_pale_and_guessed_ones_dashed(browser):
+    ds = MAPS.ds.copy(deep=True)
+    heights_m = {(40, 40): 30.0, (40, 60): 80.0, (40, 80): 80.0}
+    for name in ("roof", "roof_touched", "obstacle"):
+        ds[name][:] = 0
+    ds["gps"][:] = 1  # which is yellow
+    guessed = np.zeros(GRID.shape, bool)
+    for (row, col), height_m in heights_m.items():
+        place = {"y": slice(row, row + 12), "x": slice(col, col + 12)}
+        for name in ("roof", "roof_touched"):
+            ds[name][place] = height_m
+        ds["obstacle"][place] = np.reshape([height_m >= 20, height_m >= 60], (2, 1, 1))
+    guessed[40:52, 80:92] = True
+    maps = type(MAPS)(ds.assign(roof_guessed=(("y", "x"), guessed)))
+
+    def inks(page, row: int, col: int) -> np.ndarray:
+        """Return the darkest inks across the western wall of a building, from its south to its north."""
+        steps = np.arange(2, 10, 0.05)
+        return np.array(
+            [
+                min(
+                    max(ink_at(page, pixel_of(page, row + step, col + off)))
+                    for off in (-0.3, 0, 0.3)
+                )
+                for step in steps
+            ]
+        )
+
+    with shown(browser, Viewer(maps)) as page:
+        page.uncheck('[name="hatch"]')
+        page.wait_for_timeout(1000)
+        low, tall, dashed = (inks(page, *place) for place in heights_m)
+        assert max(low.max(), tall.max()) < 150
+        assert dashed.min() < 150 < 190 < dashed.max()
+        page.select_option('[name="altitude"]', "1")
+        page.wait_for_timeout(700)
+        assert np.median(inks(page, 40, 60)) < 150
+        assert 160 < np.median(inks(page, 40, 40)) < 245
+
+
+def test_a_difference_is_drawn_and_stands_under_the_pointer(page):
+    page.click('[data-tab="look"]')
+    show_all(page)
+    page.select_option('[name="minus-layer"]', "gps")
+    page.select_option('[name="minus-altitude"]', "1")
+    until(page, lambda: "20 m minus GPS quality 60 m" in page.locator(".jv-legend").inner_text())
+    is_free = MAPS.is_free(20.0, "centre") & MAPS.is_free(60.0, "centre")
+    cell = np.argwhere(is_free)[5000].tolist()
+    change = MAPS.m("gps", 20.0)[tuple(cell)] - MAPS.m("gps", 60.0)[tuple(cell)]
+    assert point_at(page, cell)["difference"] == pytest.approx(float(change))
+    page.select_option('[name="minus-layer"]', "")
+    until(page, lambda: "minus" not in page.locator(".jv-legend").inner_text())
+    assert not page.locator('[name="minus-altitude"]').is_visible()
+
+
+def test_every_format_of_paths_has_a_button_whose_file_bears_city_altitude_time_and_planner(page):
     plan_between(page)
     for suffix, each in FORMATS.items():
         button = page.locator(f'[data-format="{suffix}"]')
         assert button.inner_text() == each.label
         with page.expect_download() as waiting:
             button.click()
-        assert waiting.value.suggested_filename == f"astar-plus_20m{suffix}"
+        name = f"city_20m_day_2020-04-27T1600Z_astar-plus{suffix}"
+        assert waiting.value.suggested_filename == name
 
 
 @pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
@@ -294,6 +385,13 @@ def test_a_click_shows_the_sky_over_the_place_and_another_altitude_shows_that_of
         page.select_option('[name="altitude"]', "1")
         until(page, lambda: page.locator('[data-is="sky"]').inner_html() != low)
         assert " seen, " in low
+        box = page.locator(".jv-sky").bounding_box()
+        assert box["y"] + box["height"] / 2 < SIZE["height"]  # in sight without scrolling
+        page.locator('[data-is="map"]').focus()
+        page.keyboard.press("Escape")
+        until(page, lambda: page.locator('[data-is="sky"]').inner_html() == "")
+        page.keyboard.press("Enter")
+        page.wait_for_selector(".jv-sky")
 
 
 def test_the_keyboard_alone_plans_a_route(page):
@@ -339,7 +437,7 @@ def test_the_page_works_as_a_widget_by_messages_alone(browser):
         reply, buffers = reply_to(viewer, message)
         return {"reply": reply, "buffers": [base64.b64encode(each).decode() for each in buffers]}
 
-    page = browser.new_page(viewport={"width": 1100, "height": 700})
+    page = browser.new_page(viewport={"width": 800, "height": 700})
     page.expose_function("kernel", kernel)
     page.set_content(f"<style>{part('style')}</style><div id='cell'></div>")
     page.evaluate(
@@ -362,6 +460,14 @@ def test_the_page_works_as_a_widget_by_messages_alone(browser):
     plan_between(page)
     assert "cost" in page.locator(".jv-route").inner_text()
     assert not page.locator('[data-is="command"]').is_visible()
+    page.evaluate("() => { document.onkeydown = ({ key }) => { window.passed = key; }; }")
+    page.locator("canvas").press("b")
+    assert page.evaluate("window.passed ?? null") is None  # else a notebook adds a cell
+    cell, drawn, button = (
+        page.locator(each).bounding_box() for each in (".jv", ".jv-map", '[data-format=".plan"]')
+    )
+    assert drawn["width"] * drawn["height"] >= 0.5 * cell["width"] * cell["height"]
+    assert cell["y"] <= button["y"] <= cell["y"] + cell["height"] - button["height"]
     page.close()
 
 

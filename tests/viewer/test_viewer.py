@@ -7,6 +7,8 @@ import math
 import re
 import shlex
 import sys
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,11 +25,13 @@ from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.html import part
 from jaxurban.viewer.layers import layers_of, legend_of
 from jaxurban.viewer.markup import number
+from jaxurban.viewer.outlines import STEP_M
 from jaxurban.viewer.requests import Request
 from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to, view, widget_of
+from jaxurban.world.footprints import HeightOrigin
 from tests.cli_runs import run
-from tests.made_maps import made_maps
+from tests.made_maps import city_of_boxes, made_maps
 from tests.viewer.browser import unpacked
 
 MAPS, LITTLE = made_maps(), made_maps(24, 30)
@@ -110,6 +114,119 @@ def test_colours_are_those_of_the_figures(viewer):
         np.abs(colours[index].astype(int) - of_figures.astype(int)).max() <= 4
     )  # beside an edge, one colour on
     assert (colours[index] == of_figures).all(axis=1).mean() > 0.99
+
+
+def difference_of(viewer: Viewer, **minus) -> np.ndarray:
+    view = {"layer": "gps", "at": [0, 0, 0], "minus": {"layer": "gps", "at": [0, 0, 0]} | minus}
+    tile = answer(viewer, "tile", **view, stride=1, row=0, col=0)
+    return unpacked(tile).reshape(MAPS.grid.shape)
+
+
+def test_a_difference_is_one_map_minus_another_on_a_scale_with_0_in_the_middle(viewer):
+    low, high = (MAPS.m("gps", z_m) for z_m in (20.0, 60.0))
+    is_free = MAPS.is_free(20.0, "centre") & MAPS.is_free(60.0, "centre")
+    got = difference_of(viewer, at=[1, 0, 0])
+    assert np.array_equal(got[is_free], (low - high)[is_free])
+    assert (got[~is_free] == -np.inf).all()
+    view = {"layer": "gps", "at": [0, 0, 0], "minus": {"layer": "gps", "at": [1, 0, 0]}}
+    legend = answer(viewer, "legend", **view)
+    assert legend["edges"][0] == -legend["edges"][-1] < 0
+    assert legend["ticks"][1] == 0
+    assert "GPS quality 20 m minus GPS quality 60 m (red: the first is higher)" in legend["html"]
+    roofs = {"layer": "roof", "at": [0, 0, 0], "minus": {"layer": "roof", "at": [0, 0, 0]}}
+    assert "minus Roof height, m (red" in answer(viewer, "legend", **roofs)["html"]
+    cell = np.argwhere(is_free)[300].tolist()
+    rows = answer(viewer, "values", at=[0, 0, 0], row=cell[0], col=cell[1], view=view)
+    assert (rows[0]["name"], rows[0]["value"]) == ("difference", float(got[tuple(cell)]))
+    for minus, words in (({"layer": "roof"}, "different units"), ({"is_other": True}, "--against")):
+        with pytest.raises(InputError, match=words):
+            difference_of(viewer, **minus)
+
+
+def test_other_maps_are_subtracted_on_the_cells_and_at_the_times_that_both_hold():
+    later = MAPS.ds["time"] + np.timedelta64(1, "h")
+    others = type(MAPS)(
+        MAPS.ds.assign(gps=0.25 * MAPS.ds["gps"]).assign_coords(time=later).isel(x=slice(20, 70))
+    )
+    viewer = Viewer(MAPS, name="a", against=others, against_name="b")
+    assert ">b</option>" in answer(viewer, "scene")["html"]["minus-is_other"]
+    got, gps = difference_of(viewer, is_other=True), MAPS.m("gps", 20.0)
+    is_free = MAPS.is_free(20.0, "centre")
+    is_shared = np.zeros_like(is_free)
+    is_shared[:, 20:70] = True
+    assert np.allclose(got[is_free & is_shared], 0.75 * gps[is_free & is_shared])
+    assert np.isnan(got[is_free & ~is_shared]).all()
+    elsewhere = made_maps(resolution_m=20.0)
+    with pytest.raises(InputError, match="cells are"):
+        Viewer(MAPS, against=elsewhere)
+
+
+def rings_of(viewer: Viewer) -> list[tuple[np.ndarray, float, bool]]:
+    """Return the outlines that the page gets: corners in metres, height and whether it is guessed."""
+    values = unpacked(answer(viewer, "outlines"))
+    num = int(values[0])
+    counts, heights_m, guessed = values[1 : 3 * num + 1].reshape(3, num)
+    steps = values[3 * num + 1 :].reshape(2, -1).T
+    corners_m = STEP_M * np.cumsum(steps, axis=0)
+    parts = np.split(corners_m, np.cumsum(counts.astype(int))[:-1])
+    return list(zip(parts, heights_m.tolist(), (guessed == 1).tolist(), strict=True))
+
+
+def test_outlines_of_maps_in_memory_are_around_their_roofs_and_reach_the_altitudes_that_these_reach():
+    roof_m = MAPS.m("roof")
+    guessed = roof_m == 30
+    viewer = Viewer(type(MAPS)(MAPS.ds.assign(roof_guessed=(("y", "x"), guessed))))
+    cell_m2 = MAPS.grid.resolution_m**2
+    of_height = dict.fromkeys(np.unique(roof_m[roof_m > 0]).tolist(), 0.0)
+    for corners_m, height_m, is_guessed in rings_of(viewer):
+        of_height[height_m] += shapely.Polygon(corners_m).area
+        assert is_guessed == (height_m == 30)
+        row, col = np.floor(np.min(corners_m, axis=0) / MAPS.grid.resolution_m).astype(int)[::-1]
+        assert roof_m[row, col] == height_m
+    for height_m, area_m2 in of_height.items():
+        assert area_m2 == pytest.approx((roof_m == height_m).sum() * cell_m2)
+
+
+def test_outlines_of_a_city_are_exact_to_a_metre_with_their_heights_and_guesses():
+    grid = MAPS.grid
+    corner_m = grid.x_min_m, grid.y_min_m
+    boxes = [(10, 20, 60, 80), (200.5, 100, 260, 190), (-500, -500, -400, -400)]
+    buildings = city_of_boxes(boxes, [8.0, 40.0, 9.0], 1000.0, corner_m).buildings
+    origin = np.array([HeightOrigin.HEIGHT, HeightOrigin.DEFAULT, HeightOrigin.HEIGHT], np.uint8)
+    viewer = Viewer(MAPS)
+    viewer.__dict__["_sight"] = SimpleNamespace(
+        city=SimpleNamespace(buildings=replace(buildings, origin=origin))
+    )
+    rings = rings_of(viewer)  # the third one lies outside
+    assert [(height_m, is_guessed) for _, height_m, is_guessed in rings] == [(8, False), (40, True)]
+    for (corners_m, _, _), box in zip(rings, boxes, strict=False):
+        assert shapely.Polygon(corners_m).bounds == pytest.approx(box, abs=STEP_M / 2)
+
+
+def test_a_report_has_the_time_the_energy_and_the_vehicle_as_the_command_and_files_do(
+    viewer, capsys
+):
+    before = answer(viewer, "report", **QUERY)["totals"]
+    assert "Time" not in before
+    query = QUERY | {"speed_m_s": 12.5, "power_w": 300.0}
+    totals = answer(viewer, "report", **query)["totals"]
+    shown = answer(viewer, "plan", **query)
+    code, out, err = run(capsys, *shlex.split(shown["command"])[1:], "--json")
+    assert code == 0, err
+    report = json.loads(out)["report"]
+    minutes, seconds = divmod(round(report["time_s"]), 60)
+    for words in (
+        f"<td>Time</td><td>{minutes} min {seconds} s</td>",
+        f"<td>Energy</td><td>{number(report['energy_wh'])} Wh</td>",
+        "<td>Vehicle, speed</td><td>12.5 m/s</td>",
+        "<td>Vehicle, power</td><td>300 W</td>",
+    ):
+        assert words in totals
+    assert shown["xy_m"] == answer(viewer, "plan", **QUERY)["xy_m"]
+    mission = json.loads(answer(viewer, "save", **query, format=".plan"))["mission"]
+    assert mission["cruiseSpeed"] == 12.5
+    with pytest.raises(InputError, match="give the speed"):
+        viewer.answer("report", QUERY | {"power_w": 300.0})
 
 
 def test_maps_of_a_long_series_are_shown_by_their_median(viewer):

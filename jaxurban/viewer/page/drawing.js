@@ -1,9 +1,21 @@
 // What the map is drawn with: the part in view, tiles, the base map with its names, and lines side by side.
-const KINDS = { // metres: width on the ground; most: metres a pixel up to which they are drawn
-  water: { fill: '#7d9db3' }, park: { fill: '#a3bf90' }, path: { stroke: '#9aa1a8', metres: 2.5, most: 3 },
-  street: { stroke: '#737b83', metres: 7, most: 12 }, major: { stroke: '#5a626a', metres: 12, most: Infinity },
-  rail: { stroke: '#4a5158', metres: 2, most: 12 },
+const KINDS = { // pixels: width of the line; most: metres a pixel up to which it is drawn
+  water: { fill: '#7d9db3', stroke: '#2a6f97', pixels: 1.5, most: Infinity },
+  park: { fill: '#a3bf90', stroke: '#3f7d3a', pixels: 1, most: 3 },
+  path: { stroke: '#fff', pixels: 0.6, most: 1.2 }, street: { stroke: '#fff', pixels: 0.8, most: 4 },
+  major: { stroke: '#fff', pixels: 1.6, most: Infinity }, rail: { stroke: '#4a5158', pixels: 0.8, most: 3 },
 };
+const inMetres = (pen, toPixel, scale, act) => { // draws with metres as its unit
+  const [left, top] = toPixel([0, 0]);
+  pen.save();
+  pen.transform(1 / scale, 0, 0, -1 / scale, left, top);
+  act();
+  pen.restore();
+};
+const ground = (pen, toPixel, scale, wide, high) => inMetres(pen, toPixel, scale, () => {
+  pen.fillStyle = '#fbfaf7';
+  pen.fillRect(0, 0, wide, high);
+});
 function baseMap({ shapes, names }) {
   const paths = Object.entries(shapes).filter(([kind]) => kind in KINDS).map(([kind, lines]) => {
     const path = new Path2D();
@@ -11,18 +23,17 @@ function baseMap({ shapes, names }) {
       for (let k = 0; k < line.length; k += 2) path[k ? 'lineTo' : 'moveTo'](line[k], line[k + 1]);
     return [KINDS[kind], path];
   });
-  const draw = (pen, toPixel, scale, wide, high) => {
-    const [left, top] = toPixel([0, 0]);
-    pen.save();
-    pen.transform(1 / scale, 0, 0, -1 / scale, left, top); // so that it draws in metres
-    Object.assign(pen, { fillStyle: '#fbfaf7', lineJoin: 'round', lineCap: 'round' });
-    pen.fillRect(0, 0, wide, high);
-    for (const [{ fill, stroke, metres, most }, path] of paths) {
-      Object.assign(pen, { fillStyle: fill, strokeStyle: stroke, lineWidth: Math.max(metres, 1.1 * scale) });
-      if (fill) pen.fill(path, 'evenodd'); else if (scale <= most) pen.stroke(path);
+  const fill = (pen, toPixel, scale) => inMetres(pen, toPixel, scale, () => {
+    for (const [{ fill: fillStyle }, path] of paths) {
+      if (fillStyle) Object.assign(pen, { fillStyle }).fill(path, 'evenodd');
     }
-    pen.restore();
-  };
+  });
+  const draw = (pen, toPixel, scale) => inMetres(pen, toPixel, scale, () => { // lines alone, which hide no values
+    for (const [{ stroke, pixels, most }, path] of paths) {
+      Object.assign(pen, { strokeStyle: stroke, lineWidth: pixels * scale, lineJoin: 'round' });
+      if (scale <= most) pen.stroke(path);
+    }
+  });
   const write = (pen, toPixel, scale, width, height) => { // those in front come first, and none over another
     const taken = [];
     for (const [x, y, text, kind, angle, metres] of names) {
@@ -32,7 +43,7 @@ function baseMap({ shapes, names }) {
       pen.font = kind === 'place' ? '600 12.5px system-ui' : '11px system-ui';
       const half = pen.measureText(text).width / 2 + 4;
       const reach = [Math.abs(half * Math.cos(angle)) + 8, Math.abs(half * Math.sin(angle)) + 8];
-      if (metres && metres / scale < 2 * half) continue;
+      if (metres && metres / scale < 2 * half || Math.min(left, width - left) < reach[0] - 8) continue;
       if (taken.some(([x2, y2, a, b]) => Math.abs(x2 - left) < a + reach[0] && Math.abs(y2 - top) < b + reach[1]))
         continue;
       taken.push([left, top, ...reach]);
@@ -45,7 +56,34 @@ function baseMap({ shapes, names }) {
       pen.restore();
     }
   };
-  return { draw, write };
+  return { fill, draw, write };
+}
+// Outlines of buildings (`jaxurban.viewer.outlines`): pale where the flight is above them, dashed where guessed.
+function outlinesOf(values, step) {
+  const [num] = values, counts = values.subarray(1, num + 1), heights = values.subarray(num + 1, 2 * num + 1);
+  const guesses = values.subarray(2 * num + 1, 3 * num + 1), steps = values.subarray(3 * num + 1);
+  const half = steps.length / 2, drawn = { flight: null, paths: [] };
+  const pathsAt = flight => {
+    const paths = [0, 1, 2, 3].map(() => new Path2D());
+    for (let ring = 0, k = 0, x = 0, y = 0; ring < num; ring++) {
+      const path = paths[2 * (heights[ring] >= flight) + guesses[ring]];
+      for (let corner = 0; corner < counts[ring]; corner++, k++) {
+        x += step * steps[k];
+        y += step * steps[half + k];
+        path[corner ? 'lineTo' : 'moveTo'](x, y);
+      }
+    }
+    return paths;
+  };
+  return (pen, toPixel, { scale }, flight) => {
+    if (drawn.flight !== flight) Object.assign(drawn, { flight, paths: pathsAt(flight) });
+    inMetres(pen, toPixel, scale, () => drawn.paths.forEach((path, kind) => {
+      const isBelow = kind < 2, isGuessed = kind % 2;
+      pen.setLineDash(isGuessed ? [4 * scale, 3 * scale] : []);
+      Object.assign(pen, { strokeStyle: isBelow ? '#1f242966' : '#1f2429', lineWidth: (scale < 2 ? 1 : 0.6) * scale });
+      pen.stroke(path);
+    }));
+  };
 }
 const colouring = (edges, colours, [blocked, nothing, zero]) => value => {
   if (value === -Infinity) return blocked;
@@ -65,15 +103,16 @@ function hatch(pen) { // red lines
   for (let k = -1; k < 6; k++) ink.fillRect(k, 5 - k, 2, 1);
   return pen.createPattern(tile, 'repeat');
 }
-function viewOf(map, wide, high, side, redraw) { // which part of the map is seen; scale: metres a pixel
-  const view = { x: wide / 2, y: high / 2, scale: 1, isWhole: true };
+function viewOf(map, wide, high, side, redraw) { // the part of the map in view: its scale in metres a
+  // pixel, and what fitted it, until it is moved
+  const view = { x: wide / 2, y: high / 2, scale: 1 };
   view.toPixel = ([x, y]) =>
     [(x - view.x) / view.scale + map.clientWidth / 2, map.clientHeight / 2 - (y - view.y) / view.scale];
   view.toMetres = (left, top) =>
     [view.x + (left - map.clientWidth / 2) * view.scale, view.y - (top - map.clientHeight / 2) * view.scale];
-  view.show = (x, y, scale, isWhole = false) => redraw(Object.assign(view, { x, y, scale, isWhole }));
+  view.show = (x, y, scale, refit = null) => redraw(Object.assign(view, { x, y, scale, refit }));
   view.fit = () =>
-    view.show(wide / 2, high / 2, 1.06 * Math.max(wide / map.clientWidth, high / map.clientHeight), true);
+    view.show(wide / 2, high / 2, 1.06 * Math.max(wide / map.clientWidth, high / map.clientHeight), view.fit);
   view.zoom = (factor, left = map.clientWidth / 2, top = map.clientHeight / 2) => {
     const [x, y] = view.toMetres(left, top), scale = clamp(view.scale * factor, side / 40, Math.max(wide, high) / 100);
     view.show(x + (view.x - x) * scale / view.scale, y + (view.y - y) * scale / view.scale, scale);

@@ -35,9 +35,13 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const u = 2 * x / wide - 1, v = 2 * y / high - 1, { powers, lon, lat } = scene.lonlat;
     return [lon, lat].map(terms => +powers.reduce((sum, [i, j], k) => sum + terms[k] * u ** i * v ** j, 0).toFixed(7));
   };
-  const places = () => DIMS.map(name => +field(name).value);
+  const places = (which = '') => DIMS.map(name => +field(which + name).value);
   const show = guard(async () => {
-    const layer = layers[field('layer').value], request = { layer: layer.name, at: ofLayer(layer, places()) };
+    const layer = layers[field('layer').value], less = layers[field('minus-layer').value];
+    const request = { layer: layer.name, at: ofLayer(layer, places()) };
+    if (less) request.minus = { layer: less.name, at: ofLayer(less, places('minus-')),
+      is_other: field('minus-is_other').value === '1' };
+    is('minus-box').hidden = !less;
     state.asked = JSON.stringify(request);
     const legend = await ask('legend', request);
     if (state.asked !== JSON.stringify(request)) return; // another one was asked for meanwhile
@@ -56,11 +60,14 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const { clientWidth: width, clientHeight: height } = map, ratio = window.devicePixelRatio || 1;
     Object.assign(map, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    base?.draw(pen, toPixel, view.scale, wide, high);
     const alpha = field('opacity').value / 100;
+    ground(pen, toPixel, view.scale, wide, high);
+    if (alpha < 1) base?.fill(pen, toPixel, view.scale);
     is('legend').style.setProperty('--opacity', alpha);
     if (state.shown) drawTiles(pen, state.shown, { alpha });
     if (state.noFix && field('hatch').checked) drawTiles(pen, state.noFix, { isHatched: true });
+    base?.draw(pen, toPixel, view.scale);
+    state.outlines?.(pen, toPixel, view, field('flight_m').valueAsNumber);
     base?.write(pen, toPixel, view.scale, width, height);
     for (const zone of state.zones) line(zone, '#a01830', 1.5, { fill: '#a0183033' });
     if (state.drawing) line(state.drawing, '#a01830', 1.5);
@@ -105,10 +112,23 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     Object.assign(pen, { font: '600 12px system-ui', strokeStyle: '#fff', fillStyle: ink, lineWidth: 3 });
     for (const write of ['strokeText', 'fillText']) pen[write](name, left + 11, top + 4);
   };
+  // --- the sheet of controls; where the page is wider they stand beside the map, and it has nothing to open
+  const sheet = root.querySelector('[data-do="sheet"]'), aside = root.querySelector('aside');
+  const bar = aside.firstElementChild;
+  const open = isOpen => { sheet.ariaExpanded = isOpen; };
+  const reveal = part => { // below the bar, unless another tab is chosen meanwhile
+    open(true);
+    if (!part.offsetParent) return;
+    for (const box of [aside, part.closest('.jv-side')]) // one of which scrolls
+      box.scrollTop += part.getBoundingClientRect().top - bar.getBoundingClientRect().bottom;
+  };
+  bar.onpointerdown = ({ clientY }) => { state.grip = clientY; };
+  bar.onpointerup = ({ clientY }) => { if (Math.abs(clientY - state.grip) > 20) open(clientY < state.grip); };
   // --- the pointer
   const look = latest(async ([x, y]) => {
     const cell = [y, x].map(metres => Math.floor(metres / side)), table = is('values');
-    const values = await ask('values', { at: places(), row: cell[0], col: cell[1] });
+    const { minus, ...shown } = state.shown?.request ?? {}, drawn = minus && { view: { ...shown, minus } };
+    const values = await ask('values', { at: places(), row: cell[0], col: cell[1], ...drawn });
     table.replaceChildren();
     for (const { name, told, value, classes, unit } of values) {
       const row = table.insertRow(), text = classes[value] ?? `${number(value)} ${unit}`;
@@ -136,42 +156,71 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     state.ends[name] = place;
     delete state.marks[name];
   };
-  const endAt = (...at) => state.tab === 'plan' && !state.drawing && Object.keys(state.ends).find(name =>
-    Math.hypot(...toPixel(markOf(name)).map((pixel, k) => pixel - at[k])) < 12);
-  map.onpointerdown = ({ pointerId, button, offsetX: left, offsetY: top }) => {
-    if (button === 0) map.setPointerCapture(pointerId); else return;
-    state.drag = { end: endAt(left, top), left, top, isMoved: false };
+  const fingers = new Map(); // on the map, or the mouse's button: where they are
+  const grip = () => { // their middle, and how far they are from it
+    const points = [...fingers.values()];
+    const [x, y] = [0, 1].map(k => points.reduce((sum, at) => sum + at[k], 0) / points.length);
+    return [x, y, Math.hypot(points[0][0] - x, points[0][1] - y)];
   };
-  map.onpointermove = ({ offsetX: left, offsetY: top }) => {
-    const drag = state.drag, place = toMetres(left, top);
-    if (drag) {
-      drag.isMoved ||= Math.hypot(left - drag.left, top - drag.top) > 3;
-      if (drag.end && drag.isMoved && isInside(place)) setEnd(drag.end, place);
-      if (!drag.end && drag.isMoved) {
-        view.shift(left - drag.left, top - drag.top);
-        Object.assign(drag, { left, top });
-      }
-      draw();
-    }
+  const endAt = (at, reach) => state.tab === 'plan' && !state.drawing && Object.keys(state.ends).find(name =>
+    Math.hypot(...toPixel(markOf(name)).map((pixel, k) => pixel - at[k])) < reach);
+  const showValues = place => { // of the cell below a finger that rests
+    state.drag.isMoved = true;
+    state.drag.end = null;
+    choose('look');
     point(place);
+    reveal(is('values'));
   };
-  map.onpointerup = ({ offsetX, offsetY }) => {
-    const { end, isMoved } = state.drag ?? { isMoved: true };
-    state.drag = null;
-    if (end) plan(); else if (!isMoved) click(toMetres(offsetX, offsetY));
+  map.onpointerdown = ({ pointerId, button, pointerType, offsetX, offsetY }) => {
+    if (button !== 0) return;
+    const at = [offsetX, offsetY], slack = pointerType === 'touch' ? 12 : 3;
+    map.setPointerCapture(pointerId);
+    fingers.set(pointerId, at);
+    clearTimeout(state.drag?.rest);
+    state.drag = { at, slack, isMoved: fingers.size > 1, end: fingers.size < 2 && endAt(at, slack + 9) };
+    if (slack > 3 && fingers.size < 2) state.drag.rest = setTimeout(showValues, 500, toMetres(...at));
   };
+  map.onpointermove = ({ pointerId, offsetX, offsetY }) => {
+    const { drag } = state, at = [offsetX, offsetY], place = toMetres(...at);
+    if (!fingers.has(pointerId)) return point(place);
+    drag.isMoved ||= Math.hypot(at[0] - drag.at[0], at[1] - drag.at[1]) > drag.slack;
+    if (!drag.isMoved) return;
+    clearTimeout(drag.rest);
+    const [x, y, reach] = grip();
+    fingers.set(pointerId, at);
+    const [x2, y2, reach2] = grip();
+    if (!drag.end) view.shift(x2 - x, y2 - y);
+    else if (isInside(place)) setEnd(drag.end, place);
+    if (reach && reach2) view.zoom(reach / reach2, x2, y2);
+    point(place);
+    draw();
+  };
+  map.onpointerup = ({ pointerId, type, offsetX, offsetY }) => {
+    if (!fingers.delete(pointerId) || fingers.size) return;
+    const { end, isMoved, rest } = state.drag, place = toMetres(offsetX, offsetY);
+    clearTimeout(rest);
+    if (end) return plan();
+    if (isMoved || type !== 'pointerup') return;
+    point(place);
+    click(place);
+  };
+  map.onpointercancel = map.onpointerup;
+  map.oncontextmenu = () => !fingers.size; // else a resting finger opens the browser's menu
   map.onwheel = event => {
     event.preventDefault();
     view.zoom(1.001 ** clamp(event.deltaY, -300, 300), event.offsetX, event.offsetY);
   };
   map.onkeydown = event => {
     const move = (left, top) => () => view.shift(left, top);
-    const acts = { '+': actions.closer, '-': actions.farther, 0: actions.fit, Enter: () => click([view.x, view.y]),
+    const put = end => () => click([view.x, view.y], end), isPlan = state.tab === 'plan';
+    const acts = { '+': actions.closer, '-': actions.farther, 0: actions.fit, Enter: put(),
+      ...isPlan && { s: put('start'), g: put('goal'), z: actions.zone },
       Escape: () => { state.drawing = state.sky = null; showSky(); hint(); draw(); }, ArrowLeft: move(60, 0),
       ArrowRight: move(-60, 0), ArrowUp: move(0, 60), ArrowDown: move(0, -60) };
-    if (!acts[event.key] || event.ctrlKey || event.metaKey) return; // the browser's own zoom
+    const act = acts[event.key] ?? acts[event.key.toLowerCase()];
+    if (!act || event.ctrlKey || event.metaKey) return; // the browser's own zoom
     event.preventDefault();
-    acts[event.key]();
+    act();
     point([view.x, view.y]);
   };
   // --- routes
@@ -181,7 +230,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const query = planner => ({ start: toLonLat(state.ends.start), goal: toLonLat(state.ends.goal ?? state.ends.start),
     cost_model: field('cost_model').value, obstacles: field('obstacles').value, zones: zones(), planner,
     at: places(), weights: state.weights, clearance_m: field('clearance_m').valueAsNumber, snap: field('snap').checked,
-    vertical_clearance_m: field('vertical_clearance_m').valueAsNumber, flight_m: field('flight_m').valueAsNumber });
+    ...Object.fromEntries(['vertical_clearance_m', 'flight_m', 'speed_m_s', 'power_w'].map(
+      name => [name, field(name).value ? +field(name).value : null])) });
   const placed = route => ({ ...route, xy_m: route.xy_m.map(([x, y]) => [x - west0, y - south0]) });
   const isReady = () => state.ends.start && state.ends.goal;
   const chosen = () => [...is('planners').querySelectorAll(':checked')].map(box => box.value);
@@ -205,7 +255,10 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     is('costs').innerHTML = route?.html ?? '';
     is('command').textContent = route?.command ?? '';
     is('command').hidden = is('copy').hidden = !route?.command;
-    if (route?.has_path) report(route); else is('report').hidden = true;
+    if (route?.has_path) report(route); else {
+      is('report').classList.add('jv-empty');
+      choose(state.tab);
+    }
     draw();
   };
   const report = latest(async route => {
@@ -219,22 +272,27 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     state.report = found;
     draw();
     for (const name of ['cautions', 'totals', 'profile', 'saved', 'report-text']) is(name).innerHTML = found[name];
-    is('report').hidden = false; // which takes of the map's height
-    frame(route);
+    is('report').classList.remove('jv-empty');
+    frame();
   });
-  const frame = route => { // so that no part of it is out of sight, once for each pair of ends
+  const frame = () => { // the view fits the routes, once for each pair of ends
     const ends = JSON.stringify(state.ends);
     if (state.framed === ends) return;
     state.framed = ends;
-    if (view.isWhole) view.fit();
-    const free = [is('legend').offsetWidth + 24, 24, map.clientWidth - 60, map.clientHeight - 24]; // beside the legend
-    const [[left, right], [low, top]] = [0, 1].map(k => route.xy_m.map(place => place[k])).map(each =>
+    reveal(is('routes'));
+    fitRoutes();
+  };
+  const fitRoutes = () => {
+    const { offsetWidth: across, parentElement: { offsetHeight: below } } = is('legend');
+    const [left0, bottom0] = map.clientWidth > 3 * across ? [across, 0] : [0, below]; // beside the legend, or above it
+    const free = [left0 + 24, is('at').parentElement.offsetHeight + 24, map.clientWidth - 74,
+      map.clientHeight - bottom0 - 24];
+    const corners = state.routes.filter(each => each.has_path).flatMap(each => each.xy_m);
+    const [[left, right], [low, top]] = [0, 1].map(k => corners.map(place => place[k])).map(each =>
       [Math.min(...each), Math.max(...each)]);
-    const [x, y] = toPixel([left, top]), [x2, y2] = toPixel([right, low]);
-    if (x >= free[0] && y >= free[1] && x2 <= free[2] && y2 <= free[3]) return;
     const scale = 1.1 * Math.max((right - left) / (free[2] - free[0]), (top - low) / (free[3] - free[1]), side / 40);
     view.show((left + right - (free[0] + free[2] - map.clientWidth) * scale) / 2,
-      (low + top + (free[1] + free[3] - map.clientHeight) * scale) / 2, scale);
+      (low + top + (free[1] + free[3] - map.clientHeight) * scale) / 2, scale, fitRoutes);
   };
   const link = k => { // the same place on the map and on the profile
     if (k === state.at) return;
@@ -248,11 +306,11 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const share = (clientX - left) / width, ends = state.report?.to_share;
     if (ends) link(clamp(ends.findIndex(end => end >= share), 0, ends.length - 1));
   };
-  const click = place => {
+  const click = (place, end = state.ends.start ? 'goal' : 'start') => {
     if (!isInside(place) || !scene.can_plan) return;
-    if (state.tab === 'look') showSky(state.sky = place);
+    if (state.tab === 'look') showSky(state.sky = place).then(() => reveal(is('sky-box')));
     else if (state.drawing) state.drawing.push(place);
-    else { setEnd(state.ends.start ? 'goal' : 'start', place); plan(); }
+    else { setEnd(end, place); plan(); }
     draw();
   };
   const closeZone = () => {
@@ -267,7 +325,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     button.ariaPressed = Boolean(drawing);
     button.textContent = drawing ? 'Close the zone' : 'Draw a no-fly zone';
     root.querySelector('[data-do="save-zones"]').hidden = !length;
-    is('hint').textContent = drawing ? 'Click the corners of the zone; a double click closes it, Escape gives up.'
+    is('hint').textContent = drawing
+      ? 'Click the corners of the zone; a double click, Z or this button closes it, Escape gives up.'
       : isReady() ? 'Drag start or goal, or move a weight.' : `Click the map for the ${ends.start ? 'goal' : 'start'}.`;
   };
   const download = (bytes, name) => {
@@ -276,7 +335,13 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     setTimeout(() => URL.revokeObjectURL(href), 9000);
   };
   const actions = {
-    zone: () => { if (state.drawing) closeZone(); else state.drawing = []; hint(); draw(); },
+    zone: () => {
+      if (state.drawing) return closeZone();
+      state.drawing = [];
+      map.focus({ preventScroll: true });
+      hint();
+    },
+    sheet: () => open(sheet.ariaExpanded === 'false'),
     'save-zones': () => download(zones(), 'zones.geojson'),
     clear: () => { Object.assign(state, { ends: {}, zones: [], drawing: null }); tell(''); showRoutes([]); plan(); },
     closer: () => view.zoom(0.7),
@@ -288,7 +353,9 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   };
   for (const [name, html] of Object.entries(scene.html)) (is(name) ?? field(name)).innerHTML = html;
   const save = async (format, { request } = state.route) =>
-    download(await ask('save', { ...request, format }), `${request.planner}_${request.flight_m}m${format}`);
+    download(await ask('save', { ...request, format }), [scene.file_name, `${request.flight_m}m`,
+      ...['time_of_day', 'time'].map(name => field(name).selectedOptions[0]?.text.replace(/ (..):(..) UTC/, 'T$1$2Z')),
+      request.planner].filter(Boolean).join('_') + format);
   for (const button of all('[data-format]')) button.onclick = guard(() => save(button.dataset.format));
   for (const button of all('[data-do]')) button.onclick = guard(actions[button.dataset.do]);
   const setWeight = (name, value) => { // at its left end a slider weighs nothing
@@ -342,21 +409,32 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     for (const settle of [fitModel, show, showSky, plan]) settle();
   };
   Object.assign(field('opacity'), { oninput: draw, onchange: keep });
-  root.querySelector('nav').hidden = is('sky-box').hidden = !scene.can_plan;
+  root.querySelector('nav').hidden = is('sky-box').hidden = is('minus').hidden = !scene.can_plan;
   const choose = tab => {
     state.tab = tab;
     for (const each of all('[data-tab]')) each.ariaSelected = each.dataset.tab === tab;
     for (const page of all('[data-page]')) page.hidden = page.dataset.page !== tab;
+    const { classList } = is('report');
+    is('report').hidden = tab !== 'plan' && classList.contains('jv-empty');
   };
-  for (const button of all('[data-tab]')) button.onclick = () => { choose(button.dataset.tab); keep(); draw(); };
+  for (const button of all('[data-tab]')) button.onclick = () => {
+    choose(button.dataset.tab);
+    open(true);
+    keep();
+    draw();
+  };
   const first = kept(), held = keepsPlan && window.location.hash.slice(1);
   try { if (held) restore(JSON.parse(decodeURIComponent(held))); } catch {
     restore(first);
     tell('The address holds no plan of these maps, so the page begins afresh.');
   }
   for (const settle of [between, fitModel, hint, view.fit]) settle();
-  new ResizeObserver(() => { if (view.isWhole) view.fit(); draw(); }).observe(map);
+  new ResizeObserver(() => (view.refit ?? draw)()).observe(map);
   await show();
+  guard(async () => { // after the picture, as it may take seconds
+    state.outlines = outlinesOf(await unpack(await ask('outlines', {})), scene.step_m);
+    draw();
+  })();
   if (scene.can_plan) plan();
   if (keepsPlan) window.onhashchange = () => window.location.reload();
   root.dataset.ready = 'yes';
@@ -365,5 +443,6 @@ const held = document.getElementById('jv-data')?.textContent;
 if (held !== undefined) start(document.querySelector('.jv'), held ? inFile(JSON.parse(held)) : overHttp());
 export default { render({ model, el }) {
   el.innerHTML = `<div class="jv jv-inset">${model.get('markup')}</div>`;
+  el.onkeydown = event => { if (!event.ctrlKey && !event.metaKey) event.stopPropagation(); }; // not the notebook's keys
   start(el.firstElementChild, overWidget(model), false);
 } };
