@@ -85,6 +85,20 @@ function outlinesOf(values, step) {
     }));
   };
 }
+function keptSheet() { // what is drawn again only where its key has changed
+  const sheet = new OffscreenCanvas(1, 1), ink = sheet.getContext('2d');
+  let drawn = '';
+  return (pen, key, act) => {
+    const { canvas: { width, height, clientWidth, clientHeight } } = pen, now = JSON.stringify([width, height, key]);
+    if (now !== drawn) {
+      drawn = now;
+      Object.assign(sheet, { width, height });
+      ink.setTransform(pen.getTransform());
+      act(ink);
+    }
+    pen.drawImage(sheet, 0, 0, clientWidth, clientHeight);
+  };
+}
 const colouring = (edges, colours, [blocked, nothing, zero]) => value => {
   if (value === -Infinity) return blocked;
   if (Number.isNaN(value)) return nothing;

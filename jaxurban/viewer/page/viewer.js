@@ -54,7 +54,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     draw();
   });
   // --- the map
-  const drawTiles = tilesOf(ask, scene, view, guard, draw);
+  const drawTiles = tilesOf(ask, scene, view, guard, draw), drawLines = keptSheet();
   const drawMap = () => {
     state.frame = null;
     const { clientWidth: width, clientHeight: height } = map, ratio = window.devicePixelRatio || 1;
@@ -66,8 +66,11 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     is('legend').style.setProperty('--opacity', alpha);
     if (state.shown) drawTiles(pen, state.shown, { alpha });
     if (state.noFix && field('hatch').checked) drawTiles(pen, state.noFix, { isHatched: true });
-    base?.draw(pen, toPixel, view.scale);
-    state.outlines?.(pen, toPixel, view, field('flight_m').valueAsNumber);
+    const { x, y, scale } = view, flight_m = field('flight_m').valueAsNumber;
+    drawLines(pen, [x, y, scale, flight_m, Boolean(state.outlines)], ink => {
+      base?.draw(ink, toPixel, scale);
+      state.outlines?.(ink, toPixel, view, flight_m);
+    });
     base?.write(pen, toPixel, view.scale, width, height);
     for (const zone of state.zones) line(zone, '#a01830', 1.5, { fill: '#a0183033' });
     if (state.drawing) line(state.drawing, '#a01830', 1.5);
