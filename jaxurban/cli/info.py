@@ -99,6 +99,7 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
 
 
 def _range_of(values: Any) -> tuple[Settings, Settings]:
+    """Return the lowest and the highest value and the share without one, as words and as numbers."""
     import numpy as np
 
     known = values[np.isfinite(values)]

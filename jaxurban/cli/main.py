@@ -118,6 +118,7 @@ def _with_present_options(arguments: Sequence[str]) -> list[str]:
 
 
 def _run(arguments: Sequence[str]) -> int:
+    """Run a command line and return its exit code; every error ends in one sentence on stderr, or in JSON."""
     stdout = sys.stdout
     arguments = _with_present_options(arguments)
     fail = partial(_fail, arguments)

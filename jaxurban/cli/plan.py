@@ -420,6 +420,7 @@ def _write(
 
 
 def _path_table(facts: Settings) -> str:
+    """Return what is known of a path as lines of a name and a value."""
     rows = {
         "planner": f"{facts['planner']} ({facts['heuristic']}, {facts['backend']})",
         "status": facts["status"],

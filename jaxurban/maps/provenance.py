@@ -261,6 +261,7 @@ def versions() -> dict[str, str]:
 
 
 def _building_record(city: City, region: Grid) -> dict[str, Any]:
+    """Return what `run.json` says of the buildings: where heights come from, the highest, faults of the file."""
     record: dict[str, Any] = {"faults": dict(city.read_issues)}
     if city.buildings is None:
         assert city.roofs is not None
@@ -280,6 +281,7 @@ def _building_record(city: City, region: Grid) -> dict[str, Any]:
 
 
 def _satellite_record(sky: Sky) -> list[dict[str, Any]]:
+    """Return each satellite's directions by time, in degrees, and the age of its elements, in days."""
     return [
         {
             "name": name,

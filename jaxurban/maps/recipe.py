@@ -60,6 +60,7 @@ def tile_maps(tile: TileScene, stage: Stage = nullcontext) -> Iterator[MapLayer]
 
 
 def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
+    """Yield all maps of a tile: obstacles, those of satellites, all others, and the rasters that they rest on."""
     task = tile.task
     yield from _staged(_obstacles(tile), stage, "obstacle")
     # Those of satellites first, as they share the words of each time.
@@ -143,6 +144,7 @@ def _bounds(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
 def _bound(
     tile: TileScene, metric: Metric, name: str, city: City, is_lower: bool
 ) -> Iterator[MapLayer]:
+    """Yield a bound on a metric by time and altitude, from roofs that hide the most or the least of each cell."""
     task = tile.task
     params = tile.task.params
     fine = replace(tile.finer(city, all_touched=is_lower), slabs=None)
@@ -187,6 +189,7 @@ def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
 
 
 def _rasters(tile: TileScene) -> Iterator[MapLayer]:
+    """Yield what maps rest on: roofs, undersides, guessed roofs and terrain, as far as the city has them."""
     surface = tile.surface
     yield MapLayer("roof", (), region_roofs(surface, np.inf))
     assert surface.roof_touched_m is not None

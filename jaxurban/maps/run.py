@@ -333,6 +333,7 @@ def make_zarr(
     report(stage, num_done, len(tiling.region_tiles))
 
     def take(found: dict[str, Any]) -> None:
+        """Take in what a tile reports: seconds by part, sums over time, and that it is done."""
         nonlocal num_done
         for name, busy_s in found["seconds"].items():
             seconds[name] = seconds.get(name, 0.0) + busy_s

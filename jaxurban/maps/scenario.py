@@ -231,6 +231,7 @@ class Scenario(BaseModel):
 
     @model_validator(mode="after")
     def _check(self) -> "Scenario":
+        """Refuse what is wrong of several sections together."""
         find_planner(self.planning.planner)
         self._check_layers()
         self._request_what_is_weighed()
@@ -253,6 +254,7 @@ class Scenario(BaseModel):
         return tables
 
     def _check_layers(self) -> None:
+        """Refuse layers that are not files, and weights of metrics that there are not."""
         for name, layer in check_layers(self.layers).items():
             if not isinstance(layer.source, str):
                 raise ValueError(

@@ -203,6 +203,7 @@ def known_beside(layers: Collection[str]) -> list[Metric]:
 
 
 def _beside(metric: Metric, layers: Collection[str]) -> Metric:
+    """Return a metric under names that no layer of the user has; those of release 1 keep theirs."""
     if metric.name in OF_RELEASE_1:
         return metric
     names = {name: _free_name(name, layers) for name in metric.variables}

@@ -407,6 +407,7 @@ def _traced_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Arra
 
 
 def _metric(name: str, dop: str, label: str, colour: str, colour_map: str) -> Metric:
+    """Return the metric of one dilution of precision, which differs from others by names and colours."""
     compute: Callable = partial(_map_of, name, dop)
     return Metric(
         name=name,

@@ -97,6 +97,7 @@ def _soft_gps(
     window: Window,
     dop: str,
 ) -> Array:
+    """Return the soft metric of one DOP at the cells, ``[C]``, or ``[Y, X]`` where none are named."""
     roof_m = jnp.asarray(roof_m)
     first_row, end_row, first_col, end_col, _ = window
     altitude, threshold, softness = (

@@ -389,6 +389,7 @@ def soft_lidar(
 
 
 def _map(scene: Scene, params: Lidar) -> dict[str, AnyArray]:
+    """Return the lidar's map at one altitude, from the cells of the map or, oversampled, from finer ones."""
     altitudes_m = [scene.altitude_m]
     engine = scene.engine
     if scene.supersampled is None:

@@ -233,6 +233,7 @@ def _maps(scene: Scene, params: Protection) -> dict[str, np.ndarray]:
 
 
 def _level(name: str, kind: str) -> Variable:
+    """Return the variable of a protection level in metres, better the lower it is."""
     return Variable(
         name,
         f"{kind} protection level",

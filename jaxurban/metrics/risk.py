@@ -158,6 +158,7 @@ def _risk(
         return kernel.capped_distance_over_terrain(*heights_m, is_there, around, threshold_m)
 
     def distance_at(altitude_m: Array) -> Array:
+        """Return the distance to what stands and hangs at one altitude, ``[Y, X]`` metres, at most the threshold."""
         if terrain_m is not None:
             distance_m = over_terrain(terrain_m, altitude_m, roof_m, roof_m > 0)
             if ceiling_m is None:

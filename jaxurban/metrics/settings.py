@@ -22,6 +22,7 @@ def differentiable(*names: str) -> Callable[[Settings], Settings]:
     """
 
     def register(cls: Settings) -> Settings:
+        """Make settings a tree of JAX: the named fields are its leaves, all others are fixed."""
         static = [field.name for field in fields(cls) if field.name not in names]
 
         def flatten(settings: Any) -> tuple[tuple, tuple]:

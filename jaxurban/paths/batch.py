@@ -140,6 +140,7 @@ def plan_many(
 
     @lru_cache(maxsize=most_maps)
     def map_of(altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
+        """Return the map that queries at an altitude and a time share."""
         return cost_map(
             maps,
             altitude_m,

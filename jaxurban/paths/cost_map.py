@@ -198,6 +198,7 @@ class CostMap(FactsRepr):
             raise InputError(f"no cell is free at {listed_m(self.altitudes_m)} m: {self.remedy}")
 
     def _shortest(self) -> Problem:
+        """A query where length alone costs, at the first free cell: others differ by ends and weights."""
         self.check_any_free()
         free = tuple(map(int, np.unravel_index(np.argmax(self.is_free), self.is_free.shape)))
         return Problem(
@@ -396,6 +397,7 @@ class CostMap(FactsRepr):
         return self.is_free.reshape(-1, *self.grid.shape)
 
     def _level_of(self, name: str, cell: Cell, given: Sequence[float | None]) -> int:
+        """Return the level of an end: that of its altitude, else the lowest that is free there."""
         altitude_m = next((value for value in given if value is not None), None)
         if altitude_m is None:
             return int(np.argmax(self.levels_free[:, cell[0], cell[1]]))  # the lowest free one

@@ -295,6 +295,7 @@ def guess_cautions(maps: MetricMaps | None, profile: pd.DataFrame | None = None)
 
 
 def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
+    """Yield the caution of metres without a position fix, with the longest stretches."""
     if FIX not in profile:
         yield Caution(f"GPS: these maps hold no {FIX}, so where there is no fix is not known.")
         return
@@ -312,6 +313,7 @@ def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
 
 
 def _clearance(profile: pd.DataFrame, apart_m: float) -> Caution:
+    """Return the caution of the nearest building at flight height, or of how far around none is known."""
     inside = int(np.argmin(profile[CLEARANCE]))
     outside = int(np.argmin(profile[OUTSIDE]))
     inside_m = float(profile[CLEARANCE].iloc[inside])
@@ -366,6 +368,7 @@ def _roofs(profile: pd.DataFrame, above_m: float) -> Iterator[Caution]:
 
 
 def _ends(profile: pd.DataFrame) -> Iterator[Caution]:
+    """Yield a caution for each end that is over a roof, or beside one that touches its cell."""
     for name, place in (("start", 0), ("goal", -1)):
         row = profile.iloc[place]
         if row["roof_m"] >= row["z_m"]:

@@ -104,6 +104,7 @@ def _export(
     settings: Benchmark,
     name: str,
 ) -> dict[str, int]:
+    """Write grids, costs and queries for other planners, and return what was written by kind."""
     num_shortest = 0
     for altitude_m in sorted(instances.altitude_m.unique()):
         file = folder / GRID_FOLDER / f"{name}_{short_number(altitude_m)}m.map"
@@ -181,6 +182,7 @@ def _write_grid(
 def _write_costs(
     maps: MetricMaps, folder: Path, key: tuple[Any, ...], name: str, settings: Benchmark
 ) -> None:
+    """Write layers, weights and free cells of one altitude and time as a compressed NumPy file."""
     altitude_m = float(key[0])
     time, time_of_day = (None if pd.isna(part) else str(part) for part in key[1:])
     cost_map = settings.cost_map(maps, altitude_m, time, time_of_day)

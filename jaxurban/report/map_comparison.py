@@ -119,6 +119,7 @@ def difference_colours(changed: np.ndarray, label: str) -> Colours:
 
 
 def _label(result: computed.MapComparison, layer: str) -> str:
+    """Return the label of a difference: layer, unit, which map is the higher one, and what 1 means."""
     unit = unit_of(result.a, layer)
     in_unit = "" if unit == "1" else f" [{unit}]"
     change = "B - A (red: B is higher)"
@@ -168,6 +169,7 @@ def comparison_outputs(result: computed.MapComparison) -> tuple[dict[str, Output
 
 
 def _write_difference(result: computed.MapComparison, layer: str, file: Path) -> Path:
+    """Write a layer's differences as a GeoTIFF, a band for each altitude and time."""
     bands = {}
     for place in result.places(layer):
         altitude = "" if place.altitude_m is None else f"{place.altitude_m:g} m"

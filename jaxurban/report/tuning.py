@@ -296,6 +296,7 @@ def _pictures(demonstrations: Sequence[Demonstration]) -> dict[str, CostMap]:
 
 
 def _regrets(fit: WeightFit) -> pd.DataFrame:
+    """Return how much more routes cost than the best under the fitted weights, in one row."""
     regret = fit.regret
     facts = {
         "explained": (regret <= EXPLAINED).sum(),
@@ -339,6 +340,7 @@ def _means(routes: pd.DataFrame) -> pd.DataFrame:
 
 
 def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
+    """Return what ``--json`` says of a fit to routes or to targets."""
     facts = {
         "folder": str(folder),
         "message": fit.sentence,

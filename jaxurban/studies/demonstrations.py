@@ -224,6 +224,7 @@ def demonstrations_from_paths(
 
 
 def _from_path(map_of: MapOf, path: PlannedPath, name: str) -> Demonstration:
+    """Return a planned path as a demonstration on its own map; InputError where fits cannot take it."""
     if len(path.z_m) and np.ptp(path.z_m) > 0:
         raise InputError("it changes its altitude, and fits take one: leave it out")
     if len(path.xy_m) == 0:

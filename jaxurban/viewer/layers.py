@@ -74,6 +74,7 @@ class DrawnLayer:
         return values
 
     def _read(self, at: OneMap) -> np.ndarray:
+        """Return the values that a layer shows, ``[Y, X]``: a map's, a cost's, or what is computed from maps."""
         maps, name = self.maps, self.cost_of.name if self.cost_of else self.name
         if name == POSITION_ERROR:
             return RANGE_ERROR_M * maps.m("hdop", at.altitude_m, time=at.time)

@@ -179,6 +179,7 @@ class Plans:
         return self._cost_maps.get(key, lambda: self._made(query, at)).with_weights(weights)
 
     def _made(self, query: Plan, at: OneMap) -> CostMap:
+        """Return the cost map that a plan of the page asks for."""
         settings = self.cost_model.settings | {"cost_model": query.cost_model}
         if at.altitude_m is None:
             raise InputError("these maps hold no altitude to plan at")

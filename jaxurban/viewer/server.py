@@ -105,6 +105,7 @@ class _Handler(BaseHTTPRequestHandler):
         return Answer("text/html; charset=utf-8", self.server.page.encode())
 
     def _answer(self) -> Answer:
+        """Return the answer to a POST, which names what it asks for in the path and the rest in JSON."""
         path, _, key = self.path.partition("?")
         if not path.startswith(ASK):
             raise _RefusedError(HTTPStatus.NOT_FOUND, f"requests go to {ASK}NAME")
@@ -120,6 +121,7 @@ class _Handler(BaseHTTPRequestHandler):
         return viewer.answer(path.removeprefix(ASK)[:40], params)
 
     def _body(self) -> bytes:
+        """Return the bytes of a request that says how many they are, and is not too large."""
         length = self.headers.get("Content-Length", "")
         if "Transfer-Encoding" in self.headers or not length.isdecimal():
             raise _RefusedError(HTTPStatus.LENGTH_REQUIRED, "give the length of the request")
@@ -161,6 +163,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(status, answer)
 
     def _send(self, status: HTTPStatus, answer: Answer) -> None:
+        """Send an answer with the headers that keep the page to itself; text compressed where the browser takes it."""
         headers = {
             "Content-Type": answer.kind,
             "Content-Length": str(len(answer.body)),

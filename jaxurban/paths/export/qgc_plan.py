@@ -172,6 +172,7 @@ def _place(command: int, lonlat: Sequence[float], z_m: float) -> dict[str, Any]:
 def _command(
     command: int, params: Sequence[float | None], frame: int = MAV_FRAME_MISSION
 ) -> dict[str, Any]:
+    """Return an item of a mission by its MAVLink command and seven parameters."""
     return {
         "type": "SimpleItem",
         "autoContinue": True,

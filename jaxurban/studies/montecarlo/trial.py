@@ -172,6 +172,7 @@ def draws_samples(planner: str) -> bool:
 
 
 def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -> dict[str, Any]:
+    """Return the columns of one planner's run: how it ended, and what its path costs under each model."""
     facts = {
         "status": result.status.value,
         "lower_bound": result.lower_bound,

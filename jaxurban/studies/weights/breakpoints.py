@@ -243,6 +243,7 @@ class _Growing:
                 self._add(np.stack([features, integrals]), ends)
 
     def _add(self, facts: np.ndarray, ends: np.ndarray) -> None:
+        """Add a route: its region of weights is what all known ones leave it, and it takes its part of theirs."""
         new = np.eye(len(self.corners))
         for route, other in enumerate(self.ends):
             if len(self.cells[route]):

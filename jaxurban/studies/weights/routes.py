@@ -351,6 +351,7 @@ class OnOtherParameters(OnPerturbedMaps):
 
 
 def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> dict[str, Any]:
+    """Return how a route changes on another map, and what keeping the nominal one costs there."""
     paths = [astar(query.problem(weights)) for query in (nominal, other)]
     for path in paths:
         if not path.status.has_path:

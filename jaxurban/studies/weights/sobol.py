@@ -130,6 +130,7 @@ def sobol_of_weights(
     low, high = np.outer(factors, weights[columns])
 
     def evaluate(unit: np.ndarray) -> Mapping[str, np.ndarray]:
+        """Return the mean outcomes at points ``[N, D]`` of the unit cube, weights spaced by logarithm."""
         varied = np.tile(weights, (len(unit), 1))
         varied[:, columns] = low * (high / low) ** unit
         parts = []
