@@ -109,7 +109,16 @@ def _fill_levels(patterns, ranging, budget, levels):
 
 @compiled()
 def _levels_of(seen, ranging, budget):
-    """Return the horizontal and the vertical protection level of the satellites ``[n]`` seen."""
+    """Return the horizontal and the vertical protection level, metres; inf where there is none.
+
+    Args:
+      seen: ``[n]`` numbers of the satellites in view.
+      ranging, budget: as in `protection_levels`, whose equations these are. A test of the two horizontal axes shares
+        its false alarms with the other one, and each counts both tails: hence P_fa / 4 N, and P_fa / 2 N of the
+        vertical one.
+
+    An event of a mode below ``n`` is a satellite of ``seen``, from ``n`` on a constellation, or `NO_EVENT`.
+    """
     num = len(seen)
     is_kept = np.ones(num, np.bool_)
     of_all, of_subset = np.empty((AXES, num)), np.empty((AXES, num))

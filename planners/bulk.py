@@ -122,49 +122,86 @@ def _turns(
     queries: list[tuple[int, Problem]], planner: str, budget_s: float, band_steps: float, kind: str
 ) -> Iterator[list[tuple[int, Path]]]:
     """Yield what is done after every few rounds; each begins the queries that there is room for."""
-    maps = list({id(problem.cost): problem for _, problem in queries}.values())
-    map_index = {id(problem.cost): k for k, problem in enumerate(maps)}
-    grids = _grids(maps)
-    bands = [_band(problem, band_steps) for problem in maps]
-    num_cells = maps[0].cost.size
-    fitting = max(1, BYTES_OF_G[kind] // (BYTES_A_CELL * num_cells))
-    num_places = min(power_of_two(len(queries)), QUERIES_TOGETHER[kind], fitting)
-    num_together = CELLS_TOGETHER * num_places
-    frontier = empty_frontier(num_places, num_cells, 2 * len(STEPS) * num_together + num_places)
-    # With no round allowed the search ends at once, compiled for the size of its list.
-    frontier = jax.block_until_ready(advance(frontier, grids, 0, num_together))
-    waiting = queries[::-1]
-    running: dict[int, _Running] = {}  # by place
-    while waiting or running:
-        for place in range(num_places):
-            if place not in running and waiting:
-                index, problem = waiting.pop()
-                k = map_index[id(problem.cost)]
+    search = _Places(queries, band_steps, kind)
+    while search.waiting or search.running:
+        search.fill()
+        search.advance(ROUNDS_AT_ONCE)
+        search.make_room()
+        yield [
+            (query.index, _path(search.frontier, place, query, planner))
+            for place, query in search.ended(budget_s)
+        ]
+
+
+class _Places:
+    """The places on the device: queries that wait, those that run, by place, and the search of all of these.
+
+    Args:
+      queries: numbers and problems, on maps of one shape.
+      band_steps, kind: as in `solve_by_frontier`.
+    """
+
+    def __init__(self, queries: list[tuple[int, Problem]], band_steps: float, kind: str) -> None:
+        maps = list({id(problem.cost): problem for _, problem in queries}.values())
+        self.map_index = {id(problem.cost): k for k, problem in enumerate(maps)}
+        self.grids = _grids(maps)
+        self.bands = [_band(problem, band_steps) for problem in maps]
+        num_cells = maps[0].cost.size
+        fitting = max(1, BYTES_OF_G[kind] // (BYTES_A_CELL * num_cells))
+        self.num = min(power_of_two(len(queries)), QUERIES_TOGETHER[kind], fitting)
+        self.num_together = CELLS_TOGETHER * self.num
+        self.waiting = queries[::-1]
+        self.running: dict[int, _Running] = {}
+        list_size = 2 * len(STEPS) * self.num_together + self.num
+        self.frontier = empty_frontier(self.num, num_cells, list_size)
+        self._compile()
+
+    def fill(self) -> None:
+        """Begin a waiting query in each free place."""
+        for place in range(self.num):
+            if place not in self.running and self.waiting:
+                index, problem = self.waiting.pop()
+                k = self.map_index[id(problem.cost)]
                 start = index_of(problem, problem.start)
                 goal = index_of(problem, problem.goal)
-                frontier = begin(frontier, grids, place, k, start, goal, bands[k])
-                running[place] = _Running(index, problem, time.perf_counter())
-        frontier = advance(frontier, grids, ROUNDS_AT_ONCE, num_together)
-        if is_crowded(frontier, grids, num_together):  # a longer list is made off the clocks
-            away_since_s = time.perf_counter()
-            frontier = with_list_of(2 * frontier.open_f.size, frontier)
-            frontier = jax.block_until_ready(advance(frontier, grids, 0, num_together))
-            away_s = time.perf_counter() - away_since_s
-            for query in running.values():
-                query.begin_s += away_s
-        done = []
-        lowest_f = np.asarray(frontier.lowest_f)
-        for place, query in list(running.items()):
+                self.frontier = begin(
+                    self.frontier, self.grids, place, k, start, goal, self.bands[k]
+                )
+                self.running[place] = _Running(index, problem, time.perf_counter())
+
+    def advance(self, num_rounds: int) -> None:
+        """Expand cells of all queries together."""
+        self.frontier = advance(self.frontier, self.grids, num_rounds, self.num_together)
+
+    def make_room(self) -> None:
+        """Make the list of open cells longer where it is crowded, off the queries' clocks."""
+        if not is_crowded(self.frontier, self.grids, self.num_together):
+            return
+        begin_s = time.perf_counter()
+        self.frontier = with_list_of(2 * self.frontier.open_f.size, self.frontier)
+        self._compile()
+        away_s = time.perf_counter() - begin_s
+        for query in self.running.values():
+            query.begin_s += away_s
+
+    def ended(self, budget_s: float) -> Iterator[tuple[int, "_Running"]]:
+        """Yield each query that is done or out of time with its place, which is free then."""
+        lowest_f = np.asarray(self.frontier.lowest_f)
+        for place, query in list(self.running.items()):
             if np.isinf(lowest_f[place]) or time.perf_counter() - query.begin_s >= budget_s:
-                path = _path(frontier, place, query.problem, planner, query.begin_s)
-                done.append((query.index, path))
-                frontier = drop(frontier, place)
-                del running[place]
-        yield done
+                yield place, query
+                self.frontier = drop(self.frontier, place)
+                del self.running[place]
+
+    def _compile(self) -> None:
+        """Compile the search for the size of its list: with no round allowed it ends at once."""
+        self.advance(0)
+        jax.block_until_ready(self.frontier)
 
 
-def _path(frontier: Frontier, place: int, problem: Problem, planner: str, begin_s: float) -> Path:
+def _path(frontier: Frontier, place: int, query: _Running, planner: str) -> Path:
     """Return the path of the query in a place, as far as it is known."""
+    problem = query.problem
     lowest_f = float(frontier.lowest_f[place])
     is_reached = bool(frontier.g[place, index_of(problem, problem.goal)] < np.inf)
     if np.isinf(lowest_f):
@@ -177,7 +214,7 @@ def _path(frontier: Frontier, place: int, problem: Problem, planner: str, begin_
         path_points_m(problem, reached_by, np.array(STEPS)) if is_reached else np.empty(0),
         status,
         lowest_f,
-        begin_s,
+        query.begin_s,
         num_expanded=int(frontier.num_expanded[place]),
         planner=planner,
         heuristic="octile",

@@ -199,12 +199,14 @@ def neighbours(
     num_places = sizes.edges * square.size
 
     def turn(carry: tuple[Edges, Array, Array]) -> tuple[Edges, Array, Array]:
+        """Add the edges that lead to the next few nodes, behind those that are there."""
         edges, num_of_node, first = carry
 
         def here(values: Array) -> Array:
             return lax.dynamic_slice_in_dim(values, first, sizes.nodes_together)[:, None]
 
-        last, start = here(ends)[:, 0], here(begin)[:, 0]
+        last = here(ends)[:, 0]
+        start = here(begin)[:, 0]
         in_row = [slot < last[:, :1], slot < last[:, 1:2]]
         origin = slot + jnp.where(
             in_row[0], start[:, :1], jnp.where(in_row[1], start[:, 1:2], start[:, 2:])
@@ -264,13 +266,19 @@ def costed(
     num_places = edges.cost.size
 
     def turn(carry: tuple[Edges, Array]) -> tuple[Edges, Array]:
+        """Cost the next few edges, and move those that are kept to the front, in their order."""
         kept, first = carry
         is_edge = first + jnp.arange(sizes.edges_together, dtype=jnp.int32) < edges.num
-        origin, target = (
-            jnp.where(is_edge, lax.dynamic_slice_in_dim(nodes, first, sizes.edges_together), 0)
-            for nodes in (kept.origin, kept.target)
-        )
-        start, end = samples.xy[origin], samples.xy[target]
+
+        def here(nodes: Array) -> Array:
+            return jnp.where(
+                is_edge, lax.dynamic_slice_in_dim(nodes, first, sizes.edges_together), 0
+            )
+
+        origin = here(kept.origin)
+        target = here(kept.target)
+        start = samples.xy[origin]
+        end = samples.xy[target]
         cost = segment_costs(cell_cost, start, end, per_side, is_line, passes_corners)
         reach = samples.from_start[origin] + cost
         is_kept = (

@@ -245,9 +245,9 @@ def _expand(nodes, queue, graph, node, most):
     node that is new or was improved leads to both, and to its children that lie beyond the radius.
     """
     x, y = nodes.xy[node]
-    bucket = (
-        (int((y - graph.y) / graph.side) + 1) * graph.num_cols + int((x - graph.x) / graph.side) + 1
-    )
+    row = int((y - graph.y) / graph.side) + 1  # as `BatchGraph.bucket_of`
+    col = int((x - graph.x) / graph.side) + 1
+    bucket = row * graph.num_cols + col
     is_fresh = nodes.state[node] == FRESH
     num_most = _num_near(nodes.sample_begin, graph.num_cols, bucket)
     if is_fresh:
