@@ -326,7 +326,9 @@ class Viewer:
     def _others(self, view: Subtrahend) -> np.ndarray:
         """Return values of the other maps on these maps' cells ``[Y, X]``, `NOTHING` where the others have none."""
         if self.against is None:
-            raise InputError("there are no other maps: name their folder (--against)")
+            raise InputError(
+                "there are no other maps to subtract: name them with against= (--against)"
+            )
         layer = self.other_layers[one_of("layer", view.layer, self.other_layers)]
         _, at = self._layer(view)
         if at.time is not None:

@@ -16,7 +16,13 @@ if TYPE_CHECKING:
 
 
 @typed
-def view(maps: MapsLike, *, weights: WeightsLike = None, preset: Preset = "") -> Any:
+def view(
+    maps: MapsLike,
+    *,
+    weights: WeightsLike = None,
+    preset: Preset = "",
+    against: MapsLike | None = None,
+) -> Any:
     """Return a widget to look at maps and plan on them, which a notebook shows where it is the last line of a cell.
 
     Args:
@@ -24,6 +30,7 @@ def view(maps: MapsLike, *, weights: WeightsLike = None, preset: Preset = "") ->
         ``[vehicle]`` say, if there is one.
       weights: where the sliders start; left out, those of the scenario, else `Weights()`.
       preset: ``"paper"``: where the page starts, as in `jaxurban.cost_map`.
+      against: other maps of the place at the same resolution, or their folder, whose layers can be subtracted.
 
     Returns:
       An ``anywidget.AnyWidget`` that answers the page as long as the kernel runs.
@@ -38,7 +45,8 @@ def view(maps: MapsLike, *, weights: WeightsLike = None, preset: Preset = "") ->
     """
     opened = as_maps(maps)
     folder = "" if opened is maps else str(maps)
-    return widget_of(Viewer(opened, folder=folder, weights=weights, preset=preset))
+    others = None if against is None else as_maps(against)
+    return widget_of(Viewer(opened, folder=folder, weights=weights, preset=preset, against=others))
 
 
 def widget_of(viewer: Viewer) -> "AnyWidget":

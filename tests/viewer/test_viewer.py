@@ -159,6 +159,8 @@ def test_other_maps_are_subtracted_on_the_cells_and_at_the_times_that_both_hold(
     elsewhere = made_maps(resolution_m=20.0)
     with pytest.raises(InputError, match="cells are"):
         Viewer(MAPS, against=elsewhere)
+    with pytest.raises(InputError, match="cells are"):
+        view(MAPS, against=elsewhere)
 
 
 def rings_of(viewer: Viewer) -> list[tuple[np.ndarray, float, bool]]:
