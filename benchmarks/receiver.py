@@ -81,7 +81,7 @@ def page(skies: Mapping[str, SatelliteAgreement], tracks: Mapping[str, ReceiverV
     return TEMPLATE.read_text(encoding="utf-8").format(
         of=next(iter(skies.values())),
         scores=beside(skies, ("rows", "AUC", "within satellites"), scores_of),
-        peaks="; ".join(f"of {name} {peak_of(of)}" for name, of in skies.items()),
+        peaks="; ".join(f"with {name}, {peak_of(of)}" for name, of in skies.items()),
         rivals=beside(skies, ("log-loss", "gain"), rivals_of),
         lengths=beside(skies, ("gain",), gains_of),
         tracks=tracks_table(tracks),

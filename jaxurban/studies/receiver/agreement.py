@@ -406,8 +406,8 @@ def verdict_of(
     auc = f"an AUC of {score.auc:.2f} ({score.auc_low:.2f} to {score.auc_high:.2f})"
     if not gain.gain_low > 0:
         return (
-            "It is not shown that the maps predict what this receiver hears better than elevation and the street's "
-            f"direction do {where}: {by}."
+            "It is not shown that the maps predict better than elevation and the street's direction what this receiver "
+            f"hears {where}: {by}."
         )
     num_cities = int(displaced.auc.notna().sum())
     if num_cities < FEWEST_CITIES:
@@ -423,7 +423,7 @@ def verdict_of(
             "whether times and places are right."
         )
     return (
-        "The margin to the shadow's edge and the elevation predict what this receiver hears better than elevation and "
-        f"the street's direction do {where}: {by}; C/N0 separates seen from hidden satellites with {auc}, and "
+        "The margin to the shadow's edge and the elevation predict better than elevation and the street's direction "
+        f"what this receiver hears {where}: {by}; C/N0 separates seen from hidden satellites with {auc}, and "
         f"displaced cities reach at most {most:.2f}."
     )
