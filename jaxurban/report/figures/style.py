@@ -182,25 +182,26 @@ def dress(panel: Axes) -> None:
     panel.grid(axis="y", linewidth=0.4, alpha=0.5)
 
 
+def legend_columns(names: Sequence[str], width_in: float) -> int:
+    """Return in how many columns a legend of these names fits into a width."""
+    letters = max((len(line) for name in names for line in name.splitlines()), default=0)
+    return max(1, int((width_in - EDGE_IN) / (ENTRY_IN + letters / LETTERS_PER_IN)))
+
+
 def legend_above(panel: Axes, lift: float = 0.0) -> None:
     """Write the legend of a panel above it, higher by a share of its height, in as many columns as have room."""
     handles, names = panel.get_legend_handles_labels()
     figure: Any = panel.figure
-    room = figure.get_figwidth() / (ENTRY_IN + max(map(len, names)) / LETTERS_PER_IN)
-    look: dict[str, Any] = {
-        "bbox_to_anchor": (0, 1 + lift),
-        "borderaxespad": 0.3,
-        "columnspacing": 1.2,
-    }
-    panel.legend(handles, names, loc="lower left", ncols=max(1, int(room)), **look)
+    look: dict[str, Any] = {"borderaxespad": 0.3, "columnspacing": 1.2}
+    look["ncols"] = legend_columns(names, figure.get_figwidth())
+    panel.legend(handles, names, loc="lower left", bbox_to_anchor=(0, 1 + lift), **look)
 
 
 def legend_below(figure: Figure, panel: Axes) -> None:
     """Write the legend of a panel at the foot of its figure."""
     handles, names = panel.get_legend_handles_labels()
-    legend = figure.legend(
-        handles, names, loc="outside lower center", ncols=min(LEGEND_COLUMNS, len(names))
-    )
+    num_cols = min(LEGEND_COLUMNS, len(names))
+    legend = figure.legend(handles, names, loc="outside lower center", ncols=num_cols)
     for handle in legend.legend_handles:  # a line that is drawn beside its place stands at it here
         if isinstance(handle, Artist):
             handle.set_path_effects([])
