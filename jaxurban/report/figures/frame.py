@@ -15,7 +15,7 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.offsetbox import AnchoredOffsetbox, AnchoredText
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from jaxurban.io.read.guesses import is_of_sky
@@ -179,13 +179,13 @@ def _size(grid: Grid, num: int, width_in: float, foot_in: float) -> Size:
 def _draw_panel(spot: Axes, panel: MapPanel, size: Size) -> None:
     """Draw a panel that has its own grid, without ticks."""
     grid: Any = panel.grid
-    spot.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m))
     spot.set(xticks=[], yticks=[], facecolor=NO_DATA_COLOUR, gid=MAP)
     spot.set_title(wrapped(panel.title, size.cell_in, TEXT_PT), pad=4)
     spot.set_xlabel(wrapped(panel.foot, size.cell_in), loc="left")
     spot.spines[:].set_visible(True)
     if panel.layers:
         draw_layers(spot, grid, panel.layers)
+    spot.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m))
     _orient(spot)
 
 
@@ -194,7 +194,7 @@ def _add_ticks(spot: Axes, size: Size, is_left: bool, is_bottom: bool) -> None:
     num_ticks = int(np.clip(size.panel_in / TICK_IN, 1, MAX_TICKS))
     for axis in (spot.xaxis, spot.yaxis):
         axis.set_major_locator(MaxNLocator(num_ticks, steps=[1, 2, 5, 10], min_n_ticks=1))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / 1000:.7g}"))
+        axis.set_major_formatter(lambda value, _: f"{value / 1000:.7g}")
     look: dict[str, Any] = {"labelsize": SMALL_PT, "length": 3, "color": FAINT_INK}
     spot.tick_params(labelleft=is_left, labelbottom=is_bottom, **look)
     if is_left:
@@ -266,8 +266,7 @@ def mark_ends(
     for end, at in zip(ENDS, (start_xy_m, goal_xy_m), strict=True):
         look = END_LOOK | {"marker": end.get_marker(), "markersize": size * end.get_markersize()}
         panel.plot(*at, zorder=20, clip_on=False, **look)
-    low, high = np.transpose([panel.get_xlim(), panel.get_ylim()])
-    shares = (np.array([[*start_xy_m], [*goal_xy_m]], float) - low) / (high - low)
+    shares = panel.transLimits.transform([[*start_xy_m], [*goal_xy_m]])
     clear = [
         loc for loc, corner in CORNERS.items() if (abs(shares - corner) > NEAR).any(axis=1).all()
     ]
@@ -292,7 +291,6 @@ def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
     x_max_m, y_max_m = grid.x_min_m + cols * side_m, grid.y_min_m + rows * side_m
     extent = (grid.x_min_m, x_max_m, grid.y_min_m, y_max_m)
     panel.imshow(image, extent=extent, origin="lower", interpolation="auto", aspect="auto")
-    panel.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m))
 
 
 def classes_layer(values: np.ndarray, colours: Sequence[str]) -> MapLayer:
@@ -336,43 +334,36 @@ def frame_note(
     """
     sky = sky_said(maps, time) if has_sky else ""
     caveats = caveats_said(maps, of) if has_sky else []
-    guessed = [f"Guessed: {guesses}"] if (guesses := guesses_said(maps, has_sky)) else []
-    return "\n".join([*caveats, *guessed, joined(sky, *ground_said(maps))])
+    guesses = guesses_said(maps, has_sky)
+    guessed = f"Guessed: {guesses}" if guesses else ""
+    return joined(*caveats, guessed, joined(sky, *ground_said(maps)), by="\n")
 
 
 def rules_said(*settings: Mapping[str, Any]) -> str:
     """Return what routes were planned under, from their settings: cost model, weights, obstacles and clearances."""
     rules: dict[str, list[str]] = {"cost model": [], "weights": [], "obstacles": []}
     for each in settings:
-        weights = ", ".join(f"{name} {weight:g}" for name, weight in each["weights"].items())
+        weights = joined(
+            *(f"{name} {weight:g}" for name, weight in each["weights"].items()), by=", "
+        )
+        is_by_distance = each["objective"] == "distance"
+        kept = describe_kept(each["limits"], each["resolution_m"])
+        obstacles = joined(each["obstacles"], *describe_clearances(each["limits"]), kept, by=", ")
         rules["cost model"].append(each["cost_model"])
-        rules["weights"].append(
-            "the distance alone" if each["objective"] == "distance" else weights
-        )
-        clearances = [
-            *describe_clearances(each["limits"]),
-            describe_kept(each["limits"], each["resolution_m"]),
-        ]
-        rules["obstacles"].append(", ".join(filter(None, [each["obstacles"], *clearances])))
-    distinct = {name: list(dict.fromkeys(values)) for name, values in rules.items() if values}
-    return joined(
-        *(
-            f"{name}: {' or '.join(values[:MOST_RULES])}{' ...' * (len(values) > MOST_RULES)}"
-            for name, values in distinct.items()
-        )
-    )
+        rules["weights"].append("the distance alone" if is_by_distance else weights)
+        rules["obstacles"].append(obstacles)
+    lines = []
+    for name, values in rules.items():
+        first, more = list(dict.fromkeys(values))[:MOST_RULES], len(set(values)) > MOST_RULES
+        lines.append(f"{name}: {' or '.join(first)}{' ...' * more}" if first else "")
+    return joined(*lines)
 
 
 def caveats_said(maps: MetricMaps, of: str | None = None) -> list[str]:
     """Return what a reader must know of a map, or left out of all metrics that these maps hold."""
-    names = [maps.variable(name) for name in ((of,) if of else maps.metrics)]
-    return list(
-        dict.fromkeys(
-            caveat
-            for name in names
-            if name in maps.ds and (caveat := maps.ds[name].attrs.get(CAVEAT))
-        )
-    )
+    names = [maps.variable(name) for name in ([of] if of else maps.metrics)]
+    caveats = [maps.ds[name].attrs.get(CAVEAT) for name in names if name in maps.ds]
+    return list(dict.fromkeys(filter(None, caveats)))
 
 
 def guesses_said(maps: MetricMaps, has_sky: bool) -> str:
@@ -443,4 +434,4 @@ def sky_said(maps: MetricMaps, time: str | None) -> str:
     times = maps.times if time is None or maps.default_time is None else (time,)
     span = f"{len(times)} epochs, {time_said(times[0])} to {time_said(times[-1])}"
     systems = " and ".join(name.upper() for name in names_in(maps.ds.attrs, "constellations"))
-    return ", ".join(filter(None, (time_said(times[0]) if len(times) == 1 else span, systems)))
+    return joined(time_said(times[0]) if len(times) == 1 else span, systems, by=", ")

@@ -17,7 +17,6 @@ from jaxurban.report.figures.style import (
     MARKERS,
     SERIES_COLOURS,
     dots,
-    label_rows,
     legend_below,
     letter_all,
     panels,
@@ -50,11 +49,8 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
     figure, (panel,) = panels(1, heading, height_in=2.5)
     for k, city in enumerate(cities):
         rows = part[part.value == city].set_index("weight_name").reindex(weights)
-        look = {
-            "color": SERIES_COLOURS[k % len(SERIES_COLOURS)],
-            "marker": MARKERS[k % len(MARKERS)],
-            "label": city,
-        }
+        colour, marker = SERIES_COLOURS[k % len(SERIES_COLOURS)], MARKERS[k % len(MARKERS)]
+        look = {"color": colour, "marker": marker, "label": city}
         dots(
             panel,
             np.arange(len(weights)) + (k - (len(cities) - 1) / 2) * 0.18,
@@ -93,24 +89,18 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
             colour, factors = line_colour(str(name)), np.sort(rows.nearest.to_numpy())
             is_reached = factors < end  # the others do not change within the range
             x = np.concatenate([[1.0], factors[is_reached], [end]])
-            y = np.concatenate([[0.0], np.flatnonzero(is_reached) + 1.0, [is_reached.sum()]]) / len(
-                factors
-            )
+            changed = np.arange(is_reached.sum() + 1) / len(factors)
+            y = np.append(changed, changed[-1])
             panel.step(x, y, where="post", color=colour, label=name, linewidth=1.3)
             pairs = pairs_of(rows)
             at = middles * end ** ((names.index(name) - (len(names) - 1) / 2) * BAR_GAP)
-            changed = [
-                pairs.interval((rows.nearest <= factor).astype(float), "share")[1:] for factor in at
-            ]
-            panel.vlines(at, *np.transpose(changed), color=colour, linewidth=2.2, alpha=0.75)
+            intervals = [pairs.interval((rows.nearest <= each) * 1.0, "share")[1:] for each in at]
+            panel.vlines(at, *np.transpose(intervals), color=colour, linewidth=2.2, alpha=0.75)
         panel.axvline(wrong, color=FAINT_INK, linewidth=0.8, linestyle=(0, (3, 2)))
-        panel.set(
-            xscale="log", xlim=(1, end), ylim=(0, 1.02), xlabel="factor by which the weight is off"
-        )
-        panel.set_title(f"{altitude_m:g} m")
+        panel.set(xscale="log", xlim=(1, end), ylim=(0, 1.02), title=f"{altitude_m:g} m")
+        panel.set_xlabel("factor by which the weight is off")
         show_plain_log(panel.xaxis)
         panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
-    label_rows(axes, "routes that change (%)")
-    letter_all(axes)
+    letter_all(axes, "routes that change (%)")
     legend_below(figure, axes[0])
     return figure

@@ -161,19 +161,15 @@ def letter(number: int, num: int) -> str:
     return f"({string.ascii_lowercase[number]}) " if 1 < num <= len(string.ascii_lowercase) else ""
 
 
-def label_rows(axes: Sequence[Axes], label: str) -> None:
-    """Label the vertical axis of the first panel of each row."""
-    for panel in axes[:: columns_of(len(axes))]:
-        panel.set_ylabel(label)
-
-
-def letter_all(axes: Sequence[Axes]) -> None:
-    """Put letters before the titles of panels, and break those that are too long."""
+def letter_all(axes: Sequence[Axes], label: str = "") -> None:
+    """Put letters before the titles of panels, break those that are too long, and label the first panel of each row."""
     for number, panel in enumerate(axes):
-        spec: Any = panel.get_subplotspec()
-        room_in = spec.get_gridspec().figure.get_figwidth() / spec.get_gridspec().ncols
+        grid: Any = panel.get_gridspec()
+        room_in = grid.figure.get_figwidth() / grid.ncols
         title = letter(number, len(axes)) + panel.get_title(loc="left")
         panel.set_title(wrapped(title, room_in, TEXT_PT))
+        if label and number % grid.ncols == 0:
+            panel.set_ylabel(label)
 
 
 def dress(panel: Axes) -> None:
@@ -223,9 +219,7 @@ def dots(
 
 def show_plain(axis: Axis) -> None:
     """Label an axis with plain numbers."""
-    axis.set_major_formatter(
-        FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1000 else f"{value:g}")
-    )
+    axis.set_major_formatter(tick_label)
     axis.set_minor_formatter(NullFormatter())
 
 
@@ -267,8 +261,8 @@ def ends_of(values: np.ndarray) -> tuple[float, float]:
     return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
 
 
-def tick_label(value: float) -> str:
-    """Return a number of a colour bar: whole from 100 on, with commas, else with three digits."""
+def tick_label(value: float, _: float = 0.0) -> str:
+    """Return a number of an axis: whole from 100 on, with commas, else with three digits."""
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
@@ -299,12 +293,12 @@ def add_colour_bar(
         ScalarMappable(cmap=colours.cmap, norm=colours.norm),
         extend=colours.extend,
         ticks=bar_ticks(colours),
-        format=FuncFormatter(lambda value, _: tick_label(value)),
+        format=FuncFormatter(tick_label),
         **place,
     )
     is_long = cax is None and location == "bottom"
     label = wrapped(colours.label, figure.get_figwidth() if is_long else LABEL_IN)
-    bar.set_label(label, size=SMALL_PT)
+    bar.set_label(label)
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
     bar.outline.set(linewidth=0.4)
     bar.ax.minorticks_off()
