@@ -21,6 +21,7 @@ from jaxurban.report.figures.style import (
     legend_below,
     letter_all,
     panels,
+    step_up,
     styled,
 )
 from jaxurban.report.write import listed
@@ -70,14 +71,9 @@ def plot_costs(table: pd.DataFrame) -> Figure:
     figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True)
     end = float(np.clip(table.ratio.quantile(0.98), *RATIO_AXIS))
     for panel, rank, planner, rows in _by_altitude(table, axes, colours):
-        ratio = np.sort(rows.ratio[np.isfinite(rows.ratio)])
-        # From 0: a planner that solved none has a line too.
-        share = np.arange(len(ratio) + 1) / max(1, len(rows))
-        x = np.concatenate([[1.0], ratio, [max(end, ratio.max(initial=1.0))]])
-        y = np.append(share, share[-1])
         lane = (len(colours) - 1) / 2 - rank  # where curves coincide all are seen
         look: dict[str, Any] = {"path_effects": [Beside(lane * CURVES_APART_PT)], "linewidth": 1.4}
-        panel.step(x, y, where="post", color=colours[planner], label=planner, **look)
+        step_up(panel, rows.ratio.to_numpy(), end, color=colours[planner], label=planner, **look)
         panel.set(xlim=(1 - 0.01 * (end - 1), end), xlabel="cost / cheapest known")
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
     _show_shares(figure, axes, "joined pairs solved at that ratio (%)", -0.04)

@@ -21,6 +21,7 @@ from jaxurban.report.figures.style import (
     letter_all,
     panels,
     show_plain_log,
+    step_up,
     styled,
 )
 from jaxurban.studies.weights.summary import ALL, pairs_of
@@ -74,11 +75,8 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
     """
     varied = weights[weights.varies]
     altitudes = sorted(varied.altitude_m.unique())
-    figure, axes = panels(
-        len(altitudes),
-        "Share of routes that change where a weight is off by a factor",
-        shares_y=True,
-    )
+    heading = "Share of routes that change where a weight is off by a factor"
+    figure, axes = panels(len(altitudes), heading, shares_y=True)
     end = max(varied.nearest.max(), 1.01)
     names = list(varied.weight_name.unique())
     middles = np.geomspace(1.0, end, 2 * NUM_FACTORS + 1)[1::2]
@@ -86,12 +84,8 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
         for name, rows in varied[varied.altitude_m == altitude_m].groupby(
             "weight_name", sort=False
         ):
-            colour, factors = line_colour(str(name)), np.sort(rows.nearest.to_numpy())
-            is_reached = factors < end  # the others do not change within the range
-            x = np.concatenate([[1.0], factors[is_reached], [end]])
-            changed = np.arange(is_reached.sum() + 1) / len(factors)
-            y = np.append(changed, changed[-1])
-            panel.step(x, y, where="post", color=colour, label=name, linewidth=1.3)
+            colour, look = line_colour(str(name)), {"label": name, "linewidth": 1.3}
+            step_up(panel, rows.nearest.to_numpy(), end, color=colour, **look)
             pairs = pairs_of(rows)
             at = middles * end ** ((names.index(name) - (len(names) - 1) / 2) * BAR_GAP)
             intervals = [pairs.interval((rows.nearest <= each) * 1.0, "share")[1:] for each in at]

@@ -203,6 +203,13 @@ def legend_below(figure: Figure, panel: Axes) -> None:
             handle.set_path_effects([])
 
 
+def step_up(panel: Axes, values: np.ndarray, end: float, **look: Any) -> None:
+    """Draw the share of values that are at most so large, from 1 to an end; those that are NaN never are."""
+    reached = np.sort(values[values < end])
+    share = np.arange(len(reached) + 1) / max(1, len(values))
+    panel.step([1.0, *reached, end], [*share, share[-1]], where="post", **look)
+
+
 def dots(
     panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, look: Mapping[str, Any]
 ) -> None:
