@@ -15,7 +15,7 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.offsetbox import AnchoredOffsetbox, AnchoredText
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from jaxurban.io.read.guesses import is_of_sky
@@ -24,11 +24,8 @@ from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.variables import CAVEAT, names_in
 from jaxurban.paths.constraints import describe_clearances, describe_kept
 from jaxurban.report.figures.style import (
-    EDGE_IN,
-    ENTRY_IN,
     FAINT_INK,
     INK,
-    LETTERS_PER_IN,
     LINE_IN,
     SMALL_PT,
     TEXT_PT,
@@ -39,33 +36,30 @@ from jaxurban.report.figures.style import (
     chart,
     columns_of,
     inches,
+    legend_columns,
     letter,
+    styled,
     wrapped,
 )
 from jaxurban.world.grid import Grid
 
 MAX_CELLS = 4000  # a side: of larger maps every second, third ... row and column is drawn
-MAX_HEIGHT_IN = 6.5  # of all panels together
-TITLE_IN, FOOT_IN, BAR_IN = 0.3, 4.0, 0.6  # above each panel; below all at first, below each
+MAX_HEIGHT_IN, MIN_HEIGHT_IN = 6.5, 0.8  # of all panels and what is below them; of a panel
+FIRST_IN, BAR_IN = 6.0, 0.6  # height of a row before the layout settles; of a bar below a panel
 BAR_AT_IN, THICK_IN = 0.15, 0.07  # of a bar below its panel
 NORTHING_IN, SIDE_IN = 0.55, 1.9  # left of all panels, right of them where a legend fits there
-MIN_WIDTH_IN, MIN_BAR_IN, TICK_IN = (
-    1.7,
-    1.0,
-    0.75,
-)  # of a panel, of a bar of more than two ticks; of an easting
+MIN_WIDTH_IN, MIN_BAR_IN = 1.45, 1.0  # of a column of panels, of a bar of more than two ticks
+TICK_IN, MAX_TICKS = 0.75, 3  # width of an easting; most of them below a panel
 OBSTACLE_COLOUR, NO_DATA_COLOUR, GUESSED_COLOUR = "#c4c4c4", "#efe4d6", "#d98c4a"
 NO_DATA_PATCH = ("no data", NO_DATA_COLOUR)
 GAP = "  ·  "  # between two facts of a line
 MOST_RULES = 2  # weights, or the like, of the routes of one picture
 MAP = "map"  # gid of a panel over a grid
-# Where scale bar and north stand, the first ones first, as shares of the panel; and how near an end is in the way.
-CORNERS = {"lower left": (0, 0), "upper right": (1, 1), "lower right": (1, 0), "upper left": (0, 1)}
+# Of a panel, as shares of it: scale bars stand in the first that is clear, north in the last; an end is in the way.
+CORNERS = {"lower left": (0, 0), "lower right": (1, 0), "upper left": (0, 1), "upper right": (1, 1)}
 NEAR = 0.2
 NORTH = "▲\nN"
-SETTLING = (
-    3  # runs of the layout, after which panels have their size and lines below them stand still
-)
+SETTLING = 3  # runs of the layout, after which a figure's height is right to 0.01 inches
 END_LOOK: dict[str, Any] = {
     "linestyle": "none",
     "markeredgecolor": "black",
@@ -99,6 +93,27 @@ class MapPanel(NamedTuple):
     grid: Grid | None = None
 
 
+class Size(NamedTuple):
+    """How the panels of a figure stand, and how large they are.
+
+    Attributes:
+      num_rows: of panels.
+      num_cols: of panels.
+      cell_in: width of a column in inches.
+      panel_in: width of a panel in inches, unless the layout leaves it less.
+      tall: height of a panel by its width.
+      is_beside: whether the legend stands beside all panels.
+    """
+
+    num_rows: int
+    num_cols: int
+    cell_in: float
+    panel_in: float
+    tall: float
+    is_beside: bool
+
+
+@styled
 def draw_maps(
     grid: Grid,
     panels: Sequence[MapPanel],
@@ -126,117 +141,119 @@ def draw_maps(
     """
     bars = [_own_bar(panel) if colours is None else None for panel in panels]
     has_ticks = has_ticks and not any(bars)
-    width_in, beside_in = inches(width), NORTHING_IN if has_ticks else 0.0
-    num_cols = max(1, min(columns_of(len(panels)), int(width_in / MIN_WIDTH_IN)))
-    num_rows = math.ceil(len(panels) / num_cols)
-    cell_in = (width_in - beside_in) / num_cols
     foot_in = BAR_IN * any(bars) + LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
-    tall = (grid.y_max_m - grid.y_min_m) / (grid.x_max_m - grid.x_min_m)
-    panel_in = min(cell_in, (MAX_HEIGHT_IN / num_rows - foot_in) / tall)
-    is_beside = width_in - beside_in - num_cols * panel_in > SIDE_IN
-    cell_in -= SIDE_IN * is_beside / num_cols
-    panels = [
-        panel._replace(
-            title=wrapped(letter(number, len(panels)) + panel.title, cell_in, TEXT_PT),
-            foot=wrapped(panel.foot, cell_in),
-        )
-        for number, panel in enumerate(panels)
-    ]
-    has_gap = len(panels) < num_cols * num_rows
-    has_row = not is_beside and not has_gap
-    height_in = num_rows * (TITLE_IN + panel_in * tall + foot_in) + FOOT_IN
-    figure = chart(height_in, heading, note, width)
-    ratios = [*[panel_in * tall] * num_rows, *[0.01] * has_row]
-    spots = figure.add_gridspec(num_rows + has_row, num_cols, height_ratios=ratios)
-    axes = [figure.add_subplot(spots[divmod(k, num_cols)]) for k in range(len(panels))]
-    for number, (panel, (title, layers, foot, own_grid), bar) in enumerate(
-        zip(axes, panels, bars, strict=True)
-    ):
-        shown = own_grid or grid
-        ticks = max(1, min(3, int(panel_in / TICK_IN)))
-        _dress(panel, shown, title, ticks)
-        is_left = number % num_cols == 0 and has_ticks
-        is_bottom = number + num_cols >= len(panels) and has_ticks
-        panel.tick_params(
-            labelleft=is_left, labelbottom=is_bottom, left=has_ticks, bottom=has_ticks
-        )
-        panel.set_ylabel("northing (km)" if is_left else "", size=SMALL_PT)
-        below = "\n".join(filter(None, ("easting (km)" if is_bottom else "", foot)))
-        panel.set_xlabel(below, size=SMALL_PT, loc="left" if foot else "center")
-        if layers:
-            draw_layers(panel, shown, layers)
+    size = _size(grid, len(panels), inches(width) - NORTHING_IN * has_ticks, foot_in)
+    figure = chart(FIRST_IN * size.num_rows, heading, note, width)
+    is_full = len(panels) == size.num_rows * size.num_cols
+    heights = [1.0] * size.num_rows + [0.01] * (is_full and not size.is_beside)
+    cells = figure.add_gridspec(len(heights), size.num_cols, height_ratios=heights)
+    axes = [figure.add_subplot(cells[number]) for number in range(len(panels))]
+    for number, (spot, panel, bar) in enumerate(zip(axes, panels, bars, strict=True)):
+        title = letter(number, len(panels)) + panel.title
+        _draw_panel(spot, panel._replace(title=title, grid=panel.grid or grid), size)
+        if has_ticks:
+            _add_ticks(
+                spot, size, number % size.num_cols == 0, number + size.num_cols >= len(panels)
+            )
         if bar is not None:
-            bar = replace(bar, label=wrapped(bar.label, cell_in))
-            _add_bar_below(figure, panel, bar, panel_in, panel_in * tall)
-        _orient(panel)
+            _add_bar_below(figure, spot, bar, size)
     if colours is not None:
-        add_colour_bar(figure, axes, colours, "right" if is_beside else "bottom")
-    gap = None
-    if not is_beside:
-        gap = spots[-1, :] if has_row else spots[divmod(len(panels), num_cols)]
-    _add_key(figure, legend, gap, width_in if has_row else 0.0)
-    layout: Any = figure.get_layout_engine()
-    for _ in range(SETTLING):
-        layout.execute(figure)
-        cell, height_in = axes[0].get_position(original=True), figure.get_figheight()
-        lack_in = min(panel_in, cell.width * width_in) * tall - cell.height * height_in
-        figure.set_figheight(height_in + num_rows * lack_in)
+        add_colour_bar(figure, axes, colours, "right" if size.is_beside else "bottom")
+    _add_key(figure, legend, None if size.is_beside else cells[len(panels) :], size.cell_in)
+    _settle(figure, axes, size)
     return figure, axes
 
 
-def _add_bar_below(
-    figure: Figure, panel: Axes, bar: Colours, width_in: float, height_in: float
-) -> None:
-    """Add a colour bar as wide as a panel of a size below it, with two ticks where there is no room for more."""
+def _size(grid: Grid, num: int, width_in: float, foot_in: float) -> Size:
+    """Return how so many panels stand in a width, with a foot below each, all in inches."""
+    num_cols = min(columns_of(num), int(width_in / MIN_WIDTH_IN))
+    num_rows = math.ceil(num / num_cols)
+    tall = (grid.y_max_m - grid.y_min_m) / (grid.x_max_m - grid.x_min_m)
+    height_in = max(MIN_HEIGHT_IN, MAX_HEIGHT_IN / num_rows - foot_in)
+    panel_in = min(width_in / num_cols, height_in / tall)
+    is_beside = width_in - num_cols * panel_in > SIDE_IN
+    cell_in = (width_in - SIDE_IN * is_beside) / num_cols
+    return Size(num_rows, num_cols, cell_in, panel_in, tall, is_beside)
+
+
+def _draw_panel(spot: Axes, panel: MapPanel, size: Size) -> None:
+    """Draw a panel that has its own grid, without ticks."""
+    grid: Any = panel.grid
+    spot.set(xticks=[], yticks=[], facecolor=NO_DATA_COLOUR, gid=MAP)
+    spot.set_title(wrapped(panel.title, size.cell_in, TEXT_PT), pad=4)
+    spot.set_xlabel(wrapped(panel.foot, size.cell_in), loc="left")
+    spot.spines[:].set_visible(True)
+    if panel.layers:
+        draw_layers(spot, grid, panel.layers)
+    spot.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m))
+    _orient(spot)
+
+
+def _add_ticks(spot: Axes, size: Size, is_left: bool, is_bottom: bool) -> None:
+    """Add ticks to a panel: eastings where it is at the bottom, northings where it is at the left, both in km."""
+    num_ticks = int(np.clip(size.panel_in / TICK_IN, 1, MAX_TICKS))
+    for axis in (spot.xaxis, spot.yaxis):
+        axis.set_major_locator(MaxNLocator(num_ticks, steps=[1, 2, 5, 10], min_n_ticks=1))
+        axis.set_major_formatter(lambda value, _: f"{value / 1000:.7g}")
+    look: dict[str, Any] = {"labelsize": SMALL_PT, "length": 3, "color": FAINT_INK}
+    spot.tick_params(labelleft=is_left, labelbottom=is_bottom, **look)
+    if is_left:
+        spot.set_ylabel("northing (km)")
+    if is_bottom:
+        foot = spot.get_xlabel()
+        spot.set_xlabel(joined("easting (km)", foot, by="\n"), loc="left" if foot else "center")
+
+
+def _add_bar_below(figure: Figure, spot: Axes, bar: Colours, size: Size) -> None:
+    """Add a colour bar as wide as a panel below it, with two ticks where there is no room for more."""
     ticks = bar_ticks(bar)
-    if width_in < MIN_BAR_IN:
+    if size.panel_in < MIN_BAR_IN:
         ticks = ticks[:: len(ticks) - 1]
-    under = panel.inset_axes((0, -BAR_AT_IN / height_in, 1, THICK_IN / height_in))
-    add_colour_bar(figure, [panel], replace(bar, ticks=ticks), cax=under)
+    height_in = size.panel_in * size.tall
+    under = spot.inset_axes((0, -BAR_AT_IN / height_in, 1, THICK_IN / height_in))
+    label = wrapped(bar.label, size.cell_in)
+    add_colour_bar(figure, [spot], replace(bar, ticks=ticks, label=label), cax=under)
 
 
 def _add_key(
-    figure: Figure, legend: Iterable[LegendEntry], gap: SubplotSpec | None, width_in: float
+    figure: Figure, legend: Iterable[LegendEntry], gap: SubplotSpec | None, cell_in: float
 ) -> None:
-    """Add a legend in a gap of the grid of panels, in as many columns as its width holds; beside all where none is."""
+    """Add a legend in a gap of the grid of panels, in as many columns as it has room for; beside all without a gap."""
     edge: dict[str, Any] = {"edgecolor": FAINT_INK, "linewidth": 0.4}
     handles = [
         Patch(facecolor=each[1], label=each[0], **edge) if isinstance(each, tuple) else each
         for each in legend
     ]
-    look: dict[str, Any] = {"fontsize": SMALL_PT, "frameon": False, "handlelength": 1.4}
     if gap is None:
-        figure.legend(handles=handles, loc="outside right center", **look)
+        figure.legend(handles=handles, loc="outside right center", handlelength=1.4)
         return
-    lines = [line for each in handles for line in str(each.get_label()).splitlines()]
-    entry_in = ENTRY_IN + max(map(len, lines), default=0) / LETTERS_PER_IN
     holder = figure.add_subplot(gap)
     holder.set_axis_off()
-    look |= {"ncols": max(1, int((width_in - EDGE_IN) / entry_in)), "borderaxespad": 0}
-    holder.legend(handles=handles, loc="upper left", **look)
+    num_cols = legend_columns(
+        [str(each.get_label()) for each in handles], len(gap.colspan) * cell_in
+    )
+    holder.legend(
+        handles=handles, loc="upper left", ncols=num_cols, borderaxespad=0, handlelength=1.4
+    )
+
+
+def _settle(figure: Figure, axes: Sequence[Axes], size: Size) -> None:
+    """Give a figure the height that its panels need, which fill their cells until it is known."""
+    layout: Any = figure.get_layout_engine()
+    for _ in range(SETTLING):
+        layout.execute(figure)
+        cell, height_in = axes[0].get_position(), figure.get_figheight()
+        panel_in = min(size.panel_in, cell.width * figure.get_figwidth())
+        lack_in = panel_in * size.tall - cell.height * height_in
+        figure.set_figheight(height_in + size.num_rows * lack_in)
+    for panel in axes:
+        panel.set(aspect="equal", anchor="NW")
 
 
 def _own_bar(panel: MapPanel) -> Colours | None:
     """Return the colours of the bar below a panel, None where it shows nothing or classes."""
     colours = panel.layers[-1].colours if panel.layers else None
     return None if colours is None or isinstance(colours.norm, BoundaryNorm) else colours
-
-
-def _dress(panel: Axes, grid: Grid, title: str, num_ticks: int) -> None:
-    panel.set(
-        xlim=(grid.x_min_m, grid.x_max_m),
-        ylim=(grid.y_min_m, grid.y_max_m),
-        aspect="equal",
-        anchor="NW",
-    )
-    panel.set_title(title, size=TEXT_PT, loc="left", pad=4, color=INK)
-    panel.set_facecolor(NO_DATA_COLOUR)
-    panel.set_gid(MAP)
-    panel.tick_params(labelsize=SMALL_PT, length=3, color=FAINT_INK)
-    for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_locator(MaxNLocator(num_ticks, steps=[1, 2, 5, 10], min_n_ticks=1))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / 1000:.7g}"))
-    panel.spines[:].set(linewidth=0.6, color=FAINT_INK)
 
 
 def mark_ends(
@@ -249,11 +266,12 @@ def mark_ends(
     for end, at in zip(ENDS, (start_xy_m, goal_xy_m), strict=True):
         look = END_LOOK | {"marker": end.get_marker(), "markersize": size * end.get_markersize()}
         panel.plot(*at, zorder=20, clip_on=False, **look)
-    low, high = np.transpose([panel.get_xlim(), panel.get_ylim()])
-    shares = (np.array([[*start_xy_m], [*goal_xy_m]], float) - low) / (high - low)
-    away = {loc: np.abs(shares - corner).max(axis=1).min() for loc, corner in CORNERS.items()}
+    shares = panel.transLimits.transform([[*start_xy_m], [*goal_xy_m]])
+    clear = [
+        loc for loc, corner in CORNERS.items() if (abs(shares - corner) > NEAR).any(axis=1).all()
+    ]
     marks = [mark for mark in panel.artists if isinstance(mark, AnchoredOffsetbox)]
-    for mark, loc in zip(marks, sorted(CORNERS, key=lambda loc: away[loc] < NEAR), strict=False):
+    for mark, loc in zip(marks, (clear[0], clear[-1]), strict=False):
         mark.loc = AnchoredOffsetbox.codes[loc]
 
 
@@ -270,14 +288,9 @@ def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
         image = np.where(rgba[..., 3:] > 0, rgba[..., :3], image)
     rows, cols = image.shape[:2]
     side_m = step * grid.resolution_m
-    extent = (
-        grid.x_min_m,
-        grid.x_min_m + cols * side_m,
-        grid.y_min_m,
-        grid.y_min_m + rows * side_m,
-    )
-    panel.imshow(image, extent=extent, origin="lower", interpolation="auto", aspect="equal")
-    panel.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m))
+    x_max_m, y_max_m = grid.x_min_m + cols * side_m, grid.y_min_m + rows * side_m
+    extent = (grid.x_min_m, x_max_m, grid.y_min_m, y_max_m)
+    panel.imshow(image, extent=extent, origin="lower", interpolation="auto", aspect="auto")
 
 
 def classes_layer(values: np.ndarray, colours: Sequence[str]) -> MapLayer:
@@ -299,19 +312,16 @@ def _orient(panel: Axes) -> None:
     power_m = 10.0 ** math.floor(math.log10(most_m))
     length_m = max(factor * power_m for factor in (1, 2, 5) if factor * power_m <= most_m)
     name = f"{length_m / 1000:g} km" if length_m >= 1000 else f"{length_m:g} m"
-    look: dict[str, Any] = {"color": INK, "label_top": True, "fontproperties": {"size": SMALL_PT}}
-    look["size_vertical"] = 0.006 * (high_m - low_m)
-    bar = AnchoredSizeBar(
-        panel.transData, length_m, name, "lower left", pad=0.25, borderpad=0.3, sep=2, **look
-    )
-    bar.patch.set(edgecolor="none", boxstyle="square,pad=0")
-    bar.set_zorder(15)
-    panel.add_artist(bar)
-    look = {"size": SMALL_PT, "color": INK, "ha": "center", "linespacing": 0.9}
-    north = AnchoredText(NORTH, "upper right", prop=look, pad=0.15, borderpad=0.3)
-    north.patch.set(edgecolor="none", boxstyle="square,pad=0")
-    north.set_zorder(15)
-    panel.add_artist(north)
+    thick_m = 0.006 * (high_m - low_m)
+    look: dict[str, Any] = {"label_top": True, "color": INK, "size_vertical": thick_m, "pad": 0.25}
+    scale = AnchoredSizeBar(panel.transData, length_m, name, "lower left", sep=2, **look)
+    letters: dict[str, Any] = {"color": INK, "ha": "center", "linespacing": 0.9}
+    north = AnchoredText(NORTH, "upper right", prop=letters, pad=0.15)
+    for mark in (scale, north):
+        mark.borderpad = 0.3
+        mark.patch.set(edgecolor="none", boxstyle="square,pad=0")
+        mark.set_zorder(15)
+        panel.add_artist(mark)
 
 
 def frame_note(
@@ -324,43 +334,36 @@ def frame_note(
     """
     sky = sky_said(maps, time) if has_sky else ""
     caveats = caveats_said(maps, of) if has_sky else []
-    guessed = [f"Guessed: {guesses}"] if (guesses := guesses_said(maps, has_sky)) else []
-    return "\n".join([*caveats, *guessed, joined(sky, *ground_said(maps))])
+    guesses = guesses_said(maps, has_sky)
+    guessed = f"Guessed: {guesses}" if guesses else ""
+    return joined(*caveats, guessed, joined(sky, *ground_said(maps)), by="\n")
 
 
 def rules_said(*settings: Mapping[str, Any]) -> str:
     """Return what routes were planned under, from their settings: cost model, weights, obstacles and clearances."""
     rules: dict[str, list[str]] = {"cost model": [], "weights": [], "obstacles": []}
     for each in settings:
-        weights = ", ".join(f"{name} {weight:g}" for name, weight in each["weights"].items())
+        weights = joined(
+            *(f"{name} {weight:g}" for name, weight in each["weights"].items()), by=", "
+        )
+        is_by_distance = each["objective"] == "distance"
+        kept = describe_kept(each["limits"], each["resolution_m"])
+        obstacles = joined(each["obstacles"], *describe_clearances(each["limits"]), kept, by=", ")
         rules["cost model"].append(each["cost_model"])
-        rules["weights"].append(
-            "the distance alone" if each["objective"] == "distance" else weights
-        )
-        clearances = [
-            *describe_clearances(each["limits"]),
-            describe_kept(each["limits"], each["resolution_m"]),
-        ]
-        rules["obstacles"].append(", ".join(filter(None, [each["obstacles"], *clearances])))
-    distinct = {name: list(dict.fromkeys(values)) for name, values in rules.items() if values}
-    return joined(
-        *(
-            f"{name}: {' or '.join(values[:MOST_RULES])}{' ...' * (len(values) > MOST_RULES)}"
-            for name, values in distinct.items()
-        )
-    )
+        rules["weights"].append("the distance alone" if is_by_distance else weights)
+        rules["obstacles"].append(obstacles)
+    lines = []
+    for name, values in rules.items():
+        first, more = list(dict.fromkeys(values))[:MOST_RULES], len(set(values)) > MOST_RULES
+        lines.append(f"{name}: {' or '.join(first)}{' ...' * more}" if first else "")
+    return joined(*lines)
 
 
 def caveats_said(maps: MetricMaps, of: str | None = None) -> list[str]:
     """Return what a reader must know of a map, or left out of all metrics that these maps hold."""
-    names = [maps.variable(name) for name in ((of,) if of else maps.metrics)]
-    return list(
-        dict.fromkeys(
-            caveat
-            for name in names
-            if name in maps.ds and (caveat := maps.ds[name].attrs.get(CAVEAT))
-        )
-    )
+    names = [maps.variable(name) for name in ([of] if of else maps.metrics)]
+    caveats = [maps.ds[name].attrs.get(CAVEAT) for name in names if name in maps.ds]
+    return list(dict.fromkeys(filter(None, caveats)))
 
 
 def guesses_said(maps: MetricMaps, has_sky: bool) -> str:
@@ -431,4 +434,4 @@ def sky_said(maps: MetricMaps, time: str | None) -> str:
     times = maps.times if time is None or maps.default_time is None else (time,)
     span = f"{len(times)} epochs, {time_said(times[0])} to {time_said(times[-1])}"
     systems = " and ".join(name.upper() for name in names_in(maps.ds.attrs, "constellations"))
-    return ", ".join(filter(None, (time_said(times[0]) if len(times) == 1 else span, systems)))
+    return joined(time_said(times[0]) if len(times) == 1 else span, systems, by=", ")

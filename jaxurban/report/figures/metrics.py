@@ -233,9 +233,8 @@ def plot_metric(
     if classes and meaning:
         positive, colour = classes[1]
         classes[1] = f"{positive}\n({meaning})", colour
-    bar = None if classes else colours
-    look: dict[str, Any] = {"legend": [*classes, *patches], "colours": bar, "width": width}
-    return draw_maps(maps.grid, panels, heading, note, **look)[0]
+    legend, bar = [*classes, *patches], None if classes else colours
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=bar, width=width)[0]
 
 
 def plot_epochs(
@@ -261,9 +260,14 @@ def plot_epochs(
         _panel(maps, name, variable, time[5:16].replace("T", " "), z, time) for time in maps.times
     ]
     heading = f"{variable.heading} at each epoch, {z:g} m above ground"
-    look: dict[str, Any] = {"legend": obstacle_patches(maps), "width": width}
-    look["colours"] = metric_colours(maps, name)
-    return draw_maps(maps.grid, panels, heading, frame_note(maps, of=name), **look)[0]
+    note, legend, colours = (
+        frame_note(maps, of=name),
+        obstacle_patches(maps),
+        metric_colours(maps, name),
+    )
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours, width=width)[
+        0
+    ]
 
 
 def _panel(
@@ -329,42 +333,29 @@ def percent(share: float) -> str:
     return f"{100 * share:.{1 if is_near_an_end else 0}f} %"
 
 
-def _plot_classes(
+def _class_panel(
     maps: MetricMaps,
-    heading: str,
+    altitude_m: float,
+    numbers: np.ndarray,
     classes: Sequence[tuple[str, str]],
-    classes_at: Callable[[float], np.ndarray],
-    title: str,
     last: int,
-    *,
-    altitude_m: Altitudes,
-    time: str | None,
-    width: Width,
-) -> Figure:
-    """Return panels of classes by altitude over free cells.
+    title: str,
+) -> MapPanel:
+    """Return a panel of classes over the free cells of an altitude.
 
     Args:
       maps: that they are of.
-      heading: of the figure.
+      altitude_m: of the panel.
+      numbers: ``[Y, X]`` of the classes, from 0.
       classes: name and colour of each, by its number.
-      classes_at: returns the numbers ``[Y, X]`` at an altitude.
-      title: of a panel; ``{}`` stands for the share of free cells of the classes up to ``last``.
-      last: a number.
-      altitude_m: of the panels; None: all of the maps.
-      time: of the GPS maps.
-      width: of the figure.
+      last: of those classes whose share of free cells the title gives.
+      title: of the panel; ``{}`` stands for that share.
     """
-    panels = []
-    colours = [colour for _, colour in classes]
-    for z in altitudes_of(maps, altitude_m):
-        numbers, is_free = classes_at(z), maps.is_free(z, "centre")
-        share = float((numbers[is_free] <= last).mean()) if is_free.any() else 0.0
-        drawn = np.where(is_free, numbers.astype(int), -1)
-        layers = [classes_layer(drawn, colours), obstacle_layer(maps, z)]
-        panels.append(MapPanel(f"{z:g} m  ·  {title.format(percent(share))}", layers))
-    look: dict[str, Any] = {"legend": [*classes, *obstacle_patches(maps)], "width": width}
-    heading = f"{heading}, by altitude above ground"
-    return draw_maps(maps.grid, panels, heading, frame_note(maps, time), **look)[0]
+    is_free = maps.is_free(altitude_m, "centre")
+    share = float((numbers[is_free] <= last).mean()) if is_free.any() else 0.0
+    drawn = classes_layer(np.where(is_free, numbers, -1), [colour for _, colour in classes])
+    title = f"{altitude_m:g} m  ·  {title.format(percent(share))}"
+    return MapPanel(title, [drawn, obstacle_layer(maps, altitude_m)])
 
 
 @renamed
@@ -391,21 +382,18 @@ def plot_gps_rating(
     steps = matplotlib.colormaps[METRICS["gps"].colour_map](np.linspace(1, 0, len(Rating)))
     ranges = [f"up to {high:g}" for high in RATING_UPPER_GDOP]
     ranges.append(f"above {RATING_UPPER_GDOP[-1]:g}")
-    classes = [
-        (f"{item.name.capitalize()}\n(GDOP {dop_range})", matplotlib.colors.to_hex(colour))
-        for item, dop_range, colour in zip(Rating, ranges, steps, strict=True)
+    names = [
+        f"{item.name.capitalize()}\n(GDOP {dop})" for item, dop in zip(Rating, ranges, strict=True)
     ]
-    return _plot_classes(
-        maps,
-        "GPS rating",
-        classes,
-        lambda z: np.asarray(rating(maps.m(RATED, z, time=time))),
-        "{} good or better",
-        Rating.GOOD,
-        altitude_m=altitude_m,
-        time=time,
-        width=width,
-    )
+    classes = list(zip(names, map(matplotlib.colors.to_hex, steps), strict=True))
+    panels = []
+    for z in altitudes_of(maps, altitude_m):
+        numbers = np.asarray(rating(maps.m(RATED, z, time=time))).astype(int)
+        panels.append(_class_panel(maps, z, numbers, classes, Rating.GOOD, "{} good or better"))
+    heading, legend = "GPS rating, by altitude above ground", [*classes, *obstacle_patches(maps)]
+    return draw_maps(
+        maps.grid, panels, heading, frame_note(maps, time), legend=legend, width=width
+    )[0]
 
 
 @renamed
@@ -433,17 +421,15 @@ def plot_sensor_choice(
         ("GPS\n($m_\\mathrm{gps}$ > $m_\\mathrm{lidar}$)", METRICS["gps"].colour),
         ("lidar\n(otherwise)", METRICS["lidar"].colour),
     ]
-    return _plot_classes(
-        maps,
-        "The better sensor",
-        classes,
-        lambda z: np.where(maps.prefers_gps(z, time=time), 0, 1),
-        "GPS in {}",
-        0,
-        altitude_m=altitude_m,
-        time=time,
-        width=width,
-    )
+    panels = []
+    for z in altitudes_of(maps, altitude_m):
+        numbers = np.where(maps.prefers_gps(z, time=time), 0, 1)
+        panels.append(_class_panel(maps, z, numbers, classes, 0, "GPS in {}"))
+    heading = "The better sensor, by altitude above ground"
+    legend = [*classes, *obstacle_patches(maps)]
+    return draw_maps(
+        maps.grid, panels, heading, frame_note(maps, time), legend=legend, width=width
+    )[0]
 
 
 def plot_population(maps: MapsLike, *, width: Width = "page") -> Figure:
@@ -469,9 +455,10 @@ def plot_population(maps: MapsLike, *, width: Width = "page") -> Figure:
         title = f"{item}  ·  {np.nansum(values, dtype=np.float64) * cell_km2:,.0f} people"
         panels.append(MapPanel(title, layers_above_zero(values, colours)))
     legend = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
-    look: dict[str, Any] = {"legend": legend, "colours": colours, "width": width}
-    note = frame_note(maps, has_sky=False)
-    return draw_maps(maps.grid, panels, "Population density", note, **look)[0]
+    heading, note = "Population density", frame_note(maps, has_sky=False)
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours, width=width)[
+        0
+    ]
 
 
 def layers_above_zero(values: np.ndarray, colours: Colours) -> list[MapLayer]:

@@ -18,10 +18,10 @@ from jaxurban.report.figures.style import (
     FAINT_INK,
     Colours,
     add_colour_bar,
-    label_rows,
     legend_below,
     letter_all,
     panels,
+    step_up,
     styled,
 )
 from jaxurban.report.write import listed
@@ -38,11 +38,6 @@ CURVES_APART_PT = 1.5
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
 
 
-def _panels(num: int, heading: str) -> tuple[Figure, list[Axes]]:
-    """Return a figure with panels of one scale."""
-    return panels(num, heading, shares_y=True)
-
-
 def _by_altitude(
     rows: pd.DataFrame, axes: Sequence[Axes], colours: Mapping[str, str]
 ) -> Iterator[tuple[Axes, int, str, pd.DataFrame]]:
@@ -57,21 +52,14 @@ def _by_altitude(
 def plot_success(success: pd.DataFrame) -> Figure:
     """Return the share of joined pairs that each planner solved, by altitude and range (`analysis.success`)."""
     colours, ranges = planner_colours(sorted(success.planner.unique())), range_names(success)
-    figure, axes = _panels(
-        success.altitude_m.nunique(), "Share of pairs that some path joins, for which one was found"
-    )
+    heading = "Share of pairs that some path joins, for which one was found"
+    figure, axes = panels(success.altitude_m.nunique(), heading, shares_y=True)
     for panel, rank, planner, rows in _by_altitude(success, axes, colours):
         share, width = rows.set_index("range").share_joined.reindex(ranges), 0.8 / len(colours)
-        panel.bar(
-            np.arange(len(ranges)) + rank * width,
-            share,
-            width,
-            color=colours[planner],
-            label=planner,
-        )
-        panel.set_xticks(np.arange(len(ranges)) + (0.8 - width) / 2, ranges)
-    _show_shares(axes, "joined pairs solved (%)")
-    legend_below(figure, axes[0])
+        x, colour = np.arange(len(ranges)), colours[planner]
+        panel.bar(x + rank * width, share, width, color=colour, label=planner)
+        panel.set_xticks(x + (0.8 - width) / 2, ranges)
+    _show_shares(figure, axes, "joined pairs solved (%)")
     return figure
 
 
@@ -79,43 +67,25 @@ def plot_success(success: pd.DataFrame) -> Figure:
 def plot_costs(table: pd.DataFrame) -> Figure:
     """Return the share of joined pairs that each planner solved within a ratio of the cheapest path."""
     colours = planner_colours(sorted(table.planner.unique()))
-    figure, axes = _panels(
-        table.altitude_m.nunique(), "Share of pairs solved at so many times the cheapest cost known"
-    )
+    heading = "Share of pairs solved at so many times the cheapest cost known"
+    figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True)
     end = float(np.clip(table.ratio.quantile(0.98), *RATIO_AXIS))
     for panel, rank, planner, rows in _by_altitude(table, axes, colours):
-        ratio = np.sort(rows.ratio[np.isfinite(rows.ratio)])
-        share = np.arange(len(ratio) + 1) / max(
-            1, len(rows)
-        )  # from 0: a planner that solved none has a line too
-        x = np.concatenate([[1.0], ratio, [max(end, ratio.max(initial=1.0))]])
-        y = np.append(share, share[-1])
-        others = len(colours) - 1
-        beside = [
-            Beside((others / 2 - rank) * CURVES_APART_PT)
-        ]  # where curves coincide all are seen
-        panel.step(
-            x,
-            y,
-            where="post",
-            color=colours[planner],
-            label=planner,
-            linewidth=1.4,
-            path_effects=beside,
-        )
+        lane = (len(colours) - 1) / 2 - rank  # where curves coincide all are seen
+        look: dict[str, Any] = {"path_effects": [Beside(lane * CURVES_APART_PT)], "linewidth": 1.4}
+        step_up(panel, rows.ratio.to_numpy(), end, color=colours[planner], label=planner, **look)
         panel.set(xlim=(1 - 0.01 * (end - 1), end), xlabel="cost / cheapest known")
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
-    _show_shares(axes, "joined pairs solved at that ratio (%)", (-0.04, 1.04))
-    legend_below(figure, axes[0])
+    _show_shares(figure, axes, "joined pairs solved at that ratio (%)", -0.04)
     return figure
 
 
-def _show_shares(axes: Sequence[Axes], label: str, ends: tuple[float, float] = (0.0, 1.02)) -> None:
-    label_rows(axes, label)
-    letter_all(axes)
-    axes[0].set_ylim(*ends)
+def _show_shares(figure: Figure, axes: Sequence[Axes], label: str, low: float = 0.0) -> None:
+    letter_all(axes, label)
+    axes[0].set_ylim(low, 1.04)
     for panel in axes:
         panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
+    legend_below(figure, axes[0])
 
 
 @styled
@@ -127,7 +97,8 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
     """
     names = [str(name) for name in table if name in maps.metrics]
     labels = [maps.metrics[name].label for name in names]
-    figure, axes = _panels(len(table), f"{listed(labels)} over the free cells")
+    heading = f"{listed(labels)} over the free cells"
+    figure, axes = panels(len(table), heading, shares_y=True)
     bins = np.linspace(0, 1, 41)
     for panel, row in zip(axes, rows_of(table), strict=True):
         is_free = maps.is_free(row.altitude_m, "centre")
@@ -138,11 +109,9 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
         panel.plot([0, 1], [0, 1], "--", color=FAINT_INK, linewidth=0.8)
         panel.grid(visible=False)
         correlation = f", r = {row.correlation:+.2f}" if np.isfinite(row.correlation) else ""
-        panel.set(
-            xlim=(0, 1), xlabel=symbol_of(names[0]), title=f"{row.altitude_m:g} m{correlation}"
-        )
-    label_rows(axes, symbol_of(names[1]))
-    letter_all(axes)
+        title = f"{row.altitude_m:g} m{correlation}"
+        panel.set(xlim=(0, 1), xlabel=symbol_of(names[0]), title=title)
+    letter_all(axes, symbol_of(names[1]))
     add_colour_bar(figure, axes, SHARES)
     return figure
 

@@ -136,56 +136,55 @@ def plot_paths(
     Raises:
       InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
     """
-    maps, planned = as_maps(maps), paths_in(paths)
-    named = list(zip(planned, _names_of(planned, names), strict=True))
+    maps, named = as_maps(maps), _named(paths, names)
+    planned = [path for path, _ in named]
     if altitude_m is None:
         altitude_m = sorted({path.altitude_m for path in planned})
-    drawn_m = altitudes_of(maps, altitude_m)
-    places = list(
-        chain.from_iterable(_places_at(maps, z, planned, time, time_of_day) for z in drawn_m)
+    places: list[Place] = []
+    for z in altitudes_of(maps, altitude_m):
+        places += _places_at(maps, z, planned, time, time_of_day)
+    pairs_at = {place: [pair for pair in named if _place_of(pair[0]) == place] for place in places}
+    _, times, days = (set(each) for each in zip(*places, strict=True))
+    has_times = len(times) > 1
+    panels = [_cost_panel(maps, place, pairs, has_times) for place, pairs in pairs_at.items()]
+    drawn = list(chain.from_iterable(pairs_at.values()))
+    what = "Cost and paths" if drawn else "Cost"
+    day = days.pop() if len(days) == 1 else ""
+    heading = joined(f"{what}, by altitude above ground", day, by=", ")
+    facts = joined(
+        frame_note(maps, None if has_times else times.pop()), "below: cost, length" if drawn else ""
     )
-    times = list(dict.fromkeys(gps_time for _, gps_time, _ in places))
-    panels, paths_at = [], []
-    for place in places:
-        z, gps_time, day = place
-        of_place = [(path, name) for path, name in named if _place_of(path) == place]
-        facts = [f"{z:g} m", day]
-        if gps_time and len(times) > 1:
-            facts.append(time_said(gps_time))
-        foot = "\n".join(outcome_of(path, name) for path, name in of_place)
-        layers = cost_layers(maps, z, gps_time, day)
-        panels.append(MapPanel(" · ".join(filter(None, facts)), layers, foot))
-        paths_at.append(of_place)
-    drawn = list(chain.from_iterable(paths_at))
+    note = joined(facts, rules_said(*(path.settings for path, _ in drawn)), by="\n")
     colours = planner_colours(name for _, name in named)
-    note = frame_note(maps, times[0] if len(times) == 1 else None)
-    days = list({day for *_, day in places})
-    heading = f"Cost{' and paths' if drawn else ''}, by altitude above ground"
-    heading = joined(heading, days[0] if len(days) == 1 else "", by=", ")
-    if drawn:
-        rules = rules_said(*(path.settings for path, _ in drawn))
-        note = "\n".join(filter(None, [joined(note, "below: cost, length"), rules]))
-    legend: list[LegendEntry] = [
-        *obstacle_patches(maps, BLOCKED_COLOUR),
-        *path_entries(
-            {name: colours[name] for _, name in drawn},
-            *([path for path, _ in of_place] for of_place in paths_at),
-        ),
-    ]
-    look: dict[str, Any] = {"legend": legend, "colours": COST_COLOURS, "width": width}
-    figure, axes = draw_maps(maps.grid, panels, heading, note, **look)
-    for panel, of_place in zip(axes, paths_at, strict=True):
-        draw_paths(panel, [path for path, _ in of_place], [colours[name] for _, name in of_place])
+    paths_at = [[path for path, _ in pairs] for pairs in pairs_at.values()]
+    entries = path_entries({name: colours[name] for _, name in drawn}, *paths_at)
+    legend: list[LegendEntry] = [*obstacle_patches(maps, BLOCKED_COLOUR), *entries]
+    figure, axes = draw_maps(
+        maps.grid, panels, heading, note, legend=legend, colours=COST_COLOURS, width=width
+    )
+    for panel, pairs in zip(axes, pairs_at.values(), strict=True):
+        draw_paths(panel, [path for path, _ in pairs], [colours[name] for _, name in pairs])
     return figure
 
 
-def _names_of(planned: Sequence[PlannedPath], names: Sequence[str] | None) -> Sequence[str]:
-    """Return what paths are called: by their planners where no names are given."""
+def _named(paths: Paths, names: Sequence[str] | None) -> list[tuple[PlannedPath, str]]:
+    """Return paths and what they are called: by their planners where no names are given."""
+    planned = paths_in(paths)
     if names is not None and (isinstance(names, str) or len(names) != len(planned)):
         raise InputError(
             f"names must be a list of {len(planned)}, one for each path, got {names!r}"
         )
-    return names or [path.search.planner for path in planned]
+    return list(zip(planned, names or [path.search.planner for path in planned], strict=True))
+
+
+def _cost_panel(
+    maps: MetricMaps, place: Place, pairs: Sequence[tuple[PlannedPath, str]], has_time: bool
+) -> MapPanel:
+    """Return the panel of the costs that named paths were planned on, with its time in the title if asked."""
+    z, time, day = place
+    title = joined(f"{z:g} m", day, time_said(time) if time and has_time else "", by=" · ")
+    foot = "\n".join(outcome_of(path, name) for path, name in pairs)
+    return MapPanel(title, cost_layers(maps, z, time, day), foot)
 
 
 def _place_of(path: PlannedPath) -> Place:
@@ -201,12 +200,8 @@ def _places_at(
 ) -> list[Place]:
     """Return the maps at an altitude that paths were planned on, else one map."""
     places = dict.fromkeys(_place_of(path) for path in planned if path.altitude_m == altitude_m)
-    first = (
-        altitude_m,
-        time or maps.default_time,
-        time_of_day or next(iter(maps.times_of_day), None),
-    )
-    return list(places) or [first]
+    day = time_of_day or next(iter(maps.times_of_day), None)
+    return list(places) or [(altitude_m, time or maps.default_time, day)]
 
 
 def cost_layers(
@@ -278,10 +273,9 @@ class Beside(AbstractPathEffect):
         if self.colour:
             look.set_foreground(self.colour)
         (points,) = affine.transform_path(tpath).to_polygons(closed_only=False)
-        moved = shapely.LineString(points).simplify(SMOOTH_PX)
-        moved = moved.offset_curve(
-            renderer.points_to_pixels(self.offset_pt), join_style="mitre", mitre_limit=2.0
-        )
+        line, offset_px = shapely.LineString(points), renderer.points_to_pixels(self.offset_pt)
+        corners: dict[str, Any] = {"join_style": "mitre", "mitre_limit": 2.0}
+        moved = line.simplify(SMOOTH_PX).offset_curve(offset_px, **corners)
         for part in shapely.get_parts(moved):
             renderer.draw_path(look, Outline(shapely.get_coordinates(part)), IdentityTransform())
         look.restore()
@@ -344,18 +338,14 @@ def plot_overview(
     Raises:
       InputError: an altitude that these maps do not hold, or another number of names than paths.
     """
-    maps, planned = as_maps(maps), paths_in(paths)
-    names = _names_of(planned, names)
+    maps, every = as_maps(maps), _named(paths, names)
+    planned = [path for path, _ in every]
     z = altitude_m
     if z is None:
         z = min((path.altitude_m for path in planned), default=maps.altitudes_m[0])
     place, *_ = _places_at(maps, z, planned)
     _, time, time_of_day = place
-    named = [
-        (path, name)
-        for path, name in zip(planned, names, strict=True)
-        if _place_of(path) == place and path.status.has_path
-    ]
+    named = [pair for pair in every if _place_of(pair[0]) == place and pair[0].status.has_path]
     drawn = [path for path, _ in named]
     panels = [MapPanel("Roof height (m)", roof_layers(maps))]
     blank = [AUXILIARY_VARIABLES["roof"].scale.zero]
@@ -376,10 +366,11 @@ def plot_overview(
     legend: list[LegendEntry] = [(",\n".join(blank), EMPTY_COLOUR)]
     legend += [*obstacle_patches(maps, BLOCKED_COLOUR), *path_entries(colours, drawn)]
     rules = rules_said(*(path.settings for path in drawn))
-    note = "\n".join(filter(None, [frame_note(maps, time), rules]))
+    note = joined(frame_note(maps, time), rules, by="\n")
     heading = joined(f"Metric maps{what}, {z:g} m above ground", time_of_day, by=", ")
-    look: dict[str, Any] = {"legend": legend, "has_ticks": False, "width": width}
-    figure, axes = draw_maps(maps.grid, panels, heading, note, **look)
+    figure, axes = draw_maps(
+        maps.grid, panels, heading, note, legend=legend, has_ticks=False, width=width
+    )
     draw_paths(axes[-1], drawn, [colours[name] for _, name in named])
     return figure
 

@@ -15,7 +15,7 @@ from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
-from jaxurban.report.figures.frame import GUESSED_COLOUR, frame_note
+from jaxurban.report.figures.frame import GUESSED_COLOUR, frame_note, joined
 from jaxurban.report.figures.style import (
     FAINT_INK,
     SMALL_PT,
@@ -69,9 +69,8 @@ def plot_profile(
     low_m, high_m = float(planned.z_m.min()), float(planned.z_m.max())
     altitude = f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m"
     facts = planned.search.planner, f"{planned.length_m / 1000:.2f} km", f"{altitude} above ground"
-    summary = ", ".join(
-        filter(None, [*facts, planned.settings["time_of_day"], f"cost {planned.cost:,.1f}"])
-    )
+    day, cost = planned.settings["time_of_day"], f"cost {planned.cost:,.1f}"
+    summary = joined(*facts, day, cost, by=", ")
     kinds = list(dict.fromkeys(metric.one_is for metric in maps.metrics.values()))
     height_in = HEIGHT_IN + SECOND_IN * (len(kinds) - 1)
     note = frame_note(maps, planned.settings["time"])
@@ -83,12 +82,8 @@ def plot_profile(
     for kind, panel in zip(kinds, axes[1:], strict=False):
         for name, metric in maps.metrics.items():
             if metric.one_is == kind:
-                look: dict[str, Any] = {
-                    "color": metric.colour,
-                    "linewidth": 1.3,
-                    "label": metric.label,
-                }
-                panel.stairs(profile[name], edges_km, baseline=None, **look)
+                look: dict[str, Any] = {"color": metric.colour, "label": metric.label}
+                panel.stairs(profile[name], edges_km, baseline=None, linewidth=1.3, **look)
         panel.set(ylim=(-0.03, 1.03), ylabel=f"metric m\n(1 is {kind})")
     _draw_clearance(axes[-1], profile, edges_km)
     axes[-1].set_xlabel("distance flown (km)")
@@ -134,25 +129,13 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
     panel.set(ylabel=f"distance (m),\nlogarithmic\nabove {LINEAR_UP_TO_M:g} m")
     is_known = np.isfinite(profile[CLEARANCE])
     if not is_known.any():
-        panel.text(
-            0.5,
-            0.5,
-            "no obstacle at this altitude",
-            transform=panel.transAxes,
-            ha="center",
-            size=TEXT_PT,
-        )
+        label = "no obstacle at this altitude"
+        panel.text(0.5, 0.5, label, transform=panel.transAxes, ha="center", size=TEXT_PT)
         panel.set_yticks([])
         return
     drawn_m = profile[CLEARANCE].where(is_known)  # none where the route is above every obstacle
-    panel.stairs(
-        drawn_m,
-        edges_km,
-        baseline=None,
-        color=CLEARANCE_COLOUR,
-        linewidth=1.3,
-        label="distance to obstacles",
-    )
+    look: dict[str, Any] = {"color": CLEARANCE_COLOUR, "label": "distance to obstacles"}
+    panel.stairs(drawn_m, edges_km, baseline=None, linewidth=1.3, **look)
     place = int(np.argmin(profile[CLEARANCE]))
     nearest_m, at_km = profile[CLEARANCE].iloc[place], edges_km[place : place + 2].mean()
     label = f"least: {nearest_m:.3g} m"

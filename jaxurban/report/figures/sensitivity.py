@@ -30,7 +30,6 @@ from jaxurban.report.figures.style import (
     add_colour_bar,
     chart,
     dress,
-    label_rows,
     legend_below,
     letter_all,
     panels,
@@ -62,36 +61,24 @@ def plot_breakpoints(result: Sensitivity) -> Figure:
     for panel, name in zip(axes, result.lines, strict=True):
         line, column = result.lines[name], result.names.index(name)
         ends = line.corners[:, column]
-        shares = np.sort(
-            np.append(
-                (np.geomspace(ends[0], ends[1], 400) - ends[0]) / np.ptp(ends), line.breakpoints
-            )
-        )
+        evenly = (np.geomspace(ends[0], ends[1], 400) - ends[0]) / np.ptp(ends)
+        shares = np.sort(np.append(evenly, line.breakpoints))
         costs = line.cost_at(np.stack([1 - shares, shares], axis=-1))
-        is_breakpoint = np.isin(shares, line.breakpoints)
         values = ends[0] + shares * (ends[1] - ends[0])
-        look: dict[str, Any] = {"marker": "o", "markersize": 4, "markeredgewidth": 0}
-        panel.plot(
-            values, costs, color=line_colour(name), linewidth=1.1, markevery=is_breakpoint, **look
-        )
-        panel.axvline(
-            result.weights[column],
-            color=INK,
-            linewidth=0.9,
-            linestyle=(0, (3, 2)),
-            zorder=1,
-            label="given weight",
-        )
+        look: dict[str, Any] = {"markersize": 4, "markeredgewidth": 0, "linewidth": 1.1}
+        look["markevery"] = np.isin(shares, line.breakpoints)
+        panel.plot(values, costs, "o-", color=line_colour(name), **look)
+        look = {"linestyle": (0, (3, 2)), "zorder": 1, "label": "given weight"}
+        panel.axvline(result.weights[column], color=INK, linewidth=0.9, **look)
         panel.set_xscale("log")
         panel.xaxis.set_major_locator(LogLocator(numticks=6))
         panel.xaxis.set_minor_locator(NullLocator())
         for axis in (panel.xaxis, panel.yaxis):
             show_plain(axis)
-        panel.set(xlim=ends, xlabel=f"weight of {name}")
-        panel.set_title(f"{name}, breakpoints: {len(line.breakpoints)}")
-    label_rows(axes, "cheapest cost")
+        title = f"{name}, breakpoints: {len(line.breakpoints)}"
+        panel.set(xlim=ends, xlabel=f"weight of {name}", title=title)
     legend_below(figure, axes[0])
-    letter_all(axes)
+    letter_all(axes, "cheapest cost")
     return figure
 
 
@@ -112,13 +99,9 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
         table = result.breakpoints(name)
         middle = np.sqrt(table["from"] * table["to"]) / result.weights[result.names.index(name)]
         widths = np.linspace(3.2, 1.4, len(table))
-        look: dict[str, Any] = {
-            "colors": colours(middle),
-            "linewidths": widths,
-            "capstyle": "round",
-            "zorder": 4,
-        }
-        panel.add_collection(LineCollection(result.line_routes[name], **look))
+        look: dict[str, Any] = {"colors": colours(middle), "linewidths": widths, "zorder": 4}
+        routes = LineCollection(result.line_routes[name], capstyle="round", **look)
+        panel.add_collection(routes)
         edge = [Stroke(linewidth=2.4, foreground=INK), Normal()]
         look = {"linewidth": 1.2, "linestyle": (0, (3, 2)), "path_effects": edge, "zorder": 6}
         panel.plot(*result.route.xy_m.T, color=ON_ROUTES_COLOUR, **look)
@@ -136,23 +119,11 @@ def plot_pareto(result: Sensitivity) -> Figure:
     last = np.append(points[:, -1], gradient[-1])
     labels = [_feature_label(result, name) for name in front.objectives]
     colours = Colours("viridis", Normalize(last.min(), last.max()), labels[-1])
-    look: dict[str, Any] = {"norm": colours.norm, "cmap": colours.cmap}
-    panel.scatter(
-        points[:, 0],
-        points[:, 1],
-        c=points[:, -1],
-        s=26,
-        edgecolors=FAINT_INK,
-        linewidths=0.4,
-        **look,
-    )
-    star: dict[str, Any] = {
-        "marker": "*",
-        "s": 220,
-        "edgecolors": GIVEN_COLOUR,
-        "label": "given weights",
-    }
-    panel.scatter(gradient[0], gradient[1], c=gradient[-1:], **star, **look)
+    look: dict[str, Any] = {"norm": colours.norm, "cmap": colours.cmap, "label": "_"}
+    x, y, *_ = points.T
+    panel.scatter(x, y, s=26, c=points[:, -1], edgecolors=FAINT_INK, linewidths=0.4, **look)
+    look |= {"marker": "*", "edgecolors": GIVEN_COLOUR, "label": "given weights"}
+    panel.scatter(gradient[0], gradient[1], s=220, c=gradient[-1:], **look)
     if len(labels) == 3:
         add_colour_bar(figure, [panel], colours)
     panel.set(xlabel=labels[0], ylabel=labels[1])
@@ -165,12 +136,9 @@ def plot_pareto(result: Sensitivity) -> Figure:
 def _feature_label(result: Sensitivity, name: str) -> str:
     if name == "distance":
         return "distance (m)"
-    is_line = result.route.settings["cost_model"] == "line"
-    unit = (
-        f"sum of c per {result.route.settings['reference_length_m']:g} m"
-        if is_line
-        else "sum of c over steps"
-    )
+    settings, unit = result.route.settings, "sum of c over steps"
+    if settings["cost_model"] == "line":
+        unit = f"sum of c per {settings['reference_length_m']:g} m"
     return f"{name} cost ({unit}; lower is better)"
 
 

@@ -17,11 +17,11 @@ from jaxurban.report.figures.style import (
     MARKERS,
     SERIES_COLOURS,
     dots,
-    label_rows,
     legend_below,
     letter_all,
     panels,
     show_plain_log,
+    step_up,
     styled,
 )
 from jaxurban.studies.weights.summary import ALL, pairs_of
@@ -50,11 +50,8 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
     figure, (panel,) = panels(1, heading, height_in=2.5)
     for k, city in enumerate(cities):
         rows = part[part.value == city].set_index("weight_name").reindex(weights)
-        look = {
-            "color": SERIES_COLOURS[k % len(SERIES_COLOURS)],
-            "marker": MARKERS[k % len(MARKERS)],
-            "label": city,
-        }
+        colour, marker = SERIES_COLOURS[k % len(SERIES_COLOURS)], MARKERS[k % len(MARKERS)]
+        look = {"color": colour, "marker": marker, "label": city}
         dots(
             panel,
             np.arange(len(weights)) + (k - (len(cities) - 1) / 2) * 0.18,
@@ -78,11 +75,8 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
     """
     varied = weights[weights.varies]
     altitudes = sorted(varied.altitude_m.unique())
-    figure, axes = panels(
-        len(altitudes),
-        "Share of routes that change where a weight is off by a factor",
-        shares_y=True,
-    )
+    heading = "Share of routes that change where a weight is off by a factor"
+    figure, axes = panels(len(altitudes), heading, shares_y=True)
     end = max(varied.nearest.max(), 1.01)
     names = list(varied.weight_name.unique())
     middles = np.geomspace(1.0, end, 2 * NUM_FACTORS + 1)[1::2]
@@ -90,27 +84,17 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
         for name, rows in varied[varied.altitude_m == altitude_m].groupby(
             "weight_name", sort=False
         ):
-            colour, factors = line_colour(str(name)), np.sort(rows.nearest.to_numpy())
-            is_reached = factors < end  # the others do not change within the range
-            x = np.concatenate([[1.0], factors[is_reached], [end]])
-            y = np.concatenate([[0.0], np.flatnonzero(is_reached) + 1.0, [is_reached.sum()]]) / len(
-                factors
-            )
-            panel.step(x, y, where="post", color=colour, label=name, linewidth=1.3)
+            colour, look = line_colour(str(name)), {"label": name, "linewidth": 1.3}
+            step_up(panel, rows.nearest.to_numpy(), end, color=colour, **look)
             pairs = pairs_of(rows)
             at = middles * end ** ((names.index(name) - (len(names) - 1) / 2) * BAR_GAP)
-            changed = [
-                pairs.interval((rows.nearest <= factor).astype(float), "share")[1:] for factor in at
-            ]
-            panel.vlines(at, *np.transpose(changed), color=colour, linewidth=2.2, alpha=0.75)
+            intervals = [pairs.interval((rows.nearest <= each) * 1.0, "share")[1:] for each in at]
+            panel.vlines(at, *np.transpose(intervals), color=colour, linewidth=2.2, alpha=0.75)
         panel.axvline(wrong, color=FAINT_INK, linewidth=0.8, linestyle=(0, (3, 2)))
-        panel.set(
-            xscale="log", xlim=(1, end), ylim=(0, 1.02), xlabel="factor by which the weight is off"
-        )
-        panel.set_title(f"{altitude_m:g} m")
+        panel.set(xscale="log", xlim=(1, end), ylim=(0, 1.02), title=f"{altitude_m:g} m")
+        panel.set_xlabel("factor by which the weight is off")
         show_plain_log(panel.xaxis)
         panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
-    label_rows(axes, "routes that change (%)")
-    letter_all(axes)
+    letter_all(axes, "routes that change (%)")
     legend_below(figure, axes[0])
     return figure

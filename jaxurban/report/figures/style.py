@@ -161,19 +161,15 @@ def letter(number: int, num: int) -> str:
     return f"({string.ascii_lowercase[number]}) " if 1 < num <= len(string.ascii_lowercase) else ""
 
 
-def label_rows(axes: Sequence[Axes], label: str) -> None:
-    """Label the vertical axis of the first panel of each row."""
-    for panel in axes[:: columns_of(len(axes))]:
-        panel.set_ylabel(label)
-
-
-def letter_all(axes: Sequence[Axes]) -> None:
-    """Put letters before the titles of panels, and break those that are too long."""
+def letter_all(axes: Sequence[Axes], label: str = "") -> None:
+    """Put letters before the titles of panels, break those that are too long, and label the first panel of each row."""
     for number, panel in enumerate(axes):
-        spec: Any = panel.get_subplotspec()
-        room_in = spec.get_gridspec().figure.get_figwidth() / spec.get_gridspec().ncols
+        grid: Any = panel.get_gridspec()
+        room_in = grid.figure.get_figwidth() / grid.ncols
         title = letter(number, len(axes)) + panel.get_title(loc="left")
         panel.set_title(wrapped(title, room_in, TEXT_PT))
+        if label and number % grid.ncols == 0:
+            panel.set_ylabel(label)
 
 
 def dress(panel: Axes) -> None:
@@ -182,28 +178,36 @@ def dress(panel: Axes) -> None:
     panel.grid(axis="y", linewidth=0.4, alpha=0.5)
 
 
+def legend_columns(names: Sequence[str], width_in: float) -> int:
+    """Return in how many columns a legend of these names fits into a width."""
+    letters = max((len(line) for name in names for line in name.splitlines()), default=0)
+    return max(1, int((width_in - EDGE_IN) / (ENTRY_IN + letters / LETTERS_PER_IN)))
+
+
 def legend_above(panel: Axes, lift: float = 0.0) -> None:
     """Write the legend of a panel above it, higher by a share of its height, in as many columns as have room."""
     handles, names = panel.get_legend_handles_labels()
     figure: Any = panel.figure
-    room = figure.get_figwidth() / (ENTRY_IN + max(map(len, names)) / LETTERS_PER_IN)
-    look: dict[str, Any] = {
-        "bbox_to_anchor": (0, 1 + lift),
-        "borderaxespad": 0.3,
-        "columnspacing": 1.2,
-    }
-    panel.legend(handles, names, loc="lower left", ncols=max(1, int(room)), **look)
+    look: dict[str, Any] = {"borderaxespad": 0.3, "columnspacing": 1.2}
+    look["ncols"] = legend_columns(names, figure.get_figwidth())
+    panel.legend(handles, names, loc="lower left", bbox_to_anchor=(0, 1 + lift), **look)
 
 
 def legend_below(figure: Figure, panel: Axes) -> None:
     """Write the legend of a panel at the foot of its figure."""
     handles, names = panel.get_legend_handles_labels()
-    legend = figure.legend(
-        handles, names, loc="outside lower center", ncols=min(LEGEND_COLUMNS, len(names))
-    )
+    num_cols = min(LEGEND_COLUMNS, len(names))
+    legend = figure.legend(handles, names, loc="outside lower center", ncols=num_cols)
     for handle in legend.legend_handles:  # a line that is drawn beside its place stands at it here
         if isinstance(handle, Artist):
             handle.set_path_effects([])
+
+
+def step_up(panel: Axes, values: np.ndarray, end: float, **look: Any) -> None:
+    """Draw the share of values that are at most so large, from 1 to an end; those that are NaN never are."""
+    reached = np.sort(values[values < end])
+    share = np.arange(len(reached) + 1) / max(1, len(values))
+    panel.step([1.0, *reached, end], [*share, share[-1]], where="post", **look)
 
 
 def dots(
@@ -222,9 +226,7 @@ def dots(
 
 def show_plain(axis: Axis) -> None:
     """Label an axis with plain numbers."""
-    axis.set_major_formatter(
-        FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1000 else f"{value:g}")
-    )
+    axis.set_major_formatter(tick_label)
     axis.set_minor_formatter(NullFormatter())
 
 
@@ -266,8 +268,8 @@ def ends_of(values: np.ndarray) -> tuple[float, float]:
     return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
 
 
-def tick_label(value: float) -> str:
-    """Return a number of a colour bar: whole from 100 on, with commas, else with three digits."""
+def tick_label(value: float, _: float = 0.0) -> str:
+    """Return a number of an axis: whole from 100 on, with commas, else with three digits."""
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
@@ -298,12 +300,12 @@ def add_colour_bar(
         ScalarMappable(cmap=colours.cmap, norm=colours.norm),
         extend=colours.extend,
         ticks=bar_ticks(colours),
-        format=FuncFormatter(lambda value, _: tick_label(value)),
+        format=FuncFormatter(tick_label),
         **place,
     )
     is_long = cax is None and location == "bottom"
     label = wrapped(colours.label, figure.get_figwidth() if is_long else LABEL_IN)
-    bar.set_label(label, size=SMALL_PT)
+    bar.set_label(label)
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
     bar.outline.set(linewidth=0.4)
     bar.ax.minorticks_off()

@@ -37,13 +37,8 @@ def plot_weights(fit: WeightFit) -> Figure:
     table = table.where(table.weight > 0)
     figure, (panel,) = panels(1, "Fitted weights and their intervals", height_in=2.5)
     for place, name in enumerate(table.index):
-        dots(
-            panel,
-            np.array([place]),
-            table.loc[[name]],
-            "weight",
-            {"color": line_colour(name), "marker": "o"},
-        )
+        look = {"color": line_colour(name), "marker": "o"}
+        dots(panel, np.array([place]), table.loc[[name]], "weight", look)
     panel.set_xticks(range(len(table)), table.index)
     panel.set(yscale="log", xlim=(-0.6, len(table) - 0.4), ylabel="weight (each in its unit)")
     show_plain_log(panel.yaxis)
