@@ -248,10 +248,19 @@ class Viewer:
             **{f"minus-{name}": text for name, text in lists.items()},
             "layer": markup.layer_options(headings, first),
             "minus-layer": '<option value="">nothing</option>'
-            + markup.layer_options(headings, first if self.against else ""),
+            + markup.layer_options(headings, first if self._begins_with_difference else ""),
             "minus-is_other": options(self.names, -1) if len(self.names) > 1 else "",
             "north": f'<path d="M0-12 5 8 0 4-5 8Z" transform="rotate({-north_deg:.2f})"/>',
         }
+
+    @property
+    def _begins_with_difference(self) -> bool:
+        """Whether there are other maps of the same altitudes and times, so that what is shown first has its like."""
+        if self.against is None:
+            return False
+        maps, others = self.maps, self.against
+        is_same = maps.altitudes_m == others.altitudes_m and maps.times == others.times
+        return is_same and maps.times_of_day == others.times_of_day
 
     @cached_property
     def axes(self) -> dict[str, tuple]:

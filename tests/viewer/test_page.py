@@ -359,6 +359,40 @@ def test_a_difference_is_drawn_and_stands_under_the_pointer(page):
     assert not page.locator('[name="minus-altitude"]').is_visible()
 
 
+def test_a_report_that_is_refused_leaves_none_of_another_route(browser):
+    with shown(browser, Viewer(MAPS), is_well=False) as page:
+        plan_between(page)
+        totals = page.locator('[data-is="totals"]')
+        until(page, totals.is_visible)
+        page.fill('[name="power_w"]', "100")  # without a speed, of which no energy is known
+        page.keyboard.press("Tab")
+        until(page, lambda: not totals.is_visible())
+        assert "speed" in text_of(page, "tell")
+        assert page.locator('[data-is="report"]').get_attribute("aria-busy") == "false"
+        page.fill('[name="power_w"]', "")
+        page.keyboard.press("Tab")
+        until(page, totals.is_visible)
+
+
+def test_nothing_is_drawn_beyond_the_border_and_tiles_in_view_are_asked_for_once(browser):
+    maps = made_maps(41, 1500)
+    maps.ds["gps"][:] = 1  # which is yellow
+    with shown(browser, Viewer(maps)) as page:
+        tiles = []
+        page.on("request", lambda request: tiles.append(request.post_data))
+        page.wait_for_timeout(1500)
+        box = page.locator('[data-is="map"]').bounding_box()
+        pixels_per_row = box["width"] / (1.06 * 1500)
+
+        def ink_of(row: float) -> list[int]:
+            up = (row - 41 / 2) * pixels_per_row
+            return ink_at(page, (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 - up))
+
+        assert np.ptp(ink_of(39.5)) > 100
+        assert np.ptp(ink_of(45.0)) < 30
+        assert len(tiles) == len(set(tiles))
+
+
 def test_every_format_of_paths_has_a_button_whose_file_bears_city_altitude_time_and_planner(page):
     plan_between(page)
     for suffix, each in FORMATS.items():

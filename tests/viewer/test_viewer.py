@@ -22,7 +22,7 @@ from jaxurban.paths.export.write import FORMATS
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
 from jaxurban.studies.map_comparison import OneMap
-from jaxurban.viewer.html import part
+from jaxurban.viewer.html import part, write_page
 from jaxurban.viewer.layers import layers_of, legend_of
 from jaxurban.viewer.markup import number
 from jaxurban.viewer.outlines import STEP_M
@@ -143,7 +143,7 @@ def test_a_difference_is_one_map_minus_another_on_a_scale_with_0_in_the_middle(v
             difference_of(viewer, **minus)
 
 
-def test_other_maps_are_subtracted_on_the_cells_and_at_the_times_that_both_hold():
+def test_other_maps_are_subtracted_on_the_cells_and_at_the_times_that_both_hold(tmp_path):
     later = MAPS.ds["time"] + np.timedelta64(1, "h")
     others = type(MAPS)(
         MAPS.ds.assign(gps=0.25 * MAPS.ds["gps"]).assign_coords(time=later).isel(x=slice(20, 70))
@@ -161,6 +161,8 @@ def test_other_maps_are_subtracted_on_the_cells_and_at_the_times_that_both_hold(
         Viewer(MAPS, against=elsewhere)
     with pytest.raises(InputError, match="cells are"):
         view(MAPS, against=elsewhere)
+    with pytest.raises(InputError, match="holds no differences"):
+        write_page(viewer, tmp_path / "page.html", 10**7)
 
 
 def rings_of(viewer: Viewer) -> list[tuple[np.ndarray, float, bool]]:

@@ -174,7 +174,9 @@ def _named(paths: Paths, names: Sequence[str] | None) -> list[tuple[PlannedPath,
         raise InputError(
             f"names must be a list of {len(planned)}, one for each path, got {names!r}"
         )
-    return list(zip(planned, names or [path.search.planner for path in planned], strict=True))
+    names = names or [path.search.planner for path in planned]
+    # A dollar sign begins a formula.
+    return [(path, name.replace("$", r"\$")) for path, name in zip(planned, names, strict=True)]
 
 
 def _cost_panel(

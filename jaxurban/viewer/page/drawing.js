@@ -76,7 +76,7 @@ function outlinesOf(values, step) {
     return paths;
   };
   return (pen, toPixel, { scale }, flight) => {
-    if (drawn.flight !== flight) Object.assign(drawn, { flight, paths: pathsAt(flight) });
+    if (!Object.is(drawn.flight, flight)) Object.assign(drawn, { flight, paths: pathsAt(flight) });
     inMetres(pen, toPixel, scale, () => drawn.paths.forEach((path, kind) => {
       const isBelow = kind < 2, isGuessed = kind % 2;
       pen.setLineDash(isGuessed ? [4 * scale, 3 * scale] : []);
@@ -143,11 +143,12 @@ function tilesOf(ask, { tile, rows, cols, resolution_m: side, strides }, view, g
       guard(async () => {
         const values = await unpack(await ask('tile', request));
         held.set(key, paint(values, Math.min(tile, Math.ceil(cols / stride) - col * tile), shown.colourOf));
-        if (held.size > 200) held.delete(held.keys().next().value);
         redraw();
       })();
     }
-    return held.get(key);
+    const picture = held.get(key);
+    if (held.delete(key)) held.set(key, picture); // those that were looked at last come last
+    return picture;
   };
   return (pen, shown, { alpha = 1, isHatched = false }) => { // coarse tiles lie below those still on their way
     const { canvas: { width, height, clientWidth, clientHeight } } = pen, ratio = width / clientWidth;
@@ -156,12 +157,18 @@ function tilesOf(ask, { tile, rows, cols, resolution_m: side, strides }, view, g
     Object.assign(sheet, { width, height });
     over.setTransform(ratio, 0, 0, ratio, 0, 0);
     over.imageSmoothingEnabled = false;
+    const [left0, top0] = view.toPixel([0, rows * side]), [right0, bottom0] = view.toPixel([cols * side, 0]);
+    over.beginPath(); // coarse tiles reach beyond the border
+    over.rect(left0, top0, right0 - left0, bottom0 - top0);
+    over.clip();
+    let num = 0;
     for (const stride of strides.filter(each => each >= finest).reverse()) {
       const reach = stride * side * tile, isWanted = [finest, strides.at(-1)].includes(stride);
       const span = (low, top, end) => [clamp(low / reach, 0, end) | 0, Math.ceil(Math.min(end, top) / reach)];
       for (let [row, end] = span(south, north, rows * side); row < end; row++)
         for (let [col, last] = span(west, east, cols * side); col < last; col++) {
           const picture = tileOf(shown, stride, row, col, isWanted);
+          num++;
           if (!picture) continue;
           const [left, bottom] = view.toPixel([col * reach, row * reach]), pixels = stride * side / view.scale;
           const up = picture.height * pixels, place = [left, bottom - up, picture.width * pixels, up];
@@ -169,6 +176,7 @@ function tilesOf(ask, { tile, rows, cols, resolution_m: side, strides }, view, g
           over.drawImage(picture, ...place);
         }
     }
+    for (const key of held.keys()) if (held.size > Math.max(200, 3 * num)) held.delete(key); // never those in view
     if (isHatched) {
       Object.assign(over, { globalCompositeOperation: 'source-in', fillStyle: hatch(over) });
       over.fillRect(0, 0, clientWidth, clientHeight);

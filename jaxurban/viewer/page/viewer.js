@@ -36,6 +36,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     return [lon, lat].map(terms => +powers.reduce((sum, [i, j], k) => sum + terms[k] * u ** i * v ** j, 0).toFixed(7));
   };
   const places = (which = '') => DIMS.map(name => +field(which + name).value);
+  const flight = () => parseFloat(field('flight_m').value || field('altitude').selectedOptions[0]?.text); // metres
   const show = guard(async () => {
     const layer = layers[field('layer').value], less = layers[field('minus-layer').value];
     const request = { layer: layer.name, at: ofLayer(layer, places()) };
@@ -43,7 +44,11 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
       is_other: field('minus-is_other').value === '1' };
     is('minus-box').hidden = !less;
     state.asked = JSON.stringify(request);
-    const legend = await ask('legend', request);
+    const legend = await ask('legend', request).catch(error => {
+      state.fault = error.message;
+      throw error;
+    });
+    if (is('tell').textContent === state.fault) tell('');
     if (state.asked !== JSON.stringify(request)) return; // another one was asked for meanwhile
     const colours = new Uint32Array(fromBase64(legend.colours).buffer);
     state.shown = { request, colourOf: colouring(legend.edges, colours, legend.flat) };
@@ -66,10 +71,10 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     is('legend').style.setProperty('--opacity', alpha);
     if (state.shown) drawTiles(pen, state.shown, { alpha });
     if (state.noFix && field('hatch').checked) drawTiles(pen, state.noFix, { isHatched: true });
-    const { x, y, scale } = view, flight_m = field('flight_m').valueAsNumber;
-    drawLines(pen, [x, y, scale, flight_m, Boolean(state.outlines)], ink => {
+    const { x, y, scale } = view;
+    drawLines(pen, [x, y, scale, flight(), Boolean(state.outlines)], ink => {
       base?.draw(ink, toPixel, scale);
-      state.outlines?.(ink, toPixel, view, flight_m);
+      state.outlines?.(ink, toPixel, view, flight());
     });
     base?.write(pen, toPixel, view.scale, width, height);
     for (const zone of state.zones) line(zone, '#a01830', 1.5, { fill: '#a0183033' });
@@ -151,9 +156,14 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     if (offs.length) link(offs[least] < 25 * view.scale ? least : -1);
   };
   const showSky = latest(async () => { // over the place that was clicked; the first one waits for the city
-    if (state.sky) tell('Looking at the sky …');
-    is('sky').innerHTML = state.sky ? await ask('sky', { at: places(), place: toLonLat(state.sky) }) : '';
-    if (state.sky) tell('');
+    const follows = 'Looking at the sky …';
+    if (state.sky) tell(follows);
+    const sky = state.sky && ask('sky', { at: places(), place: toLonLat(state.sky) });
+    is('sky').innerHTML = await Promise.resolve(sky).catch(error => {
+      is('sky').innerHTML = ''; // what it holds is of another place
+      throw error;
+    }) ?? '';
+    if (is('tell').textContent === follows) tell('');
   });
   const setEnd = (name, place) => {
     state.ends[name] = place;
@@ -221,7 +231,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
       Escape: () => { state.drawing = state.sky = null; showSky(); hint(); draw(); }, ArrowLeft: move(60, 0),
       ArrowRight: move(-60, 0), ArrowUp: move(0, 60), ArrowDown: move(0, -60) };
     const act = acts[event.key] ?? acts[event.key.toLowerCase()];
-    if (!act || event.ctrlKey || event.metaKey) return; // the browser's own zoom
+    if (!act || event.ctrlKey || event.metaKey || event.altKey) return; // the browser's own
     event.preventDefault();
     act();
     point([view.x, view.y]);
@@ -268,10 +278,12 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const follows = 'Cautions and profile follow …';
     if (!is('tell').textContent) tell(follows);
     is('report').ariaBusy = true;
-    const found = await ask('report', route.request);
+    const found = await ask('report', route.request).catch(error => {
+      is('report').classList.add('jv-empty'); // what it holds is of another route
+      throw error;
+    }).finally(() => { is('report').ariaBusy = false; });
     if (is('tell').textContent === follows) tell('');
     if (state.route !== route) return;
-    is('report').ariaBusy = false;
     state.report = found;
     draw();
     for (const name of ['cautions', 'totals', 'profile', 'saved', 'report-text']) is(name).innerHTML = found[name];
@@ -356,7 +368,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   };
   for (const [name, html] of Object.entries(scene.html)) (is(name) ?? field(name)).innerHTML = html;
   const save = async (format, { request } = state.route) =>
-    download(await ask('save', { ...request, format }), [scene.file_name, `${request.flight_m}m`,
+    download(await ask('save', { ...request, format }), [scene.file_name, `${request.flight_m ?? flight()}m`,
       ...['time_of_day', 'time'].map(name => field(name).selectedOptions[0]?.text.replace(/ (..):(..) UTC/, 'T$1$2Z')),
       request.planner].filter(Boolean).join('_') + format);
   for (const button of all('[data-format]')) button.onclick = guard(() => save(button.dataset.format));
