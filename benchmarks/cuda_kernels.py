@@ -169,7 +169,9 @@ FIT = fenchel_young.FitTask(
     float64(NUM_DEMONSTRATIONS),
 )
 BOUND, SIGN = float64(2), float64(2)
-KNOWN = BOUND, SIGN, float64(NUM_DEMONSTRATIONS, NUM_ROUTES, 10), float64(NUM_DEMONSTRATIONS, 10)
+KNOWN = target_fit._Aim(
+    BOUND, SIGN, float64(NUM_DEMONSTRATIONS, NUM_ROUTES, 10), float64(NUM_DEMONSTRATIONS, 10)
+)
 WISHES = {"names": NAMES, "targets": TARGETS}
 
 
@@ -273,8 +275,8 @@ KERNELS: dict[str, Callable[[], Call]] = {
     ),
     "GPS, soft": lambda: Call(
         gps_soft._soft_gps,
-        (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None),
-        {"window": WINDOW},
+        (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None, None),
+        {"window": WINDOW, "dop": "gdop"},
     ),
     "lidar: flat, 5 m": lambda: Call(
         hard.count_returns, (around(REGION, STEPS_5M - 1, 1), array(1, STEPS_5M), STARTS), RAYS_5M
@@ -375,9 +377,9 @@ KERNELS: dict[str, Callable[[], Call]] = {
         confidence._fits, (float64(5), FIT, float64(100, NUM_DEMONSTRATIONS)), {}, True
     ),
     "tuner: targets, descend": lambda: Call(
-        target_fit._descend, (float64(6, 5), float64(128, 5), *KNOWN), WISHES, True
+        target_fit._descend, (float64(6, 5), float64(128, 5), KNOWN), WISHES, True
     ),
     "tuner: targets, candidates": lambda: Call(
-        target_fit._known_misses, (float64(1000, 5), *KNOWN), WISHES, True
+        target_fit._known_misses, (float64(1000, 5), KNOWN), WISHES, True
     ),
 }
