@@ -7,12 +7,14 @@ import sys
 
 import jaxurban as ju
 from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS, find_planner
+from tests.kernels.test_protection import drawn, levels_of
 from tests.planners.problems import random_problem
 
 
 def maps() -> None:
-    """Build the maps of a small city."""
+    """Build the maps of a small city, and the protection levels of a few satellites."""
     ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=(20.0, 60.0))
+    levels_of(drawn(0, (5,)))
 
 
 def paths() -> None:

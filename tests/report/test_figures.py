@@ -370,7 +370,14 @@ def test_scale_bar_is_as_long_as_it_says(rows, cols, resolution_m):
         np.testing.assert_allclose(np.diff(x_pixels, axis=0)[0], width, rtol=1e-3)
 
 
-@pytest.mark.parametrize(("width", "width_mm"), [("column", 88.9), ("page", 182.0), (120, 120.0)])
+@pytest.mark.parametrize(
+    ("width", "width_mm"),
+    [
+        ("column", 88.9),
+        pytest.param("page", 182.0, marks=pytest.mark.slow),
+        pytest.param(120, 120.0, marks=pytest.mark.slow),
+    ],
+)
 def test_a_file_is_as_wide_as_asked_and_its_text_stays_text(maps, tmp_path, width, width_mm):
     def draw():
         return plotting.plot_metric(maps, "risk", altitude_m=60, width=width)
@@ -572,18 +579,34 @@ def test_maps_without_population_are_drawn_without_it(maps):
     ]
 
 
-def test_maps_without_a_value_a_free_cell_or_a_building_are_drawn():
-    nothing, closed, empty = make_maps(), make_maps(), make_maps()
-    for values in nothing.ds.values():
+def without_a_value(maps: MetricMaps) -> None:
+    for values in maps.ds.values():
         values[:] = np.nan if values.dtype.kind == "f" else 0
-    closed.ds["obstacle"][:] = 1
+
+
+def without_a_free_cell(maps: MetricMaps) -> None:
+    maps.ds["obstacle"][:] = 1
+
+
+def without_a_building(maps: MetricMaps) -> None:
     for name in ("roof", "obstacle", "density", "population"):
-        empty.ds[name][:] = 0
-    for maps in (nothing, closed, empty):
-        for draw in maps_figures(maps, ()).values():
-            assert draw().axes
-    assert "no data" in texts_of(plotting.plot_obstacles(nothing))
-    assert "no free cell" in texts_of(plotting.plot_metric(closed, "risk"))
+        maps.ds[name][:] = 0
+
+
+@pytest.mark.parametrize(
+    ("empty", "picture", "text"),
+    [
+        (without_a_value, "obstacle", "no data"),
+        pytest.param(without_a_free_cell, "risk", "no free cell", marks=pytest.mark.slow),
+        pytest.param(without_a_building, "risk", "", marks=pytest.mark.slow),
+    ],
+)
+def test_maps_without_a_value_a_free_cell_or_a_building_are_drawn(empty, picture, text):
+    maps = make_maps()
+    empty(maps)
+    pictures = {name: draw() for name, draw in maps_figures(maps, ()).items()}
+    assert all(figure.axes for figure in pictures.values())
+    assert text in texts_of(pictures[picture])
 
 
 def test_what_cannot_be_drawn_is_named(maps):
