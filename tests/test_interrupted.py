@@ -192,8 +192,14 @@ def disturb(
     assert scene == "exports" or all((folder / name).read_bytes() == MINE for name in mine)
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize(
+    ("scene", "way"),
+    [
+        pytest.param(scene, way, marks=[pytest.mark.slow] if (row + col) % 2 else [])
+        for row, scene in enumerate(SCENES)
+        for col, way in enumerate(WAYS)
+    ],
+)
 def test_a_step_that_does_not_come_off_loses_nothing(place, tmp_path, scene, way, wanted, capsys):
     """One step, drawn; the slow test tries more."""
     places, made = wanted(scene)

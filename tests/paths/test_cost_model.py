@@ -193,8 +193,13 @@ def low_roofs(maps) -> ju.MetricMaps:
     [
         ("", {}, ("line", "touched", 3.0)),
         ("paper", {}, ("cell", "centre", 0.0)),
-        ("", {"cost_model": "cell", "vertical_clearance_m": 0.0}, ("cell", "touched", 0.0)),
-        ("", {"preset": "paper", "vertical_clearance_m": 3.0}, ("cell", "centre", 3.0)),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                ("", {"cost_model": "cell", "vertical_clearance_m": 0.0}, ("cell", "touched", 0.0)),
+                ("", {"preset": "paper", "vertical_clearance_m": 3.0}, ("cell", "centre", 3.0)),
+            )
+        ),
         ("paper", {"cost_model": "line", "vertical_clearance_m": 3.0}, ("line", "centre", 3.0)),
     ],
 )
