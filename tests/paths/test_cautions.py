@@ -232,8 +232,8 @@ def test_the_command_line_tells_it_on_stderr_and_in_json(maps, tmp_path, capsys)
     assert code == 0
     for words in (
         "GPS: no fix",
-        "Buildings: the nearest at flight",
-        "Roofs: the least height",
+        "Buildings: the nearest that reaches the flight height",
+        "Roofs: the lowest pass",
         "The start is over",
     ):
         assert (words in err, words in out) == (True, False)
