@@ -184,8 +184,7 @@ def test_a_route_through_cells_that_a_building_touches_is_not_told_as_over_its_r
     told = ju.cautions(straight(by_centre, last=50), by_centre)
     assert (
         "Buildings: 105.0 m of the route lie in cells that a building as high as the route touches, perhaps inside "
-        "its outline."
-        in told
+        "its outline." in told
     )
     assert "The goal is in a cell that a building of 30.0 m touches." in told
     assert any(sentence.startswith("Roofs: the lowest pass leaves 8.0 m") for sentence in told)
