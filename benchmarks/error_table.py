@@ -218,7 +218,7 @@ TABLES = {  # title and columns, after those of altitude and cells
 }
 CITY_HEAD = [
     *("city", "altitude", "cells with m_gps within 0.02, %", "error of m_gps", *SIGHT),
-    *("error of m_lidar", "its bias", "walls near are farther by", "cells near walls, %"),
+    *("error of m_lidar", "its bias", "near walls seem farther by", "cells near walls, %"),
 ]
 
 

@@ -69,7 +69,7 @@ class PlannedPath(FactsRepr):
     Examples:
       >>> path
       PlannedPath(status: optimal; ...; length: 719 m in 27 points; altitude: 60 m; mean metrics: gps 0.88, ...)
-        note: Buildings: the nearest at flight height is 14.1 m away, 239 m along the route.
+        note: Buildings: the nearest that reaches the flight height is 14.1 m away, 239 m along the route.
         ...
       >>> {name: round(cost) for name, cost in path.cost_by_layer.items()}
       {'distance': 72, 'gps': 17, 'lidar': 127, 'population': 5, 'risk': 1}

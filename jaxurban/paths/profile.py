@@ -261,8 +261,8 @@ def cautions(
     Examples:
       >>> for caution in ju.cautions(path, maps):
       ...     print(caution.level, caution)
-      note Buildings: the nearest at flight height is 14.1 m away, 239 m along the route.
-      note Roofs: the least height over one is 23.7 m, 267 m along the route (a roof of 36.3 m).
+      note Buildings: the nearest that reaches the flight height is 14.1 m away, 239 m along the route.
+      note Roofs: the lowest pass leaves 23.7 m above a roof of 36.3 m, 267 m along the route.
       note The goal is over a roof of 8.9 m, not over the ground.
     """
     maps = as_maps(maps)
@@ -319,21 +319,24 @@ def _clearance(profile: pd.DataFrame, apart_m: float) -> Caution:
     inside_m = float(profile[CLEARANCE].iloc[inside])
     outside_m = float(profile[OUTSIDE].iloc[outside])
     if inside_m <= outside_m:
-        sentence = f"Buildings: the nearest at flight height is {inside_m:.1f} m away, {_at(profile, inside)}"
+        sentence = (
+            f"Buildings: the nearest that reaches the flight height is {inside_m:.1f} m away, "
+            f"{_at(profile, inside)}"
+        )
     else:
         sentence = (
-            f"Buildings: none at flight height is within {outside_m:.1f} m, {_at(profile, outside)}, as far as the "
-            "maps reach; what stands beyond their border is not known"
+            f"Buildings: none that reaches the flight height is within {outside_m:.1f} m, "
+            f"{_at(profile, outside)}, as far as the maps reach; what stands beyond their border is not known"
         )
         if np.isfinite(inside_m):
             sentence += f"; in the region the nearest is {inside_m:.1f} m away"
     is_guess = CLEARANCE in guessed_clearances(profile)
     if is_guess:
         guessed_m = float(profile[TO_GUESSED].min())
-        nearest = f"the nearest of those is {guessed_m:.1f} m away"
+        nearest = f"the nearest of them is {guessed_m:.1f} m away"
         if guessed_m <= 0:
-            nearest = "the route passes over some"
-        sentence += f", if guessed roofs are right: {nearest}"
+            nearest = "the route passes over some of them"
+        sentence += f". This holds only if guessed roofs are right: {nearest}"
     if inside_m < apart_m - AT_LIMIT or inside_m <= 0:
         return Caution(f"{sentence}.", "limit")
     return Caution(f"{sentence}.", "guess" if is_guess else "note")
@@ -351,8 +354,8 @@ def _roofs(profile: pd.DataFrame, above_m: float) -> Iterator[Caution]:
     if is_beside.any():
         length_m = profile["to_m"] - profile["from_m"]
         yield Caution(
-            f"Buildings: {length_m[is_beside].sum():.1f} m of the route lie in cells that one as high touches, maybe "
-            "in its outline.",
+            f"Buildings: {length_m[is_beside].sum():.1f} m of the route lie in cells that a building "
+            "as high as the route touches, perhaps inside its outline.",
             "limit",
         )
     over_m = over_m.mask(is_beside)
@@ -362,7 +365,7 @@ def _roofs(profile: pd.DataFrame, above_m: float) -> Iterator[Caution]:
     least_m = over_m.iloc[least]
     roof = _roof(profile, least)
     yield Caution(
-        f"Roofs: the least height over one is {least_m:.1f} m, {_at(profile, least)} ({roof}).",
+        f"Roofs: the lowest pass leaves {least_m:.1f} m above {roof}, {_at(profile, least)}.",
         "limit" if least_m < above_m - AT_LIMIT else roof.level,
     )
 

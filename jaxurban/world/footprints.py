@@ -20,9 +20,9 @@ class HeightOrigin(IntEnum):
 
 
 GUESSED_BY = {  # the origins of heights that are guesses, as reports say them with the settings of the buildings
-    HeightOrigin.LEVELS: "by {level_height_m:g} m a level",
-    HeightOrigin.DEFAULT: "the default of {default_height_m:g} m",
-    HeightOrigin.LAYER: "decks of bridges by {layer_clearance_m:g} m a layer",
+    HeightOrigin.LEVELS: "from the number of levels at {level_height_m:g} m each",
+    HeightOrigin.DEFAULT: "by the default of {default_height_m:g} m",
+    HeightOrigin.LAYER: "decks of bridges from their layer at {layer_clearance_m:g} m each",
 }
 
 

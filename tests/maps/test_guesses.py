@@ -85,7 +85,10 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     )
     code, _, err = run(capsys, "maps", write_scenario(tmp_path), "-o", tmp_path / "out")
     assert code == 0
-    sentence = "heights of the 4 buildings in the region are guessed (1 by 3 m a level, 1 the default of 10 m)"
+    sentence = (
+        "heights of the 4 buildings in the region are guessed (1 from the number of levels at 3 m each, "
+        "1 by the default of 10 m)"
+    )
     assert [
         line
         for line in err.splitlines()

@@ -71,10 +71,8 @@ def test_what_the_maps_guess_is_the_first_caution_with_the_length_past_guessed_r
         "100 m over them."
     )
     assert first.level == "guess"
-    passes = "if guessed roofs are right: the route passes over some."
-    assert any(
-        "is 8.0 m" in line and line.endswith("(a guessed roof of 12.0 m).") for line in others
-    )
+    passes = "This holds only if guessed roofs are right: the route passes over some of them."
+    assert any("leaves 8.0 m above a guessed roof of 12.0 m, " in line for line in others)
     assert any("35.0 m away" in line and passes in line for line in others)
     assert not any("uess" in line for line in ju.cautions(straight(maps), maps))
 
@@ -82,9 +80,9 @@ def test_what_the_maps_guess_is_the_first_caution_with_the_length_past_guessed_r
 def test_only_what_rests_on_a_guessed_roof_is_called_guessed(maps):
     far = with_guesses(maps, TOWER)
     told = ju.cautions(straight(far), far)
-    assert any(line.endswith("(a roof of 12.0 m).") and line.level == "note" for line in told)
+    assert any("above a roof of 12.0 m, " in line and line.level == "note" for line in told)
     assert any(
-        "if guessed roofs are right: the nearest of those is 35.0 m away" in line for line in told
+        "if guessed roofs are right: the nearest of them is 35.0 m away" in line for line in told
     )
     over = with_guesses(maps, LOW_ROOF)
     (start,) = (
@@ -154,11 +152,11 @@ def test_segments_without_a_fix_are_told_with_their_places(maps):
 def test_the_nearest_building_the_least_height_over_a_roof_and_an_end_over_one_are_told(maps):
     told = ju.cautions(straight(maps), maps)
     assert re.match(
-        r"Buildings: the nearest at flight height is 35\.0 m away, (49|5\d)\d m along the route\.",
+        r"Buildings: the nearest that reaches the flight height is 35\.0 m away, (49|5\d)\d m along the route\.",
         told[1],
     )
     assert re.match(
-        r"Roofs: the least height over one is 8\.0 m, [12]\d\d m .* \(a roof of 12\.0 m\)\.",
+        r"Roofs: the lowest pass leaves 8\.0 m above a roof of 12\.0 m, [12]\d\d m along the route\.",
         told[2],
     )
     for options, ends in (({}, []), ({"first": 33}, ["start"]), ({"last": 33}, ["goal"])):
@@ -185,13 +183,11 @@ def test_a_route_through_cells_that_a_building_touches_is_not_told_as_over_its_r
     by_centre = ju.MetricMaps(maps.ds.assign(roof_touched=(("y", "x"), touched_m)), "centre")
     told = ju.cautions(straight(by_centre, last=50), by_centre)
     assert (
-        "Buildings: 105.0 m of the route lie in cells that one as high touches, maybe in its outline."
-        in told
+        "Buildings: 105.0 m of the route lie in cells that a building as high as the route touches, perhaps inside "
+        "its outline." in told
     )
     assert "The goal is in a cell that a building of 30.0 m touches." in told
-    assert any(
-        sentence.startswith("Roofs: the least height over one is 8.0 m") for sentence in told
-    )
+    assert any(sentence.startswith("Roofs: the lowest pass leaves 8.0 m") for sentence in told)
 
 
 def test_what_may_stand_outside_the_region_is_no_nearer_than_the_border(maps):
@@ -202,7 +198,7 @@ def test_what_may_stand_outside_the_region_is_no_nearer_than_the_border(maps):
         totals = ju.explain(path, on).totals
         assert (totals["walls_outside_m"], totals["nearest_wall_m"]) == (15.0, nearest_m)
         (caution,) = (each for each in ju.cautions(path, on) if each.startswith("Buildings"))
-        assert caution.startswith("Buildings: none at flight height is within 15.0 m")
+        assert caution.startswith("Buildings: none that reaches the flight height is within 15.0 m")
         assert "what stands beyond their border is not known" in caution
         assert caution.level == "note"
         assert (f"in the region the nearest is {nearest_m} m away" in caution) == np.isfinite(
@@ -235,8 +231,8 @@ def test_the_command_line_tells_it_on_stderr_and_in_json(maps, tmp_path, capsys)
     assert code == 0
     for words in (
         "GPS: no fix",
-        "Buildings: the nearest at flight",
-        "Roofs: the least height",
+        "Buildings: the nearest that reaches the flight height",
+        "Roofs: the lowest pass",
         "The start is over",
     ):
         assert (words in err, words in out) == (True, False)

@@ -406,8 +406,8 @@ def verdict_of(
     auc = f"an AUC of {score.auc:.2f} ({score.auc_low:.2f} to {score.auc_high:.2f})"
     if not gain.gain_low > 0:
         return (
-            "It is not shown that the maps predict better than elevation and the street's direction what this receiver "
-            f"hears {where}: {by}."
+            f"It is not shown that what this receiver hears {where} is predicted better from the maps than from the "
+            f"elevation and the street's direction: {by}."
         )
     num_cities = int(displaced.auc.notna().sum())
     if num_cities < FEWEST_CITIES:
@@ -419,11 +419,11 @@ def verdict_of(
         return (
             f"It is not shown that the city fits this receiver better than displaced ones do {where}: C/N0 separates "
             f"seen from hidden satellites with {auc}, and displaced cities reach {most:.2f}, though the margin to the "
-            f"shadow's edge and the elevation predict better than elevation and the street's direction ({by}); see "
-            "whether times and places are right."
+            f"shadow's edge and the elevation predict better than the elevation and the street's direction ({by}); "
+            "check whether times and places are right."
         )
     return (
-        "The margin to the shadow's edge and the elevation predict better than elevation and the street's direction "
-        f"what this receiver hears {where}: {by}; C/N0 separates seen from hidden satellites with {auc}, and "
-        f"displaced cities reach at most {most:.2f}."
+        f"What this receiver hears {where} is predicted better from the margin to the shadow's edge and the elevation "
+        f"than from the elevation and the street's direction: {by}; C/N0 separates seen from hidden satellites with "
+        f"{auc}, and displaced cities reach at most {most:.2f}."
     )
