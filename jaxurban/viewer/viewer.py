@@ -1,6 +1,7 @@
 """Viewer: maps and what answers the page about them, whichever door it came in by."""
 
 import json
+import logging
 import math
 import re
 import warnings
@@ -63,6 +64,7 @@ from jaxurban.viewer.sky import sky_html
 from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, strides_of, tile_bytes
 
 JSON, BYTES = "application/json", "application/octet-stream"
+LOG = logging.getLogger("jaxurban")
 SECONDS_PER_MINUTE = 60
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
 PLANNER_LINES = planner_colours(PLANNERS)
@@ -216,7 +218,8 @@ class Viewer:
         """Return the outlines of all buildings (`outlines_of`): exact ones where the city can be read again."""
         try:
             buildings = self._sight.city.buildings
-        except (JaxurbanError, OSError):
+        except (JaxurbanError, OSError) as error:
+            LOG.info(f"buildings are outlined by the cells of the maps: {error}")
             buildings = None
         return outlines_of(self.maps, buildings)
 

@@ -176,7 +176,9 @@ def rings_of(viewer: Viewer) -> list[tuple[np.ndarray, float, bool]]:
     return list(zip(parts, heights_m.tolist(), (guessed == 1).tolist(), strict=True))
 
 
-def test_outlines_of_maps_in_memory_are_around_their_roofs_and_reach_the_altitudes_that_these_reach():
+def test_outlines_of_maps_in_memory_are_around_their_roofs_and_reach_the_altitudes_that_these_reach(
+    caplog,
+):
     roof_m = MAPS.m("roof")
     guessed = roof_m == 30
     viewer = Viewer(type(MAPS)(MAPS.ds.assign(roof_guessed=(("y", "x"), guessed))))
@@ -189,6 +191,7 @@ def test_outlines_of_maps_in_memory_are_around_their_roofs_and_reach_the_altitud
         assert roof_m[row, col] == height_m
     for height_m, area_m2 in of_height.items():
         assert area_m2 == pytest.approx((roof_m == height_m).sum() * cell_m2)
+    assert "outlined by the cells of the maps: maps that were made in memory" in caplog.text
 
 
 def test_outlines_of_a_city_are_exact_to_a_metre_with_their_heights_and_guesses():
