@@ -291,7 +291,7 @@ class MetricMaps(FactsRepr):
 
     @typed
     def around(self, altitude_m: float) -> list[float]:
-        """Return an altitude if these maps hold it, else the next one below it and the next one above it that they hold.
+        """Return an altitude if these maps hold it, else those next below and next above it that they hold.
 
         Returns:
           The altitudes, ascending, metres above ground.

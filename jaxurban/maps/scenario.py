@@ -603,8 +603,9 @@ def _holds(settings: Any, part: str | int) -> bool:
 
 def model_in(annotation: Any) -> type | None:
     """Return the first model or dataclass in an annotation: itself, or in a list or union; None without one."""
-    is_model = isinstance(annotation, type) and issubclass(annotation, BaseModel)
-    if is_model or (isinstance(annotation, type) and is_dataclass(annotation)):
+    if isinstance(annotation, type) and (
+        issubclass(annotation, BaseModel) or is_dataclass(annotation)
+    ):
         return annotation
     for part in get_args(annotation):
         model = model_in(part)
