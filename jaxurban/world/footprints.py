@@ -50,5 +50,7 @@ class Footprints(Rows):
         return np.isin(self.origin, list(GUESSED_BY))
 
     def origin_counts(self) -> dict[str, int]:
-        """Return the number of buildings by origin of height, only origins that occur."""
-        return {o.name.lower(): int(n) for o in HeightOrigin if (n := np.sum(self.origin == o))}
+        """Return the number of buildings by the origin of their height, only origins that occur."""
+        numbers, counts = np.unique(self.origin, return_counts=True)
+        names = [HeightOrigin(number).name.lower() for number in numbers]
+        return dict(zip(names, counts.tolist(), strict=True))
