@@ -7,7 +7,6 @@ bit). Supersampled maps, spreads, statistics over time and own layers are the re
 """
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -43,7 +42,7 @@ from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
 from jaxurban.settings import SLABS, Heights
-from jaxurban.world.grid import Grid
+from jaxurban.world.grid import Grid, covering_grid
 from jaxurban.world.sky import Sky
 from jaxurban.world.surface import Surface, obstacle_mask
 
@@ -170,13 +169,7 @@ def region_of(city: City, bounds: Sequence[float] | None, resolution_m: float) -
     bounds = city.bounds if bounds is None else bounds
     if bounds is not None:
         return Grid.from_bounds(bounds, resolution_m, city.crs)
-    # In cells; an extent on the border between two of them must not grow by rounding: a millionth of a cell is nothing.
-    west, south, east, north = np.array(city.extent_m) / resolution_m
-    first_row = math.floor(south + 1e-6)
-    first_col = math.floor(west + 1e-6)
-    num_rows = math.ceil(north - 1e-6) - first_row
-    num_cols = math.ceil(east - 1e-6) - first_col
-    return Grid(city.crs, resolution_m, first_row, first_col, num_rows, num_cols)
+    return covering_grid(city.extent_m, resolution_m, city.crs)
 
 
 def view_sky(region: Grid, gps: Gps) -> Sky:

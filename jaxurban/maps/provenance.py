@@ -374,8 +374,10 @@ def population_totals(
     def by_zoning(count: np.ndarray) -> dict[str, float]:
         """Return the sum of the counts ``[N]`` of the blocks, each times its share, by zoning."""
         people = count * share
-        zones = (Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER)
-        return {zone.name.lower(): float(people[blocks.zoning == zone].sum()) for zone in zones}
+        return {
+            zone.name.lower(): float(people[blocks.zoning == zone].sum())
+            for zone in reversed(Zoning)
+        }
 
     night = by_zoning(blocks.night_count)
     if blocks.day_count is None:

@@ -232,9 +232,11 @@ def _check_holds_no_others(folder: Path, scenario: Scenario, inputs: Inputs, key
     """
     stored_by = Workspace.settings_of(folder, "maps").get(RUN_KEY)
     if store.stored_resolutions(folder) and stored_by != key:
+        names = (f"{folder}-{number}" for number in count(2))
+        unused = next(name for name in names if not Path(name).exists())
         raise InputError(
             f"{str(folder)!r} holds {other_maps(folder, scenario, inputs)}: make these in another folder "
-            f"(jaxurban maps SCENARIO -o {_unused(folder)}), or pass --overwrite to replace them"
+            f"(jaxurban maps SCENARIO -o {unused}), or pass --overwrite to replace them"
         )
 
 
@@ -255,12 +257,6 @@ def _files_of(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str]) -> 
         files += [zarr / name for name in store.OF_ZARR]
         files += geotiff_paths(empty_dataset(task, _no_values), folder, layers)
     return files
-
-
-def _unused(folder: Path) -> str:
-    """Return the folder's name with the first number that no folder beside it has."""
-    names = (f"{folder}-{number}" for number in count(2))
-    return next(name for name in names if not Path(name).exists())
 
 
 @dataclass(frozen=True)

@@ -187,9 +187,10 @@ class Study:
         if self.altitudes_m is not None:
             object.__setattr__(self, "altitudes_m", _different("altitudes_m", self.altitudes_m))
         positive("budget_s", self.budget_s)
-        for name, least in (("instances", 1), ("seed", 0), ("budget_iterations", 1)):
-            if getattr(self, name) is not None:
-                at_least(name, getattr(self, name), least)
+        at_least("instances", self.instances, 1)
+        at_least("seed", self.seed, 0)
+        if self.budget_iterations is not None:
+            at_least("budget_iterations", self.budget_iterations, 1)
         if self.instances > MOST_INSTANCES:
             raise InputError(
                 f"instances must be at most {MOST_INSTANCES:,} at each altitude, got {self.instances:,}"

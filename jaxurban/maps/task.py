@@ -16,10 +16,10 @@ from xarray.indexes import PandasIndex
 from jaxurban.checks import at_least, typed
 from jaxurban.errors import InputError
 from jaxurban.io.city import City, joined_credits
-from jaxurban.io.read.guesses import Guesses
+from jaxurban.io.read.guesses import Guesses, guessed_share
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.engine import Engine, uses_numba
-from jaxurban.maps.guesses import has_guessed_roofs, region_guesses
+from jaxurban.maps.guesses import region_guesses
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
 from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.gps import Gps
@@ -223,8 +223,9 @@ class MapTask:
 
     @cached_property
     def has_guessed_roofs(self) -> bool:
-        """Whether maps mark roofs of guessed height: the region has any."""
-        return has_guessed_roofs(self.city, self.region)
+        """Whether the height of any building in the region is guessed: maps then mark such roofs."""
+        buildings = self.city.buildings
+        return buildings is not None and guessed_share(buildings, self.region.bounds_m) > 0
 
     def in_view(self, time_index: int) -> InView:
         """Return the satellites in view at a time, and their receiver clocks as the settings of GPS have them."""

@@ -424,10 +424,9 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
 
 def _slabs(job: TileJob, tile: Tile) -> Slabs:
     """Return the slabs over a tile and over all that can shadow it, joined from the tiles that hold them."""
+    names = [f"slab_{name}" for name in Slabs._fields]
     parts = []
     for near in job.tiling.touching(job.looked_at(tile)):
-        kept = job.work.load_arrays(
-            _name("raster", *near), *(f"slab_{name}" for name in Slabs._fields)
-        )
-        parts.append(Slabs(**{name.removeprefix("slab_"): values for name, values in kept.items()}))
+        kept = job.work.load_arrays(_name("raster", *near), *names)
+        parts.append(Slabs(*(kept[name] for name in names)))
     return Slabs.joined(parts)

@@ -26,16 +26,10 @@ def differentiable(*names: str) -> Callable[[Settings], Settings]:
         static = [field.name for field in fields(cls) if field.name not in names]
 
         def flatten(settings: Any) -> tuple[tuple, tuple]:
-            """Return the leaves, and the values of the static fields."""
-            leaves = tuple(getattr(settings, name) for name in names)
-            fixed = tuple(getattr(settings, name) for name in static)
-            return leaves, fixed
-
-        def flatten_with_keys(settings: Any) -> tuple[tuple, tuple]:
-            """Return the same, with the name of its field beside each leaf."""
-            leaves, fixed = flatten(settings)
+            """Return the leaves, each beside its key, and the values of the static fields."""
             keys = map(jax.tree_util.GetAttrKey, names)
-            return tuple(zip(keys, leaves, strict=True)), fixed
+            leaves = tuple((key, getattr(settings, key.name)) for key in keys)
+            return leaves, tuple(getattr(settings, name) for name in static)
 
         def unflatten(fixed: tuple, leaves: Iterable) -> Any:
             """Return the settings of static values and leaves, without ``__post_init__``."""
@@ -44,7 +38,7 @@ def differentiable(*names: str) -> Callable[[Settings], Settings]:
                 object.__setattr__(settings, name, value)
             return settings
 
-        jax.tree_util.register_pytree_with_keys(cls, flatten_with_keys, unflatten, flatten)
+        jax.tree_util.register_pytree_with_keys(cls, flatten, unflatten)
         return cls
 
     return register

@@ -51,6 +51,7 @@ class Footprints(Rows):
 
     def origin_counts(self) -> dict[str, int]:
         """Return the number of buildings by the origin of their height, only origins that occur."""
-        numbers, counts = np.unique(self.origin, return_counts=True)
-        names = [HeightOrigin(number).name.lower() for number in numbers]
-        return dict(zip(names, counts.tolist(), strict=True))
+        counts = {
+            origin.name.lower(): int(np.sum(self.origin == origin)) for origin in HeightOrigin
+        }
+        return {name: count for name, count in counts.items() if count}

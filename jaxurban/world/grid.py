@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any
@@ -188,6 +188,23 @@ def tile_shape(shape: tuple[int, int], max_side: int = MAX_SIDE) -> tuple[int, i
     return side(shape[0]), side(shape[1])
 
 
+def covering_grid(box_m: Bounds, resolution_m: float, crs: str) -> "Grid":
+    """Return the grid of the fewest cells that cover a box in its CRS.
+
+    Args:
+      box_m: x_min, y_min, x_max, y_max.
+      resolution_m: side of a cell.
+      crs: projected, in metres.
+    """
+    # In cells. A border that was snapped to cells before must not move by rounding: a millionth of a cell is nothing.
+    west, south, east, north = np.array(box_m) / resolution_m
+    first_row = math.floor(south + 1e-6)
+    first_col = math.floor(west + 1e-6)
+    num_rows = math.ceil(north - 1e-6) - first_row
+    num_cols = math.ceil(east - 1e-6) - first_col
+    return Grid(crs, resolution_m, first_row, first_col, num_rows, num_cols)
+
+
 @typed
 @dataclass(frozen=True)
 class Grid:
@@ -278,20 +295,8 @@ class Grid:
             raise InputError(
                 f"the resolutions {resolutions_m} m have no common grid: choose such as 2, 5, 10"
             )
-        per_snap = round(snap_m / resolution_m)
-        # Bounds that were snapped before must not grow by rounding: a millionth of a cell is nothing.
-        first_col = math.floor(x_min / snap_m + 1e-6)
-        end_col = math.ceil(x_max / snap_m - 1e-6)
-        first_row = math.floor(y_min / snap_m + 1e-6)
-        end_row = math.ceil(y_max / snap_m - 1e-6)
-        return cls(
-            crs=crs,
-            resolution_m=float(resolution_m),
-            first_row=first_row * per_snap,
-            first_col=first_col * per_snap,
-            num_rows=(end_row - first_row) * per_snap,
-            num_cols=(end_col - first_col) * per_snap,
-        )
+        snapped = covering_grid(box_m, snap_m, crs).refined(round(snap_m / resolution_m))
+        return replace(snapped, resolution_m=float(resolution_m))  # without rounding of a quotient
 
     @property
     def shape(self) -> tuple[int, int]:
