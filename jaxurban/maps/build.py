@@ -321,6 +321,10 @@ def skies_of(task: MapTask, surface: Surface) -> SkyView:
 
     The sky of one time is ``jax.tree.map(lambda values: values[t], views)``; ``jax.vmap(all_maps, (None, 0))`` maps
     over all of them. Times with fewer satellites in view than others get satellites without effect.
+
+    Args:
+      task: whose sky and clocks count.
+      surface: the task's, from `inputs_of`.
     """
     skies = [task.in_view(t) for t in range(task.num_times)]
     most = max(1, *(len(in_view.numbers) for in_view in skies))

@@ -60,8 +60,12 @@ MOST_SHARE = 1 + 4 / 3
 def parse_bytes(text: str, name: str = "memory") -> int:
     """Return the bytes in a size such as ``"4GiB"``, ``"512 MB"`` or ``"4g"``; all units are powers of 1,024.
 
+    Args:
+      text: a number above 0 and a unit; bytes without one.
+      name: of the setting, for the message.
+
     Raises:
-      InputError: no such size.
+      InputError: the text is not such a size.
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
     if match is None or not 0 < float(match[1]) < MOST_UNITS:

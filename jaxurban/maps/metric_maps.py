@@ -432,6 +432,9 @@ class MetricMaps(FactsRepr):
     ) -> dict:
         """Return the cost layers c in [0, 1] by metric, ``[y, x]`` each; NaN where m is missing.
 
+        Args:
+          altitude_m, time, time_of_day: as for `m`.
+
         Returns:
           The layers: ``{"gps": array, ...}`` in the order of `metrics`.
 
@@ -451,6 +454,9 @@ class MetricMaps(FactsRepr):
     ) -> np.ndarray:
         """Return H_total, the unweighted sum of the cost layers, ``[y, x]``; NaN where one of them is missing.
 
+        Args:
+          altitude_m, time, time_of_day: as for `m`.
+
         Returns:
           The sum, from 0 to the number of layers.
 
@@ -467,6 +473,9 @@ class MetricMaps(FactsRepr):
         self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None
     ) -> np.ndarray:
         """Return H_norm, ``[y, x]``: H_total (`total`) scaled to [0, 1] over the free cells, NaN elsewhere.
+
+        Args:
+          altitude_m, time, time_of_day: as for `m`.
 
         Returns:
           The map, 0 at the cheapest free cell and 1 at the costliest; 0 everywhere where all cost the same.
@@ -486,6 +495,9 @@ class MetricMaps(FactsRepr):
     @typed
     def prefers_gps(self, altitude_m: float, *, time: str | None = None) -> np.ndarray:
         """Return the sensor-choice map ``[y, x]`` bool: m_gps > m_lidar; False inside obstacles.
+
+        Args:
+          altitude_m, time: as for `m`.
 
         Returns:
           True where GPS serves better than lidar.

@@ -228,7 +228,12 @@ def run_key(scenario: Scenario, inputs: Inputs, backend: str) -> str:
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested settings by dotted key, as ``region.resolution_m``, after a prefix; None values are left out."""
+    """Return nested settings by dotted key, such as ``region.resolution_m``; settings that are None are left out.
+
+    Args:
+      settings: nested, sections by name.
+      prefix: in front of every key, with its dot.
+    """
     by_key: dict[str, Any] = {}
     for name, value in settings.items():
         if isinstance(value, Mapping):

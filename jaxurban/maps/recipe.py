@@ -93,6 +93,11 @@ def _staged(layers: Iterator[MapLayer], stage: Stage, name: str) -> Iterator[Map
     """Yield layers, each of them made within a stage of this name; what the caller does with it is outside.
 
     JAX computes in the background: turning the values into NumPy's waits for them within the stage too.
+
+    Args:
+      layers: makes each layer when the next one is asked of it.
+      stage: gives the context of a stage by its name.
+      name: of the stage.
     """
     while True:
         with stage(name):
@@ -132,11 +137,17 @@ def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
 
     The metric of all times is in memory at once, ``[T, A, y, x]`` float32, with a byte more of each value where a
     variable of its own says which positions are available.
+
+    Args:
+      tile: what the maps are made of.
+      metric: of times and altitudes.
     """
+    # Free cells with data, [A, y, x], which alone the sums count.
     is_counted = ~tile.is_obstacle
     if tile.has_data is not None:
         is_counted &= tile.has_data
 
+    # The metric at every time.
     m = np.empty((tile.task.num_times, *is_counted.shape), np.float32)
     is_available = np.empty(m.shape, np.uint8) if metric.available else None
     for name, place, values in _maps(tile, metric, only_m=is_available is None):
@@ -145,12 +156,14 @@ def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
         elif is_available is not None and name == metric.available:
             is_available[place] = values
 
+    # The sums are of whole numbers, so that no order of tiles changes a bit of them.
     totals = TimeTotals(np.zeros(m.shape[:2], np.int64), is_counted.sum(axis=(1, 2)))
     for t, a in np.ndindex(*m.shape[:2]):
         whole = np.rint(m[t, a] * np.float32(SCALE))
         totals.m_sum[t, a] = np.sum(whole, where=is_counted[a], dtype=float)
     tile.totals[metric.name] = totals
 
+    # The statistics of each cell.
     threshold = tile.task.params.gps.availability_threshold
     for a in range(m.shape[1]):
         available = None if is_available is None else is_available[:, a]

@@ -282,7 +282,8 @@ class RunContext:
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """Return the result of a function for each item, in order, computed in threads of this process.
 
-        Also with a cluster, as it is for work on files, which are here. The threads share the recorder of files.
+        It is for work on files of the output folder, so the threads do it even where a cluster works on the tiles. What
+        they write goes to the same recorder of files as what the calling thread writes.
         """
         with ThreadPoolExecutor(
             self.num_workers, initializer=RECORDER.set, initargs=(RECORDER.get(),)

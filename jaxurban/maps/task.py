@@ -60,6 +60,7 @@ class MapParams:
     engine: Engine = "auto"
 
     def __post_init__(self) -> None:
+        """Check the settings; write altitudes as floats, and sections with their defaults. Errors as of the class."""
         altitudes_m = tuple(map(float, self.altitudes_m))
         are_different = len(set(altitudes_m)) == len(altitudes_m) > 0
         if not are_different or not all(0 < value < np.inf for value in altitudes_m):
@@ -69,6 +70,8 @@ class MapParams:
         object.__setattr__(self, "altitudes_m", altitudes_m)
         at_least("oversample", self.oversample, 1)
         object.__setattr__(self, "sections", checked_sections(self.sections))
+
+        # What the settings of satellites do not allow together with others.
         gps = self.gps
         keeps_times = gps.keeps_times(len(gps.utc_times or (None,)))
         if (gps.bounds or self.heights.height_samples) and not keeps_times:
@@ -119,16 +122,17 @@ class MapTask:
     guesses: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Check what city, sky and layers do not allow together; errors as of the class."""
         if self.params.gps.bounds and self.in_view(0).clocks is not None:
             raise InputError(
                 "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "
                 "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
             )
         for name in self.spread_metrics:
-            taken = self.layers.keys() & derived(self.metrics[name])["spread"].keys()
-            if taken:
+            shared_names = self.layers.keys() & derived(self.metrics[name])["spread"].keys()
+            if shared_names:
                 raise InputError(
-                    f"a layer cannot be called {min(taken)!r}, a map of the spread: give it another name"
+                    f"a layer cannot be called {min(shared_names)!r}, a map of the spread: give it another name"
                 )
 
     @cached_property

@@ -263,7 +263,14 @@ RASTERS = ("roof_m", "terrain_m", "has_data", "roof_guessed")  # of a `Surface`,
 
 
 def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
-    """Rasterise a tile into the work folder, unless that is done, and return the ``seconds`` it took by stage."""
+    """Rasterise a tile into the work folder, unless that is done, and return the ``seconds`` it took by stage.
+
+    A tile of the region also gets its touched roofs and census blocks, and which roofs are guessed.
+
+    Args:
+      job: what the tiles need, and the work folder.
+      tile: any tile, also one of the margin.
+    """
     watch = Stopwatch()
     name = _name("raster", *tile)
     city = job.task.city
@@ -288,6 +295,11 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
 
     Unless that is done, the work folder gets the tile's last row and column of shadows for each satellite, which the
     next tiles take up in their rings.
+
+    Args:
+      job: what the tiles need, and the work folder, which holds the rasters of the tile and the shadows before it.
+      tile: any tile, also one of the margin.
+      quadrant: that the satellites stand in.
     """
     watch = Stopwatch()
     name = _name("shadows", *tile, QUADRANTS[quadrant])
@@ -309,8 +321,13 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
 def _rings(job: TileJob, tile: Tile, quadrant: Quadrant) -> Ring:
     """Return the shadows that the upstream tiles hand on to a tile, on the ring of cells around it.
 
-    The ring holds heights in metres, ``[S, ...]`` for the ``S`` satellites of a quadrant, -inf where nothing is handed
-    on: on the two sides away from the source always.
+    The ring holds heights in metres, ``[S, ...]`` for the ``S`` satellites of a quadrant. It is -inf where nothing is
+    handed on, as always on the two sides away from the source.
+
+    Args:
+      job: what the tiles need, and the work folder, which holds the shadows of the upstream tiles.
+      tile: that the ring is around.
+      quadrant: that the satellites stand in.
     """
     north, east = quadrant
     num_rows, num_cols = job.tiling.grid_of(tile).shape
@@ -339,6 +356,10 @@ def _rings(job: TileJob, tile: Tile, quadrant: Quadrant) -> Ring:
 
 def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     """Make and write every map of a tile of the region, unless that is done, and mark it done.
+
+    Args:
+      job: what the tiles need, and the work folder, which holds the rasters and shadows around the tile.
+      tile: of the region.
 
     Returns:
       ``seconds`` by stage, none where it was done before; ``totals``: the facts of `TimeTotals` by metric, empty where
@@ -378,7 +399,14 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
 
 
 def _surface(job: TileJob, tile: Tile) -> Surface:
-    """Return a tile of the region with the halo that lidar and risk look at, put together from the tiles around."""
+    """Return a tile of the region with the halo that lidar and risk look at, put together from the tiles around.
+
+    What sticks out of the region has no data.
+
+    Args:
+      job: what the tiles need, and the work folder, which holds the rasters.
+      tile: of the region.
+    """
     region = job.tiling.grid_of(tile)
     grid = job.haloed(tile)
     halo = region.first_row - grid.first_row

@@ -173,7 +173,12 @@ def check_layers(layers: Any) -> Mapping[str, Layer]:
 
 
 def own_metric(name: str, layer: Layer) -> Metric:
-    """Return a user's layer, under a name that `check_layers` takes, as a metric."""
+    """Return a user's layer as a metric, which has altitudes where its source has several bands or is a function.
+
+    Args:
+      name: of the layer, one that `check_layers` accepts.
+      layer: its settings.
+    """
     has_altitudes = layer.altitudes_m is not None or callable(layer.source)
     _, high = layer.scale
     return Metric(
@@ -207,7 +212,12 @@ def known_beside(layers: Collection[str]) -> list[Metric]:
 
 
 def _beside(metric: Metric, layers: Collection[str]) -> Metric:
-    """Return a metric with all of its variables under names that no layer has; those of release 1 keep their names."""
+    """Return a metric with all of its variables under names that no layer has; those of release 1 keep their names.
+
+    Args:
+      metric: a built-in one.
+      layers: names of a user's layers.
+    """
     if metric.name in OF_RELEASE_1:
         return metric
     names = {name: _free_name(name, layers) for name in metric.variables}

@@ -259,9 +259,16 @@ def _by_jax(
     params: Lidar,
     oversample: int,
 ) -> Float[AnyArray, "A y x"]:
-    """Return m_lidar from every ``oversample``-th cell of the region both ways; arguments as for `_by_numba`.
+    """Return m_lidar ``[A, y, x]`` from every ``oversample``-th cell of the region both ways.
 
     It is 0 inside obstacles where ``oversample`` is 1; otherwise the caller sees to these.
+
+    Args:
+      surface: ``oversample`` times finer than the map.
+      altitudes_m: ``[A]`` heights above ground, in the type of the roofs.
+      heights_m: of the beams at each step, from `beam_heights`.
+      params: the lidar.
+      oversample: n.
     """
     resolution_m = surface.grid.resolution_m
     n = oversample
@@ -269,16 +276,16 @@ def _by_jax(
     reach = kernel.halo_cells(kernel.num_steps(resolution_m, params.range_m), n)
     starts = _starts(params.azimuths, heights_m.shape[1], n, halo)
 
-    def of_parts(cut: Cut) -> Array:
-        """Return m_lidar of a part of the region, for which ``cut`` takes rasters with their halo."""
+    def of_part(cut: Cut) -> Array:
+        """Return m_lidar of a part of the region; ``cut`` returns the part of a raster with its halo."""
         roof_m = cut(surface.roof_m)
         terrain_m = None if surface.terrain_m is None else cut(surface.terrain_m)
         beams = altitudes_m, heights_m, starts
         return _lidar(roof_m, terrain_m, *beams, halo=halo, oversample=n)
 
     if surface.is_on_host:
-        return over_blocks(surface, halo, reach * n, of_parts, len(heights_m), n)
-    return of_parts(lambda values: surface.part(values, halo * n, reach * n))
+        return over_blocks(surface, halo, reach * n, of_part, len(heights_m), n)
+    return of_part(lambda values: surface.part(values, halo * n, reach * n))
 
 
 @lru_cache(maxsize=4)
@@ -470,6 +477,11 @@ def _gpu_bytes(params: Lidar, tile: Grid, has_terrain: bool) -> float:
 
     Over flat ground it keeps a bit per step for every cell in its range. A word of bits is for a band of 32 rows, and
     each band has a halo of its own, so the cells around the tile are kept up to 32 times.
+
+    Args:
+      params: the lidar.
+      tile: the grid of its maps.
+      has_terrain: whether the ground is not flat.
     """
     if has_terrain:
         ray_bytes = 1 if params.beams <= MOST_BEAMS_OF_A_BYTE else 4

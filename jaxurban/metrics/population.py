@@ -330,6 +330,10 @@ def normaliser(values: Float[Array, " N"], normalise: str | float = "max") -> Fl
 
     Percentiles are taken over inhabited blocks, or a city's empty ones (water, parks) would decide them.
     The gradient is that of the block (or two) that sets the value.
+
+    Args:
+      values: people, or people per km2, of the blocks of the region; may be empty.
+      normalise: ``"max"``, a percentile such as ``"p95"``, or the value itself.
     """
     percentile = _percentile(normalise)
     if percentile is None:

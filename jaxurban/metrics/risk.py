@@ -133,13 +133,13 @@ def compute_risk(
         around,
     )
 
-    def of_parts(cut: Cut) -> Array:
-        """Return the risk map of a part of the region, for which ``cut`` takes rasters with their halo."""
+    def of_part(cut: Cut) -> Array:
+        """Return the risk map of a part of the region; ``cut`` returns the part of a raster with its halo."""
         return _risk(*jax.tree.map(cut, rasters), *settings)
 
     if surface.is_on_host:
-        return over_blocks(surface, halo, reach, of_parts, len(settings[0]))
-    return of_parts(lambda values: surface.part(values, halo, reach))
+        return over_blocks(surface, halo, reach, of_part, num=len(altitudes_m))
+    return of_part(lambda values: surface.part(values, halo, reach))
 
 
 @jax.jit

@@ -180,9 +180,11 @@ def series_statistics(
 
 
 def _quantile(ordered: np.ndarray, share: float) -> np.ndarray:
-    """Return, of each row of ``[C, T]`` ascending values, the one below which a share (0 to 1) of them lies, ``[C]``.
+    """Return a quantile of each row, ``[C]``, interpolated linearly between two values.
 
-    It is interpolated linearly between two values.
+    Args:
+      ordered: ``[C, T]`` values, ascending along T.
+      share: of the values of a row that lie below the quantile, 0 to 1.
     """
     last = ordered.shape[1] - 1
     position = share * last

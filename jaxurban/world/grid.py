@@ -175,9 +175,13 @@ def _common_multiple_m(resolutions_m: Sequence[float]) -> float:
 
 
 def tile_shape(shape: tuple[int, int], max_side: int = MAX_SIDE) -> tuple[int, int]:
-    """Return the shape of the fewest equal tiles with sides of at most ``max_side`` that cover ``shape``, all in cells.
+    """Return the rows and columns of a tile, of the fewest equal tiles that cover a region.
 
-    It depends on the region alone, never on the machine, as files are cut into the same tiles.
+    They depend on the region alone, never on the machine, as files are cut into the same tiles.
+
+    Args:
+      shape: rows and columns of the region's cells.
+      max_side: the most cells along a side of a tile.
     """
 
     def side(size: int) -> int:
@@ -422,7 +426,7 @@ class Grid:
         return np.asarray(x_m), np.asarray(y_m)
 
     def lonlat_of_xy(self, x_m: ArrayLike, y_m: ArrayLike) -> tuple[Any, Any]:
-        """Return longitudes and latitudes (WGS 84, degrees) of CRS coordinates.
+        """Return longitudes and latitudes (WGS 84, degrees) of CRS coordinates, easting and northing in metres.
 
         Returns:
           Longitudes and latitudes, float64; inf where the projection has no value.
@@ -511,10 +515,10 @@ class Grid:
         )
 
     def padded(self, west: int, south: int, east: int, north: int) -> "Grid":
-        """Return the grid grown by whole cells on each side.
+        """Return the grid grown by numbers of cells on each side; negative numbers cut cells off.
 
         Returns:
-          The grid; negative numbers cut cells off.
+          The grid, of the same resolution.
 
         Examples:
           >>> maps.grid.padded(west=1, south=1, east=2, north=2).shape
