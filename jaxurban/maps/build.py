@@ -150,8 +150,7 @@ def check_region(city: City, region: Grid, is_own: bool = False) -> None:
             f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS"
         )
     box = shapely.box(*region.bounds_m)
-    known_box = shapely.box(*city.known_extent_m)
-    if not is_own and not shapely.intersects(box, known_box):
+    if not is_own and not shapely.intersects(box, shapely.box(*city.known_extent_m)):
         raise InputError(
             "the region and the city do not meet: check the bounds (west, south, east, north)"
         )
@@ -327,7 +326,7 @@ def skies_of(task: MapTask, surface: Surface) -> SkyView:
       surface: the task's, from `inputs_of`.
     """
     skies = [task.in_view(t) for t in range(task.num_times)]
-    most = max(1, *(len(in_view.numbers) for in_view in skies))
+    most = max(1, *(len(in_view.numbers) for in_view in skies))  # satellites at a time
     views = [SkyView.of(surface, *in_view.angles, most, in_view.clocks) for in_view in skies]
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
 

@@ -222,22 +222,22 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
         return
 
     # A new cluster of processes.
-    options = {
-        "n_workers": workers,
-        "threads_per_worker": 1,
-        "memory_limit": 0,
-        "dashboard_address": "127.0.0.1:0",  # any free port: two runs may work side by side
-        "scheduler_kwargs": {"dashboard": False},
-        # What ends a process is reported in our words: Ctrl-C, which reaches all of them, by this one.
-        "silence_logs": logging.CRITICAL,
-        "preload": KEEPING_WORKER if keeps_programs() else WORKER,
-        # Without its certificates any user of this machine could run code as this one.
-        "security": security,
-    }
     with ExitStack() as stack:
         try:
             with dask.config.set(NO_PAGES):
-                cluster = stack.enter_context(LocalCluster(**options))
+                started = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    memory_limit=0,
+                    dashboard_address="127.0.0.1:0",  # any free port: two runs may work side by side
+                    scheduler_kwargs={"dashboard": False},
+                    # What ends a process is reported in our words: Ctrl-C, which reaches all of them, by this one.
+                    silence_logs=logging.CRITICAL,
+                    preload=KEEPING_WORKER if keeps_programs() else WORKER,
+                    # Without its certificates any user of this machine could run code as this one.
+                    security=security,
+                )
+                cluster = stack.enter_context(started)
         except RuntimeError as error:
             raise InputError(
                 f"a worker process ended while it started ({reason_of(error)}): a script must do its work under `if "

@@ -73,7 +73,7 @@ class Levels:
         inside = maps_m[(maps_m >= min_m) & (maps_m <= max_m)]
         low_m = max(min_m, maps_m[0])
         high_m = min(max_m, maps_m[-1])
-        if low_m > high_m or (step_m is None and inside.size == 0):
+        if low_m > high_m or (step_m is None and not inside.size):
             raise InputError(
                 f"the maps hold no altitude from {min_m:g} to {max_m:g} m, only {listed_m(maps_m)} m: change "
                 "min_altitude_m or max_altitude_m, or give level_step_m to fly between the maps' altitudes"

@@ -294,5 +294,5 @@ def check_disk(tasks: Sequence[MapTask], folder: Path) -> None:
             f"the maps need at least {least_text} of disk and {free_text} are free in {str(folder)!r}: "
             "use a smaller region, a coarser [region] resolution_m, or another folder"
         )
-    span = " to ".join(dict.fromkeys(map(format_bytes, (least, most))))
+    span = " to ".join(dict.fromkeys(map(format_bytes, (least, most))))  # equal texts once
     LOG.info(f"disk at the peak: {span}, of {format_bytes(free + left)} free")

@@ -169,9 +169,10 @@ def run_scenario(
         tasks = tasks_of(scenario, watch.stage)
         city = tasks[0].city
         base = base_map_source(city.sources.get("buildings"))
+        base_file = folder / BASE_MAP_FILE
         planned = _files_of(tasks, folder, layers)
         if base is not None:
-            planned.append(folder / BASE_MAP_FILE)
+            planned.append(base_file)
         guesses = tasks[0].all_guesses
         warn_of(guesses, known=city.guesses)
 
@@ -203,9 +204,8 @@ def run_scenario(
 
             # The base map and the record, which stay as they are where all maps were kept.
             is_kept = not any(is_new for _, is_new in made)
-            file = folder / BASE_MAP_FILE
             with watch.stage("base map"):
-                if base is None or not is_kept or workspace.broken([file]):
+                if base is None or not is_kept or workspace.broken([base_file]):
                     first_maps, _ = made[0]
                     save_base_map(replace(first_maps, base=base).base_map, workspace)
             messages = [str(item.message) for item in caught]
@@ -214,7 +214,7 @@ def run_scenario(
             )
             record = write_record(folder / store.RUN_FILE, record, is_kept)
 
-    kept_base = file.resolve() if file.is_file() else None
+    kept_base = base_file.resolve() if base_file.is_file() else None
     by_resolution = {}
     for maps, _ in made:
         recorded = replace(maps, base=kept_base).with_recorded(record["settings"])
@@ -323,12 +323,12 @@ def _maps_of(
     """
     folder = run.folder
     resolution_m = run.task.region.resolution_m
-    path = store.zarr_path(folder, resolution_m)
+    zarr = store.zarr_path(folder, resolution_m)
 
     # The Zarr is kept or made as a whole.
     with watch.stage("verify"):
-        files = [folder / name for name in workspace.written if path in (folder / name).parents]
-        broken = workspace.broken(files, run.map) if path.is_dir() else []
+        files = [folder / name for name in workspace.written if zarr in (folder / name).parents]
+        broken = workspace.broken(files, run.map) if zarr.is_dir() else []
         is_kept = not broken and stored_key(folder, resolution_m) == run.key
     if broken:
         others = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
@@ -390,8 +390,8 @@ def make_zarr(
     for path in work.begin(f"{run.key} {shape}", run.map):
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
     job = TileJob(task, work, tiling)
-    facts = {RUN_KEY: run.key, "guesses": json.dumps(task.guesses)}
-    empty = empty_dataset(task, _no_values).assign_attrs(facts)
+    attrs = {RUN_KEY: run.key, "guesses": json.dumps(task.guesses)}
+    empty = empty_dataset(task, _no_values).assign_attrs(attrs)
     if work.done(ZARR) is None:
         store.create_zarr(empty, work.zarr, shape)
         work.mark_zarr()
@@ -422,9 +422,9 @@ def make_zarr(
 
     # What needs the sums of all tiles, and the move of the whole Zarr to its place.
     if totals:
-        made = with_series(empty, task, totals)
+        with_means = with_series(empty, task, totals)
         names = [f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]
-        store.add_to_zarr(made[names], work.zarr)
+        store.add_to_zarr(with_means[names], work.zarr)
         work.mark_zarr()
     work.finish(store.zarr_path(run.folder, grid.resolution_m))
     return seconds

@@ -27,10 +27,9 @@ from jaxurban.settings import Obstacles
 
 def save_maps(maps: MetricMaps, folder: Path, layers: Sequence[str]) -> None:
     """Write maps under a folder; arguments and errors as of `MetricMaps.save`."""
+    # All errors of the arguments come before anything is written, also those of layers that the maps do not hold.
     _check_can_be_opened(maps)
-    geotiffs = geotiff_paths(
-        maps.ds, folder, layers
-    )  # raises InputError for a layer that is not in the maps
+    geotiffs = geotiff_paths(maps.ds, folder, layers)
     with Workspace.open(folder, "maps", is_shared=True, is_mended=True) as workspace:
         workspace.check_way(geotiffs)
         base_files = [] if maps.base_map is None else [folder / BASE_MAP_FILE]

@@ -159,8 +159,11 @@ class MapTask:
         """
         if not self.params.heights.height_samples:
             return ()
-        with_altitude = [name for name, metric in self.metrics.items() if ALTITUDE in metric.dims]
-        return tuple(name for name in with_altitude if name not in self.bands)
+        return tuple(
+            name
+            for name, metric in self.metrics.items()
+            if ALTITUDE in metric.dims and name not in self.bands
+        )
 
     @property
     def reach_m(self) -> float:

@@ -69,8 +69,9 @@ def _spans(size: int, side: int, before: int, after: int) -> _Spans:
     overhang = num_inside * side - size
     lengths_before = tiles_of_margin(before)
     lengths_after = tiles_of_margin(max(0, after - overhang))
-    lengths = [*lengths_before, *[side] * num_inside, *lengths_after]
-    return _Spans(lengths, len(lengths_before), num_inside)
+    return _Spans(
+        [*lengths_before, *[side] * num_inside, *lengths_after], len(lengths_before), num_inside
+    )
 
 
 @dataclass(frozen=True)

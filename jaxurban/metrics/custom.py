@@ -165,6 +165,7 @@ def check_layers(layers: Any) -> Mapping[str, Layer]:
             raise InputError(
                 f"a layer's name must be letters, digits and _ such as noise_2024, got {name!r}"
             )
+        # Also names that end in an altitude, a time or a time of day, as those of the maps' files do.
         if name in RESERVED_NAMES or _OF_A_FILE.fullmatch(name):
             raise InputError(
                 f"a layer cannot be called {name!r}: maps, their files or weights use such names: give another name"

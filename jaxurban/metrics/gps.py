@@ -155,7 +155,7 @@ class Gps:
           InputError: a step below a second, an end before the start, or more than `MOST_TIMES`.
         """
         step_s = at_least("step_s", self.step_s, 1)
-        ends: Any = self.start, self.stop
+        ends: Any = self.start, self.stop  # both given, as `_check_times` has seen
         start, stop = map(parse_time, ends)
         object.__setattr__(self, "start", iso_utc(start))
         object.__setattr__(self, "stop", iso_utc(stop))

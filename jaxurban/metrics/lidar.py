@@ -202,8 +202,8 @@ def lidar_of_beams(
     """
     if _runs_numba(engine, surface, altitudes_m, heights_m):
         is_obstacle = obstacles_on(surface, np.asarray(altitudes_m))
-        return _by_numba(surface, heights_m, params, 1, is_obstacle)
-    return _by_jax(surface, altitudes_m, heights_m, params, 1)
+        return _by_numba(surface, heights_m, params, oversample=1, is_obstacle=is_obstacle)
+    return _by_jax(surface, altitudes_m, heights_m, params, oversample=1)
 
 
 def _runs_numba(engine: Engine, surface: Surface, *values: Any) -> bool:

@@ -109,6 +109,7 @@ class Protection:
     def budget(self) -> RiskBudget:
         """How risk is shared out, for the kernel."""
         shares = self.phmi_horizontal, self.phmi_vertical, self.pfa_horizontal, self.pfa_vertical
+        # In the order of the kernel's fields.
         return RiskBudget(*map(float, (*shares, self.p_unmonitored, *self.tolerance_m)))
 
 

@@ -238,10 +238,7 @@ def soft_risk(
     threshold = jnp.asarray(params.threshold_m, dtype)
     softness = jnp.asarray(softness_m, dtype)
     is_solid = params.distance == "solid"
-    scales = (
-        threshold,
-        threshold if is_solid else softness,
-    )  # of horizontal and of vertical distances
+    scales = threshold, threshold if is_solid else softness  # of horizontal, vertical distances
 
     roof_m = surface.crop_with_halo(surface.roof_m, halo)
     terrain_m = None

@@ -85,17 +85,21 @@ class SkyView(NamedTuple):
             that few programs are compiled.
           clocks: which receiver clock each satellite has; left out, all share one.
         """
-        angles_rad = np.array([azimuth_rad, elevation_rad], float).reshape(2, -1)
-        num = angles_rad.shape[1]
+        azimuth, elevation = np.array([azimuth_rad, elevation_rad], float).reshape(2, -1)
+        num = len(azimuth)
         dtype = np.dtype(surface.roof_m.dtype).type
-        satellites = geometry(unit_vectors(*angles_rad), dtype, multiple_of, clocks)
+        satellites = geometry(unit_vectors(azimuth, elevation), dtype, multiple_of, clocks)
 
         # The satellites without effect get a line due north: any would do, as none of its results is read.
-        filled_rad = np.zeros((2, len(satellites.rows)))
-        filled_rad[:, :num] = angles_rad
+        padding = 0, len(satellites.rows) - num
         grid = surface.grid
         lines = digital_lines(
-            *filled_rad, grid.resolution_m, grid.first_row, grid.first_col, grid.shape
+            np.pad(azimuth, padding),
+            np.pad(elevation, padding),
+            grid.resolution_m,
+            grid.first_row,
+            grid.first_col,
+            grid.shape,
         )
         return cls(stacked(lines), satellites, np.asarray(num, np.int32))
 
@@ -272,18 +276,18 @@ def bounding_visibility(
     covered_m = top_m if hides_most else extreme_of_three(extreme_of_three(top_m, axis=0), axis=1)
     first_cell = rows.start, cols.start
     words, receivers = _receivers(surface, altitudes_m, first_cell, len(azimuth_rad), every)
+    # Rays that are followed row by row meet one of three cells of a row, the others (turned) three of a column.
     blocks.mark_visible(
         words,
-        extreme_of_three(covered_m, axis=1),  # for rays that are followed row by row
+        extreme_of_three(covered_m, axis=1),
         receivers,
         ringed_lines(surface.grid, azimuth_rad, elevation_rad),
         entry_steps=WHOLE_ROW_STEPS,
-        turned_top_m=extreme_of_three(
-            covered_m, axis=0
-        ),  # for rays that are followed column by column
+        turned_top_m=extreme_of_three(covered_m, axis=0),
     )
 
-    if hides_most:  # the roof over the receiver's own cell hides all satellites
+    # The roof over the receiver's own cell hides all satellites: a product with False clears the words.
+    if hides_most:
         middles = slice(every // 2, None, every)
         own_m = np.where(np.asarray(surface.roof_m) > 0, top_m, -np.inf)[rows, cols]
         ground_m = receivers.ground_m

@@ -183,13 +183,10 @@ def tile_shape(shape: tuple[int, int], max_side: int = MAX_SIDE) -> tuple[int, i
       shape: rows and columns of the region's cells.
       max_side: the most cells along a side of a tile.
     """
-
-    def side(size: int) -> int:
-        """Return the side of a tile along an axis, from the cells of the region along it."""
-        num_tiles = -(-size // max_side)
-        return -(-size // num_tiles)
-
-    return side(shape[0]), side(shape[1])
+    num_rows, num_cols = shape
+    tiles_down = math.ceil(num_rows / max_side)
+    tiles_across = math.ceil(num_cols / max_side)
+    return math.ceil(num_rows / tiles_down), math.ceil(num_cols / tiles_across)
 
 
 def covering_grid(box_m: Bounds, resolution_m: float, crs: str) -> "Grid":

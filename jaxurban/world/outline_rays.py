@@ -92,10 +92,12 @@ class Outlines:
         for members, tree in self._classes:
             top_m = self.highest_ground_m + float(self.buildings.height_m[members].max()) + above_m
             run_m = (top_m - height_m) / np.tan(rays.elevation_rad)
-            below = np.flatnonzero(run_m >= 0)
+            below = np.flatnonzero(run_m >= 0)  # numbers of the rays that begin below that height
             end_m = start_m[below] + run_m[below, None] * toward[below]
             lines = shapely.linestrings(np.stack([start_m[below], end_m], axis=1))
-            line, member = tree.query(lines, predicate="intersects")
+            line, member = tree.query(
+                lines, predicate="intersects"
+            )  # pairs, by their index in both
             crossed = shapely.intersection(lines[line], self.buildings.polygons[members[member]])
             parts.append((below[line], members[member], crossed))
         ray, building, crossed = (np.concatenate(values) for values in zip(*parts, strict=True))
