@@ -450,7 +450,7 @@ def _weighted(inputs: MapInputs, maps: dict[str, Array], weights: Weights) -> Ar
     total = jnp.zeros(())
     for metric in metrics:
         m = maps[metric.name]
-        if has_times:
+        if has_times:  # to the axes [A, D, y, x]
             m = m[None] if TIME_OF_DAY in metric.dims else m[:, None]
         total = total + jnp.asarray(weights[metric.name]) * metric.cost(m)
     return total

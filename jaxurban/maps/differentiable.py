@@ -303,6 +303,7 @@ def path_visits(
     Raises:
       InputError: points that are not a path.
     """
+    # A query without layers, on free cells: of its start, goal and altitude nothing is used.
     query = Problem(
         np.zeros((0, *shape)), np.ones(shape, bool), (0, 0), (0, 0), resolution_m, 0.0, cost_model
     )

@@ -128,6 +128,7 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
         needed += _num_cells(tile, reach) * metric.cell_bytes
         is_by_jax = params.engine == "jax" or not metric.is_numba_over_terrain(settings)
         if task.has_terrain and is_by_jax:
+            # JAX's form over terrain (True) keeps on a CPU what it keeps on a GPU.
             needed += int(metric.gpu_bytes(settings, tile, True))
         if TIME in metric.dims:
             needed += cells * num_altitudes * (WORD_BYTES + series_bytes)
@@ -213,51 +214,52 @@ def plan_run(
       InputError: not even one tile fits into the memory (or not one for each process), or none into that of the GPU.
     """
     # The largest tile of all resolutions, and the most tiles.
-    tile_most = 0
-    gpu_most = 0
+    largest_bytes = 0
+    largest_gpu_bytes = 0
     num_tiles = 1
     for task in tasks:
         region = task.region
         num_rows, num_cols = shape_of_tiles(task)
         tile = replace(region, num_rows=num_rows, num_cols=num_cols)
-        num_of_task = -(-region.num_rows // num_rows) * -(-region.num_cols // num_cols)
+        num_in_region = -(-region.num_rows // num_rows) * -(-region.num_cols // num_cols)
         geotiff_bytes = num_rows * region.num_cols * GEOTIFF_CELL_BYTES
-        num_tiles = max(num_tiles, num_of_task)
-        tile_most = max(tile_most, tile_bytes(task, tile), geotiff_bytes)
-        gpu_most = max(gpu_most, tile_gpu_bytes(task, tile))
+        num_tiles = max(num_tiles, num_in_region)
+        largest_bytes = max(largest_bytes, tile_bytes(task, tile), geotiff_bytes)
+        largest_gpu_bytes = max(largest_gpu_bytes, tile_gpu_bytes(task, tile))
 
     # What fits into the memory of a GPU, if JAX has one.
-    on_gpu = gpu_free_bytes() if tasks[0].params.engine != "numba" else None
-    if on_gpu is not None:
-        if gpu_most > on_gpu:
-            most_text, free_text = distinct_texts(gpu_most, on_gpu)
+    free_gpu_bytes = gpu_free_bytes() if tasks[0].params.engine != "numba" else None
+    if free_gpu_bytes is not None:
+        if largest_gpu_bytes > free_gpu_bytes:
+            most_text, free_text = distinct_texts(largest_gpu_bytes, free_gpu_bytes)
             raise InputError(
                 f"a tile needs about {most_text} of the GPU's memory and {free_text} are free: end what else "
                 "uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
             )
-        num_workers = min(num_workers, on_gpu // gpu_most)
+        num_workers = min(num_workers, free_gpu_bytes // largest_gpu_bytes)
 
     # What fits into the machine's memory beside the processes themselves and their programs.
-    own = psutil.Process().memory_info().rss
-    least = num_processes or 1
-    ceiling = ceiling_bytes or int(own + DEFAULT_SHARE * free_bytes())
-    base = own + len(tasks) * PROGRAM_BYTES * least
-    base += num_processes * WORKER_BYTES or COMPILING_BYTES
-    fitting = (ceiling - base) // tile_most
-    if fitting < least:
-        needed_text, most_text = distinct_texts(base + tile_most * least, ceiling)
+    own_bytes = psutil.Process().memory_info().rss
+    least_tiles = num_processes or 1
+    ceiling = ceiling_bytes or int(own_bytes + DEFAULT_SHARE * free_bytes())
+    base_bytes = own_bytes + len(tasks) * PROGRAM_BYTES * least_tiles
+    base_bytes += num_processes * WORKER_BYTES or COMPILING_BYTES
+    fitting = (ceiling - base_bytes) // largest_bytes
+    if fitting < least_tiles:
+        needed_text, most_text = distinct_texts(base_bytes + largest_bytes * least_tiles, ceiling)
         remedy = "fewer --workers" if num_processes > 1 else "a coarser [region] resolution_m"
         raise InputError(
             f"this job needs about {needed_text} of memory and may take {most_text}: raise --memory, or choose "
             f"{remedy}, a shorter [lidar] range_m or [risk] threshold_m, or fewer altitudes or times"
         )
 
-    num_workers = min(num_workers, fitting) // least * least  # an equal number for each process
-    at_once = min(num_workers, max(num_tiles, least))
+    # An equal number for each process.
+    num_workers = min(num_workers, fitting) // least_tiles * least_tiles
+    at_once = min(num_workers, max(num_tiles, least_tiles))
     num_cells = sum(_num_cells(task.region) for task in tasks)
     LOG.info(
         f"{num_cells:,} cells, tiles at a time: {at_once}; about "
-        f"{format_bytes(base + at_once * tile_most)} of memory at most, of {format_bytes(ceiling)} allowed"
+        f"{format_bytes(base_bytes + at_once * largest_bytes)} of memory at most, of {format_bytes(ceiling)} allowed"
     )
     return num_workers
 

@@ -101,7 +101,7 @@ class Spread:
 
         All samples must have been added, two of them at least for a deviation other than 0.
         """
-        # Each percentile lies between a kept array and the next one inward.
+        # Each percentile lies between a kept array and the next one inward, which is nearer to the median.
         last = self.kept - 1
         low = self.lowest[self.below]
         low_next = self.lowest[min(self.below + 1, last)]

@@ -272,9 +272,8 @@ def maps_of_choices(
     """
     choices, number = distinct_choices(words, is_obstacle)
     num_choices = choices.shape[1]
-    padded = np.pad(
-        choices, [(0, 0), (0, -num_choices % BLOCK_CELLS)]
-    )  # one program for all blocks
+    # Choices that see nothing fill the last block, so that one program serves all blocks.
+    padded = np.pad(choices, [(0, 0), (0, -num_choices % BLOCK_CELLS)])
     blocks = np.split(padded, padded.shape[1] // BLOCK_CELLS, axis=1)
     parts = [maps_of_words(block, satellites, gdop_threshold) for block in blocks]
     maps = GpsMaps(*(np.concatenate(values)[:num_choices] for values in zip(*parts, strict=True)))

@@ -135,11 +135,13 @@ def compute_lidar(
 
     A scan position returns when any of its beams meets a building within range before the ground,
     which is not a landmark. With terrain, receivers and roofs stand on it and it ends beams too.
-    0 inside obstacles. What stands more than the range beyond the region changes nothing; beyond the
-    surface nothing stands. Paper: section Lidar Visibility, scan(j) and m_lidar = s / k.
-    Departures: the ground ends beams, and rays follow the stepping rule of `jaxurban.kernels.lidar.hard`. Slabs with
-    their floor at or below the altitude reach the ground, and rays do not stop at higher ones: a lidar is trusted with
-    no ceiling, and beams that pass under a floor below it are counted as returns. The gradient is zero.
+    m is 0 inside obstacles. What stands more than the range beyond the region changes nothing; beyond the
+    surface nothing stands. The gradient is zero.
+
+    Paper: section Lidar Visibility, scan(j) and m_lidar = s / k. Departures: the ground ends beams, and rays follow the
+    stepping rule of `jaxurban.kernels.lidar.hard`. Slabs with their floor at or below the altitude count as reaching
+    the ground, so beams that pass under such a floor return too; rays pass through higher slabs, so a ceiling gives no
+    return.
 
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.
@@ -148,6 +150,7 @@ def compute_lidar(
       engine: which form counts over terrain, see `jaxurban.kernels.engine`; Numba's is for at most `MOST_BEAMS` beams.
         Over flat ground it is JAX's.
     """
+    # With slabs, each altitude has roofs of its own.
     if surface.slabs is not None:
         maps = []
         for z_m in np.asarray(altitudes_m):

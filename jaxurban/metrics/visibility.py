@@ -216,9 +216,9 @@ def _hide_behind_slabs(
     """Clear, in place, the bits of ``words`` for the satellites that slabs hide.
 
     Args:
-      words: from `visibility`, whose shadows reach the ground.
+      words: the satellites that are seen past roofs and the ground.
       surface: whose region the receivers stand in.
-      hanging: the slabs over the surface. ``H`` of them.
+      hanging: all slabs that can shadow the region.
       azimuth_rad, elevation_rad: ``[S]`` as for `visibility`.
       receivers: where the receivers of the words stand.
     """
