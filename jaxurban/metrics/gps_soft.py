@@ -29,7 +29,7 @@ def gps_metric(gdop: Float[AnyArray, "*C"], gdop_threshold: float | Array) -> Fl
     beyond the threshold.
 
     Args:
-      gdop: or another DOP, in any shape.
+      gdop: GDOP, or another DOP, in any shape.
       gdop_threshold: above 1.
     """
     below = gdop_threshold - jnp.minimum(gdop, gdop_threshold)
