@@ -7,7 +7,6 @@ bit). Supersampled maps, spreads, statistics over time and own layers are the re
 """
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -43,7 +42,7 @@ from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
 from jaxurban.settings import SLABS, Heights
-from jaxurban.world.grid import Grid
+from jaxurban.world.grid import Grid, covering_grid
 from jaxurban.world.sky import Sky
 from jaxurban.world.surface import Surface, obstacle_mask
 
@@ -128,54 +127,76 @@ def build_maps(
 
 
 def _sections(city: City, **metrics: Any) -> dict[str, Any]:
-    """Return the sections of metrics, that of the satellites from a city that comes with some, where none is given."""
+    """Return the settings of metrics by section, without those that are None.
+
+    ``gps`` is that of the city where none is given, if the city comes with one.
+    """
     return values_given({"gps": city.gps}) | values_given(metrics)
 
 
 def check_region(city: City, region: Grid, is_own: bool = False) -> None:
-    """Raise InputError unless a region is where the city is; the city's own was accepted when that was read."""
+    """Check that a region can be mapped.
+
+    Args:
+      city: what is mapped.
+      region: grid of the maps.
+      is_own: whether the region is the city's own, which was accepted when the city was read.
+
+    Raises:
+      InputError: the region has another CRS than the city, or lies wholly beside it.
+    """
     if region.crs != city.crs:
         raise InputError(
             f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS"
         )
     box = shapely.box(*region.bounds_m)
-    known_box = shapely.box(*city.known_extent_m)
-    if not is_own and not shapely.intersects(box, known_box):
+    if not is_own and not shapely.intersects(box, shapely.box(*city.known_extent_m)):
         raise InputError(
             "the region and the city do not meet: check the bounds (west, south, east, north)"
         )
 
 
 def region_of(city: City, bounds: Sequence[float] | None, resolution_m: float) -> Grid:
-    """Return the grid of maps of a city: of bounds, its own ones, or what its buildings cover."""
+    """Return the grid of maps of a city, in its CRS.
+
+    Args:
+      city: what is mapped.
+      bounds: west, south, east, north in degrees; None for the city's own or, where it has none, what its buildings
+        cover.
+      resolution_m: side of a cell.
+    """
     bounds = city.bounds if bounds is None else bounds
     if bounds is not None:
         return Grid.from_bounds(bounds, resolution_m, city.crs)
-    west, south, east, north = np.array(city.extent_m) / resolution_m
-    first_row = math.floor(south + 1e-6)
-    first_col = math.floor(west + 1e-6)
-    end_row, end_col = math.ceil(north - 1e-6), math.ceil(east - 1e-6)
-    size = end_row - first_row, end_col - first_col
-    return Grid(city.crs, resolution_m, first_row, first_col, *size)
+    return covering_grid(city.extent_m, resolution_m, city.crs)
 
 
 def view_sky(region: Grid, gps: Gps) -> Sky:
-    """Return the satellites at or above the mask at any time, seen from the reference point or the region's centre.
+    """Return the sky of a region: the satellites at or above the mask at any time.
 
-    Without times, elements from files stand at the middle of their own epochs, the nominal ones at the paper's time.
+    Args:
+      region: the sky is seen from its centre, unless the settings name a reference point.
+      gps: the settings. Without times, element sets from files are taken at the middle of their own epochs, and the
+        nominal constellation at the paper's time.
+
+    Returns:
+      The sky, with what was guessed of its time and its satellites.
 
     Raises:
       InputError: unreadable or stale orbits, or no satellite above the mask at some time.
     """
-    times = gps.utc_times
-    lon_deg, lat_deg = gps.reference or region.centre_lonlat
     satellites = read_orbits(gps.orbits)
+
+    # The times, and what is guessed where the settings name none.
+    times = gps.utc_times
     own_time = middle_epoch(satellites) if times is None else None
     is_papers = times is None and own_time is None
     times = times or (own_time or PAPER_TIME,)
     guesses: Guesses = {} if own_time is None else time_guess(own_time)
     if satellites.nominal_systems:
         guesses |= nominal_guess(satellites.nominal_systems, times, is_papers)
+
+    lon_deg, lat_deg = gps.reference or region.centre_lonlat
     sky = look_angles(
         satellites,
         times,
@@ -184,6 +205,7 @@ def view_sky(region: Grid, gps: Gps) -> Sky:
         convergence_rad=region.convergence_rad(lon_deg, lat_deg),
         max_age_days=gps.max_age_days,
     ).under(gps.mask_deg)
+
     num_in_view = sky.is_in_view.sum(axis=1)
     if not num_in_view.all():
         time = sky.times[np.argmin(num_in_view)]
@@ -197,12 +219,12 @@ def view_sky(region: Grid, gps: Gps) -> Sky:
 def compute_maps(
     task: MapTask, surface: Surface | None = None, stage: Stage = nullcontext
 ) -> MetricMaps:
-    """Return the maps of a task, made in memory as one tile.
+    """Return the maps of a task, made in memory as one tile, and warn of the guesses behind them.
 
     Args:
       task: city, grid, sky and settings.
-      surface: the task's, where it is made already.
-      stage: as for `build_maps`.
+      surface: the task's, where it is made already; left out, it is made here.
+      stage: gives the context that the work on each stage runs in.
     """
     tile = TileScene(task, surface or task.surface())
     guesses = task.all_guesses
@@ -239,9 +261,11 @@ class MapInputs:
     @property
     def metrics(self) -> dict[str, tuple[Metric, Any]]:
         """The metrics with their settings, by name, in the order of the cost."""
-        held = self.settings | dict(self.fixed)
+        settings = self.settings | dict(self.fixed)
         return {
-            name: (metric, held[name]) for name, metric in known_metrics().items() if name in held
+            name: (metric, settings[name])
+            for name, metric in known_metrics().items()
+            if name in settings
         }
 
 
@@ -249,7 +273,8 @@ def inputs_of(task: MapTask) -> MapInputs:
     """Return a task's surface and settings, made ready for `all_maps`.
 
     Raises:
-      InputError: what `all_maps` knows nothing of: slabs, finer cells for rays, bounds, spreads and own layers.
+      InputError: the task needs what `all_maps` cannot do: slabs, finer cells for rays, bounds, spreads, own layers, or
+        a metric on request without a traced form.
     """
     params = task.params
     if task.city.hanging == SLABS:
@@ -269,21 +294,23 @@ def inputs_of(task: MapTask) -> MapInputs:
             f"the maps as one function hold no {' and no '.join(untraced)}: leave it out, or make the maps with "
             "build_maps"
         )
+
     surface = task.surface().of_jax()
     blocks = task.city.blocks
     ready: dict[str, Any] = {}
     settings: dict[str, Any] = {}
     fixed: dict[str, Any] = {}
     for name, metric in traced.items():
+        # Settings that say where data are from get their defaults, as a program would be compiled for each of them.
         default = metric.params()
         unread = {source: getattr(default, source) for source in metric.sources}
-        given = replace(task.settings_of(metric), **unread)
-        if metric.reach_m(given):
-            fixed[name] = given
+        own = replace(task.settings_of(metric), **unread)
+        if metric.reach_m(own):
+            fixed[name] = own
         else:
-            settings[name] = given
+            settings[name] = own
         if metric.ready is not None:
-            ready[name] = metric.ready(surface, params.altitudes_m, given, blocks)
+            ready[name] = metric.ready(surface, params.altitudes_m, own, blocks)
     altitudes_m = jnp.asarray(params.altitudes_m, surface.roof_m.dtype)
     return MapInputs(surface, altitudes_m, ready, settings, tuple(fixed.items()))
 
@@ -291,11 +318,15 @@ def inputs_of(task: MapTask) -> MapInputs:
 def skies_of(task: MapTask, surface: Surface) -> SkyView:
     """Return the skies of all times of a task over its surface, every field stacked along the times ``[T, ...]``.
 
-    One time is ``jax.tree.map(lambda values: values[t], views)``; all of them are mapped over by
-    ``jax.vmap(all_maps, (None, 0))``. Times with fewer satellites than the fullest are filled up.
+    The sky of one time is ``jax.tree.map(lambda values: values[t], views)``; ``jax.vmap(all_maps, (None, 0))`` maps
+    over all of them. Times with fewer satellites in view than others get satellites without effect.
+
+    Args:
+      task: whose sky and clocks count.
+      surface: the task's, from `inputs_of`.
     """
     skies = [task.in_view(t) for t in range(task.num_times)]
-    most = max(1, *(len(in_view.numbers) for in_view in skies))
+    most = max(1, *(len(in_view.numbers) for in_view in skies))  # satellites at a time
     views = [SkyView.of(surface, *in_view.angles, most, in_view.clocks) for in_view in skies]
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
 
@@ -384,14 +415,18 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: WeightsLike = None) -> di
             f"sky must be of one time, got {len(sky.num)}: take jax.vmap(all_maps, (None, 0)), or one by "
             "jax.tree.map(lambda values: values[0], skies)"
         )
-    surface, altitudes_m = inputs.surface, inputs.altitudes_m
+    surface = inputs.surface
+    altitudes_m = inputs.altitudes_m
     is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
-    words = jnp.where(is_obstacle, jnp.uint32(0), visible_words(surface, altitudes_m, sky))
     maps = {"obstacle": is_obstacle.astype(jnp.uint8)}
+
+    # Which satellites each cell sees, none inside obstacles; then the metrics.
+    words = jnp.where(is_obstacle, jnp.uint32(0), visible_words(surface, altitudes_m, sky))
     scene = Scene(surface, altitudes_m, words=words, satellites=sky.satellites, engine="jax")
     for name, (metric, settings) in inputs.metrics.items():
         assert metric.traced is not None
         maps |= metric.traced(replace(scene, ready=inputs.ready.get(name)), settings)
+
     if weights is not None:
         maps["cost"] = _weighted(inputs, maps, Weights.of(weights))
     if surface.has_data is not None:  # after the cost, so that its derivatives stay finite
@@ -403,13 +438,19 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: WeightsLike = None) -> di
 
 
 def _weighted(inputs: MapInputs, maps: dict[str, Array], weights: Weights) -> Array:
-    """Return the sum of the metrics' costs times their weights."""
+    """Return the sum of the metrics' costs times their weights, ``[A, y, x]`` or, with times of day, ``[A, D, y, x]``.
+
+    Args:
+      inputs: name the metrics.
+      maps: of each metric, ``[A, y, x]`` or, with times of day, ``[D, y, x]``.
+      weights: by metric.
+    """
     metrics = [metric for metric, _ in inputs.metrics.values()]
     has_times = any(TIME_OF_DAY in metric.dims for metric in metrics)
     total = jnp.zeros(())
     for metric in metrics:
         m = maps[metric.name]
-        if has_times:
+        if has_times:  # to the axes [A, D, y, x]
             m = m[None] if TIME_OF_DAY in metric.dims else m[:, None]
         total = total + jnp.asarray(weights[metric.name]) * metric.cost(m)
     return total

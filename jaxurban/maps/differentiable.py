@@ -78,7 +78,7 @@ class SoftParams:
 
 
 class PathVisits(NamedTuple):
-    """How often a fixed path visits each cell. ``P`` cells; those that fill up are visited 0 times.
+    """How often a fixed path visits each cell. ``P`` cells, the last of them visited 0 times to round P up.
 
     Attributes:
       cells: ``[P, 2]`` row and column.
@@ -149,6 +149,10 @@ class SoftCity:
     ) -> Float[Array, "y x"] | Float[Array, " P"]:
         """Return one of the `layers`, by the name of its metric.
 
+        Args:
+          name: of the metric.
+          height_m, params, cells: as for `layers`.
+
         Returns:
           The layer's cost c, 0 to 1: ``[y, x]``, or ``[P]`` where cells are chosen.
 
@@ -166,15 +170,15 @@ class SoftCity:
         assert metric.soft is not None
         settings = dict(self.own).get(name) or params.settings_of(metric)
         scene = SoftScene(
-            self.surface.with_heights(height_m, self.building),
-            params.altitude_m,
-            params.softness_m,
-            cells,
-            dict(self.reach_m)[name],
-            self.view,
-            self.population,
-            self.time_of_day,
-            params.reception,
+            surface=self.surface.with_heights(height_m, self.building),
+            altitude_m=params.altitude_m,
+            softness_m=params.softness_m,
+            cells=cells,
+            reach_m=dict(self.reach_m)[name],
+            view=self.view,
+            population=self.population,
+            time_of_day=self.time_of_day,
+            reception=params.reception,
         )
         m = metric.soft(scene, settings)
         return jnp.asarray(metric.cost(m), height_m.dtype)
@@ -188,13 +192,14 @@ class SoftCity:
         """Return the soft cost layers c_j, not weighted, on the region ``[L, y, x]`` or at chosen cells ``[L, P]``.
 
         Differentiable in ``height_m`` and every leaf of ``params``, as docs/algorithms/gradients.md says. Runs
-        under `jax.jit` and `jax.vmap`, with no new program for other values. Where nobody may fly is left out:
-        obstacles are a constraint of the planner, not a cost.
+        under `jax.jit` and `jax.vmap`, with no new program for other values. The layers do not say where nobody may
+        fly: obstacles are a constraint of the planner, not a cost.
 
         Args:
           height_m: ``[B]`` building heights, such as `height_m` of this city.
           params: parameters of the metrics.
-          cells: row and column in the region; a path needs only its own, which is cheaper by far.
+          cells: ``[P, 2]`` row and column in the region; left out, the whole region. For the cost of a path its own
+            cells suffice, which is cheaper by far.
 
         Returns:
           The layers in the order of `names`, each 0 to 1.
@@ -230,6 +235,11 @@ class SoftCity:
     ) -> Float[Array, " L"]:
         """Return the cost of a fixed path by layer, weights included; differentiable in all but the path.
 
+        Args:
+          height_m, params: as for `layers`.
+          weights: of the layers.
+          visits: from `path_visits`.
+
         Returns:
           The costs, ``[L]``, in the order of `names`; that of the distance is not among them.
 
@@ -251,9 +261,12 @@ class SoftCity:
     ) -> Float[Array, ""]:
         """Return the cost of a fixed path on the soft layers; only its own cells are computed.
 
-        Its gradient by heights, parameters and weights is that of **the optimal cost** where the path is the only
-        optimal one on these layers (the envelope theorem, see `jaxurban.planners.envelope.planned_cost`), and of this
-        path's cost anyhow.
+        Its gradient by heights, parameters and weights is that of this path's cost. Where the path is the only optimal
+        one on these layers, it is that of **the optimal cost** too (the envelope theorem, see
+        `jaxurban.planners.envelope.planned_cost`).
+
+        Args:
+          height_m, params, weights, visits: as for `cost_by_layer`.
 
         Returns:
           The cost, a scalar, that of the distance included.
@@ -277,17 +290,20 @@ def path_visits(
     resolution_m: float,
     cost_model: CostModel,
 ) -> PathVisits:
-    """Return how often a path visits each cell, on the host.
+    """Return how often a path visits each cell, computed on the host.
+
+    The cells are as many as a multiple of `CELLS_STEP`: the last one is repeated with 0 visits.
 
     Args:
       points_m: ``[N, 2]`` x, y in metres from the map's southwest corner, on the map.
       shape: rows and columns of the map.
       resolution_m: side of a cell.
-      cost_model: see `jaxurban.planners.base.Problem`.
+      cost_model: decides how a cell's visits count, see `jaxurban.planners.base.Problem`.
 
     Raises:
       InputError: points that are not a path.
     """
+    # A query without layers, on free cells: of its start, goal and altitude nothing is used.
     query = Problem(
         np.zeros((0, *shape)), np.ones(shape, bool), (0, 0), (0, 0), resolution_m, 0.0, cost_model
     )
@@ -295,11 +311,11 @@ def path_visits(
     cells = np.argwhere(counts > 0)
     times = counts[tuple(cells.T)]
     padding = 0, -len(cells) % CELLS_STEP
-    filled = np.pad(cells, (padding, (0, 0)), mode="edge") if len(cells) else cells
+    times = np.pad(times, padding)
+    if len(cells):
+        cells = np.pad(cells, (padding, (0, 0)), mode="edge")
     length_m = np.hypot(*np.diff(points_m, axis=0).T).sum()
-    return PathVisits(
-        jnp.asarray(filled, jnp.int32), jnp.asarray(np.pad(times, padding)), jnp.asarray(length_m)
-    )
+    return PathVisits(jnp.asarray(cells, jnp.int32), jnp.asarray(times), jnp.asarray(length_m))
 
 
 @typed
@@ -308,13 +324,14 @@ def soft_city(
 ) -> SoftCity:
     """Return a city made ready for soft, differentiable cost layers on the cells of a grid.
 
-    They are float32, or float64 under ``jax.enable_x64(True)``.
+    The layers are float32, or float64 under ``jax.enable_x64(True)``.
 
     Args:
       city: with outlines.
       grid: of the layers, such as that of maps.
-      params: as the maps will have them; of several times and times of day the first ones. Their ranges and
-        thresholds, their altitude and the city's highest roof are as far as is looked: parameters may not go beyond.
+      params: as the maps will have them; of several times and times of day the first ones count. Their ranges and
+        thresholds, their altitude and the city's highest roof limit how far the layers look: parameters that are given
+        to the layers later may not exceed them.
       layers: further cost layers, by name; those that are functions with a soft form take part.
 
     Returns:
@@ -343,13 +360,14 @@ def soften(
     time_of_day: str | None = None,
     dtype: DTypeLike = np.float32,
 ) -> SoftCity:
-    """Return a city made ready for soft, differentiable cost layers (on cells of the region, never supersampled).
+    """Return a city made ready for soft, differentiable cost layers on the cells of its region, never supersampled.
 
-    What hangs reaches the ground in them; of a city with slabs that is warned of.
+    In the layers everything that hangs reaches the ground; for a city with slabs a warning says so.
 
     Args:
-      task: a city with outlines, the grid of the layers, the sky, and settings. Their lidar range and d_thresh, their
-        lowest altitude and the city's highest roof are as far as is looked: parameters may not go beyond.
+      task: a city with outlines, the grid of the layers, the sky, and settings. Their lidar range and risk threshold,
+        their lowest altitude and the city's highest roof limit how far the layers look: parameters that are given to
+        the layers later may not exceed them.
       time_index: which of the sky's times.
       time_of_day: of the population; left out, the first of the settings.
       dtype: float32, or float64 under ``jax.enable_x64(True)``.
@@ -367,11 +385,14 @@ def soften(
         raise InputError(
             f"time_index must be 0 to {task.num_times - 1}, one of the sky's times, got {time_index}"
         )
+
     city = task.city
     params = task.params
     in_view = task.in_view(time_index)
     building = building_index(city, task.with_margin(), params.heights.all_touched)
     assert city.buildings is not None
+
+    # Heights in the type of the layers.
     surface = task.surface().of_jax()
     terrain_m = None if surface.terrain_m is None else jnp.asarray(surface.terrain_m, dtype)
     surface = replace(surface, roof_m=jnp.asarray(surface.roof_m, dtype), terrain_m=terrain_m)

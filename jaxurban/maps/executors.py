@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 import dask.threaded
+import numpy as np
 from dask.callbacks import Callback
 from dask.delayed import Delayed, delayed
 
@@ -46,7 +47,7 @@ def num_cores() -> int:
 
 
 def tile_graph(job: TileJob, call: Callable[..., Any]) -> list[Delayed]:
-    """Return the tasks of a job, each with those it stands on.
+    """Return the tasks of a job for Dask, each with the tasks that must be done before it.
 
     A tile's maps need the rasters around it and the shadows that its neighbours hand on; shadows run from
     tile to tile, away from the satellites of each quadrant.
@@ -58,43 +59,43 @@ def tile_graph(job: TileJob, call: Callable[..., Any]) -> list[Delayed]:
     tiling = job.tiling
     sweeps = dict[tuple[Tile, Quadrant], Delayed]()
 
-    def task(function: Callable, name: str, *arguments: Any, after: list[Delayed]) -> Delayed:
-        key = f"{function.__name__}-{name}"
-        return delayed(partial(_after, call, function, arguments), pure=False)(
-            after, dask_key_name=key
-        )
+    def task(function: Callable, *arguments: Any, after: list[Delayed]) -> Delayed:
+        """Return the task that calls a function for a tile, and a quadrant if it has one, after others."""
+        key = "-".join(map(str, (function.__name__, *arguments)))
+        make = delayed(partial(_after, call, function, arguments), pure=False)
+        return make(after, dask_key_name=key)
 
     def upstream(tile: Tile, quadrant: Quadrant) -> list[Delayed]:
-        return [
-            sweeps[near, quadrant]
-            for near in tiling.upstream(tile, quadrant)
-            if (near, quadrant) in sweeps
-        ]
+        """Return the sweeps that hand shadows of a quadrant on to a tile."""
+        near = [(neighbour, quadrant) for neighbour in tiling.upstream(tile, quadrant)]
+        return [sweeps[key] for key in near if key in sweeps]
 
-    rasters = {tile: task(raster_tile, f"{tile}", tile, after=[]) for tile in tiling.tiles}
+    rasters = {tile: task(raster_tile, tile, after=[]) for tile in tiling.tiles}
+
+    # Shadows begin at the tiles nearest to the source, those with the largest dot product with its quadrant.
     for quadrant in QUADRANTS:
-        for tile in sorted(
-            tiling.tiles, key=lambda tile: -tile[0] * quadrant[0] - tile[1] * quadrant[1]
-        ):
+        from_source = sorted(tiling.tiles, key=partial(np.dot, quadrant), reverse=True)
+        for tile in from_source:
             if job.hands_on(tile, quadrant):
                 after = [rasters[tile], *upstream(tile, quadrant)]
-                sweeps[tile, quadrant] = task(
-                    sweep_tile, f"{tile}-{quadrant}", tile, quadrant, after=after
-                )
+                sweeps[tile, quadrant] = task(sweep_tile, tile, quadrant, after=after)
+
     finished = []
     for tile in tiling.region_tiles:
-        around = [rasters[near] for near in tiling.touching(job.looked_at(tile))]
-        shadows = [each for quadrant in QUADRANTS for each in upstream(tile, quadrant)]
-        finished.append(task(finish_tile, f"{tile}", tile, after=[*around, *shadows]))
+        after = [rasters[near] for near in tiling.touching(job.looked_at(tile))]
+        for quadrant in QUADRANTS:
+            after += upstream(tile, quadrant)
+        finished.append(task(finish_tile, tile, after=after))
     return [*rasters.values(), *sweeps.values(), *finished]
 
 
 def _after(call: Callable, function: Callable, arguments: tuple, before: list[Any]) -> Any:
-    """Return what a task makes; the results of those ``before`` it are awaited, not used."""
+    """Return what a task makes; Dask waits for the results of the tasks ``before`` it, which are not used."""
     return call(function, *arguments)
 
 
 def _call_in_worker(job_name: str, function: Callable, *arguments: Any) -> Any:
+    """Return what a function makes of the job that a cluster's worker holds under a name, and of further arguments."""
     from distributed import get_worker
 
     holder: Any = get_worker().plugins[job_name]
@@ -102,9 +103,14 @@ def _call_in_worker(job_name: str, function: Callable, *arguments: Any) -> Any:
 
 
 def work_in_threads(job: TileJob, num_threads: int, on_result: Tell) -> None:
-    """Do a job in threads of this process; ``on_result`` gets every task's result.
+    """Do a job in threads of this process.
 
-    Where a task fails, those that run are waited for: none writes after the call.
+    If a task fails, the call raises its error once the tasks that are running have ended: none writes after the call.
+
+    Args:
+      job: the job.
+      num_threads: how many tasks run at a time.
+      on_result: is called with every task's result.
     """
     listener = Callback(posttask=lambda key, result, *_: on_result(result))
     with ThreadPoolExecutor(num_threads) as pool, listener:
@@ -115,7 +121,12 @@ def work_in_threads(job: TileJob, num_threads: int, on_result: Tell) -> None:
 def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
     """Do a job on a Dask cluster whose workers see the work folder under the same path.
 
-    Dask starts what a killed worker held again on another one.
+    The tasks of a worker that is killed start again on another one.
+
+    Args:
+      job: the job.
+      client: of the cluster.
+      on_result: is called with every task's result.
 
     Raises:
       InputError: workers are killed again and again on the same tile.
@@ -123,7 +134,7 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
     from distributed import KilledWorker, WorkerPlugin, as_completed
 
     class JobHolder(WorkerPlugin):
-        """What the scheduler gives every worker before its first task, those that take a killed one's place too."""
+        """Holds the job; the scheduler gives it to every worker before its first task, also if that starts later."""
 
         def __init__(self, job: TileJob) -> None:
             self.job = job
@@ -146,7 +157,10 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
 
 
 def _register(client: Any, plugin: Any, name: str) -> None:
-    """Give every worker a plugin, those too that take the place of one which is killed meanwhile."""
+    """Give a plugin under a name to every worker of a client's cluster, also to workers that start later.
+
+    A worker that is killed while it gets the plugin raises OSError, so it is tried again, `RETRIES` times.
+    """
     for _ in range(RETRIES):
         with suppress(OSError):  # a worker was killed while it got it
             client.register_plugin(plugin, name)
@@ -163,14 +177,14 @@ NO_PAGES: dict[str, list[str]] = {
 
 @contextmanager
 def cluster_client(workers: int | str) -> Iterator[Any]:
-    """Yield a client of a Dask cluster.
+    """Yield a client of a Dask cluster; a cluster that is started here ends with the block.
 
     Args:
-      workers: the address of its scheduler, or the number of processes of a new cluster of this machine's own.
+      workers: the address of a scheduler, or the number of processes of a new cluster on this machine.
 
     Raises:
-      InputError: ``distributed`` is not installed, no scheduler responds, it is lost in the block, or a process ends
-        while it starts.
+      InputError: ``distributed`` is not installed, no scheduler responds, the scheduler is lost within the block, or a
+        process ends while it starts.
     """
     try:
         import dask
@@ -184,6 +198,8 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
             "--cluster and --workers need Dask's distributed scheduler and cryptography, which are not installed: "
             "pip install 'jaxurban[cluster]', or leave them out to work in threads"
         ) from error
+
+    # A scheduler that is running already.
     if isinstance(workers, str):
         try:
             client = Client(workers, timeout=10)
@@ -204,22 +220,24 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
                     "same again; what is finished is kept"
                 ) from error
         return
-    options = {
-        "n_workers": workers,
-        "threads_per_worker": 1,
-        "memory_limit": 0,
-        "dashboard_address": "127.0.0.1:0",  # any free port: two runs may work side by side
-        "scheduler_kwargs": {"dashboard": False},
-        # What ends a process is reported in our words: Ctrl-C, which reaches all of them, by this one.
-        "silence_logs": logging.CRITICAL,
-        "preload": KEEPING_WORKER if keeps_programs() else WORKER,
-        # Without its certificates any user of this machine could run code as this one.
-        "security": security,
-    }
+
+    # A new cluster of processes.
     with ExitStack() as stack:
         try:
             with dask.config.set(NO_PAGES):
-                cluster = stack.enter_context(LocalCluster(**options))
+                started = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    memory_limit=0,
+                    dashboard_address="127.0.0.1:0",  # any free port: two runs may work side by side
+                    scheduler_kwargs={"dashboard": False},
+                    # What ends a process is reported in our words: Ctrl-C, which reaches all of them, by this one.
+                    silence_logs=logging.CRITICAL,
+                    preload=KEEPING_WORKER if keeps_programs() else WORKER,
+                    # Without its certificates any user of this machine could run code as this one.
+                    security=security,
+                )
+                cluster = stack.enter_context(started)
         except RuntimeError as error:
             raise InputError(
                 f"a worker process ended while it started ({reason_of(error)}): a script must do its work under `if "

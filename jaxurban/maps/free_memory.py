@@ -25,15 +25,18 @@ def free_bytes(root: Path = Path("/")) -> int:
 
 
 def _left_in_groups(root: Path) -> list[int]:
-    """Return what is left under each limit of a control group that holds this process, of version 1 or 2 (cgroups(7)).
+    """Return the bytes that are left under each limit of the control groups that hold this process (cgroups(7)).
 
     A group's limit holds for all groups in it, so every level counts, up to where the groups are mounted. In a
     container the group may not exist there by its name: then the levels above it count.
+
+    Args:
+      root: of the file system.
     """
     left = []
-    for level, kind in _group_levels(root):
-        limit_file, used_names = GROUP_FILES[kind]
-        # No group, one without a limit ("max"), or of other resources: no limit of this level.
+    for level, file_system in _group_levels(root):
+        limit_file, used_names = GROUP_FILES[file_system]
+        # A level has no limit where its folder or its files are missing, or where the limit reads "max".
         with suppress(OSError, ValueError):
             limit = int((level / limit_file).read_text())
             lines = (level / "memory.stat").read_text().splitlines()
@@ -43,12 +46,18 @@ def _left_in_groups(root: Path) -> list[int]:
 
 
 def _group_levels(root: Path) -> Iterator[tuple[Path, str]]:
-    """Yield the folders of this process's control groups and of those above, each with its kind of file system."""
+    """Yield the folders of this process's control groups and of the groups above them.
+
+    Each comes with the type of its file system: ``"cgroup"`` of version 1, ``"cgroup2"`` of version 2. None come on
+    systems other than Linux.
+    """
     try:
         listed = (root / "proc/self/cgroup").read_text(errors="surrogateescape")
         mounts = (root / "proc/self/mountinfo").read_text(errors="surrogateescape").splitlines()
     except OSError:  # another system
         return
+
+    # The name of the group that holds this process, by file system, from lines "number:resources:name".
     names = {}
     for line in listed.splitlines():
         if line.count(":") >= 2:
@@ -57,20 +66,22 @@ def _group_levels(root: Path) -> Iterator[tuple[Path, str]]:
                 names["cgroup2"] = name
             elif "memory" in resources.split(","):
                 names["cgroup"] = name
+
+    # Where groups are mounted, from lines "... top place ... - file_system ...": the group `top` is seen at `place`.
     for line in mounts:
         before, _, after = line.partition(" - ")
-        kind = after.split(" ")[0]
+        file_system = after.split(" ")[0]
         fields = before.split()
-        if kind not in names or len(fields) < 5:
+        if file_system not in names or len(fields) < 5:
             continue
         top, place = map(_unescaped, fields[3:5])
-        group = PurePosixPath(names[kind])
+        group = PurePosixPath(names[file_system])
         mounted = root / place.lstrip("/")
         within = PurePosixPath()
         if group.is_relative_to(top) and ".." not in group.parts:
             within = group.relative_to(top)
         for level in (within, *within.parents):
-            yield mounted / level, kind
+            yield mounted / level, file_system
 
 
 def _unescaped(field: str) -> str:

@@ -13,7 +13,6 @@ from jaxurban.io.read.guesses import (
     NOMINAL_SKY,
     WITHOUT_DATA,
     Guesses,
-    guessed_share,
     share_guess,
 )
 from jaxurban.io.read.rasterise import highest_top_m
@@ -36,11 +35,6 @@ SIDE_POINTS = 32  # along each side of a raster's outline, which another CRS ben
 EDGE_M = 20.0  # that snapping to the cells of any usual resolution adds to bounds, at each side
 
 
-def has_guessed_roofs(city: City, region: Grid) -> bool:
-    """Return whether the height of any building in a region is guessed."""
-    return city.buildings is not None and guessed_share(city.buildings, region.bounds_m) > 0
-
-
 def region_guesses(
     city: City,
     region: Grid,
@@ -50,17 +44,18 @@ def region_guesses(
     params: Population,
     people: BlockLayers | None,
 ) -> Guesses:
-    """Return every guess behind the maps of a region.
-
-    A city that is from no files (the synthetic one) has no real sky and nothing beyond its edge.
+    """Return every guess behind the maps of a region, a sentence each by its short name.
 
     Args:
-      city, region, sky: of the maps.
-      altitude_m: the lowest one.
-      bands: rasters or arrays of layers of one's own, by name.
-      params, people: settings of the population, and that of every block; None without it.
+      city, region, sky: what the maps are made of.
+      altitude_m: the lowest altitude of the maps, above ground.
+      bands: rasters or arrays of a user's layers, by name.
+      params: settings of the population.
+      people: the population of every block; None without population.
     """
     guesses = {**city.guesses, **sky.guesses}
+
+    # A city from no files (the synthetic one) has no real sky, and nothing stands beyond its edge.
     if city.sources:
         _, share = leaving_shares(city, region, sky, altitude_m)
         guesses |= share_guess(
@@ -71,9 +66,11 @@ def region_guesses(
         )
     else:
         guesses.pop(NOMINAL_SKY, None)
-    guesses |= _coverage_guesses(city, region) | _hanging_guesses(city, region)
+    guesses |= _coverage_guesses(city, region)
+    guesses |= _hanging_guesses(city, region)
     for name, values in bands.items():
         guesses |= _layer_guesses(name, values[0], region)
+
     if city.blocks is not None and people is not None:
         if city.sources and city.blocks.day_count is None and {*params.times_of_day} - {"night"}:
             guesses["people by factors"] = (
@@ -86,7 +83,10 @@ def region_guesses(
 
 
 def _hanging_guesses(city: City, region: Grid) -> Guesses:
-    """Return how metrics take what hangs over a region; nothing where nothing does, or where it reaches the ground."""
+    """Return the guess of how metrics treat what hangs over a region, by its short name.
+
+    It is empty where nothing hangs there, or where everything that hangs is taken to reach the ground.
+    """
     if city.buildings is None or city.hanging != SLABS:
         return {}
     hanging = city.buildings.take(city.buildings.min_height_m > 0)
@@ -103,30 +103,39 @@ def _hanging_guesses(city: City, region: Grid) -> Guesses:
 
 
 def outside_share(region: Grid, known: shapely.Geometry) -> float:
-    """Return the share of a region that lies beyond what is known, in the region's CRS."""
+    """Return the share, 0 to 1, of a region's area that lies beyond a known area, which is in the region's CRS."""
     whole = shapely.box(*region.bounds_m)
     return 1.0 - float(shapely.intersection(whole, known).area) / float(whole.area)
 
 
 def _boxes_asked(city: City, buildings: Footprints, region: Grid) -> list[shapely.Geometry]:
-    """Return, around each settlement in a region, the box that its bounds in degrees ask for.
+    """Return a box around the buildings of each part of the known area in a region, as bounds in degrees would make it.
 
-    Such bounds are rounded, stand askew in the CRS and are snapped to cells: they reach a little beyond the walls.
+    Bounds in degrees are rounded, lie askew in the CRS and are snapped to cells, so a region that was made of them
+    reaches a little beyond the walls: these boxes too.
+
+    Args:
+      city: whose known area counts.
+      buildings: of the city.
+      region: grid of the maps.
     """
+    edge_m = max(EDGE_M, region.resolution_m)
     parts = shapely.get_parts(city.known_area)
     boxes = []
     for part in parts[shapely.intersects(parts, shapely.box(*region.bounds_m))]:
-        own = buildings.polygons[shapely.intersects(buildings.polygons, part)]
-        if len(own):
-            bounds = rounded_outward(lonlat_boxes(own, city.crs))
+        polygons = buildings.polygons[shapely.intersects(buildings.polygons, part)]
+        if len(polygons):
+            bounds = rounded_outward(lonlat_boxes(polygons, city.crs))
             box_m = box_of(bounds, city.crs)
-            edge_m = max(EDGE_M, region.resolution_m)
             boxes.append(shapely.box(*box_m).buffer(edge_m, join_style="mitre"))
     return boxes
 
 
 def _coverage_guesses(city: City, region: Grid) -> Guesses:
-    """Return how much of the region is taken as free of buildings, or of people, as nothing is known there."""
+    """Return the guesses of how much of a region is taken as free of buildings, or of people, without being known so.
+
+    They are a sentence each by its short name, none for shares that are small enough.
+    """
     share = outside_share(region, city.known_area)
     if share > LEAST_SHARE and city.buildings is not None:
         boxes = _boxes_asked(city, city.buildings, region)
@@ -151,20 +160,30 @@ def _coverage_guesses(city: City, region: Grid) -> Guesses:
 
 
 def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesses:
-    """Return how much of the region a layer's raster closes, as it ends before or has large holes."""
+    """Return the guesses of how much of a region a layer's raster closes, by its end or by holes; none of an array.
+
+    Args:
+      name: of the layer.
+      band: its first one.
+      region: grid of the maps.
+    """
     if not isinstance(band, Raster):
         return {}
+
+    # The raster's outline in the region's CRS, with points along its sides, which a projection bends.
     num_rows, num_cols = band.values.shape
-    border = shapely.get_coordinates(shapely.segmentize(shapely.box(0, 0, 1, 1), 1 / SIDE_POINTS))
-    raster = shapely.Polygon(
-        np.stack(pixel_xy(band, border[:, 1] * num_rows, border[:, 0] * num_cols, region.crs), -1)
-    )
-    return share_guess(
-        outside_share(region, shapely.make_valid(raster)),
+    outline = shapely.segmentize(shapely.box(0, 0, 1, 1), 1 / SIDE_POINTS)
+    col_share, row_share = shapely.get_coordinates(outline).T
+    xy_m = pixel_xy(band, row_share * num_rows, col_share * num_cols, region.crs)
+    area = shapely.make_valid(shapely.Polygon(np.stack(xy_m, -1)))
+
+    beyond = share_guess(
+        outside_share(region, area),
         f"the region beyond layer {name}",
         f"the region lies beyond the raster of layer {name} and is closed to every path: give a raster that covers it, "
         "or a smaller region",
-    ) | share_guess(
+    )
+    return beyond | share_guess(
         float(np.isnan(band.values).mean()),
         f"layer {name} without a value",
         f"the pixels of layer {name} hold no value and are closed to every path: fill them, unless they are meant to "
@@ -174,15 +193,21 @@ def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesse
 
 
 def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tuple[float, float]:
-    """Return the shares of cells and of visibilities whose rays leave the data while a roof could still block them.
+    """Return how many rays toward satellites leave the data while a roof could still block them.
 
-    Of cells: those with any such ray. Of visibilities: a cell, a satellite, a time each. Rays start at cells' centres,
-    evenly spread: all of them, or as many as make `MOST_RAYS`.
+    Rays start at the centres of cells, evenly spread: at all of them, or at so few that about `MOST_RAYS` are followed.
+
+    Args:
+      city, region, sky: what the maps are made of.
+      altitude_m: of the cells, above ground.
+
+    Returns:
+      The share, 0 to 1, of cells that have any such ray, and the share of rays, one for each cell, satellite and time.
     """
     azimuth_rad = sky.azimuth_rad[sky.is_in_view]
     elevation_rad = sky.elevation_rad[sky.is_in_view]
     num_rays = region.num_rows * region.num_cols * max(len(azimuth_rad), 1)
-    stride = math.ceil(math.sqrt(num_rays / MOST_RAYS))
+    stride = math.ceil(math.sqrt(num_rays / MOST_RAYS))  # every so many cells, both ways
     first_row, first_col = np.minimum(stride, region.shape) // 2
     x_m, y_m = np.meshgrid(region.x_m[first_col::stride], region.y_m[first_row::stride])
     start_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)[:, None]
@@ -194,10 +219,19 @@ def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tup
 def _scale_guesses(
     blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: Population
 ) -> Guesses:
-    """Return that one block sets the population's scale, at the first time of day where one does."""
-    in_region = region_blocks(blocks, bounds_m)
+    """Return the guess that one block sets the population's scale, for the first time of day at which one does.
+
+    It does where hardly any other inhabited block is above a third of the scale; empty where no block does.
+
+    Args:
+      blocks: the census blocks.
+      bounds_m: the region's box, whose blocks set the scale.
+      population_layers: m of the blocks.
+      params: settings of the population.
+    """
     if params.normalise != "max":
         return {}
+    in_region = region_blocks(blocks, bounds_m)
     unit = "people" if params.quantity == "count" else "people per km2"
     layers = np.asarray(population_layers.m, float)[:, in_region]
     for m, norm in zip(layers, population_layers.norm_per_km2, strict=True):

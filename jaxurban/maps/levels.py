@@ -49,10 +49,13 @@ class Levels:
                 raise InputError(f"{name} must be a finite cost per metre >= 0, got {value:g}")
 
     def of(self, altitudes_m: Iterable[float]) -> np.ndarray:
-        """Return the levels over some maps, ``[K]`` ascending: their altitudes within the bounds and all steps between.
+        """Return the levels over some maps: their altitudes within the bounds, and all steps between them.
+
+        Args:
+          altitudes_m: of the maps, metres above ground.
 
         Returns:
-          The levels, metres above ground.
+          The levels, ``[K]`` ascending, metres above ground.
 
         Raises:
           InputError: bounds that hold no altitude, or a step that is not positive.
@@ -61,27 +64,31 @@ class Levels:
           >>> ju.Levels(level_step_m=15.0).of(maps.altitudes_m).tolist()
           [20.0, 35.0, 50.0, 60.0]
         """
-        known_m = np.array(sorted(altitudes_m))
+        maps_m = np.array(sorted(altitudes_m))
         step_m = self.level_step_m
-        lowest = known_m[0] if self.min_altitude_m is None else self.min_altitude_m
-        highest = known_m[-1] if self.max_altitude_m is None else self.max_altitude_m
-        inside = known_m[(known_m >= lowest) & (known_m <= highest)]
-        low = max(lowest, known_m[0])
-        high = min(highest, known_m[-1])
-        if low > high or (step_m is None and inside.size == 0):
+
+        # The bounds, and the maps' altitudes within them.
+        min_m = maps_m[0] if self.min_altitude_m is None else self.min_altitude_m
+        max_m = maps_m[-1] if self.max_altitude_m is None else self.max_altitude_m
+        inside = maps_m[(maps_m >= min_m) & (maps_m <= max_m)]
+        low_m = max(min_m, maps_m[0])
+        high_m = min(max_m, maps_m[-1])
+        if low_m > high_m or (step_m is None and not inside.size):
             raise InputError(
-                f"the maps hold no altitude from {lowest:g} to {highest:g} m, only {listed_m(known_m)} m: change "
+                f"the maps hold no altitude from {min_m:g} to {max_m:g} m, only {listed_m(maps_m)} m: change "
                 "min_altitude_m or max_altitude_m, or give level_step_m to fly between the maps' altitudes"
             )
         if step_m is None:
             return inside
+
+        # The steps between them, without those that are a level already.
         positive("level_step_m", step_m)
-        if (high - low) / step_m > MOST_LEVELS:
+        if (high_m - low_m) / step_m > MOST_LEVELS:
             raise InputError(
                 f"level_step_m {step_m:g} makes more than {MOST_LEVELS} levels: choose a longer step"
             )
-        fixed = np.unique([low, *inside, high])
-        steps = np.arange(low, high, step_m)
+        fixed = np.unique([low_m, *inside, high_m])
+        steps = np.arange(low_m, high_m, step_m)
         is_new = np.abs(fixed - steps[:, None]).min(axis=1) > SAME_M
         return np.sort(np.concatenate([fixed, steps[is_new]]))
 
@@ -94,17 +101,18 @@ def values_at(
     *,
     is_count: bool = False,
 ) -> np.ndarray:
-    """Return a map's values at an altitude within the maps' range.
+    """Return a map's values ``[y, x]`` at an altitude within the maps' range.
 
-    Between two altitudes they run linearly from one map to the other (a count stays that of the lower one, which is in
-    view above it too); where a roof, or what hangs, is in or over the lower one, the upper one's value stands.
+    Between two of the maps' altitudes the values run linearly from the lower map to the upper one. A count stays that
+    of the lower one, as what is in view there is in view above it too. Where a roof reaches the lower altitude, or
+    something hangs over it, the value is the upper map's.
 
     Args:
-      z_m: the altitude.
+      z_m: the altitude, metres above ground.
       altitudes_m: of the maps.
-      read: the values at one of these.
-      is_under_sky: whether nothing reaches one of these, or hangs above it, at the cell's centre.
-      is_count: of whole things, such as satellites.
+      read: returns the values at one of these altitudes.
+      is_under_sky: returns, for one of these altitudes, where no roof reaches it and nothing hangs above it.
+      is_count: whether the values count whole things, such as satellites.
     """
     if z_m in altitudes_m:
         return read(z_m)

@@ -60,8 +60,12 @@ MOST_SHARE = 1 + 4 / 3
 def parse_bytes(text: str, name: str = "memory") -> int:
     """Return the bytes in a size such as ``"4GiB"``, ``"512 MB"`` or ``"4g"``; all units are powers of 1,024.
 
+    Args:
+      text: a number above 0 and a unit; bytes without one.
+      name: of the setting, for the message.
+
     Raises:
-      InputError: no such size.
+      InputError: the text is not such a size.
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
     if match is None or not 0 < float(match[1]) < MOST_UNITS:
@@ -70,7 +74,7 @@ def parse_bytes(text: str, name: str = "memory") -> int:
 
 
 def format_bytes(num_bytes: float) -> str:
-    """Return a size as people read it."""
+    """Return a size in words for people, such as ``"4.0 GiB"``, or ``"less than 1 MiB"``."""
     if num_bytes < 2**20:
         return "less than 1 MiB"
     if num_bytes < 2**30:
@@ -80,14 +84,17 @@ def format_bytes(num_bytes: float) -> str:
 
 
 def distinct_texts(size: float, other: float) -> tuple[str, str]:
-    """Return two sizes as people read them, with the digits in which they differ."""
+    """Return two sizes in bytes as `format_bytes`, or in MiB with three decimals where these texts would be equal."""
     if format_bytes(size) != format_bytes(other):
         return format_bytes(size), format_bytes(other)
     return f"{size / 2**20:,.3f} MiB", f"{other / 2**20:,.3f} MiB"
 
 
 def shape_of_tiles(task: MapTask) -> tuple[int, int]:
-    """Return rows and columns of the tiles of a region; settings decide it, never the machine."""
+    """Return the rows and columns of cells of a region's tiles; settings decide them, never the machine.
+
+    The tiles of a long series are smaller, so that a metric at all of its times takes at most `SERIES_BYTES`.
+    """
     if task.keeps_times:
         return tile_shape(task.region.shape)
     cell_bytes = 4 * task.num_times * len(task.params.altitudes_m)
@@ -101,14 +108,19 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
     Args:
       task: what the maps are made of.
       tile: a part of its region, or all of it.
-      around: what is rasterised for it; left out, the halo of a tile that its neighbours hand shadows on to.
+      around: the grid that is rasterised for it; left out, the tile with its halo, which suffices where its neighbours
+        hand shadows on.
     """
     params = task.params
     cells = _num_cells(tile)
     num_altitudes = len(params.altitudes_m)
+
+    # The surface, with further rasters for terrain and for roofs at an altitude.
     num_rasters = task.has_terrain + (task.city.hanging == SLABS)
     surface_bytes = SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * num_rasters
     needed = surface_bytes * _num_cells(around or task.with_halo(tile))
+
+    # The metrics, on the tile and its cells within their reach.
     series_bytes = 0 if task.keeps_times else SERIES_VALUE_BYTES * task.num_times
     for metric in task.metrics.values():
         settings = task.settings_of(metric)
@@ -116,9 +128,12 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
         needed += _num_cells(tile, reach) * metric.cell_bytes
         is_by_jax = params.engine == "jax" or not metric.is_numba_over_terrain(settings)
         if task.has_terrain and is_by_jax:
+            # JAX's form over terrain (True) keeps on a CPU what it keeps on a GPU.
             needed += int(metric.gpu_bytes(settings, tile, True))
         if TIME in metric.dims:
             needed += cells * num_altitudes * (WORD_BYTES + series_bytes)
+
+    # Samples of people by day and by night, then spreads and supersampled surfaces, which have all that shadows a tile.
     if task.city.blocks is not None and task.city.blocks.day_count is not None:
         needed += cells * PEOPLE_SAMPLES**2 * PEOPLE_SAMPLE_BYTES
     margin_bytes = 0
@@ -132,7 +147,12 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
 
 
 def tile_gpu_bytes(task: MapTask, tile: Grid) -> int:
-    """Return about how many bytes of a GPU's memory the work on one tile takes at its highest."""
+    """Return about how many bytes of a GPU's memory the work on one tile takes at its highest.
+
+    Args:
+      task: what the maps are made of.
+      tile: a part of its region.
+    """
     num_satellites = int(task.sky.is_in_view.sum(axis=1).max())
     shadows = SHADOW_GPU_BYTES * num_satellites * _num_cells(task.with_halo(tile))
     of_metrics = sum(
@@ -152,11 +172,12 @@ def maps_bytes(task: MapTask) -> int:
 
 
 def _num_cells(grid: Grid, halo: int = 0) -> int:
+    """Return the number of cells of a grid with ``halo`` more on each side."""
     return (grid.num_rows + 2 * halo) * (grid.num_cols + 2 * halo)
 
 
 def check_fits(task: MapTask) -> None:
-    """Raise InputError where the maps of a region take more memory than is free, made at once as `build_maps` does."""
+    """Raise InputError where the maps of a region take more memory than is free, if made as one tile in memory."""
     region = task.region
     free = free_bytes()
     work = tile_bytes(task, region, task.with_margin())
@@ -177,72 +198,88 @@ def plan_run(
     num_workers: int = 1,
     num_processes: int = 0,
 ) -> int:
-    """Return how many tiles (and GeoTIFFs) to work on at a time, and say in the log what that takes.
+    """Return how many tiles (and GeoTIFFs) to work on at a time, and write to the log what memory that takes.
 
     Args:
-      tasks: made one after the other.
-      ceiling_bytes: of all processes together; None for `DEFAULT_SHARE` of the free memory.
-      num_workers: the most; each process works on as many tiles.
-      num_processes: beside this one, that do the work; 0 where its threads do.
+      tasks: of the resolutions, which are made one after the other.
+      ceiling_bytes: on the memory of all processes together; None for that of this one and `DEFAULT_SHARE` of what is
+        free.
+      num_workers: the most tiles to work on at a time; each process works on an equal number of them.
+      num_processes: how many processes beside this one do the work; 0 where the threads of this one do.
+
+    Returns:
+      The number, a multiple of the number of processes.
 
     Raises:
-      InputError: not even one tile fits (or not one in each process), or none into the memory of JAX's GPU.
+      InputError: not even one tile fits into the memory (or not one for each process), or none into that of the GPU.
     """
-    tile_most, gpu_most, num_tiles = 0, 0, 1
+    # The largest tile of all resolutions, and the most tiles.
+    largest_bytes = 0
+    largest_gpu_bytes = 0
+    num_tiles = 1
     for task in tasks:
         region = task.region
         num_rows, num_cols = shape_of_tiles(task)
         tile = replace(region, num_rows=num_rows, num_cols=num_cols)
-        num_of_task = -(-region.num_rows // num_rows) * -(-region.num_cols // num_cols)
+        num_in_region = -(-region.num_rows // num_rows) * -(-region.num_cols // num_cols)
         geotiff_bytes = num_rows * region.num_cols * GEOTIFF_CELL_BYTES
-        num_tiles = max(num_tiles, num_of_task)
-        tile_most = max(tile_most, tile_bytes(task, tile), geotiff_bytes)
-        gpu_most = max(gpu_most, tile_gpu_bytes(task, tile))
-    on_gpu = gpu_free_bytes() if tasks[0].params.engine != "numba" else None
-    if on_gpu is not None:
-        if gpu_most > on_gpu:
-            most_text, free_text = distinct_texts(gpu_most, on_gpu)
+        num_tiles = max(num_tiles, num_in_region)
+        largest_bytes = max(largest_bytes, tile_bytes(task, tile), geotiff_bytes)
+        largest_gpu_bytes = max(largest_gpu_bytes, tile_gpu_bytes(task, tile))
+
+    # What fits into the memory of a GPU, if JAX has one.
+    free_gpu_bytes = gpu_free_bytes() if tasks[0].params.engine != "numba" else None
+    if free_gpu_bytes is not None:
+        if largest_gpu_bytes > free_gpu_bytes:
+            most_text, free_text = distinct_texts(largest_gpu_bytes, free_gpu_bytes)
             raise InputError(
                 f"a tile needs about {most_text} of the GPU's memory and {free_text} are free: end what else "
                 "uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
             )
-        num_workers = min(num_workers, on_gpu // gpu_most)
-    own = psutil.Process().memory_info().rss
-    least = num_processes or 1
-    ceiling = ceiling_bytes or int(own + DEFAULT_SHARE * free_bytes())
-    base = own + len(tasks) * PROGRAM_BYTES * least
-    base += num_processes * WORKER_BYTES or COMPILING_BYTES
-    fitting = (ceiling - base) // tile_most
-    if fitting < least:
-        needed_text, most_text = distinct_texts(base + tile_most * least, ceiling)
+        num_workers = min(num_workers, free_gpu_bytes // largest_gpu_bytes)
+
+    # What fits into the machine's memory beside the processes themselves and their programs.
+    own_bytes = psutil.Process().memory_info().rss
+    least_tiles = num_processes or 1
+    ceiling = ceiling_bytes or int(own_bytes + DEFAULT_SHARE * free_bytes())
+    base_bytes = own_bytes + len(tasks) * PROGRAM_BYTES * least_tiles
+    base_bytes += num_processes * WORKER_BYTES or COMPILING_BYTES
+    fitting = (ceiling - base_bytes) // largest_bytes
+    if fitting < least_tiles:
+        needed_text, most_text = distinct_texts(base_bytes + largest_bytes * least_tiles, ceiling)
         remedy = "fewer --workers" if num_processes > 1 else "a coarser [region] resolution_m"
         raise InputError(
             f"this job needs about {needed_text} of memory and may take {most_text}: raise --memory, or choose "
             f"{remedy}, a shorter [lidar] range_m or [risk] threshold_m, or fewer altitudes or times"
         )
-    num_workers = min(num_workers, fitting) // least * least
-    at_once = min(num_workers, max(num_tiles, least))
+
+    # An equal number for each process.
+    num_workers = min(num_workers, fitting) // least_tiles * least_tiles
+    at_once = min(num_workers, max(num_tiles, least_tiles))
     num_cells = sum(_num_cells(task.region) for task in tasks)
     LOG.info(
         f"{num_cells:,} cells, tiles at a time: {at_once}; about "
-        f"{format_bytes(base + at_once * tile_most)} of memory at most, of {format_bytes(ceiling)} allowed"
+        f"{format_bytes(base_bytes + at_once * largest_bytes)} of memory at most, of {format_bytes(ceiling)} allowed"
     )
     return num_workers
 
 
 def disk_bytes(tasks: Sequence[MapTask]) -> tuple[int, int]:
-    """Return how many bytes of disk a run takes at least and at most, its resolutions one after the other."""
+    """Return how many bytes of disk a run takes at least and at most, as its maps compress more or less.
+
+    The resolutions of ``tasks`` are made one after the other, so the unfinished tiles of one at a time count.
+    """
     work = max(WORK_CELL_BYTES * _num_cells(task.region) for task in tasks)
     values = sum(map(maps_bytes, tasks))
     return int(work + LEAST_SHARE * values), int(work + MOST_SHARE * values)
 
 
 def check_disk(tasks: Sequence[MapTask], folder: Path) -> None:
-    """Say in the log what a run takes of the disk at its peak; what an earlier run left counts as free.
+    """Write to the log what a run takes of the disk at its peak.
 
     Args:
       tasks: of the resolutions.
-      folder: of the maps.
+      folder: of the maps; the maps of an earlier run in it count as free, as they are replaced.
 
     Raises:
       InputError: the disk is too small even for compressible maps.
@@ -259,5 +296,5 @@ def check_disk(tasks: Sequence[MapTask], folder: Path) -> None:
             f"the maps need at least {least_text} of disk and {free_text} are free in {str(folder)!r}: "
             "use a smaller region, a coarser [region] resolution_m, or another folder"
         )
-    span = " to ".join(dict.fromkeys(map(format_bytes, (least, most))))
+    span = " to ".join(dict.fromkeys(map(format_bytes, (least, most))))  # equal texts once
     LOG.info(f"disk at the peak: {span}, of {format_bytes(free + left)} free")

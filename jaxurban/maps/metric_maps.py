@@ -28,12 +28,15 @@ OF_ROUTES = ("weights", "planning", "vehicle")  # sections of a scenario that it
 
 
 def _placed(ds: xr.Dataset) -> xr.Dataset:
-    """Return maps whose attributes say where their cells lie, also where they were cut out of larger ones.
+    """Return maps whose attributes ``first_row`` and ``first_col`` are those of their own southwest cell.
+
+    Maps that were cut out of larger ones have the attributes of these, so the coordinates y and x decide; maps without
+    these coordinates are returned unchanged.
 
     Raises:
       InputError: cells that are not side by side.
     """
-    if not {"y", "x"} <= {*ds.coords}:  # the attributes alone say it
+    if not {"y", "x"} <= {*ds.coords}:
         return ds
     first = {"first_row": _first_cell(ds, "y"), "first_col": _first_cell(ds, "x")}
     if all(ds.attrs[name] == number for name, number in first.items()):
@@ -42,11 +45,15 @@ def _placed(ds: xr.Dataset) -> xr.Dataset:
 
 
 def _first_cell(ds: xr.Dataset, axis: str) -> int:
-    """Return the number of the first cell along an axis, whose cells must lie side by side."""
+    """Return the global number (see `Grid`) of the first cell along ``"y"`` or ``"x"``.
+
+    Raises:
+      InputError: cells that are not side by side, in ascending order.
+    """
     side_m = float(ds.attrs["resolution_m"])
-    numbers = ds[axis].values / side_m - 0.5
+    numbers = ds[axis].values / side_m - 0.5  # coordinates are those of the cells' centres
     first = int(np.round(numbers[0]))
-    if np.abs(numbers - first - np.arange(len(numbers))).max() > 0.01:
+    if np.abs(numbers - first - np.arange(len(numbers))).max() > 0.01:  # of a cell, for rounding
         raise InputError(
             f"the maps' {axis} must run cell by cell in steps of {side_m:g} m: cut maps by slices without a step"
         )
@@ -117,10 +124,11 @@ class MetricMaps(FactsRepr):
         return Planning(**self.recorded.get("planning", {}))
 
     def with_recorded(self, settings: Mapping[str, Any]) -> "MetricMaps":
-        """Return the same maps with other settings of a run on record (`recorded`).
+        """Return the same maps with other settings of a run in `recorded`.
 
         Returns:
-          The maps; of the settings they keep ``weights``, ``planning`` and ``vehicle``.
+          The maps, which share their arrays with these and keep ``weights``, ``planning`` and ``vehicle`` alone of the
+          settings.
 
         Examples:
           >>> maps.with_recorded({"weights": {"risk": 5.0}}).recorded
@@ -141,7 +149,7 @@ class MetricMaps(FactsRepr):
 
     @property
     def facts(self) -> dict[str, str]:
-        """Grid, CRS, altitudes, times and metrics held, and the credit."""
+        """What the maps are, a text each by its name: grid, CRS, altitudes, times, metrics, rule and credit."""
         grid = self.grid
         return {
             "grid": f"{grid.num_rows:,} x {grid.num_cols:,} cells of {grid.resolution_m:g} m",
@@ -166,12 +174,13 @@ class MetricMaps(FactsRepr):
 
     @cached_property
     def base_map(self) -> "gpd.GeoDataFrame | None":
-        """Streets, water, parks and names below the maps, to orient in; nothing is computed from it.
+        """Streets, water, parks and names below the maps, for orientation; nothing is computed from them.
 
-        From the OpenStreetMap file or the sample city that the maps were made of, or from their folder; None without
-        one, or where it cannot be read (the log says so). Features in EPSG:4326, cut at the region: ``kind`` (``water``
-        and ``park``, polygons; ``path``, ``street``, ``major`` and ``rail``, lines; ``place``, points) and ``name``,
-        empty without one. ``attrs`` hold ``credit`` and ``licence``. Read when it is first looked at.
+        They are from the OpenStreetMap file or the sample city that the maps were made of, or from the maps' folder;
+        None without such a source, or where it cannot be read (the log says so). The features are in EPSG:4326, cut at
+        the region, with ``kind`` (``water`` and ``park``, polygons; ``path``, ``street``, ``major`` and ``rail``,
+        lines; ``place``, points) and ``name``, empty without one. ``attrs`` hold ``credit`` and ``licence``. They are
+        read when they are first looked at.
         """
         # Imported here: it brings the readers.
         from jaxurban.io.read.base_map import base_map_source, read_base_map
@@ -191,7 +200,11 @@ class MetricMaps(FactsRepr):
 
     @property
     def identity(self) -> dict[str, str]:
-        """Run, grid and rule of obstacles, which no other maps share: for the record of what was made on them."""
+        """What no other maps share, for the record of what is made on them: run, grid and rule of obstacles.
+
+        Texts by name: ``run_key``, ``crs``, ``resolution_m``, ``first_row``, ``first_col`` and ``obstacles``;
+        ``"None"`` where the maps do not have one, as maps of no run have no key.
+        """
         names = ("run_key", "crs", "resolution_m", "first_row", "first_col")
         values = {name: str(self.ds.attrs.get(name)) for name in names}
         return {**values, "obstacles": self.obstacles}
@@ -243,7 +256,16 @@ class MetricMaps(FactsRepr):
         return held_metrics(self.ds)
 
     def _index_of(self, name: str, value: Any, values: Sequence) -> int:
-        """Return the place of a value among those that the maps hold, the first where it is None."""
+        """Return the index of a value among those that the maps hold; 0, that of the first, where it is None.
+
+        Args:
+          name: what messages call the value.
+          value: the value that is looked for.
+          values: that the maps hold.
+
+        Raises:
+          InputError: the maps do not hold the value.
+        """
         if value is None:
             return 0
         if value not in values:
@@ -269,7 +291,7 @@ class MetricMaps(FactsRepr):
 
     @typed
     def around(self, altitude_m: float) -> list[float]:
-        """Return an altitude if these maps hold it, else the two that they hold next below and above it.
+        """Return an altitude if these maps hold it, else those next below and next above it that they hold.
 
         Returns:
           The altitudes, ascending, metres above ground.
@@ -350,11 +372,12 @@ class MetricMaps(FactsRepr):
           >>> maps.variable("gps")  # of a long series: 'gps_median'
           'gps'
         """
-        return f"{name}_median" if name not in self.ds and f"{name}_median" in self.ds else name
+        median = f"{name}_median"
+        return median if name not in self.ds and median in self.ds else name
 
     @typed
     def is_free(self, altitude_m: float, obstacles: Obstacles | None = None) -> np.ndarray:
-        """Return ``[y, x]`` bool: no obstacle at an altitude, data there, and a value of every layer that a user added.
+        """Return ``[y, x]`` bool: cells without an obstacle, with data, and with a value of every layer of a user.
 
         At one of the maps' altitudes a cell that ``obstacle`` blocks is never free, whatever the roofs say. Metrics are
         defined under what hangs, but nobody may fly there: heights of floors are not known well enough.
@@ -409,6 +432,9 @@ class MetricMaps(FactsRepr):
     ) -> dict:
         """Return the cost layers c in [0, 1] by metric, ``[y, x]`` each; NaN where m is missing.
 
+        Args:
+          altitude_m, time, time_of_day: as for `m`.
+
         Returns:
           The layers: ``{"gps": array, ...}`` in the order of `metrics`.
 
@@ -428,6 +454,9 @@ class MetricMaps(FactsRepr):
     ) -> np.ndarray:
         """Return H_total, the unweighted sum of the cost layers, ``[y, x]``; NaN where one of them is missing.
 
+        Args:
+          altitude_m, time, time_of_day: as for `m`.
+
         Returns:
           The sum, from 0 to the number of layers.
 
@@ -443,7 +472,10 @@ class MetricMaps(FactsRepr):
     def normalised(
         self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None
     ) -> np.ndarray:
-        """Return H_norm, H_total brought to [0, 1] over free cells, NaN elsewhere, ``[y, x]``.
+        """Return H_norm, ``[y, x]``: H_total (`total`) scaled to [0, 1] over the free cells, NaN elsewhere.
+
+        Args:
+          altitude_m, time, time_of_day: as for `m`.
 
         Returns:
           The map, 0 at the cheapest free cell and 1 at the costliest; 0 everywhere where all cost the same.
@@ -455,14 +487,17 @@ class MetricMaps(FactsRepr):
         """
         total = self.total(altitude_m, time=time, time_of_day=time_of_day)
         is_free = self.is_free(altitude_m, "centre")
-        low = np.min(total[is_free], initial=np.inf)
-        high = np.max(total[is_free], initial=-np.inf)
-        span = high - low if high > low else 1
-        return np.where(is_free, (total - low) / span, np.float32(np.nan))
+        lowest = np.min(total[is_free], initial=np.inf)
+        highest = np.max(total[is_free], initial=-np.inf)
+        span = highest - lowest if highest > lowest else 1
+        return np.where(is_free, (total - lowest) / span, np.float32(np.nan))
 
     @typed
     def prefers_gps(self, altitude_m: float, *, time: str | None = None) -> np.ndarray:
         """Return the sensor-choice map ``[y, x]`` bool: m_gps > m_lidar; False inside obstacles.
+
+        Args:
+          altitude_m, time: as for `m`.
 
         Returns:
           True where GPS serves better than lidar.

@@ -40,29 +40,48 @@ MOST_SAID, NOT_SET = 6, "not set"  # of differing settings in one sentence
 MAP_FOLDERS = ("kernels", "world", "metrics", "io", "maps")  # of the package: what maps depend on
 
 Differing = dict[str, tuple[Any, Any]]  # old and new value by dotted key, None for what is not set
+Inputs = Mapping[str, Mapping[str, str]]  # path and SHA-256 of each input file, by its role
 
 
 def run_record(
     scenario: Scenario,
     tasks: Sequence[MapTask],
-    inputs: Mapping[str, Mapping[str, str]],
+    inputs: Inputs,
     key: str,
     elapsed_s: Mapping[str, float],
     started_utc: str,
     messages: Sequence[str],
 ) -> dict[str, Any]:
-    """Return what run.json holds; the arguments are what `run_scenario` worked with, a task for each resolution."""
+    """Return what run.json holds.
+
+    Args:
+      scenario: the settings.
+      tasks: one for each resolution, all of the same city.
+      inputs: from `hash_inputs`.
+      key: from `run_key`.
+      elapsed_s: seconds by stage.
+      started_utc: when the run began, ISO 8601.
+      messages: of the warnings.
+    """
     city = tasks[0].city
     region = tasks[0].region
     sky = tasks[-1].sky
-    leaving = {
-        short_number(z): leaving_shares(city, region, sky, z) for z in scenario.region.altitudes_m
-    }
+
+    # Shares of cells and of results whose rays leave the data, by altitude.
+    cells_leaving = {}
+    results_leaving = {}
+    for altitude_m in scenario.region.altitudes_m:
+        cells, results = leaving_shares(city, region, sky, altitude_m)
+        cells_leaving[short_number(altitude_m)] = round(cells, 4)
+        results_leaving[short_number(altitude_m)] = round(results, 4)
+
+    # People of the blocks that touch the region, and of those only the people inside it.
     population = inside = None
     if city.blocks is not None:
         people = city.blocks, scenario.population, region.bounds_m
         population = population_totals(*people)
         inside = population_totals(*people, is_cut=True)
+
     return {
         "started_utc": started_utc,
         "elapsed_s": {name: round(seconds, 3) for name, seconds in elapsed_s.items()},
@@ -81,8 +100,8 @@ def run_record(
         "epochs": list(sky.times),
         "satellites_above_mask": sky.count_by_system(),
         "satellites": _satellite_record(sky),
-        "rays_leave_data_share": {z: round(cells, 4) for z, (cells, _) in leaving.items()},
-        "answers_leave_data_share": {z: round(results, 4) for z, (_, results) in leaving.items()},
+        "rays_leave_data_share": cells_leaving,
+        "answers_leave_data_share": results_leaving,
         "population": population,
         "population_in_region": inside,
         "warnings": list(dict.fromkeys(messages)),
@@ -90,33 +109,35 @@ def run_record(
 
 
 def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str, Any]:
-    """Write run.json, unless it says the same already, and return what it holds.
+    """Write run.json, unless it already holds the same, and return what it holds.
 
     Args:
       file: run.json.
       record: from `run_record`.
-      is_kept: whether no map was made: times, engine and warnings then stay those of the run that made them.
+      is_kept: whether all maps were kept and none was made. Start, times, engine and earlier warnings then stay those
+        of the run that made the maps.
     """
     try:
-        held = read_json(file)
+        old = read_json(file)
     except (OSError, ValueError):
-        held = {}
+        old = {}
         if is_kept:
             LOG.warning(f"{str(file)!r} is missing or damaged: writing it again")
-    record = json.loads(json.dumps(record))
-    if is_kept and held.get("run_key") == record["run_key"]:
-        kept = "started_utc", "elapsed_s", "engine", "by_numba"
-        record |= {name: held[name] for name in kept if name in held}
-        record["warnings"] = list(dict.fromkeys([*held["warnings"], *record["warnings"]]))
-    if record != held:
+    record = json.loads(json.dumps(record))  # as JSON holds it, to be compared
+    if is_kept and old.get("run_key") == record["run_key"]:
+        kept_names = "started_utc", "elapsed_s", "engine", "by_numba"
+        record |= {name: old[name] for name in kept_names if name in old}
+        record["warnings"] = list(dict.fromkeys([*old["warnings"], *record["warnings"]]))
+    if record != old:
         write_json(file, record, indent=2)
     return record
 
 
 def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
-    """Return path and SHA-256 by role of every file that a scenario names (a Shapefile with its companions).
+    """Return path and SHA-256 of every file that a scenario names, by its role.
 
-    Of several files of orbits the second is ``orbits_2``.
+    Roles are ``buildings``, ``terrain``, ``orbits``, ``orbits_2`` and so on, those of `FILES` and ``layer_NAME``. The
+    companions of a file, such as the .dbf of a Shapefile, are hashed with it.
 
     Raises:
       InputError: a file that is missing or cannot be read.
@@ -137,6 +158,11 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
 
 
 def _sha256(path: Path, role: str) -> str:
+    """Return the SHA-256 over the names and contents of a file and its companions, in hexadecimal digits.
+
+    Raises:
+      InputError: a file that is missing or cannot be read; the message names its role.
+    """
     with readable(
         path, "bytes", "name a file that can be read", what=f"the {role} file {str(path)!r}"
     ):
@@ -145,7 +171,11 @@ def _sha256(path: Path, role: str) -> str:
 
 
 def _companions(path: Path) -> list[Path]:
-    """Return a file and those that belong to it (.dbf of a Shapefile, .tfw or .aux.xml of a raster), sorted."""
+    """Return a file and the files beside it that belong to it, sorted.
+
+    They have its name but for the suffix, as the .dbf of a Shapefile and the .tfw of a raster, or with a further
+    suffix, as its .aux.xml. A folder, and a file of another kind (`COMPANIED_SUFFIXES`), is returned alone.
+    """
     if not path.is_file() or path.suffix.lower() not in COMPANIED_SUFFIXES:
         return [path]
     stem, name = glob.escape(path.stem), glob.escape(path.name)
@@ -163,8 +193,9 @@ def code_hash() -> str:
     """Return a SHA-256 over the source files that make maps, so that maps of other code are not taken for ours."""
     digest = hashlib.sha256()
     package = Path(__file__).parents[1]
-    files = [file for name in MAP_FOLDERS for file in (package / name).rglob("*.py")]
-    files += [package / "errors.py", package / "settings.py"]
+    files = [package / "errors.py", package / "settings.py"]
+    for name in MAP_FOLDERS:
+        files += (package / name).rglob("*.py")
     for path in sorted(files):
         digest.update(str(path.relative_to(package)).encode() + path.read_bytes())
     return digest.hexdigest()
@@ -177,8 +208,15 @@ def _of_maps(settings: Mapping[str, Any]) -> dict[str, Any]:
     return of_maps | {"region": region}
 
 
-def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]], backend: str) -> str:
-    """Return a short hash of all that maps depend on: settings, input bytes, our code, the libraries, what computes."""
+def run_key(scenario: Scenario, inputs: Inputs, backend: str) -> str:
+    """Return a short hash of all that maps depend on, 16 hexadecimal digits.
+
+    Args:
+      scenario: of its settings, those that maps depend on.
+      inputs: from `hash_inputs`.
+      backend: the device that computes, as JAX names it: ``"cpu"`` or ``"gpu"``. Our code and the versions of the
+        libraries count too.
+    """
     facts = {
         "settings": _of_maps(scenario.model_dump(mode="json")),
         "inputs": inputs,
@@ -190,28 +228,34 @@ def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]], backend: str)
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return settings by dotted key, as ``region.resolution_m``; what is None is left out."""
-    found: dict[str, Any] = {}
+    """Return nested settings by dotted key, such as ``region.resolution_m``; settings that are None are left out.
+
+    Args:
+      settings: nested, sections by name.
+      prefix: in front of every key, with its dot.
+    """
+    by_key: dict[str, Any] = {}
     for name, value in settings.items():
         if isinstance(value, Mapping):
-            found |= _flat(value, f"{prefix}{name}.")
+            by_key |= _flat(value, f"{prefix}{name}.")
         elif value is not None:
-            found[f"{prefix}{name}"] = value
-    return found
+            by_key[f"{prefix}{name}"] = value
+    return by_key
 
 
 def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Differing:
-    """Return what differs between settings, as JSON holds them: old and new value by dotted key, None: not set."""
+    """Return what differs between two sets of settings, as JSON holds them.
+
+    Returns:
+      Old and new value by dotted key; None where a setting is not set.
+    """
     before, after = _flat(old), _flat(new)
-    return {
-        key: (before.get(key), after.get(key))
-        for key in after | before
-        if before.get(key) != after.get(key)
-    }
+    pairs = {key: (before.get(key), after.get(key)) for key in after | before}
+    return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
 
 
 def differences_said(settings: Differing) -> str:
-    """Return differing settings in words: ``gps.mask_deg was 5.0, now 10.0``; of many the first ones."""
+    """Return differing settings in words, as ``gps.mask_deg was 5.0, now 10.0``; the first `MOST_SAID` of them."""
     words = [f"{key} was {_shown(old)}, now {_shown(new)}" for key, (old, new) in settings.items()]
     if len(words) > MOST_SAID:
         words[MOST_SAID:] = [f"and {len(words) - MOST_SAID} more"]
@@ -226,8 +270,16 @@ def _sums(files: Mapping[str, Mapping[str, str]]) -> dict[str, str | None]:
     return {role: file.get("sha256") for role, file in files.items()}
 
 
-def other_maps(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[str, str]]) -> str:
-    """Return how the maps under a folder differ from a scenario: by their record in settings, files, versions."""
+def other_maps(folder: Path, scenario: Scenario, inputs: Inputs) -> str:
+    """Return in words how the maps under a folder differ from those that a scenario would make.
+
+    The record of the folder's maps says it: by settings, input files and versions of libraries.
+
+    Args:
+      folder: with maps of another run.
+      scenario: the settings.
+      inputs: its files, from `hash_inputs`.
+    """
     try:
         record = read_json(folder / RUN_FILE)
         settings = record["settings"]
@@ -240,7 +292,7 @@ def other_maps(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[st
     if other_settings:
         words.append(f"of other settings ({differences_said(other_settings)})")
     roles = list(differing(_sums(files), _sums(inputs)))
-    if other_settings:  # which name the files that are new or gone
+    if other_settings:  # these name already the files that only one of the runs has
         roles = [role for role in roles if role in files and role in inputs]
     if roles:
         words.append(f"of other input files ({', '.join(roles)}: what they hold has changed)")
@@ -261,7 +313,11 @@ def versions() -> dict[str, str]:
 
 
 def _building_record(city: City, region: Grid) -> dict[str, Any]:
-    """Return what `run.json` says of the buildings: where heights come from, the highest, faults of the file."""
+    """Return what `run.json` says of the buildings in a region.
+
+    This is where their heights come from (counts and shares), the highest one in metres, how many hang, and the faults
+    of the file; for a city whose roofs are a raster, only the faults and the highest roof.
+    """
     record: dict[str, Any] = {"faults": dict(city.read_issues)}
     if city.buildings is None:
         assert city.roofs is not None
@@ -282,15 +338,18 @@ def _building_record(city: City, region: Grid) -> dict[str, Any]:
 
 def _satellite_record(sky: Sky) -> list[dict[str, Any]]:
     """Return each satellite's directions by time, in degrees, and the age of its elements, in days."""
+    azimuth_deg = np.degrees(sky.azimuth_rad).round(3).T
+    elevation_deg = np.degrees(sky.elevation_rad).round(3).T
+    age_days = sky.element_age_days.round(3).T
     return [
         {
             "name": name,
-            "system": system,
-            "azimuth_grid_deg": np.degrees(sky.azimuth_rad[:, i]).round(3).tolist(),
-            "elevation_deg": np.degrees(sky.elevation_rad[:, i]).round(3).tolist(),
-            "element_age_days": sky.element_age_days[:, i].round(3).tolist(),
+            "system": sky.systems[s],
+            "azimuth_grid_deg": azimuth_deg[s].tolist(),
+            "elevation_deg": elevation_deg[s].tolist(),
+            "element_age_days": age_days[s].tolist(),
         }
-        for i, (name, system) in enumerate(zip(sky.names, sky.systems, strict=True))
+        for s, name in enumerate(sky.names)
     ]
 
 
@@ -303,24 +362,27 @@ def population_totals(
     """Return the people of the blocks by time of day and zoning, for run.json.
 
     Keys are ``night`` and ``day``, under each ``commercial``, ``residential``, ``other`` and ``total``.
-    Every block counts whole, also where only a part of it lies in the box, unless ``is_cut``. float64.
 
     Args:
       blocks: the census blocks.
-      params: their gammas count, but of rasters by day and by night; left out, the paper's.
-      bounds_m: count only the blocks that touch this box; left out, all.
-      is_cut: of a block that reaches beyond the box count only the people inside, spread evenly over its area.
+      params: settings whose gammas make the people by day, where the blocks do not hold these; left out, the paper's.
+      bounds_m: x_min, y_min, x_max, y_max: only the blocks that touch this box count; left out, all.
+      is_cut: whether a block that reaches beyond the box counts only with the people inside, spread evenly over its
+        area; otherwise it counts whole.
     """
     params = params or Population()
-    weight = np.ones(len(blocks)) if bounds_m is None else blocks.touches(bounds_m)
+    share = np.ones(len(blocks)) if bounds_m is None else blocks.touches(bounds_m)
     if is_cut and bounds_m is not None:
         inside_m2 = shapely.area(shapely.intersection(blocks.polygons, shapely.box(*bounds_m)))
-        weight = weight * inside_m2 / np.where(blocks.area_m2 > 0, blocks.area_m2, 1.0)
+        share = share * inside_m2 / np.where(blocks.area_m2 > 0, blocks.area_m2, 1.0)
 
     def by_zoning(count: np.ndarray) -> dict[str, float]:
-        people = count * weight
-        zones = (Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER)
-        return {zone.name.lower(): float(people[blocks.zoning == zone].sum()) for zone in zones}
+        """Return the sum of the counts ``[N]`` of the blocks, each times its share, by zoning."""
+        people = count * share
+        return {
+            zone.name.lower(): float(people[blocks.zoning == zone].sum())
+            for zone in reversed(Zoning)
+        }
 
     night = by_zoning(blocks.night_count)
     if blocks.day_count is None:

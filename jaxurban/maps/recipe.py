@@ -36,8 +36,9 @@ class MapLayer(NamedTuple):
 def tile_maps(tile: TileScene, stage: Stage = nullcontext) -> Iterator[MapLayer]:
     """Yield every layer of a tile, one at a time, so that few of them need be in memory.
 
-    NaN where nothing is known, and inside obstacles what its `Variable` says; integers keep 0 there. Each cell depends
-    on the city around it alone, so a tile's layers equal the crop of the region's.
+    A layer is NaN where nothing is known of the cell (integers keep their value there); inside obstacles it is what
+    its `Variable` says. Each cell depends on the city around it alone, so a tile's layers equal the crop of the
+    region's.
 
     Args:
       tile: what the maps are made of.
@@ -47,12 +48,13 @@ def tile_maps(tile: TileScene, stage: Stage = nullcontext) -> Iterator[MapLayer]
     for name, place, values in _layers(tile, stage):
         variable = by_name[name]
         if variable.inside is not None and ALTITUDE in variable.dims:
+            altitude = place[variable.dims.index(ALTITUDE)]
             values = values.copy()
-            a = place[variable.dims.index(ALTITUDE)]
-            np.putmask(values, tile.is_obstacle[a], variable.inside)
+            np.putmask(values, tile.is_obstacle[altitude], variable.inside)
         if tile.has_data is not None and np.issubdtype(values.dtype, np.floating):
             values = np.where(tile.has_data, values, np.float32(np.nan))
         yield MapLayer(name, place, values)
+
     has_data = tile.has_data
     if has_data is None:
         has_data = np.ones(tile.surface.region.shape, bool)
@@ -60,10 +62,16 @@ def tile_maps(tile: TileScene, stage: Stage = nullcontext) -> Iterator[MapLayer]
 
 
 def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
-    """Yield all maps of a tile: obstacles, those of satellites, all others, and the rasters that they rest on."""
+    """Yield all maps of a tile: obstacles, metrics of satellites, other metrics, spreads, and the rasters below them.
+
+    Args:
+      tile: what the maps are made of; its totals are filled where statistics over time are kept.
+      stage: gives the context that the work on each stage runs in.
+    """
     task = tile.task
     yield from _staged(_obstacles(tile), stage, "obstacle")
-    # Those of satellites first, as they share the words of each time.
+
+    # Metrics of satellites come first, as they share the visibility words of each time; then these are forgotten.
     of_sky = [metric for metric in task.metrics.values() if TIME in metric.dims]
     others = [metric for metric in task.metrics.values() if metric not in of_sky]
     for metric in of_sky:
@@ -73,6 +81,7 @@ def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
             yield from _staged(_bounds(tile, metric), stage, f"{metric.name}_bounds")
             tile.forget()
     tile.forget()
+
     for metric in others:
         yield from _staged(_maps(tile, metric), stage, metric.name)
     if task.params.heights.height_samples:
@@ -81,7 +90,15 @@ def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
 
 
 def _staged(layers: Iterator[MapLayer], stage: Stage, name: str) -> Iterator[MapLayer]:
-    """Yield layers that are made, and waited for, within a stage."""
+    """Yield layers, each of them made within a stage of this name; what the caller does with it is outside.
+
+    JAX computes in the background: turning the values into NumPy's waits for them within the stage too.
+
+    Args:
+      layers: makes each layer when the next one is asked of it.
+      stage: gives the context of a stage by its name.
+      name: of the stage.
+    """
     while True:
         with stage(name):
             layer = next(layers, None)
@@ -93,14 +110,22 @@ def _staged(layers: Iterator[MapLayer], stage: Stage, name: str) -> Iterator[Map
 
 
 def _obstacles(tile: TileScene) -> Iterator[MapLayer]:
+    """Yield the map of obstacles of each altitude, uint8, 1 inside them."""
     for a, is_obstacle in enumerate(tile.is_obstacle):
         yield MapLayer("obstacle", (a,), is_obstacle.astype(np.uint8))
 
 
 def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[MapLayer]:
-    """Yield the maps of a metric, place by place along its dims; ``only_m``: without its further variables."""
+    """Yield the maps of a metric at each place along its dims, such as each time and altitude.
+
+    Args:
+      tile: what the maps are made of.
+      metric: any but those kept as statistics over time.
+      only_m: whether its further variables are left out.
+    """
     settings = tile.task.settings_of(metric)
-    for place in np.ndindex(*(tile.task.sizes[dim] for dim in metric.dims)):
+    sizes = [tile.task.sizes[dim] for dim in metric.dims]
+    for place in np.ndindex(*sizes):
         maps = metric.compute(tile.at(metric, place, only_m), settings)
         for name, values in maps.items():
             if name == metric.name or not only_m:
@@ -108,22 +133,37 @@ def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[Map
 
 
 def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
-    """Yield statistics over the times, whose sums go to the tile's totals."""
+    """Yield the statistics over time of a metric, altitude by altitude, and put its sums into ``tile.totals``.
+
+    The metric of all times is in memory at once, ``[T, A, y, x]`` float32, with a byte more of each value where a
+    variable of its own says which positions are available.
+
+    Args:
+      tile: what the maps are made of.
+      metric: of times and altitudes.
+    """
+    # Free cells with data, [A, y, x], which alone the sums count.
     is_counted = ~tile.is_obstacle
     if tile.has_data is not None:
         is_counted &= tile.has_data
+
+    # The metric at every time.
     m = np.empty((tile.task.num_times, *is_counted.shape), np.float32)
-    totals = TimeTotals(np.zeros(m.shape[:2], np.int64), is_counted.sum(axis=(1, 2)))
     is_available = np.empty(m.shape, np.uint8) if metric.available else None
-    for name, (t, a), values in _maps(tile, metric, only_m=is_available is None):
-        if is_available is not None and name == metric.available:
-            is_available[t, a] = values
-        if name != metric.name:
-            continue
-        m[t, a] = values
+    for name, place, values in _maps(tile, metric, only_m=is_available is None):
+        if name == metric.name:
+            m[place] = values
+        elif is_available is not None and name == metric.available:
+            is_available[place] = values
+
+    # The sums are of whole numbers, so that no order of tiles changes a bit of them.
+    totals = TimeTotals(np.zeros(m.shape[:2], np.int64), is_counted.sum(axis=(1, 2)))
+    for t, a in np.ndindex(*m.shape[:2]):
         whole = np.rint(m[t, a] * np.float32(SCALE))
         totals.m_sum[t, a] = np.sum(whole, where=is_counted[a], dtype=float)
     tile.totals[metric.name] = totals
+
+    # The statistics of each cell.
     threshold = tile.task.params.gps.availability_threshold
     for a in range(m.shape[1]):
         available = None if is_available is None else is_available[:, a]
@@ -132,9 +172,10 @@ def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
 
 
 def _bounds(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
-    """Yield ``{metric}_lower`` and ``_upper``, which bracket the true m of free cells: roofs that hide most and least.
+    """Yield ``{metric}_lower`` and ``{metric}_upper``, which bracket the true m of free cells.
 
-    What hangs reaches the ground in the one, and is not there in the other. One satellite more never makes m less.
+    The lower bound is from roofs that hide most, with everything that hangs reaching the ground; the upper bound is
+    from roofs that hide least, without anything that hangs. They bracket m as one satellite more never makes it less.
     """
     hides_most = replace(tile.task.city, hanging=TO_GROUND)
     yield from _bound(tile, metric, f"{metric.name}_lower", hides_most, is_lower=True)
@@ -144,9 +185,17 @@ def _bounds(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
 def _bound(
     tile: TileScene, metric: Metric, name: str, city: City, is_lower: bool
 ) -> Iterator[MapLayer]:
-    """Yield a bound on a metric by time and altitude, from roofs that hide the most or the least of each cell."""
+    """Yield a bound on a metric at each time and altitude; the tile's visibility words are then those of the bound.
+
+    Args:
+      tile: what the maps are made of.
+      metric: one that is bracketed.
+      name: of the bound's map.
+      city: whose roofs hide satellites, what hangs left out.
+      is_lower: whether roofs hide the most that they can, which makes the bound the lower one.
+    """
     task = tile.task
-    params = tile.task.params
+    params = task.params
     fine = replace(tile.finer(city, all_touched=is_lower), slabs=None)
     for t in range(task.num_times):
         angles = task.in_view(t).angles
@@ -161,25 +210,30 @@ def _bound(
 
 
 def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
-    """Yield the spread of the metrics over cities whose building heights are drawn.
+    """Yield the spread of the metrics over cities whose building heights are drawn at random.
 
-    ``{metric}_{mean, std, p05, p95}`` of every metric that buildings decide, and ``obstacle_share``, the share of
-    samples with an obstacle; in those m is 0. Time: that of the plain maps per sample; memory: about ten arrays of
-    a metric's size.
+    The maps are ``{metric}_{mean, std, p05, p95}`` of every metric that buildings decide, and ``obstacle_share``, the
+    share of samples in which a cell is inside an obstacle; m counts as 0 in those samples. Each sample takes the time
+    of the plain maps, and all of them the memory of about ten arrays of a metric's size.
     """
     task = tile.task
     region = tile.surface.region
-    heights = tile.task.params.heights
-    bare = replace(task.city, blocks=None)
-    draws = bare, heights.height_std_m, heights.height_samples, heights.height_seed
-    grid = task.with_margin(region, max(map(highest_top_m, perturbed_cities(*draws))))
-    spreads: dict[tuple, Spread] = {}
+    heights = task.params.heights
+    without_people = replace(task.city, blocks=None)
+    draws = without_people, heights.height_std_m, heights.height_samples, heights.height_seed
+
+    # The same cities are drawn twice, so that one at a time is in memory: first for the highest roof, which sets how
+    # large the surfaces must be, then for their maps.
+    highest_m = max(map(highest_top_m, perturbed_cities(*draws)))
+    grid = task.with_margin(region, highest_m)
+    spreads: dict[tuple, Spread] = {}  # by variable and place
     for city in perturbed_cities(*draws):
         surface = build_surface(city, region, grid, heights.all_touched)
-        moved = TileScene(replace(task, city=city), surface)
-        maps = [_maps(moved, task.metrics[name], only_m=True) for name in task.spread_metrics]
-        for name, place, values in chain(_obstacles(moved), *maps):
+        perturbed = TileScene(replace(task, city=city), surface)
+        maps = [_maps(perturbed, task.metrics[name], only_m=True) for name in task.spread_metrics]
+        for name, place, values in chain(_obstacles(perturbed), *maps):
             spreads.setdefault((name, place), Spread(heights.height_samples)).add(values)
+
     for (name, place), spread in spreads.items():
         if name == "obstacle":
             yield MapLayer("obstacle_share", place, spread.mean)
@@ -189,7 +243,10 @@ def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
 
 
 def _rasters(tile: TileScene) -> Iterator[MapLayer]:
-    """Yield what maps rest on: roofs, undersides, guessed roofs and terrain, as far as the city has them."""
+    """Yield the rasters that the maps rest on: roofs, undersides, guessed roofs and terrain, where the city has them.
+
+    Lengths are in metres. Roofs count what hangs (an altitude of inf meets all slabs).
+    """
     surface = tile.surface
     yield MapLayer("roof", (), region_roofs(surface, np.inf))
     assert surface.roof_touched_m is not None

@@ -14,7 +14,13 @@ if TYPE_CHECKING:
 
 
 def free_cells(maps: "MetricMaps", altitude_m: float, obstacles: Obstacles | None) -> np.ndarray:
-    """Return ``[y, x]`` bool, as `MetricMaps.is_free` says; without a rule also clear of what hangs over a cell."""
+    """Return ``[y, x]`` bool: where a path may fly at an altitude (`MetricMaps.is_free`).
+
+    Args:
+      maps: the maps.
+      altitude_m: above ground; one of the maps' altitudes, or any other.
+      obstacles: the rule; None for that of the maps, which also keeps paths clear of what hangs over a cell.
+    """
     rule = obstacles or maps.obstacles
     is_free = maps.ds["has_data"].values
     has_maps = altitude_m in maps.altitudes_m
@@ -23,6 +29,8 @@ def free_cells(maps: "MetricMaps", altitude_m: float, obstacles: Obstacles | Non
     avoids_slabs = obstacles is None and UNDERSIDE in maps.ds
     if rule == "touched" or avoids_slabs or not has_maps:
         is_free = is_free & _is_above_roofs(maps, altitude_m, rule)
+
+    # Layers of a user close the cells where they have no value, on the maps next below and above the altitude.
     nearest_m = float(np.clip(altitude_m, min(maps.altitudes_m), max(maps.altitudes_m)))
     for name in maps.metrics:
         if "layer" not in maps.ds[maps.variable(name)].attrs:
@@ -33,7 +41,11 @@ def free_cells(maps: "MetricMaps", altitude_m: float, obstacles: Obstacles | Non
 
 
 def _is_above_roofs(maps: "MetricMaps", altitude_m: float, rule: Obstacles) -> np.ndarray:
-    """Return ``[y, x]`` bool: no roof of the rule reaches an altitude; False where its height is unknown (NaN)."""
+    """Return ``[y, x]`` bool: where no roof, as the rule sees them, reaches an altitude; False where one is unknown.
+
+    Raises:
+      InputError: the rule is ``"touched"``, and the maps hold no touched roofs.
+    """
     name = "roof_touched" if rule == "touched" else "roof"
     if rule == "touched" and name not in maps.ds:
         raise InputError(

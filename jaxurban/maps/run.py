@@ -33,7 +33,14 @@ from jaxurban.maps.build import view_sky
 from jaxurban.maps.executors import cluster_client, num_cores, work_in_threads, work_on_cluster
 from jaxurban.maps.memory import check_disk, plan_run, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.provenance import hash_inputs, other_maps, run_key, run_record, write_record
+from jaxurban.maps.provenance import (
+    Inputs,
+    hash_inputs,
+    other_maps,
+    run_key,
+    run_record,
+    write_record,
+)
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask, empty_dataset, with_series
 from jaxurban.maps.tiled import TileJob, Tiling
@@ -56,7 +63,7 @@ class ScenarioRun:
 
 
 def load_city(scenario: Scenario) -> City:
-    """Return the city that a scenario names.
+    """Return the city that a scenario names, read from its files; the synthetic city has none.
 
     Raises:
       InputError: a source that cannot be used, or no building in the region.
@@ -66,9 +73,10 @@ def load_city(scenario: Scenario) -> City:
         return demo_city_for_bounds(region.bounds, region.crs)
 
     def placed(section: Any, *names: str) -> Any:
-        """Return a section whose files are named from the current folder."""
+        """Return a section whose settings of these names, which are files, are paths from the current folder."""
         files = values_given({name: getattr(section, name) for name in names})
-        return replace(section, **{name: scenario.path_of(file) for name, file in files.items()})
+        paths = {name: scenario.path_of(file) for name, file in files.items()}
+        return replace(section, **paths)
 
     return City.from_files(
         placed(scenario.buildings, "source"),
@@ -81,14 +89,16 @@ def load_city(scenario: Scenario) -> City:
 
 
 def gps_of(scenario: Scenario) -> Gps:
-    """Return the settings of satellites of a scenario, their files named from the current folder."""
+    """Return the ``[gps]`` settings of a scenario, with paths of orbit files that hold from the current folder."""
     names = as_tuple(scenario.gps.orbits)
     orbits = [name if name == NOMINAL else scenario.path_of(name) for name in names]
     return replace(scenario.gps, orbits=orbits)
 
 
 def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
-    """Return what the maps of a scenario are made of, a task for each resolution, all over the same snapped box.
+    """Return a task for each resolution of a scenario: all that its maps are made of.
+
+    The grids of all resolutions cover the same box, as their bounds are snapped outward to cells of the coarsest one.
 
     Args:
       scenario: the settings.
@@ -123,8 +133,8 @@ def run_scenario(
     """Make the maps of a scenario under ``folder`` and return them with the record of the run.
 
     Finished resolutions, tiles and files of the same inputs are kept, once all of them have been read; what is
-    damaged or missing is named in the log and made again, and nothing half-written is taken for finished. One sentence
-    there says how large the region is and how much memory it takes before the work begins.
+    damaged or missing is named in the log and made again, and nothing half-written is taken for finished. Before the
+    work begins, one sentence in the log says how large the region is and how much memory it takes.
 
     Args:
       scenario: the settings.
@@ -146,29 +156,32 @@ def run_scenario(
         warnings.simplefilter("always", UserWarning)
         pass_over_unreadable()
         watch = Stopwatch(on_stage=report)
+
+        # What the maps depend on, and whether the folder is free for them.
         inputs = hash_inputs(scenario)
         on_host = scenario.region.engine == "numba"
         key = run_key(scenario, inputs, "cpu" if on_host else backend)
         store.check_version(folder)
-        held_key = Workspace.settings_of(folder, "maps").get(RUN_KEY)
-        if store.stored_resolutions(folder) and held_key != key and not overwrite:
-            raise InputError(
-                f"{str(folder)!r} holds {other_maps(folder, scenario, inputs)}: make these in another folder "
-                f"(jaxurban maps SCENARIO -o {_unused(folder)}), or pass --overwrite to replace them"
-            )
+        if not overwrite:
+            _check_holds_no_others(folder, scenario, inputs, key)
+
+        # The city and the sky, and what the maps guess of them.
         tasks = tasks_of(scenario, watch.stage)
-        base = base_map_source(tasks[0].city.sources.get("buildings"))
+        city = tasks[0].city
+        base = base_map_source(city.sources.get("buildings"))
+        base_file = folder / BASE_MAP_FILE
         planned = _files_of(tasks, folder, layers)
         if base is not None:
-            planned.append(folder / BASE_MAP_FILE)
+            planned.append(base_file)
         guesses = tasks[0].all_guesses
-        warn_of(guesses, known=tasks[0].city.guesses)
+        warn_of(guesses, known=city.guesses)
+
+        # Whether the machine has what the work takes; nothing of an older job is touched before.
         check_writable(folder)
         num_threads = num_cores()
         if not isinstance(workers, str):  # the machines of a cluster are not ours to measure
             num_threads = plan_run(tasks, memory_bytes, workers or num_threads, workers or 0)
         check_disk(tasks, folder)
-        # Nothing of an older job is touched before this one can begin.
         opened = Workspace.open(
             folder,
             "maps",
@@ -180,6 +193,7 @@ def run_scenario(
         )
         cluster = nullcontext() if workers is None else cluster_client(workers)
         with opened as workspace, cluster as client:
+            # The maps, one resolution after the other.
             _sweep(folder, key, scenario.region.resolution_m)
             tasks = [replace(task, guesses=guesses) for task in tasks]
             runs = [
@@ -187,17 +201,20 @@ def run_scenario(
             ]
             made = [_maps_of(run, workspace, watch, report) for run in runs]
             store.put_root(folder)  # of maps that are kept; 1.0.0 wrote none
+
+            # The base map and the record, which stay as they are where all maps were kept.
             is_kept = not any(is_new for _, is_new in made)
-            file = folder / BASE_MAP_FILE
             with watch.stage("base map"):
-                if base is None or not is_kept or workspace.broken([file]):
-                    save_base_map(replace(made[0][0], base=base).base_map, workspace)
+                if base is None or not is_kept or workspace.broken([base_file]):
+                    first_maps, _ = made[0]
+                    save_base_map(replace(first_maps, base=base).base_map, workspace)
             messages = [str(item.message) for item in caught]
             record = run_record(
                 scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages
             )
             record = write_record(folder / store.RUN_FILE, record, is_kept)
-    kept_base = file.resolve() if file.is_file() else None
+
+    kept_base = base_file.resolve() if base_file.is_file() else None
     by_resolution = {}
     for maps, _ in made:
         recorded = replace(maps, base=kept_base).with_recorded(record["settings"])
@@ -205,8 +222,35 @@ def run_scenario(
     return ScenarioRun(by_resolution, record)
 
 
+def _check_holds_no_others(folder: Path, scenario: Scenario, inputs: Inputs, key: str) -> None:
+    """Raise InputError for a folder with maps of another run than the one of this key (`run_key`).
+
+    Args:
+      folder: where maps would go.
+      scenario, inputs: what they would be made of, from which the message says how the folder's maps differ.
+      key: of the run that would make them.
+    """
+    stored_by = Workspace.settings_of(folder, "maps").get(RUN_KEY)
+    if store.stored_resolutions(folder) and stored_by != key:
+        names = (f"{folder}-{number}" for number in count(2))
+        unused = next(name for name in names if not Path(name).exists())
+        raise InputError(
+            f"{str(folder)!r} holds {other_maps(folder, scenario, inputs)}: make these in another folder "
+            f"(jaxurban maps SCENARIO -o {unused}), or pass --overwrite to replace them"
+        )
+
+
 def _files_of(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str]) -> list[Path]:
-    """Return the files of maps of tasks under a folder; raise InputError for layers that they would not hold."""
+    """Return the files that the maps of tasks will have under a folder.
+
+    Args:
+      tasks: one for each resolution.
+      folder: of the maps.
+      layers: variables that are GeoTIFFs too.
+
+    Raises:
+      InputError: a layer that the maps would not hold.
+    """
     files = [folder / store.RUN_FILE, *store.root_files(folder)]
     for task in tasks:
         zarr = store.zarr_path(folder, task.region.resolution_m)
@@ -215,17 +259,17 @@ def _files_of(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str]) -> 
     return files
 
 
-def _unused(folder: Path) -> str:
-    """Return the folder's name with the first number that no folder beside it has."""
-    names = (f"{folder}-{number}" for number in count(2))
-    return next(name for name in names if not Path(name).exists())
-
-
 @dataclass(frozen=True)
 class RunContext:
-    """A task, where its maps go and who works on them: threads of this process, or a cluster by its client.
+    """The maps of one resolution: what they are made of, where they go, and who works on them.
 
-    ``layers`` are GeoTIFFs too, beside obstacles and the metrics of the cost.
+    Attributes:
+      task: what they are made of.
+      folder: where they go.
+      key: of the run (`run_key`).
+      num_workers: threads of this process.
+      client: of the Dask cluster that works on the tiles; None where the threads do.
+      layers: variables that are GeoTIFFs too, beside obstacles and the metrics of the cost.
     """
 
     task: MapTask
@@ -236,7 +280,11 @@ class RunContext:
     layers: tuple[str, ...] = ()
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
-        """Return what a function makes of each item, in threads of this process, on a cluster too: files are here."""
+        """Return the result of a function for each item, in order, computed in threads of this process.
+
+        It is for work on files of the output folder, so the threads do it even where a cluster works on the tiles. What
+        they write goes to the same recorder of files as what the calling thread writes.
+        """
         with ThreadPoolExecutor(
             self.num_workers, initializer=RECORDER.set, initargs=(RECORDER.get(),)
         ) as pool:
@@ -244,12 +292,18 @@ class RunContext:
 
 
 def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
-    """Remove what killed runs left under a folder, but for the tiles that this one goes on with."""
-    left = {*(folder / store.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}")}
+    """Remove what killed runs left under a folder, but for the unfinished tiles that this run goes on with.
+
+    Args:
+      folder: of the maps.
+      key: of this run.
+      resolutions_m: that this run makes; tiles of those that it has already finished are left-overs too.
+    """
+    left_over = {*(folder / store.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}")}
     for resolution_m in resolutions_m:
         if stored_key(folder, resolution_m) != key:
-            left.discard(store.work_path(folder, resolution_m))
-    for path in left:
+            left_over.discard(store.work_path(folder, resolution_m))
+    for path in left_over:
         WorkFolder(path).discard()
     sweep_scraps(folder, folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER)
 
@@ -257,13 +311,24 @@ def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
 def _maps_of(
     run: RunContext, workspace: Workspace, watch: Stopwatch, report: Report
 ) -> tuple[MetricMaps, bool]:
-    """Return the maps at one resolution, and whether they were made: those on disk are kept if whole and this job's."""
+    """Return the maps at one resolution, and whether they are new.
+
+    Maps on the disk are kept if they are whole and of the same run; what is missing or damaged is made again.
+
+    Args:
+      run: what the maps are made of and where they go.
+      workspace: the open output folder, with the checksums of its files.
+      watch: gets the seconds of each stage.
+      report: gets how many tiles are done.
+    """
     folder = run.folder
     resolution_m = run.task.region.resolution_m
-    path = store.zarr_path(folder, resolution_m)
+    zarr = store.zarr_path(folder, resolution_m)
+
+    # The Zarr is kept or made as a whole.
     with watch.stage("verify"):
-        files = [folder / name for name in workspace.written if path in (folder / name).parents]
-        broken = workspace.broken(files, run.map) if path.is_dir() else []
+        files = [folder / name for name in workspace.written if zarr in (folder / name).parents]
+        broken = workspace.broken(files, run.map) if zarr.is_dir() else []
         is_kept = not broken and stored_key(folder, resolution_m) == run.key
     if broken:
         others = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
@@ -276,6 +341,8 @@ def _maps_of(
         scale = (time.perf_counter() - began) / (sum(seconds.values()) or 1.0)
         for name, busy_s in seconds.items():
             watch.add(name, busy_s * scale)
+
+    # GeoTIFFs and styles are written one by one where they are missing or damaged.
     ds = store.open_zarr(folder.resolve(), resolution_m)
     with watch.stage("verify"):
         stale = []
@@ -302,43 +369,47 @@ def make_zarr(
     """Make the Zarr of one resolution tile by tile and return the seconds that all workers spent on each stage.
 
     Args:
-      run: what from and where to.
+      run: what the maps are made of and where they go.
       report: gets how many tiles are done.
-      shape: of the tiles; left out, `shape_of_tiles`.
+      shape: rows and columns of a tile's cells; left out, `shape_of_tiles`.
 
     Raises:
       InputError: rasters without data in the region, or workers that are killed again and again.
     """
     task = run.task
-    grid = run.task.region
+    grid = task.region
     warn_of_jax(task.params.engine)
     shape = shape or shape_of_tiles(task)
     tiling = Tiling.over(grid, task.with_margin(), shape)
     if task.city.roofs is not None or task.has_terrain:
         data = (rasterise(task.city, tiling.grid_of(tile)).has_data for tile in tiling.region_tiles)
         check_has_data(data, task.city)
+
+    # The Zarr begins empty, in a work folder that keeps finished tiles for the next run of the same key.
     work = WorkFolder(store.work_path(run.folder.resolve(), grid.resolution_m))
     for path in work.begin(f"{run.key} {shape}", run.map):
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
     job = TileJob(task, work, tiling)
-    facts = {RUN_KEY: run.key, "guesses": json.dumps(task.guesses)}
-    empty = empty_dataset(task, _no_values).assign_attrs(facts)
+    attrs = {RUN_KEY: run.key, "guesses": json.dumps(task.guesses)}
+    empty = empty_dataset(task, _no_values).assign_attrs(attrs)
     if work.done(ZARR) is None:
         store.create_zarr(empty, work.zarr, shape)
         work.mark_zarr()
+
+    # The tiles.
     seconds: dict[str, float] = {}
     totals: dict[str, TimeTotals] = {}
     num_done = 0
     stage = f"tiles of {store.short_number(grid.resolution_m)} m"
     report(stage, num_done, len(tiling.region_tiles))
 
-    def take(found: dict[str, Any]) -> None:
-        """Take in what a tile reports: seconds by part, sums over time, and that it is done."""
+    def take(result: dict[str, Any]) -> None:
+        """Add what a task on a tile returns to ``seconds`` and, of a finished tile, to ``totals`` and the count."""
         nonlocal num_done
-        for name, busy_s in found["seconds"].items():
+        for name, busy_s in result["seconds"].items():
             seconds[name] = seconds.get(name, 0.0) + busy_s
-        if "totals" in found:
-            for metric, facts in found["totals"].items():
+        if "totals" in result:
+            for metric, facts in result["totals"].items():
                 sums = TimeTotals.of(facts)
                 totals[metric] = totals[metric] + sums if metric in totals else sums
             num_done += 1
@@ -348,14 +419,17 @@ def make_zarr(
         work_in_threads(job, run.num_workers, take)
     else:
         work_on_cluster(job, run.client, take)
+
+    # What needs the sums of all tiles, and the move of the whole Zarr to its place.
     if totals:
-        made = with_series(empty, task, totals)
+        with_means = with_series(empty, task, totals)
         names = [f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]
-        store.add_to_zarr(made[names], work.zarr)
+        store.add_to_zarr(with_means[names], work.zarr)
         work.mark_zarr()
     work.finish(store.zarr_path(run.folder, grid.resolution_m))
     return seconds
 
 
 def _no_values(shape: tuple[int, ...], dtype: Any) -> dask.array.Array:
+    """Return an array of a shape and a type that takes no memory: it is never computed."""
     return dask.array.zeros(shape, dtype=dtype, chunks=-1)

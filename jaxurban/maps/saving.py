@@ -26,25 +26,29 @@ from jaxurban.settings import Obstacles
 
 
 def save_maps(maps: MetricMaps, folder: Path, layers: Sequence[str]) -> None:
-    """Write maps under a folder, as `MetricMaps.save` says."""
+    """Write maps under a folder; arguments and errors as of `MetricMaps.save`."""
+    # All errors of the arguments come before anything is written, also those of layers that the maps do not hold.
     _check_can_be_opened(maps)
-    geotiffs = geotiff_paths(maps.ds, folder, layers)  # refuses what is not there
+    geotiffs = geotiff_paths(maps.ds, folder, layers)
     with Workspace.open(folder, "maps", is_shared=True, is_mended=True) as workspace:
         workspace.check_way(geotiffs)
         base_files = [] if maps.base_map is None else [folder / BASE_MAP_FILE]
         workspace.check_way([*base_files, *root_files(folder)], is_mended=True)
+
+        # The folder of the run that made the maps has the run's settings in its record. Any other folder gets the
+        # settings with the maps and no key, as it has no record.
         ds = maps.ds.copy()
         key = ds.attrs.get(RUN_KEY)
         is_run_of_folder = key is not None and key == workspace.settings.get(RUN_KEY)
-        # A run's own folder has the settings in its record, and another's has no use for the key.
         if is_run_of_folder and (folder / RUN_FILE).is_file():
             ds.attrs.pop("settings", None)
         else:
             ds.attrs.pop(RUN_KEY, None)
             workspace.settings.clear()
+
         write_zarr(ds, folder)
         if OPENED in maps.ds.encoding:
-            # They may be opened from this folder, and then their files are no longer there.
+            # The maps may have been opened from this folder: their files are then replaced, and are read again.
             ds = open_zarr(folder.resolve(), maps.grid.resolution_m)
         write_geotiffs(ds, folder, layers=layers)
         save_base_map(maps.base_map, workspace)

@@ -67,7 +67,11 @@ OneOrMore = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]  # a TOML ma
 
 
 def _different(name: str, values: Iterable[float]) -> tuple[float, ...]:
-    """Return lengths that must be positive and differ, as a tuple.
+    """Return lengths in metres as a tuple, once they are checked.
+
+    Args:
+      name: of the setting that holds them, for the message.
+      values: the lengths.
 
     Raises:
       InputError: there is none, one is not positive, or two are the same in the name of a file.
@@ -112,6 +116,7 @@ class Region:
     engine: Engine = "auto"
 
     def __post_init__(self) -> None:
+        """Check the settings and write numbers as floats; errors as of the class."""
         object.__setattr__(self, "bounds", check_bounds(self.bounds))
         for name in ("resolution_m", "altitudes_m"):
             object.__setattr__(self, name, _different(name, getattr(self, name)))
@@ -121,6 +126,7 @@ class Region:
 
 
 def _dirichlet_or_list(value: Any) -> Any:
+    """Return the setting ``study.weights`` unchanged; raise ValueError unless it is "dirichlet" or a list."""
     if value == "dirichlet" or (isinstance(value, list | tuple) and value):
         return value
     raise ValueError(
@@ -169,18 +175,22 @@ class Study:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        """Check the settings, and write planners as tuples without repetitions; errors as of the class."""
         for name in ("planners", "distance_only"):
-            object.__setattr__(self, name, tuple(dict.fromkeys(as_tuple(getattr(self, name)))))
+            planners = dict.fromkeys(as_tuple(getattr(self, name)))
+            object.__setattr__(self, name, tuple(planners))
         if not self.planners:
             raise InputError("planners is empty: name at least one planner")
         for planner in (*self.planners, *self.distance_only):
-            find_planner(planner)
+            find_planner(planner)  # raises InputError for an unknown one
+
         if self.altitudes_m is not None:
             object.__setattr__(self, "altitudes_m", _different("altitudes_m", self.altitudes_m))
         positive("budget_s", self.budget_s)
-        for name, least in (("instances", 1), ("seed", 0), ("budget_iterations", 1)):
-            if getattr(self, name) is not None:
-                at_least(name, getattr(self, name), least)
+        at_least("instances", self.instances, 1)
+        at_least("seed", self.seed, 0)
+        if self.budget_iterations is not None:
+            at_least("budget_iterations", self.budget_iterations, 1)
         if self.instances > MOST_INSTANCES:
             raise InputError(
                 f"instances must be at most {MOST_INSTANCES:,} at each altitude, got {self.instances:,}"
@@ -231,11 +241,16 @@ class Scenario(BaseModel):
 
     @model_validator(mode="after")
     def _check(self) -> "Scenario":
-        """Refuse what is wrong of several sections together."""
+        """Return the scenario, with metrics on request added that have a weight.
+
+        Raises:
+          ValueError: an unknown planner, bad layers or weights, or settings of several sections that contradict each
+            other. Pydantic names the scenario's sections in its error.
+        """
         find_planner(self.planning.planner)
         self._check_layers()
         self._request_what_is_weighed()
-        people = self.map_params.population  # whose making refuses what does not go together
+        people = self.map_params.population  # `MapParams` checks the settings of maps together
         has_files = people.blocks or people.blocks_day or self.terrain.source
         if self.is_synthetic and has_files:
             raise ValueError(
@@ -246,7 +261,7 @@ class Scenario(BaseModel):
 
     @property
     def _weight_tables(self) -> dict[str, Weights]:
-        """All weights of the scenario, by where they stand in it."""
+        """All weights of the scenario by their dotted key: ``weights``, and ``study.weights.0`` and so on."""
         tables = {"weights": self.weights}
         if not isinstance(self.study.weights, str):
             for number, table in enumerate(self.study.weights):
@@ -254,7 +269,11 @@ class Scenario(BaseModel):
         return tables
 
     def _check_layers(self) -> None:
-        """Refuse layers that are not files, and weights of metrics that there are not."""
+        """Check layers and weights.
+
+        Raises:
+          ValueError: a layer that is not a file, or a weight of an unknown metric or of an invalid value.
+        """
         for name, layer in check_layers(self.layers).items():
             if not isinstance(layer.source, str):
                 raise ValueError(
@@ -288,15 +307,14 @@ class Scenario(BaseModel):
           ((139.689, 35.6806, 139.7111, 35.6986), 10.0)
         """
         if is_sample(path):
-            return cls.from_dict(
-                changed({"buildings": {"source": str(path)}}, changes), name=str(path)
-            )
+            settings = changed({"buildings": {"source": str(path)}}, changes)
+            return cls.from_dict(settings, name=str(path))
         path = Path(path)
-        with readable(
-            path, "a scenario in TOML", "give sections and their keys"
-        ):  # also tables in tables without end
+        # All within, as tables nested without end fail only when their settings are looked at.
+        with readable(path, "a scenario in TOML", "give sections and their keys"):
             settings = changed(tomllib.loads(path.read_text(encoding="utf-8")), changes)
-            name = " ".join([str(path), *(f"--set {change}" for change in changes)])
+            options = [f"--set {change}" for change in changes]
+            name = " ".join([str(path), *options])
             return cls.from_dict(settings, name=name, folder=path.resolve().parent)
 
     @classmethod
@@ -304,7 +322,12 @@ class Scenario(BaseModel):
     def from_dict(
         cls, settings: dict[str, Any], name: str = "the scenario", folder: Path | None = None
     ) -> "Scenario":
-        """Return the scenario in nested dicts, sections by name; relative paths are relative to ``folder``.
+        """Return the scenario in nested dicts, sections by name.
+
+        Args:
+          settings: the sections, each a dict of its settings.
+          name: what messages call the scenario.
+          folder: that relative paths are relative to; left out, the current one.
 
         Returns:
           The scenario, its defaults filled in.
@@ -319,9 +342,9 @@ class Scenario(BaseModel):
           'astar-plus'
         """
         settings = _with_present_keys(settings)
-        given, extent = _with_bounds(filled(settings), folder or Path())
+        with_bounds, extent = _with_bounds(filled(settings), folder or Path())
         try:
-            scenario = cls.model_validate(given)
+            scenario = cls.model_validate(with_bounds)
         except ValidationError as error:
             raise InputError(f"{name}: {_sentence_of(error, settings, cls)}") from error
         if extent is not None:
@@ -331,7 +354,7 @@ class Scenario(BaseModel):
         return scenario
 
     def to_toml(self) -> str:
-        """Return the scenario as TOML, every setting written out but those that are left to the preset.
+        """Return the scenario as TOML: every setting, but those that are None and left to the preset.
 
         Returns:
           The text; `from_toml` reads a file of it as the same scenario.
@@ -344,12 +367,12 @@ class Scenario(BaseModel):
         return tomli_w.dumps(self.model_dump(exclude_none=True))
 
     def path_of(self, name: str | Path) -> Path:
-        """Return the path that a setting names, relative ones taken from the scenario's folder.
+        """Return the path that a setting names; a relative path is taken from the scenario's folder.
 
-        The names of files of sample cities stay as they are: `jaxurban.io.samples.located` says where they lie.
+        The name of a sample city's file is returned unchanged: `jaxurban.io.samples.located` says where it lies.
 
         Returns:
-          The path; that of a scenario without a folder is relative to the current one.
+          The path, relative to the current folder where the scenario has no folder of its own.
 
         Examples:
           >>> from pathlib import Path
@@ -361,7 +384,7 @@ class Scenario(BaseModel):
         return Path(name) if is_sample(name) else self._folder / name
 
     def _request_what_is_weighed(self) -> None:
-        """Give the metrics made on request that have a weight above 0 and no section one of its defaults."""
+        """Add a section of defaults, in place, for each metric on request that has a weight above 0 and no section."""
         for metric in known_beside(self.layers):
             tables = self._weight_tables.values()
             is_weighed = any(table.to_dict().get(metric.name) for table in tables)
@@ -377,9 +400,9 @@ class Scenario(BaseModel):
         return MapParams(
             region.altitudes_m,
             region.oversample,
-            self.buildings,
-            values_given(sections),
-            region.engine,
+            heights=self.buildings,
+            sections=values_given(sections),
+            engine=region.engine,
         )
 
     @property
@@ -389,7 +412,7 @@ class Scenario(BaseModel):
 
 
 def _with_times_as_text(settings: Any) -> Any:
-    """Return settings whose times, which TOML has a type for, are texts."""
+    """Return settings, nested as TOML reads them, with ISO 8601 texts in place of TOML's values of date and time."""
     if isinstance(settings, Mapping):
         return {name: _with_times_as_text(value) for name, value in settings.items()}
     if isinstance(settings, list):
@@ -398,22 +421,34 @@ def _with_times_as_text(settings: Any) -> Any:
 
 
 def _with_present_keys(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return settings whose former keys have their present names; one beside its successor stays, and is unknown."""
+    """Return settings by section whose former keys (`RENAMED_KEYS`) have their present names, with a warning for each.
+
+    A former key beside its present one is left, and is refused later as unknown.
+    """
     for former, present in RENAMED_KEYS.items():
-        section, _, old = former.partition(".")
-        _, _, new = present.partition(".")
+        section, _, old_key = former.partition(".")
+        _, _, new_key = present.partition(".")
         table = settings.get(section)
-        if isinstance(table, Mapping) and old in table and new not in table:
-            present_name("key", former, RENAMED_KEYS)
-            rest = {name: value for name, value in table.items() if name != old}
-            settings = {**settings, section: {**rest, new: table[old]}}
+        if isinstance(table, Mapping) and old_key in table and new_key not in table:
+            present_name("key", former, RENAMED_KEYS)  # warns
+            others = {name: value for name, value in table.items() if name != old_key}
+            settings = {**settings, section: {**others, new_key: table[old_key]}}
     return settings
 
 
 def _with_bounds(
     settings: Mapping[str, Any], folder: Path
 ) -> tuple[Mapping[str, Any], Bounds | None]:
-    """Return settings with the bounds that the file of buildings covers, and these, where they give none."""
+    """Return settings with bounds: where they give none, those of what the file of buildings covers.
+
+    Args:
+      settings: by section; not necessarily valid.
+      folder: that the file's path is relative to.
+
+    Returns:
+      The settings, and the bounds that were added (west, south, east, north in degrees); None in their place where the
+      settings have bounds, or where no file of buildings is named.
+    """
     region = settings.get("region", {})
     buildings = settings.get("buildings")
     source = buildings.get("source") if isinstance(buildings, Mapping) else None
@@ -428,10 +463,15 @@ def _with_bounds(
 
 
 def _check_extent(scenario: Scenario, folder: Path, extent: Bounds) -> None:
-    """Warn that bounds that were left out cover far more than most buildings need.
+    """Warn where bounds that were left out make a region far larger than the box that holds most buildings.
+
+    Args:
+      scenario: with the bounds of all buildings.
+      folder: that the path of the file of buildings is relative to.
+      extent: what the file covers: west, south, east, north in degrees.
 
     Raises:
-      InputError: that is more than `MOST_EMPTY_CELLS`.
+      InputError: such a region has more than `MOST_EMPTY_CELLS`.
     """
     from jaxurban.io.read.city import covers_too_much, proposed_bounds, size_m
 
@@ -441,21 +481,23 @@ def _check_extent(scenario: Scenario, folder: Path, extent: Bounds) -> None:
     if main is None:
         return
     sentence = covers_too_much(file.source, extent, main)
-    num_cells = math.prod(size_m(region.bounds)) / min(region.resolution_m) ** 2
+    side_m = min(region.resolution_m)
+    num_cells = math.prod(size_m(region.bounds)) / side_m**2
     if num_cells > MOST_EMPTY_CELLS:
+        bounds = [round(value, 6) for value in region.bounds]
         raise InputError(
             f"{sentence}; give these in [region] (all of it is {num_cells / 1e6:,.0f} million cells of "
-            f"{min(region.resolution_m):g} m: bounds = {[round(value, 6) for value in region.bounds]})"
+            f"{side_m:g} m: bounds = {bounds})"
         )
     warn(sentence, GuessWarning)
 
 
 def changed(settings: dict[str, Any], changes: Iterable[str]) -> dict[str, Any]:
-    """Return settings with changes, later ones over earlier ones.
+    """Return settings with changes, of which a later one goes over an earlier one.
 
     Args:
       settings: nested, as TOML reads them.
-      changes: ``key=value`` each: a dotted key of the scenario, and a value as TOML writes it.
+      changes: each is ``key=value``: a dotted key of the scenario, and a value as TOML writes it.
 
     Raises:
       InputError: no ``=``, or a value that is not TOML.
@@ -477,7 +519,7 @@ def changed(settings: dict[str, Any], changes: Iterable[str]) -> dict[str, Any]:
 
 
 def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings over others, table by table."""
+    """Return old settings with new ones over them, table by table at every depth."""
     merged = {**old, **new}
     for name, value in new.items():
         if isinstance(value, Mapping) and isinstance(old.get(name), Mapping):
@@ -486,41 +528,64 @@ def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _sentence_of(error: ValidationError, settings: Any, model: type) -> str:
-    """Return the first error of a validation of settings as one sentence that names the setting."""
+    """Return the first error that pydantic has of settings as one sentence that names the setting.
+
+    Args:
+      error: from the validation.
+      settings: that were validated, nested.
+      model: of the settings.
+    """
     first = error.errors()[0]
     *parents, last = first["loc"] or ("",)
+
+    # The dotted key of the setting. Parts that the settings do not hold are pydantic's names for types of a union.
     names = []
     for part in parents:
         model = model_in(fields_of(model).get(str(part))) or model
-        if _holds(settings, part):  # the rest are pydantic's names for the types of a union
+        if _holds(settings, part):
             settings = settings[part]
             names.append(str(part))
     if first["type"] == "missing" or _holds(settings, last):
         names.append(str(last))
-    where = ".".join(names)
+    key = ".".join(names)
+
+    # The sentence, by the type of error.
     if first["type"] in UNKNOWN:
         valid = list(fields_of(model))
         hint = nearest_name(str(last), valid) or f"; the valid ones are {', '.join(valid)}"
-        return f"unknown {'key' if parents else 'section'} {where!r}{hint}"
+        return f"unknown {'key' if parents else 'section'} {key!r}{hint}"
     if first["type"] == "missing":
-        return f"{where!r} is required and missing"
+        return f"{key!r} is required and missing"
     message = MUST_BE.get(first["type"], first["msg"].removeprefix("Value error, "))
-    got = "" if first["type"] == "value_error" else f", got {first['input']!r}"
-    return f"{where and f'{where}: '}{message[0].lower()}{message[1:]}{got}"
+    message = message[0].lower() + message[1:]
+    if first["type"] != "value_error":
+        message += f", got {first['input']!r}"
+    return f"{key}: {message}" if key else message
 
 
 def _check_truths(settings: Any, model: type, where: str = "") -> None:
-    """Raise ValueError for true or false where a setting is none, and for numbers out of range."""
-    known = fields_of(model)
-    for name, value in settings.items() if isinstance(settings, Mapping) else ():
-        if isinstance(value, bool) and name in known and known[name] is not bool:
+    """Check the values of settings before pydantic converts them, as it would take true for the number 1.
+
+    Args:
+      settings: nested; anything but a mapping is left to pydantic.
+      model: of the settings.
+      where: what messages put in front of a setting's name.
+
+    Raises:
+      ValueError: true or false where the setting is not a boolean, or a number out of range.
+    """
+    if not isinstance(settings, Mapping):
+        return
+    types = fields_of(model)
+    for name, value in settings.items():
+        if isinstance(value, bool) and name in types and types[name] is not bool:
             raise ValueError(
                 f"{where}{name} cannot be {str(value).lower()}: give a number, a text or a list"
             )
         check_range(f"{where}{name}", value)
-        inner = model_in(known.get(name))
-        if inner:
-            _check_truths(value, inner, f"{where}{name}: ")
+        inner_model = model_in(types.get(name))
+        if inner_model:
+            _check_truths(value, inner_model, f"{where}{name}: ")
 
 
 def fields_of(model: type) -> dict[str, Any]:
@@ -531,16 +596,20 @@ def fields_of(model: type) -> dict[str, Any]:
 
 
 def _holds(settings: Any, part: str | int) -> bool:
-    """Return whether settings have such a key, or such a place in a list."""
+    """Return whether settings have a key, where they are a mapping, or an index, where they are a list."""
     if isinstance(part, int):
         return isinstance(settings, list | tuple) and part < len(settings)
     return isinstance(settings, Mapping) and part in settings
 
 
 def model_in(annotation: Any) -> type | None:
-    """Return the model or dataclass that an annotation names, on its own or in a list or union; None if none."""
+    """Return the first model or dataclass in an annotation: itself, or in a list or union; None without one."""
     if isinstance(annotation, type) and (
         issubclass(annotation, BaseModel) or is_dataclass(annotation)
     ):
         return annotation
-    return next(filter(None, map(model_in, get_args(annotation))), None)
+    for part in get_args(annotation):
+        model = model_in(part)
+        if model:
+            return model
+    return None

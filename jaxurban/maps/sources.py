@@ -16,9 +16,9 @@ CityLike = City | MetricMaps | str | Path
 
 
 def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
-    """Return the scenario of the run that made the maps in a folder, its relative paths from where its files are.
+    """Return the scenario of the run that made the maps in a folder, with relative paths from where its files lie.
 
-    A record may be somebody else's. So a file counts only where its SHA-256 is the one that the run recorded.
+    The record may come from another machine, so files count only if their SHA-256 are those that the run recorded.
 
     Args:
       folder: of the maps.
@@ -33,16 +33,19 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
             f"the maps in {str(folder)!r} were not made by `jaxurban maps`, so what they are of is not on record: make "
             "them by that command, or give the City itself where it is taken"
         )
+
+    # The first place where all files are those of the record; otherwise the files that differ at the last place.
     inputs = read_json(folder / RUN_FILE).get("inputs", {})
-    others = inputs
-    for place in [folder, folder.parent, Path()] if sources is None else [Path(sources)]:
+    places = [folder, folder.parent, Path()] if sources is None else [Path(sources)]
+    lost = inputs
+    for place in places:
         scenario = Scenario.from_dict(settings, str(folder / RUN_FILE), place)
-        with suppress(InputError):  # where one of the files is missing
+        with suppress(InputError):  # raised where one of the files is missing
             files = hash_inputs(scenario)
             if files == inputs:
                 return scenario
-            others = {role: file for role, file in files.items() if inputs.get(role) != file}
-    names = ", ".join(repr(source["path"]) for source in others.values())
+            lost = {role: file for role, file in files.items() if inputs.get(role) != file}
+    names = ", ".join(repr(file["path"]) for file in lost.values())
     raise InputError(
         f"what the maps in {str(folder)!r} were made of is no longer there as it was ({names}): "
         "name the folder of these files (sources, --sources) or the scenario in it (scenario, --scenario), or make the "
@@ -51,7 +54,11 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
 
 
 def city_of(given: CityLike, sources: Path | None = None) -> City:
-    """Return a city as it is, or the one behind maps or their folder (`scenario_of`).
+    """Return a city unchanged, or the one that maps were made of, read again from its files (`scenario_of`).
+
+    Args:
+      given: a city, maps that were opened from a folder, or that folder.
+      sources: where relative paths of the files begin, as for `scenario_of`.
 
     Raises:
       InputError: maps that were made in memory, or files that are gone.

@@ -16,10 +16,10 @@ from xarray.indexes import PandasIndex
 from jaxurban.checks import at_least, typed
 from jaxurban.errors import InputError
 from jaxurban.io.city import City, joined_credits
-from jaxurban.io.read.guesses import Guesses
+from jaxurban.io.read.guesses import Guesses, guessed_share
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.engine import Engine, uses_numba
-from jaxurban.maps.guesses import has_guessed_roofs, region_guesses
+from jaxurban.maps.guesses import region_guesses
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
 from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.gps import Gps
@@ -60,6 +60,7 @@ class MapParams:
     engine: Engine = "auto"
 
     def __post_init__(self) -> None:
+        """Check the settings; write altitudes as floats, and sections with their defaults. Errors as of the class."""
         altitudes_m = tuple(map(float, self.altitudes_m))
         are_different = len(set(altitudes_m)) == len(altitudes_m) > 0
         if not are_different or not all(0 < value < np.inf for value in altitudes_m):
@@ -69,6 +70,8 @@ class MapParams:
         object.__setattr__(self, "altitudes_m", altitudes_m)
         at_least("oversample", self.oversample, 1)
         object.__setattr__(self, "sections", checked_sections(self.sections))
+
+        # What the settings of satellites do not allow together with others.
         gps = self.gps
         keeps_times = gps.keeps_times(len(gps.utc_times or (None,)))
         if (gps.bounds or self.heights.height_samples) and not keeps_times:
@@ -119,21 +122,22 @@ class MapTask:
     guesses: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Check what city, sky and layers do not allow together; errors as of the class."""
         if self.params.gps.bounds and self.in_view(0).clocks is not None:
             raise InputError(
                 "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "
                 "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
             )
         for name in self.spread_metrics:
-            taken = self.layers.keys() & derived(self.metrics[name])["spread"].keys()
-            if taken:
+            shared_names = self.layers.keys() & derived(self.metrics[name])["spread"].keys()
+            if shared_names:
                 raise InputError(
-                    f"a layer cannot be called {min(taken)!r}, a map of the spread: give it another name"
+                    f"a layer cannot be called {min(shared_names)!r}, a map of the spread: give it another name"
                 )
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
-        """The metrics that the maps are of: the built-in ones that there are data for, then a user's by name."""
+        """The metrics of the maps by name: the built-in ones for which the city has data, then a user's own."""
         return metrics_of(
             self.params.sections, self.layers, has_people=self.city.blocks is not None
         )
@@ -149,11 +153,17 @@ class MapTask:
 
     @property
     def spread_metrics(self) -> tuple[str, ...]:
-        """Names of the metrics whose spread by uncertain heights is computed: those that buildings decide."""
+        """Names of the metrics whose spread by uncertain heights is computed, empty where nobody wants spreads.
+
+        They are those that buildings decide: every metric with an altitude but the layers that are rasters or arrays.
+        """
         if not self.params.heights.height_samples:
             return ()
-        of_altitudes = [name for name, each in self.metrics.items() if ALTITUDE in each.dims]
-        return tuple(name for name in of_altitudes if name not in self.bands)
+        return tuple(
+            name
+            for name, metric in self.metrics.items()
+            if ALTITUDE in metric.dims and name not in self.bands
+        )
 
     @property
     def reach_m(self) -> float:
@@ -186,7 +196,7 @@ class MapTask:
 
     @property
     def by_numba(self) -> list[str]:
-        """What Numba makes of the maps: where its form is the quicker one, or there is no other."""
+        """Names of what Numba computes, where its form is the quicker one or the only one; JAX computes the rest."""
         names = []
         if self.has_terrain and uses_numba(self.params.engine):
             names += [
@@ -207,14 +217,22 @@ class MapTask:
 
     @property
     def all_guesses(self) -> Guesses:
-        """Every guess behind the maps."""
-        of_sky = self.city, self.region, self.sky, min(self.params.altitudes_m)
-        return region_guesses(*of_sky, self.bands, self.params.population, self.population)
+        """Every guess behind the maps, a sentence each by its short name."""
+        return region_guesses(
+            self.city,
+            self.region,
+            self.sky,
+            min(self.params.altitudes_m),
+            self.bands,
+            self.params.population,
+            self.population,
+        )
 
     @cached_property
     def has_guessed_roofs(self) -> bool:
-        """Whether maps mark roofs of guessed height: the region has any."""
-        return has_guessed_roofs(self.city, self.region)
+        """Whether the height of any building in the region is guessed: maps then mark such roofs."""
+        buildings = self.city.buildings
+        return buildings is not None and guessed_share(buildings, self.region.bounds_m) > 0
 
     def in_view(self, time_index: int) -> InView:
         """Return the satellites in view at a time, and their receiver clocks as the settings of GPS have them."""
@@ -222,18 +240,19 @@ class MapTask:
         return in_view._replace(clocks=None) if self.params.gps.clocks == "one" else in_view
 
     def with_margin(self, part: Grid | None = None, highest_m: float | None = None) -> Grid:
-        """Return a grid grown by the margin that its metrics need.
+        """Return a grid grown by the margin that its metrics need: their reach, and all that can shadow it.
 
         Args:
           part: of the region; left out, all of it.
           highest_m: how far the highest roof can stand above the lowest ground; left out, the city's.
         """
         part = self.region if part is None else part
+        highest_m = highest_top_m(self.city) if highest_m is None else highest_m
         sky = self.sky
         toward_m = shadow_reach_m(
             sky.azimuth_rad[sky.is_in_view],
             sky.elevation_rad[sky.is_in_view],
-            highest_top_m(self.city) if highest_m is None else highest_m,
+            highest_m,
             min(self.params.altitudes_m),
             part.resolution_m,
         )
@@ -261,27 +280,29 @@ NORTHING, EASTING = "projection_y_coordinate", "projection_x_coordinate"
 
 
 def variables(task: MapTask) -> dict[str, Variable]:
-    """Return every variable that the maps of a task hold, by name."""
-    made = {"obstacle": AUXILIARY_VARIABLES["obstacle"]}
+    """Return every variable that the maps of a task hold, by name: obstacles, metrics, then the rasters below them."""
+    by_name = {"obstacle": AUXILIARY_VARIABLES["obstacle"]}
     for name, metric in task.metrics.items():
         if TIME in metric.dims and not task.keeps_times:
-            made |= derived(metric)["series"]
+            by_name |= derived(metric)["series"]
             continue
-        made |= metric.variables
+        by_name |= metric.variables
         if task.has_bounds(metric):
-            made |= derived(metric)["bounds"]
+            by_name |= derived(metric)["bounds"]
         if name in task.spread_metrics:
-            made |= derived(metric)["spread"]
-    are_made = {
+            by_name |= derived(metric)["spread"]
+
+    # Auxiliary variables that only some maps have; all others are in every map.
+    is_needed = {
         "obstacle_share": task.params.heights.height_samples,
         "roof_guessed": task.has_guessed_roofs,
         UNDERSIDE: task.city.hanging == SLABS and task.city.buildings is not None,
         "terrain": task.has_terrain,
     }
     for name, variable in AUXILIARY_VARIABLES.items():
-        if are_made.get(name, True):
-            made[name] = variable
-    return made
+        if is_needed.get(name, True):
+            by_name[name] = variable
+    return by_name
 
 
 def empty_dataset(
@@ -291,22 +312,14 @@ def empty_dataset(
 
     Args:
       task: what the maps are made of.
-      make: gives the array of a shape and a type.
+      make: returns the array of a shape and a type; left out, zeros in memory.
     """
-    region, params = task.region, task.params
-    credits = [layer.credit for layer in task.layers.values()]
-    attribution = joined_credits(task.city.attribution, *credits)
-    utc_times = [time.removesuffix("Z") for time in task.sky.times]
-    times = np.array(utc_times, "datetime64[ns]")
-    altitudes_m = np.asarray(params.altitudes_m, float)
-    heights = {"units": "m", "positive": "up", "reference": "ground below (AGL)"}
-    coords = {
-        "y": _axis("y", region.y_m, "Y", NORTHING, "northing of the cell's centre", units="m"),
-        "x": _axis("x", region.x_m, "X", EASTING, "easting of the cell's centre", units="m"),
-        "altitude": _axis("altitude", altitudes_m, "Z", "height", "above ground", **heights),
-        "time": _axis("time", times, "T", "time", "UTC"),
-        "spatial_ref": _held((), np.asarray(0), pyproj.CRS(region.crs).to_cf()),
-    }
+    region = task.region
+    params = task.params
+    population = task.population
+    coords = _coordinates(task)
+
+    # Attributes of the whole dataset, first those of every map.
     attrs: dict[str, object] = {
         "Conventions": CONVENTIONS,
         "crs": region.crs,
@@ -322,15 +335,17 @@ def empty_dataset(
             attrs[name] = getattr(settings, setting)
     if len(set(task.sky.systems)) > 1:
         attrs["gps_clocks"] = params.gps.clocks
+    credits = [layer.credit for layer in task.layers.values()]
+    attribution = joined_credits(task.city.attribution, *credits)
     if attribution:
         attrs["attribution"] = attribution
-    if task.population is not None:
-        names = np.asarray(params.population.times_of_day, np.dtypes.StringDType())
-        coords["time_of_day"] = _held(("time_of_day",), names, {"long_name": "time of day"})
+    if population is not None:
         per = "block" if params.population.quantity == "count" else "km2"
-        attrs[f"pop_norm_per_{per}"] = [float(value) for value in task.population.norm_per_km2]
+        attrs[f"pop_norm_per_{per}"] = [float(value) for value in population.norm_per_km2]
     if not task.keeps_times:
         attrs["gps_availability_threshold"] = params.gps.availability_threshold
+
+    # The arrays.
     sizes = {name: coord.size for name, coord in coords.items()}
     by_name = variables(task)
     data = {}
@@ -339,6 +354,8 @@ def empty_dataset(
         shape = tuple(sizes[dim] for dim in dims)
         data[name] = _held(dims, make(shape, np.dtype(variable.dtype)))
     ds = xr.Dataset(data, _indexed(coords), attrs)
+
+    # What files say of each variable, of a metric's own under its settings, and of a user's layer.
     for name, variable in by_name.items():
         ds[name].attrs |= _attributes(variable, ds[name])
     for name, metric in task.metrics.items():
@@ -350,12 +367,14 @@ def empty_dataset(
 
 
 def with_series(ds: xr.Dataset, task: MapTask, totals: Mapping[str, TimeTotals]) -> xr.Dataset:
-    """Return a dataset of statistics over time with what only the whole region shows: mean and worst time.
+    """Return maps with two further variables by metric: its mean m at each time, and the time of the least mean.
+
+    The means are over all free cells of the region, so that no tile alone can make them.
 
     Args:
-      ds: the maps.
+      ds: maps that keep statistics over time.
       task: what they are made of.
-      totals: the region's, by metric.
+      totals: sums over the whole region, by metric.
     """
     for name, sums in totals.items():
         worst_times = ds["time"].values[sums.worst]
@@ -365,20 +384,46 @@ def with_series(ds: xr.Dataset, task: MapTask, totals: Mapping[str, TimeTotals])
                 f"{name}_worst_time": ("altitude", worst_times),
             }
         )
-        for each, variable in derived(task.metrics[name])["region"].items():
-            ds[each].attrs |= _attributes(variable, ds[each])
+        for derived_name, variable in derived(task.metrics[name])["region"].items():
+            ds[derived_name].attrs |= _attributes(variable, ds[derived_name])
     return ds
+
+
+def _coordinates(task: MapTask) -> dict[str, xr.Variable]:
+    """Return the coordinates of a task's maps by name: y, x, altitude, time, the CRS and, with people, time of day."""
+    region = task.region
+    utc_times = [time.removesuffix("Z") for time in task.sky.times]
+    times = np.array(utc_times, "datetime64[ns]")
+    altitudes_m = np.asarray(task.params.altitudes_m, float)
+    heights = {"units": "m", "positive": "up", "reference": "ground below (AGL)"}
+    coords = {
+        "y": _axis("y", region.y_m, "Y", NORTHING, "northing of the cell's centre", units="m"),
+        "x": _axis("x", region.x_m, "X", EASTING, "easting of the cell's centre", units="m"),
+        "altitude": _axis("altitude", altitudes_m, "Z", "height", "above ground", **heights),
+        "time": _axis("time", times, "T", "time", "UTC"),
+        "spatial_ref": _held((), np.asarray(0), pyproj.CRS(region.crs).to_cf()),
+    }
+    if task.population is not None:
+        names = np.asarray(task.params.population.times_of_day, np.dtypes.StringDType())
+        coords["time_of_day"] = _held(("time_of_day",), names, {"long_name": "time of day"})
+    return coords
 
 
 def _held(
     dims: tuple[str, ...], values: Any, attrs: Mapping[str, Any] | None = None
 ) -> xr.Variable:
-    """Return a variable of an array as it is; xarray's usual way loads Dask, 0.3 s, to ask whether it is one of its."""
+    """Return an xarray variable that holds an array unchanged.
+
+    xarray's usual way imports Dask, which takes 0.3 s, to see whether the array is one of Dask's.
+    """
     return xr.Variable(dims, values, attrs, fastpath=True)
 
 
 def _indexed(coords: Mapping[str, xr.Variable]) -> xr.Coordinates:
-    """Return coordinates with an index for each axis (made here, as xarray's usual way loads Dask for these too)."""
+    """Return coordinates with an index for each that is an axis, all but the CRS.
+
+    The indexes are made here, as xarray's usual way imports Dask for them too (`_held`).
+    """
     indexes = {
         name: PandasIndex(pd.Index(coord.values), name, coord_dtype=coord.dtype)
         for name, coord in coords.items()
@@ -391,13 +436,20 @@ def _indexed(coords: Mapping[str, xr.Variable]) -> xr.Coordinates:
 def _axis(
     name: str, values: np.ndarray, axis: str, standard_name: str, long_name: str, **more: str
 ) -> xr.Variable:
+    """Return the coordinate along an axis, with the attributes of the CF conventions; ``more``: further ones."""
     attrs = {"standard_name": standard_name, "long_name": long_name, "axis": axis, **more}
     return _held((name,), values, attrs)
 
 
 def _attributes(variable: Variable, array: xr.DataArray) -> dict[str, str]:
-    """Return what files say of a variable."""
-    is_time = array.dtype.kind == "M"  # which has units of its own
+    """Return the attributes that files hold of a variable, those that say something.
+
+    Args:
+      variable: what it is.
+      array: its values in the dataset; times have no unit here, as xarray writes one itself, and arrays over y and x
+        name the CRS.
+    """
+    is_time = array.dtype.kind == "M"
     texts = {
         "long_name": variable.long_name,
         CAVEAT: variable.caveat,

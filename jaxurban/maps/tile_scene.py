@@ -25,7 +25,8 @@ class TileScene:
     Attributes:
       task: what the maps are made of.
       surface: roofs, terrain and blocks of the tile (``surface.region``) and of what its metrics look at around it.
-      rings: what the tiles around hand on, by time and satellite; None where the surface holds all that shadows.
+      rings: the shadows that the tiles around hand on, by time and satellite; None where the surface itself holds all
+        roofs that can shadow the tile.
       totals: the tile's sums over free cells by metric, where statistics over time are kept; `tile_maps` fills it.
     """
 
@@ -58,7 +59,12 @@ class TileScene:
         return self.finer(self.task.city, params.heights.all_touched)
 
     def finer(self, city: City, all_touched: bool) -> Surface:
-        """Return a city on the tile and all that shadows it, rasterised ``oversample`` times finer."""
+        """Return a city on the tile and all that can shadow it, rasterised ``oversample`` times finer.
+
+        Args:
+          city: usually the task's.
+          all_touched: whether a roof covers every cell that it shares area with, not only those whose centre it covers.
+        """
         n = self.task.params.oversample
         region = self.surface.region
         grid = self.task.with_margin(region)
@@ -68,7 +74,10 @@ class TileScene:
         return replace(fine, roof_touched_m=None)
 
     def surfaces_at(self, altitude_m: float) -> tuple[Surface, Surface | None]:
-        """Return the surface as an altitude sees it, and the finer one, if any; keeps the last."""
+        """Return the surface as it is at an altitude, and the supersampled one; None in its place without one.
+
+        The surfaces of the last altitude are kept, so that several metrics share them.
+        """
         if altitude_m not in self._surfaces:
             fine = self.supersampled and self.supersampled.at_altitude(altitude_m)
             self._surfaces.clear()
@@ -76,7 +85,10 @@ class TileScene:
         return self._surfaces[altitude_m]
 
     def words(self, time_index: int) -> np.ndarray:
-        """Return the visibility words ``[W, A, y, x]`` of a time; keeps the last."""
+        """Return which satellites each cell sees at a time, ``[W, A, y, x]`` words as `visibility` makes them.
+
+        The words of the last time are kept, so that several metrics share them.
+        """
         if time_index not in self._words:
             in_view = self.task.in_view(time_index)
             params = self.task.params
@@ -103,17 +115,25 @@ class TileScene:
         self._words.clear()
 
     def at(self, metric: Metric, place: tuple[int, ...], only_m: bool = False) -> Scene:
-        """Return what a metric may use at one place along its dims; ``only_m``: for m and nothing else."""
+        """Return what a metric may use at one place along its dims.
+
+        Args:
+          metric: the metric.
+          place: index along each of its dims: of the time, of the altitude, of the time of day, as far as it has them.
+          only_m: whether the metric need not make its further variables.
+        """
         index = dict(zip(metric.dims, place, strict=True))
         task = self.task
-        params = self.task.params
+        params = task.params
         scene = Scene(
             self.surface, oversample=params.oversample, only_m=only_m, engine=params.engine
         )
+
         if TIME_OF_DAY in index:
             assert task.population is not None
             at_time = (values[index[TIME_OF_DAY]] for values in task.population)
             scene = replace(scene, population=BlockLayers(*at_time))
+
         a = index.get(ALTITUDE)
         if a is not None:
             surface, fine = self.surfaces_at(params.altitudes_m[a])
@@ -124,9 +144,11 @@ class TileScene:
                 is_obstacle=self.is_obstacle[a],
                 supersampled=fine,
             )
-        if TIME in index:
+
+        if TIME in index:  # every metric of a time has an altitude too
             t = index[TIME]
             scene = replace(scene, in_view=task.in_view(t), words=self.words(t)[:, a])
+
         if metric.section == LAYERS and metric.name in task.bands:
             bands = task.bands[metric.name]
             values = layer_values(bands, self.surface.region, task.region, a)

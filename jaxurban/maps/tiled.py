@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, pairwise, product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,30 +39,48 @@ def quadrant_of(east: float, north: float) -> Quadrant:
     return (1 if north >= 0 else -1), (1 if east >= 0 else -1)
 
 
-def _spans(size: int, side: int, low: int, high: int) -> tuple[list[int], int, int]:
-    """Return the lengths of the tiles along one axis, how many lie before the region, and how many in it.
+class _Spans(NamedTuple):
+    """The lengths of tiles along one axis, in cells, and which of them cover the region."""
 
-    The tiles in it begin where it begins, ``low`` cells after the margin does; the last may reach into the margin of
-    ``high`` cells behind it.
+    lengths: list[int]
+    num_before: int  # tiles before the region
+    num_inside: int  # tiles that cover it
+
+
+def _spans(size: int, side: int, before: int, after: int) -> _Spans:
+    """Return the tiles along one axis of a region with its margins.
+
+    The tiles that cover the region begin where it begins; the last of them may reach into the margin behind it. Those
+    of the margins are of equal length, at most ``side``, and reach beyond the margins by less than a cell each.
+
+    Args:
+      size: cells of the region along the axis.
+      side: cells of a tile of the region.
+      before: cells of the margin before the region.
+      after: cells of the margin behind it.
     """
 
-    def outer(margin: int) -> list[int]:
+    def tiles_of_margin(margin: int) -> list[int]:
+        """Return the lengths of the fewest equal tiles that cover a margin; none where it is empty."""
         num = -(-margin // side)
         return [-(-margin // num)] * num if num else []
 
-    num_inner = -(-size // side)
-    before = outer(low)
-    after = outer(max(0, high - (num_inner * side - size)))
-    return [*before, *[side] * num_inner, *after], len(before), num_inner
+    num_inside = -(-size // side)
+    overhang = num_inside * side - size
+    lengths_before = tiles_of_margin(before)
+    lengths_after = tiles_of_margin(max(0, after - overhang))
+    return _Spans(
+        [*lengths_before, *[side] * num_inside, *lengths_after], len(lengths_before), num_inside
+    )
 
 
 @dataclass(frozen=True)
 class Tiling:
     """A region and the margin around it in tiles.
 
-    The tiles of the region are of one shape and anchored at its northwest corner, where files begin, so that nothing
-    compiles twice; the southernmost and the easternmost ones may stick out of it and are cropped when written. Those
-    of the margin, which only carry shadows, are of few more.
+    The tiles of the region are of one shape, so that nothing compiles twice, and begin at its northwest corner, where
+    files begin; the southernmost and the easternmost tiles may stick out of it and are cropped when written. The tiles
+    of the margin, which only carry shadows, have few further shapes.
 
     Attributes:
       region: the grid that maps report.
@@ -81,28 +99,35 @@ class Tiling:
     def over(cls, region: Grid, surface: Grid, shape: tuple[int, int]) -> "Tiling":
         """Return the tiling of ``region`` in tiles of ``shape`` that also covers ``surface`` around it.
 
+        Args:
+          region: the grid that maps report.
+          surface: the region with its margin.
+          shape: rows and columns of a tile's cells.
+
         Raises:
           InputError: a shape below 1, or a region that is not a part of the surface.
         """
+        tile_rows, tile_cols = shape
         if min(shape) < 1:
-            raise InputError(f"tiles need at least one cell a side, got {shape[0]} x {shape[1]}")
-        (rows, cols), (height, width) = region.window_in(surface), surface.shape
-        spans, first_col, num_cols = _spans(
-            region.num_cols, shape[1], cols.start, width - cols.stop
-        )
-        col_starts = accumulate(spans, initial=region.first_col - sum(spans[:first_col]))
-        spans, num_north, num_rows = _spans(
-            region.num_rows, shape[0], height - rows.stop, rows.start
-        )
-        north_end = region.first_row + region.num_rows + sum(spans[:num_north])
-        row_starts = accumulate(reversed(spans), initial=north_end - sum(spans))
-        first_row = len(spans) - num_north - num_rows
+            raise InputError(f"tiles need at least one cell a side, got {tile_rows} x {tile_cols}")
+        rows, cols = region.window_in(surface)
+
+        # Columns from west to east.
+        across = _spans(region.num_cols, tile_cols, cols.start, surface.num_cols - cols.stop)
+        west = region.first_col - sum(across.lengths[: across.num_before])
+        col_starts = accumulate(across.lengths, initial=west)
+
+        # Rows from north to south, then turned around, as rows count from the south.
+        down = _spans(region.num_rows, tile_rows, surface.num_rows - rows.stop, rows.start)
+        north = region.first_row + region.num_rows + sum(down.lengths[: down.num_before])
+        row_starts = accumulate(reversed(down.lengths), initial=north - sum(down.lengths))
+        first_row = len(down.lengths) - down.num_before - down.num_inside
         return cls(
             region,
             tuple(row_starts),
             tuple(col_starts),
-            (first_row, first_col),
-            (num_rows, num_cols),
+            first=(first_row, across.num_before),
+            counts=(down.num_inside, across.num_inside),
         )
 
     @property
@@ -126,11 +151,14 @@ class Tiling:
         row, col = tile
         south, north = self.row_starts[row : row + 2]
         west, east = self.col_starts[col : col + 2]
-        place = south, west, north - south, east - west
-        return Grid(self.region.crs, self.region.resolution_m, *place)
+        shape = north - south, east - west
+        return Grid(self.region.crs, self.region.resolution_m, south, west, *shape)
 
     def reported(self, tile: Tile) -> tuple[slice, slice]:
-        """Return the rows and columns of the region that a tile of the region reports: its last rows, first columns."""
+        """Return the rows and columns of the region that a tile of the region reports.
+
+        A tile that sticks out of the region in the south or east reports its northern rows and western columns alone.
+        """
         grid = self.grid_of(tile)
         row = grid.first_row - self.region.first_row
         col = grid.first_col - self.region.first_col
@@ -138,28 +166,38 @@ class Tiling:
         return slice(max(row, 0), row + grid.num_rows), slice(col, end_col)
 
     def touching(self, grid: Grid) -> Iterator[Tile]:
-        """Yield the tiles that share a cell with ``grid``."""
+        """Yield the tiles that share a cell with ``grid``, row by row from the southwest."""
 
         def along(starts: Sequence[int], first: int, num: int) -> list[int]:
+            """Return which tiles along an axis share one of ``num`` cells from ``first`` on."""
             spans = enumerate(pairwise(starts))
-            return [i for i, (begin, end) in spans if begin < first + num and end > first]
+            return [number for number, (begin, end) in spans if begin < first + num and end > first]
 
         rows = along(self.row_starts, grid.first_row, grid.num_rows)
-        yield from product(rows, along(self.col_starts, grid.first_col, grid.num_cols))
+        cols = along(self.col_starts, grid.first_col, grid.num_cols)
+        yield from product(rows, cols)
 
     def upstream(self, tile: Tile, quadrant: Quadrant) -> list[Tile]:
-        """Return the neighbours, up to three, whose shadows of a source in ``quadrant`` reach a tile first."""
-        (row, col), (north, east) = tile, quadrant
+        """Return the neighbours of a tile toward a source in ``quadrant``, from which its shadows come.
+
+        They are the one beside it in its column, the one beside it in its row, and the one at the corner between them,
+        as far as the tiling has them.
+        """
+        row, col = tile
+        north, east = quadrant
+        num_rows, num_cols = self.shape
         near = [(row + north, col), (row, col + east), (row + north, col + east)]
-        return [(i, j) for i, j in near if 0 <= i < self.shape[0] and 0 <= j < self.shape[1]]
+        return [(i, j) for i, j in near if 0 <= i < num_rows and 0 <= j < num_cols]
 
     def hands_on(self, tile: Tile, quadrant: Quadrant) -> bool:
         """Return whether shadows of a source in ``quadrant`` cross a tile on their way to another one of the region."""
         first = np.array(self.first)
         toward = np.array(quadrant)
-        end = np.where(toward > 0, first, first + self.counts - 1)
-        from_end = (tile - end) * toward
-        return bool(from_end.any() and (from_end >= 0).all())
+        # Shadows run away from the source, to the region's last tile: its corner opposite to the quadrant. A tile on
+        # their way is no farther from the source than that one in rows and columns, and is not that one itself.
+        last = np.where(toward > 0, first, first + self.counts - 1)
+        before_last = (tile - last) * toward
+        return bool(before_last.any() and (before_last >= 0).all())
 
 
 @dataclass(frozen=True)
@@ -178,16 +216,20 @@ class TileJob:
 
     @cached_property
     def order(self) -> dict[Quadrant, list[tuple[int, int]]]:
-        """Time and number of every satellite above the mask, by the quadrant that it stands in."""
+        """Time and number of every satellite above the mask, by the quadrant that it stands in.
+
+        The lists are empty where the surface is supersampled: it then holds all that shadows a tile, and no tile hands
+        shadows on.
+        """
         order: dict[Quadrant, list[tuple[int, int]]] = {quadrant: [] for quadrant in QUADRANTS}
-        if (
-            self.task.params.oversample > 1
-        ):  # supersampled surfaces look beyond the tile: nothing is handed on
+        if self.task.params.oversample > 1:
             return order
+        sky = self.task.sky
         for t in range(self.task.num_times):
-            for s in self.task.sky.in_view(t).numbers:
-                azimuth_rad = self.task.sky.azimuth_rad[t, s]
-                order[quadrant_of(np.sin(azimuth_rad), np.cos(azimuth_rad))].append((t, int(s)))
+            for s in sky.in_view(t).numbers:
+                azimuth_rad = sky.azimuth_rad[t, s]
+                quadrant = quadrant_of(east=np.sin(azimuth_rad), north=np.cos(azimuth_rad))
+                order[quadrant].append((t, int(s)))
         return order
 
     def haloed(self, tile: Tile) -> Grid:
@@ -195,7 +237,10 @@ class TileJob:
         return self.task.with_halo(self.tiling.grid_of(tile))
 
     def looked_at(self, tile: Tile) -> Grid:
-        """Return the grid whose tiles' rasters a tile is finished from: with slabs, all that can shadow it."""
+        """Return the grid of all rasters that the maps of a tile are made from.
+
+        It is the tile with its halo; with slabs, which no tile hands on as shadows, it is all that can shadow the tile.
+        """
         if self.task.city.hanging == SLABS and self.task.params.oversample == 1:
             return self.task.with_margin(self.tiling.grid_of(tile))
         return self.haloed(tile)
@@ -206,7 +251,12 @@ class TileJob:
 
 
 def _name(kind: str, *parts: int | str) -> str:
-    """Return the name of a step in the work folder, by its tile and, if it is of one, its quadrant."""
+    """Return the name of a step in the work folder, such as ``shadows_0_2_ne``.
+
+    Args:
+      kind: of the step.
+      *parts: row and column of its tile, and the name of its quadrant if it has one.
+    """
     return "_".join(map(str, (kind, *parts)))
 
 
@@ -214,7 +264,14 @@ RASTERS = ("roof_m", "terrain_m", "has_data", "roof_guessed")  # of a `Surface`,
 
 
 def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
-    """Rasterise a tile and return the ``seconds`` it took by stage."""
+    """Rasterise a tile into the work folder, unless that is done, and return the ``seconds`` it took by stage.
+
+    A tile of the region also gets its touched roofs and census blocks, and which roofs are guessed.
+
+    Args:
+      job: what the tiles need, and the work folder.
+      tile: any tile, also one of the margin.
+    """
     watch = Stopwatch()
     name = _name("raster", *tile)
     city = job.task.city
@@ -223,12 +280,12 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             grid = job.tiling.grid_of(tile)
             is_reported = tile in job.tiling.region_tiles
             has_guessed = is_reported and job.task.has_guessed_roofs
-            made = rasterise(city, grid, job.task.params.heights.all_touched, has_guessed)
-            arrays = {key: getattr(made, key) for key in RASTERS}
-            if made.slabs is not None:
-                arrays |= {f"slab_{key}": values for key, values in made.slabs._asdict().items()}
+            surface = rasterise(city, grid, job.task.params.heights.all_touched, has_guessed)
+            arrays = {key: getattr(surface, key) for key in RASTERS}
+            if surface.slabs is not None:
+                arrays |= {f"slab_{key}": values for key, values in surface.slabs._asdict().items()}
             if is_reported:
-                arrays["roof_touched_m"] = made.roof_touched_m
+                arrays["roof_touched_m"] = surface.roof_touched_m
                 arrays["block"] = rasterise_blocks(city, grid)
             job.work.save_arrays(name, **values_given(arrays))
     return {"seconds": watch.elapsed_s}
@@ -237,7 +294,13 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
 def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
     """Hand the shadows of a quadrant's satellites on across a tile and return the ``seconds`` it took by stage.
 
-    What is kept are the row and the column, of every satellite, that the next tiles' rings take up.
+    Unless that is done, the work folder gets the tile's last row and column of shadows for each satellite, which the
+    next tiles take up in their rings.
+
+    Args:
+      job: what the tiles need, and the work folder, which holds the rasters of the tile and the shadows before it.
+      tile: any tile, also one of the margin.
+      quadrant: that the satellites stand in.
     """
     watch = Stopwatch()
     name = _name("shadows", *tile, QUADRANTS[quadrant])
@@ -257,12 +320,23 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
 
 
 def _rings(job: TileJob, tile: Tile, quadrant: Quadrant) -> Ring:
-    """Return what the upstream tiles hand on to a tile, ``[S, ...]`` for the satellites of a quadrant."""
+    """Return the shadows that the upstream tiles hand on to a tile, on the ring of cells around it.
+
+    The ring holds heights in metres, ``[S, ...]`` for the ``S`` satellites of a quadrant. It is -inf where nothing is
+    handed on, as always on the two sides away from the source.
+
+    Args:
+      job: what the tiles need, and the work folder, which holds the shadows of the upstream tiles.
+      tile: that the ring is around.
+      quadrant: that the satellites stand in.
+    """
     north, east = quadrant
     num_rows, num_cols = job.tiling.grid_of(tile).shape
     num = len(job.order[quadrant])
     no_row = np.full((num, num_cols + 2), -np.inf, np.float32)
     no_col = np.full((num, num_rows), -np.inf, np.float32)
+
+    # The row and the column toward the source: from the tile beyond each, and a corner from the tile beyond both.
     row, col = no_row.copy(), no_col.copy()
     for near in job.tiling.upstream(tile, quadrant):
         if not job.hands_on(near, quadrant):
@@ -275,29 +349,40 @@ def _rings(job: TileJob, tile: Tile, quadrant: Quadrant) -> Ring:
         else:
             corner, nearest = (-1, 0) if east > 0 else (0, -1)
             row[:, corner] = kept["rows"][:, nearest]
-    sides = (no_row, row) if north > 0 else (row, no_row)
-    ends = (no_col, col) if east > 0 else (col, no_col)
-    return Ring(*sides, *ends)
+
+    south_row, north_row = (no_row, row) if north > 0 else (row, no_row)
+    west_col, east_col = (no_col, col) if east > 0 else (col, no_col)
+    return Ring(south_row, north_row, west_col, east_col)
 
 
 def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
-    """Make and write every map of a tile of the region, mark it done, and return what is marked.
+    """Make and write every map of a tile of the region, unless that is done, and mark it done.
 
-    ``seconds`` by stage; ``totals``: the facts of `TimeTotals` by metric, where statistics over time are kept.
+    Args:
+      job: what the tiles need, and the work folder, which holds the rasters and shadows around the tile.
+      tile: of the region.
+
+    Returns:
+      ``seconds`` by stage, none where it was done before; ``totals``: the facts of `TimeTotals` by metric, empty where
+      no statistics over time are kept.
     """
     name = _name("tile", *tile)
     facts = job.work.done(name)
     if facts is not None:
         return {**facts, "seconds": {}}
     watch = Stopwatch()
+
+    # What the tiles around have left for this one.
     with watch.stage("surface"):
         surface = _surface(job, tile)
     with watch.stage("gps"):
         rings = {}
         for quadrant in QUADRANTS:
             sides = _rings(job, tile, quadrant)
-            for number, seen in enumerate(job.order[quadrant]):
-                rings[seen] = Ring(*(side[number] for side in sides))
+            for number, time_and_satellite in enumerate(job.order[quadrant]):
+                rings[time_and_satellite] = Ring(*(side[number] for side in sides))
+
+    # The maps, each written when it is made.
     scene = TileScene(job.task, surface, rings)
     window = job.tiling.reported(tile)
     checksums: dict[str, str] = {}
@@ -307,16 +392,27 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
                 checksums |= write_layer(
                     job.work.zarr, layer.name, layer.place, window, layer.values
                 )
+
     facts = {"totals": {metric: totals.facts for metric, totals in scene.totals.items()}}
-    job.work.mark_done(name, {f"{ZARR}/{file}": of for file, of in checksums.items()}, facts)
+    written = {f"{ZARR}/{file}": checksum for file, checksum in checksums.items()}
+    job.work.mark_done(name, written, facts)
     return {**facts, "seconds": watch.elapsed_s}
 
 
 def _surface(job: TileJob, tile: Tile) -> Surface:
-    """Return a tile of the region with the halo that lidar and risk look at, put together from the tiles around."""
+    """Return a tile of the region with the halo that lidar and risk look at, put together from the tiles around.
+
+    What sticks out of the region has no data.
+
+    Args:
+      job: what the tiles need, and the work folder, which holds the rasters.
+      tile: of the region.
+    """
     region = job.tiling.grid_of(tile)
     grid = job.haloed(tile)
     halo = region.first_row - grid.first_row
+
+    # Each tile around gives the part of its rasters that lies on the tile with its halo.
     rasters: dict[str, Any] = {
         "roof_m": np.zeros(grid.shape, np.float32),
         "has_data": np.ones(grid.shape, bool),
@@ -331,10 +427,14 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
         source = slice(max(-row, 0), grid.num_rows - row), slice(max(-col, 0), grid.num_cols - col)
         for key, values in job.work.load_arrays(_name("raster", *near), *rasters).items():
             rasters[key][target] = values[source]
-    # What sticks out of the region counts for nothing.
-    rows, cols = (part.stop - part.start for part in job.tiling.reported(tile))
-    rasters["has_data"][halo : halo + region.num_rows - rows] = False
-    rasters["has_data"][:, halo + cols : grid.num_cols - halo] = False
+
+    # Rows in the south and columns in the east that stick out of the region count as without data.
+    rows, cols = job.tiling.reported(tile)
+    north_rows = halo + region.num_rows - (rows.stop - rows.start)
+    west_cols = halo + (cols.stop - cols.start)
+    rasters["has_data"][halo:north_rows] = False
+    rasters["has_data"][:, west_cols : grid.num_cols - halo] = False
+
     own: dict[str, Any] = job.work.load_arrays(
         _name("raster", *tile), "block", "roof_touched_m", "roof_guessed"
     )
@@ -352,11 +452,10 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
 
 
 def _slabs(job: TileJob, tile: Tile) -> Slabs:
-    """Return the slabs over a tile and over all that it looks at."""
+    """Return the slabs over a tile and over all that can shadow it, joined from the tiles that hold them."""
+    names = [f"slab_{name}" for name in Slabs._fields]
     parts = []
     for near in job.tiling.touching(job.looked_at(tile)):
-        kept = job.work.load_arrays(
-            _name("raster", *near), *(f"slab_{name}" for name in Slabs._fields)
-        )
-        parts.append(Slabs(**{name.removeprefix("slab_"): values for name, values in kept.items()}))
+        kept = job.work.load_arrays(_name("raster", *near), *names)
+        parts.append(Slabs(*(kept[name] for name in names)))
     return Slabs.joined(parts)

@@ -46,7 +46,14 @@ class Track:
 
     @classmethod
     def of(cls, log: ReceiverLog, grid: Grid, sky_step_s: float) -> "Track":
-        """Return the track of a log, its time cut into windows of ``sky_step_s`` with a sky in the middle of each.
+        """Return the track of a log; all epochs within a window of ``sky_step_s`` seconds share one sky.
+
+        The windows begin at the first epoch; a window's sky is that of its middle. Windows without epochs have none.
+
+        Args:
+          log: epochs in order of time, with longitude and latitude.
+          grid: that holds all places.
+          sky_step_s: length of a window.
 
         Raises:
           InputError: a place outside the grid.
@@ -64,11 +71,12 @@ class Track:
                 f"the scenario hold the track, [{spans}] and some metres around it"
             )
         row, col = grid.cell_of_xy(x_m, y_m)
+
         first = log.epochs[UTC].iloc[0]
         elapsed_s = (log.epochs[UTC] - first).dt.total_seconds().to_numpy()
-        numbers, sky = np.unique((elapsed_s // sky_step_s).astype(np.int64), return_inverse=True)
-        middles_s = pd.to_timedelta((numbers + 0.5) * sky_step_s, "s")
-        times = (first + middles_s).round("s").strftime("%Y-%m-%dT%H:%M:%SZ")
+        windows, sky = np.unique((elapsed_s // sky_step_s).astype(np.int64), return_inverse=True)
+        to_middles = pd.to_timedelta((windows + 0.5) * sky_step_s, "s")
+        times = (first + to_middles).round("s").strftime("%Y-%m-%dT%H:%M:%SZ")
         return cls(x_m, y_m, row, col, sky, tuple(times))
 
     @cached_property
@@ -80,39 +88,49 @@ class Track:
 
 
 def predict(task: MapTask, track: Track, report: Report) -> dict[str, np.ndarray]:
-    """Return what the maps of a task say along a track, by name as `quality_along`; NaN in a building, without data.
+    """Return what the maps of a task predict along a track: ``[N]`` float64 by the names of `quality_along`.
+
+    The values are NaN where the track is in a building, and where the maps have no data.
 
     Args:
       task: of one altitude; its sky has the track's times.
       track: over the task's region.
-      report: how many skies are done.
+      report: is called with the stage, how many skies are done, and how many there are.
     """
     is_seen, is_known = seen_along(task, track, report)
-    of_epochs = quality_along(task, track.sky, is_seen)
-    return {name: np.where(is_known, values, np.nan) for name, values in of_epochs.items()}
+    quality = quality_along(task, track.sky, is_seen)
+    return {name: np.where(is_known, values, np.nan) for name, values in quality.items()}
 
 
 def seen_along(task: MapTask, track: Track, report: Report) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the maps see along a track: ``[N, S]`` bool, and ``[N]`` which places they know to be outdoors.
+    """Return which satellites the maps see from each epoch of a track, and which places they know to be outdoors.
 
-    Arguments as for `predict`. In a building, and without data, no satellite is seen.
+    In a building, and without data, no satellite is seen.
+
+    Args:
+      task, track, report: as for `predict`.
+
+    Returns:
+      ``[N, S]`` bool of epochs and satellites, and ``[N]`` bool of epochs.
     """
     num_skies = len(track.sky_times)
     is_seen = np.zeros((len(track.sky), len(task.sky.names)), bool)
     is_known = np.zeros(len(track.sky), bool)
     for leg in _legs(track):
-        now = (leg[0] <= track.sky) & (track.sky <= leg[-1])
-        tile = _tile(task, _box(task.region, track.row[now], track.col[now]), leg)
-        region = tile.surface.region
+        # One tile holds all places of a leg; its times are the leg's skies.
+        in_leg = (leg[0] <= track.sky) & (track.sky <= leg[-1])
+        tile = _tile(task, _box(task.region, track.row[in_leg], track.col[in_leg]), leg)
+        part = tile.surface.region
         for t, number in enumerate(leg):
             report("skies", number, num_skies)
             epochs = np.flatnonzero(track.sky == number)
-            row = track.row[epochs] - region.first_row + task.region.first_row
-            at = row, track.col[epochs] - region.first_col + task.region.first_col
-            is_known[epochs] = ~np.asarray(tile.is_obstacle[0])[at]
+            row = track.row[epochs] - part.first_row + task.region.first_row
+            col = track.col[epochs] - part.first_col + task.region.first_col
+            is_known[epochs] = ~np.asarray(tile.is_obstacle[0])[row, col]
             if tile.has_data is not None:
-                is_known[epochs] &= tile.has_data[at]
-            words = tile.words(t)[:, 0][:, *at]
+                is_known[epochs] &= tile.has_data[row, col]
+
+            words = tile.words(t)[:, 0, row, col]
             for k, satellite in enumerate(task.in_view(number).numbers):
                 is_seen[epochs, satellite] = (words[k // WORD_BITS] >> (k % WORD_BITS)) & 1
             tile.forget()
@@ -121,57 +139,68 @@ def seen_along(task: MapTask, track: Track, report: Report) -> tuple[np.ndarray,
 
 
 def quality_along(task: MapTask, sky: np.ndarray, is_seen: np.ndarray) -> dict[str, np.ndarray]:
-    """Return what the satellites that are seen are worth, by name ``[N]`` float64.
-
-    ``gps``, m; the DOPs, inf where undetermined; and ``num_visible``: as maps make them of the same satellites.
+    """Return the GPS quality of each epoch from the satellites that it sees, as maps would make it.
 
     Args:
-      task: with the satellites and the clocks.
+      task: with the satellites, the clocks and the threshold.
       sky: ``[N]`` number of the sky of each epoch.
       is_seen: ``[N, S]`` bool; satellites below the mask count for nothing.
+
+    Returns:
+      ``[N]`` float64 by name: ``gps``, which is m; the DOPs, inf where undetermined; and ``num_visible``.
     """
-    values = {name: np.full(len(sky), np.nan) for name in ("gps", *DOPS, NUM_VISIBLE)}
+    names = "gps", *DOPS, NUM_VISIBLE
+    values = {name: np.full(len(sky), np.nan) for name in names}
     for number in np.unique(sky):
+        # The satellites in view as bits, 32 of them to a word.
         epochs = np.flatnonzero(sky == number)
         in_view = task.in_view(number)
         bits = is_seen[np.ix_(epochs, in_view.numbers)].T
         words = np.zeros((max(1, -(-len(bits) // WORD_BITS)), len(epochs)), np.uint32)
         for k, bit in enumerate(bits):
             words[k // WORD_BITS] |= bit.astype(np.uint32) << np.uint32(k % WORD_BITS)
+
         is_obstacle = np.zeros(len(epochs), bool)
         threshold = task.params.gps.gdop_threshold
         maps, choice = maps_of_choices(words, is_obstacle, satellites_of(in_view), threshold)
-        for name, made in zip(("gps", *DOPS, NUM_VISIBLE), maps, strict=True):
-            values[name][epochs] = made[choice]
+        for name, by_choice in zip(names, maps, strict=True):
+            values[name][epochs] = by_choice[choice]
     return values
 
 
 def _legs(track: Track) -> Iterator[list[int]]:
-    """Yield runs of skies whose places lie in one box that is not too large; one sky at least."""
-    leg: list[int] = []
-    low = np.array([np.inf, np.inf])
-    high = np.array([-np.inf, -np.inf])
-    for number in range(len(track.sky_times)):
-        cells = np.stack([track.row, track.col])[:, track.sky == number]
-        joined = np.minimum(low, cells.min(axis=1)), np.maximum(high, cells.max(axis=1))
-        if leg and np.prod(joined[1] - joined[0] + 1) > LEG_CELLS:
-            yield leg
-            leg = []
-            joined = (cells.min(axis=1), cells.max(axis=1))
-        low, high = joined
-        leg.append(number)
-    yield leg
+    """Yield the numbers of successive skies whose places lie in one box of at most `LEG_CELLS` cells.
+
+    A leg has one sky at least, even where the box around its places alone is larger.
+    """
+    cells = np.stack([track.row, track.col])
+    num_skies = len(track.sky_times)
+    first = 0
+    for number in range(1, num_skies):
+        is_joined = (first <= track.sky) & (track.sky <= number)
+        num_rows, num_cols = np.ptp(cells[:, is_joined], axis=1) + 1
+        if num_rows * num_cols > LEG_CELLS:
+            yield list(range(first, number))
+            first = number
+    yield list(range(first, num_skies))
 
 
 def _box(region: Grid, row: np.ndarray, col: np.ndarray) -> Grid:
-    """Return the part of a region that holds cells."""
-    east = col.max() + 1 - region.num_cols
-    north = row.max() + 1 - region.num_rows
-    return region.padded(-int(col.min()), -int(row.min()), int(east), int(north))
+    """Return the smallest part of a region that holds cells, given by rows and columns ``[N]`` in it."""
+    west, south = -int(col.min()), -int(row.min())
+    east = int(col.max()) + 1 - region.num_cols
+    north = int(row.max()) + 1 - region.num_rows
+    return region.padded(west, south, east, north)
 
 
 def _tile(task: MapTask, region: Grid, skies: list[int]) -> TileScene:
-    """Return a part of a task, over another region and at some of its times, ready for its maps."""
+    """Return a task's tile over a part of its region at some of its times, ready for its maps.
+
+    Args:
+      task: the whole.
+      region: the part.
+      skies: numbers of the times in the task's sky.
+    """
     sky = replace(
         task.sky,
         times=tuple(task.sky.times[t] for t in skies),

@@ -20,34 +20,46 @@ TAIL = 0.05  # the percentiles reported are the 5th and the 95th
 def perturbed_cities(
     city: City, height_std_m: HeightStd, num_samples: int, seed: int
 ) -> Iterator[City]:
-    """Yield the city with heights drawn again for each sample; the same seed gives the same cities."""
+    """Yield the city with heights drawn again for each sample; the same seed gives the same cities.
+
+    In a city whose roofs are a raster, each connected set of cells with a roof counts as one building.
+
+    Args:
+      city: with outlines or with a raster of roofs.
+      height_std_m: standard deviations of heights, by their origin.
+      num_samples: how many cities.
+      seed: of the random numbers.
+    """
     generators = (np.random.default_rng([seed, sample]) for sample in range(num_samples))
+
     if city.buildings is not None:
         std_m = _std_of_buildings(city.buildings, height_std_m)
         for rng in generators:
             errors_m = rng.standard_normal(len(std_m)) * std_m
             yield replace(city, buildings=_moved(city.buildings, errors_m))
         return
+
     assert city.roofs is not None
     from scipy.ndimage import label
 
     roof_m = city.roofs.values
     labels, num_buildings = label(np.nan_to_num(roof_m) > 0, structure=np.ones((3, 3)))
     for rng in generators:
+        # Label 0 is no building, and has no error.
         errors_m = np.append(0.0, rng.standard_normal(num_buildings) * height_std_m.raster)
         moved_m = np.where(labels > 0, np.maximum(roof_m + errors_m[labels], 0.0), roof_m)
         yield replace(city, roofs=replace(city.roofs, values=moved_m.astype(np.float32)))
 
 
 def _std_of_buildings(buildings: Footprints, height_std_m: HeightStd) -> np.ndarray:
-    """Return the standard deviation of the height of each building, by its origin."""
+    """Return the standard deviation of the height of each building, ``[B]`` metres, by its origin."""
     by_origin = {**asdict(height_std_m), "layer": height_std_m.default, "generated": 0.0}
     std_m = np.array([by_origin[origin.name.lower()] for origin in HeightOrigin])
     return std_m[buildings.origin]
 
 
 def _moved(buildings: Footprints, errors_m: np.ndarray) -> Footprints:
-    """Return buildings whose heights are changed; what hangs moves as a whole."""
+    """Return buildings whose heights are changed by errors, ``[B]`` metres; what hangs moves with its floor."""
     floor_m = buildings.min_height_m
     return replace(
         buildings,
@@ -71,11 +83,12 @@ class Spread:
         self.kept = min(self.below + 2, num_samples)
 
     def add(self, values: np.ndarray) -> None:
-        """Take in one more array, of the shape of all others."""
+        """Take in one more array; all must have the same shape."""
         values = np.asarray(values, np.float32)
         if self.count == 0:
             self.mean, self.squares = np.zeros_like(values), np.zeros_like(values)
             self.lowest = self.highest = np.empty((0, *values.shape), np.float32)
+
         self.count += 1
         from_old = values - self.mean
         self.mean += from_old / self.count
@@ -84,7 +97,11 @@ class Spread:
         self.highest = np.sort(np.concatenate([self.highest, values[None]]), axis=0)[-self.kept :]
 
     def results(self) -> dict[str, np.ndarray]:
-        """Return ``mean``, ``std`` (of the sample, n - 1), ``p05`` and ``p95`` (linear between samples)."""
+        """Return ``mean``, ``std`` (of the sample, n - 1), ``p05`` and ``p95`` (linear between samples), by name.
+
+        All samples must have been added, two of them at least for a deviation other than 0.
+        """
+        # Each percentile lies between a kept array and the next one inward, which is nearer to the median.
         last = self.kept - 1
         low = self.lowest[self.below]
         low_next = self.lowest[min(self.below + 1, last)]

@@ -75,17 +75,20 @@ class Scale(NamedTuple):
     def range(
         self, attrs: Mapping[str, Any], ends: Callable[[], tuple[float, float]]
     ) -> tuple[float, float]:
-        """Return the low end and how far above it the high end is.
+        """Return the value at the low end of the colours, and how far above it the high end is.
 
         Args:
-          attrs: of the maps.
-          ends: returns the lowest and the highest value of the maps, which are read where they are needed alone.
+          attrs: attributes of the maps.
+          ends: returns the lowest and the highest value of the maps; it reads them, so it is called only if needed.
         """
         if self.limit:
             return 0.0, 2 * float(attrs[self.limit])
-        lowest, highest = ends() if self.low is None or self.high is None else (0.0, 0.0)
-        low = lowest if self.low is None else self.low
-        return low, max((highest if self.high is None else self.high) - low, self.least)
+        low, high = self.low, self.high
+        if low is None or high is None:
+            lowest, highest = ends()
+            low = lowest if low is None else low
+            high = highest if high is None else high
+        return low, max(high - low, self.least)
 
 
 @dataclass(frozen=True)
@@ -129,9 +132,11 @@ class Variable:
 
     @property
     def heading(self) -> str:
-        """What pictures call it."""
-        long_name = f"{self.long_name[0].upper()}{self.long_name[1:]}"
-        return self.title or (f"{long_name} ({self.symbol})" if self.symbol else long_name)
+        """What pictures call it: its title, else its long name with a capital, and the symbol if it has one."""
+        if self.title:
+            return self.title
+        long_name = self.long_name[0].upper() + self.long_name[1:]
+        return f"{long_name} ({self.symbol})" if self.symbol else long_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +210,13 @@ class SoftScene(NamedTuple):
 
 
 def on_scene(soft: Callable[..., jax.Array], scene: SoftScene, params: Any) -> jax.Array:
-    """Return a soft metric of a scene, by a function that takes the scene's parts one by one."""
+    """Return a soft metric of a scene, by a function that takes parts of the scene as arguments.
+
+    Args:
+      soft: function of surface, altitude, settings and softness, with the keywords ``cells`` and ``reach_m``.
+      scene: what the metric may look at.
+      params: settings of the metric.
+    """
     return soft(
         scene.surface,
         scene.altitude_m,
@@ -300,8 +311,8 @@ class Metric:
             scale=Scale(self.colour_map),
         )
         return {
-            each.name: replace(each, of=self.name, dims=self.dims, caveat=self.caveat)
-            for each in (own, *self.also)
+            variable.name: replace(variable, of=self.name, dims=self.dims, caveat=self.caveat)
+            for variable in (own, *self.also)
         }
 
     @property

@@ -98,6 +98,7 @@ class Layer:
     credit: str = ""
 
     def __post_init__(self) -> None:
+        """Check the settings and write a path as text; errors as of the class."""
         if isinstance(self.source, Path):
             object.__setattr__(self, "source", str(self.source))
         if not (callable(self.source) or isinstance(self.source, str | np.ndarray | jax.Array)):
@@ -121,7 +122,7 @@ class Layer:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The settings as JSON can hold them, an array or a function by what it is."""
+        """The settings as JSON can hold them; the source is a path, the name of a function, or ``"array"``."""
         source = self.source
         if not isinstance(source, str):
             source = getattr(source, "__qualname__", "array")
@@ -147,38 +148,44 @@ class Layer:
 
 
 def check_layers(layers: Any) -> Mapping[str, Layer]:
-    """Return the cost layers that a user adds by name, none where they are left out.
+    """Return the cost layers that a user adds, by name, once they are checked; none of None.
 
     Raises:
-      InputError: they are anything else, or their names would be those of other maps or files.
+      InputError: they are not layers by name, or their names could be those of other maps or files.
     """
-    given = {} if layers is None else layers
+    by_name = {} if layers is None else layers
     if not (
-        isinstance(given, Mapping) and all(isinstance(layer, Layer) for layer in given.values())
+        isinstance(by_name, Mapping) and all(isinstance(layer, Layer) for layer in by_name.values())
     ):
         raise InputError(
             'layers must be Layers by name, such as {"noise": Layer("noise.tif", "high-is-bad", (0, 80))}'
         )
-    for name in given:
+    for name in by_name:
         if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
             raise InputError(
                 f"a layer's name must be letters, digits and _ such as noise_2024, got {name!r}"
             )
+        # Also names that end in an altitude, a time or a time of day, as those of the maps' files do.
         if name in RESERVED_NAMES or _OF_A_FILE.fullmatch(name):
             raise InputError(
                 f"a layer cannot be called {name!r}: maps, their files or weights use such names: give another name"
             )
-    return given
+    return by_name
 
 
 def own_metric(name: str, layer: Layer) -> Metric:
-    """Return a user's layer, under a name that `check_layers` takes, as a metric."""
-    by_altitude = layer.altitudes_m is not None or callable(layer.source)
-    high = layer.scale[1]
+    """Return a user's layer as a metric, which has altitudes where its source has several bands or is a function.
+
+    Args:
+      name: of the layer, one that `check_layers` accepts.
+      layer: its settings.
+    """
+    has_altitudes = layer.altitudes_m is not None or callable(layer.source)
+    _, high = layer.scale
     return Metric(
         name=name,
         params=Layer,
-        dims=(ALTITUDE,) if by_altitude else (),
+        dims=(ALTITUDE,) if has_altitudes else (),
         compute=partial(_map, name),
         soft=None if layer.soft is None else _soft,
         cost=COSTS[layer.cost],
@@ -193,17 +200,25 @@ def own_metric(name: str, layer: Layer) -> Metric:
 
 
 def known_beside(layers: Collection[str]) -> list[Metric]:
-    """Return the built-in metrics as they are called beside a user's layers, whose names are never theirs.
+    """Return the built-in metrics under names that differ from those of a user's layers.
 
-    Those of `OF_RELEASE_1` keep their names, which `check_layers` refuses to layers. If a layer has the name of another
-    metric, or that of a map derived from it, the metric is ``metric_NAME``. The same holds for each of its further
-    variables.
+    The metrics of `OF_RELEASE_1` keep their names, which `check_layers` refuses to layers. If a layer has the name of
+    another metric, or that of a map derived from it, the metric is called ``metric_NAME``. The same holds for each of
+    the metric's further variables.
+
+    Args:
+      layers: names of the user's layers.
     """
     return [_beside(metric, layers) for metric in known_metrics().values()]
 
 
 def _beside(metric: Metric, layers: Collection[str]) -> Metric:
-    """Return a metric under names that no layer of the user has; those of release 1 keep theirs."""
+    """Return a metric with all of its variables under names that no layer has; those of release 1 keep their names.
+
+    Args:
+      metric: a built-in one.
+      layers: names of a user's layers.
+    """
     if metric.name in OF_RELEASE_1:
         return metric
     names = {name: _free_name(name, layers) for name in metric.variables}
@@ -220,8 +235,9 @@ def _beside(metric: Metric, layers: Collection[str]) -> Metric:
 
 
 def _free_name(name: str, layers: Collection[str]) -> str:
-    with_derived = (name, *(f"{name}_{what}" for what in DERIVED))
-    is_taken = any(each in layers for each in with_derived)
+    """Return a variable's name with `LONG` before it as often as makes it, and those derived from it, no layer's."""
+    derived_names = {f"{name}_{what}" for what in DERIVED}
+    is_taken = not derived_names.union([name]).isdisjoint(layers)
     return _free_name(LONG + name, layers) if is_taken else name
 
 
@@ -231,27 +247,32 @@ def _renamed(
     scene: Scene,
     settings: Any,
 ) -> dict[str, AnyArray]:
-    """Return the maps that a metric computes under other names."""
+    """Return the maps that a metric computes, under other names.
+
+    Args:
+      compute: of the metric (`Metric.compute`).
+      names: new name of each variable by its own.
+      scene, settings: what ``compute`` gets.
+    """
     return {names[name]: values for name, values in compute(scene, settings).items()}
 
 
 def metrics_of(
     requested: Collection[str], layers: Mapping[str, Layer], has_people: bool
 ) -> dict[str, Metric]:
-    """Return the metrics of maps by name: of every cost, those made on request, then a user's by name.
+    """Return the metrics of maps by name: those of every cost, those made on request, then a user's own by name.
 
     Args:
-      requested: names or sections, among them those of the metrics on request that are made.
-      layers: those that a user added.
-      has_people: whether there are census blocks, which metrics with a time of day need.
+      requested: names or sections of the metrics on request that are made; other names of metrics change nothing.
+      layers: the user's, by name.
+      has_people: whether there are census blocks, which metrics with a time of day need; these are left out otherwise.
     """
-    asked = {*METRICS, *requested}
-    built_in = [metric for metric in known_beside(layers) if asked & {metric.section, metric.name}]
+    wanted = {*METRICS, *requested}
+    built_in = [metric for metric in known_beside(layers) if wanted & {metric.section, metric.name}]
     own = [own_metric(name, layer) for name, layer in sorted(layers.items())]
-    made = {metric.name: metric for metric in (*built_in, *own)}
     return {
-        name: metric
-        for name, metric in made.items()
+        metric.name: metric
+        for metric in (*built_in, *own)
         if has_people or TIME_OF_DAY not in metric.dims
     }
 
@@ -265,30 +286,35 @@ def colour_of(name: str) -> str:
 
 
 def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
-    """Return the metrics of the cost that a dataset of maps holds, by name: the built-in ones, then a user's.
+    """Return the metrics of the cost that a dataset of maps holds, by name: the built-in ones, then a user's own.
 
-    The median stands for a metric where a long series keeps statistics. Own layers say in their attribute ``layer``
-    what they are (`Layer.record`).
+    A metric counts as held where its median is, which a long series keeps in its place. The variable of a user's layer
+    has its settings in the attribute ``layer`` (`Layer.record`).
     """
-    own = {
-        str(name): json.loads(held.attrs["layer"])
-        for name, held in ds.variables.items()
-        if "layer" in held.attrs
+    records = {
+        str(name): json.loads(variable.attrs["layer"])
+        for name, variable in ds.variables.items()
+        if "layer" in variable.attrs
     }
-    known = {
+    metrics = {
         metric.name: metric
-        for metric in known_beside(own)
+        for metric in known_beside(records)
         if metric.name in ds or (TIME in metric.dims and f"{metric.name}_median" in ds)
     }
-    return known | {name: own_metric(name, Layer(**own[name])) for name in sorted(own)}
+    for name, record in sorted(records.items()):
+        metrics[name] = own_metric(name, Layer(**record))
+    return metrics
 
 
 def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
-    """Return what every map of a dataset is, by name; of those that nobody here knows, what their attributes say."""
+    """Return what every map ``[..., y, x]`` of a dataset is, by name; an unknown map is what its attributes say."""
     known = dict(AUXILIARY_VARIABLES)
     for name, metric in held_metrics(ds).items():
-        made = derived(metric)
-        known |= made["series"] if f"{name}_median" in ds else metric.variables | made["spread"]
+        from_metric = derived(metric)
+        if f"{name}_median" in ds:
+            known |= from_metric["series"]
+        else:
+            known |= metric.variables | from_metric["spread"]
     maps = {
         str(name): array for name, array in ds.data_vars.items() if array.dims[-2:] == ("y", "x")
     }
@@ -306,7 +332,12 @@ def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
 
 
 def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:
-    """Return the map of a layer on one tile.
+    """Return the map of a user's layer on one tile, m ``[y, x]`` float32 by its name; NaN in cells without a value.
+
+    Args:
+      name: of the layer.
+      scene: what it may look at.
+      layer: its settings.
 
     Raises:
       InputError: values of another shape than the tile's, or cells without a value where that is an error.
@@ -322,24 +353,30 @@ def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:
             f"layer {name!r} gives values of shape {np.shape(values)} for cells of shape {surface.region.shape}: "
             "return one value for each cell of surface.region"
         )
-    known = jnp.where(jnp.isfinite(jnp.asarray(values)), values, jnp.nan)
-    m = layer.scaled(known).astype(jnp.float32)
-    is_lost = jnp.isnan(m)
+    finite_values = jnp.where(jnp.isfinite(jnp.asarray(values)), values, jnp.nan)
+    m = layer.scaled(finite_values).astype(jnp.float32)
+
+    # Cells of which nothing is known need no value.
+    is_missing = jnp.isnan(m)
     if surface.has_data is not None:
-        is_lost &= surface.crop(surface.has_data)
-    if layer.nan == "error" and is_lost.any():
+        is_missing &= surface.crop(surface.has_data)
+    if layer.nan == "error" and is_missing.any():
         raise InputError(
-            f'layer {name!r} has no value in {is_lost.sum():,} cells: fill them, or set nan = "closed"'
+            f'layer {name!r} has no value in {is_missing.sum():,} cells: fill them, or set nan = "closed"'
         )
     return {name: m}
 
 
 def _reaching(surface: Surface, layer: Layer) -> Surface:
-    """Return a surface that refuses to be looked at beyond a layer's reach, where tiles hold less than the whole."""
+    """Return a surface that refuses to be cut farther beyond its region than a layer's reach.
+
+    What lies farther differs between tiles and the whole region.
+    """
     return replace(surface, most_halo=math.ceil(layer.reach_m / surface.grid.resolution_m))
 
 
 def _soft(scene: SoftScene, layer: Layer) -> jax.Array:
+    """Return soft m of a user's layer on a scene's cells (`Metric.soft`): ``[y, x]`` or ``[P]``."""
     assert layer.soft is not None
     surface = _reaching(scene.surface, layer)
     m = layer.scaled(layer.soft(surface, scene.altitude_m, scene.softness_m))

@@ -95,6 +95,7 @@ class Gps:
     reference: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        """Check the settings and write orbits and times as tuples; errors as of the class."""
         check_fields(self, ["gdop_threshold"], DOP_THRESHOLD, is_dop_threshold)
         check_fields(
             self,
@@ -107,9 +108,8 @@ class Gps:
                 f"mask_deg must be an angle from 0 to less than 90 degrees, got {self.mask_deg}"
             )
         positive("max_age_days", self.max_age_days, "days")
-        if self.reference is not None and not (
-            abs(self.reference[0]) <= 180 and abs(self.reference[1]) <= 90
-        ):
+        lon_deg, lat_deg = self.reference or (0, 0)
+        if not (abs(lon_deg) <= 180 and abs(lat_deg) <= 90):
             raise InputError(
                 f"reference must be a longitude and a latitude in degrees, got {self.reference}"
             )
@@ -122,10 +122,11 @@ class Gps:
         return self.mask_deg
 
     def _check_times(self) -> None:
-        """Check ``times``, or the series instead, and write them out as UTC.
+        """Check ``times``, or ``start``, ``stop`` and ``step_s`` in their place, and write them, in place, as UTC.
 
         Raises:
-          InputError: half a series, one beside times or one without end, the same time twice, or a part of a second.
+          InputError: a series without one of its three settings or beside ``times``, the same time twice, or a time
+            that is not a whole second.
         """
         series = self.start, self.stop, self.step_s
         is_series = any(value is not None for value in series)
@@ -148,13 +149,13 @@ class Gps:
             raise InputError("times must be whole seconds, as file names carry them")
 
     def _check_series(self) -> None:
-        """Check a series of times and write out its ends as UTC.
+        """Check a series of times, and write its first and last time, in place, as UTC.
 
         Raises:
           InputError: a step below a second, an end before the start, or more than `MOST_TIMES`.
         """
         step_s = at_least("step_s", self.step_s, 1)
-        ends: Any = self.start, self.stop
+        ends: Any = self.start, self.stop  # both given, as `_check_times` has seen
         start, stop = map(parse_time, ends)
         object.__setattr__(self, "start", iso_utc(start))
         object.__setattr__(self, "stop", iso_utc(stop))
@@ -204,9 +205,9 @@ class GpsMaps(NamedTuple):
 
     Attributes:
       m: the metric, 0 to 1.
-      gdop, pdop, hdop, vdop, tdop: dilutions of precision; inf with fewer satellites than three and one
-        for each clock or where those seen leave the position undetermined.
-      num_visible: satellites seen.
+      gdop, pdop, hdop, vdop, tdop: dilutions of precision; inf where the satellites that are seen leave the position
+        undetermined, as with fewer of them than three and one for each clock.
+      num_visible: number of satellites that are seen.
     """
 
     m: Float[AnyArray, "*C"]
@@ -222,30 +223,33 @@ class GpsMaps(NamedTuple):
 def maps_of_words(
     words: UInt[AnyArray, "W ..."], satellites: Geometry, gdop_threshold: float | Array
 ) -> GpsMaps:
-    """Return the maps of the satellites whose bits are set, made block by block of cells.
+    """Return the GPS maps of cells, each of which sees the satellites whose bits are set in its words.
 
     Args:
-      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells behind.
-      satellites: their geometry.
-      gdop_threshold: see `gps_metric`.
+      words: ``[W, ...]`` satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells after the first.
+      satellites: the geometry of all of them.
+      gdop_threshold: GDOP at and above which m is 0, see `gps_metric`.
     """
 
     def maps(words: Array) -> GpsMaps:
+        """Return the maps of one block of cells, ``[W, C]`` words."""
         dops = dops_of_words(satellites, words)
         num_visible = jnp.sum(lax.population_count(words), axis=0).astype(jnp.uint8)
         m = gps_metric(dops.gdop, gdop_threshold)
         return GpsMaps._make((m, *dops, num_visible))
 
-    num = max(math.prod(words.shape[1:]), BLOCK_CELLS)  # less than a block becomes one
-    num_blocks = math.ceil(num / WIDE_BLOCK_CELLS)  # equal ones, so that hardly a cell fills up
-    num_wide = math.ceil(num / num_blocks)
-    small = partial(by_cells, maps, num_together=BLOCK_CELLS)
-    wide = partial(by_cells, maps, num_together=num_wide)
-    return lax.platform_dependent(words, cpu=small, default=wide)
+    # Blocks of cells: small ones on a CPU, and elsewhere wide ones of equal size, so that hardly a cell is added to
+    # fill the last block. Fewer cells than a small block count as one.
+    num_cells = max(math.prod(words.shape[1:]), BLOCK_CELLS)
+    num_wide_blocks = math.ceil(num_cells / WIDE_BLOCK_CELLS)
+    wide_cells = math.ceil(num_cells / num_wide_blocks)
+    in_small_blocks = partial(by_cells, maps, num_together=BLOCK_CELLS)
+    in_wide_blocks = partial(by_cells, maps, num_together=wide_cells)
+    return lax.platform_dependent(words, cpu=in_small_blocks, default=in_wide_blocks)
 
 
 def satellites_of(in_view: InView) -> Geometry:
-    """Return the geometry of satellites."""
+    """Return the geometry of the satellites in view, for DOPs; rounded up to a multiple of `SATELLITES_STEP`."""
     return geometry(
         unit_vectors(*in_view.angles), multiple_of=SATELLITES_STEP, clocks=in_view.clocks
     )
@@ -257,16 +261,23 @@ def maps_of_choices(
     satellites: Geometry,
     gdop_threshold: float,
 ) -> tuple[GpsMaps, Int[np.ndarray, "..."]]:
-    """Return the maps of every choice of satellites that is seen, made in blocks, and the number of each cell's.
+    """Return the GPS maps by distinct choice of satellites, which are far fewer than cells, and each cell's choice.
 
-    Arguments as for `maps_of_words`; inside obstacles no satellite is seen.
+    Args:
+      words, satellites, gdop_threshold: as for `maps_of_words`.
+      is_obstacle: cells that see no satellite.
+
+    Returns:
+      The maps, ``[P]`` of P choices, and for each cell the number of its choice: ``maps.m[number]`` is the map of m.
     """
     choices, number = distinct_choices(words, is_obstacle)
-    num = choices.shape[1]
-    padded = np.pad(choices, [(0, 0), (0, -num % BLOCK_CELLS)])
+    num_choices = choices.shape[1]
+    # Choices that see nothing fill the last block, so that one program serves all blocks.
+    padded = np.pad(choices, [(0, 0), (0, -num_choices % BLOCK_CELLS)])
     blocks = np.split(padded, padded.shape[1] // BLOCK_CELLS, axis=1)
-    made = [maps_of_words(block, satellites, gdop_threshold) for block in blocks]
-    return GpsMaps(*(np.concatenate(parts)[:num] for parts in zip(*made, strict=True))), number
+    parts = [maps_of_words(block, satellites, gdop_threshold) for block in blocks]
+    maps = GpsMaps(*(np.concatenate(values)[:num_choices] for values in zip(*parts, strict=True)))
+    return maps, number
 
 
 class Rating(IntEnum):
@@ -281,7 +292,7 @@ class Rating(IntEnum):
 
 
 def rating(gdop: np.ndarray) -> np.ndarray:
-    """Return the `Rating` of each GDOP as uint8, in the shape given; upper limits count in."""
+    """Return the `Rating` of each GDOP as uint8, in the shape of the GDOPs; a class holds its own upper limit."""
     return np.searchsorted(RATING_UPPER_GDOP, gdop, side="left").astype(np.uint8)
 
 
@@ -318,7 +329,7 @@ FIX = "hdop"  # the map that says where satellites fix a position
 
 
 def has_no_fix(hdop: np.ndarray) -> np.ndarray:
-    """Return bool, in the shape given: where satellites fix no position, which is where HDOP is infinite or unknown.
+    """Return where satellites fix no position, bool in the shape of HDOP: where that is infinite or unknown (NaN).
 
     A fix needs three satellites and one more for each clock of the receiver (`Gps`), and not all of them on one cone.
     """
@@ -326,29 +337,47 @@ def has_no_fix(hdop: np.ndarray) -> np.ndarray:
 
 
 def _named(maps: GpsMaps) -> dict[str, Any]:
+    """Return the maps by the names of their variables."""
     named = maps._asdict()
     return {"gps": named.pop("m"), **named}
 
 
 def _maps(scene: Scene, params: Gps) -> dict[str, Any]:
-    """Return m, the DOPs and the satellites seen."""
+    """Return m and, unless only that is wanted, the DOPs and the number of satellites seen (`Metric.compute`)."""
     maps, number = _of_choices(scene, params.gdop_threshold)
     named = {"gps": maps.m} if scene.only_m else _named(maps)
     return {name: np.take(values, number) for name, values in named.items()}
 
 
 def _of_choices(scene: Scene, threshold: float) -> tuple[GpsMaps, np.ndarray]:
+    """Return `maps_of_choices` of a scene at one time and altitude."""
     return maps_of_choices(scene.words, scene.is_obstacle, satellites_of(scene.in_view), threshold)
 
 
 def _traced(scene: Scene, params: Gps) -> dict[str, Any]:
+    """Return the maps of all altitudes, of arrays that JAX may trace (`Metric.traced`)."""
     return _named(maps_of_words(scene.words, scene.satellites, params.gdop_threshold))
 
 
 def _soft(dop: str, threshold: str, scene: SoftScene, params: Any) -> Array:
-    """Return soft m of one DOP, whose threshold is a setting of this name."""
-    here = scene.surface, scene.altitude_m, getattr(params, threshold), scene.softness_m, scene.view
-    return soft_gps(*here, dop=dop, cells=scene.cells, reception=scene.reception)
+    """Return soft m of one DOP (`Metric.soft`).
+
+    Args:
+      dop: which one, such as ``"hdop"``.
+      threshold: name of the setting that is its threshold.
+      scene: what the metric may look at.
+      params: settings of the metric.
+    """
+    return soft_gps(
+        scene.surface,
+        scene.altitude_m,
+        getattr(params, threshold),
+        scene.softness_m,
+        scene.view,
+        dop=dop,
+        cells=scene.cells,
+        reception=scene.reception,
+    )
 
 
 METRIC = Metric(
@@ -396,18 +425,26 @@ class Dop:
 
 
 def _map_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:
-    """Return m of one DOP of a scene."""
+    """Return m of one DOP of a scene (`Metric.compute`) under the name of its metric; ``dop`` as in `_soft`."""
     maps, number = _of_choices(scene, params.dop_threshold)
     return {name: gps_metric(np.take(getattr(maps, dop), number), params.dop_threshold)}
 
 
 def _traced_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:
+    """Return the same at all altitudes, of arrays that JAX may trace (`Metric.traced`)."""
     maps = maps_of_words(scene.words, scene.satellites, params.dop_threshold)
     return {name: gps_metric(getattr(maps, dop), params.dop_threshold)}
 
 
 def _metric(name: str, dop: str, label: str, colour: str, colour_map: str) -> Metric:
-    """Return the metric of one dilution of precision, which differs from others by names and colours."""
+    """Return the metric of one dilution of precision.
+
+    Args:
+      name: of the metric.
+      dop: which one, such as ``"hdop"``.
+      label: of the metric in figures.
+      colour, colour_map: of its lines and of its maps.
+    """
     compute: Callable = partial(_map_of, name, dop)
     return Metric(
         name=name,

@@ -23,10 +23,14 @@ SOFT_BLOCK_CELLS = 2**12
 
 
 def gps_metric(gdop: Float[AnyArray, "*C"], gdop_threshold: float | Array) -> Float[Array, "*C"]:
-    """Return m = (T - min(GDOP, T)) / (T - 1), clipped to [0, 1]; 0 at GDOP = inf.
+    """Return m = (T - min(GDOP, T)) / (T - 1), clipped to [0, 1], with T the threshold; 0 at GDOP = inf.
 
     Source: the paper's equation of m_gps, its GDOP_cut taken as T = GDOP_thresh. The derivative is 0
     beyond the threshold.
+
+    Args:
+      gdop: GDOP, or another DOP, in any shape.
+      gdop_threshold: above 1.
     """
     below = gdop_threshold - jnp.minimum(gdop, gdop_threshold)
     return jnp.clip(below / (gdop_threshold - 1), 0, 1)
@@ -76,10 +80,18 @@ def soft_gps(
     """
     check_softness(softness_m)
     rows, cols = surface.window
-    window = rows.start, rows.stop, cols.start, cols.stop, 1
-    numbers = altitude_m, threshold, softness_m
+    window = rows.start, rows.stop, cols.start, cols.stop, 1  # 1: every cell is kept
     return _soft_gps(
-        surface.roof_m, surface.terrain_m, *numbers, view, cells, reception, window=window, dop=dop
+        surface.roof_m,
+        surface.terrain_m,
+        altitude_m,
+        threshold,
+        softness_m,
+        view,
+        cells,
+        reception,
+        window=window,
+        dop=dop,
     )
 
 
@@ -97,23 +109,34 @@ def _soft_gps(
     window: Window,
     dop: str,
 ) -> Array:
-    """Return the soft metric of one DOP at the cells, ``[C]``, or ``[Y, X]`` where none are named."""
+    """Return the soft metric of one DOP on the region, ``[y, x]``, or at chosen cells, ``[P]``.
+
+    Args:
+      roof_m, terrain_m: ``[Y, X]`` on the surface's grid; no terrain where the ground is flat.
+      altitude_m, dop_threshold, softness_m, view, cells, reception, dop: as for `soft_gps`.
+      window: the region's first and end row, first and end column, and the step between cells.
+    """
     roof_m = jnp.asarray(roof_m)
     first_row, end_row, first_col, end_col, _ = window
-    altitude, threshold, softness = (
-        jnp.asarray(v, roof_m.dtype) for v in (altitude_m, dop_threshold, softness_m)
-    )
+    altitude = jnp.asarray(altitude_m, roof_m.dtype)
+    threshold = jnp.asarray(dop_threshold, roof_m.dtype)
+    softness = jnp.asarray(softness_m, roof_m.dtype)
+
+    def chosen(values: Array) -> Array:
+        """Return the chosen cells of an array on the region, or all of them."""
+        return values if cells is None else values[..., cells[:, 0], cells[:, 1]]
+
+    def at_receivers(values: Array) -> Array:
+        """Return the chosen cells of an array on the surface's grid."""
+        return chosen(values[first_row:end_row, first_col:end_col])
+
+    # Shadows of roofs and ground or, with a curve of reception, of roofs alone: height of their edge by satellite.
     top_m = roof_m if terrain_m is None else terrain_m + roof_m
     if reception is not None:
         top_m = jnp.where(roof_m > 0, top_m, -jnp.inf)
     shadows_m = shadow_heights(top_m, view.lines, window)
 
-    def chosen(values: Array) -> Array:
-        return values if cells is None else values[..., cells[:, 0], cells[:, 1]]
-
-    def at_receivers(values: Array) -> Array:
-        return chosen(values[first_row:end_row, first_col:end_col])
-
+    # Weights of satellites by the height of receivers over these edges; hills hide satellites in either case.
     height_m = altitude if terrain_m is None else at_receivers(terrain_m) + altitude
     chance = None if reception is None else reception.chance
     weights = satellite_weights(height_m, chosen(shadows_m), softness, chance)
@@ -123,8 +146,9 @@ def _soft_gps(
 
     @jax.checkpoint  # so that a gradient keeps the weights alone
     def metric(weights: Array) -> Array:
+        """Return m of a block of cells, from the weights of their satellites."""
         return gps_metric(getattr(dops(view.satellites, weights), dop), threshold)
 
     num_together = min(math.prod(weights.shape[1:]), SOFT_BLOCK_CELLS)
-    open_m = by_cells(metric, weights, num_together)
-    return (1 - soft_obstacle(at_receivers(roof_m), altitude, softness)) * open_m
+    m_outdoors = by_cells(metric, weights, num_together)
+    return (1 - soft_obstacle(at_receivers(roof_m), altitude, softness)) * m_outdoors

@@ -78,6 +78,7 @@ class Lidar:
     range_m: float = 100.0
 
     def __post_init__(self) -> None:
+        """Check the settings; errors as of the class."""
         for name in ("beams", "azimuths"):
             value = getattr(self, name)
             if not (isinstance(value, int) and 1 <= value <= MAX_COUNT):
@@ -85,8 +86,8 @@ class Lidar:
                     f"{name} must be a whole number from 1 to {MAX_COUNT:,}, got {value!r}"
                 )
         field: Any = self.field_of_view_deg
-        low, high = field if len(field) == 2 else (1, -1)
-        if not -90 < low <= high < 90:
+        lowest, highest = field if len(field) == 2 else (1, -1)  # of another count: not ascending
+        if not -90 < lowest <= highest < 90:
             raise InputError(
                 "field_of_view_deg must be the lowest and the highest beam's elevation, ascending and "
                 f"within -90 and 90 degrees, such as (-15.0, 15.0), got {self.field_of_view_deg}"
@@ -103,19 +104,24 @@ class Lidar:
 
 
 def halo_cells(params: Lidar, resolution_m: float, oversample: int = 1) -> int:
-    """Return how many map cells around a region its scans are given: at least what they reach, a multiple of 16.
+    """Return how many map cells around a region the program for its scans is given.
+
+    They are at least as many as the scans reach, and a multiple of 16, so that similar ranges share programs.
 
     Args:
       params: the lidar.
       resolution_m: side of a map's cell.
-      oversample: n: cells of the surface that rays go through, along a map's cell.
+      oversample: n, where rays go through a surface whose cells are n times smaller than the map's.
     """
     reach = kernel.halo_cells(_num_steps(params, resolution_m / oversample), oversample)
     return rounded_up(reach)
 
 
 def _num_steps(params: Lidar, resolution_m: float) -> int:
-    """Return the steps of a ray with those beyond the range, up to a multiple: similar ranges share programs."""
+    """Return how many steps of a ray the tables hold: those within the range, up to a multiple of `STEPS_MULTIPLE`.
+
+    The last steps may be beyond the range; similar ranges so share programs. ``resolution_m`` is that of the surface.
+    """
     return rounded_up(kernel.num_steps(resolution_m, params.range_m), STEPS_MULTIPLE)
 
 
@@ -129,11 +135,13 @@ def compute_lidar(
 
     A scan position returns when any of its beams meets a building within range before the ground,
     which is not a landmark. With terrain, receivers and roofs stand on it and it ends beams too.
-    0 inside obstacles. What stands more than the range beyond the region changes nothing; beyond the
-    surface nothing stands. Paper: section Lidar Visibility, scan(j) and m_lidar = s / k.
-    Departures: the ground ends beams, and rays follow the stepping rule of `jaxurban.kernels.lidar.hard`. Slabs with
-    their floor at or below the altitude reach the ground, and rays do not stop at higher ones: a lidar is trusted with
-    no ceiling, and beams that pass under a floor below it are counted as returns. The gradient is zero.
+    m is 0 inside obstacles. What stands more than the range beyond the region changes nothing; beyond the
+    surface nothing stands. The gradient is zero.
+
+    Paper: section Lidar Visibility, scan(j) and m_lidar = s / k. Departures: the ground ends beams, and rays follow the
+    stepping rule of `jaxurban.kernels.lidar.hard`. Slabs with their floor at or below the altitude count as reaching
+    the ground, so beams that pass under such a floor return too; rays pass through higher slabs, so a ceiling gives no
+    return.
 
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.
@@ -142,6 +150,7 @@ def compute_lidar(
       engine: which form counts over terrain, see `jaxurban.kernels.engine`; Numba's is for at most `MOST_BEAMS` beams.
         Over flat ground it is JAX's.
     """
+    # With slabs, each altitude has roofs of its own.
     if surface.slabs is not None:
         maps = []
         for z_m in np.asarray(altitudes_m):
@@ -157,7 +166,7 @@ def compute_lidar(
 def beam_heights(
     altitudes_m: Sequence[float] | ArrayLike, params: Lidar, surface: Surface
 ) -> np.ndarray:
-    """Return the heights that decide each step of a ray, made in float64 on the host.
+    """Return the heights above the ground, in metres, that decide each step of a ray, made in float64 on the host.
 
     ``[A, N]`` over flat ground (`jaxurban.kernels.lidar.hard.flat_thresholds`), ``[A, N, B]`` over terrain
     (`lowest_heights`), rounded up to the type of the roofs. N is a multiple of 8: the last steps are beyond the range.
@@ -185,15 +194,29 @@ def lidar_of_beams(
     params: Lidar,
     engine: Engine = "jax",
 ) -> Float[AnyArray, "A y x"]:
-    """Return `compute_lidar` of beams made ready by `beam_heights`; surface, altitudes and heights may be traced."""
+    """Return m_lidar as `compute_lidar`, from beams made ready by `beam_heights`.
+
+    Args:
+      surface: without slabs; may be traced, as altitudes and heights.
+      altitudes_m: heights above ground.
+      heights_m: of the beams at each step.
+      params: the lidar.
+      engine: as for `compute_lidar`.
+    """
     if _runs_numba(engine, surface, altitudes_m, heights_m):
         is_obstacle = obstacles_on(surface, np.asarray(altitudes_m))
-        return _by_numba(surface, heights_m, params, 1, is_obstacle)
-    return _by_jax(surface, altitudes_m, heights_m, params, 1)
+        return _by_numba(surface, heights_m, params, oversample=1, is_obstacle=is_obstacle)
+    return _by_jax(surface, altitudes_m, heights_m, params, oversample=1)
 
 
 def _runs_numba(engine: Engine, surface: Surface, *values: Any) -> bool:
-    """Return whether Numba's form runs, which is for terrain and for not too many beams."""
+    """Return whether Numba's form runs, which is for terrain and for at most `MOST_BEAMS` beams.
+
+    Args:
+      engine: as for `compute_lidar`.
+      surface: roofs, and terrain where there is any.
+      *values: further arrays that the form would get, which JAX must not trace; the last are the beams' heights.
+    """
     fits = surface.terrain_m is not None and values[-1].shape[-1] <= MOST_BEAMS
     return fits and runs_numba(engine, (surface.roof_m, surface.terrain_m), values)
 
@@ -205,20 +228,30 @@ def _by_numba(
     oversample: int,
     is_obstacle: Bool[AnyArray, "A y x"],
 ) -> Float[AnyArray, "A y x"]:
-    """Return m_lidar over terrain, from every ``oversample``-th cell of the region both ways."""
-    steps = kernel.num_steps(surface.grid.resolution_m, params.range_m)
+    """Return m_lidar over terrain, from every ``oversample``-th cell of the region both ways; 0 inside obstacles.
+
+    Args:
+      surface: with terrain, ``oversample`` times finer than the map.
+      heights_m: from `beam_heights`.
+      params: the lidar.
+      oversample: n.
+      is_obstacle: on the map's cells.
+    """
     n = oversample
-    halo = kernel.halo_cells(steps, n)
+    steps = kernel.num_steps(surface.grid.resolution_m, params.range_m)
+    halo = kernel.halo_cells(steps, n)  # in cells of the map
 
     def phases(values: AnyArray | None) -> Any:
+        """Return a raster with its halo as the kernel takes it: apart by place within a cell of the map."""
         return kernel.phases(surface.part(np.asarray(values), halo * n), n)
 
-    roof_m, terrain_m = phases(surface.roof_m), phases(surface.terrain_m)
+    roof_m = phases(surface.roof_m)
+    terrain_m = phases(surface.terrain_m)
     starts = _starts(params.azimuths, steps, n, halo)
     beams_m = np.asarray(heights_m)[:, :steps]
     counts = count_on_terrain_on_host(roof_m, terrain_m, beams_m, starts, halo, _receiver_phase(n))
     number = roof_m.dtype.type
-    share = counts * (number(1) / number(params.azimuths))  # XLA makes a product of a division
+    share = counts * (number(1) / number(params.azimuths))  # a product, as XLA makes of a division
     return np.where(is_obstacle, number(0), share)
 
 
@@ -229,27 +262,45 @@ def _by_jax(
     params: Lidar,
     oversample: int,
 ) -> Float[AnyArray, "A y x"]:
-    """Return m_lidar from every ``oversample``-th cell of the region both ways, as `_lidar`."""
+    """Return m_lidar ``[A, y, x]`` from every ``oversample``-th cell of the region both ways.
+
+    It is 0 inside obstacles where ``oversample`` is 1; otherwise the caller sees to these.
+
+    Args:
+      surface: ``oversample`` times finer than the map.
+      altitudes_m: ``[A]`` heights above ground, in the type of the roofs.
+      heights_m: of the beams at each step, from `beam_heights`.
+      params: the lidar.
+      oversample: n.
+    """
     resolution_m = surface.grid.resolution_m
     n = oversample
     halo = halo_cells(params, resolution_m * n, n)
     reach = kernel.halo_cells(kernel.num_steps(resolution_m, params.range_m), n)
     starts = _starts(params.azimuths, heights_m.shape[1], n, halo)
 
-    def of_parts(cut: Cut) -> Array:
+    def of_part(cut: Cut) -> Array:
+        """Return m_lidar of a part of the region; ``cut`` returns the part of a raster with its halo."""
         roof_m = cut(surface.roof_m)
         terrain_m = None if surface.terrain_m is None else cut(surface.terrain_m)
         beams = altitudes_m, heights_m, starts
         return _lidar(roof_m, terrain_m, *beams, halo=halo, oversample=n)
 
     if surface.is_on_host:
-        return over_blocks(surface, halo, reach * n, of_parts, len(heights_m), n)
-    return of_parts(lambda values: surface.part(values, halo * n, reach * n))
+        return over_blocks(surface, halo, reach * n, of_part, len(heights_m), n)
+    return of_part(lambda values: surface.part(values, halo * n, reach * n))
 
 
 @lru_cache(maxsize=4)
 def _starts(num_azimuths: int, steps: int, oversample: int, halo: int) -> Int[np.ndarray, "K N 3"]:
-    """Return `jaxurban.kernels.lidar.hard.phase_starts`, read-only."""
+    """Return where in the phases each step of each ray begins, `jaxurban.kernels.lidar.hard.phase_starts`; read-only.
+
+    Args:
+      num_azimuths: K scan positions.
+      steps: N steps of a ray.
+      oversample: n, of a surface n times finer than the map.
+      halo: map cells around the region.
+    """
     starts = kernel.phase_starts(kernel.ray_offsets(num_azimuths, steps), oversample, halo)
     starts.flags.writeable = False
     return starts
@@ -266,17 +317,18 @@ def _lidar(
     halo: int,
     oversample: int,
 ) -> Array:
-    """Return m_lidar of rasters with their halo, by the JAX form for the platform that this is compiled for.
+    """Return m_lidar ``[A, y, x]`` of rasters with their halo, by JAX's form for the platform that runs it.
 
-    0 inside obstacles where the cells are the map's own.
+    It is 0 inside obstacles where ``oversample`` is 1.
 
     Args:
-      roof_m, terrain_m: around the region.
+      roof_m: ``[Y, X]`` of the region and its halo.
+      terrain_m: the same; None over flat ground.
       altitudes_m: ``[A]`` heights above ground.
       heights_m: from `beam_heights`.
-      starts: from `_starts`.
+      starts: ``[K, N, 3]`` from `_starts`.
       halo: map cells around the region.
-      oversample: n.
+      oversample: n, of rasters n times finer than the map.
     """
     roofs_m = kernel.phases(roof_m, oversample)
     if terrain_m is None:
@@ -299,6 +351,10 @@ def _lidar(
 
 
 def _receiver_phase(oversample: int) -> int:
+    """Return the number of the phase that holds receivers: row and column ``oversample // 2`` within a map's cell.
+
+    Phases are numbered row by row, ``oversample`` to a row.
+    """
     return (oversample // 2) * (oversample + 1)
 
 
@@ -310,10 +366,10 @@ def lidar_at_centres(
     params: Lidar,
     engine: Engine = "auto",
 ) -> Float[AnyArray, "A y x"]:
-    """Return m_lidar at the map's cells with rays through the supersampled surface: `compute_lidar`, supersampled.
+    """Return m_lidar at the centres of the map's cells as `compute_lidar`, with rays through a finer surface.
 
     Args:
-      supersampled: the surface n times finer.
+      supersampled: the surface, n times finer than the map, without slabs.
       oversample: n.
       is_obstacle: where nobody flies: m is 0 there.
       altitudes_m: ``[A]`` heights above ground.
@@ -324,8 +380,8 @@ def lidar_at_centres(
     if _runs_numba(engine, supersampled, heights_m):
         return _by_numba(supersampled, heights_m, params, oversample, is_obstacle)
     altitudes = in_type(altitudes_m, supersampled.roof_m.dtype)
-    made = np.asarray(_by_jax(supersampled, altitudes, heights_m, params, oversample))
-    return np.where(is_obstacle, made.dtype.type(0), made)
+    share = np.asarray(_by_jax(supersampled, altitudes, heights_m, params, oversample))
+    return np.where(is_obstacle, share.dtype.type(0), share)
 
 
 def soft_lidar(
@@ -341,7 +397,8 @@ def soft_lidar(
 
     m = (1 - `soft_obstacle`) x the mean over azimuths of sigmoid(clearance / softness): see
     `jaxurban.kernels.lidar.soft`. At softness 0 it is `compute_lidar`'s map.
-    Computed in the type of the roofs. Differentiable in ``surface.roof_m`` (and terrain), ``altitude_m``,
+
+    It is computed in the type of the roofs. Differentiable in ``surface.roof_m`` (and terrain), ``altitude_m``,
     ``params.range_m`` and ``softness_m``, all of which may be traced; batch by `jax.vmap`. The gradient is 0 in roofs
     where there is no building, and where a roof is not the one that decided a scan position. In the range it is
     spread over a softness around the steps' borders: a softness of about a cell makes it smooth.
@@ -360,12 +417,16 @@ def soft_lidar(
       InputError: a negative softness, or a traced range without ``reach_m``.
     """
     check_softness(softness_m)
-    dtype, resolution_m = surface.roof_m.dtype, surface.grid.resolution_m
-    steps = kernel.num_steps(resolution_m, reach_of(params.range_m, reach_m, "lidar range_m"))
+    dtype = surface.roof_m.dtype
+    resolution_m = surface.grid.resolution_m
+    reach_m = reach_of(params.range_m, reach_m, "lidar range_m")
+    steps = kernel.num_steps(resolution_m, reach_m)
     offsets = jnp.asarray(kernel.ray_offsets(params.azimuths, steps))
     altitude = jnp.asarray(altitude_m, dtype)
     range_m = jnp.asarray(params.range_m, dtype)
     softness = jnp.asarray(softness_m, dtype)
+
+    # Rasters with all that rays can reach, and the roofs of the receivers' own cells.
     roof_m = surface.crop_with_halo(surface.roof_m, steps - 1)
     terrain_m = None
     if surface.terrain_m is not None:
@@ -373,6 +434,9 @@ def soft_lidar(
     own_roof_m = surface.crop(surface.roof_m)
     if cells is not None:
         own_roof_m = own_roof_m[cells[:, 0], cells[:, 1]]
+
+    # The whole region over flat ground has a kernel of its own; otherwise cells are scanned one by one, for which the
+    # heights of beams count from the receiver and not from the ground.
     if cells is None and terrain_m is None:
         scan = soft_kernel.scan_of(altitude, range_m, params.elevations_rad, resolution_m)
         share = soft_kernel.soft_returns(roof_m, scan, offsets, softness)
@@ -382,14 +446,13 @@ def soft_lidar(
             jnp.zeros_like(range_m), range_m, params.elevations_rad, resolution_m
         )
         heights_m = jnp.broadcast_to(altitude, len(chosen))
-        at = soft_kernel.ScansAt(roof_m, terrain_m, heights_m, scan, offsets, softness, chosen)
-        share = soft_kernel.soft_returns_at(at)
-        share = share.reshape(own_roof_m.shape)
+        scans = soft_kernel.ScansAt(roof_m, terrain_m, heights_m, scan, offsets, softness, chosen)
+        share = soft_kernel.soft_returns_at(scans).reshape(own_roof_m.shape)
     return (1 - soft_obstacle(own_roof_m, altitude, softness)) * share
 
 
 def _map(scene: Scene, params: Lidar) -> dict[str, AnyArray]:
-    """Return the lidar's map at one altitude, from the cells of the map or, oversampled, from finer ones."""
+    """Return the lidar's map at one altitude (`Metric.compute`), by rays through the finer surface if there is one."""
     altitudes_m = [scene.altitude_m]
     engine = scene.engine
     if scene.supersampled is None:
@@ -402,23 +465,30 @@ def _map(scene: Scene, params: Lidar) -> dict[str, AnyArray]:
 
 
 def _ready(surface: Surface, altitudes_m: Sequence[float], params: Lidar, *_: Any) -> Array:
+    """Return the heights of beams (`Metric.ready`)."""
     return jnp.asarray(beam_heights(altitudes_m, params, surface))
 
 
 def _traced(scene: Scene, params: Lidar) -> dict[str, Array]:
+    """Return the maps of all altitudes, of arrays that JAX may trace (`Metric.traced`)."""
     m = lidar_of_beams(scene.surface, scene.altitude_m, scene.ready, params)
     return {"lidar": jnp.asarray(m)}
 
 
 def _gpu_bytes(params: Lidar, tile: Grid, has_terrain: bool) -> float:
-    """Return what the lidar takes on a GPU beside a tile's cells.
+    """Return about how many bytes the lidar takes on a GPU beside the maps of a tile (`Metric.gpu_bytes`).
 
-    Over flat ground it keeps a bit per step for every cell in its range. As words are bands of rows, each with a halo
-    of its own, these bits are up to 32 times the cells around.
+    Over flat ground it keeps a bit per step for every cell in its range. A word of bits is for a band of 32 rows, and
+    each band has a halo of its own, so the cells around the tile are kept up to 32 times.
+
+    Args:
+      params: the lidar.
+      tile: the grid of its maps.
+      has_terrain: whether the ground is not flat.
     """
     if has_terrain:
-        of_cell = TERRAIN_GPU_BYTES * (1 if params.beams <= MOST_BEAMS_OF_A_BYTE else 4)
-        return of_cell * tile.num_rows * tile.num_cols
+        ray_bytes = 1 if params.beams <= MOST_BEAMS_OF_A_BYTE else 4
+        return TERRAIN_GPU_BYTES * ray_bytes * tile.num_rows * tile.num_cols
     steps = kernel.num_steps(tile.resolution_m, params.range_m)
     halo = 2 * (steps - 1)
     num_bands = -(-tile.num_rows // kernel.WORD_BITS)

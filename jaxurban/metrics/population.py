@@ -36,14 +36,8 @@ HOUR_OF_WEEK = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
 
 FILES = ("blocks", "table", "districts", "blocks_day", "blocks_night")
 FACTORS = (
-    "gamma_commercial",
-    "gamma_residential",
-    "weekday",
-    "weekend",
-    "districts",
-    "commercial",
-    "blocks",
-    "table",
+    *("gamma_commercial", "gamma_residential", "weekday", "weekend"),
+    *("districts", "commercial", "blocks", "table"),
 )
 
 # Share of the change from night to day that has happened at each hour, 0 to 23. Full from 9 to 17 (the paper's
@@ -116,15 +110,19 @@ class Population:
     time_of_day: str | Sequence[str] = ("day", "night")
 
     def __post_init__(self) -> None:
+        """Check the settings and write labels and times of day as tuples; errors as of the class."""
+        # The numbers.
         gammas = "gamma_commercial", "gamma_residential"
         check_fields(self, gammas, "finite and not negative", is_not_negative)
-        _percentile(self.normalise)
+        _percentile(self.normalise)  # raises InputError for an invalid one
         for name in ("weekday", "weekend"):
             shares = self.profile(name)
             if len(shares) != 24 or not all(0 <= share <= 1 for share in shares):
                 raise InputError(
                     f"{name} must be 24 shares in [0, 1], one an hour from 0 to 23, got {shares}"
                 )
+
+        # Labels and times of day, and files that need each other.
         has_blocks = self.blocks is not None or self.blocks_day is not None
         needs_blocks = self.table is not None or self.districts is not None
         if needs_blocks and not has_blocks:
@@ -137,17 +135,17 @@ class Population:
                 f"time_of_day must be different names such as day and night, got {[*self.time_of_day]}"
             )
         for time_of_day in self.times_of_day:
-            day_share(time_of_day, self)
+            day_share(time_of_day, self)  # raises InputError for an unknown one
         if (self.blocks_day is None) != (self.blocks_night is None):
             raise InputError("blocks_day and blocks_night go together: give both, or blocks alone")
         if self.blocks_day is not None:
             self.check_has_no_factor()
 
     def check_has_no_factor(self) -> None:
-        """Raise InputError where a setting would change the people of two rasters, by day and by night.
+        """Check that no setting makes people by day of those by night, where both have been measured.
 
         Raises:
-          InputError: one of `FACTORS` is not its default, or there is another time of day.
+          InputError: one of `FACTORS` is not its default, or a time of day is neither day nor night.
 
         Examples:
           >>> try:
@@ -175,13 +173,15 @@ class Population:
 
     @property
     def commercial_labels(self) -> tuple[int, ...]:
-        """The districts that count as commercial; where nobody says which, the paper's, of New York's own labels only.
+        """Labels of the districts that count as commercial.
 
-        New York calls their field ``BoroCD`` (``boro_cd`` in some exports).
+        Where the settings name none, they are the paper's if the field of labels is New York's, ``BoroCD``
+        (``boro_cd`` in some exports), else none.
         """
         if self.commercial is not None:
             return tuple(self.commercial)
-        return PAPER_COMMERCIAL if self.district_field.lower().replace("_", "") == "borocd" else ()
+        is_new_york = self.district_field.lower().replace("_", "") == "borocd"
+        return PAPER_COMMERCIAL if is_new_york else ()
 
     def profile(self, name: str) -> tuple[float, ...]:
         """Return the 24 shares of ``"weekday"`` or ``"weekend"``.
@@ -235,12 +235,13 @@ class BlockPopulation(NamedTuple):
     def of(
         cls, blocks: Blocks, bounds_m: Bounds | None = None, dtype: DTypeLike = np.float32
     ) -> "BlockPopulation":
-        """Return the people of a city's blocks.
+        """Return the people of a city's blocks as arrays of JAX.
 
         Args:
           blocks: the blocks.
-          bounds_m: the region's box; left out, all blocks set the norm.
-          dtype: float32 or, where JAX has it enabled, float64.
+          bounds_m: the region's box, x_min, y_min, x_max, y_max: the blocks that touch it set the norm; left out, all
+            blocks do.
+          dtype: of counts and areas: float32 or, where JAX has it enabled, float64.
         """
         people = cls(
             np.asarray(blocks.night_count, dtype),
@@ -254,7 +255,11 @@ class BlockPopulation(NamedTuple):
 
 
 def _percentile(normalise: str | float) -> float | None:
-    """Return the percentile that ``normalise`` names (100 for the maximum), None where it is a number."""
+    """Return the percentile that ``normalise`` names (100 for the maximum), None where it is a number.
+
+    Raises:
+      InputError: it is neither ``"max"``, a percentile such as ``"p95"`` nor a positive number.
+    """
     if isinstance(normalise, str):
         if normalise == "max":
             return 100.0
@@ -269,7 +274,7 @@ def _percentile(normalise: str | float) -> float | None:
 
 
 def day_share(time_of_day: str, params: Population | None = None) -> float:
-    """Return how far the population has moved from night (0) to day (1).
+    """Return the share of the change from night to day that has happened: 0 is the night's population, 1 the day's.
 
     Args:
       time_of_day: ``"day"``, ``"night"``, or an hour of the week such as ``"weekday-08"`` or ``"weekend-14"``.
@@ -325,6 +330,10 @@ def normaliser(values: Float[Array, " N"], normalise: str | float = "max") -> Fl
 
     Percentiles are taken over inhabited blocks, or a city's empty ones (water, parks) would decide them.
     The gradient is that of the block (or two) that sets the value.
+
+    Args:
+      values: people, or people per km2, of the blocks of the region; may be empty.
+      normalise: ``"max"``, a percentile such as ``"p95"``, or the value itself.
     """
     percentile = _percentile(normalise)
     if percentile is None:
@@ -346,19 +355,24 @@ def block_metric(values: Float[Array, " N"], norm: Float[Array, ""]) -> Float[Ar
 
 
 def map_blocks(block: Int[AnyArray, "..."], values: Float[AnyArray, "*T N"]) -> Any:
-    """Return the values of the block under each cell, ``[*T, *block.shape]``, 0 in cells without one (index -1).
+    """Return the values of the block under each cell, ``[*T, *block.shape]``, 0 in cells without a block.
 
-    Of NumPy's arrays as NumPy's, which compiles nothing.
+    NumPy's arrays give an array of NumPy, for which nothing is compiled.
+
+    Args:
+      block: number of the block under each cell, -1 without one.
+      values: of each block.
     """
     xp: Any = np if isinstance(values, np.ndarray) else jnp
-    padded = xp.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, 1)])
+    only_last_axis = [(0, 0)] * (values.ndim - 1) + [(0, 1)]
+    padded = xp.pad(values, only_last_axis)
     return padded[..., block]  # -1 is the last entry, the 0 added here
 
 
 def block_values(
     blocks: BlockPopulation, share: Float[Array, ""] | float, params: Population
 ) -> tuple[Float[Array, " N"], Float[Array, " N"], Float[Array, ""]]:
-    """Return metric and density per km2 of each block at one time of day, and the value at which the metric is 1.
+    """Return m of each block at one time of day, its people per km2, and the value at which m is 1.
 
     Args:
       blocks: people, areas and zoning, and which of them set the norm.
@@ -377,7 +391,7 @@ def block_values(
 
 
 def region_blocks(blocks: Blocks, bounds_m: Bounds | None = None) -> Int[np.ndarray, " M"]:
-    """Return the index of the blocks that touch a box, all of them without one."""
+    """Return the indices of the blocks that touch a box (x_min, y_min, x_max, y_max); of all blocks without a box."""
     return np.arange(len(blocks)) if bounds_m is None else np.flatnonzero(blocks.touches(bounds_m))
 
 
@@ -393,26 +407,40 @@ def block_layers(
     """
     params = params or Population()
     population, shares = _made_ready(blocks, params, bounds_m)
-    gammas = params.gamma_commercial, params.gamma_residential
-    rules = Population(*gammas, params.quantity, params.normalise)  # one program for all files
+    # Without the names of files, so that one program serves all of them.
+    rules = Population(
+        params.gamma_commercial, params.gamma_residential, params.quantity, params.normalise
+    )
     m, density, norm = map(np.asarray, layers_of_blocks(_filled(population), shares, rules))
     return BlockLayers(m[:, : len(blocks)], density[:, : len(blocks)], norm)
 
 
 def _filled(population: BlockPopulation) -> BlockPopulation:
-    """Return blocks filled up by empty ones, which change nothing: few programs serve all cities."""
+    """Return blocks with empty ones behind them, which change no result, up to a power of two of at least 65,536.
+
+    Programs are compiled for each number of blocks, so that few of them serve all cities.
+    """
     num = len(population.night_count)
-    most = max(LEAST_BLOCKS, 1 << num.bit_length())
-    in_region = np.full(most, num, np.int32)  # an empty one, where there is none
+    rounded_num = max(LEAST_BLOCKS, 1 << num.bit_length())
+    in_region = np.full(rounded_num, num, np.int32)  # number `num` is an empty block
     in_region[: len(population.in_region)] = population.in_region
-    filled = jax.tree.map(lambda values: np.pad(values, (0, most - num)), population)
+    filled = jax.tree.map(lambda values: np.pad(values, (0, rounded_num - num)), population)
     return filled._replace(in_region=in_region)
 
 
 def _made_ready(
     blocks: Blocks, params: Population, bounds_m: Bounds | None
 ) -> tuple[BlockPopulation, Float[np.ndarray, " D"]]:
-    """Return the blocks, and how far the population has moved from night to day at each time of the settings."""
+    """Return the blocks as arrays, and `day_share` of each time of day of the settings.
+
+    Args:
+      blocks: the census blocks.
+      params: the settings.
+      bounds_m: the region's box, whose blocks set the norm; None for all blocks.
+
+    Raises:
+      InputError: blocks with measured people by day, and settings that would make these of the night's.
+    """
     if blocks.day_count is not None:
         params.check_has_no_factor()
     shares = [day_share(time_of_day, params) for time_of_day in params.times_of_day]
@@ -423,7 +451,10 @@ def _made_ready(
 def layers_of_blocks(
     blocks: BlockPopulation, shares: Float[Array, " T"], params: Population
 ) -> BlockLayers:
-    """Return `block_values` at several times of day: one after the other, as one by one they have the same bits."""
+    """Return `block_values` at several times of day.
+
+    They are computed one after the other, not vectorised: so every time has the bits that it has alone.
+    """
     return BlockLayers(*lax.map(lambda share: block_values(blocks, share, params), shares))
 
 
@@ -459,16 +490,22 @@ def soft_population(
 
 
 def _over_samples(block: AnyArray, values: AnyArray, has_samples: bool) -> Any:
-    """Return `map_blocks`, the mean over the samples of each cell where there are any (the last axis)."""
+    """Return the values of the block under each cell, or the mean over the blocks under the samples of each cell.
+
+    Args:
+      block: number of the block under each cell, -1 without one; with samples of a cell along the last axis.
+      values: of each block.
+      has_samples: whether that last axis is there.
+    """
     if not has_samples:
         return map_blocks(block, values)
-    num = block.shape[-1]
-    total: Any = sum(map_blocks(block[..., k], values) for k in range(num))
-    return total / values.dtype.type(num)
+    num_samples = block.shape[-1]
+    total: Any = sum(map_blocks(block[..., k], values) for k in range(num_samples))
+    return total / values.dtype.type(num_samples)
 
 
 def _on_cells(surface: Surface, layers: BlockLayers) -> dict[str, Any]:
-    """Return the maps of blocks, at one time of day or at several, by their variable."""
+    """Return the maps of blocks by their variable, ``[y, x]``, or ``[D, y, x]`` of layers at several times of day."""
     block = surface.block
     assert block is not None
     has_samples = block.ndim > 2
@@ -479,18 +516,22 @@ def _on_cells(surface: Surface, layers: BlockLayers) -> dict[str, Any]:
 
 
 def _maps(scene: Scene, params: Population) -> dict[str, AnyArray]:
+    """Return the maps of one time of day (`Metric.compute`)."""
     return _on_cells(scene.surface, scene.population)
 
 
 def _ready(surface: Surface, _: Any, params: Population, blocks: Any) -> tuple:
+    """Return the blocks and the shares of the times of day (`Metric.ready`)."""
     return _made_ready(blocks, params, surface.region.bounds_m)
 
 
 def _traced(scene: Scene, params: Population) -> dict[str, Array]:
+    """Return the maps of all times of day, of arrays that JAX may trace (`Metric.traced`)."""
     return _on_cells(scene.surface, layers_of_blocks(*scene.ready, params))
 
 
 def _soft(scene: SoftScene, params: Population) -> Array:
+    """Return m at one time of day with gradients (`Metric.soft`)."""
     assert scene.surface.block is not None
     return soft_population(
         scene.surface.block, scene.population, scene.time_of_day, params, cells=scene.cells
@@ -498,6 +539,7 @@ def _soft(scene: SoftScene, params: Population) -> Array:
 
 
 def _attributes(params: Population) -> dict[str, str]:
+    """Return what files say of the map: by density, what they say of it anyway; by count, another meaning of 1."""
     if params.quantity == "density":
         return {}
     return {"one_means": "as many people in the block as the norm (pop_norm_per_block)"}

@@ -81,12 +81,10 @@ class Protection:
     tolerance_m: tuple[float, float] = (0.05, 1e-4)
 
     def __post_init__(self) -> None:
+        """Check the settings; errors as of the class."""
         lengths = (
-            "horizontal_alert_limit_m",
-            "vertical_alert_limit_m",
-            "sigma_ura_m",
-            "sigma_ure_m",
-            "tolerance_m",
+            *("horizontal_alert_limit_m", "vertical_alert_limit_m"),
+            *("sigma_ura_m", "sigma_ure_m", "tolerance_m"),
         )
         check_fields(self, lengths, "positive metres", is_positive)
         check_fields(self, ["bias_m"], "0 or more metres", is_not_negative)
@@ -111,6 +109,7 @@ class Protection:
     def budget(self) -> RiskBudget:
         """How risk is shared out, for the kernel."""
         shares = self.phmi_horizontal, self.phmi_vertical, self.pfa_horizontal, self.pfa_vertical
+        # In the order of the kernel's fields.
         return RiskBudget(*map(float, (*shares, self.p_unmonitored, *self.tolerance_m)))
 
 
@@ -138,13 +137,23 @@ def gps_receiver_sigma_m(elevation_rad: Float[np.ndarray, " S"]) -> Float[np.nda
 
 
 def galileo_receiver_sigma_m(elevation_rad: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
-    """Return the same for Galileo, linear between the table's elevations; below the lowest as there."""
-    at_deg = GALILEO_FIRST_DEG + GALILEO_STEP_DEG * np.arange(len(GALILEO_SIGMA_M))
-    return np.interp(np.degrees(elevation_rad), at_deg, GALILEO_SIGMA_M)
+    """Return the standard deviation of a Galileo receiver's noise and multipath (Blanch et al. 2015, table A.I).
+
+    It is linear between the table's elevations, and below the lowest of them as at that one.
+    """
+    table_deg = GALILEO_FIRST_DEG + GALILEO_STEP_DEG * np.arange(len(GALILEO_SIGMA_M))
+    return np.interp(np.degrees(elevation_rad), table_deg, GALILEO_SIGMA_M)
 
 
 def ranging_of(in_view: InView, params: Protection) -> Ranging:
-    """Return what is known of the ranges to satellites; constellations other than Galileo range as GPS does."""
+    """Return the geometry and the errors of the ranges to satellites, by satellite and constellation, for the kernel.
+
+    Constellations other than Galileo have the receiver's errors of GPS.
+
+    Args:
+      in_view: the satellites.
+      params: errors of orbits and clocks, biases, and probabilities of faults.
+    """
     elevation_rad = np.asarray(in_view.elevation_rad, float)
     systems = np.asarray(in_view.systems, str)
     names, constellation = np.unique(systems, return_inverse=True)
@@ -175,12 +184,14 @@ def protection_metric(hpl_m: np.ndarray, alert_limit_m: float) -> np.ndarray:
 def levels_of_satellites(
     in_view: InView, params: Protection, patterns: UInt[np.ndarray, "W P"]
 ) -> np.ndarray:
-    """Return ``[2, P]`` float64 horizontal and vertical protection levels of choices of the satellites in view.
+    """Return ``[2, P]`` float64 the protection levels of P choices of satellites, horizontal and vertical, in metres.
+
+    A level is inf where it is undetermined.
 
     Args:
-      in_view: all of them.
+      in_view: all satellites that may be chosen.
       params: settings.
-      patterns: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
+      patterns: the choices: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
     """
     return protection_levels(patterns, ranging_of(in_view, params), params.budget)
 
@@ -207,6 +218,8 @@ def protection_maps(
     is_within &= vpl_m <= params.vertical_alert_limit_m
     m = protection_metric(hpl_m, params.horizontal_alert_limit_m)
     by_choice = {METRIC.name: m, "hpl": hpl_m, "vpl": vpl_m, WITHIN_LIMITS: is_within}
+
+    # Each cell gets the values of its choice, in the type of their variable.
     variables = METRIC.variables
     return {
         name: values.astype(variables[name].dtype)[number] for name, values in by_choice.items()
@@ -229,17 +242,23 @@ CAVEAT = (
 
 
 def _maps(scene: Scene, params: Protection) -> dict[str, np.ndarray]:
+    """Return the maps of one time and altitude (`Metric.compute`)."""
     return protection_maps(scene.words, scene.is_obstacle, scene.in_view, params)
 
 
-def _level(name: str, kind: str) -> Variable:
-    """Return the variable of a protection level in metres, better the lower it is."""
+def _level(name: str, direction: str) -> Variable:
+    """Return the variable of a protection level in metres, better the lower it is.
+
+    Args:
+      name: of the variable.
+      direction: ``"horizontal"`` or ``"vertical"``.
+    """
     return Variable(
         name,
-        f"{kind} protection level",
+        f"{direction} protection level",
         "m",
         inside=np.nan,
-        scale=Scale("cividis_r", limit=f"{kind}_alert_limit_m", is_better_low=True),
+        scale=Scale("cividis_r", limit=f"{direction}_alert_limit_m", is_better_low=True),
         symbol=name.upper(),
         is_averaged=False,
     )

@@ -76,7 +76,7 @@ class ReceptionCurve:
         return cls(intercept=-0.19, slope=0.64, scale_m=2.0, cut_m=60.0, source=source)
 
     def chance(self, margin_m: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """Return the chance at a margin; differentiable at the edge too, 0 by the margin beyond the cut.
+        """Return the chance at a margin; differentiable at the edge too, with a derivative of 0 beyond the cut.
 
         Args:
           margin_m: height of the antenna less that of the edge of the roofs' shadow, positive where the satellite is in
@@ -94,6 +94,6 @@ class ReceptionCurve:
         leaves = (self.intercept, self.slope, self.scale_m, self.cut_m)
         intercept, slope, scale, cut = (jnp.asarray(leaf, margin.dtype) for leaf in leaves)
         margin = jnp.clip(margin, -cut, cut)
-        # Not jnp.sign, which is 0 at the edge, as is its slope.
+        # Not jnp.sign, which is 0 at the edge, so that the derivative there would be lost.
         side = jnp.where(margin < 0, -1, 1).astype(margin.dtype)
         return jax.nn.sigmoid(intercept + slope * side * jnp.log(1 + side * margin / scale))

@@ -30,7 +30,10 @@ def checked_sections(sections: Mapping[str, Any]) -> dict[str, Any]:
     """
     known = known_metrics()
     for name, section in sections.items():
-        kind = known[one_of("the metric of a section", name, known)].params
-        if not isinstance(section, kind):
-            raise InputError(f"{name} must be {kind.__name__}, got {type(section).__name__}")
-    return {name: metric.params() for name, metric in METRICS.items()} | dict(sections)
+        metric = known[one_of("the metric of a section", name, known)]
+        if not isinstance(section, metric.params):
+            raise InputError(
+                f"{name} must be {metric.params.__name__}, got {type(section).__name__}"
+            )
+    defaults = {name: metric.params() for name, metric in METRICS.items()}
+    return {**defaults, **sections}

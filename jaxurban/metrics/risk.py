@@ -54,7 +54,9 @@ class Risk:
 
 
 def halo_cells(params: Risk, resolution_m: float, reach_m: float | None = None) -> int:
-    """Return how many cells around a region the risk map looks at, a multiple of `jaxurban.kernels.blocks.HALO_STEP`.
+    """Return how many cells around a region the program for its risk map is given.
+
+    They are at least as many as the map looks at, and a multiple of `jaxurban.kernels.blocks.HALO_STEP`.
 
     Args:
       params: the risk.
@@ -99,24 +101,29 @@ def compute_risk(
     Raises:
       InputError: a traced threshold without ``reach_m``.
     """
+    # With slabs, each altitude has roofs of its own.
     if surface.slabs is not None:
         levels_m = np.asarray(altitudes_m)
         if len(levels_m) > 1:
-            return np.concatenate(
-                [compute_risk(surface, [z_m], params, reach_m) for z_m in levels_m]
-            )
+            maps = [compute_risk(surface, [z_m], params, reach_m) for z_m in levels_m]
+            return np.concatenate(maps)
         surface = surface.at_altitude(float(levels_m[0]))
-    resolution_m, dtype = surface.grid.resolution_m, surface.roof_m.dtype
+
+    resolution_m = surface.grid.resolution_m
+    dtype = surface.roof_m.dtype
     reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
     reach = kernel.window_cells(reach_m, resolution_m)
     halo = rounded_up(reach)
+
+    # What only the solid looks at: terrain with the cells around each, and undersides of what hangs above.
     is_solid = params.distance == "solid"
-    terrain_m = ceiling_m = around = None  # which the slice does not look at
+    terrain_m = ceiling_m = around = None
     if is_solid and surface.terrain_m is not None:
         terrain_m = surface.terrain_m
         around = kernel.disc(reach_m, resolution_m, dtype)
     if is_solid and surface.slabs is not None and len(surface.slabs.row):
         ceiling_m = surface.slabs.lowest_floors(surface.grid)
+
     rasters = surface.roof_m, terrain_m, ceiling_m
     settings = (
         in_type(altitudes_m, dtype),
@@ -126,12 +133,13 @@ def compute_risk(
         around,
     )
 
-    def of_parts(cut: Cut) -> Array:
+    def of_part(cut: Cut) -> Array:
+        """Return the risk map of a part of the region; ``cut`` returns the part of a raster with its halo."""
         return _risk(*jax.tree.map(cut, rasters), *settings)
 
     if surface.is_on_host:
-        return over_blocks(surface, halo, reach, of_parts, len(settings[0]))
-    return of_parts(lambda values: surface.part(values, halo, reach))
+        return over_blocks(surface, halo, reach, of_part, num=len(altitudes_m))
+    return of_part(lambda values: surface.part(values, halo, reach))
 
 
 @jax.jit
@@ -145,26 +153,39 @@ def _risk(
     run_m2: Float[Array, " H+1"],
     around: kernel.Disc | None,
 ) -> Float[Array, "A y x"]:
-    """Return `compute_risk` of roofs (and, for ``"solid"``, terrain) on the region and its halo.
+    """Return `compute_risk` of rasters on the region and its halo of ``H`` cells.
 
-    A ceiling is the lowest underside of what hangs above the altitude, 0 where nothing does. Over terrain it is as near
-    as a roof, with everything upside down. The scale of the drop to a roof is 0 for the slice and 1 for the solid.
+    Args:
+      roof_m: heights of roofs above the ground, 0 without a building.
+      terrain_m: elevation of the ground, for ``"solid"``; None for the slice, and where the ground is flat.
+      ceiling_m: height above the ground of the lowest underside of what hangs above the altitude, 0 where nothing
+        does; None where nothing hangs.
+      altitudes_m: heights above ground.
+      threshold_m: distance at and above which m is 1.
+      scale_m: how much of the height between a receiver and a roof below it counts: 0 for the slice, 1 for the solid.
+      run_m2: squared distance of 0 to H cells.
+      around: the cells within reach of a cell, over terrain alone.
     """
     halo = len(run_m2) - 1
     region = tuple(slice(halo, size - halo) for size in roof_m.shape)
 
     def over_terrain(ground_m: Array, altitude_m: Array, above_m: Array, is_there: Array) -> Array:
-        heights_m = (ground_m + altitude_m)[region], ground_m + above_m
-        return kernel.capped_distance_over_terrain(*heights_m, is_there, around, threshold_m)
+        """Return the distance, ``[y, x]`` metres, to columns up to ``above_m`` over the ground where they are there."""
+        receiver_m = (ground_m + altitude_m)[region]
+        top_m = ground_m + above_m
+        return kernel.capped_distance_over_terrain(receiver_m, top_m, is_there, around, threshold_m)
 
     def distance_at(altitude_m: Array) -> Array:
-        """Return the distance to what stands and hangs at one altitude, ``[Y, X]`` metres, at most the threshold."""
+        """Return the distance to what stands and hangs at one altitude, ``[y, x]`` metres, at most the threshold."""
         if terrain_m is not None:
             distance_m = over_terrain(terrain_m, altitude_m, roof_m, roof_m > 0)
             if ceiling_m is None:
                 return distance_m
+            # What hangs is a column too, with heights turned upside down.
             upside_down = -terrain_m, -altitude_m, -ceiling_m, ceiling_m > 0
             return jnp.minimum(distance_m, over_terrain(*upside_down))
+
+        # Over flat ground: the squared vertical distance to each column, from which the kernel adds the horizontal one.
         drop_m2 = kernel.squared_drop(altitude_m - roof_m, scale_m)
         source_m2 = jnp.where(roof_m > 0, drop_m2, jnp.inf)
         if ceiling_m is not None:
@@ -187,9 +208,9 @@ def soft_risk(
     """Return soft m_risk at one altitude, on the region ``[y, x]`` or at chosen cells ``[P]``.
 
     m = min(1, min over cells with a building of sqrt((d / d_thresh)^2 + (max(0, altitude - roof) / softness)^2)): a
-    roof at or above the altitude counts as the obstacle it is, one that lies the softness below it no more. At softness
-    0 it is the slice's exact map, at softness d_thresh that of ``distance="solid"``, which has no softness of its own:
-    there ``softness_m`` is not looked at. Computed in the type of the roofs.
+    roof at or above the altitude counts as a full obstacle, one that lies a softness or more below it no longer counts.
+    At softness 0 it is the slice's exact map, at softness d_thresh that of ``distance="solid"``, which has no softness
+    of its own and ignores ``softness_m``. Computed in the type of the roofs.
 
     Differentiable in ``surface.roof_m``, ``altitude_m``, ``params.threshold_m`` and ``softness_m`` (and in the terrain,
     under ``solid``), all of which may be traced; batch by `jax.vmap`. The gradient is that of the nearest cell: exact
@@ -209,18 +230,22 @@ def soft_risk(
       InputError: a negative softness, or a traced threshold without ``reach_m``.
     """
     check_softness(softness_m)
-    dtype, resolution_m = surface.roof_m.dtype, surface.grid.resolution_m
+    dtype = surface.roof_m.dtype
+    resolution_m = surface.grid.resolution_m
     reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
     halo = rounded_up(kernel.window_cells(reach_m, resolution_m))
     altitude = jnp.asarray(altitude_m, dtype)
     threshold = jnp.asarray(params.threshold_m, dtype)
     softness = jnp.asarray(softness_m, dtype)
     is_solid = params.distance == "solid"
-    scales = threshold, threshold if is_solid else softness
+    scales = threshold, threshold if is_solid else softness  # of horizontal, vertical distances
+
     roof_m = surface.crop_with_halo(surface.roof_m, halo)
     terrain_m = None
     if is_solid and surface.terrain_m is not None:
         terrain_m = surface.crop_with_halo(surface.terrain_m, halo)
+
+    # The whole region over flat ground has a kernel of its own; otherwise cells are searched around one by one.
     if cells is None and terrain_m is None:
         run_m2 = kernel.squared_runs(halo, resolution_m, dtype)
         return kernel.nearest_column(roof_m, altitude, *scales, run_m2)
@@ -228,9 +253,8 @@ def soft_risk(
     chosen = jnp.indices(shape).reshape(2, -1).T if cells is None else cells
     heights_m = jnp.broadcast_to(altitude, len(chosen))
     around = kernel.disc(reach_m, resolution_m, dtype)
-    return kernel.nearest_column_at(
-        roof_m, terrain_m, heights_m, *scales, chosen, around, halo=halo
-    ).reshape(shape)
+    m = kernel.nearest_column_at(roof_m, terrain_m, heights_m, *scales, chosen, around, halo=halo)
+    return m.reshape(shape)
 
 
 def _map(scene: Scene, params: Risk) -> dict[str, AnyArray]:

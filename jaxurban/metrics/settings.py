@@ -22,26 +22,23 @@ def differentiable(*names: str) -> Callable[[Settings], Settings]:
     """
 
     def register(cls: Settings) -> Settings:
-        """Make settings a tree of JAX: the named fields are its leaves, all others are fixed."""
+        """Register the class with JAX, and return it."""
         static = [field.name for field in fields(cls) if field.name not in names]
 
         def flatten(settings: Any) -> tuple[tuple, tuple]:
-            leaves = tuple(getattr(settings, name) for name in names)
-            fixed = tuple(getattr(settings, name) for name in static)
-            return leaves, fixed
-
-        def flatten_with_keys(settings: Any) -> tuple[tuple, tuple]:
-            leaves, fixed = flatten(settings)
+            """Return the leaves, each beside its key, and the values of the static fields."""
             keys = map(jax.tree_util.GetAttrKey, names)
-            return tuple(zip(keys, leaves, strict=True)), fixed
+            leaves = tuple((key, getattr(settings, key.name)) for key in keys)
+            return leaves, tuple(getattr(settings, name) for name in static)
 
         def unflatten(fixed: tuple, leaves: Iterable) -> Any:
+            """Return the settings of static values and leaves, without ``__post_init__``."""
             settings: Any = object.__new__(cls)
             for name, value in zip((*names, *static), (*leaves, *fixed), strict=True):
                 object.__setattr__(settings, name, value)
             return settings
 
-        jax.tree_util.register_pytree_with_keys(cls, flatten_with_keys, unflatten, flatten)
+        jax.tree_util.register_pytree_with_keys(cls, flatten, unflatten)
         return cls
 
     return register
@@ -65,19 +62,23 @@ def is_not_negative(values: Any) -> Any:
 def check_fields(
     settings: Any, names: Iterable[str], what: str, is_good: Callable[[Any], Any]
 ) -> None:
-    """Raise InputError unless fields are finite and good numbers or arrays; those that JAX is tracing are.
+    """Check that fields are finite numbers, or arrays of them, that keep a rule; values that JAX traces pass.
 
     Args:
-      settings: that have these fields.
+      settings: the object with these fields.
       names: of the fields.
-      what: each must be, for the message.
-      is_good: whether each of an array of numbers is.
+      what: the rule in words, for the message: "... must be WHAT".
+      is_good: returns, of an array of numbers, which of them keep the rule.
+
+    Raises:
+      InputError: a field does not.
     """
     for name in names:
         _check_value(name, getattr(settings, name), what, is_good)
 
 
 def _check_value(name: str, value: Any, what: str, is_good: Callable[[Any], Any]) -> None:
+    """Raise InputError unless a value keeps a rule; ``name`` is that of the value, the rest as for `check_fields`."""
     if not is_known(value):
         return
     values = np.asarray(value)
@@ -87,11 +88,11 @@ def _check_value(name: str, value: Any, what: str, is_good: Callable[[Any], Any]
 
 
 def reach_of(value_m: Any, reach_m: float | None, name: str) -> float:
-    """Return how far to look, metres.
+    """Return how far a metric looks, metres: a plain number, as it decides the shapes of arrays.
 
     Args:
-      value_m: the parameter that says how far is needed, maybe traced.
-      reach_m: what the caller gives; None for ``value_m``.
+      value_m: the parameter that says how far the metric must look, such as a lidar's range; maybe traced.
+      reach_m: how far it is to look; None for ``value_m`` itself.
       name: of the parameter, for the message.
 
     Raises:

@@ -72,21 +72,25 @@ AUXILIARY_VARIABLES = {
 
 
 def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
-    """Return what is made of a metric's own map, by kind and by name.
+    """Return the variables that are made of a metric's own map, by kind and by name.
 
-    ``"series"``: over many times, cell by cell; ``"region"``: the same over all cells; ``"bounds"``: what brackets it;
-    ``"spread"``: over uncertain heights.
+    ``"series"`` are statistics of a cell over many times, ``"region"`` statistics of all free cells over many times,
+    ``"bounds"`` what brackets the map, ``"spread"`` statistics over uncertain heights.
     """
     own = metric.variables[metric.name]
-    share = "above the threshold"
-    always = f"m_{own.name} is above the threshold"
+
+    # What makes a position available: m above the threshold, or a variable of the metric.
+    share_text = "above the threshold"
+    always_text = f"m_{own.name} is above the threshold"
     if metric.available:
         condition = metric.variables[metric.available].long_name
-        share = f"with {condition}"
-        always = f"{condition},"
+        share_text = f"with {condition}"
+        always_text = f"{condition},"
+
+    # By suffix of the name: what the variable is, and what a value of 1 means ("" where that needs no word).
     uncertain = "over uncertain heights"
-    series = {  # what it is, and what 1 means
-        "availability": (f"share of times {share}", f"{always} at every epoch"),
+    series = {
+        "availability": (f"share of times {share_text}", f"{always_text} at every epoch"),
         "median": ("median over time", own.one_means),
         "p05": ("5th percentile over time", own.one_means),
     }
@@ -101,6 +105,7 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
         "p05": (f"5th percentile {uncertain}", ""),
         "p95": (f"95th percentile {uncertain}", ""),
     }
+
     without_time = tuple(dim for dim in metric.dims if dim != TIME)
     return {
         "series": _variants(replace(own, dims=without_time), series),
@@ -111,7 +116,12 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
 
 
 def _variants(own: Variable, texts: Mapping[str, tuple[str, str]]) -> dict[str, Variable]:
-    """Return variables made of a metric's own, by name; of each what it is and what 1 means, by its suffix."""
+    """Return variables like a metric's own, by name.
+
+    Args:
+      own: the metric's variable.
+      texts: by the suffix of each name, what the variable is and what a value of 1 means.
+    """
     variants = {}
     for suffix, (text, one_means) in texts.items():
         name = f"{own.name}_{suffix}"
@@ -121,12 +131,12 @@ def _variants(own: Variable, texts: Mapping[str, tuple[str, str]]) -> dict[str, 
 
 
 def names_in(attributes: Mapping[str, Any], name: str) -> list[str]:
-    """Return the names in an attribute, which holds them as one text: NetCDF 3 takes no lists of texts."""
+    """Return the names in the attribute ``name``, one text as NetCDF 3 takes no lists; none if it is missing."""
     return [part for part in attributes.get(name, "").split(", ") if part]
 
 
 def no_value(dtype: np.dtype) -> Any:
-    """Return what stands for no value in files: NaN, the highest unsigned number; None where there is nothing such."""
+    """Return what stands for no value in files, by type: NaN of floats, the highest unsigned integer, else None."""
     if dtype.kind == "u":
         return np.iinfo(dtype).max
     return np.nan if dtype.kind == "f" else None
@@ -141,11 +151,11 @@ SCALE = 2.0**14
 def series_statistics(
     m: np.ndarray, availability_threshold: float, is_available: np.ndarray | None = None
 ) -> dict[str, np.ndarray]:
-    """Return statistics over time of each cell, float32, by the names of `SERIES`.
+    """Return statistics over time of each cell, float32 ``[...]``, by the names of `SERIES`.
 
     ``availability`` is the share of times whose m is above the threshold, ``median`` the median, ``p05`` the value
-    that 5 % of the times stay below; between two times the last two interpolate linearly (definition 7 of Hyndman
-    and Fan 1996). Inside obstacles m is 0 at every time, and so are they. No gradient.
+    that 5 % of the times stay below. Median and p05 interpolate linearly between two times (definition 7 of Hyndman
+    and Fan 1996). Inside obstacles, where m is 0 at every time, all three are 0. No gradient.
 
     Args:
       m: ``[T, ...]`` metric at each time, any axes of cells behind.
@@ -154,26 +164,34 @@ def series_statistics(
     """
     num_times, *shape = m.shape
     flat = m.reshape(num_times, -1)
+    num_cells = flat.shape[1]
     available = None if is_available is None else is_available.reshape(num_times, -1)
-    statistics = {name: np.empty(flat.shape[1], np.float32) for name in SERIES}
-    for start in range(0, flat.shape[1], CELLS_AT_ONCE):
+    statistics = {name: np.empty(num_cells, np.float32) for name in SERIES}
+    for start in range(0, num_cells, CELLS_AT_ONCE):
         block = slice(start, start + CELLS_AT_ONCE)
-        # A sort along contiguous memory takes a quarter of the time of a partition, a fourteenth of one along time.
+        # ``[C, T]``: a sort along contiguous memory takes a quarter of the time of a partition, and a fourteenth of a
+        # sort along the first axis.
         ordered = np.sort(np.ascontiguousarray(flat[:, block].T), axis=1)
-        counts = ordered > availability_threshold if available is None else available[:, block].T
-        statistics["availability"][block] = np.mean(counts, axis=1)
+        counted = ordered > availability_threshold if available is None else available[:, block].T
+        statistics["availability"][block] = np.mean(counted, axis=1)
         statistics["median"][block] = _quantile(ordered, 0.5)
         statistics["p05"][block] = _quantile(ordered, LOW_SHARE)
     return {name: values.reshape(shape) for name, values in statistics.items()}
 
 
 def _quantile(ordered: np.ndarray, share: float) -> np.ndarray:
-    """Return a quantile of each row of ``[C, T]`` ascending values."""
-    place = share * (ordered.shape[1] - 1)
-    below = int(place)
+    """Return a quantile of each row, ``[C]``, interpolated linearly between two values.
+
+    Args:
+      ordered: ``[C, T]`` values, ascending along T.
+      share: of the values of a row that lie below the quantile, 0 to 1.
+    """
+    last = ordered.shape[1] - 1
+    position = share * last
+    below = int(position)
     low = ordered[:, below]
-    high = ordered[:, min(below + 1, ordered.shape[1] - 1)]
-    return low + np.float32(place - below) * (high - low)
+    high = ordered[:, min(below + 1, last)]
+    return low + np.float32(position - below) * (high - low)
 
 
 @dataclass

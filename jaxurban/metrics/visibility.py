@@ -28,7 +28,7 @@ def shadow_reach_m(
 ) -> tuple[float, float, float, float]:
     """Return the margins west, south, east, north (metres) that hold every roof able to shadow the region.
 
-    0 on sides without satellites; inf where a satellite on the horizon meets a roof above the altitude.
+    A margin is 0 on a side without satellites, and inf where a satellite on the horizon meets a roof above the maps.
 
     Args:
       azimuth_rad: ``[S]`` clockwise from grid north.
@@ -40,23 +40,26 @@ def shadow_reach_m(
     rise_m = max_top_m - min_altitude_m
     if rise_m <= 0:
         return 0.0, 0.0, 0.0, 0.0
-    east, north, up = unit_vectors(azimuth_rad, elevation_rad).T
-    toward = np.stack([-east, -north, east, north])
+    toward_east, toward_north, up = unit_vectors(azimuth_rad, elevation_rad).T
+    # [4, S]: how much of the unit vector to each satellite points west, south, east and north.
+    toward = np.stack([-toward_east, -toward_north, toward_east, toward_north])
     run_m = np.divide(rise_m * toward, up, out=np.full(toward.shape, np.inf), where=up > 0)
     margins_m = np.where(toward > 0, run_m + resolution_m, 0.0).max(axis=1, initial=0.0)
-    west, south, east, north = margins_m.tolist()
-    return west, south, east, north
+    west_m, south_m, east_m, north_m = margins_m.tolist()
+    return west_m, south_m, east_m, north_m
 
 
 class SkyView(NamedTuple):
-    """The satellites of one time over one surface, made ready on the host. ``S`` satellites, some of them to fill up.
+    """The satellites of one time over one surface, made ready on the host.
+
+    ``S`` counts the satellites and those without effect that follow them, which round their number up.
 
     Programs are compiled again for another number of satellites or shape of the surface, not for other satellites.
 
     Attributes:
       lines: digital line toward each over the surface's grid, fields stacked along ``S``.
-      satellites: their geometry; those that fill up weigh nothing.
-      num: how many there are; those behind are never seen.
+      satellites: their geometry, in which those without effect weigh nothing.
+      num: number of true satellites; those from this one on are without effect and never seen.
     """
 
     lines: Line
@@ -72,45 +75,61 @@ class SkyView(NamedTuple):
         multiple_of: int = 1,
         clocks: Clocks | None = None,
     ) -> "SkyView":
-        """Return the view of satellites at ``[S]`` azimuths (clockwise from grid north) and elevations.
+        """Return the view of the satellites at or above the elevation mask over a surface.
 
         Args:
-          surface: where the roofs lie; its float type becomes that of the DOPs.
-          azimuth_rad, elevation_rad: of the satellites at or above the mask; none are one that fills up.
-          multiple_of: satellites are filled up to a multiple of this, so that few programs are compiled.
-          clocks: of the satellites; left out, all share one.
+          surface: where the roofs lie; their float type becomes that of the DOPs.
+          azimuth_rad: ``[num]`` clockwise from grid north; may be empty.
+          elevation_rad: ``[num]`` above the horizon.
+          multiple_of: satellites without effect are added up to a multiple of this number, and up to one at least, so
+            that few programs are compiled.
+          clocks: which receiver clock each satellite has; left out, all share one.
         """
-        angles = np.array([azimuth_rad, elevation_rad], float).reshape(2, -1)
+        azimuth, elevation = np.array([azimuth_rad, elevation_rad], float).reshape(2, -1)
+        num = len(azimuth)
         dtype = np.dtype(surface.roof_m.dtype).type
-        satellites = geometry(unit_vectors(*angles), dtype, multiple_of, clocks)
-        num = angles.shape[1]
+        satellites = geometry(unit_vectors(azimuth, elevation), dtype, multiple_of, clocks)
+
+        # The satellites without effect get a line due north: any would do, as none of its results is read.
+        padding = 0, len(satellites.rows) - num
         grid = surface.grid
-        filled = np.zeros((2, len(satellites.rows)))
-        filled[:, :num] = angles
-        place = grid.resolution_m, grid.first_row, grid.first_col, grid.shape
-        lines = digital_lines(filled[0], filled[1], *place)
+        lines = digital_lines(
+            np.pad(azimuth, padding),
+            np.pad(elevation, padding),
+            grid.resolution_m,
+            grid.first_row,
+            grid.first_col,
+            grid.shape,
+        )
         return cls(stacked(lines), satellites, np.asarray(num, np.int32))
 
 
 def visible_words(
     surface: Surface, altitudes_m: Float[Array, " A"], sky: SkyView
 ) -> UInt[Array, "W A y x"]:
-    """Return `visibility` of a sky, by JAX; everything may be traced.
+    """Return which satellites are seen from each cell of the region, as bits (see `visibility`), computed by JAX.
+
+    Every argument may be traced. There is no gradient, as the result holds whole numbers.
 
     Args:
-      surface: roofs and terrain; what stands outside it shadows nothing.
-      altitudes_m: heights above the ground.
-      sky: over this surface.
+      surface: roofs and terrain, without slabs; what stands outside it shadows nothing.
+      altitudes_m: ``[A]`` heights of the receivers above the ground.
+      sky: the satellites over this surface.
     """
     rows, cols = surface.window
-    window = rows.start, rows.stop, cols.start, cols.stop, 1
+    window = rows.start, rows.stop, cols.start, cols.stop, 1  # 1: every cell is kept
     ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
     height_m = _heights(ground_m, altitudes_m)
     return sweep.visible_words(surface.top_m, height_m, sky.lines, sky.num, window=window)
 
 
 def _heights(ground_m: AnyArray | None, altitudes_m: AnyArray) -> AnyArray:
-    """Return the absolute height of receivers, ``[A, y, x]`` or over flat ground ``[A, 1, 1]``."""
+    """Return the absolute height of receivers, ``[A, y, x]`` or over flat ground ``[A, 1, 1]``, in metres.
+
+    Args:
+      ground_m: ``[y, x]`` elevation of the ground; None where it is flat, at 0.
+      altitudes_m: ``[A]`` heights of the receivers above the ground.
+    """
     z_m = altitudes_m[:, None, None]
     return z_m if ground_m is None else ground_m + z_m
 
@@ -123,25 +142,27 @@ def visibility(
     rings: Sequence[Ring] | None = None,
     every: int = 1,
 ) -> UInt[np.ndarray, "W A y x"]:
-    """Return which satellites are seen from each cell's centre, as bits.
+    """Return which satellites are seen from each cell's centre, as bits: ``W`` words of 32 satellites each.
 
     Satellite ``s`` is bit ``s % 32`` of word ``s // 32``. It is seen where its ray clears the roofs
     and, with terrain, the ground; `shadow_height` states how exactly, and `jaxurban.kernels.shadows.slabs` for what
-    hangs. Inside obstacles the result is that of a receiver in a shaft with no walls of its own.
+    hangs. Inside obstacles the result is that of a receiver in a shaft whose own walls hide nothing.
 
     Args:
       surface: roofs and terrain; what stands outside it shadows nothing.
       azimuth_rad: ``[S]`` clockwise from grid north.
       elevation_rad: ``[S]`` above the horizon, none below it.
       altitudes_m: ``[A]`` heights above the ground.
-      rings: ``[S]`` what the grids around the region hand on, by satellite; the surface's own margin is
-        not looked at then, but for its slabs.
-      every: n, of a surface n times finer than the map: the cells are every n-th of the region both ways, from
-        ``n // 2`` on. With an odd n they hold the centres of the map's cells; with an even one, whose centres are
-        corners of four cells, they lie half a cell northeast of them.
+      rings: ``[S]`` the shadows that the grids around the region hand on, by satellite. The surface's own margin then
+        counts only for its slabs. Left out, the margin's roofs cast the shadows that reach the region.
+      every: n, where the surface is n times finer than the map: receivers stand in every n-th cell of the region both
+        ways, from ``n // 2`` on. With an odd n these cells hold the centres of the map's cells; with an even one,
+        whose centres are corners of four cells, they lie half a cell northeast of them.
     """
     azimuth = np.asarray(azimuth_rad, float)
     elevation = np.asarray(elevation_rad, float)
+
+    # Shadows are cast over the surface with its margin or, with rings, over the region alone.
     rows, cols = surface.window
     top_m = np.asarray(surface.top_m)
     grid = surface.grid
@@ -152,6 +173,7 @@ def visibility(
         grid = surface.region
         first_cell = (0, 0)
         ring = Ring(*(np.stack(values) for values in zip(*rings, strict=True)))
+
     words, receivers = _receivers(surface, altitudes_m, first_cell, len(azimuth), every)
     blocks.mark_visible(words, top_m, receivers, ringed_lines(grid, azimuth, elevation), ring)
     if surface.slabs is not None:
@@ -166,7 +188,13 @@ def _receivers(
     num_satellites: int,
     every: int,
 ) -> tuple[UInt[np.ndarray, "W A y x"], blocks.Receivers]:
-    """Return words in which nothing is seen yet, and where their receivers stand; arguments as for `visibility`."""
+    """Return words in which no satellite is seen yet, and where the receivers stand that they are for.
+
+    Args:
+      surface, altitudes_m, every: as for `visibility`.
+      first_cell: row and column of the region's southwest cell in the grid that shadows are cast over.
+      num_satellites: S; 32 of them share a word.
+    """
     altitudes = np.asarray(altitudes_m, surface.roof_m.dtype)
     ground_m = None
     if surface.terrain_m is not None:
@@ -185,8 +213,18 @@ def _hide_behind_slabs(
     elevation_rad: np.ndarray,
     receivers: blocks.Receivers,
 ) -> None:
-    """Clear the bits of the satellites that slabs hide; arguments as for `visibility`."""
-    region, every = surface.region, receivers.every
+    """Clear, in place, the bits of ``words`` for the satellites that slabs hide.
+
+    Args:
+      words: the satellites that are seen past roofs and the ground.
+      surface: whose region the receivers stand in.
+      hanging: all slabs that can shadow the region.
+      azimuth_rad, elevation_rad: ``[S]`` as for `visibility`.
+      receivers: where the receivers of the words stand.
+    """
+    region = surface.region
+    every = receivers.every
+    # The slabs' kernel counts subcells, `PER_CELL` along a cell's side; receivers stand in the middle of theirs.
     middle = every // 2
     first_row = (region.first_row + middle) * PER_CELL + PER_CELL // 2
     first_col = (region.first_col + middle) * PER_CELL + PER_CELL // 2
@@ -215,36 +253,41 @@ def bounding_visibility(
     *,
     hides_most: bool,
 ) -> UInt[np.ndarray, "W A y x"]:
-    """Return `visibility` that is certain: under roofs that hide at least, or at most, what the city hides.
+    """Return the `visibility` words under roofs that hide at least, or at most, what the city truly hides.
 
-    Those that hide most: a ray meets the highest of the three cells of a row that the true ray may cross, from where
-    it enters the row. Those that hide least: only cells whose eight neighbours are covered too count, and a ray meets
-    the lowest of the three. Who is seen under the first is seen in truth, and who is hidden under the second is hidden
-    in truth, but for gaps between outlines narrower than a cell. This holds for flat-topped prisms over the surface's
-    terrain, taken as steps. With cells as wide as the map's (``every`` 1) both are valid but wide.
+    With roofs that hide most, a ray meets the highest of the three cells of a row that the true ray may cross, from
+    where it enters the row: a satellite that is seen then is seen in truth. With roofs that hide least, only cells
+    whose eight neighbours are covered too count, and a ray meets the lowest of the three cells: a satellite that is
+    hidden then is hidden in truth, but for gaps between outlines narrower than a cell. This holds for flat-topped
+    prisms over the surface's terrain, taken as steps. With cells as wide as the map's (``every`` 1) both results are
+    valid but far apart.
 
     Args:
-      surface: ``every`` times finer than the map. For most: everything reaches the ground, and roofs cover all cells
-        that they touch. For least: roofs at the cells' centres, nothing hangs.
+      surface: ``every`` times finer than the map. To hide most, everything in it reaches the ground, and roofs cover
+        all cells that they touch. To hide least, roofs cover the cells whose centres they cover, and nothing hangs.
       azimuth_rad, elevation_rad, altitudes_m: as for `visibility`.
-      every: odd.
-      hides_most: which.
+      every: how many times finer the surface is; odd.
+      hides_most: True for roofs that hide most, False for roofs that hide least.
     """
     rows, cols = surface.window
-    reached = partial(_of_three, np.maximum if hides_most else np.minimum)
+    extreme_of_three = partial(_of_three, np.maximum if hides_most else np.minimum)
     top_m = np.asarray(surface.top_m)
-    covered_m = top_m if hides_most else reached(reached(top_m, axis=0), axis=1)
+    # To hide least, a cell is as low as the lowest of its eight neighbours.
+    covered_m = top_m if hides_most else extreme_of_three(extreme_of_three(top_m, axis=0), axis=1)
     first_cell = rows.start, cols.start
     words, receivers = _receivers(surface, altitudes_m, first_cell, len(azimuth_rad), every)
+    # Rays that are followed row by row meet one of three cells of a row, the others (turned) three of a column.
     blocks.mark_visible(
         words,
-        reached(covered_m, axis=1),
+        extreme_of_three(covered_m, axis=1),
         receivers,
         ringed_lines(surface.grid, azimuth_rad, elevation_rad),
         entry_steps=WHOLE_ROW_STEPS,
-        turned_top_m=reached(covered_m, axis=0),
+        turned_top_m=extreme_of_three(covered_m, axis=0),
     )
-    if hides_most:  # the roof over the receiver's own cell hides all
+
+    # The roof over the receiver's own cell hides all satellites: a product with False clears the words.
+    if hides_most:
         middles = slice(every // 2, None, every)
         own_m = np.where(np.asarray(surface.roof_m) > 0, top_m, -np.inf)[rows, cols]
         ground_m = receivers.ground_m
@@ -254,39 +297,62 @@ def bounding_visibility(
 
 
 def _of_three(extreme: np.ufunc, values: np.ndarray, axis: int) -> np.ndarray:
-    """Return an extreme of every cell and those beside it along an axis, -inf beyond.
+    """Return the extreme of each cell and its two neighbours along an axis, ``[Y, X]`` as the values.
 
-    SciPy's filter takes six times longer.
+    Beyond the border the values count as -inf. SciPy's filter does the same in six times the time.
+
+    Args:
+      extreme: `numpy.maximum` or `numpy.minimum`.
+      values: ``[Y, X]``.
+      axis: 0 for the neighbours south and north, 1 for those west and east.
     """
-    along = np.moveaxis(values, axis, 0)
-    grown = np.pad(along, ((1, 1), (0, 0)), constant_values=-np.inf)
-    found = extreme(extreme(grown[:-2], along), grown[2:])
-    return np.moveaxis(found, 0, axis)
+    centre = np.moveaxis(values, axis, 0)
+    grown = np.pad(centre, ((1, 1), (0, 0)), constant_values=-np.inf)
+    extremes = extreme(extreme(grown[:-2], centre), grown[2:])
+    return np.moveaxis(extremes, 0, axis)
 
 
 def distinct_choices(
     words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."]
 ) -> tuple[UInt[np.ndarray, "W P"], Int[np.ndarray, "..."]]:
-    """Return every choice of satellites that some cell sees once, and the number of each cell's.
+    """Return the ``P`` distinct choices of satellites that cells see, and which of these choices each cell sees.
 
     Args:
-      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells behind.
+      words: ``[W, ...]`` satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells after the first.
       is_obstacle: cells that see no satellite, whatever the words say.
+
+    Returns:
+      The choices as words, each choice once, and for each cell the number of its choice, 0 to ``P - 1``.
     """
-    choices: list[np.ndarray] = []
-    number = np.zeros(1, np.int64)
+    choices: list[np.ndarray] = []  # by the words so far: an array of P for each word
+    number = np.zeros(1, np.int64)  # of each cell's choice
     for word in words:
-        of_word, seen = pd.factorize(np.where(is_obstacle, np.uint32(0), word).reshape(-1))
-        pairs = np.arange(len(seen))  # of an earlier choice and one of this word
+        new_number, values = pd.factorize(np.where(is_obstacle, np.uint32(0), word).reshape(-1))
+        # A choice by one more word is a pair: number of the earlier choice x len(values) + number of the word's value.
+        pairs = np.arange(len(values))
         if choices:
-            of_word, pairs = pd.factorize(number * len(seen) + of_word)
-        choices = [earlier[pairs // len(seen)] for earlier in choices] + [seen[pairs % len(seen)]]
-        number = of_word
+            new_number, pairs = pd.factorize(number * len(values) + new_number)
+        choices = [earlier[pairs // len(values)] for earlier in choices]
+        choices.append(values[pairs % len(values)])
+        number = new_number
     return np.stack(choices), number.reshape(words.shape[1:])
 
 
 def ringed_lines(grid: Grid, azimuth_rad: np.ndarray, elevation_rad: np.ndarray) -> Line:
-    """Return the digital line toward each satellite over a grid grown by one cell on each side, stacked."""
-    place = grid.resolution_m, grid.first_row - 1, grid.first_col - 1
-    grown = grid.num_rows + 2, grid.num_cols + 2
-    return stacked(digital_lines(azimuth_rad, elevation_rad, *place, grown))
+    """Return the digital line toward each satellite over a grid grown by one cell on each side, stacked along ``S``.
+
+    Args:
+      grid: the grid, not grown.
+      azimuth_rad: ``[S]`` clockwise from grid north.
+      elevation_rad: ``[S]`` above the horizon.
+    """
+    grown = grid.padded(1, 1, 1, 1)
+    lines = digital_lines(
+        azimuth_rad,
+        elevation_rad,
+        grown.resolution_m,
+        grown.first_row,
+        grown.first_col,
+        grown.shape,
+    )
+    return stacked(lines)

@@ -43,8 +43,10 @@ class Weights:
     def __init__(
         self, distance: float | jax.Array = DISTANCE_WEIGHT, **weights: float | jax.Array
     ) -> None:
+        """Hold the weights given and the defaults of the metrics of every cost, in the order of `values`."""
         named = {"distance": distance, **dict.fromkeys(METRICS, METRIC_WEIGHT)}
-        object.__setattr__(self, "values", tuple((named | dict(sorted(weights.items()))).items()))
+        named |= sorted(weights.items())
+        object.__setattr__(self, "values", tuple(named.items()))
 
     def __getattr__(self, name: str) -> Any:
         values = dict(self.__dict__.get("values", ()))
@@ -60,13 +62,17 @@ class Weights:
 
     @classmethod
     def of(cls, given: "WeightsLike", base: Mapping[str, float] | None = None) -> "Weights":
-        """Return the weights in `Weights`, in numbers by name (the others are those of ``base``), or in None.
+        """Return weights that are given in any of several ways.
+
+        Args:
+          given: `Weights`, numbers by name, or None for no names.
+          base: weights of the names that ``given`` leaves out; names in neither have the default weights.
 
         Returns:
-          The weights; `Weights` as they are.
+          The weights; `Weights` unchanged.
 
         Raises:
-          InputError: they are none of these.
+          InputError: ``given`` is none of these.
 
         Examples:
           >>> ju.Weights.of({"risk": 5.0}, base={"gps": 2.0})
@@ -75,6 +81,7 @@ class Weights:
         if isinstance(given, Weights):
             return given
         named: Any = {} if given is None else given
+        # "self" would be an argument of the class twice.
         if not isinstance(named, Mapping) or not all(
             isinstance(name, str) and name != "self" for name in named
         ):
@@ -86,7 +93,11 @@ class Weights:
     @classmethod
     @typed
     def parse(cls, text: str, base: "Weights | None" = None) -> "Weights":
-        """Return the weights in ``"gps=1,noise=2"``; those not named are taken from ``base``.
+        """Return the weights in a text such as ``"gps=1,noise=2"``.
+
+        Args:
+          text: name and number of each weight.
+          base: weights of the names that the text leaves out; without it, the defaults.
 
         Returns:
           The weights, all of them named.
@@ -102,7 +113,7 @@ class Weights:
 
     @staticmethod
     def named_in(text: str) -> dict[str, float]:
-        """Return the weights in ``"gps=1,noise=2"`` alone.
+        """Return only the weights that a text such as ``"gps=1,noise=2"`` names.
 
         Returns:
           Number by name, in the order of the text; empty for an empty text.
@@ -199,7 +210,7 @@ class Weights:
 
     @classmethod
     def tree_unflatten(cls, names: tuple[str, ...], values: Iterable[Any]) -> "Weights":
-        """Return the weights that JAX took apart, whatever it puts in their place."""
+        """Return weights from their names and from what JAX puts in place of their values, which is not checked."""
         weights = object.__new__(cls)
         object.__setattr__(weights, "values", tuple(zip(names, values, strict=True)))
         return weights

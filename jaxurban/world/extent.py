@@ -19,31 +19,36 @@ def lonlat_boxes(polygons: np.ndarray, crs: str) -> np.ndarray:
 
 
 def rounded_outward(boxes: np.ndarray) -> Bounds:
-    """Return the box around boxes in degrees ``[N, 4]``, rounded outward to some 10 m."""
-    # A projection there and back moves them.
+    """Return the box around boxes in degrees ``[N, 4]``, rounded outward to 1e-4 degrees, some 10 m."""
+    # In units of 1e-4 degrees; rounded first, as a projection there and back moves the sides a little.
     sides = np.round(1e4 * shapely.total_bounds(shapely.box(*boxes.T)), 4)
-    west, south, east, north = (np.append(np.floor(sides[:2]), np.ceil(sides[2:])) / 1e4).tolist()
-    return west, south, east, north
+    west, south = np.floor(sides[:2]) / 1e4
+    east, north = np.ceil(sides[2:]) / 1e4
+    return float(west), float(south), float(east), float(north)
 
 
 def main_bounds(polygons: np.ndarray, crs: str, extent: Sequence[float]) -> Bounds | None:
-    """Return the box that `MAIN_SHARE` of the polygons lie in, if it is a small part of an extent; else None.
+    """Return the box around the polygons in the middle of an extent, if it is a small part of that; else None.
+
+    The polygons that count are those in the extent, without the 1 % (`MAIN_SHARE`) that lie farthest from the median of
+    all. How far one lies is the larger of its distances east or west and north or south.
 
     Args:
-      polygons: ``[N]`` in ``crs``; of those that reach into the extent, the ones that lie nearest the median of all,
-        along the axis where they are farther, count as most of them.
+      polygons: ``[N]`` in ``crs``.
       crs: of the polygons; the box does not depend on it.
       extent: west, south, east, north in degrees.
 
     Returns:
-      West, south, east, north in degrees, rounded outward to some 10 m.
+      West, south, east, north in degrees, rounded outward to some 10 m; None also without a polygon in the extent.
     """
     boxes = lonlat_boxes(polygons, crs)
-    boxes = boxes[shapely.intersects(shapely.box(*boxes.T), shapely.box(*extent))]
+    whole = shapely.box(*extent)
+    boxes = boxes[shapely.intersects(shapely.box(*boxes.T), whole)]
     if not len(boxes):
         return None
-    centre = (boxes[:, :2] + boxes[:, 2:]) / 2
-    middle = np.median(centre, axis=0)
-    off = (np.abs(centre - middle) * [np.cos(np.radians(middle[1])), 1.0]).max(axis=1)
+    centres = (boxes[:, :2] + boxes[:, 2:]) / 2
+    median = np.median(centres, axis=0)
+    of_longitude = np.cos(np.radians(median[1]))  # a degree of it, in degrees of latitude
+    off = (np.abs(centres - median) * [of_longitude, 1.0]).max(axis=1)
     main = rounded_outward(boxes[off <= np.quantile(off, MAIN_SHARE, method="higher")])
-    return main if shapely.box(*main).area < SMALL_PART * shapely.box(*extent).area else None
+    return main if shapely.box(*main).area < SMALL_PART * whole.area else None

@@ -50,5 +50,8 @@ class Footprints(Rows):
         return np.isin(self.origin, list(GUESSED_BY))
 
     def origin_counts(self) -> dict[str, int]:
-        """Return the number of buildings by origin of height, only origins that occur."""
-        return {o.name.lower(): int(n) for o in HeightOrigin if (n := np.sum(self.origin == o))}
+        """Return the number of buildings by the origin of their height, only origins that occur."""
+        counts = {
+            origin.name.lower(): int(np.sum(self.origin == origin)) for origin in HeightOrigin
+        }
+        return {name: count for name, count in counts.items() if count}

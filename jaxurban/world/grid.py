@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any
@@ -48,7 +48,14 @@ def utm_crs(lon_deg: float, lat_deg: float) -> str:
 
 
 def utm_of(bounds: Sequence[float]) -> str:
-    """Return the UTM zone of the middle of a box: west, south, east, north in degrees; errors as of `utm_crs`."""
+    """Return the UTM zone of the middle of a box, as `utm_crs`.
+
+    Args:
+      bounds: west, south, east, north in degrees.
+
+    Raises:
+      InputError: no UTM zone covers the middle.
+    """
     west, south, east, north = bounds
     return utm_crs((west + east) / 2, (south + north) / 2)
 
@@ -66,10 +73,10 @@ def box_of(bounds: Bounds, crs: str) -> Bounds:
 
 @lru_cache(maxsize=32)
 def projected_crs(crs: str) -> pyproj.CRS:
-    """Return ``crs`` as pyproj sees it, if it is projected in metres.
+    """Return the pyproj CRS of a name, such as ``"EPSG:32618"``, once it is checked (cached).
 
     Raises:
-      InputError: the name is unknown, or the CRS is geographic or not in metres.
+      InputError: the name is unknown, or the CRS is not projected, not in metres, or not along east and north.
     """
     try:
         parsed = pyproj.CRS.from_user_input(crs)
@@ -77,11 +84,11 @@ def projected_crs(crs: str) -> pyproj.CRS:
         raise InputError(
             f"crs {crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'"
         ) from error
-    if not parsed.is_projected or any(
-        abs(axis.unit_conversion_factor - 1.0) > 1e-12 for axis in parsed.axis_info[:2]
-    ):
+    axes = parsed.axis_info[:2]  # without heights
+    in_metres = all(abs(axis.unit_conversion_factor - 1.0) <= 1e-12 for axis in axes)
+    if not parsed.is_projected or not in_metres:
         raise InputError(f"{crs!r} is not a projected CRS in metres: use one such as 'EPSG:32618'")
-    if {axis.direction for axis in parsed.axis_info[:2]} != {"east", "north"}:
+    if {axis.direction for axis in axes} != {"east", "north"}:
         raise InputError(
             f"the axes of {crs!r} do not point east and north: use a CRS such as a UTM zone, 'EPSG:32618'"
         )
@@ -89,7 +96,15 @@ def projected_crs(crs: str) -> pyproj.CRS:
 
 
 def check_on_earth(name: str, crs: Any) -> None:
-    """Raise InputError unless a file's CRS places it on the Earth, by longitude and latitude or by a map projection."""
+    """Check that a file's CRS places it on the Earth, by longitude and latitude or by a map projection.
+
+    Args:
+      name: of the file, for the message.
+      crs: whatever pyproj understands as a CRS.
+
+    Raises:
+      InputError: the CRS is geocentric, or a local one that no map projection ties to the Earth.
+    """
     parsed = pyproj.CRS.from_user_input(crs)
     horizontal = parsed.sub_crs_list[0] if parsed.is_compound else parsed
     if parsed.is_geocentric or not (horizontal.is_geographic or horizontal.is_projected):
@@ -102,9 +117,8 @@ def check_on_earth(name: str, crs: Any) -> None:
 def check_scale(crs: str, lon_deg: float, lat_deg: float) -> None:
     """Raise InputError unless a metre of the CRS is a metre on the ground, within 1 %, at a point."""
     factors = pyproj.Proj(crs).get_factors(lon_deg, lat_deg)
-    scale = max(
-        factors.meridional_scale, factors.parallel_scale, key=lambda value: abs(value - 1.0)
-    )
+    scales = factors.meridional_scale, factors.parallel_scale
+    scale = max(scales, key=lambda value: abs(value - 1.0))  # the worse of the two
     if not abs(scale - 1.0) < MAX_SCALE_ERROR:
         raise InputError(
             f"a metre of {crs} is {1.0 / scale:.3g} m on the ground at {lon_deg:.2f}, {lat_deg:.2f} (lon, lat): "
@@ -113,24 +127,26 @@ def check_scale(crs: str, lon_deg: float, lat_deg: float) -> None:
 
 
 def where_it_lies(extent: Sequence[float], bounds: Sequence[float]) -> str:
-    """Return in words what a file covers, and whether bounds beside it have latitude and longitude swapped.
+    """Return in words what a file covers, with a hint where the bounds of a region seem to be swapped.
 
     Args:
-      extent: west, south, east, north of the file in degrees.
-      bounds: of a region that it does not reach, the same.
+      extent: of the file: west, south, east, north in degrees.
+      bounds: of a region that the file does not reach, in the same order. Where they reach it if latitude and longitude
+        are swapped, the words say so.
     """
     west, south, east, north = extent
-    low_lat, low_lon, high_lat, high_lon = bounds  # if they are swapped
+    low_lat, low_lon, high_lat, high_lon = bounds  # as they are if swapped
     is_swapped = low_lon <= east and west <= high_lon and low_lat <= north and south <= high_lat
     hint = "; latitude and longitude look swapped (longitude comes first)" if is_swapped else ""
     return f"it covers about {west:.4f}, {south:.4f}, {east:.4f}, {north:.4f} (west, south, east, north){hint}"
 
 
 def check_bounds(bounds: Sequence[float]) -> Bounds:
-    """Return ``bounds`` as four floats (west, south, east, north; degrees), if they make a box.
+    """Return bounds as four floats, west, south, east, north in degrees, once they are checked.
 
     Raises:
-      InputError: wrong count, not finite, out of range (latitude and longitude swapped) or empty.
+      InputError: they are not four finite numbers, out of range (as with latitude and longitude swapped), or a box
+        without area.
     """
     try:
         west, south, east, north = (finite("bounds", value, "degrees") for value in bounds)
@@ -151,7 +167,7 @@ def check_bounds(bounds: Sequence[float]) -> Bounds:
 
 
 def _common_multiple_m(resolutions_m: Sequence[float]) -> float:
-    """Return the least length that every resolution divides (the coarsest one where they nest)."""
+    """Return the least length in metres that is a multiple of every resolution: where they nest, the coarsest one."""
     fractions = [Fraction(str(resolution)) for resolution in resolutions_m]
     denominator = math.lcm(*(fraction.denominator for fraction in fractions))
     numerator = math.lcm(*(int(fraction * denominator) for fraction in fractions))
@@ -159,12 +175,35 @@ def _common_multiple_m(resolutions_m: Sequence[float]) -> float:
 
 
 def tile_shape(shape: tuple[int, int], max_side: int = MAX_SIDE) -> tuple[int, int]:
-    """Return rows and columns of the fewest equal tiles of at most ``max_side`` that cover ``shape``.
+    """Return the rows and columns of a tile, of the fewest equal tiles that cover a region.
 
-    It depends on the region alone, never on the machine, as files are cut into the same tiles.
+    They depend on the region alone, never on the machine, as files are cut into the same tiles.
+
+    Args:
+      shape: rows and columns of the region's cells.
+      max_side: the most cells along a side of a tile.
     """
-    rows, cols = (-(-size // -(-size // max_side)) for size in shape)
-    return rows, cols
+    num_rows, num_cols = shape
+    tiles_down = math.ceil(num_rows / max_side)
+    tiles_across = math.ceil(num_cols / max_side)
+    return math.ceil(num_rows / tiles_down), math.ceil(num_cols / tiles_across)
+
+
+def covering_grid(box_m: Bounds, resolution_m: float, crs: str) -> "Grid":
+    """Return the grid of the fewest cells that cover a box in its CRS.
+
+    Args:
+      box_m: x_min, y_min, x_max, y_max.
+      resolution_m: side of a cell.
+      crs: projected, in metres.
+    """
+    # In cells. A border that was snapped to cells before must not move by rounding: a millionth of a cell is nothing.
+    west, south, east, north = np.array(box_m) / resolution_m
+    first_row = math.floor(south + 1e-6)
+    first_col = math.floor(west + 1e-6)
+    num_rows = math.ceil(north - 1e-6) - first_row
+    num_cols = math.ceil(east - 1e-6) - first_col
+    return Grid(crs, resolution_m, first_row, first_col, num_rows, num_cols)
 
 
 @typed
@@ -230,15 +269,18 @@ class Grid:
           >>> grid.shape, grid.crs
           ((170, 172), 'EPSG:32618')
         """
-        bounds = west, south, east, north = check_bounds(bounds)
+        # The arguments.
+        west, south, east, north = bounds = check_bounds(bounds)
         resolutions_m = [resolution_m, *nest_with_m]
         for value in resolutions_m:
             positive("resolution_m", value)
         if crs is None:
             crs = utm_of(bounds)
-        projected_crs(crs)
+        projected_crs(crs)  # raises InputError for an unusable one
         check_scale(crs, (west + east) / 2, (south + north) / 2)
-        box_m = x_min, y_min, x_max, y_max = box_of(bounds, crs)
+
+        # The box in the CRS.
+        x_min, y_min, x_max, y_max = box_m = box_of(bounds, crs)
         if not all(map(math.isfinite, box_m)):
             raise InputError(
                 f"bounds {list(bounds)} lie outside the area of use of {crs}: choose another CRS"
@@ -247,25 +289,15 @@ class Grid:
             raise InputError(
                 f"resolution_m {min(resolutions_m):g} makes more than {MOST_CELLS:.0e} cells: choose a coarser one"
             )
+
+        # The borders, in multiples of the length that all resolutions divide.
         snap_m = _common_multiple_m(resolutions_m)
         if snap_m > MAX_SNAP_CELLS * max(resolutions_m):
             raise InputError(
                 f"the resolutions {resolutions_m} m have no common grid: choose such as 2, 5, 10"
             )
-        per_snap = round(snap_m / resolution_m)
-        # Bounds that were snapped before must not grow by rounding: a millionth of a cell is nothing.
-        first_col = math.floor(x_min / snap_m + 1e-6)
-        end_col = math.ceil(x_max / snap_m - 1e-6)
-        first_row = math.floor(y_min / snap_m + 1e-6)
-        end_row = math.ceil(y_max / snap_m - 1e-6)
-        return cls(
-            crs=crs,
-            resolution_m=float(resolution_m),
-            first_row=first_row * per_snap,
-            first_col=first_col * per_snap,
-            num_rows=(end_row - first_row) * per_snap,
-            num_cols=(end_col - first_col) * per_snap,
-        )
+        snapped = covering_grid(box_m, snap_m, crs).refined(round(snap_m / resolution_m))
+        return replace(snapped, resolution_m=float(resolution_m))  # without rounding of a quotient
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -330,6 +362,7 @@ class Grid:
         return (row >= 0) & (row < self.num_rows) & (col >= 0) & (col < self.num_cols)
 
     def _floor_cell(self, x_m: ArrayLike, y_m: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Return row and column of points of the CRS, as whole float64 numbers; NaN stays, and any may be outside."""
         col = np.floor(np.asarray(x_m, float) / self.resolution_m) - self.first_col
         row = np.floor(np.asarray(y_m, float) / self.resolution_m) - self.first_row
         return row, col
@@ -348,12 +381,12 @@ class Grid:
           >>> int(row), int(col)
           (3, 2)
         """
-        inside = self.contains_xy(x_m, y_m)
-        if not np.all(inside):
+        is_inside = self.contains_xy(x_m, y_m)
+        if not np.all(is_inside):
             points = np.stack(np.broadcast_arrays(x_m, y_m), dtype=float)
-            x_bad, y_bad = points[:, ~inside][:, 0]
+            first_x, first_y = points[:, ~is_inside][:, 0]
             raise InputError(
-                f"the point {x_bad:.1f}, {y_bad:.1f} ({self.crs}) is outside the region, which spans "
+                f"the point {first_x:.1f}, {first_y:.1f} ({self.crs}) is outside the region, which spans "
                 f"{self.x_min_m:.1f} to {self.x_max_m:.1f} east and {self.y_min_m:.1f} to {self.y_max_m:.1f} north "
                 "(its east and north borders left out)"
             )
@@ -390,7 +423,7 @@ class Grid:
         return np.asarray(x_m), np.asarray(y_m)
 
     def lonlat_of_xy(self, x_m: ArrayLike, y_m: ArrayLike) -> tuple[Any, Any]:
-        """Return longitudes and latitudes (WGS 84, degrees) of CRS coordinates.
+        """Return longitudes and latitudes (WGS 84, degrees) of CRS coordinates, easting and northing in metres.
 
         Returns:
           Longitudes and latitudes, float64; inf where the projection has no value.
@@ -469,15 +502,20 @@ class Grid:
           >>> fine.resolution_m, fine.shape, fine.bounds_m == maps.grid.bounds_m
           (5.0, (120, 120), True)
         """
-        side_m = self.resolution_m / n
-        first = (self.first_row * n, self.first_col * n)
-        return Grid(self.crs, side_m, *first, self.num_rows * n, self.num_cols * n)
+        return Grid(
+            self.crs,
+            self.resolution_m / n,
+            self.first_row * n,
+            self.first_col * n,
+            self.num_rows * n,
+            self.num_cols * n,
+        )
 
     def padded(self, west: int, south: int, east: int, north: int) -> "Grid":
-        """Return the grid grown by whole cells on each side.
+        """Return the grid grown by numbers of cells on each side; negative numbers cut cells off.
 
         Returns:
-          The grid; negative numbers cut cells off.
+          The grid, of the same resolution.
 
         Examples:
           >>> maps.grid.padded(west=1, south=1, east=2, north=2).shape

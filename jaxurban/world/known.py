@@ -18,23 +18,28 @@ def stays_within(
     This follows from places and directions alone: what a ray meets on its way changes nothing.
 
     Args:
-      known: in the CRS of the places.
+      known: the area of known ground, in the CRS of the places.
       start_m: ``[..., 2]`` easting and northing where the rays begin.
       azimuth_rad: ``[...]`` clockwise from grid north; its shape and that of the places are broadcast.
-      elevation_rad: ``[...]`` above 0.
-      rise_m: from the receivers to the highest roof, ``[...]`` or for all; below 0 it counts as 0.
+      elevation_rad: ``[...]`` above the horizon, above 0.
+      rise_m: height from the receivers to the highest roof, one for each ray or for all; below 0 it counts as 0.
 
     Returns:
-      ``[...]`` bool; False too of a ray that begins elsewhere.
+      ``[...]`` bool; False too for a ray that begins outside the known area.
     """
     run_m = np.maximum(rise_m, 0.0) / np.tan(elevation_rad)
-    end_m = start_m + np.stack([run_m * np.sin(azimuth_rad), run_m * np.cos(azimuth_rad)], axis=-1)
-    rays = np.stack(np.broadcast_arrays(start_m, end_m), axis=-2)
+    east_m = run_m * np.sin(azimuth_rad)
+    north_m = run_m * np.cos(azimuth_rad)
+    end_m = start_m + np.stack([east_m, north_m], axis=-1)
+    rays = np.stack(np.broadcast_arrays(start_m, end_m), axis=-2)  # [..., 2 ends, 2]
+
+    # A ray whose ends are both in one rectangle stays in it: no geometry need be made of it.
     stays = np.zeros(rays.shape[:-2], bool)
     for part in shapely.get_parts(known):
         box = shapely.box(*part.bounds)
-        if shapely.equals(part, box):  # convex: the ends decide, without a geometry a ray
+        if shapely.equals(part, box):
             stays |= ((rays >= box.bounds[:2]) & (rays <= box.bounds[2:])).all(axis=(-2, -1))
+
     shapely.prepare(known)
     stays[~stays] = shapely.covers(known, shapely.linestrings(rays[~stays]))
     return stays
@@ -56,11 +61,11 @@ class Rays:
     elevation_rad: np.ndarray
 
     def take(self, rows: np.ndarray) -> "Rays":
-        """Return some of the rays."""
+        """Return the rays at ``rows`` (integers or a mask)."""
         return Rays(*(values[rows] for values in vars(self).values()))
 
     def moved(self, east_m: float, north_m: float) -> "Rays":
-        """Return the rays from other places: those that a city displaced by the opposite leaves where they are."""
+        """Return the rays from places moved east and north by some metres, in the same directions."""
         return replace(self, x_m=self.x_m + east_m, y_m=self.y_m + north_m)
 
     def stays_within(self, known: shapely.Geometry, rise_m: float | np.ndarray) -> np.ndarray:
@@ -69,7 +74,13 @@ class Rays:
         return stays_within(known, start_m, self.azimuth_rad, self.elevation_rad, rise_m)
 
     def places_m(self, ray: np.ndarray, along_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``[..., P]`` x_m and y_m of rays, by their numbers ``[P]``, at distances along the ground."""
+        """Return x_m and y_m, ``[..., P]`` each, where rays are after a distance along the ground.
+
+        Args:
+          ray: ``[P]`` numbers of the rays.
+          along_m: ``[..., P]`` distance from each ray's own place.
+        """
         azimuth_rad = self.azimuth_rad[ray]
         x_m = self.x_m[ray] + along_m * np.sin(azimuth_rad)
-        return x_m, self.y_m[ray] + along_m * np.cos(azimuth_rad)
+        y_m = self.y_m[ray] + along_m * np.cos(azimuth_rad)
+        return x_m, y_m

@@ -69,31 +69,40 @@ class Outlines:
 
     @cached_property
     def _classes(self) -> list[tuple[np.ndarray, shapely.STRtree]]:
+        """The numbers of the buildings in each class of height that has any, and a tree of their outlines."""
         number = np.digitize(self.buildings.height_m, CLASSES_M)
-        members = [np.flatnonzero(number == k) for k in np.unique(number)]
-        return [(each, shapely.STRtree(self.buildings.polygons[each])) for each in members]
+        classes = []
+        for k in np.unique(number):
+            members = np.flatnonzero(number == k)
+            classes.append((members, shapely.STRtree(self.buildings.polygons[members])))
+        return classes
 
     def stretches(self, rays: Rays, height_m: np.ndarray, above_m: float) -> Stretches:
-        """Return where rays run over buildings until they are ``above_m`` above all roofs of a building's class.
+        """Return where rays run over buildings, until they are ``above_m`` above all roofs of a building's class.
 
         Args:
           rays: with elevations above 0.
-          height_m: ``[R]`` absolute height where they begin.
-          above_m: of the roofs.
+          height_m: ``[R]`` absolute heights at which they begin.
+          above_m: height above the highest roof of a class, over the highest ground, up to which rays are followed.
         """
+        # Pairs of a ray and a building, and the part of the ray over the building's outline, class by class.
         start_m = np.column_stack([rays.x_m, rays.y_m])
         toward = np.column_stack([np.sin(rays.azimuth_rad), np.cos(rays.azimuth_rad)])
         parts = [(np.empty(0, int), np.empty(0, int), np.empty(0, object))]
         for members, tree in self._classes:
             top_m = self.highest_ground_m + float(self.buildings.height_m[members].max()) + above_m
             run_m = (top_m - height_m) / np.tan(rays.elevation_rad)
-            below = np.flatnonzero(run_m >= 0)
+            below = np.flatnonzero(run_m >= 0)  # numbers of the rays that begin below that height
             end_m = start_m[below] + run_m[below, None] * toward[below]
             lines = shapely.linestrings(np.stack([start_m[below], end_m], axis=1))
-            line, member = tree.query(lines, predicate="intersects")
+            line, member = tree.query(
+                lines, predicate="intersects"
+            )  # pairs, by their index in both
             crossed = shapely.intersection(lines[line], self.buildings.polygons[members[member]])
             parts.append((below[line], members[member], crossed))
         ray, building, crossed = (np.concatenate(values) for values in zip(*parts, strict=True))
+
+        # A part falls into pieces where an outline has gaps; a piece runs from its nearest to its farthest point.
         pieces, pair = shapely.get_parts(crossed, return_index=True)
         places, piece = shapely.get_coordinates(pieces, return_index=True)
         along_m = np.hypot(*(places - start_m[ray[pair[piece]]]).T)
@@ -104,10 +113,14 @@ class Outlines:
         return Stretches(ray[pair], building[pair], from_m, to_m)
 
     def clearances(self, rays: Rays, height_m: np.ndarray) -> Clearances:
-        """Return what each ray comes nearest to hiding behind; arguments as for `stretches`.
+        """Return which building each ray clears by the least margin, or is hidden by most.
 
         Over each outline the ground is taken to rise evenly between the ends of a ray's stretch.
+
+        Args:
+          rays, height_m: as for `stretches`.
         """
+        # The margin over each stretch, [P], from the height above the ground at both of its ends, [2, P].
         over = self.stretches(rays, height_m, FARTHEST_MARGIN_M)
         ends_m = np.stack([over.from_m, over.to_m])
         above_m = height_m[over.ray] + ends_m * np.tan(rays.elevation_rad[over.ray])
@@ -117,17 +130,20 @@ class Outlines:
             floor_m = self.buildings.min_height_m[over.building]
             under_m = np.where(floor_m > 0, floor_m - above_m.max(axis=0), -np.inf)
             clears_m = np.maximum(clears_m, under_m)
+
+        # The stretch of least margin of each ray; of equal margins, the nearest.
         order = np.lexsort([over.from_m, clears_m, over.ray])
         order = order[clears_m[order] < FARTHEST_MARGIN_M]
-        hit, first = np.unique(over.ray[order], return_index=True)
+        near_rays, first = np.unique(over.ray[order], return_index=True)
         least = order[first]
+
         num = len(rays.x_m)
         margin_m = np.full(num, np.inf)
         distance_m = np.full(num, np.nan)
         building = np.full(num, NO_HIT)
-        margin_m[hit] = clears_m[least]
-        building[hit] = over.building[least]
-        distance_m[hit] = over.from_m[least]
+        margin_m[near_rays] = clears_m[least]
+        building[near_rays] = over.building[least]
+        distance_m[near_rays] = over.from_m[least]
         return Clearances(margin_m, building, distance_m)
 
     def elevations_m(self, rays: Rays, ray: np.ndarray, along_m: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ class Rows:
 
     @cached_property
     def boxes_m(self) -> np.ndarray:
-        """``[4, N]`` x_min, y_min, x_max, y_max of each polygon: which of them are near is asked tile by tile."""
+        """``[4, N]`` x_min, y_min, x_max, y_max of each polygon, kept as each tile looks for the polygons near it."""
         return np.ascontiguousarray(shapely.bounds(self.polygons).T)
 
     def take(self, index: np.ndarray) -> Self:

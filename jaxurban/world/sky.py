@@ -63,29 +63,39 @@ class Sky:
         return self.elevation_rad >= np.radians(self.mask_deg)
 
     def in_view(self, time_index: int) -> InView:
-        """Return the satellites in view at a time."""
+        """Return the satellites in view at a time, with a receiver clock for each constellation of the sky.
+
+        Clocks are numbered in the order in which the sky first names the constellations, also those out of view.
+        """
         numbers = np.flatnonzero(self.is_in_view[time_index])
         systems = tuple(self.systems[s] for s in numbers)
+        clocks = None
         order = list(dict.fromkeys(self.systems))
-        clocks = Clocks(np.array([order.index(system) for system in systems], int), len(order))
-        angles = self.azimuth_rad[time_index, numbers], self.elevation_rad[time_index, numbers]
-        return InView(*angles, systems, numbers, clocks if len(order) > 1 else None)
+        if len(order) > 1:
+            clocks = Clocks(np.array([order.index(system) for system in systems], int), len(order))
+        return InView(
+            self.azimuth_rad[time_index, numbers],
+            self.elevation_rad[time_index, numbers],
+            systems,
+            numbers,
+            clocks,
+        )
 
     def under(self, mask_deg: float) -> "Sky":
-        """Return the sky under an elevation mask, with the satellites that are in view at any time."""
+        """Return the sky with an elevation mask, of the satellites alone that are at or above it at some time."""
         sky = replace(self, mask_deg=mask_deg)
-        keep = np.flatnonzero(sky.is_in_view.any(axis=0))
+        kept = np.flatnonzero(sky.is_in_view.any(axis=0))
         return replace(
             sky,
-            names=tuple(self.names[s] for s in keep),
-            azimuth_rad=self.azimuth_rad[:, keep],
-            elevation_rad=self.elevation_rad[:, keep],
-            systems=tuple(self.systems[s] for s in keep),
-            element_age_days=self.element_age_days[:, keep],
+            names=tuple(self.names[s] for s in kept),
+            azimuth_rad=self.azimuth_rad[:, kept],
+            elevation_rad=self.elevation_rad[:, kept],
+            systems=tuple(self.systems[s] for s in kept),
+            element_age_days=self.element_age_days[:, kept],
         )
 
     def count_by_system(self) -> dict[str, list[int]]:
-        """Return how many satellites of each constellation are in view, by time."""
+        """Return how many satellites are in view at each time, ``[T]`` by constellation in order of its name."""
         systems = np.asarray(self.systems)
         return {
             name: self.is_in_view[:, systems == name].sum(axis=1).tolist()

@@ -21,13 +21,8 @@ NO_BUILDING = -1  # in a raster of building indices
 # 98.4 %, in twice the time of 3.
 PER_CELL = 5
 RASTERS = (
-    "roof_m",
-    "terrain_m",
-    "has_data",
-    "block",
-    "roof_touched_m",
-    "roof_guessed",
-    "slabs",
+    *("roof_m", "terrain_m", "has_data", "block"),
+    *("roof_touched_m", "roof_guessed", "slabs"),
 )
 
 
@@ -61,45 +56,45 @@ class Slabs(NamedTuple):
         return Slabs(*(values[index] for values in self))
 
     def over_cells(self, grid: Grid) -> tuple["Slabs", tuple[np.ndarray, np.ndarray]]:
-        """Return the slabs that hang over whole cells of a grid, and row and column of each there."""
+        """Return the slabs that hang over whole cells of a grid, and the rows and columns of these cells in it."""
         row = self.row // PER_CELL - grid.first_row
         col = self.col // PER_CELL - grid.first_col
-        inside = (
-            self.is_of_cell
-            & (row >= 0)
-            & (row < grid.num_rows)
-            & (col >= 0)
-            & (col < grid.num_cols)
-        )
-        return self.take(inside), (row[inside], col[inside])
+        is_in_rows = (row >= 0) & (row < grid.num_rows)
+        is_in_cols = (col >= 0) & (col < grid.num_cols)
+        is_over = self.is_of_cell & is_in_rows & is_in_cols
+        return self.take(is_over), (row[is_over], col[is_over])
 
     def lowest_floors(self, grid: Grid) -> np.ndarray:
-        """Return the height of the lowest underside over each cell of a grid, float32, 0 where nothing hangs."""
-        here, cells = self.over_cells(grid)
+        """Return how high the lowest underside over each cell of a grid is above the ground, ``[Y, X]`` float32 metres.
+
+        It is 0 where nothing hangs.
+        """
+        slabs, cells = self.over_cells(grid)
         floors_m = np.full(grid.shape, np.inf, np.float32)
-        np.minimum.at(floors_m, cells, here.floor_m)
+        np.minimum.at(floors_m, cells, slabs.floor_m)
         return np.where(np.isinf(floors_m), np.float32(0), floors_m)
 
     def raised(self, roof_m: np.ndarray, grid: Grid) -> np.ndarray:
         """Return the roofs of a grid's cells, ``[Y, X]``, with these slabs as if they reached the ground."""
-        here, cells = self.over_cells(grid)
+        slabs, cells = self.over_cells(grid)
         raised_m = np.array(roof_m)
-        np.maximum.at(raised_m, cells, here.top_m.astype(raised_m.dtype))
+        np.maximum.at(raised_m, cells, slabs.top_m.astype(raised_m.dtype))
         return raised_m
 
 
 def roofs_of(height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> Float[Array, "Y X"]:
     """Return the roof of each cell, 0 without a building, in the type of ``height_m``.
 
-    With the heights of the city the roofs are the surface's own, exactly. Linear in the heights, so the gradient is
-    exact as long as the order of overlapping buildings stays: a building that grows above another one in the same cell
-    is not seen there until its index is burnt again, and at equal heights the gradient is the last one's.
+    With the heights of the city the roofs are the surface's own, exactly. They are linear in the heights, so the
+    gradient is exact as long as the order of overlapping buildings stays: a building that grows above another one in
+    the same cell is not seen there until the buildings are rasterised again. Of buildings of equal height in a cell,
+    the last one has the gradient.
 
     Args:
       height_m: ``[B]`` height of each building.
       building: ``[Y, X]`` from `jaxurban.io.read.rasterise.building_index`.
     """
-    # NO_BUILDING, -1, is the last entry.
+    # NO_BUILDING, -1, takes the last entry: the 0 that is appended here.
     return jnp.append(height_m, jnp.zeros(1, height_m.dtype))[building]
 
 
@@ -122,7 +117,15 @@ class Frame(NamedTuple):
 
 
 def _unplaced(resolution_m: float, first: tuple[int, int], shape: tuple[int, int]) -> Grid:
-    """Return a grid without a CRS, which a placed one must have: that of a program, which serves every place."""
+    """Return a grid without a CRS, for a program of JAX, which serves every place on the Earth.
+
+    `Grid` itself would refuse an empty CRS, so its checks are passed over.
+
+    Args:
+      resolution_m: side of a cell.
+      first: row and column of the southwest cell.
+      shape: rows and columns.
+    """
     grid = object.__new__(Grid)
     values = ("", resolution_m, *first, *shape)
     for name, value in zip(Grid.__dataclass_fields__, values, strict=True):
@@ -170,19 +173,18 @@ class Surface:
     def tree_flatten(self) -> tuple[tuple, Frame]:
         """Return the rasters, which JAX may trace, and what decides a program."""
         rows, cols = self.window
-        first_cell = rows.start, cols.start
         frame = Frame(
             self.grid.resolution_m,
             self.grid.shape,
-            first_cell,
-            self.region.shape,
-            self.most_halo,
+            first_cell=(rows.start, cols.start),
+            region_shape=self.region.shape,
+            most_halo=self.most_halo,
         )
         return tuple(getattr(self, name) for name in RASTERS), frame
 
     @classmethod
     def tree_unflatten(cls, frame: Frame, rasters: Sequence[Any]) -> "Surface":
-        """Return the surface of rasters on unplaced grids."""
+        """Return the surface of rasters, in the order of `RASTERS`, on grids whose place is left out."""
         grid = _unplaced(frame.resolution_m, (0, 0), frame.shape)
         region = _unplaced(frame.resolution_m, frame.first_cell, frame.region_shape)
         by_name = dict(zip(RASTERS, rasters, strict=True))
@@ -204,7 +206,11 @@ class Surface:
         return self.roof_m if self.terrain_m is None else self.terrain_m + self.roof_m
 
     def with_heights(self, height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> "Surface":
-        """Return this surface with other heights of its buildings, without slabs; arguments as in `roofs_of`."""
+        """Return this surface with other heights of its buildings, and nothing that hangs.
+
+        Args:
+          height_m, building: as for `roofs_of`.
+        """
         return replace(
             self,
             roof_m=roofs_of(height_m, building),
@@ -214,10 +220,13 @@ class Surface:
         )
 
     def at_altitude(self, altitude_m: float) -> "Surface":
-        """Return what an altitude meets: slabs with their floor at or below it reach the ground, higher ones are left.
+        """Return the surface as it counts at an altitude: slabs with their floor at or below it become roofs.
 
-        A cell is then an obstacle at the altitude where its roof reaches it: what lies under a floor does not matter
-        there. At an altitude of inf every slab reaches the ground.
+        Such a slab then reaches the ground, as what lies under its floor does not matter at the altitude; higher slabs
+        are left. A cell is an obstacle where its roof reaches the altitude. At an altitude of inf every slab is a roof.
+
+        Args:
+          altitude_m: above the ground.
         """
         if self.slabs is None:
             return self
@@ -235,7 +244,7 @@ class Surface:
         return self.part(values)
 
     def crop_with_halo(self, values: Any, halo: int) -> Any:
-        """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side, as `part` says it."""
+        """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side (see `part`)."""
         return self.part(values, halo)
 
     def check_reach(self, cells: int) -> None:
@@ -247,27 +256,31 @@ class Surface:
             )
 
     def part(self, values: Any, halo: int = 0, reach: int | None = None) -> Any:
-        """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side.
+        """Return the region's part of an array with more cells around it, 0 where the surface ends.
 
-        0 where the surface ends: beyond it nothing stands. NumPy's values stay so, which compiles nothing. Of the halo
-        ``reach`` cells matter; left out, all of them.
+        Beyond the surface nothing stands. An array of NumPy gives one of NumPy, for which nothing is compiled.
+
+        Args:
+          values: the last two axes are on ``grid``.
+          halo: how many cells more, on each side.
+          reach: how many of the halo's cells matter; left out, all of them.
 
         Raises:
           InputError: more cells than ``most_halo`` matter.
         """
         self.check_reach(halo if reach is None else reach)
-        rows, cols = self.window
-        ends = [
-            (rows.start, rows.stop, self.grid.num_rows),
-            (cols.start, cols.stop, self.grid.num_cols),
-        ]
-        inner = [(max(start - halo, 0), min(stop + halo, size)) for start, stop, size in ends]
-        cut = values[..., slice(*inner[0]), slice(*inner[1])]
-        pads = [(max(halo - start, 0), max(stop + halo - size, 0)) for start, stop, size in ends]
+        slices = []
+        pads = []
+        for inside, size in zip(self.window, self.grid.shape, strict=True):
+            first, end = inside.start - halo, inside.stop + halo
+            slices.append(slice(max(first, 0), min(end, size)))
+            pads.append((max(-first, 0), max(end - size, 0)))
+        cut = values[..., *slices]
         if not np.any(pads):
             return cut
         xp: Any = np if isinstance(values, np.ndarray) else jnp
-        return xp.pad(cut, [(0, 0)] * (cut.ndim - 2) + pads)
+        other_axes = [(0, 0)] * (cut.ndim - 2)
+        return xp.pad(cut, other_axes + pads)
 
 
 Cut = Callable[[Any], Any]
@@ -281,15 +294,17 @@ def over_blocks(
     num: int = 1,
     per_cell: int = 1,
 ) -> Float[np.ndarray, "A y x"]:
-    """Return what a function gives of each of the region's map cells, float32, computed in blocks of few shapes.
+    """Return the values that a function computes for each map cell of a region, ``[A, y, x]`` float32.
+
+    They are computed in square blocks of few sizes, so that few programs are compiled.
 
     Args:
-      surface: per_cell times finer than the map.
+      surface: ``per_cell`` times finer than the map.
       halo: map cells around a block that the function is given.
-      reach: of the surface's cells around the region, how many matter.
+      reach: how many of the surface's cells around the region matter.
       compute: returns the values ``[A, T, T]`` of a block. It gets a function that cuts the block and its halo out of
         an array on the surface's grid, with 0 beyond it.
-      num: A.
+      num: A, such as the number of altitudes.
       per_cell: how many of the surface's cells a map's cell has along a side.
     """
     surface.check_reach(reach)
@@ -297,6 +312,7 @@ def over_blocks(
     rows, cols = surface.window
     values = np.empty((num, *shape), np.float32)
     for row, col, side in blocks_of(shape):
+        # The block with its halo in the surface's cells; the last blocks may stick out of the region.
         corner = rows.start + (row - halo) * per_cell, cols.start + (col - halo) * per_cell
         size = (side + 2 * halo) * per_cell
         cut = partial(part_of, corner=corner, shape=(size, size), fill=0)
@@ -306,7 +322,7 @@ def over_blocks(
 
 
 def in_type(values: Any, dtype: DTypeLike) -> Array | np.ndarray:
-    """Return numbers as an array of a type; on the host, where no program is compiled for it, if JAX holds none yet."""
+    """Return numbers as an array of a type: JAX's if any of them is JAX's, else NumPy's, which compiles nothing."""
     is_held = any(isinstance(value, jax.Array) for value in jax.tree.leaves(values))
     return jnp.asarray(values, dtype) if is_held else np.asarray(values, dtype)
 
@@ -335,7 +351,10 @@ _stand_at = jax.jit(jax.vmap(stands_at, (None, 0)))
 
 
 def region_roofs(surface: Surface, altitude_m: float) -> Float[np.ndarray, "y x"]:
-    """Return the roofs of a surface's region on the host, with what hangs at an altitude or below; of inf, with all."""
+    """Return the roofs of a surface's region on the host, in metres above the ground, with slabs as roofs.
+
+    Those slabs count whose floor is at or below the altitude; at an altitude of inf all of them do.
+    """
     return surface.part(np.asarray(surface.at_altitude(altitude_m).roof_m))
 
 
@@ -351,10 +370,10 @@ def soft_obstacle(
 ) -> Float[Array, "*C"]:
     """Return how much of an obstacle each cell is, 1 up to the roof, falling to 0 one softness above it.
 
-    ``1 - q((z - roof) / softness)`` with ``q(t) = t^3 (10 - 15 t + 6 t^2)`` between 0 and 1, twice differentiable. It
-    never says less than `obstacle_mask`, which it equals from one softness above the
-    roof, at and below it, at softness 0, and in cells without a building (roof 0) everywhere: whole-metre roofs and
-    altitudes meet exactly, so a step centred on the roof would not tend to the exact rule there.
+    This is ``1 - q((z - roof) / softness)`` with ``q(t) = t^3 (10 - 15 t + 6 t^2)`` for t from 0 to 1, which is twice
+    differentiable. It is never less than `obstacle_mask`. It equals that at and below the roof, from one softness above
+    it, at softness 0, and everywhere in cells without a building (roof 0). The step does not lie around the roof, as
+    roofs and altitudes of whole metres are often equal, where it would then not tend to the exact rule.
 
     Derivatives: smoothed between the roof and one softness above it, 0 elsewhere and at softness 0, undefined at roof
     0, where a building appears.
@@ -368,7 +387,6 @@ def soft_obstacle(
     softness = jnp.asarray(softness_m, roof.dtype)
     clearance_m = jnp.asarray(z_m, roof.dtype) - roof
     t = jnp.clip(clearance_m / jnp.where(softness > 0, softness, 1), 0, 1)
-    clear = jnp.where(
-        softness > 0, t**3 * (10 - 15 * t + 6 * t**2), (clearance_m > 0).astype(roof.dtype)
-    )
-    return jnp.where(roof > 0, 1 - clear, 0)
+    soft_step = t**3 * (10 - 15 * t + 6 * t**2)
+    hard_step = (clearance_m > 0).astype(roof.dtype)
+    return jnp.where(roof > 0, 1 - jnp.where(softness > 0, soft_step, hard_step), 0)
