@@ -108,6 +108,9 @@ def check(
         raise InputError(
             "heights, home and return_altitude_m are of a file, and mission was read already: leave them out"
         )
+    named_times = () if time is None else as_tuple(time)
+    times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
+
     # Constraints: those of the argument or of the maps' scenario, the zones of files, and the clearances named here.
     limits = constraints or Constraints()
     limits = replace(limits, zones=(*limits.zones, *Constraints.read(no_fly).zones))
@@ -118,8 +121,6 @@ def check(
     _, _, limits = rules_on(maps, None, limits, "")
     # Zones that are in force at one of the times count as if they always were. Without a time all zones count, and the
     # maps' first time stands for None.
-    named_times = () if time is None else as_tuple(time)
-    times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
     flights = [parse_time(text) for text in named_times]
     zones = [zone for zone in limits.zones if not flights or any(map(zone.is_in_force, flights))]
     figures = {"num_zones": len(limits.zones), "num_zones_in_force": len(zones)}

@@ -185,7 +185,7 @@ def demonstrations_from_study(
 
 
 def study_in(folder: Path) -> Path | None:
-    """Return the folder of a Monte Carlo study: this one, or its `study`` that ``jaxurban study`` wrote, or None."""
+    """Return the folder of a Monte Carlo study: this one, or its ``study``; None where neither is one."""
     for study in (folder, folder / "study"):
         if (study / ROWS_FILE).is_file():
             return study
