@@ -181,8 +181,8 @@ def nearest_breakpoints(
             if place @ excess <= TIE * (place @ features):
                 is_due[row, end] = False
                 continue
-            # The factor at which both cost the same: 0 = weights @ excess + (factor - 1) * weight * excess of it. At
-            # the given weights the other route costs as much at least; rounding may say less.
+            # The factor at which both cost the same: weights @ excess + (factor - 1) * weight * excess[column] = 0.
+            # At the given weights the other route costs as much at least; rounding may say less.
             column = columns[row]
             ahead = min(weights @ excess, 0.0)
             tried[row, end] = 1 - ahead / (weights[column] * excess[column])

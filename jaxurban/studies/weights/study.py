@@ -83,16 +83,21 @@ class Sensitivity(FactsRepr):
           [False, True, False]
         """
         line = self.lines[one_of("name", name, self.lines)]
+        # Values of the weight at both ends of the line and at the breakpoints between, from the shares of the second
+        # corner there. The given weight lies between two of them.
         column = self.names.index(name)
-        ends = np.concatenate([[0.0], line.breakpoints, [1.0]])
-        values = line.weights_at(np.stack([1 - ends, ends], axis=-1))[:, column]
+        shares = np.concatenate([[0.0], line.breakpoints, [1.0]])
+        values = line.weights_at(np.stack([1 - shares, shares], axis=-1))[:, column]
         given_route = np.searchsorted(values[1:-1], self.weights[column], side="right")
-        return pd.DataFrame(
-            {"weight_name": name, "from": values[:-1], "to": values[1:]}
-            | outcomes_of(line.integrals, self.names)
-            | {"is_given": np.arange(len(line.cells)) == given_route},
-            pd.RangeIndex(1, len(line.cells) + 1, name="route"),
-        )
+        num_routes = len(line.cells)
+        columns = {
+            "weight_name": name,
+            "from": values[:-1],
+            "to": values[1:],
+            **outcomes_of(line.integrals, self.names),
+            "is_given": np.arange(num_routes) == given_route,
+        }
+        return pd.DataFrame(columns, pd.RangeIndex(1, num_routes + 1, name="route"))
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Return all tables by name.
@@ -149,6 +154,7 @@ class SensitivitySettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        """Check all numbers; names are checked against the maps when the study runs."""
         check_sampling(self)
         at_least("num_samples", self.num_samples, 2)
         at_least("max_plans", self.max_plans, 1)
@@ -202,6 +208,7 @@ def sensitivity(
       >>> result.breakpoints("gps")["to"].round(2).tolist()  # three routes, by the weight up to which each is cheapest
       [0.44, 3.03, 10.0]
     """
+    # The query, its route, and the columns of the weights that vary.
     check_flat(cost_map)
     begin_s = time.perf_counter()
     settings = settings or SensitivitySettings()
@@ -213,17 +220,21 @@ def sensitivity(
     for name in settings.objectives:
         one_of("each of objectives", name, names)
     with reporting("sensitivity", progress) as report:
+        # Small changes of the weights.
         report("local")
         features, integrals = pool.cheapest(weights[None])[:, :, 0]
         cost = cost_gradient(names, weights, features)
         outcomes = outcome_slopes(pool, weights, integrals, seed=settings.seed)
-        metrics = [name for name in columns if name != "distance"]
-        largest = sorted(metrics, key=lambda name: -cost["elasticity"][name])
+        # What the settings leave out: the objectives are distance and the metrics with the largest shares of the cost.
+        shares = cost["elasticity"][[name for name in columns if name != "distance"]]
+        largest = shares.sort_values(ascending=False, kind="stable").index[:2]
         settings = replace(
             settings,
             vary=tuple(columns),
-            objectives=settings.objectives or ("distance", *largest[:2]),
+            objectives=settings.objectives or ("distance", *largest),
         )
+
+        # The whole range of the weights: all at once, one by one, and traded against each other.
         sobol = sobol_of_weights(
             pool,
             weights,
@@ -247,6 +258,7 @@ def sensitivity(
             max_plans=settings.max_plans,
             on_plans=partial(report, "Pareto front"),
         )
+        # A route to draw for each cell of each line.
         report("routes")
         return Sensitivity(
             maps=cost_map.maps,
@@ -266,7 +278,7 @@ def sensitivity(
 
 
 def _routes(query: RouteQuery, line: Partition) -> list[np.ndarray]:
-    """Return ``[N, 2]`` easting, northing of the cheapest route in the middle of each cell of a line."""
+    """Return the cheapest route in the middle of each cell of a line, each ``[N, 2]`` easting, northing in metres."""
     southwest_m = query.cost_map.grid.bounds_m[:2]
     with ThreadPoolExecutor() as threads:
         routes = threads.map(query.cheapest, line.weights_at(line.middles))
@@ -276,7 +288,16 @@ def _routes(query: RouteQuery, line: Partition) -> list[np.ndarray]:
 def _plan(
     cost_map: CostMap, start: Point, goal: Point, snap: bool | float
 ) -> tuple[RouteQuery, PlannedPath]:
-    """Return the query and the planned route."""
+    """Return the query between two places, and its planned route.
+
+    Args:
+      cost_map: with the weights that the route is planned under.
+      start, goal: longitude, latitude in degrees.
+      snap: as in `sensitivity`.
+
+    Raises:
+      InputError: there is no route, or both places are in one cell.
+    """
     route = cost_map.plan(start, goal, snap=snap)
     if not route.status.has_path:
         raise InputError(f"there is no route to study: {route.to_dict()['message']}")
