@@ -54,12 +54,12 @@ class Displaced:
         return cls(np.concatenate([displacements(num_null, seed), near_by()]), num_null, num_rows)
 
     def fill(self, number: int, column: np.ndarray, ground: Ground, rays: Rays) -> None:
-        """Take up what rays of some rows are in one displaced city.
+        """Write to ``is_seen`` and ``is_out`` whether some rows are seen, or in a building, in one displaced city.
 
         Args:
           number: of the displacement.
-          column: of each ray's row.
-          ground: of the city where it is.
+          column: the column, from 0 to R - 1, of each ray's row.
+          ground: of the city in its true place.
           rays: from the true places.
         """
         moved = self._there(number, rays)
@@ -75,11 +75,16 @@ class Displaced:
         known: shapely.Geometry,
         rise_m: float,
     ) -> None:
-        """Leave out rays that are unknown in one displaced city; ``rise_m``: to the highest roof."""
+        """Write to ``is_out`` which rays leave the known ground in one displaced city; call it after `fill`.
+
+        Args:
+          number, column, ground, rays: as in `fill`.
+          known: where the buildings are known, in their true place.
+          rise_m: from the antenna to the highest roof; a ray that has risen this far may leave the known ground.
+        """
         moved = self._there(number, rays)
-        self.is_out[number, column] |= ~moved.stays_within(known, rise_m) | ground.crosses_gap(
-            moved, rise_m
-        )
+        self.is_out[number, column] |= ~moved.stays_within(known, rise_m)
+        self.is_out[number, column] |= ground.crosses_gap(moved, rise_m)
 
     def _there(self, number: int, rays: Rays) -> Rays:
         """Return rays from the same places, as a displaced city has them."""
@@ -87,19 +92,26 @@ class Displaced:
         return rays.moved(-east_m, -north_m)
 
     def tables(self, rows: pd.DataFrame, seed: int) -> "DisplacedScores":
-        """Return how displaced cities and other roofs score.
+        """Return how displaced cities and other roofs score, when all legs are filled in.
+
+        A city of the null with fewer than `FEWEST_ROWS` rows has the scores NaN, and with fewer blocks than
+        `FEWEST_GROUPS` there is no peak.
 
         Args:
-          rows: ``[R]`` of the agreement.
+          rows: R rows of the agreement, in the order of the columns.
           seed: of the bootstrap.
         """
+        # The rows that count in each displaced city: judged in the true one, and neither inside nor unknown there.
         level = levels_of(rows.cn0_dbhz)
         satellite = rows.satellite.cat.codes.to_numpy()
         is_judged = rows.is_judged.to_numpy()
         block, weights = drawn_blocks(rows.block.where(rows.is_judged).to_numpy(), seed)
         keeps = is_judged & ~self.is_out
+        num_rows = keeps.sum(axis=1)
+
+        # The null: scores of far displaced cities, over all pairs of rows and within satellites, without draws.
         null = np.full((self.num_null, 2), np.nan)
-        for number in np.flatnonzero(keeps[: self.num_null].sum(axis=1) >= FEWEST_ROWS):
+        for number in np.flatnonzero(num_rows[: self.num_null] >= FEWEST_ROWS):
             keep = keeps[number]
             of_city = self.is_seen[number, keep], level[keep], block[keep], weights[:1]
             null[number] = aucs(*of_city)[0], aucs(*of_city, satellite[keep])[0]
@@ -108,21 +120,23 @@ class Displaced:
             """Return ``[D]`` the AUC of the rows that are kept, under each draw of blocks."""
             return aucs(is_seen[keep], level[keep], block[keep], weights[: 1 + NUM_DRAWS])
 
+        # The field of small displacements, and the scales of roofs, under draws of blocks: [moves or scales, D].
         around = range(self.num_null, len(keeps))
         by_move = np.array([drawn(self.is_seen[number], keeps[number]) for number in around])
         by_scale = np.array([drawn(is_seen, is_judged) for is_seen in self.of_scale])
         cities = pd.DataFrame(self.moves_m, columns=["east_m", "north_m"])
-        cities["rows"] = keeps.sum(axis=1)
+        cities["rows"] = num_rows
         near = cities[self.num_null :].assign(auc=by_move[:, 0]).reset_index(drop=True)
         scales = {"scale": SCALES, "rows": int(is_judged.sum()), "auc": by_scale[:, 0]}
-        if weights.shape[1] < FEWEST_GROUPS:
+        if weights.shape[1] < FEWEST_GROUPS:  # values that are all NaN have no peak
             by_move = np.full_like(by_move, np.nan)
             by_scale = np.full_like(by_scale, np.nan)
+        best_moves_m = peaks(by_move, near[["east_m", "north_m"]].to_numpy())
         return DisplacedScores(
-            cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1]),
-            near,
-            pd.DataFrame(scales),
-            _peak(peaks(by_move, near[["east_m", "north_m"]].to_numpy()), peaks(by_scale, SCALES)),
+            null=cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1]),
+            field=near,
+            scales=pd.DataFrame(scales),
+            peak=_peak(best_moves_m, peaks(by_scale, SCALES)),
         )
 
 
@@ -136,7 +150,12 @@ class DisplacedScores(NamedTuple):
 
 
 def _peak(moves_m: np.ndarray, scale: np.ndarray) -> dict[str, float]:
-    """Return where a city fits best, of displacements ``[D, 2]`` and scales ``[D]`` that are best in each draw."""
+    """Return where a city fits best, as `SatelliteAgreement.peak` holds it; NaN without a peak.
+
+    Args:
+      moves_m: ``[D, 2]`` the displacement, east and north, that is best in each draw, the first without drawing.
+      scale: ``[D]`` the scale of the roofs that is best in each draw.
+    """
     east_m, north_m = moves_m[0].tolist()
     low, high = np.quantile(scale[1:], [0.025, 0.975]).tolist()
     return {

@@ -27,7 +27,7 @@ def features_of(
     """Return what each rule predicts from: ``[R, K]`` features by the rule's name, the first of them 1.
 
     Rules that know the margin take it as the log odds of `jaxurban.metrics.reception.ReceptionCurve`, whose slope and
-    offset every fit chooses anew.
+    offset every fit chooses for itself.
 
     Args:
       margin_m: ``[R]`` height of the antenna less that of the shadow's edge; may be inf.
@@ -35,7 +35,7 @@ def features_of(
       off_street_rad: ``[R]`` angle between the satellite's azimuth and the street's direction.
     """
     sky = [elevation_rad, elevation_rad**2]
-    # Elevation in the plane across the street: how high a wall along the street would have to be.
+    # The elevation in the plane across the street, in which the walls of the street hide satellites.
     across_rad = np.arctan2(np.tan(elevation_rad), np.abs(np.sin(off_street_rad)))
     chance = ReceptionCurve.measured_in_tokyo().chance(jnp.asarray(margin_m))
     log_odds = logit(np.asarray(chance, np.float64))

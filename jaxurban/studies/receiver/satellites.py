@@ -146,7 +146,7 @@ class Ground:
         return row, col, walks(rays.azimuth_rad, rays.elevation_rad, self.grid.resolution_m, *start)
 
     def horizon_deg(self, x_m: float, y_m: float) -> np.ndarray:
-        """Return ``[360]`` elevation of roofs and hills at each degree of grid azimuth from a place, degrees, at least 0.
+        """Return ``[360]`` elevation of roofs and hills, degrees above 0, at each degree of grid azimuth from a place.
 
         A picture of the horizon, not a judgement: cells are sampled one cell apart along each azimuth.
         """
