@@ -110,19 +110,15 @@ class RoutePool:
             result = np.frombuffer(row["found"]).reshape(2, *weights.shape)
         else:
             result = self._search_all(weights)
-            self._keep(key, result)
+            if self._store is not None:
+                self._store.add([{"weights": key, "found": result.tobytes()}])
+                self._store.save()
         num_queries, num_weights, _ = weights.shape
         self.num_plans += num_queries * num_weights
         for query, routes in enumerate(np.moveaxis(result, 0, 2)):
             for route in routes:
                 self._add(query, route)
         return result
-
-    def _keep(self, key: str, result: np.ndarray) -> None:
-        """Write the result ``[2, Q, M, K]`` of searches to the store's file under a key; nothing without a store."""
-        if self._store is not None:
-            self._store.add([{"weights": key, "found": result.tobytes()}])
-            self._store.save()
 
     def _search_all(self, weights: np.ndarray) -> np.ndarray:
         """Return ``[2, Q, M, K]`` as `cheapest` does, for weights ``[Q, M, K]``, by a search for each.

@@ -200,16 +200,15 @@ def _maps_of(study: pd.DataFrame | str | Path) -> Path:
     Raises:
       InputError: a table, a file, or a folder that does not exist.
     """
-    if isinstance(study, pd.DataFrame):
-        raise InputError("a table does not hold the maps that its routes lie on: give them (maps=)")
-    folder = Path(study)
-    if (folder / ROWS_FILE).is_file():
-        folder = folder.parent
-    if not folder.is_dir():
-        raise InputError(
-            f"{str(study)!r} does not hold the maps that its routes lie on: give them (maps=)"
-        )
-    return folder
+    name = "a table"
+    if not isinstance(study, pd.DataFrame):
+        name = repr(str(study))
+        folder = Path(study)
+        if (folder / ROWS_FILE).is_file():
+            folder = folder.parent
+        if folder.is_dir():
+            return folder
+    raise InputError(f"{name} does not hold the maps that its routes lie on: give them (maps=)")
 
 
 def _source(

@@ -270,16 +270,9 @@ def agreement_of(
 
         # The same rays in displaced cities and under other roofs; columns count the moved rows.
         moved = of_leg[is_moved[of_leg]]
-        moved_rays = rays.take(moved)
         column = (np.cumsum(is_moved) - 1)[moved]
-        for number in range(len(displaced.moves_m)):
-            report("displaced cities", number, len(displaced.moves_m))
-            displaced.fill(number, column, ground, moved_rays)
-            if is_guarded and number < displaced.num_null:
-                displaced.leave_unknown(number, column, ground, moved_rays, known, rise_m)
-        for number, scale in enumerate(SCALES):
-            margins_m = ground.with_roofs(scale).margins_m(moved_rays)
-            displaced.of_scale[number, column] = margins_m >= 0
+        guard = known if is_guarded else None
+        displaced.fill(column, ground, rays.take(moved), guard, rise_m, report)
 
     # Which rows are judged, and which of them are strong: at least the median of these, if that is received at all.
     rows["is_seen"] = rows.margin_m >= 0
@@ -461,28 +454,28 @@ def verdict_of(
     if not np.isfinite([gain.gain_low, score.auc_low]).all():
         return f"There is no verdict: {where} too few rows are hidden, or too few in view, for an interval."
     # First whether the maps predict better, then whether the city's place is the best one.
-    gain_is = f"the gain in log-loss is {gain.gain:.3f} (95 % interval {gain.gain_low:.3f} to {gain.gain_high:.3f})"
+    gained = f"the gain in log-loss is {gain.gain:.3f} (95 % interval {gain.gain_low:.3f} to {gain.gain_high:.3f})"
     auc = f"an AUC of {score.auc:.2f} ({score.auc_low:.2f} to {score.auc_high:.2f})"
     if not gain.gain_low > 0:
         return (
             "It is not shown that the maps predict better than elevation and the street's direction what this receiver "
-            f"hears {where}: {gain_is}."
+            f"hears {where}: {gained}."
         )
     num_cities = int(displaced.auc.notna().sum())
     if num_cities < FEWEST_CITIES:
         return (
             f"There is no verdict: {where} {num_cities} of {len(displaced)} displaced cities could be scored, and it "
-            f"takes {FEWEST_CITIES} ({gain_is})."
+            f"takes {FEWEST_CITIES} ({gained})."
         )
     if not score.auc_low > most:
         return (
             f"It is not shown that the city fits this receiver better than displaced ones do {where}: C/N0 separates "
             f"seen from hidden satellites with {auc}, and displaced cities reach {most:.2f}, though the margin to the "
-            f"shadow's edge and the elevation predict better than elevation and the street's direction ({gain_is}); see "
+            f"shadow's edge and the elevation predict better than elevation and the street's direction ({gained}); see "
             "whether times and places are right."
         )
     return (
         "The margin to the shadow's edge and the elevation predict better than elevation and the street's direction "
-        f"what this receiver hears {where}: {gain_is}; C/N0 separates seen from hidden satellites with {auc}, and "
+        f"what this receiver hears {where}: {gained}; C/N0 separates seen from hidden satellites with {auc}, and "
         f"displaced cities reach at most {most:.2f}."
     )

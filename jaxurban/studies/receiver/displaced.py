@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from jaxurban.progress import Report
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.satellites import Ground
 from jaxurban.studies.receiver.scores import aucs, drawn_blocks, levels_of
@@ -53,43 +54,36 @@ class Displaced:
         """Return displacements that are still to be filled: those of the null by seed, then those of the field."""
         return cls(np.concatenate([displacements(num_null, seed), near_by()]), num_null, num_rows)
 
-    def fill(self, number: int, column: np.ndarray, ground: Ground, rays: Rays) -> None:
-        """Write to ``is_seen`` and ``is_out`` whether some rows are seen, or in a building, in one displaced city.
-
-        Args:
-          number: of the displacement.
-          column: the column, from 0 to R - 1, of each ray's row.
-          ground: of the city in its true place.
-          rays: from the true places.
-        """
-        moved = self._there(number, rays)
-        self.is_seen[number, column] = ground.margins_m(moved) >= 0
-        self.is_out[number, column] = ground.is_inside(moved)
-
-    def leave_unknown(
+    def fill(
         self,
-        number: int,
         column: np.ndarray,
         ground: Ground,
         rays: Rays,
-        known: shapely.Geometry,
+        known: shapely.Geometry | None,
         rise_m: float,
+        report: Report,
     ) -> None:
-        """Write to ``is_out`` which rays leave the known ground in one displaced city; call it after `fill`.
+        """Write to ``is_seen``, ``is_out`` and ``of_scale`` what the rows of a leg are in every displaced city.
 
         Args:
-          number, column, ground, rays: as in `fill`.
-          known: where the buildings are known, in their true place.
+          column: the column, from 0 to R - 1, of each ray's row.
+          ground: of the city in its true place, around the leg.
+          rays: from the true places.
+          known: where the buildings are known, in their true place; None: rays that leave it count all the same.
           rise_m: from the antenna to the highest roof; a ray that has risen this far may leave the known ground.
+          report: of the progress.
         """
-        moved = self._there(number, rays)
-        self.is_out[number, column] |= ~moved.stays_within(known, rise_m)
-        self.is_out[number, column] |= ground.crosses_gap(moved, rise_m)
-
-    def _there(self, number: int, rays: Rays) -> Rays:
-        """Return rays from the same places, as a displaced city has them."""
-        east_m, north_m = self.moves_m[number]
-        return rays.moved(-east_m, -north_m)
+        # A city that moves is the same as rays that move the other way.
+        for number, (east_m, north_m) in enumerate(self.moves_m):
+            report("displaced cities", number, len(self.moves_m))
+            moved = rays.moved(-east_m, -north_m)
+            self.is_seen[number, column] = ground.margins_m(moved) >= 0
+            self.is_out[number, column] = ground.is_inside(moved)
+            if known is not None and number < self.num_null:
+                self.is_out[number, column] |= ~moved.stays_within(known, rise_m)
+                self.is_out[number, column] |= ground.crosses_gap(moved, rise_m)
+        for number, scale in enumerate(SCALES):
+            self.of_scale[number, column] = ground.with_roofs(scale).margins_m(rays) >= 0
 
     def tables(self, rows: pd.DataFrame, seed: int) -> "DisplacedScores":
         """Return how displaced cities and other roofs score, when all legs are filled in.

@@ -43,20 +43,16 @@ def aucs(
 
     # A seen row wins against the hidden rows below its level, and half against those at it.
     wins, pairs = np.zeros(len(weights)), np.zeros(len(weights))
-    for chosen in _groups(group, len(level)):
-        seen = weights @ counts(chosen & is_seen)
-        hidden = weights @ counts(chosen & ~is_seen)
+    if group is None:
+        group = np.zeros(len(level))
+    for number in np.unique(group):
+        is_member = group == number
+        seen = weights @ counts(is_member & is_seen)
+        hidden = weights @ counts(is_member & ~is_seen)
         below = np.cumsum(hidden, axis=1) - hidden / 2
         wins += (seen * below).sum(axis=1)
         pairs += seen.sum(axis=1) * hidden.sum(axis=1)
     return np.divide(wins, pairs, out=np.full(len(weights), np.nan), where=pairs > 0)
-
-
-def _groups(group: np.ndarray | None, num: int) -> list[np.ndarray]:
-    """Return for each group a mask ``[R]`` of its rows; without groups one mask of all ``num`` rows."""
-    if group is None:
-        return [np.ones(num, bool)]
-    return [group == number for number in np.unique(group)]
 
 
 def drawn_blocks(place: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:

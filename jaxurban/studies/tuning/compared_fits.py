@@ -98,9 +98,8 @@ def compare_fits(
     queries = [each.query for each in demonstrations]
     names = check_alike(queries)
     city = np.repeat([*map(str, cities)], [*map(len, cities.values())])
-    starts = [query.start for query in queries]
-    goals = [query.goal for query in queries]
-    group, _ = pd.factorize(pd.Series(list(zip(city.tolist(), starts, goals, strict=True))))
+    ends = [(query.start, query.goal) for query in queries]
+    group, _ = pd.factorize(pd.Series(list(zip(city.tolist(), ends, strict=True))))
     is_held_out = split(city, group, hold_out, settings.seed)
 
     # The fits, of which only the first goes on from the state file.

@@ -115,10 +115,10 @@ def open_cities(
     all_maps = {}
     rules = {}
     for city, source in sources.items():
-        is_in_memory = isinstance(source, MetricMaps)
-        maps, settings_of_city = settings.under(source if is_in_memory else source.open())
+        maps = source if isinstance(source, MetricMaps) else source.open()
+        maps, settings_of_city = settings.under(maps)
         all_maps[city] = maps
-        opened[city] = maps if is_in_memory else source.at(maps)
+        opened[city] = maps if isinstance(source, MetricMaps) else source.at(maps)
         rules[city] = settings_of_city, Weights.of(weights, maps.recorded.get("weights"))
 
     # One set of rules and comparable costs for all cities.
