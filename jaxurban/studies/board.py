@@ -202,7 +202,9 @@ def _queries_of_tracks(
 def score(
     folder: str | Path, submission: str | Path, board: str | Path | None = None, method: str = ""
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the board's lines of a submission, and what each route is worth; no cost but `Problem.features`' counts.
+    """Return the board's lines of a submission, and a row per route with its outcome.
+
+    Costs are counted by `Problem.features` alone; a cost that the submission claims is only compared.
 
     Args:
       folder: of the bundle, from `make_benchmark`.
@@ -214,10 +216,11 @@ def score(
       method: name on the board; left out, that of the file.
 
     Returns:
-      A line a track and city: how many routes were asked, are valid, failed and why, and claim another cost than they
-      have; the median, 90 % and largest ``gap``, the median of ``over_best`` and of the CPU seconds claimed. And a row
-      a route: ``outcome``, ``cost``, ``gap`` to the bound and ``over_best``, the best route known (0.01: 1 % costlier;
-      inf of a route that is not valid). A track is entered by one row of it; then all its queries are asked.
+      First a line per track and city: how many routes were asked, are valid, failed and why, and claim another cost
+      than they have; the median, 90 % quantile and largest ``gap``; the medians of ``over_best`` and of the claimed CPU
+      seconds. Second a row per route: ``outcome``; ``cost``; ``gap``, the share by which it costs more than the bound;
+      and ``over_best``, the same above the best route known (0.01: 1 % costlier). These three are inf for a route that
+      is not valid. One row enters a submission in its track, of which all queries are then asked.
 
     Raises:
       InputError: a bundle that was changed; a file that is no table, lacks a column, holds no row, answers what is not

@@ -49,34 +49,37 @@ def check(
     weights: WeightsLike = None,
     sources: City | str | Path | None = None,
 ) -> MissionCheck:
-    """Return what a mission that any tool made meets over maps: findings, what cannot be judged, and figures.
+    """Return the findings of a mission over maps, whatever tool made it, with what cannot be judged and figures.
 
-    Buildings are looked at by their exact outlines, read again from the files that the run of the maps recorded, or in
-    ``sources``; where these are gone, by the cells that roofs touch, which the result says. A roof is as high above
-    the ground at each of its points as its height says. Findings are contacts with buildings and places nearer than
-    the clearances, the ground, no-fly zones, closed cells, and limits that are named here; all else is a figure. Not
-    judged is what the reader did not understand, what lies outside the maps, over cells without data or beyond the
-    maps' altitudes (but for take-off and landing), and what passes over, or within the clearance of, a guessed roof.
+    Buildings count by their exact outlines, read again from the files that the run of the maps recorded, or from
+    ``sources``. Where these are gone, the cells that roofs touch count instead, and the result says so. A roof has its
+    height above the ground at each of its points.
+
+    Findings are contacts with buildings, places nearer than the clearances, the ground, no-fly zones, closed cells, and
+    limits that are exceeded; all else is a figure. Parts of a mission are not judged if the reader did not understand
+    them, if they lie outside the maps, over cells without data or beyond the maps' altitudes (but for take-off and
+    landing), or if they pass over a guessed roof or within the clearance of one.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
-      mission: a file (``.plan``, ``.waypoints``, ``.kml``, ``.gpx``, ``.geojson``, ``.csv``), or one that was read.
-      heights: what heights are above where the file leaves it open: ``"home"``, ``"ground"``, ``"geoid"`` or
-        ``"ellipsoid"``.
-      home: longitude, latitude of home where the file has none.
-      return_altitude_m: height above home at which the vehicle returns where the file leaves it open.
-      geoid_m: height of the geoid above the ellipsoid there, for heights above the latter.
-      no_fly: files of no-fly zones, beside those of ``constraints``.
-      constraints: zones, bounds, clearances and vehicle; left out, as the maps' scenario has them.
-      clearance_m, vertical_clearance_m: instead of those of ``constraints``.
-      time: UTC time of the flight, or several: of the GPS maps, and zones count that are in force at one of them.
-        Left out, the maps' first time, and every zone.
+      mission: a file (``.plan``, ``.waypoints``, ``.kml``, ``.gpx``, ``.geojson``, ``.csv``), or a `Mission` that was
+        read from one.
+      heights: the level from which heights count where the file leaves it open: ``"home"``, ``"ground"``, ``"geoid"``
+        or ``"ellipsoid"``.
+      home: longitude and latitude of home, for a file that has none.
+      return_altitude_m: height above home at which the vehicle returns, for a file that has none.
+      geoid_m: height of the geoid above the ellipsoid, for heights above the ellipsoid.
+      no_fly: files of no-fly zones, which add to the zones of ``constraints``.
+      constraints: zones, bounds, clearances and vehicle; left out, those of the maps' scenario.
+      clearance_m, vertical_clearance_m: replace the clearances of ``constraints``; left out, they do not.
+      time: one or several UTC times of the flight. The GPS maps of these times count, and the zones that are in force
+        at one of them. Left out, the maps' first time and every zone count.
       time_of_day: of the map of people; the first if left out.
-      max_no_fix_m: most metres without a position fix, at the worst of the times.
-      max_people: most people overflown.
+      max_no_fix_m: most metres without a position fix that are allowed, at the worst of the times.
+      max_people: most people overflown that are allowed.
       swath_m: width of the strip in which people are counted.
-      weights: of the cost; left out, as the maps' scenario has them.
-      sources: the City, or the folder that the recorded files' paths begin at.
+      weights: of the cost; left out, those of the maps' scenario.
+      sources: the City, or the folder at which the recorded files' paths begin.
 
     Returns:
       `MissionCheck`, whose ``state`` is ``"clean"`` only if every leg was judged and nothing was found.

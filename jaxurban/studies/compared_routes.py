@@ -29,23 +29,24 @@ def compared_routes(
     times: tuple[str | None, str | None],
     report: Report,
 ) -> pd.DataFrame:
-    """Return a row for each route of A under B, and of B under A: its cost there, and the cheapest one's.
+    """Return a row for each route that is planned on map A and judged on map B, and the other way round.
 
-    At each altitude ``num`` pairs of cells that are free in both are drawn, and the cheapest route of the grid between
-    them is planned on either. Weights, cost model and constraints are those of A's scenario, for both.
+    At each altitude ``num`` pairs of cells that are free in both maps are drawn, and on each map the cheapest route of
+    the grid between them is planned. Both maps have the weights, cost model and constraints of A's scenario.
 
     Args:
       a, b: the maps, cut to what both hold (`map_comparison.shared_part`).
       num: pairs at each altitude.
       seed: of the pairs.
-      times: of A and of B.
+      times: of A and of B; None: the first one.
       report: called with stage, done and total.
 
     Returns:
-      Rows with the ends in metres, ``cost`` on the map that the route was planned on, ``cost_there`` on the other
-      (missing where it is closed there), ``best_there`` of that map's own route, ``regret`` (cost_there / best_there -
-      1), ``closed_m``, its length in cells that are closed there, and ``is_closed``, also where it only comes too near
-      one. A route that was not found has no numbers.
+      Rows with the ends in metres and ``status``. ``cost`` is the route's cost on the map on which it was planned,
+      ``cost_there`` its cost on the other map (NaN where it is closed there), ``best_there`` the cost of the other
+      map's own route, and ``regret`` is cost_there / best_there - 1. ``closed_m`` is its length in cells that are
+      closed on the other map, and ``is_closed`` is 1 where it crosses such cells or comes too near one. A route that
+      was not found has NaN instead.
 
     Raises:
       InputError: fewer than two cells are free in both at an altitude, or the scenario asks what B does not hold.

@@ -126,26 +126,25 @@ def read_demonstrations(
 ) -> list[Demonstration]:
     """Return the routes of a file as demonstrations; lists of several files or cities may be joined with ``+``.
 
-    Lines are taken as they are. Ends in closed cells move to free ones by at most 50 m, and lines of no use are left
-    out with a warning that says which and why. A table of queries holds no lines: `demonstrations_from_study` plans its
-    routes.
+    Lines are not planned again, but followed on the grid. Ends in closed cells move to free cells by at most 50 m.
+    Lines of no use are left out, with a warning that says which and why. A table of queries holds no lines:
+    `demonstrations_from_study` plans its routes.
 
-    Altitude and times are those of the arguments. Where these are left out, the feature's own properties
-    ``altitude_m``, ``time`` and ``time_of_day`` hold (paths that jaxurban wrote carry them), and else the maps' first
-    times.
+    The arguments set altitude and times. Where an argument is left out, the line's own property ``altitude_m``,
+    ``time`` or ``time_of_day`` counts (paths that jaxurban wrote carry them), and without one the maps' first time. An
+    altitude must be known.
 
     Args:
       file: GeoJSON, KML, GPX, or another vector file, with LineStrings.
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
-      altitude_m, time, time_of_day: of every route.
-      cost_model: of every route; left out, the one that jaxurban's own paths were planned under.
+      altitude_m, time, time_of_day: of every route, in metres above the ground and UTC.
+      cost_model: of every route; left out, the one under which jaxurban's own paths were planned.
       constraints: no-fly zones, bounds and clearances, as in `plan`.
-      preset: as in `plan`; of the cost model where no route names one.
-      metrics: those whose weights are to be fitted; all if left out.
+      preset: as in `plan`; gives the cost model where no route names one.
+      metrics: the metrics whose weights are to be fitted; all if left out.
 
     Returns:
-      A `Demonstration` a line, in the order of the file, without those that were left out; ``note`` says what had to
-      be done to a line.
+      A `Demonstration` per line that is of use, in the order of the file; ``note`` says what had to be done to a line.
 
     Raises:
       InputError: no lines, or none with an altitude, on a map, inside the maps and past obstacles, or paths that were
@@ -204,16 +203,17 @@ def demonstrations_from_paths(
     """Return planned paths as demonstrations, each on the map that it was planned on.
 
     Args:
-      paths, maps: from `plan`, one or several, and the maps that they were planned on, or their folder.
-      constraints: those that they were planned under; a path does not carry its zones.
+      paths: one or several, from `plan`.
+      maps: the maps on which they were planned, or their folder.
+      constraints: the constraints under which they were planned, as a path does not carry its zones.
       cost_model, preset, metrics: as in `read_demonstrations`.
 
     Returns:
-      A `Demonstration` a path, in their order.
+      A `Demonstration` per path, in their order.
 
     Raises:
-      InputError: a path without points, maps that are not those of the paths, or paths that were planned under
-        different cost models.
+      InputError: a path without points or with several altitudes, maps that do not belong to the paths, or paths that
+        were planned under different cost models.
 
     Examples:
       >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
@@ -357,11 +357,11 @@ def optimal_demonstrations(queries: Sequence[RouteQuery], weights: Weights) -> l
 def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "") -> Demonstration:
     """Return a route as a demonstration that planners of the grid could have made.
 
-    A route over centres of cells is taken as it is, where straight runs may skip what lies between their ends (as
-    missions do). Any other line is redrawn on the grid, leg by leg, by the shortest grid path within a narrow corridor
-    around it: a grid path is up to 8.24 % longer than the line that it follows, and a demonstration must not seem
-    cheaper than every route that it is compared with. Legs are the line's own, simplified by half a cell; ends in
-    closed cells move to the nearest free ones that are joined, by at most 50 m (`jaxurban.paths.snapping`).
+    A route over centres of cells is not changed; where its straight runs skip cells, as missions do, these are filled
+    in. Any other line is redrawn on the grid, leg by leg, by the shortest grid path within a narrow corridor around it:
+    a grid path is up to 8.24 % longer than the line that it follows, and a demonstration must not seem cheaper than
+    every route with which it is compared. Legs are those of the line, simplified by half a cell. Ends in closed cells
+    move to the nearest free cells that a path joins, by at most 50 m (`jaxurban.paths.snapping`).
 
     Args:
       cost_map: from `jaxurban.cost_map`.

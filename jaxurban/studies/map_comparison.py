@@ -55,11 +55,11 @@ class MapComparison(FactsRepr):
 
     @property
     def regrets(self) -> pd.DataFrame:
-        """By altitude, what routes planned on A cost too much on B, and those of B on A; empty without routes.
+        """By altitude, how much too much routes planned on A cost on B, and the other way round; empty without routes.
 
-        ``routes`` found, the share ``closed`` on the other map and ``closed_m``, the median length of these in closed
-        cells; of the others the median ``regret`` (0.05: 5 % above the cheapest there), the 90 % quantile and the
-        worst. ``closed`` and ``regret`` with 95 % intervals.
+        ``routes`` counts the routes that were found. ``closed`` is the share of them that the other map closes, and
+        ``closed_m`` their median length in closed cells. Of the other routes ``regret`` is the median (0.05: 5 % above
+        the cheapest there), with the 90 % quantile and the worst. ``closed`` and ``regret`` have 95 % intervals.
         """
         return regrets(self.routes) if len(self.routes) else pd.DataFrame()
 
@@ -98,8 +98,8 @@ class MapComparison(FactsRepr):
             ALTITUDE: self.a.altitudes_m,
             TIME_OF_DAY: self.a.times_of_day,
         }
-        along = [values[dim] if dim in dims else (None,) for dim in values]
-        return [OneMap(z_m, time, day) for time, z_m, day in itertools.product(*along)]
+        choices = [values[dim] if dim in dims else (None,) for dim in values]
+        return [OneMap(z_m, time, day) for time, z_m, day in itertools.product(*choices)]
 
     @typed
     def of(

@@ -109,7 +109,8 @@ def make_queries(
     Args:
       cost_map: from `jaxurban.cost_map`.
       pairs: start and goal of each query.
-      snap: move an end inside an obstacle to the nearest free cell, by at most 50 m, or so many metres.
+      snap: move an end inside an obstacle to the nearest free cell: False never, True by at most 50 m, a number by at
+        most this many metres.
 
     Returns:
       The queries in the order of the pairs: ``start`` and ``goal`` are cells, row and column, and ``name`` is the
@@ -139,7 +140,7 @@ def make_queries(
 
 
 def weights_from(query: RouteQuery, values: np.ndarray) -> Weights:
-    """Return the weights with these values ``[K]``, those of the maps' other metrics 0."""
+    """Return `Weights` from values ``[K]`` in the order of the query's names; metrics it does not have weigh 0."""
     others = dict.fromkeys(("distance", *METRICS, *query.cost_map.maps.metrics), 0.0)
     return Weights(**others | dict(zip(query.names, map(float, values), strict=True)))
 

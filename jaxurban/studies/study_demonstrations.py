@@ -83,23 +83,25 @@ def demonstrations_from_study(
 ) -> list[Demonstration]:
     """Return the routes of a Monte Carlo study, or of a table of instances, as demonstrations of one W.
 
-    The routes are planned again, each under the weights of its row, and those of a study by the planner of their rows.
-    Rows without a path and routes that cost otherwise than their row says (where a budget in seconds ended the search)
-    are left out with a warning that counts them. Routes by day and by night go together, since one W planned them all.
+    The routes are planned again, each under the weights of its row, and for a study by the planner of its row. Rows
+    without a path are left out with a warning that counts them, and so are routes that now have another cost than their
+    row says, as where a budget in seconds ended the search. Routes by day and by night go together, since one W planned
+    them all.
 
     Args:
       study: what `jaxurban.studies.study` returned, or the folder that it or ``jaxurban study`` wrote; or instances
         (`jaxurban.studies.sample_instances`) or queries (`plan_many`), as a table or in a .csv or .parquet file.
-      maps: that it was run on, from `build_maps` or `open_maps`, or their folder; may be left out for a result and for
-        the folder of ``jaxurban study``, which hold them.
-      altitude_m, time, time_of_day: take only the routes at these.
-      planner: of the study, whose routes are taken; left out, the one that most often proved its route the cheapest.
-      pilot: weights under which all routes are planned, by A*, instead of those of the rows.
-      cost_model, constraints, preset: as in `plan`; left out, those of the study, of which zones must be given again.
-      metrics: those whose weights are to be fitted; all if left out.
+      maps: the maps on which the study was run, from `build_maps` or `open_maps`, or their folder; may be left out for
+        a result and for the folder of ``jaxurban study``, which hold them.
+      altitude_m, time, time_of_day: take only the routes at this altitude and these times; left out, at all.
+      planner: the planner of the study whose routes are taken; left out, the one that most often proved its route the
+        cheapest.
+      pilot: weights under which all routes are planned, by A*, instead of the weights of the rows.
+      cost_model, constraints, preset: as in `plan`; left out, the study's own, but no-fly zones must be given again.
+      metrics: the metrics whose weights are to be fitted; all if left out.
 
     Returns:
-      A `Demonstration` a route, in the order of the rows, named by the number of its instance.
+      A `Demonstration` per route, in the order of the rows, named by the number of its instance.
 
     Raises:
       InputError: no finished study, a damaged table, other maps or constraints than the study's, an unknown planner,

@@ -76,16 +76,16 @@ def study(
 ) -> BenchmarkResult:
     """Return what every planner finds for every instance, under equal budgets: a Monte Carlo benchmark.
 
-    Rows are kept in ``folder`` (``rows.parquet``, one a planner, objective, instance and altitude) as they come; the
-    same call after any end, ``kill -9`` included, runs only what is missing; planners and instances may be added. A
+    Rows are kept in ``folder`` (``rows.parquet``, one per planner, objective, instance and altitude) as they come. The
+    same call after any end, ``kill -9`` included, runs only the missing ones; planners and instances may be added. A
     planner that crashes leaves a row with the status ``crashed``, and a place that is not free one with ``bad-input``.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of maps, which several workers need; a `MapsFolder` where it
         holds several resolutions, or planners are to keep another rule of obstacles.
       folder: where the benchmark is kept.
-      instances: a table as from `jaxurban.studies.sample_instances`, or how many to sample at each altitude; left out,
-        as the settings say. Their ``is_connected`` is found again on these maps.
+      instances: a table as from `jaxurban.studies.sample_instances`, whose ``is_connected`` is found again on these
+        maps, or the number to sample at each altitude; left out, the settings' number.
       settings: planners and budgets.
       cost_model, constraints, preset: of all routes, as in `jaxurban.plan`; a cost model that is left out is that of
         the settings, else that of the maps' scenario.
@@ -95,8 +95,8 @@ def study(
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
-      ``rows``, one a planner, objective, instance and altitude: its status, its costs, metres (``length_m``) and
-      seconds (``elapsed_s``), the mean of each metric; ``table``, the same beside their instances; ``save`` writes the
+      ``rows``, one per planner, objective, instance and altitude: status, costs, metres (``length_m``), seconds
+      (``elapsed_s``) and the mean of each metric; ``table``, the same beside their instances; ``save`` writes the
       report.
 
     Raises:
@@ -148,25 +148,28 @@ def study(
         )
 
     # The runs that the folder lacks; it is shared with the maps, and mended unless it is replaced.
-    key = job.deciding(opened)
-    names = [ROWS_FILE, INSTANCES_FILE]
     with Workspace.open(
         folder,
         "study",
-        key,
-        names=names,
+        job.deciding(opened),
+        names=[ROWS_FILE, INSTANCES_FILE],
         overwrite=overwrite,
         is_shared=True,
         is_mended=not overwrite,
     ) as workspace:
         _check_growth(workspace, instances)
         write_table(instances, folder / INSTANCES_FILE)
-        file = folder / ROWS_FILE
         columns = row_columns(instances.columns)
         with reporting("study", progress) as report:
             sources = {None: source}
             rows = run_rows(
-                file, job, instances, sources, lambda _: columns, workers=workers, report=report
+                folder / ROWS_FILE,
+                job,
+                instances,
+                sources,
+                lambda _: columns,
+                workers=workers,
+                report=report,
             )
     return BenchmarkResult(folder, opened, instances, rows, job)
 

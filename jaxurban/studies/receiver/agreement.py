@@ -295,8 +295,9 @@ def agreement_of(
     rules = features_of(
         chosen.margin_m.to_numpy(), rays_chosen.elevation_rad, rays_chosen.azimuth_rad - street_rad
     )
-    truths = chosen.is_strong.to_numpy(), chosen.block.to_numpy()
-    rivals = compared_rules(rules, *truths, settings.seed)
+    is_strong = chosen.is_strong.to_numpy()
+    block = chosen.block.to_numpy()
+    rivals = compared_rules(rules, is_strong, block, settings.seed)
     num_blocks = int(chosen.block.nunique())
     return SatelliteAgreement(
         rows=rows,
@@ -306,7 +307,7 @@ def agreement_of(
         scales=of_displaced.scales,
         peak=of_displaced.peak,
         rivals=rivals,
-        block_lengths=gain_by_length(rules, *truths, settings.sky_block_m, settings.seed),
+        block_lengths=gain_by_length(rules, is_strong, block, settings.sky_block_m, settings.seed),
         skies=_skies(rows, rays, log, city, grid, reach_m, settings.antenna_height_m),
         strong_dbhz=strong_dbhz,
         verdict=verdict_of(scores, of_displaced.null, rivals, num_blocks),

@@ -162,11 +162,16 @@ def _peak(moves_m: np.ndarray, scale: np.ndarray) -> dict[str, float]:
     }
 
 
-def peaks(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return ``[D, ...]`` where, of ``[F, ...]``, a draw's values ``[F, D]`` are highest; NaN where all are alike."""
+def peaks(values: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+    """Return ``[D, ...]`` the candidate with the highest value in each draw; NaN where all values are alike or NaN.
+
+    Args:
+      values: ``[F, D]`` of each candidate in each draw.
+      candidates: ``[F, ...]`` displacements or scales.
+    """
     highest = np.nan_to_num(values, nan=-np.inf)
     has_peak = highest.max(axis=0) > np.nan_to_num(values, nan=np.inf).min(axis=0)
-    places = at[np.argmax(highest, axis=0)].astype(np.float64)
+    places = candidates[np.argmax(highest, axis=0)].astype(np.float64)
     places[~has_peak] = np.nan
     return places
 

@@ -26,13 +26,13 @@ class ReceiverSettings:
 
     Attributes:
       antenna_height_m: of the receiver's antenna above the ground.
-      sky_step_s: satellites stand still for so many seconds; each epoch takes the sky nearest to it in time.
+      sky_step_s: seconds for which satellites stand still; each epoch takes the sky nearest to it in time.
       piece_m: length of the pieces of track whose medians are compared.
       other_pieces_m: further lengths of pieces for which the same is reported.
       block_m: length of the blocks of track within which ranks are compared, and of which one after the other is left
         out for the interval.
       sky_block_m: length of the blocks of track that the bootstrap of satellites' scores draws.
-      known: where the buildings are known: ``"city"``, what their file covers; a number, so many metres around the
+      known: where the buildings are known: ``"city"``, what their file covers; a number, this many metres around the
         track; a vector file of polygons; or ``"all"``, which judges rays that leave the data as if nothing stood there.
       systems: letters of the satellite systems that are taken, as ``("G", "E")``; empty, all of the log.
       num_displaced: displaced cities of the null.

@@ -105,7 +105,7 @@ class Ground:
         return jax.device_put(np.where(self.has_data, -np.inf, 0.0).astype(np.float32))
 
     def with_roofs(self, scale: float) -> "Ground":
-        """Return the ground with all roofs so many times as high."""
+        """Return the ground with the height of all roofs multiplied by a factor."""
         return replace(self, roof_m=np.float32(scale) * self.roof_m)
 
     def is_inside(self, rays: Rays) -> np.ndarray:
@@ -132,7 +132,7 @@ class Ground:
         return np.where(margin_m < FARTHEST_MARGIN_M, margin_m, np.inf)
 
     def crosses_gap(self, rays: Rays, rise_m: float) -> np.ndarray:
-        """Return ``[R]`` which rays begin over cells without data, or cross one before they have risen so far."""
+        """Return ``[R]`` which rays begin over a cell without data, or cross one before they rise by ``rise_m``."""
         if self.has_data is None:
             return np.zeros(len(rays.x_m), bool)
         row, col, lines = self._lines(rays)
@@ -191,7 +191,7 @@ def legs(x_m: np.ndarray, y_m: np.ndarray, resolution_m: float) -> Iterator[slic
 
 
 def box_of(grid: Grid, rays: Rays, around_m: float) -> Grid:
-    """Return the cells, aligned with those of a grid, that hold the places and so many metres around them."""
+    """Return the cells, aligned with a grid, that hold the places of rays and ``around_m`` metres on each side."""
     low_m = np.array([rays.y_m.min(), rays.x_m.min()]) - around_m
     high_m = np.array([rays.y_m.max(), rays.x_m.max()]) + around_m
     first = np.floor(low_m / grid.resolution_m).astype(int)

@@ -101,10 +101,10 @@ def validate(
 ) -> ReceiverValidation:
     """Return how well maps of a scenario predict what a receiver logged on its way through the city.
 
-    Of a log with a row per satellite each C/N0 is compared with whether the city hides that satellite: the result's
-    ``satellites``. Of a log of counts, satellites in view, dilutions of precision and m of GPS are those of maps of the
-    scenario's city, orbits and mask, at the log's times and the antenna's height, in the cells of the track. No number
-    of the maps is fitted to the log.
+    For a log with a row per satellite, each C/N0 is compared with whether the city hides that satellite; the result
+    holds this as ``satellites``. For a log of counts, maps are made of the scenario's city, orbits and mask, at the
+    log's times and the antenna's height, and give satellites in view, dilutions of precision and m of GPS in the cells
+    of the track. No number of the maps is fitted to the log.
 
     Args:
       scenario: of the maps; its times, its altitudes and the layers that a user added are ignored.
@@ -333,8 +333,8 @@ def shifted(coefficient: Callable[[np.ndarray], float], values: np.ndarray) -> n
 def pieces_of(epochs: pd.DataFrame, piece_m: float, block_m: float) -> pd.DataFrame:
     """Return a row per piece of track: medians of what the receiver logged and of what the maps say.
 
-    Columns: ``piece``, ``block`` (numbers along the track), ``utc`` (of the middle epoch), ``epochs`` (how many), and
-    those of the epochs. Epochs in a building or without data are left out.
+    The columns are ``piece`` and ``block`` (numbers along the track), ``utc`` (of the middle epoch), ``epochs`` (how
+    many), and the median of every column of numbers. Epochs in a building or without data are left out.
 
     Args:
       epochs: as `ReceiverValidation` holds them.

@@ -176,7 +176,7 @@ def fit_targets(
     perturbed planner over the routes found so far, with noise that shrinks, from the best of many random weights.
     Routes under the best weights are then planned without noise, and more around them, until three rounds better
     nothing; the best weights by planned routes are returned. If they miss, each target is tried alone, and then each
-    pair of those that can be met. A target that was missed may still be reachable: the search found no better weights.
+    pair of targets that can be met alone. A target that was missed may still be reachable, as the search is not exact.
 
     Args:
       queries: from `jaxurban.studies.make_queries`; lists of several maps may be joined with ``+``.

@@ -139,11 +139,12 @@ def fit_weights(
 ) -> WeightFit:
     """Return the weights under which demonstrated routes are as close to cheapest as any weights make them.
 
-    A perturbed Fenchel-Young loss is brought down by gradient in log weights, over the routes found so far. Rounds of
-    searches under the current and under perturbed weights find more, until a round betters none. The noise shrinks from
-    round to round: wide noise leads from anywhere, narrow noise ends near the middle of the weights that explain the
-    demonstrations. From there the mean regret itself is brought down, and demonstrations that stay far costlier than
-    most are trusted less (a redescending weight on their regret), so that some detours do not bend the fit.
+    A perturbed Fenchel-Young loss is minimised by gradient in log weights, over the routes found so far. Rounds of
+    searches under the current and under perturbed weights find more routes, until a round finds no cheaper one. The
+    noise shrinks from round to round: wide noise leads from anywhere, narrow noise ends near the middle of the weights
+    that explain the demonstrations. From there the mean regret itself is minimised, and demonstrations that stay far
+    costlier than most are trusted less (a redescending weight on their regret), so that some detours do not bend the
+    fit.
 
     Only the direction of W can be found; its length is set by ``scale``. The weight of a layer that is constant
     over the maps cannot be identified, and ``unidentified`` says so: under ``line`` (or where it costs nothing) it

@@ -51,9 +51,9 @@ class SensitivityStudySettings(RouteJob):
         weight as the unit unless it is named.
       factors: breakpoints are looked for, and weights of the Sobol indices drawn, from the first to the second of
         these times each weight.
-      wrong: a wrong weight is so many times too large or too small.
+      wrong: factor by which a wrong weight is too large or too small.
       num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none.
-      num_heights: also plan on maps of so many draws of all heights.
+      num_heights: draws of all heights, on the maps of each of which every route is planned too.
       has_parameters: also plan on maps of which one parameter of the metrics is halved or doubled: each number that
         they have a gradient by (GDOP threshold, lidar range, risk threshold, both gammas of the population).
       seed: of the sampling of routes and weights, with the place of the city among those of the study and the route's

@@ -48,7 +48,7 @@ class Sensitivity(FactsRepr):
 
     @property
     def facts(self) -> dict[str, str]:
-        """The route, and of each weight that varies its share of the cost and how many routes its range holds."""
+        """The route, and for each weight that varies its value, share of the cost and number of routes in its range."""
         low, high = self.settings.factors
         facts = {
             "route": f"cost {self.route.cost:,.2f}, {self.route.length_m:,.0f} m at {self.route.altitude_m:g} m",
@@ -63,9 +63,10 @@ class Sensitivity(FactsRepr):
 
     @typed
     def breakpoints(self, name: str) -> pd.DataFrame:
-        """Return the routes along the range of one weight: ``from`` and ``to`` its value, and their outcomes.
+        """Return the routes along the range of one weight, and their outcomes.
 
-        ``is_given`` marks the route under the given weights.
+        ``from`` and ``to`` are the values of the weight between which a route is the cheapest; ``is_given`` marks the
+        route under the given weights.
 
         Args:
           name: of a weight that was varied.
@@ -182,14 +183,15 @@ def sensitivity(
     """Return what would change the cheapest route of a query, and what would not.
 
     Along the range of each weight all breakpoints are found. The Pareto front can hold nearly as many routes as the
-    maps have cells: there the tolerance leaves out those that never save more than this share of the cost.
+    maps have cells, so there the tolerance leaves out routes that never save more than this share of the cost.
 
     Args:
       cost_map: from `jaxurban.cost_map`; the weights vary around its own.
       start, goal: longitude, latitude in degrees.
-      snap: move a start or goal inside an obstacle to the nearest free cell, by at most 50 m, or so many metres.
-      settings: what is varied.
-      progress: gets what runs and the searches made, as in `ju.build_maps`.
+      snap: move a start or goal inside an obstacle to the nearest free cell: False never, True by at most 50 m, a
+        number by at most this many metres.
+      settings: which weights vary, and how far.
+      progress: gets the stage and the number of searches so far, as in `ju.build_maps`.
 
     Returns:
       ``cost``, a row per weight: its value, the derivative of the cost by it, and its share of the cost
