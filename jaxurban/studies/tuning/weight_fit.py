@@ -415,8 +415,8 @@ def _refitted(
     # Fits to demonstrations that are drawn again, cities first.
     rng = np.random.default_rng([IN_BOOTSTRAP, 0, fit.seed])
     num = len(fit.unit)
-    maps = [demonstration.query.cost_map.maps for demonstration in demonstrations]
-    cities, _ = pd.factorize(np.array(list(map(id, maps))))
+    maps = [id(demonstration.query.cost_map.maps) for demonstration in demonstrations]
+    cities, _ = pd.factorize(np.array(maps))  # a city is one set of maps
     task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
     log_draws = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng))
     draws = np.array([_scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, num)
