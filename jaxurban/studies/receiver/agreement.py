@@ -228,13 +228,13 @@ def agreement_of(
     """Return how a city agrees with the satellites of a log.
 
     Args:
-      log: with azimuths and elevations.
-      track: of its epochs.
-      city: in the CRS of the grid.
-      known: where its buildings are known.
-      grid: whose cells are taken, also beyond it.
-      mask_deg: lower rows are left out.
-      settings: how the two are set beside each other.
+      log: a row per epoch and satellite, with azimuth and elevation in degrees.
+      track: places of the log's epochs.
+      city: its buildings and terrain, in the CRS of the grid.
+      known: where its buildings are known, in the same CRS.
+      grid: gives size and alignment of the cells, which may lie beyond it.
+      mask_deg: rows with a lower elevation are left out.
+      settings: systems, blocks, antenna height, what counts as known, and the number of displaced cities.
       report: of the progress.
 
     Raises:
