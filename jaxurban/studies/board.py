@@ -1,6 +1,6 @@
 """The board, a benchmark of routes that planners of any kind can enter: its bundle, and the judge of routes."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -67,6 +67,7 @@ def make_benchmark(
     Raises:
       InputError: the folder cannot be written to, or holds other files of these names.
     """
+    # The files are claimed before the maps are made, which takes minutes.
     folder = Path(folder)
     cities = [*SAMPLED, SYNTHETIC] if maps is None else [*maps]
     names = [QUERIES, DEMONSTRATIONS, CHECKSUMS, *TEXTS, *(f"{city}.npz" for city in cities)]
@@ -78,29 +79,34 @@ def make_benchmark(
     ):
         maps = city_maps() if maps is None else maps
         written = []
-        for seed, (city, of_city) in enumerate(maps.items()):
-            costs = cost_map(of_city, of_city.altitudes_m[0], cost_model="line")
+        for seed, (city, city_map) in enumerate(maps.items()):
+            # Costs are rounded before anything is planned, so that the files hold what routes were judged by.
+            costs = cost_map(city_map, city_map.altitudes_m[0], cost_model="line")
             problem = costs.problem.with_costs(np.round(costs.costs, DECIMALS))
             written.append(_pack(costs, problem, folder / f"{city}.npz"))
-            weights = ["distance", *costs.names]
+
+            # Pairs of ends, in metres from the map's southwest corner: first those of queries, then of demonstrations.
             instances = sample_joined(
-                of_city,
+                city_map,
                 2 * num_queries,
-                altitudes_m=of_city.altitudes_m[:1],
+                altitudes_m=city_map.altitudes_m[:1],
                 cost_model="line",
                 seed=seed,
             )
             instances[ENDS] -= np.tile(costs.grid.bounds_m[:2], 2)
-            columns = [*ENDS, *(f"w_{name}" for name in weights)]
-            for turn, instance in enumerate(records_of(instances[columns])):
-                report(city, turn, len(instances))
-                row = {"city": city, "query": f"{city}-{turn:02}"} | instance
-                if turn < num_queries:
-                    layer = costs.names[turn % len(costs.names)]
-                    queries += _queries_of_tracks(problem, weights, row, layer)
+            columns = [*ENDS, *(f"w_{name}" for name in costs.weight_names)]
+            for number, instance in enumerate(records_of(instances[columns])):
+                report(city, number, len(instances))
+                row = {"city": city, "query": f"{city}-{number:02}"} | instance
+                if number < num_queries:
+                    layer = costs.names[number % len(costs.names)]  # layers take turns
+                    queries += _queries_of_tracks(problem, costs.weight_names, row, layer)
                 else:
-                    route = astar_plus(problem_of(problem, weights, row | TRUTH)).points_m
-                    demonstrations.append({"city": city, "route": shapely.LineString(route).wkt})
+                    query = problem_of(problem, costs.weight_names, row | TRUTH)
+                    route = shapely.LineString(astar_plus(query).points_m)
+                    demonstrations.append({"city": city, "route": route.wkt})
+
+        # Texts, tables, and last the checksums of all files.
         for name, text in TEXTS.items():
             write_whole(folder / name, (files("jaxurban") / text).read_text(encoding="utf-8"))
             written.append(folder / name)
@@ -112,16 +118,24 @@ def make_benchmark(
 
 
 def city_maps() -> dict[str, MetricMaps]:
-    """Return the maps of the cities in the package and of the synthetic one."""
+    """Return by name the maps, 20 m up and in cells of 5 m, of the cities in the package and of the synthetic one."""
     cities = {name: sample_city(name) for name in SAMPLED} | {SYNTHETIC: demo_city(DEMO_M, DEMO_M)}
     return {
-        name: build_maps(each, resolution_m=5.0, altitudes_m=(20.0,))
-        for name, each in cities.items()
+        name: build_maps(city, resolution_m=5.0, altitudes_m=(20.0,))
+        for name, city in cities.items()
     }
 
 
 def _pack(costs: CostMap, problem: Problem, file: Path) -> Path:
-    """Write a city's map as a compressed .npz, dated 1980 by NumPy (the same map, the same bytes); return the file."""
+    """Write a city's map as a compressed .npz, and return the file.
+
+    The same map gives the same bytes, since NumPy dates the parts of such files 1980.
+
+    Args:
+      costs: what the layers and the place of the map are read from.
+      problem: of the same map, with the costs as they are to be kept.
+      file: where to; it appears only when it is whole.
+    """
     with whole_file(file) as scratch, scratch.open("wb") as stream:
         np.savez_compressed(
             stream,
@@ -136,8 +150,14 @@ def _pack(costs: CostMap, problem: Problem, file: Path) -> Path:
     return file
 
 
-def problem_of(problem: Problem, names: list[str], row: Mapping[str, Any]) -> Problem:
-    """Return the planners' view of a query on its city's map."""
+def problem_of(problem: Problem, names: Sequence[str], row: Mapping[str, Any]) -> Problem:
+    """Return the planners' view of a query on its city's map.
+
+    Args:
+      problem: of the city's map, between any ends and under any weights.
+      names: ``[K]`` the map's weights, ``"distance"`` first.
+      row: of the query: `ENDS` in metres from the map's southwest corner, and a weight ``w_NAME`` for each name.
+    """
     start_col, start_row, goal_col, goal_row = (
         int(row[end] // problem.resolution_m) for end in ENDS
     )
@@ -146,20 +166,34 @@ def problem_of(problem: Problem, names: list[str], row: Mapping[str, Any]) -> Pr
 
 
 def _queries_of_tracks(
-    problem: Problem, names: list[str], row: dict[str, Any], layer: str
+    problem: Problem, names: Sequence[str], row: dict[str, Any], layer: str
 ) -> Iterator[dict[str, Any]]:
-    """Yield a query of each track, with a lower bound and the cost of the best route known."""
+    """Yield a query of each track between the same ends, with a lower bound and the cost of the best route known.
+
+    Args:
+      problem, names, row: as in `problem_of`.
+      layer: whose exposure the track ``budget`` bounds: halfway between the exposure of the cheapest route and the
+        least exposure of any route.
+    """
+    # Track "grid": the planner is exact, so its cost is bound and best at once.
     query = problem_of(problem, names, row)
+    cheapest = astar_plus(query)
+    yield row | {"track": "grid", "bound": cheapest.cost, "best": cheapest.cost}
+
+    # Track "any-angle": no exact planner, so bound and best differ.
+    any_angle = refine(query, theta_star(query)).cost
+    yield row | {"track": "any-angle", "bound": corner_bound(query), "best": any_angle}
+
+    # Track "budget".
     column = names.index(layer)
-    routes = [astar_plus(query), astar_plus(query.with_weights(np.eye(len(names))[column]))]
-    exposures = [query.features(route.points_m).phi[column] for route in routes]
+    least_exposed = astar_plus(query.with_weights(np.eye(len(names))[column]))
+    exposures = [query.features(path.points_m).phi[column] for path in (cheapest, least_exposed)]
     budget = float(np.mean(exposures))
     within = within_budgets(query, astar_plus, {layer: budget}, names[1:], budget_s=np.inf, seed=0)
-    any_angle = refine(query, theta_star(query)).cost
-    yield row | {"track": "grid", "bound": routes[0].cost, "best": routes[0].cost}
-    yield row | {"track": "any-angle", "bound": corner_bound(query), "best": any_angle}
     bounds = {"track": "budget", "bound": within.lower_bound, "best": within.cost}
     yield row | bounds | {"layer": layer, "budget": budget}
+
+    # Track "weights": the exact planner under the weights that a submission has to find.
     cost = astar_plus(problem_of(problem, names, row | TRUTH)).cost
     true_weights = {name: TRUTH[name] for name in TRUTH if name in row}
     yield row | true_weights | {"track": "weights", "bound": cost, "best": cost}
@@ -168,7 +202,9 @@ def _queries_of_tracks(
 def score(
     folder: str | Path, submission: str | Path, board: str | Path | None = None, method: str = ""
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the board's lines of a submission, and what each route is worth; no cost but `Problem.features`' counts.
+    """Return the board's lines of a submission, and a row per route with its outcome.
+
+    Costs are counted by `Problem.features` alone; a cost that the submission claims is only compared.
 
     Args:
       folder: of the bundle, from `make_benchmark`.
@@ -180,15 +216,17 @@ def score(
       method: name on the board; left out, that of the file.
 
     Returns:
-      A line a track and city: how many routes were asked, are valid, failed and why, and claim another cost than they
-      have; the median, 90 % and largest ``gap``, the median of ``over_best`` and of the CPU seconds claimed. And a row
-      a route: ``outcome``, ``cost``, ``gap`` to the bound and ``over_best``, the best route known (0.01: 1 % costlier;
-      inf of a route that is not valid). A track is entered by one row of it; then all its queries are asked.
+      First a line per track and city: how many routes were asked, are valid, failed and why, and claim another cost
+      than they have; the median, 90 % quantile and largest ``gap``; the medians of ``over_best`` and of the claimed CPU
+      seconds. Second a row per route: ``outcome``; ``cost``; ``gap``, the share by which it costs more than the bound;
+      and ``over_best``, the same above the best route known (0.01: 1 % costlier). These three are inf for a route that
+      is not valid. One row enters a submission in its track, of which all queries are then asked.
 
     Raises:
       InputError: a bundle that was changed; a file that is no table, lacks a column, holds no row, answers what is not
         asked, or a query twice; invalid weights; a folder that holds no board, or was changed.
     """
+    # The submission, and the bundle as it was made.
     folder = Path(folder)
     method = method or Path(submission).stem
     table = read_table(submission, "submission")
@@ -206,11 +244,14 @@ def score(
     _check_files(folder, [QUERIES, *digests], digests)
     queries = read_table(folder / QUERIES, "queries")
     is_weights = queries["track"] == "weights"
-    queries["row"] = queries["city"].where(is_weights, queries["query"])  # of a submission
+    queries["row"] = queries["city"].where(is_weights, queries["query"])  # as submissions name it
     _check_answers(submission, table, queries)
+
+    # Every query of the tracks that are entered, beside its answer if there is one.
     table = table.reindex(columns=[*KEYS, *CLAIMED]).rename(columns={"query": "row"})
     queries = queries[queries["track"].isin(table["track"])]
     routes = queries.merge(table, "left", ["track", "row"], indicator="outcome")
+    # How each route is judged on its city's map.
     cities = {city: f"{city}.npz" for city in routes["city"].unique()}
     _check_files(folder, cities.values(), digests)
     city_problems = {city: unpacked(folder / name) for city, name in cities.items()}
@@ -220,10 +261,12 @@ def score(
     routes["gap"] = routes["cost"] / routes["bound"] - 1
     routes["over_best"] = routes["cost"] / routes["best"] - 1
     routes = routes.assign(**claims)
+
+    # A line for each track and city.
     rows = []
     for (track, city), part in routes.groupby(["track", "city"], sort=False):
-        head = dict(zip(LINE, (method, digest_of(sums)[:12], track, city), strict=True))
-        rows.append(head | _summary(part))
+        keys = method, digest_of(sums)[:12], track, city
+        rows.append(dict(zip(LINE, keys, strict=True)) | _summary(part))
     lines = pd.DataFrame(rows)
     if board is not None:
         _enter(lines, Path(board))
@@ -231,12 +274,22 @@ def score(
 
 
 def _check_answers(submission: str | Path, table: pd.DataFrame, queries: pd.DataFrame) -> None:
-    """Raise InputError where a submission is empty, or answers what is not asked, or anything twice."""
-    answers = table.set_index(["track", "query"]).index
-    is_wrong = ~answers.isin(queries.set_index(["track", "row"]).index) | answers.duplicated()
-    fault = "is empty" if table.empty else ""
-    if is_wrong.any():
-        fault = f"answers {' '.join(map(str, answers[is_wrong][0]))}, not asked or twice"
+    """Raise InputError where a submission has no row, a row for a query that is not asked, or two for one query.
+
+    Args:
+      submission: its file, for the message.
+      table: the submission's rows, with ``track`` and ``query``.
+      queries: the bundle's, with ``track`` and ``row``, the name that the ``query`` of a submission must have.
+    """
+    answers = pd.MultiIndex.from_frame(table[["track", "query"]])
+    asked = pd.MultiIndex.from_frame(queries[["track", "row"]])
+    wrong = answers[~answers.isin(asked) | answers.duplicated()]
+    fault = ""
+    if table.empty:
+        fault = "is empty"
+    elif len(wrong):
+        track, query = wrong[0]
+        fault = f"answers {track} {query}, not asked or twice"
     if fault:
         raise InputError(
             f"{str(submission)!r} {fault}: write one row for each query of a track in {QUERIES}"
@@ -246,11 +299,15 @@ def _check_answers(submission: str | Path, table: pd.DataFrame, queries: pd.Data
 def _claims(submission: str | Path, claimed: pd.Series) -> pd.Series:
     """Return the numbers that a submission claims in a column, NaN where it claims none.
 
+    Args:
+      submission: its file, for the message.
+      claimed: the column, as numbers or texts; missing where the submission claims nothing.
+
     Raises:
       InputError: a claim that is no number.
     """
     numbers = pd.to_numeric(claimed, errors="coerce")
-    texts = claimed[claimed.notna() & numbers.isna()]
+    texts = claimed[claimed.notna() & numbers.isna()]  # what is there but is no number
     if len(texts):
         raise InputError(
             f"{str(submission)!r} claims the {claimed.name} {texts.iloc[0]!r}: give a number, or leave it out"
@@ -259,7 +316,13 @@ def _claims(submission: str | Path, claimed: pd.Series) -> pd.Series:
 
 
 def _check_files(folder: Path, names: Iterable[str], digests: Mapping[str, str]) -> None:
-    """Raise InputError unless files of a bundle are as its checksums have them."""
+    """Raise InputError unless files of a bundle are there and have the digests that its checksums list.
+
+    Args:
+      folder: of the bundle.
+      names: of the files that are needed; a name that the checksums do not list, or that is a path, is refused too.
+      digests: by name of file, as read from `CHECKSUMS`.
+    """
     for name in names:
         file = folder / name
         is_listed = name in digests and Path(name).name == name
@@ -270,7 +333,13 @@ def _check_files(folder: Path, names: Iterable[str], digests: Mapping[str, str])
 
 
 def unpacked(file: Path) -> tuple[Problem, list[str]]:
-    """Return a city's map, from its first free cell to itself, and its weights' names."""
+    """Return a city's map as a problem of planners, and the names ``[K]`` of its weights, ``"distance"`` first.
+
+    The problem still lacks a query (see `problem_of`): it starts and ends in the first free cell, under weights 1.
+
+    Raises:
+      InputError: the file cannot be read, or is no city's map.
+    """
     faults = KeyError, IndexError, TypeError, BadZipFile
     with (
         readable(file, "a city's map", "make the benchmark again", *faults),
@@ -290,15 +359,27 @@ def unpacked(file: Path) -> tuple[Problem, list[str]]:
 
 
 def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple[str, float]:
-    """Return the outcome of a query, and the cost of its route, inf where that is not valid."""
+    """Return the outcome of a query, and the cost of its route; inf where the route is missing or no valid one.
+
+    Args:
+      problem, names: of the city's map (`unpacked`).
+      row: the query, the ``route`` that answers it, and as ``outcome`` whether there is one, as `DataFrame.merge` says.
+
+    Raises:
+      InputError: invalid weights, in the track ``weights``.
+    """
     if row["outcome"] == "left_only":
         return MISSING, np.inf
     problem = problem_of(problem, names, row)
+
+    # Submitted weights are judged by the true cost of the route that is the cheapest under them.
     if row["track"] == "weights":
-        none = Weights(**dict.fromkeys(names, 0.0))
-        weights = Weights.parse(str(row["route"]), none).checked(names)
+        no_weights = Weights(**dict.fromkeys(names, 0.0))
+        weights = Weights.parse(str(row["route"]), no_weights).checked(names)
         route = astar_plus(problem.with_weights(weights.vector(names)))
         return VALID, problem.cost_of(route.points_m)
+
+    # The line itself: its points, in metres from the southwest corner, its ends, and whether it stays on the map.
     side_m = problem.resolution_m
     ends_m = np.array([row[end] for end in ENDS]).reshape(2, 2)
     with np.errstate(invalid="ignore"):  # of NaN
@@ -313,6 +394,7 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
     size_m = np.array(problem.is_free.shape[::-1]) * side_m
     if (points_m < 0).any() or (points_m > size_m).any():
         return "leaves the map", np.inf
+    # Outside of "any-angle" a line runs straight or diagonally from centre to centre, and rounding is undone.
     if row["track"] != "any-angle":
         cells = points_m // side_m
         centres_m = (cells + 0.5) * side_m
@@ -322,6 +404,7 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
             return "off the grid", np.inf
         points_m = centres_m
         problem = replace(problem, leg_margin_m=NEAR_M * side_m)  # keeps diagonals from corners
+    # What the planners' own judge counts along it.
     sums = problem.features(points_m)
     if not sums.is_valid:
         return "not free", sums.cost(problem.weights)
@@ -333,12 +416,19 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
 
 
 def _summary(routes: pd.DataFrame) -> dict[str, Any]:
-    """Return the counts and gaps of a track in a city; each quantile is a route's own value."""
+    """Return a line of the board for the routes of a track in a city, but for its `LINE`.
+
+    The counts are of routes; ``failed`` counts them by outcome, in a text. Quantiles of the gaps are values of single
+    routes, the higher of two, and inf where the route is not valid. ``cpu_s_median`` is NaN where none is claimed.
+
+    Args:
+      routes: a row per query, as `score` returns them.
+    """
     is_valid = routes["outcome"] == VALID
+    failed = routes.loc[~is_valid, "outcome"].value_counts()
     gap = routes["gap"]
     claims = routes["claimed_cost"]
     is_true = np.isclose(claims, routes["cost"], rtol=SAME_COST, atol=0)
-    failed = routes.loc[~is_valid, "outcome"].value_counts()
     return {
         "asked": len(routes),
         "valid": is_valid.sum(),
@@ -353,7 +443,7 @@ def _summary(routes: pd.DataFrame) -> dict[str, Any]:
 
 
 def _enter(lines: pd.DataFrame, file: Path) -> None:
-    """Write lines into a board, in place of those of the same method, bundle, track and city."""
+    """Write lines into the file of a board, where they replace lines of the same method, bundle, track and city."""
     lines = lines.set_index(LINE)
     with Workspace.open(file.parent, "score", names=[file.name], is_shared=True):
         if file.exists():

@@ -54,37 +54,51 @@ class Clusters:
     """
 
     def __init__(self, groups: Values, cities: Values | None = None, seed: int = 0) -> None:
-        """Draw `NUM_DRAWS` times; ``[N]`` groups, and the cities in which they lie, each with groups of its own.
+        """Draw the groups `NUM_DRAWS` times, in each city for itself.
 
-        Values of one group (an instance at several altitudes) are not independent, so that they are drawn together.
-        Groups and cities are numbered in the order in which they come, so that their names draw nothing.
+        Values of one group (an instance at several altitudes) are not independent, so they are drawn together. Groups
+        and cities are numbered in the order in which they come, so that draws do not depend on their names.
+
+        Args:
+          groups: ``[N]`` the group of each value; groups of one name in two cities are two groups.
+          cities: ``[N]`` the city of each value; None: all are in one.
+          seed: of the draws.
         """
         groups = np.asarray(groups)
         names = np.zeros(len(groups)) if cities is None else np.asarray(cities, str)
-        self._city, present = pd.factorize(names)
-        self._group = np.zeros(len(groups), int)
+        self._city, present = pd.factorize(names)  # [N] number of each value's city
+        self._group = np.zeros(
+            len(groups), int
+        )  # [N] number of each value's group, over all cities
         draws = [np.empty((NUM_DRAWS, 0))]
         num_before = 0
         for city in range(len(present)):
-            inside = self._city == city
-            group, members = pd.factorize(groups[inside])
-            self._group[inside] = num_before + group
+            is_inside = self._city == city
+            group, members = pd.factorize(groups[is_inside])
+            self._group[is_inside] = num_before + group
             num_before += len(members)
             drawn = draws_of(len(members), [seed, city])
-            draws.append(drawn * (drawn.shape[1] / drawn[0].sum()))  # a city weighs what it has
-        self._draws = np.hstack(draws)
-        self._column = self._group  # of the draws, by which each value is counted
+            # One group less is drawn than there are: without this factor a city would weigh less than its groups do.
+            draws.append(drawn * (len(members) / drawn[0].sum()))
+        self._draws = np.hstack(draws)  # [NUM_DRAWS, G] how often each draw holds each group
+        self._column = self._group  # [N] column of the draws that counts each value
+
+        # At most one for each value, as `groups_of` cuts at this number.
         self.num_groups = len(groups)
         self.num_groups = self.groups_of(np.ones(len(groups), bool))
 
     def groups_of(self, chosen: np.ndarray) -> int:
-        """Return how many groups, as `num_groups` counts them, the values ``[N]`` bool hold that are chosen."""
+        """Return how many groups the chosen values ``[N]`` bool belong to, counted as `num_groups` is."""
         num_groups = len(np.unique(self._group[chosen]))
         num_cities = len(np.unique(self._city[chosen]))
         return min(self.num_groups, num_groups - num_cities + 1)
 
     def crossed(self, other: "Clusters") -> "Clusters":
-        """Return draws in which both are drawn: Owen's pigeonhole bootstrap (Ann. Appl. Stat. 1(2), 2007)."""
+        """Return draws of the same values in which these groups and the other ones are both drawn.
+
+        This is Owen's pigeonhole bootstrap (Ann. Appl. Stat. 1(2), 2007): a value counts as often as the draws of its
+        two groups multiplied.
+        """
         both = copy(self)
         both._draws = self._draws[:, self._column] * other._draws[:, other._column]
         both._column = np.arange(len(self._column))
@@ -92,39 +106,51 @@ class Clusters:
         return both
 
     def drawn(self, values: np.ndarray, statistic: Statistic = "mean") -> np.ndarray:
-        """Return ``[NUM_DRAWS]`` the statistic of those of ``[N]`` values that are known; NaN where none is drawn."""
-        known = ~np.isnan(values)
+        """Return ``[NUM_DRAWS]`` the statistic of the values ``[N]`` in each draw.
+
+        Values that are NaN do not count. The statistic of a draw that holds no other value is NaN. A share is a mean.
+        """
+        is_known = ~np.isnan(values)
+        known = values[is_known]
+        columns = self._column[is_known]
         if statistic == "median":
-            return median_of(values[known], self._draws[:, self._column[known]])
-        columns = self._column[known]
+            return median_of(known, self._draws[:, columns])
         num = self._draws.shape[1]
         total = self._draws @ np.bincount(columns, minlength=num)
-        sums = self._draws @ np.bincount(columns, values[known], num)
+        sums = self._draws @ np.bincount(columns, known, num)
         return np.divide(sums, total, out=np.full(len(total), np.nan), where=total > 0)
 
     def interval(self, values: Values, statistic: Statistic = "mean") -> Interval:
-        """Return a statistic of the known ones of ``[N]`` values (of a median the lower of two), and its interval.
+        """Return a statistic of the values ``[N]``, and its 95 % interval.
 
-        Where values of a share are all alike every draw is, which says nothing: there the interval ends where so many
-        groups would all be alike once in twenty times.
+        Values that are NaN do not count, and without any other all three numbers are NaN. The median of an even number
+        of values is the lower one of the two in the middle. A share of values that are all 0, or all 1, is the same in
+        every draw, which says nothing about its interval. There the interval ends at the share under which all groups
+        would be alike once in twenty times.
         """
         values = np.asarray(values, np.float64)
-        known = ~np.isnan(values)
-        if not known.any():
+        is_known = ~np.isnan(values)
+        known = values[is_known]
+        if not len(known):
             return Interval(np.nan, np.nan, np.nan)
-        num_groups = self.groups_of(known)
-        value = values[known].mean()
+        num_groups = self.groups_of(is_known)
+        value = known.mean()
         if statistic == "median":
-            value = np.quantile(values[known], 0.5, method="inverted_cdf")
-        is_alike = statistic == "share" and value in (0.0, 1.0)
-        if is_alike and num_groups >= FEWEST_GROUPS:
-            least = (1 - LEVEL) ** (1 / num_groups)
-            return Interval(0.0, 0.0, 1 - least) if value == 0 else Interval(1.0, least, 1.0)
+            value = np.quantile(known, 0.5, method="inverted_cdf")
+        if statistic == "share" and num_groups >= FEWEST_GROUPS:
+            least = (1 - LEVEL) ** (1 / num_groups)  # least**num_groups is one in twenty
+            if value == 0:
+                return Interval(0.0, 0.0, 1 - least)
+            if value == 1:
+                return Interval(1.0, least, 1.0)
         return interval_of(value, self.drawn(values, statistic), num_groups)
 
 
 def interval_of(value: float, drawn: np.ndarray, num_groups: int) -> Interval:
-    """Return a statistic and its 95 % interval, which is NaN with too few groups, or where too few draws are known.
+    """Return a statistic and its 95 % interval.
+
+    The ends are NaN with fewer groups than `FEWEST_GROUPS`, or where the statistic is finite in less than 95 % of the
+    draws.
 
     Args:
       value: of the statistic, without draws.
@@ -134,7 +160,7 @@ def interval_of(value: float, drawn: np.ndarray, num_groups: int) -> Interval:
     known = drawn[np.isfinite(drawn)]
     ends = [np.nan, np.nan]
     if num_groups >= FEWEST_GROUPS and len(known) >= LEVEL * len(drawn):
-        tail = special.ndtr(-reach_of(num_groups))
+        tail = special.ndtr(-reach_of(num_groups))  # share of normal values below the lower end
         ends = np.quantile(known, [tail, 1 - tail]).tolist()
     return Interval(float(value), *ends)
 

@@ -49,34 +49,37 @@ def check(
     weights: WeightsLike = None,
     sources: City | str | Path | None = None,
 ) -> MissionCheck:
-    """Return what a mission that any tool made meets over maps: findings, what cannot be judged, and figures.
+    """Return the findings of a mission over maps, whatever tool made it, with what cannot be judged and figures.
 
-    Buildings are looked at by their exact outlines, read again from the files that the run of the maps recorded, or in
-    ``sources``; where these are gone, by the cells that roofs touch, which the result says. A roof is as high above
-    the ground at each of its points as its height says. Findings are contacts with buildings and places nearer than
-    the clearances, the ground, no-fly zones, closed cells, and limits that are named here; all else is a figure. Not
-    judged is what the reader did not understand, what lies outside the maps, over cells without data or beyond the
-    maps' altitudes (but for take-off and landing), and what passes over, or within the clearance of, a guessed roof.
+    Buildings count by their exact outlines, read again from the files that the run of the maps recorded, or from
+    ``sources``. Where these are gone, the cells that roofs touch count instead, and the result says so. A roof has its
+    height above the ground at each of its points.
+
+    Findings are contacts with buildings, places nearer than the clearances, the ground, no-fly zones, closed cells, and
+    limits that are exceeded; all else is a figure. Parts of a mission are not judged if the reader did not understand
+    them, if they lie outside the maps, over cells without data or beyond the maps' altitudes (but for take-off and
+    landing), or if they pass over a guessed roof or within the clearance of one.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
-      mission: a file (``.plan``, ``.waypoints``, ``.kml``, ``.gpx``, ``.geojson``, ``.csv``), or one that was read.
-      heights: what heights are above where the file leaves it open: ``"home"``, ``"ground"``, ``"geoid"`` or
-        ``"ellipsoid"``.
-      home: longitude, latitude of home where the file has none.
-      return_altitude_m: height above home at which the vehicle returns where the file leaves it open.
-      geoid_m: height of the geoid above the ellipsoid there, for heights above the latter.
-      no_fly: files of no-fly zones, beside those of ``constraints``.
-      constraints: zones, bounds, clearances and vehicle; left out, as the maps' scenario has them.
-      clearance_m, vertical_clearance_m: instead of those of ``constraints``.
-      time: UTC time of the flight, or several: of the GPS maps, and zones count that are in force at one of them.
-        Left out, the maps' first time, and every zone.
+      mission: a file (``.plan``, ``.waypoints``, ``.kml``, ``.gpx``, ``.geojson``, ``.csv``), or a `Mission` that was
+        read from one.
+      heights: the level from which heights count where the file leaves it open: ``"home"``, ``"ground"``, ``"geoid"``
+        or ``"ellipsoid"``.
+      home: longitude and latitude of home, for a file that has none.
+      return_altitude_m: height above home at which the vehicle returns, for a file that has none.
+      geoid_m: height of the geoid above the ellipsoid, for heights above the ellipsoid.
+      no_fly: files of no-fly zones, which add to the zones of ``constraints``.
+      constraints: zones, bounds, clearances and vehicle; left out, those of the maps' scenario.
+      clearance_m, vertical_clearance_m: replace the clearances of ``constraints``; left out, they do not.
+      time: one or several UTC times of the flight. The GPS maps of these times count, and the zones that are in force
+        at one of them. Left out, the maps' first time and every zone count.
       time_of_day: of the map of people; the first if left out.
-      max_no_fix_m: most metres without a position fix, at the worst of the times.
-      max_people: most people overflown.
+      max_no_fix_m: most metres without a position fix that are allowed, at the worst of the times.
+      max_people: most people overflown that are allowed.
       swath_m: width of the strip in which people are counted.
-      weights: of the cost; left out, as the maps' scenario has them.
-      sources: the City, or the folder that the recorded files' paths begin at.
+      weights: of the cost; left out, those of the maps' scenario.
+      sources: the City, or the folder at which the recorded files' paths begin.
 
     Returns:
       `MissionCheck`, whose ``state`` is ``"clean"`` only if every leg was judged and nothing was found.
@@ -94,6 +97,7 @@ def check(
       >>> result.findings[["kind", "item", "building_m"]].round(1).to_dict("records")
       [{'kind': 'building', 'item': 7, 'building_m': 7.8}]
     """
+    # The arguments, and the mission.
     maps = as_maps(maps)
     for name, most in (("max_no_fix_m", max_no_fix_m), ("max_people", max_people)):
         if most is not None:
@@ -108,7 +112,9 @@ def check(
             "heights, home and return_altitude_m are of a file, and mission was read already: leave them out"
         )
     named_times = () if time is None else as_tuple(time)
-    times: list[str | None] = [iso_utc(at) for at in named_times] or [None]
+    times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
+
+    # Constraints: those of the argument or of the maps' scenario, the zones of files, and the clearances named here.
     limits = constraints or Constraints()
     limits = replace(limits, zones=(*limits.zones, *Constraints.read(no_fly).zones))
     if clearance_m is not None:
@@ -116,11 +122,15 @@ def check(
     if vertical_clearance_m is not None:
         limits = replace(limits, vertical_clearance_m=vertical_clearance_m)
     _, _, limits = rules_on(maps, None, limits, "")
-    flights = [parse_time(at) for at in times if at is not None]
+    # Zones that are in force at one of the times count as if they always were. Without a time all zones count, and the
+    # maps' first time stands for None.
+    flights = [parse_time(text) for text in named_times]
     zones = [zone for zone in limits.zones if not flights or any(map(zone.is_in_force, flights))]
     figures = {"num_zones": len(limits.zones), "num_zones_in_force": len(zones)}
     lasting = tuple(replace(zone, start=None, end=None) for zone in zones)
     limits = replace(limits, zones=lasting)
+
+    # What the mission meets, and the figures along it.
     city, outlines = _city_of(maps, sources)
     known = shapely.box(*maps.grid.bounds_m) if city is None else city.known_ground
     flight = flight_of(mission, maps, geoid_m)
@@ -129,35 +139,44 @@ def check(
     )
     figures |= figures_of(flight, maps, times, time_of_day, swath_m)
     figures |= costs_of(flight, maps, weights, limits, times[0], time_of_day)
-    beyond, open_limits = _limits(figures, max_no_fix_m, max_people)
-    not_judged = [f"{each[:1].upper()}{each[1:]}." for each in mission.not_judged]
+    exceeded, open_limits = _limits(figures, max_no_fix_m, max_people)
+    findings = pd.concat([table for table in (findings, exceeded) if len(table)] or [findings])
+
+    # Sentences on what cannot be judged.
+    not_judged = [f"{text[:1].upper()}{text[1:]}." for text in mission.not_judged]
     if not mission.legs:
         not_judged.append("The mission holds no leg.")
     for reason, rows in unknown.groupby("reason", sort=False):
         not_judged.append(f"{union_m(rows):,.0f} m {reason}.")
     not_judged += open_limits
-    for guess in maps.guesses if city is None else ():
-        if guess.endswith(WITHOUT_DATA):
+    for guess in maps.guesses:
+        if city is None and guess.endswith(WITHOUT_DATA):
             not_judged.append(
                 f"The city is gone, and with it where what it leaves open lies: {guess}."
             )
-    findings = pd.concat([each for each in (findings, beyond) if len(each)] or [findings])
     return MissionCheck(
-        findings.reset_index(drop=True),
-        not_judged,
-        figures,
-        outlines,
-        limits.to_dict(),
-        flight,
-        maps,
+        findings=findings.reset_index(drop=True),
+        not_judged=not_judged,
+        figures=figures,
+        outlines=outlines,
+        limits=limits.to_dict(),
+        flight=flight,
+        maps=maps,
     )
 
 
 def _city_of(maps: MetricMaps, sources: City | str | Path | None) -> tuple[City | None, str]:
-    """Return the city behind maps, None where it is gone, and what buildings are looked at by.
+    """Return the city that maps were made of, and words on how its buildings are looked at.
+
+    The city is None where its files are gone, or where it is a raster of heights without outlines: buildings are then
+    the cells that roofs touch.
+
+    Args:
+      maps: their record names the city's files.
+      sources: the city itself, or the folder that the files' paths begin at; None: where the record says.
 
     Raises:
-      InputError: sources that are named and do not hold it.
+      InputError: sources that are named and do not hold the city of these maps.
     """
     if isinstance(sources, City):
         city = sources
@@ -169,6 +188,7 @@ def _city_of(maps: MetricMaps, sources: City | str | Path | None) -> tuple[City 
         try:
             city = city_of(maps, None if sources is None else Path(sources))
         except InputError as error:
+            # Only sources that nobody named may be gone.
             if sources is not None:
                 raise
             return None, f"by cells that roofs touch, because {error}"
@@ -180,25 +200,33 @@ def _city_of(maps: MetricMaps, sources: City | str | Path | None) -> tuple[City 
 def _limits(
     figures: Mapping[str, Any], max_no_fix_m: float | None, max_people: float | None
 ) -> tuple[pd.DataFrame, list[str]]:
-    """Return findings of limits that are exceeded, and sentences on those that cannot be judged."""
-    limits = (
+    """Return findings, a row per limit that is exceeded, and sentences on limits that cannot be judged.
+
+    A limit cannot be judged where the maps do not hold its figure, or where the figure keeps the limit but could exceed
+    it with what is unknown: each unknown metre may be without a fix, and may have any number of people below.
+
+    Args:
+      figures: of the mission, by name.
+      max_no_fix_m, max_people: the limits; None: there is none.
+    """
+    limits = (  # figure, its unknown metres, limit, unit, and most units that an unknown metre may add
         ("no_fix_m", "fix_unknown_m", max_no_fix_m, "m without a position fix", 1.0),
         ("people_overflown", "people_unknown_m", max_people, "people overflown", math.inf),
     )
     rows, sentences = [], []
-    for name, unknown_name, most, unit, most_a_metre in limits:
-        if most is None:
+    for name, unknown_name, limit, unit, most_per_metre in limits:
+        if limit is None:
             continue
         value = figures.get(name, 0.0)
         unknown_m = figures.get(unknown_name, 0.0)
         reason = ""
         if name not in figures:
             reason = "the maps do not hold them"
-        elif value > most:
-            what = f"{value:,.0f} {unit}; the limit is {most:g}"
-            rows.append({"kind": "limit", "what": what, "by_m": value - most})
-        elif unknown_m > 0 and value + unknown_m * most_a_metre > most:
+        elif value > limit:
+            what = f"{value:,.0f} {unit}; the limit is {limit:g}"
+            rows.append({"kind": "limit", "what": what, "by_m": value - limit})
+        elif unknown_m > 0 and value + unknown_m * most_per_metre > limit:
             reason = f"{value:,.0f} are known, and {unknown_m:,.0f} m are not"
         if reason:
-            sentences.append(f"The limit of {most:g} {unit} is not judged: {reason}.")
+            sentences.append(f"The limit of {limit:g} {unit} is not judged: {reason}.")
     return pd.DataFrame(rows, columns=COLUMNS), sentences

@@ -47,22 +47,25 @@ class MissionCheck(FactsRepr):
     @property
     def sentences(self) -> list[str]:
         """The findings, a sentence each."""
-        return [_said(row) for row in self.findings.to_dict("records")]
+        return [_sentence_of(row) for row in self.findings.to_dict("records")]
 
     @property
     def numbers(self) -> dict[str, str]:
-        """The figures as texts, in the units that their names say; those by layer or time one by one."""
+        """The figures as texts of four digits, by their names with spaces; the name says the unit.
+
+        A figure by layer or time has a text for each, with the layer or time after its name. Notes are left out.
+        """
         numbers = {}
         for name, value in self.figures.items():
-            parts = value.items() if isinstance(value, Mapping) else [("", value)]
-            for part, number in parts:
+            by_part = value if isinstance(value, Mapping) else {"": value}
+            for part, number in by_part.items():
                 if not isinstance(number, str):
                     numbers[f"{name} {part}".replace("_", " ").strip()] = f"{number:,.4g}"
         return numbers
 
     @property
     def facts(self) -> dict[str, str]:
-        """The state, the mission, how buildings were looked at, and the figures."""
+        """The state, the mission, how buildings were looked at, the figures, and a note on the cost (may be empty)."""
         return {
             "state": self.sentence,
             "mission": self.flight.mission.name,
@@ -73,16 +76,17 @@ class MissionCheck(FactsRepr):
 
     @property
     def lines(self) -> list[str]:
-        """The check for a terminal: the state, findings, what was not judged, and figures."""
-        state, *others = self.facts.items()
-        figures = [f"{name}: {fact}" for name, fact in others if fact]
+        """The check for a terminal: the state, findings, what was not judged or was guessed, and figures."""
+        facts = self.facts
+        state = facts.pop("state")
+        figures = [f"{name}: {fact}" for name, fact in facts.items() if fact]
         parts = {
             "finding": self.sentences,
             "not judged": self.not_judged,
             "guessed": list(self.maps.guesses),
         }
         listed = [f"  {name}: {text}" for name, texts in parts.items() for text in texts]
-        return [state[1], *listed, *figures]
+        return [state, *listed, *figures]
 
     @property
     def known_cautions(self) -> list[Caution]:
@@ -140,8 +144,8 @@ class MissionCheck(FactsRepr):
         return {"type": "FeatureCollection", "state": self.state, "features": features}
 
 
-def _said(row: Mapping[Any, Any]) -> str:
-    """Return a finding as a sentence with its place."""
+def _sentence_of(row: Mapping[Any, Any]) -> str:
+    """Return a finding, a row of `MissionCheck.findings`, as a sentence; with its place unless ``lon`` is NaN."""
     sentence = f"{row['what'][:1].upper()}{row['what'][1:]}"
     if math.isnan(row["lon"]):
         return f"{sentence}."

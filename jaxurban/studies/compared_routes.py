@@ -29,51 +29,57 @@ def compared_routes(
     times: tuple[str | None, str | None],
     report: Report,
 ) -> pd.DataFrame:
-    """Return a row for each route of A under B, and of B under A: its cost there, and the cheapest one's.
+    """Return a row for each route that is planned on map A and judged on map B, and the other way round.
 
-    At each altitude ``num`` pairs of cells that are free in both are drawn, and the cheapest route of the grid between
-    them is planned on either. Weights, cost model and constraints are those of A's scenario, for both.
+    At each altitude ``num`` pairs of cells that are free in both maps are drawn, and on each map the cheapest route of
+    the grid between them is planned. Both maps have the weights, cost model and constraints of A's scenario.
 
     Args:
       a, b: the maps, cut to what both hold (`map_comparison.shared_part`).
       num: pairs at each altitude.
       seed: of the pairs.
-      times: of A and of B.
+      times: of A and of B; None: the first one.
       report: called with stage, done and total.
 
     Returns:
-      Rows with the ends in metres, ``cost`` on the map that the route was planned on, ``cost_there`` on the other
-      (missing where it is closed there), ``best_there`` of that map's own route, ``regret`` (cost_there / best_there -
-      1), ``closed_m``, its length in cells that are closed there, and ``is_closed``, also where it only comes too near
-      one. A route that was not found has no numbers.
+      Rows with the ends in metres and ``status``. ``cost`` is the route's cost on the map on which it was planned,
+      ``cost_there`` its cost on the other map (NaN where it is closed there), ``best_there`` the cost of the other
+      map's own route, and ``regret`` is cost_there / best_there - 1. ``closed_m`` is its length in cells that are
+      closed on the other map, and ``is_closed`` is 1 where it crosses such cells or comes too near one. A route that
+      was not found has NaN instead.
 
     Raises:
       InputError: fewer than two cells are free in both at an altitude, or the scenario asks what B does not hold.
     """
+    time_a, time_b = times
     rows = []
-    for k, altitude_m in enumerate(a.altitudes_m):
-        report("routes", k, len(a.altitudes_m))
-        on_a = cost_map(a, altitude_m, time=times[0])
+    for number, altitude_m in enumerate(a.altitudes_m):
+        report("routes", number, len(a.altitudes_m))
+        on_a = cost_map(a, altitude_m, time=time_a)
         on_b = cost_map(
             b,
             altitude_m,
-            time=times[1],
+            time=time_b,
             weights=on_a.weights,
             objective=on_a.objective,
             cost_model=on_a.cost_model,
             constraints=on_a.constraints,
         )
+
+        # Pairs of different cells: the goal is a random number of places, but not 0, after the start.
         free = np.argwhere(on_a.is_free & on_b.is_free)
         if len(free) < 2:
             raise InputError(
                 f"at {altitude_m:g} m fewer than two cells are free in both maps: leave out routes"
             )
-        rng = np.random.default_rng([seed, k])
+        rng = np.random.default_rng([seed, number])
         start = rng.integers(len(free), size=num)
         goal = (start + rng.integers(1, len(free), size=num)) % len(free)
         ends = np.stack([free[start], free[goal]], axis=1)
+
+        # The cheapest path of each pair on either map, judged by the other map.
         cost_maps = {"A": on_a, "B": on_b}
-        paths = {name: _planned(cost_map, ends) for name, cost_map in cost_maps.items()}
+        paths = {name: _planned(one_map, ends) for name, one_map in cost_maps.items()}
         for pair, (start_cell, goal_cell) in enumerate(ends):
             start_x_m, start_y_m = on_a.grid.xy_of_cell(*start_cell)
             goal_x_m, goal_y_m = on_a.grid.xy_of_cell(*goal_cell)
@@ -95,7 +101,15 @@ def compared_routes(
 
 
 def _planned(cost_map: CostMap, ends: np.ndarray) -> list[Path]:
-    """Return the cheapest path of the grid between each two of the cells ``[N, 2, 2]``."""
+    """Return the cheapest path of the grid for each of ``N`` pairs of cells, in their order.
+
+    Args:
+      cost_map: whose weights, cost model and constraints hold.
+      ends: ``[N, 2, 2]`` start and goal of each pair, as row and column.
+
+    Raises:
+      Exception: whatever the search of a pair raised.
+    """
     problems = [
         cost_map.problem.between(tuple(start), tuple(goal)) for start, goal in ends.tolist()
     ]
@@ -108,17 +122,26 @@ def _planned(cost_map: CostMap, ends: np.ndarray) -> list[Path]:
 
 
 def _judged(cost_map: CostMap, path: Path, best: Path) -> dict[str, Any]:
-    """Return what a path costs on another map than its own, beside the best of that map."""
-    facts = {
-        "status": path.status.value,
-        "best_there": best.cost if best.status.has_path else np.nan,
-    }
+    """Return the columns of a row that say what a path costs on another map than its own (see `compared_routes`).
+
+    Args:
+      cost_map: the other map.
+      path: planned on its own map; without points all `NUMBERS` are NaN.
+      best: the cheapest path of the other map between the same ends.
+    """
+    facts: dict[str, Any] = {"status": path.status.value, "best_there": np.nan}
+    if best.status.has_path:
+        facts["best_there"] = best.cost
     if not path.status.has_path:
         return facts | dict.fromkeys(NUMBERS, np.nan)
     features = cost_map.problem.features(path.points_m)
-    cost = features.cost(cost_map.problem.weights) if features.is_valid else np.nan
+    cost = np.nan  # where the path is closed
+    if features.is_valid:
+        cost = features.cost(cost_map.problem.weights)
+
+    # NaN is not less than any cost, so a closed path gets the regret NaN, or inf where the best costs nothing.
     regret = 0.0
-    if not cost <= best.cost * SAME_COST:  # also where it is closed
+    if not cost <= best.cost * SAME_COST:
         regret = cost / best.cost - 1 if best.cost > 0 else np.inf
     return facts | {
         "cost": path.cost,
@@ -131,10 +154,11 @@ def _judged(cost_map: CostMap, path: Path, best: Path) -> dict[str, Any]:
 
 
 def regrets(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return by altitude and by which map planned: how many routes the other map closes, and the regret of the others.
+    """Return how many routes the other map closes, and the regret of the others.
 
-    Medians and shares have 95 % intervals by the bootstrap over pairs (`jaxurban.studies.bootstrap`), NaN of fewer
-    than eight.
+    A row for each altitude and for each map that routes were planned on. Routes that were not found do not count. The
+    share ``closed`` and the median ``regret`` have 95 % intervals by the bootstrap over pairs
+    (`jaxurban.studies.bootstrap`), which are NaN for fewer than eight pairs.
 
     Args:
       rows: of `compared_routes`.

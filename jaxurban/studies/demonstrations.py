@@ -75,29 +75,38 @@ class Demonstration:
 
     @cached_property
     def least_features(self) -> np.ndarray:
-        """``[K]`` below which no feature of the route that was meant lies: each the least within ``drawn_cells``."""
+        """``[K]`` lower bounds of the features of the route that was meant by a drawn line.
+
+        Each is the least value of its feature over all routes within ``drawn_cells`` of ``points_m``, found by a search
+        that minimises this feature alone. Where ``drawn_cells`` is 0 they are the features themselves.
+        """
         if not self.drawn_cells:
             return self.features
+
+        # The part of the map around the route, and which of its cells, row and column, are near enough.
         cost_map = self.query.cost_map
         side_m = cost_map.grid.resolution_m
         cells = np.floor(self.points_m[:, ::-1] / side_m).astype(int)
         pad = int(np.ceil(self.drawn_cells))
-        low = np.maximum(cells.min(axis=0) - pad, 0)
-        window = _window(low, cells.max(axis=0) + pad)
-        is_free = cost_map.is_free[window]
-        is_far = np.ones(is_free.shape, bool)
-        is_far[tuple((cells - low).T)] = False
-        start, goal = map(tuple, (cells[[0, -1]] - low).tolist())
+        first = np.maximum(cells.min(axis=0) - pad, 0)
+        window = _window(first, cells.max(axis=0) + pad)
+        cells = cells - first
+        is_off_route = np.ones(cost_map.is_free[window].shape, bool)
+        is_off_route[tuple(cells.T)] = False
+        is_near = distance_transform_edt(is_off_route) <= self.drawn_cells
+        start, goal = map(tuple, cells[[0, -1]].tolist())
         problem = replace(
             cost_map.shortest,
             costs=cost_map.costs[:, *window],
-            is_free=is_free & (distance_transform_edt(is_far) <= self.drawn_cells),
+            is_free=cost_map.is_free[window] & is_near,
             start=start,
             goal=goal,
         )
+
+        # A search for each feature, whose weight alone is 1.
         least = self.features
         for only_one in np.eye(least.size):
-            route_m = astar(problem.with_weights(only_one)).points_m + low[::-1] * side_m
+            route_m = astar(problem.with_weights(only_one)).points_m + first[::-1] * side_m
             least = np.minimum(least, self.query.sums(route_m)[0])
         return least
 
@@ -117,26 +126,25 @@ def read_demonstrations(
 ) -> list[Demonstration]:
     """Return the routes of a file as demonstrations; lists of several files or cities may be joined with ``+``.
 
-    Lines are taken as they are. Ends in closed cells move to free ones by at most 50 m, and lines of no use are left
-    out with a warning that says which and why. A table of queries holds no lines: `demonstrations_from_study` plans its
-    routes.
+    Lines are not planned again, but followed on the grid. Ends in closed cells move to free cells by at most 50 m.
+    Lines of no use are left out, with a warning that says which and why. A table of queries holds no lines:
+    `demonstrations_from_study` plans its routes.
 
-    Altitude and times are those of the arguments. Where these are left out, the feature's own properties
-    ``altitude_m``, ``time`` and ``time_of_day`` hold (paths that jaxurban wrote carry them), and else the maps' first
-    times.
+    The arguments set altitude and times. Where an argument is left out, the line's own property ``altitude_m``,
+    ``time`` or ``time_of_day`` counts (paths that jaxurban wrote carry them), and without one the maps' first time. An
+    altitude must be known.
 
     Args:
       file: GeoJSON, KML, GPX, or another vector file, with LineStrings.
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
-      altitude_m, time, time_of_day: of every route.
-      cost_model: of every route; left out, the one that jaxurban's own paths were planned under.
+      altitude_m, time, time_of_day: of every route, in metres above the ground and UTC.
+      cost_model: of every route; left out, the one under which jaxurban's own paths were planned.
       constraints: no-fly zones, bounds and clearances, as in `plan`.
-      preset: as in `plan`; of the cost model where no route names one.
-      metrics: those whose weights are to be fitted; all if left out.
+      preset: as in `plan`; gives the cost model where no route names one.
+      metrics: the metrics whose weights are to be fitted; all if left out.
 
     Returns:
-      A `Demonstration` a line, in the order of the file, without those that were left out; ``note`` says what had to
-      be done to a line.
+      A `Demonstration` per line that is of use, in the order of the file; ``note`` says what had to be done to a line.
 
     Raises:
       InputError: no lines, or none with an altitude, on a map, inside the maps and past obstacles, or paths that were
@@ -156,6 +164,8 @@ def read_demonstrations(
     planned = [(f"route {route.name!r} of {str(file)!r}", route.settings) for route in routes]
     maps = as_maps(maps)
     map_of = _cost_maps(maps, planned, cost_model, constraints, preset, metrics)
+
+    # Each line on its own map; a line of no use leaves a reason instead.
     demonstrations, reasons = [], []
     for number, route in enumerate(routes, start=1):
         z_m = route.altitude_m if altitude_m is None else altitude_m
@@ -171,6 +181,7 @@ def read_demonstrations(
             demonstrations.append(demonstration_from_line(cost_map, xy_m, route.name))
         except InputError as error:
             reasons.append(f"{label}: {error}")
+
     if not demonstrations:
         raise InputError(f"no line of {str(file)!r} is of use: {'; '.join(reasons[:MOST_REASONS])}")
     if reasons:
@@ -192,16 +203,17 @@ def demonstrations_from_paths(
     """Return planned paths as demonstrations, each on the map that it was planned on.
 
     Args:
-      paths, maps: from `plan`, one or several, and the maps that they were planned on, or their folder.
-      constraints: those that they were planned under; a path does not carry its zones.
+      paths: one or several, from `plan`.
+      maps: the maps on which they were planned, or their folder.
+      constraints: the constraints under which they were planned, as a path does not carry its zones.
       cost_model, preset, metrics: as in `read_demonstrations`.
 
     Returns:
-      A `Demonstration` a path, in their order.
+      A `Demonstration` per path, in their order.
 
     Raises:
-      InputError: a path without points, maps that are not those of the paths, or paths that were planned under
-        different cost models.
+      InputError: a path without points or with several altitudes, maps that do not belong to the paths, or paths that
+        were planned under different cost models.
 
     Examples:
       >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
@@ -224,7 +236,17 @@ def demonstrations_from_paths(
 
 
 def _from_path(map_of: MapOf, path: PlannedPath, name: str) -> Demonstration:
-    """Return a planned path as a demonstration on its own map; InputError where fits cannot take it."""
+    """Return a planned path as a demonstration on its own map.
+
+    Args:
+      map_of: gives the cost map at the path's altitude and times.
+      path: as planned.
+      name: of its query.
+
+    Raises:
+      InputError: fits cannot take the path: it changes its altitude, has no points, or starts or ends in a cell that is
+        closed on its map.
+    """
     if len(path.z_m) and np.ptp(path.z_m) > 0:
         raise InputError("it changes its altitude, and fits take one: leave it out")
     if len(path.xy_m) == 0:
@@ -248,24 +270,35 @@ def _cost_maps(
     preset: Preset,
     metrics: Sequence[str] | None,
 ) -> MapOf:
-    """Return a function of altitude, time and time of day: the cost map there, made once.
+    """Return a function of altitude in metres, time and time of day that gives the cost map there.
 
-    The cost model is the one given, else the one that the routes, by name with their settings, were planned under, else
-    the default. Warns of the first route that was planned under another one, or under other constraints.
+    It makes each cost map once, as fits count maps by identity. Warns of the first route that was planned under another
+    cost model, or under other constraints, than the maps have.
+
+    Args:
+      maps: of the routes.
+      planned: each route's name and the settings that it was planned under; empty settings where none are known.
+      cost_model: of the cost maps; None: the one that the routes were planned under, else the maps' own.
+      constraints: of the cost maps; None: those of the maps' scenario.
+      preset: as in `plan`.
+      metrics: that the cost maps keep; None: all.
 
     Raises:
       InputError: an invalid cost model in the settings, or routes that name different ones.
     """
+    # The rules of the maps, which arguments come before.
     if cost_model is None:
         cost_model = _common_model(planned)
     rules = RouteRules(
         cost_model=cost_model, constraints=constraints or Constraints(), preset=preset
     )
     maps, rules = rules.under(maps)
-    fitted = rules.rules()
-    now = _describe_rules(fitted)
+
+    # A route that does not name a rule counts as planned under the same one.
+    rules_now = rules.rules()
+    now = _describe_rules(rules_now)
     for name, settings in planned:
-        before = _describe_rules({key: settings.get(key, fitted[key]) for key in fitted})
+        before = _describe_rules({key: settings.get(key, rules_now[key]) for key in rules_now})
         if before != now:
             warn(
                 f"{name} was planned under {before} and is fitted under {now}: give what it was planned under "
@@ -276,6 +309,7 @@ def _cost_maps(
 
     @cache
     def map_of(*place: Any) -> CostMap:
+        """Return the cost map at an altitude, time and time of day."""
         cost_map = rules.cost_map(maps, *place)
         return cost_map if metrics is None else cost_map.only(metrics)
 
@@ -283,16 +317,19 @@ def _cost_maps(
 
 
 def _common_model(planned: Sequence[tuple[str, Mapping]]) -> CostModel | None:
-    """Return the cost model that routes, by name with their settings, were planned under; None where none names any.
+    """Return the cost model that routes were planned under; None where no route names one.
+
+    Args:
+      planned: each route's name and the settings that it was planned under.
 
     Raises:
-      InputError: an invalid one, or different ones.
+      InputError: an invalid cost model, or routes that were planned under different ones.
     """
     models = {}
     for name, settings in planned:
         if "cost_model" in settings:
             models[name] = CostModel.from_settings(settings)
-    first = next(iter(models), "")
+    first = next(iter(models), "")  # a name that no model has where there is none
     for name, other in models.items():
         if other != models[first]:
             raise InputError(
@@ -320,11 +357,11 @@ def optimal_demonstrations(queries: Sequence[RouteQuery], weights: Weights) -> l
 def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "") -> Demonstration:
     """Return a route as a demonstration that planners of the grid could have made.
 
-    A route over centres of cells is taken as it is, where straight runs may skip what lies between their ends (as
-    missions do). Any other line is redrawn on the grid, leg by leg, by the shortest grid path within a narrow corridor
-    around it: a grid path is up to 8.24 % longer than the line that it follows, and a demonstration must not seem
-    cheaper than every route that it is compared with. Legs are the line's own, simplified by half a cell; ends in
-    closed cells move to the nearest free ones that are joined, by at most 50 m (`jaxurban.paths.snapping`).
+    A route over centres of cells is not changed; where its straight runs skip cells, as missions do, these are filled
+    in. Any other line is redrawn on the grid, leg by leg, by the shortest grid path within a narrow corridor around it:
+    a grid path is up to 8.24 % longer than the line that it follows, and a demonstration must not seem cheaper than
+    every route with which it is compared. Legs are those of the line, simplified by half a cell. Ends in closed cells
+    move to the nearest free cells that a path joins, by at most 50 m (`jaxurban.paths.snapping`).
 
     Args:
       cost_map: from `jaxurban.cost_map`.
@@ -341,16 +378,18 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
         raise InputError(
             f"a route must be [N, 2] finite metres with N >= 2, got shape {points.shape}"
         )
-    local = (points - grid.bounds_m[:2]) / grid.resolution_m
+    local = (points - grid.bounds_m[:2]) / grid.resolution_m  # in cell sides
     if np.any(local < 0) or np.any(local >= (grid.num_cols, grid.num_rows)):
         raise InputError(
             "it leaves the maps: clip it to their region, or make maps of a larger one"
         )
-    # Decimals lost in a file must not make a diagonal step graze a third cell.
+    # A grid path is moved to the exact centres of its cells: decimals lost in a file must not make a diagonal step
+    # graze a third cell. Another line is redrawn.
     filled = _filled(local)
-    route = _Followed(np.floor(filled) + 0.5, 0.0)
+    route = _Followed(np.floor(filled) + 0.5, within_cells=0.0)
     if not _is_grid_path(cost_map, filled):
         route = _redrawn(cost_map, points, local)
+    # Rows and columns of the ends; points are x and y.
     start, goal = map(tuple, np.floor(route.centres[[0, -1], ::-1]).astype(int).tolist())
     if start == goal:
         raise InputError("it starts and ends in one cell: leave it out, or cut it in two")
@@ -359,7 +398,13 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
 
 
 class _Followed(NamedTuple):
-    """A grid path along a line: centres ``[N, 2]`` in cell sides, how near to the line it runs, and what was done."""
+    """A grid path along a line.
+
+    Attributes:
+      centres: ``[N, 2]`` x and y of the centres of its cells, in cell sides from the southwest corner.
+      within_cells: it runs within this distance of the line, in cell sides.
+      note: what had to be done to follow the line; empty where nothing had.
+    """
 
     centres: np.ndarray
     within_cells: float
@@ -367,11 +412,11 @@ class _Followed(NamedTuple):
 
 
 def _redrawn(cost_map: CostMap, xy_m: np.ndarray, local: np.ndarray) -> _Followed:
-    """Return a grid path along a line, its ends moved to free cells.
+    """Return a grid path along a line, from the free cell nearest to its start to the one nearest to its end.
 
     Args:
-      cost_map: of the maps.
-      xy_m: ``[N, 2]`` the line in the maps' CRS.
+      cost_map: whose free cells the path uses.
+      xy_m: ``[N, 2]`` the line, easting and northing in the maps' CRS.
       local: ``[N, 2]`` the same in cell sides from the southwest corner.
 
     Raises:
@@ -385,10 +430,11 @@ def _redrawn(cost_map: CostMap, xy_m: np.ndarray, local: np.ndarray) -> _Followe
             "it starts or ends inside an obstacle or in a closed cell, and no free cell is within "
             f"{MAX_SNAP_M:g} m of it: move that end there"
         ) from error
+    # The line between the ends that planners take; a cell is row and column, a point x and y.
     line = local.copy()
-    for k, end in zip((0, -1), ends, strict=True):
+    for index, end in zip((0, -1), ends, strict=True):
         if end.is_snapped:
-            line[k] = np.array(end.cell[::-1]) + 0.5
+            line[index] = np.array(end.cell[::-1]) + 0.5
     route = _follow(cost_map, line)
     notes = [snap_note(*ends).removesuffix(".")]
     if route.within_cells > CORRIDORS_CELLS[0]:
@@ -399,10 +445,15 @@ def _redrawn(cost_map: CostMap, xy_m: np.ndarray, local: np.ndarray) -> _Followe
 
 
 def _filled(local: np.ndarray) -> np.ndarray:
-    """Return points, in cell sides, with the cells between the ends of every straight run along rows or diagonals."""
+    """Return points ``[N, 2]``, in cell sides, with a point in every cell between them.
+
+    This holds for points that are joined by straight runs along rows, columns or diagonals of cells. If one is not, or
+    two neighbours lie in one cell, the points are returned unchanged.
+    """
     steps = np.diff(np.floor(local), axis=0)
-    sizes = np.abs(steps).max(axis=1)
-    if not np.all((steps == 0) | (np.abs(steps) == sizes[:, None])) or not sizes.all():
+    sizes = np.abs(steps).max(axis=1)  # of a run, in cells
+    is_along = (steps == 0) | (np.abs(steps) == sizes[:, None])
+    if not is_along.all() or not sizes.all():
         return local
     runs = []
     for point, step, size in zip(local, steps, sizes.astype(int), strict=False):
@@ -411,7 +462,10 @@ def _filled(local: np.ndarray) -> np.ndarray:
 
 
 def _is_grid_path(cost_map: CostMap, local: np.ndarray) -> bool:
-    """Return whether points, in cell sides, are the centres of cells of a valid path of neighbours."""
+    """Return whether points ``[N, 2]``, in cell sides, are the centres of neighbouring cells that form a valid path.
+
+    Under a cost model of 4 neighbours diagonal steps are none. A path is valid where planners could fly it.
+    """
     cells = np.floor(local)
     is_centre = np.abs(local - cells - 0.5) < ON_CENTRE
     steps = np.abs(np.diff(cells, axis=0))
@@ -422,14 +476,18 @@ def _is_grid_path(cost_map: CostMap, local: np.ndarray) -> bool:
 
 
 def _follow(cost_map: CostMap, local: np.ndarray) -> _Followed:
-    """Return a grid path along a line ``[N, 2]``, in cell sides, leg by leg."""
+    """Return a grid path along a line ``[N, 2]``, in cell sides, leg by leg; both of its ends are in free cells.
+
+    Raises:
+      InputError: a leg cannot be followed through free cells.
+    """
     corners = shapely.get_coordinates(shapely.LineString(local).simplify(0.5))
     cells = [tuple(cell) for cell in np.floor(corners[:, ::-1]).astype(int).tolist()]
-    # A corner inside an obstacle is skipped: the legs around it are one.
-    kept = [k for k, cell in enumerate(cells) if cost_map.is_free[cell]]
+    # A corner inside an obstacle is skipped, and the legs before and after it become one that bends there.
+    free_corners = [number for number, cell in enumerate(cells) if cost_map.is_free[cell]]
     centres = [np.array(cells[0][::-1]) + 0.5]
     widest = CORRIDORS_CELLS[0]
-    for first, last in pairwise(kept):
+    for first, last in pairwise(free_corners):
         if cells[first] != cells[last]:
             leg = shapely.LineString(corners[first : last + 1])
             path = _follow_leg(cost_map, leg, cells[first], cells[last])
@@ -457,33 +515,45 @@ def _follow_leg(cost_map: CostMap, leg: shapely.LineString, start: Cell, goal: C
 def _shortest_within(
     cost_map: CostMap, leg: shapely.LineString, width: float, start: Cell, goal: Cell
 ) -> np.ndarray | None:
-    """Return the shortest grid path whose cells' centres lie within ``width`` of a leg, in cell sides; None without."""
+    """Return ``[N, 2]`` the shortest grid path along a leg, x and y of its centres; None where there is none.
+
+    Args:
+      cost_map: whose free cells, cost model and margin of legs the path keeps.
+      leg: part of the line.
+      width: how far from the leg the centres of the path's cells may lie.
+      start, goal: cells of the map, row and column.
+
+    All lengths are in cell sides, from the map's southwest corner.
+    """
+    # The part of the map that can lie in the corridor, and its free cells that do.
     west, south, east, north = np.floor(leg.bounds).astype(int)
     pad = int(np.ceil(width)) + 1
-    low = np.maximum([south - pad, west - pad], 0)
-    window = _window(low, np.array([north + pad, east + pad]))
+    first = np.maximum([south - pad, west - pad], 0)
+    window = _window(first, np.array([north + pad, east + pad]))
     is_free = cost_map.is_free[window]
-    rows, cols = np.indices(is_free.shape) + low[:, None, None]
+    rows, cols = np.indices(is_free.shape) + first[:, None, None]
     is_free = is_free & shapely.dwithin(shapely.points(cols + 0.5, rows + 0.5), leg, width)
-    start, goal = map(tuple, (np.array([start, goal]) - low).tolist())
+    start, goal = map(tuple, (np.array([start, goal]) - first).tolist())
     if not is_free[start] or not is_free[goal]:
         return None
+
+    # Cells are the unit of length, and a layer that costs nothing leaves the distance alone.
     problem = Problem(
-        np.zeros((1, *is_free.shape)),
-        is_free,
-        start,
-        goal,
-        1.0,
-        1.0,
-        cost_map.cost_model,
+        costs=np.zeros((1, *is_free.shape)),
+        is_free=is_free,
+        start=start,
+        goal=goal,
+        resolution_m=1.0,
+        weights=1.0,
+        cost_model=cost_map.cost_model,
         leg_margin_m=cost_map.leg_margin_m / cost_map.grid.resolution_m,
     )
     path = astar(problem)
-    return path.points_m + low[::-1] if path.status.has_path else None
+    return path.points_m + first[::-1] if path.status.has_path else None
 
 
 def _window(first: np.ndarray, last: np.ndarray) -> tuple[slice, ...]:
-    """Return the rows and the columns from one cell of a map to another; the latter may lie beyond it."""
+    """Return the slices of rows and of columns from a first cell to a last one; the last may lie beyond the map."""
     return tuple(map(slice, first, last + 1))
 
 
@@ -492,21 +562,27 @@ def compared_routes(
 ) -> pd.DataFrame:
     """Return a row per demonstration: where it lies, beside a planned route between the same ends.
 
-    ``length_m`` and the mean of each metric along it, the same of the planned route (``planned_length_m`` ...), and
-    ``overlap``, the share of the demonstration's cells that the planned route shares.
+    The columns are ``name``, altitude and times; ``length_m`` and the mean of each metric along the demonstration; the
+    same of the planned route (``planned_length_m`` ...); ``overlap``, the share of the demonstration's cells that the
+    planned route shares; and ``note``.
+
+    Args:
+      demonstrations: one that has no name is numbered, from 1.
+      planned: a route for each, in the same order, on the same map.
     """
     rows = []
-    for number, (demonstration, route) in enumerate(zip(demonstrations, planned, strict=True), 1):
+    pairs = zip(demonstrations, planned, strict=True)
+    for number, (demonstration, route) in enumerate(pairs, start=1):
         query = demonstration.query
-        cost_map = demonstration.query.cost_map
+        cost_map = query.cost_map
         row = {
             "name": query.name or f"{number}",
             "altitude_m": cost_map.altitude_m,
             "time": cost_map.time,
             "time_of_day": cost_map.time_of_day,
         }
-        for prefix, each in (("", demonstration), ("planned_", route)):
-            length_m, *integrals = each.sums[1].tolist()
+        for prefix, side in (("", demonstration), ("planned_", route)):
+            length_m, *integrals = side.sums[1].tolist()
             row[f"{prefix}length_m"] = length_m
             for name, integral in zip(cost_map.names, integrals, strict=True):
                 row[f"{prefix}mean_{name}"] = integral / length_m

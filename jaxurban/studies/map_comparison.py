@@ -55,11 +55,11 @@ class MapComparison(FactsRepr):
 
     @property
     def regrets(self) -> pd.DataFrame:
-        """By altitude, what routes planned on A cost too much on B, and those of B on A; empty without routes.
+        """By altitude, how much too much routes planned on A cost on B, and the other way round; empty without routes.
 
-        ``routes`` found, the share ``closed`` on the other map and ``closed_m``, the median length of these in closed
-        cells; of the others the median ``regret`` (0.05: 5 % above the cheapest there), the 90 % quantile and the
-        worst. ``closed`` and ``regret`` with 95 % intervals.
+        ``routes`` counts the routes that were found. ``closed`` is the share of them that the other map closes, and
+        ``closed_m`` their median length in closed cells. Of the other routes ``regret`` is the median (0.05: 5 % above
+        the cheapest there), with the 90 % quantile and the worst. ``closed`` and ``regret`` have 95 % intervals.
         """
         return regrets(self.routes) if len(self.routes) else pd.DataFrame()
 
@@ -98,8 +98,8 @@ class MapComparison(FactsRepr):
             ALTITUDE: self.a.altitudes_m,
             TIME_OF_DAY: self.a.times_of_day,
         }
-        along = [values[dim] if dim in dims else (None,) for dim in values]
-        return [OneMap(z_m, time, day) for time, z_m, day in itertools.product(*along)]
+        choices = [values[dim] if dim in dims else (None,) for dim in values]
+        return [OneMap(z_m, time, day) for time, z_m, day in itertools.product(*choices)]
 
     @typed
     def of(
@@ -130,12 +130,17 @@ class MapComparison(FactsRepr):
           >>> change.shape, round(float(np.nanmean(change)), 2)
           ((30, 30), -0.13)
         """
+        # The altitude: the first one if left out, and none where the layer does not vary with it.
         first_m = self.places(one_of("layer", layer, self.layers))[0].altitude_m
         z_m = first_m if None in (first_m, altitude_m) else altitude_m
+
+        # Cells with a number in both; masks, and layers without altitudes, have one wherever there are data.
         if z_m is None or layer in MASKS:
             is_known = self.a.ds["has_data"].values & self.b.ds["has_data"].values
         else:
             is_known = self.a.is_free(z_m, "centre") & self.b.is_free(z_m, "centre")
+
+        # A time is A's, beside which B may have another one.
         time_of_b = None if time is None else self.times.get(iso_utc(time), time)
         a = _values(self.a, layer, OneMap(z_m, time, time_of_day))
         b = _values(self.b, layer, OneMap(z_m, time_of_b, time_of_day))
@@ -145,13 +150,13 @@ class MapComparison(FactsRepr):
 
     @property
     def facts(self) -> dict[str, str]:
-        """What is compared, and how much of it changed."""
+        """What is compared, how much of it changed at most, and what was left out or made by other settings."""
         facts = {"A": self.names[0], "B": self.names[1]}
         facts |= {name: self.a.facts[name] for name in ("grid", "CRS", "altitudes")}
-        facts["times"] = ", ".join(
-            of_a if of_a == of_b else f"{of_a} of A beside {of_b} of B"
-            for of_a, of_b in self.times.items()
-        )
+        times = []
+        for time_a, time_b in self.times.items():
+            times.append(time_a if time_a == time_b else f"{time_a} of A beside {time_b} of B")
+        facts["times"] = ", ".join(times)
         facts["cells changed, at most"] = ", ".join(
             f"{name} {share:.1%}" for name, share in self.most_changed.items()
         )
@@ -207,6 +212,7 @@ def compare(
       >>> regrets[["planned_on", "judged_on", "routes", "closed"]].to_numpy().tolist()
       [['A', 'B', 20, 0.0], ['B', 'A', 20, 0.0]]
     """
+    # The arguments, and the part that both maps hold.
     at_least("routes", routes)
     at_least("seed", seed)
     tolerance = finite("tolerance", tolerance)
@@ -228,28 +234,35 @@ def compare(
     )
     rows = []
     with reporting("compare", progress) as report:
+        # A row per map of each layer.
         layers = result.layers
         for number, layer in enumerate(layers):
             report("layers", number, len(layers))
-            for place in result.places(layer):
-                change = result.of(layer, **place._asdict())
-                head = {"layer": layer, "unit": unit_of(result.a, layer), **place._asdict()}
+            for one_map in result.places(layer):
+                place = one_map._asdict()
+                change = result.of(layer, **place)
+                head = {"layer": layer, "unit": unit_of(part_a, layer), **place}
                 rows.append(head | _statistics(change[~np.isnan(change)], tolerance))
         report("layers", len(layers), len(layers))
+
+        # Routes, at the first pair of times.
         judged = result.routes
         if routes:
             times = next(iter(result.times.items()), (None, None))
-            judged = compared_routes(result.a, result.b, routes, seed, times, report)
+            judged = compared_routes(part_a, part_b, routes, seed, times, report)
     return replace(result, table=pd.DataFrame(rows), routes=judged, seed=seed)
 
 
 def _left_out(maps: MetricMaps, part: MetricMaps, other: str) -> dict[str, str]:
-    """Return what maps hold and their shared part does not, and why."""
-    names = [
-        str(name)
-        for name, array in maps.ds.data_vars.items()
-        if name not in part.ds and "y" in array.dims
-    ]
+    """Return which layers, altitudes, times of day and cells of maps their shared part lacks, each with a reason.
+
+    Args:
+      maps: one side of the comparison.
+      part: its part that the other side holds too.
+      other: name of the other side, ``"A"`` or ``"B"``, for the reason.
+    """
+    lost = [name for name in maps.ds.data_vars if name not in part.ds]
+    names = [str(name) for name in lost if "y" in maps.ds[name].dims]  # layers, not scalars
     names += [f"altitude {z_m:g} m" for z_m in maps.altitudes_m if z_m not in part.altitudes_m]
     names += [f"time of day {day}" for day in maps.times_of_day if day not in part.times_of_day]
     num_cells = int(np.prod(maps.grid.shape) - np.prod(part.grid.shape))
@@ -261,7 +274,14 @@ def _left_out(maps: MetricMaps, part: MetricMaps, other: str) -> dict[str, str]:
 def _side(
     maps: MapsLike | MapsFolder, otherwise: str
 ) -> tuple[MetricMaps, str, dict[str, Any] | None]:
-    """Return maps, what they are called, and the settings that made them; None where none can be read."""
+    """Return the maps of one side, what it is called, and the settings that made the maps.
+
+    The settings are None where they cannot be read, as for maps in memory.
+
+    Args:
+      maps: opened maps, or their folder, by which the side is then called.
+      otherwise: what maps in memory are called.
+    """
     if isinstance(maps, MetricMaps):
         return maps, otherwise, None
     source = maps if isinstance(maps, MapsFolder) else MapsFolder(maps)
@@ -279,6 +299,7 @@ def unit_of(maps: MetricMaps, layer: str) -> str:
 
 
 def _values(maps: MetricMaps, layer: str, place: OneMap) -> np.ndarray:
+    """Return ``[Y, X]`` float32 one map of a layer, in its unit; of `CLOSED` 1 where planners may not enter."""
     if layer == CLOSED:
         assert place.altitude_m is not None
         return (~maps.is_free(place.altitude_m)).astype(np.float32)
@@ -288,7 +309,15 @@ def _values(maps: MetricMaps, layer: str, place: OneMap) -> np.ndarray:
 
 
 def _statistics(values: np.ndarray, tolerance: float) -> dict[str, Any]:
-    """Return what differences ``[N]`` come to; infinite ones count as changed and nowhere else."""
+    """Return the statistics of differences B - A of the ``N`` cells that both know, as columns of a row.
+
+    Infinite differences count as changed, ``gained`` or ``lost``, and in no other statistic. Where no difference is
+    finite the other statistics are NaN.
+
+    Args:
+      values: ``[N]`` in the layer's unit, none NaN.
+      tolerance: a difference of at most this, in the same unit, is no change.
+    """
     numbers = values[np.isfinite(values)].astype(np.float64)
     if not len(numbers):
         numbers = np.array([np.nan])
@@ -310,7 +339,8 @@ def _statistics(values: np.ndarray, tolerance: float) -> dict[str, Any]:
 def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
     """Return two sets of maps cut to what both hold: cell (y, x), altitude and n-th time mean the same in both.
 
-    Of times those that both hold, and where each holds a single one, these two.
+    Times are the ones that both hold; where each holds a single time, these two form a pair even if they differ.
+    Layers are kept if both have them along the same dimensions.
 
     Raises:
       InputError: another CRS or resolution, no cell, altitude or layer that both hold, or times that do not pair.
@@ -323,6 +353,7 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
         raise InputError(
             f"the maps share no altitude: A holds {of_a} m and B {of_b} m; add one of A's to B's scenario"
         )
+    # Layers by name with their dimensions; one that varies with the time of day needs one in common.
     days = [day for day in a.times_of_day if day in b.times_of_day]
     layers = {}
     for name, array in a.ds.data_vars.items():
@@ -330,6 +361,8 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
         is_in_both = name in b.ds and set(b.ds[name].dims) == dims
         if {"y", "x"} <= dims and is_in_both and (days or TIME_OF_DAY not in dims):
             layers[name] = dims
+
+    # Times need to pair only where a layer varies with them.
     times_a, times_b = a.times, b.times
     if any(TIME in dims for dims in layers.values()):
         pairs = _paired(a, b)
@@ -345,7 +378,14 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
 def _part(
     maps: MetricMaps, grid: Grid, layers: Sequence[Any], shared: Mapping[str, Sequence[Any]]
 ) -> MetricMaps:
-    """Return the part of maps on some of their cells, with some of their layers, and at some places along dims."""
+    """Return the part of maps on some of their cells, with some of their layers, altitudes and times.
+
+    Args:
+      maps: to be cut.
+      grid: the cells to keep, all within the maps' own; its CRS replaces the maps' name of the same CRS.
+      layers: names of the variables to keep.
+      shared: by dimension the values to keep, which the maps hold.
+    """
     ds = maps.ds.drop_vars([name for name in maps.ds.data_vars if name not in layers])
     rows, cols = grid.window_in(replace(maps.grid, crs=grid.crs))
     values: dict[str, Sequence[Any]] = {
@@ -356,6 +396,7 @@ def _part(
     indices: dict[str, Any] = {"y": rows, "x": cols}
     for dim in values.keys() & set(ds.dims):
         indices[dim] = [values[dim].index(value) for value in shared[dim]]
+    # Attributes that hold one number for each time of day are cut with it.
     attrs = dict(ds.attrs, crs=grid.crs)
     for norm in NORMS:
         if norm in attrs and TIME_OF_DAY in indices:
@@ -364,7 +405,13 @@ def _part(
 
 
 def _shared_grid(a: Grid, b: Grid) -> Grid:
-    """Return the cells that two grids share; cells of one CRS and one resolution coincide wherever they meet."""
+    """Return the grid of the cells that two grids share.
+
+    Cells are numbered from the origin of the CRS, so cells of one CRS and one resolution coincide wherever they meet.
+
+    Raises:
+      InputError: another CRS or resolution, or no cell that both hold.
+    """
     if pyproj.CRS(a.crs) != pyproj.CRS(b.crs) or a.resolution_m != b.resolution_m:
         raise InputError(
             f"A's cells are {a.resolution_m:g} m wide in {a.crs} and B's {b.resolution_m:g} m in {b.crs}, so that none "
@@ -381,7 +428,11 @@ def _shared_grid(a: Grid, b: Grid) -> Grid:
 
 
 def _paired(a: MetricMaps, b: MetricMaps) -> dict[str, str]:
-    """Return B's times by A's."""
+    """Return the time of B that stands beside each time of A, by A's time: the same one, or both maps' single time.
+
+    Raises:
+      InputError: no time is in both, and one of them holds several.
+    """
     if len(a.times) == len(b.times) == 1:
         return {a.times[0]: b.times[0]}
     shared = {time: time for time in a.times if time in b.times}

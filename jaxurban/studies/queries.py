@@ -64,18 +64,18 @@ class RouteQuery:
     def sums(self, points_m: np.ndarray) -> np.ndarray:
         """Return ``[2, K]`` what a valid route ``[N, 2]`` adds up, in metres from the map's southwest corner.
 
-        First its features, what weights multiply, so that cost = W . features: metres, then the sum (``cell``) or the
-        integral over the reference length (``line``) of each c_j. Then its integrals: metres, then the integral of each
-        metric m_j along the route, in metres.
+        The first row holds its features, which weights multiply, so that cost = W . features: metres, then the sum
+        (``cell``) or the integral over the reference length (``line``) of each c_j. The second row holds its integrals:
+        metres, then the integral of each metric m_j along the route, in metres.
         """
-        result = self.cost_map.problem.features(points_m)
-        length_m = float(result.phi[0])
-        means = np.array(list(self.cost_map.means(result).values()))
-        return np.stack([result.phi, np.append(length_m, means * length_m)])
+        features = self.cost_map.problem.features(points_m)
+        length_m = float(features.phi[0])
+        means = np.array(list(self.cost_map.means(features).values()))
+        return np.stack([features.phi, np.append(length_m, means * length_m)])
 
 
 def query_between(cost_map: CostMap, start: Cell, goal: Cell, name: str = "") -> RouteQuery:
-    """Return the query of a route to study.
+    """Return the query of a route to study between two cells, each a row and a column.
 
     Raises:
       InputError: both ends in one cell.
@@ -109,7 +109,8 @@ def make_queries(
     Args:
       cost_map: from `jaxurban.cost_map`.
       pairs: start and goal of each query.
-      snap: move an end inside an obstacle to the nearest free cell, by at most 50 m, or so many metres.
+      snap: move an end inside an obstacle to the nearest free cell: False never, True by at most 50 m, a number by at
+        most this many metres.
 
     Returns:
       The queries in the order of the pairs: ``start`` and ``goal`` are cells, row and column, and ``name`` is the
@@ -123,7 +124,7 @@ def make_queries(
       >>> [(query.name, query.start, query.goal) for query in queries]
       [('1', (2, 2), (27, 27)), ('2', (27, 27), (2, 2))]
     """
-    check_flat(cost_map)
+    check_flat(cost_map)  # one altitude
     queries = []
     for number, pair in enumerate(pairs, start=1):
         try:
@@ -139,32 +140,37 @@ def make_queries(
 
 
 def weights_from(query: RouteQuery, values: np.ndarray) -> Weights:
-    """Return the weights with these values ``[K]``, those of the maps' other metrics 0."""
+    """Return `Weights` from values ``[K]`` in the order of the query's names; metrics it does not have weigh 0."""
     others = dict.fromkeys(("distance", *METRICS, *query.cost_map.maps.metrics), 0.0)
     return Weights(**others | dict(zip(query.names, map(float, values), strict=True)))
 
 
 def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
-    """Return the weights that all queries have.
+    """Return the names of the weights that all queries have, ``"distance"`` and metrics, after checking all maps.
+
+    A study may add up costs of several maps only where a weight means the same on all of them.
 
     Raises:
-      InputError: no query, or maps whose metrics, cost models or units of population differ.
+      InputError: no query, or maps whose metrics, cost models or units of population differ, or whose cell sizes differ
+        under the cost model ``cell``.
     """
     if not queries:
         raise InputError(
             "there are no routes to study (demonstrations, queries or cities): give at least one"
         )
     cost_maps = maps_of(queries)
-    metrics = [", ".join(each.weight_names) for each in cost_maps]
+    metrics = [", ".join(cost_map.weight_names) for cost_map in cost_maps]
     _check_same(metrics, "metrics: make all from the same kinds of sources")
-    models = [each.cost_model for each in cost_maps]
+    models = [cost_map.cost_model for cost_map in cost_maps]
     _check_same(models, "cost models: name one for all (--cost-model, cost_model=)")
     if models[0].kind == "cell":
-        sides = [f"{each.grid.resolution_m:g} m" for each in cost_maps]
-        remedy = "use cost_model='line'"
+        sides = [f"{cost_map.grid.resolution_m:g} m" for cost_map in cost_maps]
         _check_same(
-            sides, f"resolutions, on which the 'cell' cost model costs differently: {remedy}"
+            sides,
+            "resolutions, on which the 'cell' cost model costs differently: use cost_model='line'",
         )
+
+    # Routes that were planned under weights of these very maps agree with them, whatever population is divided by.
     if "population" in queries[0].names:
         unplanned = maps_of(query for query in queries if not query.is_planned)
         norms = [population_norms(each.maps).get(each.time_of_day or "") for each in unplanned]
@@ -177,6 +183,7 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
 
 
 def _check_same(values: Sequence[Any], remedy: str) -> None:
+    """Raise InputError unless the values of all maps are equal; the message ends with what differs and the remedy."""
     for value in values:
         if value != values[0]:
             raise InputError(
@@ -213,10 +220,14 @@ def outcome_unit(outcome: str) -> str:
 
 
 def outcomes_of(integrals: Float[AnyArray, "*N K"], names: Sequence[str]) -> dict[str, Any]:
-    """Return each outcome ``[*N]`` of routes with these integrals (see `RouteQuery.sums`), in the order of the weights.
+    """Return each outcome ``[*N]`` of routes by its name, in the order of the weights.
 
-    ``length_m``; ``mean_gps`` and the like, the mean of m along the route by length; ``people``, the integral of
-    m_population along the route: proportional to the people under a strip of any width. NumPy or JAX.
+    ``length_m`` in metres; ``mean_gps`` and the like, the mean of m along the route by length; ``people``, the integral
+    of m_population along the route in metres, which is proportional to the people under a strip of any width.
+
+    Args:
+      integrals: of the routes (see `RouteQuery.sums`), NumPy or JAX.
+      names: ``[K]`` the weights, ``"distance"`` first.
     """
     outcomes = {}
     for k, outcome in enumerate(outcome_names(names)):

@@ -51,21 +51,22 @@ class RoutePool:
         workers: int | None = None,
         store: RowStore | None = None,
     ) -> None:
-        """Begin with no route.
+        """Begin with the known routes, or with none.
 
         Args:
-          queries: whose routes are searched for.
-          known: ``[2, K]`` of a route of each query to begin with.
-          workers: threads of search, but for small maps; one a core if left out.
-          store: searches in it are not made again, the others are kept in it.
+          queries: whose routes are searched for; at least one.
+          known: ``[2, K]`` features and integrals of one route of each query; empty: there are none yet.
+          workers: threads that search, but for small maps; None: one per core.
+          store: keeps the results of searches; a search that is in it is not made again. None: nothing is kept.
         """
         self.queries = tuple(queries)
         self.names = self.queries[0].names
         self.num_plans = 0
         self._store = store
         self._workers = workers or os.cpu_count() or 1
-        # [2, K] of each query by features, and of all by query and hash of the points.
+        # Of each query its different routes [2, K], by their rounded features.
         self._routes: list[dict[tuple[str, ...], np.ndarray]] = [{} for _ in self.queries]
+        # [2, K] of every route that was searched, by the number of its query and the hash of its points.
         self._sums: dict[tuple[int, bytes], np.ndarray] = {}
         for query, route in enumerate(known):
             self._add(query, route)
@@ -77,9 +78,14 @@ class RoutePool:
 
     @property
     def routes(self) -> np.ndarray:
-        """``[2, Q, R, K]`` features and integrals of all, filled up with `NOT_A_ROUTE`; R is a multiple of `BLOCK`."""
+        """``[2, Q, R, K]`` features and integrals of all routes found so far.
+
+        R is the most routes of a query, rounded up to a multiple of `BLOCK`; queries with fewer are filled up with
+        `NOT_A_ROUTE`.
+        """
         most = max(1, *map(len, self._routes))
-        shape = (2, len(self._routes), -(-most // BLOCK) * BLOCK, len(self.names))
+        num_rows = -(-most // BLOCK) * BLOCK
+        shape = (2, len(self._routes), num_rows, len(self.names))
         filled = np.full(shape, NOT_A_ROUTE)
         for query, routes in enumerate(self._routes):
             if routes:
@@ -96,27 +102,30 @@ class RoutePool:
           InputError: a query's start and goal are not connected.
         """
         weights = np.broadcast_to(weights, (len(self.queries), *np.shape(weights)[-2:]))
+
+        # The result of the same searches, if the store has it, else of searches that are made now.
         key = fingerprint(weights.shape, weights)
         row = None if self._store is None else self._store.get(key)
         if row is not None:
             result = np.frombuffer(row["found"]).reshape(2, *weights.shape)
         else:
             result = self._search_all(weights)
-            self._keep(key, result)
-        self.num_plans += weights.shape[0] * weights.shape[1]
+            if self._store is not None:
+                self._store.add([{"weights": key, "found": result.tobytes()}])
+                self._store.save()
+        num_queries, num_weights, _ = weights.shape
+        self.num_plans += num_queries * num_weights
         for query, routes in enumerate(np.moveaxis(result, 0, 2)):
             for route in routes:
                 self._add(query, route)
         return result
 
-    def _keep(self, key: str, result: np.ndarray) -> None:
-        """Keep what searches found in the store, if there is one."""
-        if self._store is not None:
-            self._store.add([{"weights": key, "found": result.tobytes()}])
-            self._store.save()
-
     def _search_all(self, weights: np.ndarray) -> np.ndarray:
-        """Return ``[2, Q, M, K]`` as `cheapest` does: the one place where routes are searched for."""
+        """Return ``[2, Q, M, K]`` as `cheapest` does, for weights ``[Q, M, K]``, by a search for each.
+
+        Neither the pool nor the store takes them up here.
+        """
+        # One query and one row of weights for each search, all weights of a query together.
         num_queries, num_weights, _ = weights.shape
         numbers = np.repeat(np.arange(num_queries), num_weights).tolist()
         queries = [self.queries[number] for number in numbers]
@@ -126,18 +135,21 @@ class RoutePool:
         else:
             with ThreadPoolExecutor(self._workers) as threads:
                 routes = list(threads.map(RouteQuery.cheapest, queries, rows))
-        result = np.array(list(map(self._sums_of, numbers, routes)))
-        return np.moveaxis(result.reshape(num_queries, num_weights, 2, -1), 2, 0)
+        sums = np.array(list(map(self._sums_of, numbers, routes)))  # [Q M, 2, K]
+        return np.moveaxis(sums.reshape(num_queries, num_weights, 2, -1), 2, 0)
 
     def _sums_of(self, query: int, points_m: np.ndarray) -> np.ndarray:
-        """Return `RouteQuery.sums` of a route, added up once: many weights have the same cheapest route."""
+        """Return `RouteQuery.sums` ``[2, K]`` of a route ``[N, 2]`` of a query, by its number.
+
+        Each route is added up once, as many weights have the same cheapest route.
+        """
         key = (query, hashlib.blake2b(points_m.tobytes(), digest_size=16).digest())
         if key not in self._sums:
             self._sums[key] = self.queries[query].sums(points_m)
         return self._sums[key]
 
     def _add(self, query: int, route: np.ndarray) -> None:
-        """Keep a route ``[2, K]``, unless one is known whose features agree with its own in `DIGITS`."""
+        """Add a route ``[2, K]`` of a query to the pool, unless one is known with the same features to `DIGITS`."""
         features = tuple(f"{value:.{DIGITS - 1}e}" for value in route[0].tolist())
         self._routes[query].setdefault(features, np.array(route))
 
@@ -184,21 +196,28 @@ def pool_of_fit(
     known: Sequence[np.ndarray] = (),
     **fit: Any,
 ) -> RoutePool:
-    """Return the routes of a fit; ``fit`` holds, beside the seed, all that its searches follow from.
+    """Return the pool in which a fit searches for routes, with a store where its settings name a state file.
 
-    All else in a fit follows from its settings and from what its searches found, so that one that was interrupted goes
-    on: what is in the state file is found there, bit for bit.
+    A fit follows from its settings and from the results of its searches alone. So one that was interrupted goes on from
+    its state file to the same weights, bit for bit.
+
+    Args:
+      settings: of the fit; the seed is part of the state file's key.
+      queries: whose routes are searched for.
+      known: as in `RoutePool`.
+      fit: all else that decides which searches the fit makes, plain values by name.
 
     Raises:
       InputError: a state file that is damaged, or of other queries, maps or settings.
     """
     store = None
     if settings.state_file is not None:
-        on_maps = []
-        for one in maps_of(queries):
-            model = one.names, one.cost_model, one.grid.resolution_m, one.costs.shape
-            on_maps.append(fingerprint(model, one.costs, one.is_free))
-        routes = fingerprint(on_maps, [(query.start, query.goal) for query in queries])
+        digests = []
+        for cost_map in maps_of(queries):
+            costs = cost_map.costs
+            model = cost_map.names, cost_map.cost_model, cost_map.grid.resolution_m, costs.shape
+            digests.append(fingerprint(model, costs, cost_map.is_free))
+        routes = fingerprint(digests, [(query.start, query.goal) for query in queries])
         key = {"fit of routes and maps": routes, "seed": settings.seed, **fit}
         store = RowStore(Path(settings.state_file), ["weights"], settings=key)
     return RoutePool(queries, known, store=store)
@@ -213,19 +232,19 @@ def draw_pairs(seed: int, num_noise: int, num_weights: int) -> np.ndarray:
 def mean_and_slope(
     sums: AnyArray, drawn: AnyArray, noise: float | AnyArray
 ) -> tuple[AnyArray, AnyArray]:
-    """Return the mean of what routes under W exp(noise Z) add up, and its derivative by log W. NumPy or JAX.
+    """Return the mean ``[Q, J]`` of the sums of routes under W exp(noise Z), and its derivative by log W ``[Q, J, K]``.
 
-    The derivative ``[Q, J, K]`` is the Monte Carlo estimate of the derivative of the expectation, with the mean as
-    baseline; it is **not** the derivative of the mean ``[Q, J]`` itself, which has none, and its error falls with the
-    square root of ``M``.
+    The derivative is the Monte Carlo estimate of the derivative of the expectation, with the mean as baseline. It is
+    **not** the derivative of the returned mean, which has none. Its error falls with the square root of ``M``.
 
     Args:
-      sums: ``[Q, M, J]`` of the routes under each Z.
+      sums: ``[Q, M, J]`` what the routes under each Z add up; NumPy or JAX.
       drawn: ``[M, K]`` Z, from `draw_pairs`.
       noise: sigma, standard deviation of log weights: wider is smoother, and farther from the route under W.
     """
     mean = sums.mean(axis=1)
-    return mean, (sums - mean[:, None]).swapaxes(1, 2) @ drawn / (noise * len(drawn))
+    deviations = sums - mean[:, None]
+    return mean, deviations.swapaxes(1, 2) @ drawn / (noise * len(drawn))
 
 
 @jax.custom_jvp
@@ -235,14 +254,14 @@ def known_route_sums(
     drawn: Float[Array, "M K"],
     noise: Float[Array, ""],
 ) -> Float[Array, "Q J"]:
-    """Return the expected sums of the cheapest of known routes under perturbed weights.
+    """Return the mean over noises of the sums of the cheapest known route of each query, under perturbed weights.
 
-    A few multiplications a noise, so that thousands are affordable. Differentiable in ``log_weights`` only, first
-    derivatives, by `mean_and_slope`.
+    Each noise takes a few multiplications and no search, so thousands are affordable. The function has first
+    derivatives by ``log_weights`` only, which `mean_and_slope` estimates.
 
     Args:
-      log_weights: W.
-      routes: what the known routes add up, the features first.
+      log_weights: log W.
+      routes: J sums of each known route: its K features first, then whatever else is averaged.
       drawn, noise: as in `mean_and_slope`.
     """
     return _known_mean_and_slope(log_weights, routes, drawn, noise)[0]
@@ -250,11 +269,13 @@ def known_route_sums(
 
 @known_route_sums.defjvp
 def _known_route_sums_jvp(primals: Any, tangents: Any) -> Any:
+    """Return `known_route_sums` and its change along the tangent of the log weights; all other tangents are ignored."""
     mean, slope = _known_mean_and_slope(*primals)
     return mean, slope @ tangents[0]
 
 
 def _known_mean_and_slope(log_weights: Any, routes: Any, drawn: Any, noise: Any) -> Any:
+    """Return `mean_and_slope` of the cheapest known routes; arguments as in `known_route_sums`."""
     perturbed = jnp.exp(log_weights + noise * drawn)
     features = routes[..., : len(log_weights)]
     cheapest = jnp.argmin(jnp.einsum("mk,qrk->qmr", perturbed, features), axis=-1)

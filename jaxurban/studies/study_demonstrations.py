@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -51,11 +51,18 @@ OF_STUDY = ("instance", "altitude_m", "planner", "objective", *OF_ROW)
 
 
 class _Source(NamedTuple):
-    """Instances whose routes are wanted, what their study was run under, and the planner of their routes."""
+    """Instances whose routes are wanted, what their study was run under, and the planner of their routes.
+
+    Attributes:
+      name: of the folder or the file, for messages.
+      table: a row per instance; for a study's folder also the columns `OF_ROW` of the planner's own row.
+      settings: of the study, by name; empty for a table of instances.
+      planner: plans the routes again.
+    """
 
     name: str
     table: pd.DataFrame
-    settings: Mapping[str, Any]  # empty for a table
+    settings: Mapping[str, Any]
     planner: str
 
 
@@ -76,23 +83,25 @@ def demonstrations_from_study(
 ) -> list[Demonstration]:
     """Return the routes of a Monte Carlo study, or of a table of instances, as demonstrations of one W.
 
-    The routes are planned again, each under the weights of its row, and those of a study by the planner of their rows.
-    Rows without a path and routes that cost otherwise than their row says (where a budget in seconds ended the search)
-    are left out with a warning that counts them. Routes by day and by night go together, since one W planned them all.
+    The routes are planned again, each under the weights of its row, and for a study by the planner of its row. Rows
+    without a path are left out with a warning that counts them, and so are routes that now have another cost than their
+    row says, as where a budget in seconds ended the search. Routes by day and by night go together, since one W planned
+    them all.
 
     Args:
       study: what `jaxurban.studies.study` returned, or the folder that it or ``jaxurban study`` wrote; or instances
         (`jaxurban.studies.sample_instances`) or queries (`plan_many`), as a table or in a .csv or .parquet file.
-      maps: that it was run on, from `build_maps` or `open_maps`, or their folder; may be left out for a result and for
-        the folder of ``jaxurban study``, which hold them.
-      altitude_m, time, time_of_day: take only the routes at these.
-      planner: of the study, whose routes are taken; left out, the one that most often proved its route the cheapest.
-      pilot: weights under which all routes are planned, by A*, instead of those of the rows.
-      cost_model, constraints, preset: as in `plan`; left out, those of the study, of which zones must be given again.
-      metrics: those whose weights are to be fitted; all if left out.
+      maps: the maps on which the study was run, from `build_maps` or `open_maps`, or their folder; may be left out for
+        a result and for the folder of ``jaxurban study``, which hold them.
+      altitude_m, time, time_of_day: take only the routes at this altitude and these times; left out, at all.
+      planner: the planner of the study whose routes are taken; left out, the one that most often proved its route the
+        cheapest.
+      pilot: weights under which all routes are planned, by A*, instead of the weights of the rows.
+      cost_model, constraints, preset: as in `plan`; left out, the study's own, but no-fly zones must be given again.
+      metrics: the metrics whose weights are to be fitted; all if left out.
 
     Returns:
-      A `Demonstration` a route, in the order of the rows, named by the number of its instance.
+      A `Demonstration` per route, in the order of the rows, named by the number of its instance.
 
     Raises:
       InputError: no finished study, a damaged table, other maps or constraints than the study's, an unknown planner,
@@ -105,6 +114,7 @@ def demonstrations_from_study(
       >>> [each.query.name for each in routes], routes[0].query.cost_map.altitude_m
       (['0', '1', '2', '3'], 60.0)
     """
+    # What the arguments name: maps, instances and the rules of the study.
     if planner is not None and pilot is not None:
         raise InputError(
             f"a pilot's routes are planned by A*, so that those of planner {planner!r} are not taken: leave one of "
@@ -117,8 +127,10 @@ def demonstrations_from_study(
         constraints = study.settings.constraints if constraints is None else constraints
         study = study.folder
     maps = as_maps(_maps_of(study) if maps is None else maps)
-    flown = {} if pilot is None else as_columns(pilot.checked(maps.metrics), maps.metrics)
-    source = _source(study, maps, planner, flown)
+    pilot_columns = {}
+    if pilot is not None:
+        pilot_columns = as_columns(pilot.checked(maps.metrics), maps.metrics)
+    source = _source(study, maps, planner, pilot_columns)
     if cost_model is None and source.settings:
         cost_model = CostModel.from_settings(source.settings)
     job = Benchmark(
@@ -130,6 +142,8 @@ def demonstrations_from_study(
     maps, job = job.under(maps)
     _check_settings(source, job.deciding(maps))
     check_instances(source.table, maps)
+
+    # The rows at the altitude and times that are asked for.
     table = source.table
     if time is not None:
         time = one_of("time", iso_utc(time), maps.times)
@@ -140,21 +154,27 @@ def demonstrations_from_study(
         if value is not None:
             table = table[table[name] == value]
     _check_one_weights(source.name, table)
-    whole = cache(lambda *at: job.cost_map(maps, *at))
-    fitted = whole if metrics is None else cache(lambda *at: whole(*at).only(metrics))
+
+    # Routes are planned on maps with all metrics and fitted on maps with the chosen ones. Each map is made once, since
+    # fits count maps by identity.
+    planned_map = cache(partial(job.cost_map, maps))
+    fitted_map = planned_map
+    if metrics is not None:
+        fitted_map = cache(lambda *place: planned_map(*place).only(metrics))
     demonstrations = []
     reasons: Counter[str] = Counter()
     for row in records_of(table):
-        at = row["altitude_m"], row["time"], row["time_of_day"]
-        cost_map, fitted_on = whole(*at), fitted(*at)
+        place = row["altitude_m"], row["time"], row["time_of_day"]
+        cost_map = planned_map(*place)
+        cost_map_of_fit = fitted_map(*place)
         try:
             points_m = _points(job, cost_map, row, source.planner)
-            demonstration = demonstration_from_line(fitted_on, points_m, f"{row['instance']}")
-            demonstrations.append(
-                replace(demonstration, query=replace(demonstration.query, is_planned=True))
-            )
+            route = demonstration_from_line(cost_map_of_fit, points_m, f"{row['instance']}")
+            demonstrations.append(replace(route, query=replace(route.query, is_planned=True)))
         except InputError as error:
             reasons[str(error)] += 1
+
+    # What was left out, by reason.
     if not demonstrations:
         raise InputError(
             f"no route of {source.name!r} is of use: {_listed(reasons) or 'none is asked for'}"
@@ -167,32 +187,52 @@ def demonstrations_from_study(
 
 
 def study_in(folder: Path) -> Path | None:
-    """Return the folder of a Monte Carlo study: this one, or the one that ``jaxurban study`` wrote in it."""
-    return next((each for each in (folder, folder / "study") if (each / ROWS_FILE).is_file()), None)
+    """Return the folder of a Monte Carlo study: this one, or its ``study``; None where neither is one."""
+    for study in (folder, folder / "study"):
+        if (study / ROWS_FILE).is_file():
+            return study
+    return None
 
 
 def _maps_of(study: pd.DataFrame | str | Path) -> Path:
-    """Return the folder of the maps that a study was run on."""
-    if isinstance(study, pd.DataFrame):
-        raise InputError("a table does not hold the maps that its routes lie on: give them (maps=)")
-    folder = Path(study)
-    if (folder / ROWS_FILE).is_file():
-        folder = folder.parent
-    if not folder.is_dir():
-        raise InputError(
-            f"{str(study)!r} does not hold the maps that its routes lie on: give them (maps=)"
-        )
-    return folder
+    """Return the folder of the maps that a study was run on.
+
+    This is the folder that holds the study's own folder, or the given folder itself where it holds no rows of a study.
+
+    Raises:
+      InputError: a table, a file, or a folder that does not exist.
+    """
+    name = "a table"
+    if not isinstance(study, pd.DataFrame):
+        name = repr(str(study))
+        folder = Path(study)
+        if (folder / ROWS_FILE).is_file():
+            folder = folder.parent
+        if folder.is_dir():
+            return folder
+    raise InputError(f"{name} does not hold the maps that its routes lie on: give them (maps=)")
 
 
 def _source(
-    study: pd.DataFrame | str | Path, maps: MetricMaps, planner: str | None, flown: Mapping
+    study: pd.DataFrame | str | Path, maps: MetricMaps, planner: str | None, pilot_columns: Mapping
 ) -> _Source:
-    """Return the instances of a study or of a table, with all columns; those of weights as ``flown``, if it has any."""
+    """Return the instances whose routes are wanted, with all columns, and the planner that plans them.
+
+    Args:
+      study: a table of instances or of queries, the file of one, or the folder of a study.
+      maps: the routes lie on them.
+      planner: of a study, whose routes are taken (see `_of_folder`); must be None for a table.
+      pilot_columns: a pilot's weights by column (``w_distance`` ...), which replace those of every row; empty: none do.
+
+    Raises:
+      InputError: a table or folder that cannot be used, a planner for a table, or routes without weights.
+    """
+    # A folder is a study; all else is a table.
+    name = "the table"
     if isinstance(study, pd.DataFrame):
-        name, table = "the table", study
+        table = study
     elif Path(study).is_dir():
-        return _of_folder(study_in(Path(study)) or Path(study), planner, flown)
+        return _of_folder(study_in(Path(study)) or Path(study), planner, pilot_columns)
     else:
         name = str(study)
         table = read_table(study, "instances")
@@ -200,21 +240,35 @@ def _source(
         raise InputError(
             f"planner is one of a study's, and this is a table of instances: leave {planner!r} out"
         )
-    table = table.assign(**flown)
-    if table.filter(regex=f"^{WEIGHT_PREFIX}").empty and STARTS.intersection(table.columns):
+    # Without weights nothing says which routes are the cheapest.
+    table = table.assign(**pilot_columns)
+    has_weights = not table.filter(regex=f"^{WEIGHT_PREFIX}").empty
+    if not has_weights and STARTS.intersection(table.columns):
         raise InputError(
             f"{name!r} has no weights under which its routes are the cheapest: give a column for each (w_distance, "
             "w_gps ...), or the weights of a pilot who flies all of them (--pilot, pilot=)"
         )
+    # Instances have a number and a CRS of their own; queries are places in degrees.
     if "instance" in table or "crs" in table:
         instances = checked_instances(table, f"the instances file {name!r}")
     else:
         instances = instances_of_queries(maps, read_queries(table, metrics=maps.metrics))
-    return _Source(name, instances, {}, EXACT)
+    return _Source(name, instances, settings={}, planner=EXACT)
 
 
-def _of_folder(folder: Path, planner: str | None, flown: Mapping) -> _Source:
-    """Return the instances of a study in a folder, each with what a planner found for it, if that is who flies them."""
+def _of_folder(folder: Path, planner: str | None, pilot_columns: Mapping) -> _Source:
+    """Return the instances of a study in a folder, each with the status and cost of one planner's route.
+
+    Args:
+      folder: of the study.
+      planner: whose weighted routes are taken; None: the one that most often proved its route the cheapest, of equals
+        the one that found most routes.
+      pilot_columns: a pilot's weights by column; unless empty, they replace those of the instances, `EXACT` plans all
+        routes, and no planner's own results are added.
+
+    Raises:
+      InputError: no finished study, a damaged table, no weighted route, or a planner that the study does not have.
+    """
     settings = Workspace.settings_of(folder, "study")
     if not settings or not all((folder / name).is_file() for name in (ROWS_FILE, INSTANCES_FILE)):
         raise InputError(
@@ -222,29 +276,41 @@ def _of_folder(folder: Path, planner: str | None, flown: Mapping) -> _Source:
             "elsewhere, or run `jaxurban study`"
         )
     table = read_instances(folder / INSTANCES_FILE)
-    if flown:
-        return _Source(str(folder), table.assign(**flown), settings, EXACT)
+    if pilot_columns:
+        return _Source(str(folder), table.assign(**pilot_columns), settings, EXACT)
+
+    # How the runs of each planner ended, by planner.
     rows = read_table(folder / ROWS_FILE, "rows")
     if lost := [name for name in OF_STUDY if name not in rows]:
         raise InputError(
             f"{str(folder / ROWS_FILE)!r} lacks the column {lost[0]!r}: run the study again"
         )
     rows = rows[rows.objective == WEIGHTED]
-    ends = rows.assign(proven=rows.status == Status.OPTIMAL.value, found=rows.status.isin(HAS_PATH))
-    ends = ends.groupby("planner", sort=False)[["proven", "found"]].sum()
-    if ends.empty:
+    ends = {
+        "is_optimal": rows.status == Status.OPTIMAL.value,
+        "has_path": rows.status.isin(HAS_PATH),
+    }
+    counts = rows.assign(**ends).groupby("planner", sort=False)[[*ends]].sum()
+    if counts.empty:
         raise InputError(f"{str(folder)!r} holds no route under weights: run the study again")
     if planner is None:
-        planner = str(
-            ends.sort_values(["proven", "found"], ascending=False, kind="stable").index[0]
-        )
-    rows = rows[rows.planner == one_of("planner", planner, ends.index)]
+        best_first = counts.sort_values([*ends], ascending=False, kind="stable")
+        planner = str(best_first.index[0])
+
+    # Each instance beside the row of the chosen planner.
+    rows = rows[rows.planner == one_of("planner", planner, counts.index)]
     instances = table.merge(rows[[*KEY, *OF_ROW]], "left", list(KEY))
     return _Source(str(folder), instances, settings, planner)
 
 
 def _check_settings(source: _Source, now: Mapping[str, Any]) -> None:
-    """Raise InputError unless maps, cost model and constraints are those that a study was run under."""
+    """Raise InputError unless maps, cost model and constraints are the ones that a study was run under.
+
+    Args:
+      source: whose settings are compared; a setting that it does not record counts as equal.
+      now: the same settings by name (`Benchmark.deciding`) of this call. The budget may differ: a route that it cut
+        short is found by its cost.
+    """
     for name, value in now.items():
         before = source.settings.get(name, value)
         if name != "budget" and before != value:
@@ -256,7 +322,12 @@ def _check_settings(source: _Source, now: Mapping[str, Any]) -> None:
 
 
 def _check_one_weights(name: str, table: pd.DataFrame) -> None:
-    """Raise InputError where the rows of a table are under weights of different ratios."""
+    """Raise InputError where the rows of a table are under weights of different ratios.
+
+    Args:
+      name: of the table, for the message.
+      table: a row per instance, with a column per weight (``w_distance`` ...); an empty one passes.
+    """
     weights = table.filter(regex=f"^{WEIGHT_PREFIX}").to_numpy(np.float64)
     sums = weights.sum(axis=1, keepdims=True)
     shares = weights / np.maximum(sums, np.finfo(float).tiny)
@@ -271,15 +342,24 @@ def _check_one_weights(name: str, table: pd.DataFrame) -> None:
 
 
 def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.ndarray:
-    """Return ``[N, 2]`` the route of a row, eastings and northings in the maps' CRS, planned again.
+    """Return ``[N, 2]`` the route of a row, eastings and northings in metres in the maps' CRS, planned again.
+
+    Args:
+      job: its seed is used for planners that draw samples.
+      cost_map: at the row's altitude and times, with all metrics.
+      row: of an instance; from a study also with the columns `OF_ROW`, which the new route must agree with.
+      planner: finds the route, with as many samples as in the study and without a limit of time.
 
     Raises:
-      InputError: its planner found none, or this one costs otherwise; a place that is not a free cell.
+      InputError: the planner found no route, in the study or now, the new route has another cost than the row says, or
+        an end of the route is not a free cell.
     """
     if "status" in row and row["status"] not in HAS_PATH:
         raise InputError(f"{planner} found no path")
     start, goal, weights = located(cost_map, row)
-    options = {"max_samples": int(row["num_samples"])} if draws_samples(planner) else {}
+    options = {}
+    if draws_samples(planner):
+        options["max_samples"] = int(row["num_samples"])
     search = find_planner(planner)
     problem = cost_map.shortest.between(start, goal).with_weights(weights).alone()
     result = search(problem, budget_s=math.inf, seed=job.seed_of(row["instance"]), **options)
@@ -294,7 +374,7 @@ def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.nda
 
 
 def _listed(reasons: Counter[str]) -> str:
-    """Return why routes are left out, the most frequent first, with their numbers."""
+    """Return why routes are left out, the most frequent reason first, each with the number of its routes."""
     listed = [f"{reason} ({num})" for reason, num in reasons.most_common(MOST_REASONS)]
     if len(reasons) > MOST_REASONS:
         listed.append(f"and {len(reasons) - MOST_REASONS} more reasons")

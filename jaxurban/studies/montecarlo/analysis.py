@@ -20,6 +20,7 @@ from jaxurban.studies.montecarlo.sampling import KEY, RANGES
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 
 CLOSE, NEAR = 1.01, 1.05  # ratios that count as the best, and as near it
+CHEAPER = 1e-3  # log of the ratio of two costs from which one is cheaper: 0.1 %
 OFTEN = 0.8  # least share of joined pairs solved for a planner's metrics to be compared
 NEAR_SHARE = 0.9  # least share of joined pairs near the best for a planner to be called near it
 RELIABLE = 0.95  # least share of joined pairs solved for a planner to be advised
@@ -29,23 +30,31 @@ FEWEST = 0.005  # share of cells where GPS is poor, below which nothing is said 
 
 
 def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
-    """Return every row with its instance, and ``has_path``, ``is_joined`` (some path exists), ``ratio``, ``range``.
+    """Return every row with its instance's columns and ``has_path``, ``is_joined``, ``ratio`` and ``range``.
 
-    A pair counts as joined if any planner found a path, or none proved that there is none; a pair with a place that is
-    not free on these maps (``bad-input``) does not.
+    ``is_joined`` says that some path joins the pair of places: a planner found one, or no planner proved that there is
+    none. A pair with a place that is not free on these maps (``bad-input``) is not joined. ``ratio`` is the path's cost
+    over the cheapest one of the same instance and altitude, NaN without a path. ``range`` is ``"any"`` where the
+    instances have none.
+
+    Args:
+      rows: of a benchmark, one per planner, objective, instance and altitude.
+      instances: of the same benchmark.
     """
     wanted = [*KEY, "range", "start_stratum", "goal_stratum", "time_of_day", "distance_m"]
     table = rows.merge(instances.filter(wanted), on=list(KEY), validate="many_to_one")
     table["range"] = table.get("range", pd.Series(index=table.index)).astype(object).fillna("any")
     table["has_path"] = table.status.isin(HAS_PATH)
+
+    # What any planner, or all of them, say of a pair at an altitude.
     pairs = [table[name] for name in KEY]
     is_reached = table.has_path.groupby(pairs).transform("any")
     is_refuted = (table.status == Status.NO_PATH.value).groupby(pairs).transform("any")
     is_bad = (table.status == BAD_INPUT).groupby(pairs).transform("all")
     table["is_joined"] = (is_reached | ~is_refuted) & ~is_bad
+    # The best path has the ratio 1 even if it costs nothing, where there is nothing to divide by.
     best = table.cost.groupby(pairs).transform("min")
     ratio = table.cost / best.where(best > 0)
-    # A path of no cost at all is the best one, whatever is divided.
     ratio = ratio.where(table.cost != best, 1.0)
     table["ratio"] = ratio.where(table.has_path)
     return table
@@ -73,9 +82,14 @@ def range_names(table: pd.DataFrame) -> list[str]:
 
 
 def success(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the share of pairs for which each planner found a path, by altitude and range.
+    """Return the share of pairs for which each planner found a path, a row per planner, altitude and range.
 
-    ``share`` is of all pairs, ``share_joined`` of those that some path joins; ``proven`` the share with status optimal.
+    ``pairs``, ``paths``, ``joined`` and ``crashed`` are counts. ``share`` is the share of all pairs with a path,
+    ``share_joined`` that of the pairs that some path joins (NaN if there is none), and ``proven`` the share of all
+    pairs with the status optimal.
+
+    Args:
+      table: from `joined`; only runs of the weighted objective count.
     """
     rows = weighted_rows(table)
     rows = rows.assign(
@@ -93,7 +107,14 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def costs(table: pd.DataFrame) -> pd.DataFrame:
-    """Return how far above the cheapest path known each planner's paths are, by altitude."""
+    """Return how far above the cheapest path known each planner's paths are, a row per planner and altitude.
+
+    ``paths`` counts them; ``median``, ``p90`` and ``worst`` are of their ratios; ``best_share`` is the share with a
+    ratio of at most 1.01.
+
+    Args:
+      table: from `joined`; only paths of the weighted objective count.
+    """
     rows = weighted_rows(table)
     rows = rows[rows.has_path]
     grouped = rows.groupby(["planner", "altitude_m"]).ratio
@@ -107,10 +128,13 @@ def costs(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def usage(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the metrics that paths use: mean m along them, length and detour, by planner, objective and altitude.
+    """Return the means of length, detour and m of each metric along paths, by planner, objective and altitude.
 
-    Only instances that all of these planners solved count, so that means compare like with like; planners that solve
-    fewer than four joined pairs in five are left out, since what they solve are the easy ones.
+    Only instances that all of these planners solved count, so that means compare like with like; ``instances`` is their
+    number. A planner that solves fewer than four joined pairs in five is left out, since it solves the easy ones.
+
+    Args:
+      table: from `joined`.
     """
     solved = weighted_rows(table[table.is_joined]).groupby("planner").has_path.mean()
     table = table[table.planner.isin(solved.index[solved >= OFTEN])]
@@ -123,7 +147,14 @@ def usage(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def times(table: pd.DataFrame) -> pd.DataFrame:
-    """Return seconds, expansions and samples of each planner by altitude."""
+    """Return seconds, expansions and samples of each planner, a row per planner and altitude.
+
+    ``runs`` counts the runs that ended; the other columns are quantiles over them, NaN where a planner counts neither
+    expansions nor samples.
+
+    Args:
+      table: from `joined`; only runs of the weighted objective count.
+    """
     rows = weighted_rows(table).astype({"num_expanded": float, "num_samples": float})
     grouped = rows[rows.elapsed_s.notna()].groupby(["planner", "altitude_m"])
     return grouped.agg(
@@ -136,12 +167,17 @@ def times(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def paired(table: pd.DataFrame) -> pd.DataFrame:
-    """Return each two planners compared on the pairs that both solved.
+    """Return a row for each two planners, compared on the pairs of places that both solved (``both``, a count).
 
-    ``cost_ratio`` is the geometric mean of first over second with its 95 % bootstrap interval over instances (all
-    altitudes of an instance drawn together); ``first_cheaper`` and ``second_cheaper`` are shares by more than 0.1 %;
-    ``only_first`` and ``only_second`` count pairs that one alone solved.
+    ``cost_ratio`` is the geometric mean of the first planner's cost over the second's, ``low`` and ``high`` its 95 %
+    interval by the bootstrap over instances (all altitudes of an instance drawn together). ``first_cheaper`` and
+    ``second_cheaper`` are the shares of pairs on which one is cheaper by more than 0.1 %. ``only_first`` and
+    ``only_second`` count pairs that one planner alone solved. ``time_ratio`` is the median ratio of seconds.
+
+    Args:
+      table: from `joined`; only runs of the weighted objective count.
     """
+    # Costs and seconds, a row per pair of places and a column per planner.
     rows = weighted_rows(table)
     cost = rows[rows.has_path].pivot(index=list(KEY), columns="planner", values="cost")
     cost = cost.reindex(columns=sorted(rows.planner.unique()))
@@ -163,8 +199,8 @@ def paired(table: pd.DataFrame) -> pd.DataFrame:
                 "cost_ratio": np.exp(interval.value),
                 "low": np.exp(interval.low),
                 "high": np.exp(interval.high),
-                "first_cheaper": (log_ratio < -1e-3).mean(),
-                "second_cheaper": (log_ratio > 1e-3).mean(),
+                "first_cheaper": (log_ratio < -CHEAPER).mean(),
+                "second_cheaper": (log_ratio > CHEAPER).mean(),
                 "time_ratio": time_ratio.median(),
             }
         )
@@ -172,11 +208,14 @@ def paired(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def objectives(table: pd.DataFrame) -> pd.DataFrame:
-    """Return what flying the shortest path costs: distance-only against weighted runs of the same planner, by altitude.
+    """Return what it costs to fly the shortest path instead of the cheapest one, a row per planner and altitude.
 
-    ``cost_ratio`` and ``length_ratio`` are geometric means of distance-only over weighted, the others differences of
-    mean metrics (distance-only less weighted), each with its 95 % interval over instances. Empty where no planner ran
-    both ways.
+    Distance-only runs are compared with weighted runs of the same planner. ``cost_ratio`` and ``length_ratio`` are
+    geometric means of distance-only over weighted; ``m_NAME_change`` is the mean difference of a metric, distance-only
+    less weighted. Each has its 95 % interval over instances. The table is empty where no planner ran both ways.
+
+    Args:
+      table: from `joined`.
     """
     result = []
     both_ways = set(table[table.objective == DISTANCE].planner) & set(weighted_rows(table).planner)
@@ -192,10 +231,13 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _changes(pairs: pd.DataFrame) -> dict[str, float]:
-    """Return how the shortest paths differ from the cheapest ones, each number with its interval over instances.
+    """Return how the shortest paths differ from the cheapest ones: means with their intervals over instances.
+
+    Costs and lengths are compared by their ratio (``cost_ratio``, ``length_ratio``), metrics by their difference
+    (``m_NAME_change``). A number that some path lacks, or whose ratio is not finite, has no columns.
 
     Args:
-      pairs: a row per instance; a column per number of a path and objective. A number that a path lacks is left out.
+      pairs: a row per instance, indexed by `KEY`; columns of two levels, a number of a path and the objective.
     """
     clusters = Clusters(pairs.index.get_level_values("instance"))
     columns: dict[str, float] = {}
@@ -215,24 +257,35 @@ def _changes(pairs: pd.DataFrame) -> dict[str, float]:
 
 
 def choices(table: pd.DataFrame) -> pd.DataFrame:
-    """Return which planner to choose, by altitude and range.
+    """Return which planner to choose, a row per altitude and range, from low to high and from short to long.
 
-    A planner is advised where it solves at least 95 % of the joined pairs. ``cheapest`` has the lowest mean ratio of
-    these, ``fastest_near_best`` the lowest median time among those within 5 % of the best on nine pairs of ten;
-    ``straight_enough`` is the share of joined pairs where the straight line is there and within 5 % of the best.
+    ``reliable`` names the planners that solve at least 95 % of the joined pairs; ``cheapest`` is the one of these with
+    the lowest mean ratio. ``fastest_near_best`` has the lowest median time among the planners that are within 5 % of
+    the best on nine pairs of ten. ``straight_enough`` is the share of joined pairs where the straight line is free and
+    within 5 % of the best.
+
+    Args:
+      table: from `joined`; only runs of the weighted objective count.
     """
     rows = weighted_rows(table)
-    rows = rows[rows.is_joined].assign(is_near=lambda rows: rows.ratio <= NEAR)
+    rows = rows[rows.is_joined]
+    rows = rows.assign(is_near=rows.ratio <= NEAR)
     result = []
-    for (altitude_m, name), pairs in rows.groupby(["altitude_m", "range"]):
-        result.append({"altitude_m": altitude_m, "range": name, **_choice(pairs)})
-    order = {name: number for number, name in enumerate(range_names(rows))}
-    result.sort(key=lambda row: (row["altitude_m"], order[row["range"]]))
+    for altitude_m, at_altitude in rows.groupby("altitude_m"):
+        for name in range_names(at_altitude):
+            pairs = at_altitude[at_altitude.range == name]
+            result.append({"altitude_m": altitude_m, "range": name, **_choice(pairs)})
     return pd.DataFrame(result)
 
 
 def _choice(pairs: pd.DataFrame) -> dict[str, Any]:
-    """Return which planners to choose for the joined pairs of one altitude and range; "none" and NaN without any."""
+    """Return which planners to choose for the joined pairs of one altitude and range (see `choices`).
+
+    Where no planner qualifies its name is ``"none"``, and its number NaN. Of equal planners the faster one is named.
+
+    Args:
+      pairs: a row per pair and planner, with ``is_near``: within 5 % of the best.
+    """
     facts = pairs.groupby("planner").agg(
         pairs=("ratio", "size"),
         share=("has_path", "mean"),
@@ -240,12 +293,13 @@ def _choice(pairs: pd.DataFrame) -> dict[str, Any]:
         near=("is_near", "mean"),
         median_s=("elapsed_s", "median"),
     )
-    facts = facts.sort_values("median_s")  # of equals the faster one is named
+    facts = facts.sort_values("median_s")  # `idxmin` takes the first of equals
     reliable = facts[facts.share >= RELIABLE]
     near = facts[facts.near >= NEAR_SHARE]
     return {
         "joined_pairs": int(facts.pairs.max()),
         "reliable": ", ".join(sorted(reliable.index)) or "none",
+        # Rounded, so that equal costs that were added up in another order are equal.
         "cheapest": reliable.ratio.round(9).idxmin() if len(reliable) else "none",
         "cheapest_ratio": reliable.ratio.min(),
         "fastest_near_best": near.median_s.idxmin() if len(near) else "none",
@@ -267,19 +321,23 @@ def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.Dat
       maps: with gps and lidar; of the GPS maps the first time counts.
       altitudes_m: some of the maps' altitudes.
     """
+    # [Y, X] number of each cell's tile, among those with a free cell at any altitude, and draws of these tiles.
     side = max(1, round(TILE_M / maps.grid.resolution_m))
     rows, cols = np.indices(maps.grid.shape, np.int32) // side
     tile = rows * (int(cols.max()) + 1) + cols
-    is_ever_free = np.logical_or.reduce([maps.is_free(z, "centre") for z in maps.altitudes_m])
+    is_ever_free = np.logical_or.reduce([maps.is_free(z_m, "centre") for z_m in maps.altitudes_m])
     free_tiles = np.unique(tile[is_ever_free])
     tile = np.searchsorted(free_tiles, tile)
     draws = draws_of(len(free_tiles))
+
     result = []
     for altitude_m in sorted(altitudes_m):
         is_free = maps.is_free(altitude_m, "centre")
         gps = maps.m("gps", altitude_m)[is_free].astype(np.float64)
         lidar = maps.m("lidar", altitude_m)[is_free].astype(np.float64)
         row = {"altitude_m": altitude_m, **_sensors(gps, lidar)}
+
+        # [tiles, 6] the sums that a correlation takes, of which those of the drawn tiles are added up.
         parts = np.ones_like(gps), gps, lidar, gps**2, lidar**2, gps * lidar
         of_tiles = [np.bincount(tile[is_free], part, len(free_tiles)) for part in parts]
         sums = np.stack(of_tiles, axis=1)
@@ -290,7 +348,11 @@ def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.Dat
 
 
 def _sensors(gps: np.ndarray, lidar: np.ndarray) -> dict[str, float]:
-    """Return how well GPS and lidar serve, alone and together, from the m of both in ``[N]`` free cells."""
+    """Return the columns of `complementarity` that say how well GPS and lidar serve, alone and together.
+
+    Args:
+      gps, lidar: ``[N]`` m of both in the free cells of an altitude.
+    """
     gps_serves, lidar_serves = gps >= GOOD, lidar >= GOOD
     in_poor = in_good = np.nan
     if FEWEST <= (~gps_serves).mean() < 1:

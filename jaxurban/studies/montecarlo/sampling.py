@@ -126,13 +126,14 @@ def sample_instances(
       4         1        60.0     5.0          True
       5         2        60.0     5.0          True
     """
+    # The arguments.
     maps, model, constraints = rules_on(as_maps(maps), cost_model, constraints, preset)
-    altitudes_m = maps.altitudes_m if altitudes_m is None else tuple(float(z) for z in altitudes_m)
+    altitudes_m = tuple(map(float, maps.altitudes_m if altitudes_m is None else altitudes_m))
     listed = None if isinstance(weights, str) else [each.checked(maps.metrics) for each in weights]
     if not altitudes_m or len(set(altitudes_m)) != len(altitudes_m):
-        listing = ", ".join(f"{z:g}" for z in altitudes_m) or "none"
+        names_m = ", ".join(f"{z_m:g}" for z_m in altitudes_m) or "none"
         raise InputError(
-            f"altitudes_m must name at least one altitude and none twice, got {listing}"
+            f"altitudes_m must name at least one altitude and none twice, got {names_m}"
         )
     at_least("num", num, 1)
     if not listed and weights != DIRICHLET:
@@ -141,26 +142,30 @@ def sample_instances(
         )
     for altitude_m in altitudes_m:
         maps.check_altitude(altitude_m)
-    is_free = np.logical_and.reduce([_always_free(maps, z, constraints) for z in altitudes_m])
+    # A row per pair of places. Its generator draws place, times and weights in this order, so that no option changes
+    # what the others draw.
+    is_free = np.logical_and.reduce([_always_free(maps, z_m, constraints) for z_m in altitudes_m])
     places = _Places(maps, is_free, cover, at_least("seed", seed))
     names = ("distance", *maps.metrics)
     rows = []
-    for k in range(num):
-        rng = np.random.default_rng([seed, 1, k])
-        row: dict[str, Any] = {"instance": k, **places.draw(rng)}
+    for number in range(num):
+        rng = np.random.default_rng([seed, 1, number])
+        row: dict[str, Any] = {"instance": number, **places.draw(rng)}
         row["time"] = None if maps.default_time is None else str(rng.choice(maps.times))
         row["time_of_day"] = str(rng.choice(maps.times_of_day)) if maps.times_of_day else None
         shares = rng.dirichlet(np.ones(len(names)))
-        shares[0] /= model.reference_length_m
+        shares[0] /= model.reference_length_m  # the weight of the distance is per metre
         if listed is None:
             drawn = dict(zip(names, shares.tolist(), strict=True))
             weights_of_row = Weights(**dict.fromkeys(METRICS, 0.0) | drawn)
         else:
-            weights_of_row = listed[k % len(listed)]
+            weights_of_row = listed[number % len(listed)]
         rows.append(row | as_columns(weights_of_row, maps.metrics))
+
+    # The same pairs at every altitude.
     pairs = pd.DataFrame(rows).assign(crs=maps.grid.crs)
     pairs.insert(1, "altitude_m", 0.0)
-    at_altitudes = [pairs.assign(altitude_m=float(z)) for z in altitudes_m]
+    at_altitudes = [pairs.assign(altitude_m=z_m) for z_m in altitudes_m]
     table = pd.concat(at_altitudes, ignore_index=True)
     table = with_connection(table, maps, model, constraints)
     return table.assign(is_connected=table.is_connected.astype(bool))
@@ -168,6 +173,8 @@ def sample_instances(
 
 def sample_joined(maps: MapsLike, num: int, **options: Any) -> pd.DataFrame:
     """Return the first ``num`` instances of `sample_instances` that a path joins at every altitude.
+
+    They keep their numbers, which are not consecutive where a pair between them is not joined.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
@@ -177,21 +184,24 @@ def sample_joined(maps: MapsLike, num: int, **options: Any) -> pd.DataFrame:
     Raises:
       InputError: as there, or no path joins most pairs.
     """
-    drawn = num
+    num_drawn = num
     for _ in range(NUM_DOUBLINGS):
-        table = sample_instances(maps, drawn, **options)
-        joined = table.groupby("instance").is_connected.all()
-        if joined.sum() >= num:
-            return table[table.instance.isin(joined.index[joined][:num])].reset_index(drop=True)
-        drawn *= 2
+        table = sample_instances(maps, num_drawn, **options)
+        is_joined = table.groupby("instance").is_connected.all()  # by number of the instance
+        numbers = is_joined.index[is_joined]
+        if len(numbers) >= num:
+            return table[table.instance.isin(numbers[:num])].reset_index(drop=True)
+        num_drawn *= 2
     raise InputError(
-        f"of {len(joined)} pairs of places drawn on these maps a path joins {joined.sum()} at every altitude, and "
+        f"of {len(is_joined)} pairs of places drawn on these maps a path joins {len(numbers)} at every altitude, and "
         f"{num} are wanted: ask for fewer, leave out the lowest altitude, or loosen the constraints"
     )
 
 
 def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFrame:
-    """Return queries, as `jaxurban.plan_many` takes them, as instances, with the strata and the range that they have.
+    """Return queries, as `jaxurban.plan_many` takes them, as instances, numbered from 0.
+
+    Strata and ranges are found from the places; a query without a time takes the first one of the maps.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
@@ -206,6 +216,7 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
     rows = []
     for number, query in enumerate(queries):
         row: dict[str, Any] = {"instance": number, "altitude_m": query.altitude_m, "crs": grid.crs}
+        # Both ends; a place that is not in metres is longitude and latitude.
         try:
             if query.error:
                 raise InputError(query.error)
@@ -213,10 +224,13 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
                 xy_m: Any = place[:2]
                 if not isinstance(place, XY):
                     xy_m = grid.xy_of_lonlat(*xy_m)
-                row |= _end_facts(grid, end, *map(float, xy_m))
-                row[f"{end}_stratum"] = _stratum_at(strata, grid, *map(float, xy_m))
+                x_m, y_m = map(float, xy_m)
+                row |= _end_facts(grid, end, x_m, y_m)
+                row[f"{end}_stratum"] = _stratum_at(strata, grid, x_m, y_m)
         except InputError as error:
             raise InputError(f"query {number + 1}: {error}") from error
+
+        # What describes the pair, its times and its weights.
         distance_m = np.hypot(
             row["goal_x_m"] - row["start_x_m"], row["goal_y_m"] - row["start_y_m"]
         )
@@ -230,7 +244,7 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
 
 
 def _end_facts(grid: Grid, end: str, x_m: float, y_m: float) -> dict[str, object]:
-    """Return the columns of one end of an instance."""
+    """Return the columns of one end of an instance, ``"start"`` or ``"goal"``: its place in metres and in degrees."""
     lon, lat = grid.lonlat_of_xy(x_m, y_m)
     return {
         f"{end}_x_m": x_m,
@@ -241,7 +255,7 @@ def _end_facts(grid: Grid, end: str, x_m: float, y_m: float) -> dict[str, object
 
 
 def _stratum_at(strata: np.ndarray, grid: Grid, x_m: float, y_m: float) -> str | None:
-    """Return the name of the stratum at a place, of those of all cells (`strata_of`)."""
+    """Return the name of the stratum at a place, from all cells' strata ``[Y, X]``; None outside or without data."""
     stratum = NO_STRATUM
     if grid.contains_xy(x_m, y_m):
         stratum = int(strata[grid.cell_of_xy(x_m, y_m)])
@@ -249,7 +263,7 @@ def _stratum_at(strata: np.ndarray, grid: Grid, x_m: float, y_m: float) -> str |
 
 
 def _range_of(share: float) -> str | None:
-    """Return the name of the range that a share of the region's diagonal lies in."""
+    """Return the name of the range that a share of the region's diagonal lies in; None outside all ranges."""
     names = [name for name, (low, high) in RANGES.items() if low <= share < high]
     return next(iter(names), None)
 
@@ -264,13 +278,26 @@ class _Places:
     def __init__(
         self, maps: MetricMaps, is_free: np.ndarray, cover: LandCover | None, seed: int
     ) -> None:
+        """Sort the free cells by stratum.
+
+        Args:
+          maps: their roofs decide the strata.
+          is_free: ``[Y, X]`` bool.
+          cover: water and parks, as in `strata_of`.
+          seed: of the order in which kinds of pairs take turns.
+
+        Raises:
+          InputError: fewer than two free cells.
+        """
         self.grid = maps.grid
-        strata = np.where(is_free, strata_of(maps, cover), -1).ravel()
+        strata = np.where(is_free, strata_of(maps, cover), NO_STRATUM).ravel()
+        # Flat numbers of the free cells of each stratum, and the strata that have any.
         self.cells = [np.flatnonzero(strata == number) for number in range(len(STRATA))]
         present = [number for number, cells in enumerate(self.cells) if len(cells)]
-        # Stratum of start and goal, range.
+        # Each kind is the stratum of the start, that of the goal and a range.
         self.kinds = list(itertools.product(present, present, RANGES))
-        self.seed, self.num_dealt = seed, 0
+        self.seed = seed
+        self.num_dealt = 0  # kinds that were drawn so far
         if sum(map(len, self.cells)) < 2:
             raise InputError(
                 "fewer than two cells are free at every altitude of the benchmark: leave out the lowest one, or loosen "
@@ -278,38 +305,64 @@ class _Places:
             )
 
     def _next_kind(self) -> tuple[int, int, str]:
-        """Return the next kind; they are shuffled again each time all were drawn."""
+        """Return the next kind: stratum of the start and of the goal, by number, and range, by name.
+
+        The kinds are shuffled again each time all of them were drawn.
+        """
         turn, place = divmod(self.num_dealt, len(self.kinds))
         self.num_dealt += 1
         order = np.random.default_rng([self.seed, 0, turn]).permutation(len(self.kinds))
         return self.kinds[order[place]]
 
     def draw(self, rng: np.random.Generator) -> dict[str, object]:
-        """Return a pair of places of the next kind that the maps offer."""
+        """Return the columns of a pair of places of the next kind that the maps offer: ends, distance, strata, range.
+
+        Raises:
+          InputError: no kind offers a pair.
+        """
         for _ in self.kinds:
-            first, second, name = self._next_kind()
-            pair = self._pair(first, second, RANGES[name], rng)
+            start_stratum, goal_stratum, name = self._next_kind()
+            pair = self._pair(start_stratum, goal_stratum, RANGES[name], rng)
             if pair is not None:
-                strata = {"start_stratum": STRATA[first], "goal_stratum": STRATA[second]}
-                return pair | strata | {"range": name}
+                return {
+                    **pair,
+                    "start_stratum": STRATA[start_stratum],
+                    "goal_stratum": STRATA[goal_stratum],
+                    "range": name,
+                }
         raise InputError(
             "no two free cells of these maps lie far enough apart for a benchmark: use a larger region"
         )
 
     def _pair(
-        self, first: int, second: int, range_shares: tuple[float, float], rng: np.random.Generator
+        self,
+        start_stratum: int,
+        goal_stratum: int,
+        range_shares: tuple[float, float],
+        rng: np.random.Generator,
     ) -> dict[str, object] | None:
-        """Return the ends and the distance of a pair of places in two strata; None where no try finds one."""
+        """Return the columns of the ends and the distance of a pair of places; None where no try finds one.
+
+        Each try draws one start and many goals, and takes the first goal that is as far away as is wanted.
+
+        Args:
+          start_stratum, goal_stratum: by number in `STRATA`.
+          range_shares: the least distance, and the one that it must stay below, as shares of the region's diagonal.
+          rng: draws the cells.
+        """
         low_m, high_m = np.multiply(range_shares, _diagonal_m(self.grid))
         for _ in range(NUM_TRIES):
-            start = np.divmod(rng.choice(self.cells[first]), self.grid.num_cols)
-            goals = np.divmod(rng.choice(self.cells[second], NUM_GOALS), self.grid.num_cols)
-            away_m = np.hypot(goals[0] - start[0], goals[1] - start[1]) * self.grid.resolution_m
+            row, col = np.divmod(rng.choice(self.cells[start_stratum]), self.grid.num_cols)
+            goals = rng.choice(self.cells[goal_stratum], NUM_GOALS)
+            rows, cols = np.divmod(goals, self.grid.num_cols)
+            away_m = np.hypot(rows - row, cols - col) * self.grid.resolution_m
             fits = np.flatnonzero((away_m >= low_m) & (away_m < high_m))
             if len(fits):
-                goal = goals[0][fits[0]], goals[1][fits[0]]
-                ends = self._end("start", start) | self._end("goal", goal)
-                return ends | {"distance_m": float(away_m[fits[0]])}
+                first = fits[0]
+                ends = self._end("start", (row, col)) | self._end(
+                    "goal", (rows[first], cols[first])
+                )
+                return ends | {"distance_m": float(away_m[first])}
         return None
 
     def _end(self, end: str, cell: tuple[int, int]) -> dict[str, object]:
@@ -317,7 +370,7 @@ class _Places:
 
 
 def _always_free(maps: MetricMaps, altitude_m: float, constraints: Constraints) -> np.ndarray:
-    """Return ``[Y, X]`` bool: cells that are free at every time of the maps."""
+    """Return ``[Y, X]`` bool: cells that are free at an altitude at every time, and time of day, of the maps."""
     if not constraints.bounds:  # which alone close other cells at other times
         return constraints.is_free(maps, altitude_m)
     times = (None,) if maps.default_time is None else maps.times
@@ -329,23 +382,35 @@ def _always_free(maps: MetricMaps, altitude_m: float, constraints: Constraints) 
 def with_connection(
     instances: pd.DataFrame, maps: MetricMaps, model: CostModel, constraints: Constraints
 ) -> pd.DataFrame:
-    """Return instances with ``is_connected`` as these maps have it, None where a place is not a free cell of them."""
+    """Return instances with a new column ``is_connected``: whether a path joins start and goal on these maps.
+
+    It is None where the start or the goal is not a free cell of the maps.
+
+    Args:
+      instances: with the columns of `checked_instances`.
+      maps, constraints: decide which cells are free.
+      model: decides whether a diagonal step may pass between two closed cells.
+    """
     joined = pd.Series(None, index=instances.index, dtype=object)
-    place = ["altitude_m"]
+    keys = ["altitude_m"]
     if constraints.bounds:  # which alone close other cells at other times
-        place += TIMES
-    for _, part in instances.groupby(place, dropna=False):
+        keys += TIMES
+    for _, part in instances.groupby(keys, dropna=False):
+        # The free cells at the altitude and times that the part shares.
         first = part.iloc[0]
         times = {name: None if pd.isna(first[name]) else str(first[name]) for name in TIMES}
         is_free = constraints.is_free(maps, float(first.altitude_m), **times)
-        # Where a diagonal step needs both orthogonal neighbours free, islands of orthogonal steps are what is joined.
+        # Islands of free cells, numbered from 1: a path joins two cells if they are in one. Where a diagonal step needs
+        # both orthogonal neighbours free, it leads nowhere that orthogonal steps do not.
         islands, _ = label(is_free, np.ones((3, 3)) if model.joins_corners else None)
+        # The island of each end, 0 outside the maps and in cells that are not free.
         island = {}
         for end in ("start", "goal"):
             x_m, y_m = part[[f"{end}_x_m", f"{end}_y_m"]].to_numpy().T
-            inside = maps.grid.contains_xy(x_m, y_m)
-            island[end] = np.zeros(len(part), islands.dtype)  # 0: of what is not free
-            island[end][inside] = islands[maps.grid.cell_of_xy(x_m[inside], y_m[inside])]
+            is_inside = maps.grid.contains_xy(x_m, y_m)
+            cells = maps.grid.cell_of_xy(x_m[is_inside], y_m[is_inside])
+            island[end] = np.zeros(len(part), islands.dtype)
+            island[end][is_inside] = islands[cells]
         is_closed = (island["start"] == 0) | (island["goal"] == 0)
         joined[part.index] = np.where(is_closed, None, island["start"] == island["goal"])
     return instances.assign(is_connected=joined.infer_objects())
@@ -354,39 +419,46 @@ def with_connection(
 def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
     """Return ``[Y, X]`` int8, the number of each cell's stratum in `STRATA`, `NO_STRATUM` where there are no data.
 
-    **water** and **park** are cells whose centre lies in the land cover's. Elsewhere, within the 250 m square around a
-    cell: **high-rise** where at least a tenth of the cells carry a roof of 35 m or more, else **low-rise** where at
-    least a tenth carry any roof, else **open** (squares, shores, yards). **wide-open** is an open cell with no roof in
-    the 500 m square around it; without a land cover, wide water and the middle of a large park are that. At the maps'
-    edges the squares are what lies inside.
+    **water** and **park** are cells whose centre lies in water or in a park of the land cover; water goes first.
+    Elsewhere the square of 250 m around a cell decides: **high-rise** if at least a tenth of its cells carry a roof of
+    35 m or more, else **low-rise** if at least a tenth carry any roof, else **open** (squares, shores, yards).
+    **wide-open** is an open cell with no roof in the square of 500 m around it; without a land cover, wide water and
+    the middle of a large park are wide-open too. At the maps' edges only the part of a square inside counts.
 
     Args:
       maps: their roofs count.
       cover: water and parks in the maps' CRS; left out, neither is known.
     """
+    # Half the sides of the squares, in cells.
     roof_m = maps.m("roof")
     near = max(1, round(NEAR_M / maps.grid.resolution_m))
     far = max(1, round(FAR_M / maps.grid.resolution_m))
     is_high = share_around(roof_m >= HIGH_RISE_M, near) >= BUILT_SHARE
     is_built = share_around(roof_m > 0, near) >= BUILT_SHARE
     is_wide = share_around(roof_m > 0, far) == 0
-    chosen = [STRATA.index(name) for name in ("high-rise", "low-rise", "wide-open")]
-    strata = np.select([is_high, is_built, is_wide], chosen, STRATA.index("open")).astype(np.int8)
+    # The first of these that holds, and the land cover over all of them.
+    numbers = [STRATA.index(name) for name in ("high-rise", "low-rise", "wide-open")]
+    strata = np.select([is_high, is_built, is_wide], numbers, STRATA.index("open")).astype(np.int8)
     if cover is not None:
         for name, shape in (("park", cover.park), ("water", cover.water)):
             parts = shapely.get_parts(shape)
-            covered, _ = burn(parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8")
+            covered, _ = burn(
+                parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8"
+            )  # 1 inside, else 0
             strata[covered == 1] = STRATA.index(name)
     strata[~maps.ds["has_data"].values] = NO_STRATUM
     return strata
 
 
 def share_around(mask: np.ndarray, half: int) -> np.ndarray:
-    """Return ``[Y, X]`` the share of set cells in the square up to ``half`` cells away from each, cut at edges."""
+    """Return ``[Y, X]`` the share of set cells of a mask in the square around each cell.
+
+    A square reaches ``half`` cells to each side; at the edges only its part inside the mask counts.
+    """
     side = 2 * half + 1
 
     def num_around(cells: np.ndarray) -> np.ndarray:
-        """Return ``[Y, X]`` how many set cells the square around each holds."""
+        """Return ``[Y, X]`` how many set cells the square around each cell holds, outside none."""
         means = uniform_filter(cells.astype(np.float64), side, mode="constant")
         return np.rint(means * side**2)
 
@@ -405,8 +477,8 @@ def read_instances(file: str | Path) -> pd.DataFrame:
 def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
     """Return a table of instances (columns: see `sample_instances`) with all columns and their types.
 
-    ``instance``, ``altitude_m``, ``crs``, the places in metres and the weights must be there; times default to the
-    maps' first.
+    ``instance``, ``altitude_m``, ``crs``, the places in metres and the weights must be there. A missing column of
+    `OPTIONAL` is filled with None, and ``distance_m`` is computed. The table itself is left as it was.
 
     Args:
       table: from a person.
@@ -415,6 +487,7 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
     Raises:
       InputError: it lacks a column, holds no row, a value that is none of its column's, or an instance twice.
     """
+    # The columns that there must be.
     table = table.reset_index(drop=True)
     weights = weight_columns(weighed_metrics(table.columns))
     needed = ("instance", "altitude_m", "crs", *PLACES, *weights)
@@ -422,6 +495,8 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
         raise InputError(f"{name} lacks the column {lost[0]!r}: it needs {', '.join(needed)}")
     if table.empty:
         raise InputError(f"{name} holds no row: give at least one instance")
+
+    # Their numbers, texts among them parsed; what is none becomes NaN and is refused.
     for column in ("instance", "altitude_m", *PLACES, *weights):
         values = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
         is_valid = np.isfinite(values)
@@ -434,12 +509,15 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
             kind = "a whole number >= 0"
         _check_all(is_valid, table[column], kind, name)
         table[column] = values.astype(np.int64) if column == "instance" else values
+
+    # No instance twice at one altitude.
     twice = table.duplicated(list(KEY))
     if twice.any():
         number, altitude_m = table.loc[twice, list(KEY)].to_numpy()[0]
         raise InputError(
             f"{name} holds instance {number:g} at {altitude_m:g} m twice: renumber them"
         )
+    # Columns that may be missing.
     for column in OPTIONAL:
         texts = table.get(column, pd.Series(index=table.index)).astype(object)
         table[column] = texts.where(texts.notna(), None)
@@ -451,24 +529,32 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
-    """Raise InputError unless instances are of these maps: their CRS, altitudes, times and metrics."""
+    """Raise InputError unless instances fit maps: the CRS, altitudes, times and metrics.
+
+    Args:
+      instances: with the columns of `checked_instances`; a missing time stands for any.
+      maps: need every altitude and time of the instances; the instances need a weight for every metric of the maps.
+    """
     crs = set(instances.crs) - {maps.grid.crs}
     if crs:
         raise InputError(
             f"the instances' places are in {crs.pop()}, the maps in {maps.grid.crs}: use maps in that CRS"
         )
-    places: dict[str, Sequence[Any]] = {
+
+    # Altitudes and times that the maps do not hold.
+    of_maps: dict[str, Sequence[Any]] = {
         "altitude_m": maps.altitudes_m,
         "time": () if maps.default_time is None else maps.times,
         "time_of_day": maps.times_of_day,
     }
-    for name, values in places.items():
+    for name, values in of_maps.items():
         lost = [value for value in instances[name].dropna().unique() if value not in values]
         if lost:
             texts = [f"{value:g}" if isinstance(value, float) else value for value in values]
             raise InputError(
                 f"the instances ask for {name} {lost[0]}, and these maps hold {', '.join(texts) or 'none'}"
             )
+    # Weights of metrics that nobody knows, and metrics without a weight.
     for name in weighed_metrics(instances.columns):
         one_of("a weight of the instances", name, dict.fromkeys((*METRICS, *maps.metrics)))
     if lost := [column for column in weight_columns(maps.metrics) if column not in instances]:

@@ -49,11 +49,10 @@ class BenchmarkResult(FactsRepr):
 
     @property
     def facts(self) -> dict[str, str]:
-        """Where it is kept, and how its runs ended."""
-        ends = ", ".join(
-            f"{status} {num}" for status, num in self.rows.status.value_counts().items()
-        )
-        return {"folder": str(self.folder), "instances": str(len(self.instances)), "runs": ends}
+        """Where it is kept, the number of instances, and how many runs ended with each status."""
+        counts = self.rows.status.value_counts()
+        runs = ", ".join(f"{status} {count}" for status, count in counts.items())
+        return {"folder": str(self.folder), "instances": str(len(self.instances)), "runs": runs}
 
     @property
     def table(self) -> pd.DataFrame:
@@ -77,16 +76,16 @@ def study(
 ) -> BenchmarkResult:
     """Return what every planner finds for every instance, under equal budgets: a Monte Carlo benchmark.
 
-    Rows are kept in ``folder`` (``rows.parquet``, one a planner, objective, instance and altitude) as they come; the
-    same call after any end, ``kill -9`` included, runs only what is missing; planners and instances may be added. A
+    Rows are kept in ``folder`` (``rows.parquet``, one per planner, objective, instance and altitude) as they come. The
+    same call after any end, ``kill -9`` included, runs only the missing ones; planners and instances may be added. A
     planner that crashes leaves a row with the status ``crashed``, and a place that is not free one with ``bad-input``.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of maps, which several workers need; a `MapsFolder` where it
         holds several resolutions, or planners are to keep another rule of obstacles.
       folder: where the benchmark is kept.
-      instances: a table as from `jaxurban.studies.sample_instances`, or how many to sample at each altitude; left out,
-        as the settings say. Their ``is_connected`` is found again on these maps.
+      instances: a table as from `jaxurban.studies.sample_instances`, whose ``is_connected`` is found again on these
+        maps, or the number to sample at each altitude; left out, the settings' number.
       settings: planners and budgets.
       cost_model, constraints, preset: of all routes, as in `jaxurban.plan`; a cost model that is left out is that of
         the settings, else that of the maps' scenario.
@@ -96,8 +95,8 @@ def study(
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
-      ``rows``, one a planner, objective, instance and altitude: its status, its costs, metres (``length_m``) and
-      seconds (``elapsed_s``), the mean of each metric; ``table``, the same beside their instances; ``save`` writes the
+      ``rows``, one per planner, objective, instance and altitude: status, costs, metres (``length_m``), seconds
+      (``elapsed_s``) and the mean of each metric; ``table``, the same beside their instances; ``save`` writes the
       report.
 
     Raises:
@@ -114,10 +113,13 @@ def study(
       2         1  astar-dist  distance  optimal
       3         1  astar-plus  weighted  optimal
     """
+    # The rules of all runs: arguments, then the settings, then the maps' scenario.
     folder = Path(folder)
     chosen = settings or Study()
+    if isinstance(instances, int):
+        chosen = replace(chosen, instances=instances)
     job = Benchmark(
-        study=replace(chosen, instances=instances) if isinstance(instances, int) else chosen,
+        study=chosen,
         cost_model=cost_model or chosen.cost_model,
         constraints=constraints or Constraints(),
         preset=preset,
@@ -128,7 +130,13 @@ def study(
     model = CostModel.of(job.cost_model)
     constraints = job.constraints
     source = opened if isinstance(source, MetricMaps) else source.at(opened)
-    if not isinstance(instances, pd.DataFrame):
+    # The instances: those of a table, as these maps connect them, or sampled ones.
+    if isinstance(instances, pd.DataFrame):
+        instances = checked_instances(instances, "instances")
+        check_instances(instances, opened)
+        instances = with_connection(instances, opened, model, constraints)
+        _check_places(instances, opened, constraints)
+    else:
         instances = sample_instances(
             opened,
             job.study.instances,
@@ -138,30 +146,30 @@ def study(
             constraints=constraints,
             seed=job.study.seed,
         )
-    else:
-        instances = checked_instances(instances, "instances")
-        check_instances(instances, opened)
-        instances = with_connection(instances, opened, model, constraints)
-        _check_places(instances, opened, constraints)
-    key = job.deciding(opened)
-    names = [ROWS_FILE, INSTANCES_FILE]
+
+    # The runs that the folder lacks; it is shared with the maps, and mended unless it is replaced.
     with Workspace.open(
         folder,
         "study",
-        key,
-        names=names,
+        job.deciding(opened),
+        names=[ROWS_FILE, INSTANCES_FILE],
         overwrite=overwrite,
         is_shared=True,
         is_mended=not overwrite,
     ) as workspace:
         _check_growth(workspace, instances)
         write_table(instances, folder / INSTANCES_FILE)
-        file = folder / ROWS_FILE
         columns = row_columns(instances.columns)
         with reporting("study", progress) as report:
             sources = {None: source}
             rows = run_rows(
-                file, job, instances, sources, lambda _: columns, workers=workers, report=report
+                folder / ROWS_FILE,
+                job,
+                instances,
+                sources,
+                lambda _: columns,
+                workers=workers,
+                report=report,
             )
     return BenchmarkResult(folder, opened, instances, rows, job)
 
@@ -169,16 +177,18 @@ def study(
 def land_cover_of(scenario: Scenario) -> LandCover | None:
     """Return the water and the parks that the benchmark of a scenario distinguishes, None where no source holds them.
 
-    From ``[study] land_cover``; left out, from the buildings' source where that is an OSM file or a sample city, or the
-    synthetic city's.
+    The source is ``[study] land_cover``. If that is left out, it is the source of the buildings, where this is an OSM
+    file, a sample city or the synthetic city.
 
     Raises:
-      InputError: the file cannot be read, or is not an OSM file.
+      InputError: the file cannot be read, or ``[study] land_cover`` names another kind of file.
     """
     region = scenario.region
     named = scenario.study.land_cover
     if named is None and scenario.is_synthetic:
         return demo_cover_for_bounds(region.bounds, region.crs)
+
+    # Files are read as far as the cells of the scenario's first resolution reach.
     source = named or str(scenario.buildings.source)
     grid = Grid.from_bounds(region.bounds, region.resolution_m[0], region.crs, region.resolution_m)
     if is_sample(source):
@@ -194,9 +204,18 @@ def land_cover_of(scenario: Scenario) -> LandCover | None:
 
 
 def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constraints) -> None:
-    """Raise InputError if not one instance starts and ends on a free cell; a few that do not are rows."""
+    """Raise InputError if there is no instance whose start and goal are both free cells.
+
+    A single instance with an end that is not free is no error: it becomes a row with the status ``bad-input``.
+
+    Args:
+      instances: with ``is_connected`` as `with_connection` sets it, None where an end is not a free cell.
+      maps, constraints: decide which cells are free.
+    """
     if instances.is_connected.notna().any():
         return
+
+    # The first instance shows why: one of its ends is not free, and the error of that end is named.
     first = records_of(instances.head(1))[0]
     altitude_m = first["altitude_m"]
     is_free = constraints.is_free(
@@ -213,12 +232,21 @@ def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constr
 
 
 def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
-    """Raise InputError unless all instances of the benchmark in a folder, if there is one, are among these."""
+    """Raise InputError unless all instances of the benchmark that a folder holds are among these, unchanged.
+
+    A benchmark may grow by further instances, but no row may lose its instance. A folder without rows passes.
+
+    Args:
+      workspace: of the folder; knows whether the file of instances is as it was written.
+      instances: of this call.
+    """
     folder = workspace.folder
-    file = workspace.folder / INSTANCES_FILE
+    file = folder / INSTANCES_FILE
     remedy = "choose another folder, or pass --overwrite (overwrite=True) to replace it"
     if not (folder / ROWS_FILE).exists() and not any((folder / PARTS_FOLDER).glob("*.json")):
         return
+
+    # The instances that its rows belong to.
     try:
         if workspace.is_changed(file):
             raise InputError(f"{str(file)!r} is not as it was written")
@@ -227,19 +255,25 @@ def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
         raise InputError(
             f"{str(folder)!r} holds a study whose instances are lost ({error}): {remedy}"
         ) from error
+    # None of them may be missing now.
     now = instances.set_index(list(KEY))
-    columns = query_columns(instances.columns)
-    if len(lost := before.index.difference(now.index)):
+    lost = before.index.difference(now.index)
+    if len(lost):
         number, altitude_m = lost[0]
         raise InputError(
             f"{str(folder)!r} holds a study of {len(before)} instances, counted at each altitude, of which {len(lost)} "
             f"are left out now (instance {number} at {altitude_m:g} m is the first), and a study can be made longer "
             f"but not shorter: {remedy}"
         )
-    before, after = before.reindex(columns=columns), now[columns].reindex(before.index)
-    differs = np.argwhere(~((before == after) | (before.isna() & after.isna())).to_numpy())
-    if len(differs):
-        (row, col), (number, altitude_m) = differs[0], before.index[differs[0][0]]
+    # None may have another value in a column that planners depend on.
+    columns = query_columns(instances.columns)
+    before = before.reindex(columns=columns)
+    after = now[columns].reindex(before.index)
+    is_same = (before == after) | (before.isna() & after.isna())
+    changed = np.argwhere(~is_same.to_numpy())
+    if len(changed):
+        row, col = changed[0]
+        number, altitude_m = before.index[row]
         raise InputError(
             f"{str(folder)!r} holds a study of other instances (instance {number} at {altitude_m:g} m has the "
             f"{columns[col]} {before.iloc[row, col]}, now {after.iloc[row, col]}): {remedy}"

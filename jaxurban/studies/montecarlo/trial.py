@@ -60,41 +60,52 @@ class Benchmark(RouteJob):
         return self.rules() | {"budget_s": float(self.study.budget_s)} | numbers
 
     def deciding(self, maps: MetricMaps) -> dict[str, Any]:
-        """Return what decides a benchmark's rows, by name: neither the files of zones nor a budget that is not used."""
+        """Return what decides a benchmark's rows on maps, by name; the names are shown where two benchmarks differ.
+
+        Zones count by their outlines, whatever file holds them, and only the budget that is used counts.
+        """
         result = self.to_dict()
-        limits, budget_s, iterations = (
-            result.pop(name) for name in ("limits", "budget_s", "budget_iterations")
-        )
+        limits = result.pop("limits")
+        budget = f"{result.pop('budget_s')} s"
+        iterations = result.pop("budget_iterations")
+        if iterations is not None:
+            budget = f"{iterations} samples"
+        outlines = [zone.get("outline", "") for zone in limits.get("no_fly", ())]
         return {
             **result,
-            "budget": f"{budget_s} s" if iterations is None else f"{iterations} samples",
+            "budget": budget,
             "set of constraints": describe_constraints(limits) or "none",
-            "outlines of no-fly zones": ", ".join(
-                zone.get("outline", "") for zone in limits.get("no_fly", ())
-            ),
+            "outlines of no-fly zones": ", ".join(outlines),
             **maps.identity,
         }
 
     def facts(
         self, cost_map: CostMap, instance: Row, runs: Sequence[Run]
     ) -> Iterator[dict[str, Any]]:
-        """Yield what each planner found for an instance (see `row_columns`); a planner that crashes is an outcome too.
+        """Yield the columns of a row (see `row_columns`) for each run on an instance, in their order.
+
+        A planner that crashes is an outcome too: its row has the status `CRASHED` and the error as its note.
+
+        Args:
+          cost_map: at the instance's altitude and times.
+          instance: its ends and weights.
+          runs: planners, each with its objective.
 
         Raises:
           InputError: a place that is not a free cell.
         """
         start, goal, weights = located(cost_map, instance)
         shortest = cost_map.shortest.between(start, goal)
-        by_objective = {DISTANCE: shortest}
+        problems = {DISTANCE: shortest}
         if any(objective == WEIGHTED for _, objective in runs):
-            by_objective[WEIGHTED] = shortest.with_weights(weights)
+            problems[WEIGHTED] = shortest.with_weights(weights)
         seed = self.seed_of(int(instance["instance"]))
         for planner, objective in runs:
+            problem = problems[objective]
             try:
-                result = limited(planner, self.study)(by_objective[objective].alone(), seed=seed)
-                yield _facts(
-                    cost_map, with_corner_bound(by_objective[objective], result), weights, planner
-                )
+                # Alone: no planner may profit from tables that an earlier one has made.
+                path = limited(planner, self.study)(problem.alone(), seed=seed)
+                yield _facts(cost_map, with_corner_bound(problem, path), weights, planner)
             except Exception as error:  # whatever a planner does, the benchmark goes on
                 yield {**failure(error), "status": CRASHED}
 
@@ -116,21 +127,30 @@ NUMBERS = (
 
 
 def row_columns(instance: Iterable[Any] = ()) -> dict[str, str]:
-    """Return the columns of the rows with their types, for instances of these columns."""
+    """Return the columns of the rows, in order, with the names of their Pandas types.
+
+    Args:
+      instance: the columns of the instances, whose weights name the metrics of the columns ``m_NAME``.
+    """
+    means = [f"m_{name}" for name in weighed_metrics(instance)]
+    efforts = ("elapsed_s", "setup_s", "num_expanded", "num_samples")
     return {
         "instance": "int64",
         "altitude_m": "float64",
         **dict.fromkeys(("planner", "objective", "status"), "object"),
-        **dict.fromkeys(
-            (*NUMBERS, *(f"m_{name}" for name in weighed_metrics(instance))), "float64"
-        ),
-        **dict.fromkeys(("elapsed_s", "setup_s", "num_expanded", "num_samples"), "float64"),
+        **dict.fromkeys((*NUMBERS, *means, *efforts), "float64"),
         **dict.fromkeys(("heuristic", "backend", "note"), "object"),
     }
 
 
 def free_cell(grid: Grid, is_free: np.ndarray, instance: Row, end: str) -> Cell:
-    """Return the cell of an instance's end, ``"start"`` or ``"goal"``.
+    """Return the cell, row and column, of an instance's end, ``"start"`` or ``"goal"``.
+
+    Args:
+      grid: of the maps.
+      is_free: ``[Y, X]`` bool.
+      instance: with the end's place in metres in the CRS of the grid.
+      end: which of the two.
 
     Raises:
       InputError: it is outside the grid, or not free.
@@ -157,7 +177,10 @@ def located(cost_map: CostMap, instance: Row) -> tuple[Cell, Cell, np.ndarray]:
 
 
 def limited(planner: str, study: Study) -> Callable[..., Path]:
-    """Return a planner under the benchmark's budget: seconds, or samples where it draws any."""
+    """Return a planner that takes a problem, under the budget of a study.
+
+    The budget is in seconds, or in samples where the study says so: then planners that draw none have no limit.
+    """
     search: Callable[..., Path] = find_planner(planner)
     if study.budget_iterations is None:
         return partial(search, budget_s=study.budget_s)
@@ -172,7 +195,17 @@ def draws_samples(planner: str) -> bool:
 
 
 def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -> dict[str, Any]:
-    """Return the columns of one planner's run: how it ended, and what its path costs under each model."""
+    """Return the columns of one planner's run (see `row_columns`): how it ended, and what its path costs.
+
+    Only a valid path has costs. A path that crosses an obstacle has the status `INVALID`, whatever its planner says.
+
+    Args:
+      cost_map: of the instance; costs are counted on it, under both cost models, and not taken from the planner.
+      result: of the planner.
+      weights: ``[K]`` of the instance; a run with the objective ``"distance"`` is judged by them too.
+      planner: its name.
+    """
+    # How the run ended.
     facts = {
         "status": result.status.value,
         "lower_bound": result.lower_bound,
@@ -186,6 +219,7 @@ def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -
     }
     if not result.status.has_path:
         return facts
+    # What the path adds up, under the benchmark's cost model and the other one.
     features = {kind: cost_map.shortest.features(result.points_m, kind) for kind in COST_KINDS}
     of_path = features[cost_map.cost_model.kind]
     if not of_path.is_valid:

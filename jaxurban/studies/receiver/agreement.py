@@ -140,9 +140,11 @@ class SatelliteAgreement(FactsRepr):
     def known_cautions(self) -> list[Caution]:
         """Which rows were not judged, and which satellites were left out."""
         counts = self.counts
-        judged = "not judged" if counts["is_guarded"] else "judged as if nothing stood beyond"
         sentences = []
         if counts["unknown"]:
+            judged = "judged as if nothing stood beyond"
+            if counts["is_guarded"]:
+                judged = "not judged"
             sentences.append(
                 f"{counts['unknown']:,} rows are {judged}: their rays leave what is known of the city."
             )
@@ -186,23 +188,29 @@ class SatelliteAgreement(FactsRepr):
 
 
 def headings_rad(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Return ``[N]`` the street's direction at each epoch, clockwise from grid north: over 20 m each way.
+    """Return ``[N]`` the street's direction at each epoch, radians clockwise from grid north.
 
-    While the receiver stands it is the last one.
+    It is the direction from the place 20 m behind along the track to the place 20 m ahead; the ends of the track stand
+    for places beyond them. While the receiver stands the direction does not change.
+
+    Args:
+      x_m, y_m: ``[N]`` easting and northing of each epoch.
     """
+    # Anchors are epochs at least `STILL_M` apart; each epoch takes the place along the track of its last anchor.
     places = np.column_stack([x_m, y_m])
     anchors = [0]
-    of_epoch = np.zeros(len(places), int)
+    anchor_of_epoch = np.zeros(len(places), int)
     for number, place in enumerate(places):
         if np.hypot(*(place - places[anchors[-1]])) >= STILL_M:
             anchors.append(number)
-        of_epoch[number] = len(anchors) - 1
-    at_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(places[anchors], axis=0).T)))
+        anchor_of_epoch[number] = len(anchors) - 1
+    along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(places[anchors], axis=0).T)))
+    epoch_m = along_m[anchor_of_epoch]
 
     def moved_m(values: np.ndarray) -> np.ndarray:
-        """Return by how much a coordinate changes from behind each epoch to ahead of it."""
-        ahead = np.interp(at_m[of_epoch] + STREET_M, at_m, values[anchors])
-        return ahead - np.interp(at_m[of_epoch] - STREET_M, at_m, values[anchors])
+        """Return ``[N]`` by how much a coordinate ``[N]`` changes from behind each epoch to ahead of it."""
+        ahead = np.interp(epoch_m + STREET_M, along_m, values[anchors])
+        return ahead - np.interp(epoch_m - STREET_M, along_m, values[anchors])
 
     return np.arctan2(moved_m(x_m), moved_m(y_m))
 
@@ -220,50 +228,53 @@ def agreement_of(
     """Return how a city agrees with the satellites of a log.
 
     Args:
-      log: with azimuths and elevations.
-      track: of its epochs.
-      city: in the CRS of the grid.
-      known: where its buildings are known.
-      grid: whose cells are taken, also beyond it.
-      mask_deg: lower rows are left out.
-      settings: how the two are set beside each other.
+      log: a row per epoch and satellite, with azimuth and elevation in degrees.
+      track: places of the log's epochs.
+      city: its buildings and terrain, in the CRS of the grid.
+      known: where its buildings are known, in the same CRS.
+      grid: gives size and alignment of the cells, which may lie beyond it.
+      mask_deg: rows with a lower elevation are left out.
+      settings: systems, blocks, antenna height, what counts as known, and the number of displaced cities.
       report: of the progress.
 
     Raises:
       InputError: fewer than `FEWEST_ROWS` rows that can be judged.
     """
+    # The rows with their rays, and whether each ray stays above known ground until it is above all roofs.
     rows, rays = _rows_of(log, track, grid, mask_deg, settings)
-    rise = highest_top_m(city) - settings.antenna_height_m
-    rows["is_known"] = rays.stays_within(known, rise)
+    rise_m = highest_top_m(city) - settings.antenna_height_m
+    rows["is_known"] = rays.stays_within(known, rise_m)
+
+    # Every n-th epoch of a long log meets displaced cities, unless its rays are unknown; rivals every n-th as well.
     is_guarded = settings.known != EVERYWHERE
     every = max(1, len(rows) // MOST_MOVED)
     is_taken = (rows.epoch % every == 0).to_numpy()
     is_moved = is_taken & (rows.is_known.to_numpy() | (not is_guarded))
     displaced = Displaced.of(settings.num_displaced, settings.seed, int(is_moved.sum()))
-    reach_m = (max(rise * SCALES[-1], 0.0) + FARTHEST_MARGIN_M) / np.tan(rays.elevation_rad.min())
+    # How far away a roof of the largest scale can still be within a margin of the lowest ray.
+    reach_m = (max(rise_m * SCALES[-1], 0.0) + FARTHEST_MARGIN_M) / np.tan(rays.elevation_rad.min())
+
+    # Leg by leg, since the ground around all of the track may not fit into memory.
     rows["margin_m"] = np.nan
     rows["is_inside"] = False
     for leg in legs(track.x_m, track.y_m, grid.resolution_m):
-        at = np.flatnonzero((rows.epoch >= leg.start) & (rows.epoch < leg.stop))
-        if not len(at):
+        of_leg = np.flatnonzero((rows.epoch >= leg.start) & (rows.epoch < leg.stop))
+        if not len(of_leg):
             continue
-        of_leg = rays.take(at)
-        ground = Ground.around(
-            city, box_of(grid, of_leg, FARTHEST_M), reach_m, settings.antenna_height_m
-        )
-        rows.loc[at, "is_known"] &= ~ground.crosses_gap(of_leg, rise)
-        rows.loc[at, "is_inside"] = ground.is_inside(of_leg)
-        rows.loc[at, "margin_m"] = ground.margins_m(of_leg)
-        moved = at[is_moved[at]]
-        of_moved = rays.take(moved)
+        leg_rays = rays.take(of_leg)
+        box = box_of(grid, leg_rays, FARTHEST_M)
+        ground = Ground.around(city, box, reach_m, settings.antenna_height_m)
+        rows.loc[of_leg, "is_known"] &= ~ground.crosses_gap(leg_rays, rise_m)
+        rows.loc[of_leg, "is_inside"] = ground.is_inside(leg_rays)
+        rows.loc[of_leg, "margin_m"] = ground.margins_m(leg_rays)
+
+        # The same rays in displaced cities and under other roofs; columns count the moved rows.
+        moved = of_leg[is_moved[of_leg]]
         column = (np.cumsum(is_moved) - 1)[moved]
-        for number in range(len(displaced.moves_m)):
-            report("displaced cities", number, len(displaced.moves_m))
-            displaced.fill(number, column, ground, of_moved)
-            if is_guarded and number < displaced.num_null:
-                displaced.leave_unknown(number, column, ground, of_moved, known, rise)
-        for number, scale in enumerate(SCALES):
-            displaced.of_scale[number, column] = ground.with_roofs(scale).margins_m(of_moved) >= 0
+        guard = known if is_guarded else None
+        displaced.fill(column, ground, rays.take(moved), guard, rise_m, report)
+
+    # Which rows are judged, and which of them are strong: at least the median of these, if that is received at all.
     rows["is_seen"] = rows.margin_m >= 0
     rows.loc[rows.is_inside, "margin_m"] = np.nan
     is_open = rows.is_known | (not is_guarded)
@@ -274,6 +285,7 @@ def agreement_of(
     if not median_dbhz > 0:
         strong_dbhz = float(judged.cn0_dbhz[judged.cn0_dbhz > 0].min())
     rows["is_strong"] = rows.cn0_dbhz >= strong_dbhz
+    # The scores of the city, of displaced ones, and of rules that predict from less or more than the margin.
     report("scores")
     scores = score_table(rows, settings.seed)
     of_displaced = displaced.tables(rows[is_moved], settings.seed)
@@ -283,8 +295,9 @@ def agreement_of(
     rules = features_of(
         chosen.margin_m.to_numpy(), rays_chosen.elevation_rad, rays_chosen.azimuth_rad - street_rad
     )
-    truths = chosen.is_strong.to_numpy(), chosen.block.to_numpy()
-    rivals = compared_rules(rules, *truths, settings.seed)
+    is_strong = chosen.is_strong.to_numpy()
+    block = chosen.block.to_numpy()
+    rivals = compared_rules(rules, is_strong, block, settings.seed)
     num_blocks = int(chosen.block.nunique())
     return SatelliteAgreement(
         rows=rows,
@@ -294,7 +307,7 @@ def agreement_of(
         scales=of_displaced.scales,
         peak=of_displaced.peak,
         rivals=rivals,
-        block_lengths=gain_by_length(rules, *truths, settings.sky_block_m, settings.seed),
+        block_lengths=gain_by_length(rules, is_strong, block, settings.sky_block_m, settings.seed),
         skies=_skies(rows, rays, log, city, grid, reach_m, settings.antenna_height_m),
         strong_dbhz=strong_dbhz,
         verdict=verdict_of(scores, of_displaced.null, rivals, num_blocks),
@@ -316,7 +329,13 @@ def agreement_of(
 
 
 def _check_judged(rows: pd.DataFrame, name: str, mask_deg: float) -> None:
-    """Raise InputError where too few rows are judged."""
+    """Raise InputError where fewer than `FEWEST_ROWS` rows are judged, or none of them is received.
+
+    Args:
+      rows: all rows, with ``is_judged``, ``is_known`` and ``is_inside``.
+      name: of the log, for the message.
+      mask_deg: the rows' least elevation, for the message.
+    """
     judged = rows[rows.is_judged]
     if len(judged) >= FEWEST_ROWS and (judged.cn0_dbhz > 0).any():
         return
@@ -332,7 +351,20 @@ def _check_judged(rows: pd.DataFrame, name: str, mask_deg: float) -> None:
 def _rows_of(
     log: ReceiverLog, track: Track, grid: Grid, mask_deg: float, settings: ReceiverSettings
 ) -> tuple[pd.DataFrame, Rays]:
-    """Return the rows of a log above the mask, of the systems that are asked for, and their rays."""
+    """Return the rows of a log above the mask, of the systems that are asked for, and the ray of each row.
+
+    The rows have the columns ``system`` and ``block`` besides those of the log, and are numbered from 0.
+
+    Args:
+      log: with azimuths from true north and elevations.
+      track: the place of each epoch, and its distance along the track.
+      grid: rays have azimuths from its north.
+      mask_deg: least elevation.
+      settings: systems, and length of the blocks.
+
+    Raises:
+      InputError: no such row.
+    """
     assert log.satellites is not None
     system = log.satellites.satellite.astype(str).str[0]
     is_kept = log.satellites.elevation_deg >= max(mask_deg, LOWEST_DEG)
@@ -345,6 +377,7 @@ def _rows_of(
             f"the receiver log {log.name!r} has no satellite above the mask of {mask_deg:g} degrees{systems}: lower "
             "[gps] mask_deg, or see whether elevation_deg is in degrees"
         )
+    # One turn from true to grid north serves all of the track.
     rows["block"] = (track.along_m[rows.epoch] // settings.sky_block_m).astype(int)
     centre = float(log.epochs[LON].median()), float(log.epochs[LAT].median())
     azimuth_rad = np.radians(rows.azimuth_deg.to_numpy(float)) - grid.convergence_rad(*centre)
@@ -361,7 +394,19 @@ def _skies(
     reach_m: float,
     antenna_m: float,
 ) -> tuple[PlaceSky, ...]:
-    """Return the skies in the middle of the blocks of least and of most agreement."""
+    """Return the skies in the middle of the blocks of least and of most agreement.
+
+    A block agrees by the share of its judged rows that are seen and strong, or neither. Blocks with few judged rows do
+    not count, unless all have few.
+
+    Args:
+      rows: of the agreement.
+      rays: of these rows.
+      log: gives the time and place of each epoch.
+      city, grid: give the horizon.
+      reach_m: how far away buildings count.
+      antenna_m: height of the receiver above the ground.
+    """
     judged = rows[rows.is_judged]
     agrees = (judged.is_seen == judged.is_strong).groupby(judged.block).agg(["mean", "size"])
     agrees = agrees[agrees["size"] >= min(FEWEST_SEEN, agrees["size"].max())]
@@ -371,13 +416,16 @@ def _skies(
     }
     skies = []
     for name, block in blocks.items():
+        # The block's middle epoch that has a judged row, and where it was.
         epochs = np.sort(judged.epoch[judged.block == block].unique())
         epoch = int(epochs[len(epochs) // 2])
         of_epoch = rows[rows.epoch == epoch]
         place = rays.take(of_epoch.index.to_numpy()[:1])
         fix = log.epochs.iloc[epoch]
         lon, lat = float(fix[LON]), float(fix[LAT])
-        ground = Ground.around(city, box_of(grid, place, 0.0), reach_m, antenna_m)
+
+        # Its horizon, turned from grid north to true north by whole degrees.
+        ground = Ground.around(city, box_of(grid, place, around_m=0.0), reach_m, antenna_m)
         turn = int(np.rint(np.degrees(grid.convergence_rad(lon, lat))))
         horizon = np.roll(ground.horizon_deg(float(place.x_m[0]), float(place.y_m[0])), turn)
         satellites = of_epoch.reset_index(drop=True)
@@ -393,6 +441,10 @@ def verdict_of(
     Praise takes two things: margin and elevation predict better than elevation and the street, and C/N0 separates seen
     from hidden better than in every displaced city, both by their intervals. The first alone does not show that place
     and time are right: satellites that stand still are predicted at any hour.
+
+    Args:
+      scores, displaced, rivals: tables of a `SatelliteAgreement`.
+      num_blocks: of the track, with judged rows.
     """
     score = scores.set_index("which").loc["all"]
     gain = rivals.set_index("model").loc[MAP]
@@ -402,28 +454,29 @@ def verdict_of(
         return f"The track is too short for a verdict: {where} there is no interval (it takes {FEWEST_GROUPS} blocks)."
     if not np.isfinite([gain.gain_low, score.auc_low]).all():
         return f"There is no verdict: {where} too few rows are hidden, or too few in view, for an interval."
-    by = f"the gain in log-loss is {gain.gain:.3f} (95 % interval {gain.gain_low:.3f} to {gain.gain_high:.3f})"
+    # First whether the maps predict better, then whether the city's place is the best one.
+    gained = f"the gain in log-loss is {gain.gain:.3f} (95 % interval {gain.gain_low:.3f} to {gain.gain_high:.3f})"
     auc = f"an AUC of {score.auc:.2f} ({score.auc_low:.2f} to {score.auc_high:.2f})"
     if not gain.gain_low > 0:
         return (
             f"It is not shown that what this receiver hears {where} is predicted better from the maps than from the "
-            f"elevation and the street's direction: {by}."
+            f"elevation and the street's direction: {gained}."
         )
     num_cities = int(displaced.auc.notna().sum())
     if num_cities < FEWEST_CITIES:
         return (
             f"There is no verdict: {where} {num_cities} of {len(displaced)} displaced cities could be scored, and it "
-            f"takes {FEWEST_CITIES} ({by})."
+            f"takes {FEWEST_CITIES} ({gained})."
         )
     if not score.auc_low > most:
         return (
             f"It is not shown that the city fits this receiver better than displaced ones do {where}: C/N0 separates "
             f"seen from hidden satellites with {auc}, and displaced cities reach {most:.2f}, though the margin to the "
-            f"shadow's edge and the elevation predict better than the elevation and the street's direction ({by}); "
+            f"shadow's edge and the elevation predict better than the elevation and the street's direction ({gained}); "
             "check whether times and places are right."
         )
     return (
         f"What this receiver hears {where} is predicted better from the margin to the shadow's edge and the elevation "
-        f"than from the elevation and the street's direction: {by}; C/N0 separates seen from hidden satellites with "
+        f"than from the elevation and the street's direction: {gained}; C/N0 separates seen from hidden satellites with "
         f"{auc}, and displaced cities reach at most {most:.2f}."
     )

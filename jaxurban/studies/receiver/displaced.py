@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from jaxurban.progress import Report
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.satellites import Ground
 from jaxurban.studies.receiver.scores import aucs, drawn_blocks, levels_of
@@ -53,53 +54,58 @@ class Displaced:
         """Return displacements that are still to be filled: those of the null by seed, then those of the field."""
         return cls(np.concatenate([displacements(num_null, seed), near_by()]), num_null, num_rows)
 
-    def fill(self, number: int, column: np.ndarray, ground: Ground, rays: Rays) -> None:
-        """Take up what rays of some rows are in one displaced city.
-
-        Args:
-          number: of the displacement.
-          column: of each ray's row.
-          ground: of the city where it is.
-          rays: from the true places.
-        """
-        moved = self._there(number, rays)
-        self.is_seen[number, column] = ground.margins_m(moved) >= 0
-        self.is_out[number, column] = ground.is_inside(moved)
-
-    def leave_unknown(
+    def fill(
         self,
-        number: int,
         column: np.ndarray,
         ground: Ground,
         rays: Rays,
-        known: shapely.Geometry,
+        known: shapely.Geometry | None,
         rise_m: float,
+        report: Report,
     ) -> None:
-        """Leave out rays that are unknown in one displaced city; ``rise_m``: to the highest roof."""
-        moved = self._there(number, rays)
-        self.is_out[number, column] |= ~moved.stays_within(known, rise_m) | ground.crosses_gap(
-            moved, rise_m
-        )
-
-    def _there(self, number: int, rays: Rays) -> Rays:
-        """Return rays from the same places, as a displaced city has them."""
-        east_m, north_m = self.moves_m[number]
-        return rays.moved(-east_m, -north_m)
-
-    def tables(self, rows: pd.DataFrame, seed: int) -> "DisplacedScores":
-        """Return how displaced cities and other roofs score.
+        """Write to ``is_seen``, ``is_out`` and ``of_scale`` what the rows of a leg are in every displaced city.
 
         Args:
-          rows: ``[R]`` of the agreement.
+          column: the column, from 0 to R - 1, of each ray's row.
+          ground: of the city in its true place, around the leg.
+          rays: from the true places.
+          known: where the buildings are known, in their true place; None: rays that leave it count all the same.
+          rise_m: from the antenna to the highest roof; a ray that has risen this far may leave the known ground.
+          report: of the progress.
+        """
+        # A city that moves is the same as rays that move the other way.
+        for number, (east_m, north_m) in enumerate(self.moves_m):
+            report("displaced cities", number, len(self.moves_m))
+            moved = rays.moved(-east_m, -north_m)
+            self.is_seen[number, column] = ground.margins_m(moved) >= 0
+            self.is_out[number, column] = ground.is_inside(moved)
+            if known is not None and number < self.num_null:
+                self.is_out[number, column] |= ~moved.stays_within(known, rise_m)
+                self.is_out[number, column] |= ground.crosses_gap(moved, rise_m)
+        for number, scale in enumerate(SCALES):
+            self.of_scale[number, column] = ground.with_roofs(scale).margins_m(rays) >= 0
+
+    def tables(self, rows: pd.DataFrame, seed: int) -> "DisplacedScores":
+        """Return how displaced cities and other roofs score, when all legs are filled in.
+
+        A city of the null with fewer than `FEWEST_ROWS` rows has the scores NaN, and with fewer blocks than
+        `FEWEST_GROUPS` there is no peak.
+
+        Args:
+          rows: R rows of the agreement, in the order of the columns.
           seed: of the bootstrap.
         """
+        # The rows that count in each displaced city: judged in the true one, and neither inside nor unknown there.
         level = levels_of(rows.cn0_dbhz)
         satellite = rows.satellite.cat.codes.to_numpy()
         is_judged = rows.is_judged.to_numpy()
         block, weights = drawn_blocks(rows.block.where(rows.is_judged).to_numpy(), seed)
         keeps = is_judged & ~self.is_out
+        num_rows = keeps.sum(axis=1)
+
+        # The null: scores of far displaced cities, over all pairs of rows and within satellites, without draws.
         null = np.full((self.num_null, 2), np.nan)
-        for number in np.flatnonzero(keeps[: self.num_null].sum(axis=1) >= FEWEST_ROWS):
+        for number in np.flatnonzero(num_rows[: self.num_null] >= FEWEST_ROWS):
             keep = keeps[number]
             of_city = self.is_seen[number, keep], level[keep], block[keep], weights[:1]
             null[number] = aucs(*of_city)[0], aucs(*of_city, satellite[keep])[0]
@@ -108,21 +114,23 @@ class Displaced:
             """Return ``[D]`` the AUC of the rows that are kept, under each draw of blocks."""
             return aucs(is_seen[keep], level[keep], block[keep], weights[: 1 + NUM_DRAWS])
 
+        # The field of small displacements, and the scales of roofs, under draws of blocks: [moves or scales, D].
         around = range(self.num_null, len(keeps))
         by_move = np.array([drawn(self.is_seen[number], keeps[number]) for number in around])
         by_scale = np.array([drawn(is_seen, is_judged) for is_seen in self.of_scale])
         cities = pd.DataFrame(self.moves_m, columns=["east_m", "north_m"])
-        cities["rows"] = keeps.sum(axis=1)
+        cities["rows"] = num_rows
         near = cities[self.num_null :].assign(auc=by_move[:, 0]).reset_index(drop=True)
         scales = {"scale": SCALES, "rows": int(is_judged.sum()), "auc": by_scale[:, 0]}
-        if weights.shape[1] < FEWEST_GROUPS:
+        if weights.shape[1] < FEWEST_GROUPS:  # values that are all NaN have no peak
             by_move = np.full_like(by_move, np.nan)
             by_scale = np.full_like(by_scale, np.nan)
+        best_moves_m = peaks(by_move, near[["east_m", "north_m"]].to_numpy())
         return DisplacedScores(
-            cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1]),
-            near,
-            pd.DataFrame(scales),
-            _peak(peaks(by_move, near[["east_m", "north_m"]].to_numpy()), peaks(by_scale, SCALES)),
+            null=cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1]),
+            field=near,
+            scales=pd.DataFrame(scales),
+            peak=_peak(best_moves_m, peaks(by_scale, SCALES)),
         )
 
 
@@ -136,7 +144,12 @@ class DisplacedScores(NamedTuple):
 
 
 def _peak(moves_m: np.ndarray, scale: np.ndarray) -> dict[str, float]:
-    """Return where a city fits best, of displacements ``[D, 2]`` and scales ``[D]`` that are best in each draw."""
+    """Return where a city fits best, as `SatelliteAgreement.peak` holds it; NaN without a peak.
+
+    Args:
+      moves_m: ``[D, 2]`` the displacement, east and north, that is best in each draw, the first without drawing.
+      scale: ``[D]`` the scale of the roofs that is best in each draw.
+    """
     east_m, north_m = moves_m[0].tolist()
     low, high = np.quantile(scale[1:], [0.025, 0.975]).tolist()
     return {
@@ -149,11 +162,16 @@ def _peak(moves_m: np.ndarray, scale: np.ndarray) -> dict[str, float]:
     }
 
 
-def peaks(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return ``[D, ...]`` where, of ``[F, ...]``, a draw's values ``[F, D]`` are highest; NaN where all are alike."""
+def peaks(values: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+    """Return ``[D, ...]`` the candidate with the highest value in each draw; NaN where all values are alike or NaN.
+
+    Args:
+      values: ``[F, D]`` of each candidate in each draw.
+      candidates: ``[F, ...]`` displacements or scales.
+    """
     highest = np.nan_to_num(values, nan=-np.inf)
     has_peak = highest.max(axis=0) > np.nan_to_num(values, nan=np.inf).min(axis=0)
-    places = at[np.argmax(highest, axis=0)].astype(np.float64)
+    places = candidates[np.argmax(highest, axis=0)].astype(np.float64)
     places[~has_peak] = np.nan
     return places
 

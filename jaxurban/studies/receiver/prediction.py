@@ -26,13 +26,13 @@ class ReceiverSettings:
 
     Attributes:
       antenna_height_m: of the receiver's antenna above the ground.
-      sky_step_s: satellites stand still for so many seconds; each epoch takes the sky nearest to it in time.
+      sky_step_s: seconds for which satellites stand still; each epoch takes the sky nearest to it in time.
       piece_m: length of the pieces of track whose medians are compared.
       other_pieces_m: further lengths of pieces for which the same is reported.
       block_m: length of the blocks of track within which ranks are compared, and of which one after the other is left
         out for the interval.
       sky_block_m: length of the blocks of track that the bootstrap of satellites' scores draws.
-      known: where the buildings are known: ``"city"``, what their file covers; a number, so many metres around the
+      known: where the buildings are known: ``"city"``, what their file covers; a number, this many metres around the
         track; a vector file of polygons; or ``"all"``, which judges rays that leave the data as if nothing stood there.
       systems: letters of the satellite systems that are taken, as ``("G", "E")``; empty, all of the log.
       num_displaced: displaced cities of the null.
@@ -60,10 +60,11 @@ class ReceiverSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        """Check all settings; an area of ``known`` is read only when it is used."""
         for name in ("antenna_height_m", "piece_m", "block_m", "sky_block_m", "sky_step_s"):
             positive(name, getattr(self, name))
-        for value in self.other_pieces_m:
-            positive("each of other_pieces_m", value)
+        for length_m in self.other_pieces_m:
+            positive("each of other_pieces_m", length_m)
         if not isinstance(self.known, str | Path):
             positive("known", self.known, "metres")
         at_least("num_displaced", self.num_displaced, 1)
@@ -97,9 +98,12 @@ class ReceiverSettings:
           >>> settings["other_pieces_m"], settings["systems"], settings["known"]
           ([50.0], ['G'], 'city')
         """
-        of_known = self.known if isinstance(self.known, float | int) else str(self.known)
-        lists = {"other_pieces_m": list(self.other_pieces_m), "systems": list(self.systems)}
-        return asdict(self) | lists | {"known": of_known}
+        return {
+            **asdict(self),
+            "other_pieces_m": list(self.other_pieces_m),
+            "known": self.known if isinstance(self.known, float | int) else str(self.known),
+            "systems": list(self.systems),
+        }
 
 
 def region_of(scenario: Scenario) -> Grid:
@@ -113,9 +117,15 @@ def region_of(scenario: Scenario) -> Grid:
 def task_at(
     scenario: Scenario, times: Sequence[str], grid: Grid, antenna_height_m: float
 ) -> MapTask:
-    """Return what maps of a scenario at other times, and at the antenna's height alone, are made of.
+    """Return the task that makes maps of a scenario at other times, and at the antenna's height alone.
 
-    People, layers that a user added and uncertainty are left out: satellites depend on none of them.
+    People, a user's own layers and uncertainty are left out, as satellites do not depend on them.
+
+    Args:
+      scenario: of the maps.
+      times: UTC, of the sky.
+      grid: of the maps, whose resolution counts alone.
+      antenna_height_m: of the receiver above the ground.
     """
     region = replace(
         scenario.region, resolution_m=(grid.resolution_m,), altitudes_m=(antenna_height_m,)
@@ -137,5 +147,6 @@ def task_at(
         "population": Population(),
         "layers": {},
     }
+    # One resolution makes one task. Its cells are the grid's, which nests with all of the scenario's resolutions.
     (task,) = tasks_of(scenario.model_copy(update=update))
-    return replace(task, region=grid)  # which nests with all of the scenario's resolutions
+    return replace(task, region=grid)

@@ -24,79 +24,97 @@ STREET, MAP = "street", "margin and elevation"
 def features_of(
     margin_m: np.ndarray, elevation_rad: np.ndarray, off_street_rad: np.ndarray
 ) -> Mapping[str, np.ndarray]:
-    """Return what each rule predicts from, ``[R, K]`` by its name.
+    """Return what each rule predicts from: ``[R, K]`` features by the rule's name, the first of them 1.
 
-    Margins count by the shape of `jaxurban.metrics.reception.ReceptionCurve`, whose coefficients every fit chooses.
+    Rules that know the margin take it as the log odds of `jaxurban.metrics.reception.ReceptionCurve`, whose slope and
+    offset every fit chooses for itself.
 
     Args:
-      margin_m: ``[R]`` antenna less the shadow's edge.
+      margin_m: ``[R]`` height of the antenna less that of the shadow's edge; may be inf.
       elevation_rad: ``[R]`` of the satellite.
-      off_street_rad: ``[R]`` angle between its azimuth and the street.
+      off_street_rad: ``[R]`` angle between the satellite's azimuth and the street's direction.
     """
     sky = [elevation_rad, elevation_rad**2]
-    # Up the walls of the street.
+    # The elevation in the plane across the street, in which the walls of the street hide satellites.
     across_rad = np.arctan2(np.tan(elevation_rad), np.abs(np.sin(off_street_rad)))
     chance = ReceptionCurve.measured_in_tokyo().chance(jnp.asarray(margin_m))
-    of_margin = logit(np.asarray(chance, np.float64))
+    log_odds = logit(np.asarray(chance, np.float64))
     rules = {
         "constant": [],
         "elevation": sky,
         STREET: [*sky, across_rad, across_rad**2, across_rad * elevation_rad],
         "seen or hidden": [margin_m >= 0],
-        "margin": [of_margin],
-        MAP: [*sky, of_margin],
+        "margin": [log_odds],
+        MAP: [*sky, log_odds],
     }
-    return {
-        name: np.stack([np.ones(len(margin_m)), *columns], axis=1)
-        for name, columns in rules.items()
-    }
+    ones = np.ones(len(margin_m))
+    return {name: np.stack([ones, *columns], axis=1) for name, columns in rules.items()}
 
 
 def fitted(features: np.ndarray, is_strong: np.ndarray) -> np.ndarray:
-    """Return ``[K]`` coefficients of the logistic regression of ``[R]`` truths on ``[R, K]``, by Newton's method."""
-    chosen = np.zeros(features.shape[1])
-    ridge = RIDGE * np.eye(len(chosen))
+    """Return ``[K]`` the coefficients of a logistic regression, by Newton's method with a small ridge.
+
+    Args:
+      features: ``[R, K]``.
+      is_strong: ``[R]`` bool, the truths.
+    """
+    coefficients = np.zeros(features.shape[1])
+    ridge = RIDGE * np.eye(len(coefficients))
     for _ in range(NUM_STEPS):
-        chance = expit(features @ chosen)
-        slope = features.T @ (is_strong - chance) - ridge @ chosen
-        curvature = (features * (chance * (1 - chance))[:, None]).T @ features + ridge
-        chosen += np.linalg.solve(curvature, slope)
-    return chosen
+        # Gradient and negative Hessian of the log likelihood less the ridge's penalty.
+        chance = expit(features @ coefficients)
+        slope = features.T @ (is_strong - chance) - ridge @ coefficients
+        variance = chance * (1 - chance)
+        curvature = (features * variance[:, None]).T @ features + ridge
+        coefficients += np.linalg.solve(curvature, slope)
+    return coefficients
 
 
 def losses(features: np.ndarray, is_strong: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Return ``[R]`` -ln(chance of what happened), each block judged by what all others say; NaN without another."""
-    lost = np.full(len(block), np.nan)
+    """Return ``[R]`` -ln of the chance that a rule gave to what happened in each row.
+
+    Each block is judged by a fit to all blocks but those of its fold; with a single fold all values are NaN.
+
+    Args:
+      features: ``[R, K]`` of the rule.
+      is_strong: ``[R]`` bool, what happened.
+      block: ``[R]`` number of each row's block; blocks whose numbers agree modulo `MOST_FOLDS` form a fold.
+    """
+    result = np.full(len(block), np.nan)
     fold = block % MOST_FOLDS
     folds = np.unique(fold)
     if len(folds) == 1:
-        return lost
+        return result
     for number in folds:
-        is_left = fold == number
-        chance = expit(features[is_left] @ fitted(features[~is_left], is_strong[~is_left]))
-        of_truth = np.where(is_strong[is_left], chance, 1 - chance)
-        lost[is_left] = -np.log(np.clip(of_truth, LEAST_CHANCE, 1.0))
-    return lost
+        is_judged = fold == number
+        coefficients = fitted(features[~is_judged], is_strong[~is_judged])
+        chance = expit(features[is_judged] @ coefficients)
+        of_truth = np.where(is_strong[is_judged], chance, 1 - chance)
+        result[is_judged] = -np.log(np.clip(of_truth, LEAST_CHANCE, 1.0))
+    return result
 
 
 def compared_rules(
     rules: Mapping[str, np.ndarray], is_strong: np.ndarray, place: np.ndarray, seed: int
 ) -> pd.DataFrame:
-    """Return a row per rule: ``model``, ``log_loss``, ``gain`` on the rule of the street, with its 95 % interval.
+    """Return a row per rule: ``model``, its name, ``log_loss``, and ``gain`` with its 95 % interval.
+
+    The gain is the log-loss of the rule `STREET` less that of the rule; above 0 the rule predicts better.
 
     Args:
-      rules: from `features_of`.
+      rules: from `features_of`; `STREET` must be one of them.
       is_strong: ``[R]`` truths.
       place: ``[R]`` number of the rows' block along the track.
       seed: of the bootstrap.
     """
+    # [D] the mean loss of each rule under each draw of blocks, the first one without drawing.
     block, weights = drawn_blocks(place, seed)
     num_blocks = weights.shape[1]
     totals = weights @ np.bincount(block, minlength=num_blocks)
-    means = {
-        name: weights @ np.bincount(block, losses(features, is_strong, block), num_blocks) / totals
-        for name, features in rules.items()
-    }
+    means = {}
+    for name, features in rules.items():
+        of_blocks = np.bincount(block, losses(features, is_strong, block), num_blocks)
+        means[name] = weights @ of_blocks / totals
     rows = []
     for name, mean in means.items():
         gain = means[STREET] - mean
@@ -112,7 +130,10 @@ def gain_by_length(
     block_m: float,
     seed: int,
 ) -> pd.DataFrame:
-    """Return the gain of margin and elevation where blocks are `LENGTHS` times as long: neighbours are less alike.
+    """Return the gain of margin and elevation with blocks that are once, twice and four times as long.
+
+    Neighbouring blocks are more alike the shorter they are, which makes intervals too narrow. A gain that holds with
+    longer blocks does not rest on this.
 
     Args:
       rules: from `features_of`.

@@ -62,14 +62,23 @@ class Ground:
 
     @classmethod
     def around(cls, city: City, box: Grid, reach_m: float, antenna_m: float) -> "Ground":
-        """Return the ground of a box, and of what stands within ``reach_m`` of it."""
+        """Return the ground of a box, and of what stands within ``reach_m`` of it on each side.
+
+        Args:
+          city: its buildings and terrain; parts that hang, as bridges do, are taken to reach the ground.
+          box: the cells that hold the track.
+          reach_m: as far as a building can hide a satellite.
+          antenna_m: height of the receiver above the ground.
+        """
         whole = replace(city, blocks=None, hanging=TO_GROUND)
         surface = rasterise(whole, surface_grid(city, box, box.resolution_m, (reach_m,) * 4))
-        terrain_m, has_data = (
-            None if values is None else np.asarray(values)
-            for values in (surface.terrain_m, surface.has_data)
+        return cls(
+            grid=surface.grid,
+            roof_m=np.asarray(surface.roof_m),
+            terrain_m=None if surface.terrain_m is None else np.asarray(surface.terrain_m),
+            has_data=None if surface.has_data is None else np.asarray(surface.has_data),
+            antenna_m=antenna_m,
         )
-        return cls(surface.grid, np.asarray(surface.roof_m), terrain_m, has_data, antenna_m)
 
     @cached_property
     def _most_m(self) -> float:
@@ -96,7 +105,7 @@ class Ground:
         return jax.device_put(np.where(self.has_data, -np.inf, 0.0).astype(np.float32))
 
     def with_roofs(self, scale: float) -> "Ground":
-        """Return the ground with all roofs so many times as high."""
+        """Return the ground with the height of all roofs multiplied by a factor."""
         return replace(self, roof_m=np.float32(scale) * self.roof_m)
 
     def is_inside(self, rays: Rays) -> np.ndarray:
@@ -104,9 +113,13 @@ class Ground:
         return stands_at(self.roof_m[self.grid.cell_of_xy(rays.x_m, rays.y_m)], self.antenna_m)
 
     def margins_m(self, rays: Rays) -> np.ndarray:
-        """Return ``[R]`` height of the antenna above the edge of the roofs' shadow, metres, of rays from the box.
+        """Return ``[R]`` metres by which the antenna of each ray lies above the edge of the shadow of roofs and hills.
 
-        Below 0 a roof hides the satellite; +inf from `FARTHEST_MARGIN_M` on. Terrain counts where it hides.
+        Below 0 a roof or a hill hides the satellite. Margins of `FARTHEST_MARGIN_M` or more are +inf. Terrain counts
+        only where it hides: a ray that passes near over a hill keeps the margin of the roofs.
+
+        Args:
+          rays: from places in the box.
         """
         row, col, lines = self._lines(rays)
         shadow_m = shadows_at(self._tops_m, row, col, lines, self._most_m)
@@ -119,7 +132,7 @@ class Ground:
         return np.where(margin_m < FARTHEST_MARGIN_M, margin_m, np.inf)
 
     def crosses_gap(self, rays: Rays, rise_m: float) -> np.ndarray:
-        """Return ``[R]`` which rays begin over cells without data, or cross one before they have risen so far."""
+        """Return ``[R]`` which rays begin over a cell without data, or cross one before they rise by ``rise_m``."""
         if self.has_data is None:
             return np.zeros(len(rays.x_m), bool)
         row, col, lines = self._lines(rays)
@@ -133,38 +146,52 @@ class Ground:
         return row, col, walks(rays.azimuth_rad, rays.elevation_rad, self.grid.resolution_m, *start)
 
     def horizon_deg(self, x_m: float, y_m: float) -> np.ndarray:
-        """Return ``[360]`` elevation of roofs and hills at each degree of grid azimuth from a place, degrees."""
-        row, col = (int(at) for at in self.grid.cell_of_xy(x_m, y_m))
+        """Return ``[360]`` elevation of roofs and hills, degrees above 0, at each degree of grid azimuth from a place.
+
+        A picture of the horizon, not a judgement: cells are sampled one cell apart along each azimuth.
+        """
+        # [steps, 360] the cells at each distance, in cell sides, and azimuth, those beyond the grid moved to its edge.
+        row, col = map(int, self.grid.cell_of_xy(x_m, y_m))
         away = np.arange(1, max(self.grid.shape))[:, None]
         azimuth_rad = np.radians(HORIZON_DEG)
-        of_row = np.rint(row + away * np.cos(azimuth_rad)).astype(int)
-        of_col = np.rint(col + away * np.sin(azimuth_rad)).astype(int)
-        at = of_row.clip(0, self.grid.num_rows - 1), of_col.clip(0, self.grid.num_cols - 1)
-        is_on = (at[0] == of_row) & (at[1] == of_col)
-        above_m = self.roof_m[at] - self.antenna_m
+        rows = np.rint(row + away * np.cos(azimuth_rad)).astype(int)
+        cols = np.rint(col + away * np.sin(azimuth_rad)).astype(int)
+        cells = rows.clip(0, self.grid.num_rows - 1), cols.clip(0, self.grid.num_cols - 1)
+        is_on_grid = (cells[0] == rows) & (cells[1] == cols)
+
+        # How high each stands above the antenna; beyond the grid nothing does.
+        above_m = self.roof_m[cells] - self.antenna_m
         if self.terrain_m is not None:
-            above_m += self.terrain_m[at] - self.terrain_m[row, col]
-        angle_rad = np.arctan2(np.where(is_on, above_m, 0.0), away * self.grid.resolution_m)
+            above_m += self.terrain_m[cells] - self.terrain_m[row, col]
+        angle_rad = np.arctan2(np.where(is_on_grid, above_m, 0.0), away * self.grid.resolution_m)
         return np.degrees(angle_rad.max(axis=0, initial=0.0))
 
 
 def legs(x_m: np.ndarray, y_m: np.ndarray, resolution_m: float) -> Iterator[slice]:
-    """Yield runs of ``[N]`` epochs whose places lie in one box of at most `LEG_CELLS`; one epoch at least."""
+    """Yield runs of consecutive epochs whose places lie in one box of at most `LEG_CELLS` cells.
+
+    Each run holds one epoch at least, and together they hold all.
+
+    Args:
+      x_m, y_m: ``[N]`` place of each epoch.
+      resolution_m: side of a cell.
+    """
     first = 0
     low = np.array([np.inf, np.inf])
     high = np.array([-np.inf, -np.inf])
     for number, place in enumerate(np.column_stack([x_m, y_m])):
-        joined = np.minimum(low, place), np.maximum(high, place)
-        if number > first and np.prod((joined[1] - joined[0]) / resolution_m + 1) > LEG_CELLS:
+        # The box of the run with this epoch; where it is too large the run ends before it.
+        low = np.minimum(low, place)
+        high = np.maximum(high, place)
+        if number > first and np.prod((high - low) / resolution_m + 1) > LEG_CELLS:
             yield slice(first, number)
             first = number
-            joined = (place, place)
-        low, high = joined
+            low = high = place
     yield slice(first, len(x_m))
 
 
 def box_of(grid: Grid, rays: Rays, around_m: float) -> Grid:
-    """Return the cells, aligned with those of a grid, that hold the places and so many metres around them."""
+    """Return the cells, aligned with a grid, that hold the places of rays and ``around_m`` metres on each side."""
     low_m = np.array([rays.y_m.min(), rays.x_m.min()]) - around_m
     high_m = np.array([rays.y_m.max(), rays.x_m.max()]) + around_m
     first = np.floor(low_m / grid.resolution_m).astype(int)
@@ -173,7 +200,13 @@ def box_of(grid: Grid, rays: Rays, around_m: float) -> Grid:
 
 
 def known_of(known: str | float | Path, city: City, track: Track) -> shapely.Geometry:
-    """Return where the buildings of a city are known, in its CRS, as `ReceiverSettings` states it.
+    """Return where the buildings of a city are known, as a geometry in its CRS.
+
+    Args:
+      known: as in `ReceiverSettings`: what the city's file covers, or all; a file of polygons; or metres around the
+        places of the track.
+      city: of the buildings.
+      track: its places.
 
     Raises:
       InputError: a file of polygons that cannot be read.
@@ -188,38 +221,50 @@ def known_of(known: str | float | Path, city: City, track: Track) -> shapely.Geo
 
 
 def with_directions(log: ReceiverLog, track: Track, sky: Sky, grid: Grid) -> ReceiverLog:
-    """Return a log with the azimuth and elevation of each row by the orbits of a sky, at the sky's times.
+    """Return a log with the azimuth and elevation of each row, in degrees, by the orbits of a sky.
 
-    Satellites without an orbit are named as left out; rows below the horizon go.
+    The satellites of the log that have no orbit are listed as left out. Rows of such satellites, and rows below the
+    horizon, are dropped.
+
+    Args:
+      log: with a row per epoch and satellite.
+      track: says which time of the sky each epoch takes.
+      sky: directions by time and satellite, azimuths from grid north.
+      grid: whose north the azimuths are turned from, to true north.
 
     Raises:
       InputError: no satellite of the log has an orbit.
     """
+    # Of each row the number of its satellite in the sky, -1 without an orbit, and its time there.
     rows = log.satellites
     assert rows is not None
-    of_category = matching(list(rows[SATELLITE].cat.categories), sky)
-    number = of_category[rows[SATELLITE].cat.codes]
-    at = track.sky[rows[EPOCH]], number
+    satellites = rows[SATELLITE].cat
+    of_category = matching(list(satellites.categories), sky)
+    number = of_category[satellites.codes]
+    time_and_satellite = track.sky[rows[EPOCH]], number
+
     turn_rad = grid.convergence_rad(*grid.centre_lonlat)
-    angles = {
-        AZIMUTH: np.degrees((sky.azimuth_rad[at] + turn_rad) % math.tau),
-        ELEVATION: np.degrees(sky.elevation_rad[at]),
-    }
-    names = rows[SATELLITE].cat.categories[of_category < 0]
-    is_up = (number >= 0) & (angles[ELEVATION] >= 0)
+    azimuth_deg = np.degrees((sky.azimuth_rad[time_and_satellite] + turn_rad) % math.tau)
+    elevation_deg = np.degrees(sky.elevation_rad[time_and_satellite])
+    angles = {AZIMUTH: azimuth_deg.astype(np.float32), ELEVATION: elevation_deg.astype(np.float32)}
+    is_up = (number >= 0) & (elevation_deg >= 0)
+    names = satellites.categories[of_category < 0]
     left_out = {**log.left_out, **dict.fromkeys(names, "no orbit of [gps] orbits has its name")}
-    result = rows.assign(**{name: values.astype(np.float32) for name, values in angles.items()})
+    result = rows.assign(**angles)
     return replace(log, satellites=result[is_up].reset_index(drop=True), left_out=left_out)
 
 
 def counted(
     rows: pd.DataFrame, num_epochs: int
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return, of the rows that are judged, how many satellites each epoch sees by the maps and by the receiver.
+    """Return how many satellites each epoch sees by the maps, and how many the receiver tracks.
+
+    Both are ``[N]`` float, by the name of their column, and count judged rows only. An epoch without a judged row has
+    NaN.
 
     Args:
       rows: of a `jaxurban.studies.receiver.agreement.SatelliteAgreement`.
-      num_epochs: N; an epoch without a judged row has NaN.
+      num_epochs: N.
     """
     judged = rows[rows.is_judged]
     num_seen = judged.is_seen.groupby(judged.epoch).sum()

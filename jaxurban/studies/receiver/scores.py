@@ -19,47 +19,52 @@ def aucs(
     weights: np.ndarray,
     group: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return ``[D]`` AUC of levels of C/N0 between seen and hidden rows under each draw of blocks; NaN without either.
+    """Return ``[D]`` the AUC of C/N0 between seen and hidden rows under each draw of blocks.
+
+    This is the share of pairs of a seen and a hidden row in which the seen row has the higher level; ties count half.
+    It is NaN where a draw has no pair.
 
     Args:
-      is_seen, level, block: ``[R]``.
+      is_seen: ``[R]`` bool, whether the maps call the satellite seen.
+      level: ``[R]`` number of the row's C/N0 among all values, from low to high.
+      block: ``[R]`` number of the row's block.
       weights: ``[D, B]`` how often a draw holds each block.
-      group: ``[R]`` satellites, for pairs of rows of one satellite alone, all pairs counted alike; None: all pairs.
+      group: ``[R]`` number of the row's satellite: only rows of one satellite form pairs. None: all rows do.
     """
+    # Rows are counted by block and level, so that a draw is a product of matrices.
     num_blocks = weights.shape[1]
     num_levels = int(level.max(initial=0)) + 1
     cell = block * num_levels + level
 
     def counts(is_counted: np.ndarray) -> np.ndarray:
         """Return ``[B, levels]`` how many of the counted rows each block has of each level."""
-        num = np.bincount(cell[is_counted], minlength=num_blocks * num_levels)
-        return num.reshape(num_blocks, num_levels)
+        num_rows = np.bincount(cell[is_counted], minlength=num_blocks * num_levels)
+        return num_rows.reshape(num_blocks, num_levels)
 
+    # A seen row wins against the hidden rows below its level, and half against those at it.
     wins, pairs = np.zeros(len(weights)), np.zeros(len(weights))
-    for chosen in _groups(group, len(level)):
-        seen = weights @ counts(chosen & is_seen)
-        hidden = weights @ counts(chosen & ~is_seen)
+    if group is None:
+        group = np.zeros(len(level))
+    for number in np.unique(group):
+        is_member = group == number
+        seen = weights @ counts(is_member & is_seen)
+        hidden = weights @ counts(is_member & ~is_seen)
         below = np.cumsum(hidden, axis=1) - hidden / 2
         wins += (seen * below).sum(axis=1)
         pairs += seen.sum(axis=1) * hidden.sum(axis=1)
     return np.divide(wins, pairs, out=np.full(len(weights), np.nan), where=pairs > 0)
 
 
-def _groups(group: np.ndarray | None, num: int) -> list[np.ndarray]:
-    if group is None:
-        return [np.ones(num, bool)]
-    return [group == number for number in np.unique(group)]
-
-
 def drawn_blocks(place: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the blocks that hold rows, numbered from 0, and how often draws of the bootstrap hold each of them.
+    """Return the block of each row, and how often draws of the bootstrap hold each block.
 
     Args:
-      place: ``[R]`` numbers of the rows' blocks along the track; those without a row are no blocks.
+      place: ``[R]`` number of each row's block along the track; a row with NaN is in no block.
       seed: of the draws.
 
     Returns:
-      ``[R]`` numbers and ``[D, B]``: each once, then the draws.
+      ``[R]`` the blocks, numbered from 0 without gaps, -1 for no block; and ``[D, B]`` the draws, of which the first
+      holds each block once.
     """
     block, places = pd.factorize(place, sort=True)
     num_blocks = max(1, len(places))
@@ -72,7 +77,13 @@ def levels_of(cn0_dbhz: pd.Series) -> np.ndarray:
 
 
 def score_table(rows: pd.DataFrame, seed: int) -> pd.DataFrame:
-    """Return the scores of a `jaxurban.studies.receiver.agreement.SatelliteAgreement`, of its rows."""
+    """Return the ``scores`` of a `jaxurban.studies.receiver.agreement.SatelliteAgreement`.
+
+    Args:
+      rows: its rows.
+      seed: of the bootstrap over blocks.
+    """
+    # Which rows each line of the table is of.
     choices = {"all": rows.is_judged, "received": rows.is_judged & (rows.cn0_dbhz > 0)}
     for name in sorted(rows.system.unique()):
         choices[name] = rows.is_judged & (rows.system == name)
@@ -84,10 +95,11 @@ def score_table(rows: pd.DataFrame, seed: int) -> pd.DataFrame:
         satellite = chosen.satellite.cat.codes.to_numpy()
         is_seen = chosen.is_seen.to_numpy()
         block, weights = drawn_blocks(chosen.block.to_numpy(), seed)
-        both = chosen.groupby("satellite", observed=True).is_seen.nunique()
+        # Satellites that are seen at one time and hidden at another have two values.
+        num_values = chosen.groupby("satellite", observed=True).is_seen.nunique()
         row = {"which": which, "rows": len(chosen), "share": len(chosen) / len(rows)}
         for name, group in (("auc", None), ("within", satellite)):
             drawn = aucs(is_seen, level, block, weights, group)
             row |= named(name, interval_of(drawn[0], drawn[1:], weights.shape[1]))
-        table.append(row | {"num_satellites": int((both == 2).sum())})
+        table.append(row | {"num_satellites": int((num_values == 2).sum())})
     return pd.DataFrame(table)

@@ -78,16 +78,13 @@ class ReceiverValidation(FactsRepr):
     def facts(self) -> dict[str, str]:
         """Log, track, and what each witness scores."""
         summary = self.summary
-        length = f"{summary['length_m'] / 1000:.2f} km, {summary['epochs']} epochs"
-        facts = {"log": self.log.name, "track": length, "cells": f"{summary['resolution_m']:g} m"}
+        track = f"{summary['length_m'] / 1000:.2f} km, {summary['epochs']} epochs"
+        facts = {"log": self.log.name, "track": track, "cells": f"{summary['resolution_m']:g} m"}
         if self.satellites is not None:
             facts |= self.satellites.facts
         for row in self.main.to_dict("records"):
-            parts = [
-                f"{name} {row[name]:.2f} (p {row[f'{name}_p']:.3f})"
-                for name in COEFFICIENTS
-                if row[name] == row[name]
-            ]
+            defined = [name for name in COEFFICIENTS if not np.isnan(row[name])]
+            parts = [f"{name} {row[name]:.2f} (p {row[f'{name}_p']:.3f})" for name in defined]
             facts[str(row["witness"])] = ", ".join(parts) or "not defined"
         return facts
 
@@ -104,10 +101,10 @@ def validate(
 ) -> ReceiverValidation:
     """Return how well maps of a scenario predict what a receiver logged on its way through the city.
 
-    Of a log with a row per satellite each C/N0 is compared with whether the city hides that satellite: the result's
-    ``satellites``. Of a log of counts, satellites in view, dilutions of precision and m of GPS are those of maps of the
-    scenario's city, orbits and mask, at the log's times and the antenna's height, in the cells of the track. No number
-    of the maps is fitted to the log.
+    For a log with a row per satellite, each C/N0 is compared with whether the city hides that satellite; the result
+    holds this as ``satellites``. For a log of counts, maps are made of the scenario's city, orbits and mask, at the
+    log's times and the antenna's height, and give satellites in view, dilutions of precision and m of GPS in the cells
+    of the track. No number of the maps is fitted to the log.
 
     Args:
       scenario: of the maps; its times, its altitudes and the layers that a user added are ignored.
@@ -135,6 +132,7 @@ def validate(
       >>> result.main[["witness", "prediction", "num", "spearman"]].round(2).to_dict("records")
       [{'witness': 'num_tracked', 'prediction': 'num_visible', 'num': 13, 'spearman': 0.61}]
     """
+    # The log, and its track in the cells of the scenario.
     settings = settings or ReceiverSettings()
     logged = _read(scenario, log, navigation, reference)
     grid = region_of(scenario)
@@ -148,6 +146,7 @@ def validate(
     satellites = None
     guesses = dict[str, str]()
     with reporting("validate", progress) as report:
+        # The city, with its sky only where counts are predicted or the log lacks the satellites' directions.
         report("read")
         lacks_angles = logged.satellites is not None and AZIMUTH not in logged.satellites
         needs_counts = logged.satellites is None or bool(logged.witnesses)
@@ -157,6 +156,7 @@ def validate(
             guesses = dict(task.sky.guesses)
         else:
             city = load_city(scenario)
+        # Satellite by satellite, if the log has them.
         if logged.satellites is not None:
             if lacks_angles:
                 logged = with_directions(logged, track, task.sky, grid)
@@ -164,18 +164,19 @@ def validate(
             satellites = agreement_of(
                 logged, track, city, known, grid, scenario.gps.mask_deg, settings, report
             )
-        of_receiver = dict[str, np.ndarray]()
+        # Epoch by epoch: what the maps predict, or satellites counted from their rows where the log counts nothing.
+        counts = dict[str, np.ndarray]()
         if satellites is None or needs_counts:
             predicted = predict(task, track, report)
         else:
-            predicted, of_receiver = counted(satellites.rows, len(logged.epochs))
+            predicted, counts = counted(satellites.rows, len(logged.epochs))
         report("scores")
         epochs = logged.epochs.assign(
-            x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **predicted, **of_receiver
+            x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **predicted, **counts
         )
-        scores, shifts = tables(
-            epochs, (*logged.witnesses, *of_receiver), list(predicted), settings
-        )
+        scores, shifts = tables(epochs, (*logged.witnesses, *counts), list(predicted), settings)
+
+    # What is reported about the track.
     num_visible = epochs[NUM_VISIBLE]
     summary = {
         "epochs": len(epochs),
@@ -210,7 +211,11 @@ def _read(
     navigation: str | Path | None,
     reference: str | Path | pd.DataFrame | None,
 ) -> ReceiverLog:
-    """Return the log that the arguments of `validate` name."""
+    """Return the log that the arguments of `validate` name: a table, a file, RINEX files, or a sample city's own log.
+
+    Raises:
+      InputError: only some of the three files of a log in RINEX are named, there is no log, or it cannot be read.
+    """
     is_rinex = navigation is not None or reference is not None
     if is_rinex and (navigation is None or reference is None or isinstance(log, pd.DataFrame)):
         raise InputError(
@@ -221,14 +226,13 @@ def _read(
         raise InputError(
             "log is left out, and only a sample city with a log of its own has one: name the file"
         )
-    if isinstance(source, pd.DataFrame):
-        return read_receiver_log(source)
-    if navigation is not None and reference is not None:
-        return read_rinex(source, navigation, reference)
-    if OBSERVATIONS.search(str(source)):
-        raise InputError(
-            f"{str(source)!r} is a file of observations in RINEX: name navigation and reference too"
-        )
+    if not isinstance(source, pd.DataFrame):
+        if navigation is not None and reference is not None:
+            return read_rinex(source, navigation, reference)
+        if OBSERVATIONS.search(str(source)):
+            raise InputError(
+                f"{str(source)!r} is a file of observations in RINEX: name navigation and reference too"
+            )
     return read_receiver_log(source)
 
 
@@ -249,18 +253,26 @@ def without_each_block(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> np.n
 
 
 def _coefficient(aa: np.ndarray, ab: np.ndarray, bb: np.ndarray) -> np.ndarray:
+    """Return the correlation from the sums of a a, a b and b b; NaN where a or b does not vary."""
     size = np.sqrt(np.maximum(aa * bb, 0.0))
     return np.divide(ab, size, out=np.full(np.shape(ab), np.nan), where=size > 0)
 
 
 def _products(a: np.ndarray, b: np.ndarray, blocks: np.ndarray | None) -> np.ndarray:
-    """Return ``[3, G]`` sums over each block of the products of ranks, less their means: a a, a b and b b.
+    """Return ``[3, G]`` the sums a a, a b and b b over each block, of ranks less their mean in the block.
 
-    Without blocks the whole track is one.
+    Ranks are those of the whole track.
+
+    Args:
+      a, b: ``[N]`` values, which are ranked here.
+      blocks: ``[N]`` block of each value; None: the whole track is one block.
     """
-    _, number = np.unique(np.zeros(len(a)) if blocks is None else blocks, return_inverse=True)
+    if blocks is None:
+        blocks = np.zeros(len(a))
+    _, number = np.unique(blocks, return_inverse=True)
 
     def centred(values: np.ndarray) -> np.ndarray:
+        """Return ``[N]`` the ranks of values less their mean in each block."""
         ranks = rankdata(values)
         means = np.bincount(number, ranks) / np.bincount(number)
         return ranks - means[number]
@@ -271,26 +283,35 @@ def _products(a: np.ndarray, b: np.ndarray, blocks: np.ndarray | None) -> np.nda
 
 
 def half_width(without_each: np.ndarray) -> float:
-    """Return half the 95 % interval of a statistic by the jackknife over blocks: Student's t, G - 2 degrees of freedom.
+    """Return half the width of the 95 % interval of a statistic, by the jackknife over blocks.
 
-    NaN with fewer blocks than `FEWEST_GROUPS`, or where the statistic is not defined.
+    The interval is that of Student's t with G - 2 degrees of freedom. It is NaN with fewer blocks than `FEWEST_GROUPS`,
+    or where the statistic is not defined without some block.
 
     Args:
       without_each: ``[G]`` the statistic when one block after the other is left out.
     """
-    num = len(without_each)
-    if num < FEWEST_GROUPS:
+    num_blocks = len(without_each)
+    if num_blocks < FEWEST_GROUPS:
         return np.nan
-    deviation = np.sqrt((num - 1) * np.var(without_each))
-    return float(student.ppf((1 + LEVEL) / 2, num - 2) * deviation)
+    standard_error = np.sqrt((num_blocks - 1) * np.var(without_each))
+    return float(student.ppf((1 + LEVEL) / 2, num_blocks - 2) * standard_error)
 
 
 def within_blocks(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> Interval:
-    """Return the rank correlation within blocks of values ``[N]``, and its interval on Fisher's scale."""
+    """Return the rank correlation of values within blocks, and its 95 % interval.
+
+    The interval is symmetric on Fisher's scale, the inverse hyperbolic tangent of the correlation. It is NaN where the
+    correlation is -1, 1 or NaN, or with too few blocks (`half_width`).
+
+    Args:
+      a, b: ``[N]`` the values.
+      blocks: ``[N]`` block of each value.
+    """
     value = spearman(a, b, blocks)
     if not abs(value) < 1:
         return Interval(value, np.nan, np.nan)
-    # Where the rest agrees wholly without some block there is no interval.
+    # Where all else agrees wholly without some block, the scale is infinite and there is no interval.
     with np.errstate(divide="ignore", invalid="ignore"):
         half = half_width(np.arctanh(without_each_block(a, b, blocks)))
     low, high = np.tanh(np.arctanh(value) + np.array([-half, half]))
@@ -298,9 +319,13 @@ def within_blocks(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> Interval:
 
 
 def shifted(coefficient: Callable[[np.ndarray], float], values: np.ndarray) -> np.ndarray:
-    """Return ``[N]`` a coefficient at every circular shift of the maps' values ``[N, ...]``, the first at none.
+    """Return ``[N]`` a coefficient at every circular shift of the maps' values.
 
-    At number ``s`` each place of the track is set against the values ``s`` places ahead.
+    Number ``s`` compares each place of the track with the values ``s`` places ahead; number 0 is without a shift.
+
+    Args:
+      coefficient: of values in the order of the track.
+      values: ``[N, ...]`` of the maps, along the track.
     """
     return np.array([coefficient(np.roll(values, -shift, axis=0)) for shift in range(len(values))])
 
@@ -308,8 +333,8 @@ def shifted(coefficient: Callable[[np.ndarray], float], values: np.ndarray) -> n
 def pieces_of(epochs: pd.DataFrame, piece_m: float, block_m: float) -> pd.DataFrame:
     """Return a row per piece of track: medians of what the receiver logged and of what the maps say.
 
-    Columns: ``piece``, ``block`` (numbers along the track), ``utc`` (of the middle epoch), ``epochs`` (how many), and
-    those of the epochs. Epochs in a building or without data are left out.
+    The columns are ``piece`` and ``block`` (numbers along the track), ``utc`` (of the middle epoch), ``epochs`` (how
+    many), and the median of every column of numbers. Epochs in a building or without data are left out.
 
     Args:
       epochs: as `ReceiverValidation` holds them.
@@ -327,13 +352,20 @@ def pieces_of(epochs: pd.DataFrame, piece_m: float, block_m: float) -> pd.DataFr
 def compared(
     pieces: pd.DataFrame, witness: str, prediction: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return ``[N]`` of the pieces that have both: how well the receiver did, how well by the maps, and the blocks.
+    """Return how well the receiver did, how well it should do by the maps, and the block, each ``[N]``.
 
-    More is better in both, so that coefficients are positive where the receiver does better where the maps say so.
+    The N pieces are those in which both are known. Values of which less is better change their sign: a positive
+    coefficient means that the receiver does better where the maps say so.
+
+    Args:
+      pieces: from `pieces_of`.
+      witness: column of what the receiver logged.
+      prediction: column of what the maps say.
     """
     known = pieces.dropna(subset=[witness, prediction])
 
     def quality(name: str) -> np.ndarray:
+        """Return ``[N]`` the values of a column, of which more is better."""
         values = known[name].to_numpy(float)
         return values if name in MORE_IS_BETTER else -values
 
@@ -348,7 +380,14 @@ def tables(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the scores and the shifts, as `ReceiverValidation` holds them.
 
-    At the chosen length of pieces every prediction is scored, at others each witness's own.
+    With pieces of the chosen length (``piece_m``) every prediction is scored against each witness. With pieces of
+    another length only the prediction that is the witness's own (`MAIN`) is.
+
+    Args:
+      epochs: what the receiver logged and what the maps say, with ``along_m`` and ``utc``.
+      witnesses: columns of what the receiver logged.
+      predictions: columns of what the maps say; read several times, so no iterator.
+      settings: lengths of pieces and of blocks.
     """
     scores, shifts = [], []
     for piece_m in settings.pieces_m:
@@ -361,6 +400,7 @@ def tables(
                     "prediction": prediction,
                     "piece_m": piece_m,
                 }
+                # Both coefficients with the maps' values in their place, and at every shift along the track.
                 receiver, maps, blocks = compared(pieces, witness, prediction)
                 at_shifts = {
                     WITHIN: shifted(partial(spearman, receiver, blocks=blocks), maps),
@@ -368,10 +408,12 @@ def tables(
                 }
                 num = len(maps)
                 if prediction == MAIN[witness]:
+                    # Shifts of more than half the track count as shifts back.
                     shift = np.fft.ifftshift(np.arange(num) - num // 2)  # 0, 1, ..., -2, -1
                     shifts.append(pd.DataFrame({**row, "shift": shift, **at_shifts}))
-                _, low, high = within_blocks(receiver, maps, blocks)
-                row |= {"num": num, "within_low": low, "within_high": high}
+                # The score, without its shifts: the interval, and how many shifts do as well.
+                interval = within_blocks(receiver, maps, blocks)
+                row |= {"num": num, "within_low": interval.low, "within_high": interval.high}
                 for name, values in at_shifts.items():
                     row |= _against_shifts(name, values)
                 scores.append(row)
@@ -379,7 +421,15 @@ def tables(
 
 
 def _against_shifts(name: str, values: np.ndarray) -> dict[str, float]:
-    """Return the columns of a coefficient ``[N]`` at every shift (`shifted`); NaN where it is not defined."""
+    """Return the columns of a coefficient: its value, what 95 % of the shifts stay below, and p.
+
+    p is the share of all shifts, none among them, at which the coefficient is at least as high. All three are NaN where
+    the coefficient is not defined.
+
+    Args:
+      name: of the coefficient, with which the columns begin.
+      values: ``[N]`` at every shift (`shifted`).
+    """
     value = below = share = np.nan
     if len(values) > 1 and np.isfinite(values[0]):
         value = values[0]

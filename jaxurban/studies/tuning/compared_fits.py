@@ -93,15 +93,16 @@ def compare_fits(
     at_least("bootstrap", bootstrap)
     if not 0 <= hold_out <= MOST_HELD_OUT:
         raise InputError(f"hold_out must be a share from 0 to {MOST_HELD_OUT:g}, got {hold_out}")
+    # All routes in one row, with the city of each, and the number of its pair of ends, whose routes stay together.
     demonstrations = list(itertools.chain.from_iterable(cities.values()))
     queries = [each.query for each in demonstrations]
     names = check_alike(queries)
     city = np.repeat([*map(str, cities)], [*map(len, cities.values())])
-    ends = [
-        (name, query.start, query.goal) for name, query in zip(city.tolist(), queries, strict=True)
-    ]
-    group, _ = pd.factorize(pd.Series(ends))
+    ends = [(query.start, query.goal) for query in queries]
+    group, _ = pd.factorize(pd.Series(list(zip(city.tolist(), ends, strict=True))))
     is_held_out = split(city, group, hold_out, settings.seed)
+
+    # The fits, of which only the first goes on from the state file.
     members = _members(list(dict.fromkeys(city.tolist())), by_city)
     without_file = replace(settings, state_file=None)
     fits = {}
@@ -113,11 +114,13 @@ def compare_fits(
             bootstrap=bootstrap,
             settings=settings if name == ALL else without_file,
         )
+    # The regret [N, F] of every route under each of F fits, against the cheapest route by search.
     vectors = np.array([fit.vector for fit in fits.values()])
     cheapest = pool_of_fit(without_file, queries).cheapest(vectors)[0]  # [N, F, K]
-    demo = np.array([each.features for each in demonstrations])
+    demo = np.array([demonstration.features for demonstration in demonstrations])
     regret = (demo @ vectors.T) / np.einsum("nfk,fk->nf", cheapest, vectors) - 1
     is_bad = trust_of(regret[:, 0], usual_regret(regret[~is_held_out, 0])) < DISTRUSTED
+    # Each fit is judged by the same routes: held out, and not bad under the first fit.
     is_judged = is_held_out & ~is_bad
     clusters = Clusters(group[is_judged], city[is_judged], settings.seed)
     rows = []
@@ -131,12 +134,14 @@ def compare_fits(
 
 
 def split(city: np.ndarray, group: np.ndarray, share: float, seed: int) -> np.ndarray:
-    """Return ``[N]`` bool: the routes that are held out, about a share of the groups of every city.
+    """Return ``[N]`` bool: whether each route is held out.
+
+    In every city about the given share of the groups is held out, at least one unless the share is 0.
 
     Args:
-      city: ``[N]`` of each route.
+      city: ``[N]`` name of each route's city.
       group: ``[N]`` number of each route's group, whose members stay together.
-      share: of the groups of a city, at least one where it is above 0.
+      share: from 0 up, below 1.
       seed: of the draw.
 
     Raises:
@@ -157,7 +162,7 @@ def split(city: np.ndarray, group: np.ndarray, share: float, seed: int) -> np.nd
 
 
 def _members(cities: list[str], by_city: bool) -> dict[str, list[str]]:
-    """Return the cities of each fit by its name."""
+    """Return the cities of each fit by its name: all; each city alone; and, of three or more, all but one."""
     fits = {ALL: cities}
     if by_city and len(cities) > 1:
         fits |= {f"only {city}": [city] for city in cities}

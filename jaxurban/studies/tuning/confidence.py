@@ -24,10 +24,11 @@ LEAST_SHARE = 0.01  # of a random walk's features
 
 
 def draw_counts(cities: np.ndarray, num_draws: int, rng: np.random.Generator) -> np.ndarray:
-    """Return ``[B, N]`` how often each of ``N`` members counts in bootstrap draws.
+    """Return ``[B, N]`` how often each of ``N`` members counts in each of B bootstrap draws.
 
-    Where there are several cities, as many of them are drawn, and for each as many of its members as it has: for the
-    percentiles of refits, where `jaxurban.studies.bootstrap` draws one group less for intervals of means.
+    Where there are several cities, cities are drawn first, with replacement and as many as there are. Then each drawn
+    city draws as many members as it has. This serves percentiles of refits; for intervals of means
+    `jaxurban.studies.bootstrap` draws one group less.
 
     Args:
       cities: ``[N]`` the number of each member's city, from 0.
@@ -40,14 +41,15 @@ def draw_counts(cities: np.ndarray, num_draws: int, rng: np.random.Generator) ->
         drawn = rng.integers(len(members), size=len(members)) if len(members) > 1 else [0]
         for city in drawn:
             of_city = members[city]
-            row[of_city] += rng.multinomial(len(of_city), np.full(len(of_city), 1 / len(of_city)))
+            num = len(of_city)
+            row[of_city] += rng.multinomial(num, np.full(num, 1 / num))
     return counts
 
 
 def refit(log_weights: np.ndarray, task: FitTask, counts: np.ndarray) -> np.ndarray:
-    """Return ``[B, K]`` log weights fitted to demonstrations drawn with replacement, none where there is only one.
+    """Return ``[B, K]`` log weights fitted to demonstrations that are drawn with replacement.
 
-    All over the routes that are known: no search is made.
+    Fits are made over the known routes, without any search. B is 0 without draws, or with a single demonstration.
 
     Args:
       log_weights: ``[K]`` of the fit of all demonstrations.
@@ -62,9 +64,10 @@ def refit(log_weights: np.ndarray, task: FitTask, counts: np.ndarray) -> np.ndar
 
 @jax.jit
 def _fits(log_weights: jax.Array, task: FitTask, trusts: jax.Array) -> jax.Array:
-    """Return ``[T, K]`` the fits under trusts ``[T, Q]``, each from the same start."""
+    """Return ``[T, K]`` the log weights fitted under each row of trusts ``[T, Q]``, all from the same start ``[K]``."""
 
     def fit(trust: jax.Array) -> jax.Array:
+        """Return ``[K]`` the log weights fitted under trusts ``[Q]``."""
         return descend(log_weights, task._replace(trust=trust), fenchel_young_loss, STEPS)[0]
 
     return jax.lax.map(fit, trusts)
@@ -75,11 +78,14 @@ def near_optimal_range(
 ) -> np.ndarray:
     """Return ``[2, F]`` the least and the largest value of each weight among all W that explain the routes as well.
 
-    That is, whose mean regret over the known routes, weighted by trust, is at most that of the fit plus a tolerance:
-    a polytope, whose extent along each weight takes two linear programs (costs in the regrets' denominators are
-    taken at the fit). Where the demonstrations are exactly cheapest under a hidden W, it contains that W, however many
-    there are; inf where a weight may grow without end. Of routes that are known as a line only, ``demo`` are features
-    that are nowhere above theirs: their cost is then nowhere above theirs either, and the hidden W is contained too.
+    W explains the routes as well if its mean regret over the known routes, weighted by trust, is at most the regret of
+    the fit plus a tolerance. Such W form a polytope, whose extent along each weight takes two linear programs (costs in
+    the regrets' denominators are taken at the fit). Where the demonstrations are exactly cheapest under a hidden W, the
+    polytope contains that W, however many demonstrations there are. The largest value is inf where a weight may grow
+    without end; where a program fails, an end is the fit's own value.
+
+    Of demonstrations that are known as a line only, ``demo`` holds features that are nowhere above the true ones. Their
+    cost is then nowhere above the true cost either, so the hidden W is contained too.
 
     Args:
       weights: ``[F]`` of the fit, of features in the task's units.
@@ -91,31 +97,42 @@ def near_optimal_range(
     num_queries, num_weights = demo.shape
     weights = weights / (scale @ weights)
     cost = demo @ weights
-    share = trust / trust.sum() / cost
-    query, route = np.nonzero(routes @ weights <= FAR * cost[:, None])
-    slack = np.diag(-cost)[query]  # counted in costs, so that all slacks are near 1
-    regret = float(np.sum(share * np.maximum(cost - np.min(routes @ weights, axis=1), 0.0)))
+    share = (
+        trust / trust.sum() / cost
+    )  # of the mean regret, for each unit of cost above the cheapest
+    route_costs = routes @ weights
+    regret = float(np.sum(share * np.maximum(cost - np.min(route_costs, axis=1), 0.0)))
+
+    # Unknowns are the F weights, then a slack for each query: how much more its demonstration costs than its cheapest
+    # route, as a share of its cost. A row for each known route: demo . W - route . W is at most the slack.
+    query, route = np.nonzero(route_costs <= FAR * cost[:, None])
+    slack = np.diag(-cost)[query]
+    rows = np.hstack([demo[query] - routes[query, route], slack])
+    # The last row: the slacks' mean, weighted by trust, is at most the allowed regret of the mean demonstration.
     centre = demo.mean(axis=0) / (demo.mean(axis=0) @ weights)
     bound = np.concatenate([-(regret + tolerance) * centre, share * cost])
-    above = np.vstack([np.hstack([demo[query] - routes[query, route], slack]), bound])
+    above = np.vstack([rows, bound])
     equal = np.append(scale, np.zeros(num_queries))[None, :]
+
+    # The least value of each weight (sign 1), then the largest (sign -1, as programs minimise).
     ends = np.tile(weights, (2, 1))
-    for k in range(num_weights):
+    for column in range(num_weights):
         for row, sign in enumerate((1.0, -1.0)):
             aim = np.zeros(num_weights + num_queries)
-            aim[k] = sign
+            aim[column] = sign
             result = linprog(
                 aim, A_ub=above, b_ub=np.zeros(len(above)), A_eq=equal, b_eq=[1.0], bounds=(0, None)
             )
             if result.x is not None:
-                ends[row, k] = result.x[k]
+                ends[row, column] = result.x[column]
             elif result.status == UNBOUNDED:
-                ends[row, k] = np.inf
+                ends[row, column] = np.inf
     return ends
 
 
 def constant_layers(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
-    """Return the metrics whose cost is the same over all free cells of all the queries' maps."""
+    """Return the metrics whose cost is the same, within `FLAT`, over all free cells of all the queries' maps."""
+    # [maps, 2, metrics] the least and the largest cost on each map.
     free = (cost_map.costs[:, cost_map.is_free] for cost_map in maps_of(queries))
     ends = np.array([(costs.min(axis=1), costs.max(axis=1)) for costs in free], np.float64)
     spans = ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0)
@@ -125,34 +142,42 @@ def constant_layers(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
 
 
 def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray:
-    """Return ``[K]`` the size of each feature: its mean over routes, never under 1 % of a random walk's as long.
+    """Return ``[K]`` the size of each feature: its mean over routes.
 
-    The floor keeps weights finite where every demonstration avoids a cost altogether.
+    It is at least 1 % of the same feature of a random walk of the same length, which meets the mean cost of the free
+    cells at every step. This floor keeps weights finite where every demonstration avoids a cost altogether.
+
+    Args:
+      queries: of the routes; their maps give the mean costs.
+      demo: ``[Q, K]`` features of the routes, metres first.
     """
+    # Steps of the mean route: cells, or reference lengths under the cost model ``line``.
     num_steps = demo[:, 0].mean() / queries[0].cost_map.grid.resolution_m
     if queries[0].cost_map.cost_model.kind == "line":
         num_steps = demo[:, 0].mean() / queries[0].cost_map.cost_model.reference_length_m
-    means = [
-        each.costs[:, each.is_free].astype(np.float64).mean(axis=1) for each in maps_of(queries)
-    ]
+    free_costs = [cost_map.costs[:, cost_map.is_free] for cost_map in maps_of(queries)]
+    means = [costs.astype(np.float64).mean(axis=1) for costs in free_costs]
     usual = np.mean(means, axis=0) * num_steps
-    return np.maximum(demo.mean(axis=0), np.append(0.0, np.maximum(LEAST_SHARE * usual, 1e-12)))
+    floor = np.maximum(LEAST_SHARE * usual, 1e-12)
+    return np.maximum(demo.mean(axis=0), np.append(0.0, floor))  # the length has no floor
 
 
 def indistinct_weights(
     pool: RoutePool, unit: np.ndarray, weights: np.ndarray, is_fitted: np.ndarray
 ) -> list[str]:
-    """Return sentences on the directions of W, but its length, that demonstrations say nothing about.
+    """Return sentences on the weights, alone or mixed, about which the demonstrations say nothing.
 
-    They are judged by the covariance C of what routes that compete with the cheapest have more or less of each feature:
-    a direction v with v C v = 0 can be added to W without changing any comparison between these routes.
+    Routes that cost within 10 % of the cheapest one compete with it. C is the covariance of their features less those
+    of the cheapest. A direction v with v C v = 0 can be added to W without changing any comparison between these
+    routes. That the length of W is open goes without saying.
 
     Args:
-      pool: the routes.
-      unit: ``[K]`` in which features are counted, and 1 / weights.
-      weights: ``[K]`` W of features in their own units.
-      is_fitted: ``[K]`` the weights that are judged.
+      pool: the known routes.
+      unit: ``[K]`` in which features are counted.
+      weights: ``[K]`` W, of features in their own units.
+      is_fitted: ``[K]`` bool: the weights that are judged.
     """
+    # [K', K'] the covariance C of the judged weights.
     routes = pool.routes[0]
     names = np.array(pool.names)[is_fitted]
     cost = np.where(routes[..., 0] < NOT_A_ROUTE, routes @ weights, np.inf)
@@ -160,13 +185,17 @@ def indistinct_weights(
     cheapest = np.take_along_axis(routes, cost.argmin(axis=1)[:, None, None], axis=1)
     more = ((routes - cheapest) / unit)[competes]
     covariance = (more.T @ more / max(len(more), 1))[np.ix_(is_fitted, is_fitted)]
-    is_seen = np.diag(covariance) > UNSEEN * max(float(np.max(np.diag(covariance))), 1e-300)
+    # Weights of features in which competing routes do not differ.
+    variances = np.diag(covariance)
+    is_seen = variances > UNSEEN * max(float(np.max(variances)), 1e-300)
     sentences = [
         f"The weight of {name} cannot be identified: no competing route differs in it."
         for name in names[~is_seen]
     ]
     if is_seen.sum() < 2:
         return sentences
+
+    # Mixtures of the others: eigenvectors of C with next to no variance, and the weights with much part in them.
     values, directions = np.linalg.eigh(covariance[np.ix_(is_seen, is_seen)])
     unseen = directions[:, values <= UNSEEN * values[-1]]
     num = unseen.shape[1]

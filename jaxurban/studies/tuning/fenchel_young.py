@@ -33,11 +33,17 @@ class FitTask(NamedTuple):
 def draw_log_noise(
     rng: np.random.Generator, shape: tuple[int, int, int], sigma: float
 ) -> np.ndarray:
-    """Return ``[Q, M, K]`` Z in antithetic pairs, shifted so that exp(Z) has the mean 1 over M exactly.
+    """Return ``[Q, M, K]`` normal Z in antithetic pairs, shifted so that exp(Z) has the mean 1 over M exactly.
 
     The loss is then never negative, and its minimum is not moved by the luck of the draw.
+
+    Args:
+      rng: draws them.
+      shape: Q, M and K; M is even.
+      sigma: standard deviation of Z.
     """
-    half = rng.normal(size=(shape[0], shape[1] // 2, shape[2])) * sigma
+    num_queries, num_noise, num_weights = shape
+    half = rng.normal(size=(num_queries, num_noise // 2, num_weights)) * sigma
     drawn = np.concatenate([half, -half], axis=1)
     return drawn - np.log(np.exp(drawn).mean(axis=1, keepdims=True))
 
@@ -57,8 +63,8 @@ def fenchel_young_loss(log_weights: Float[Array, " K"], task: FitTask) -> Float[
     weights = weights_of(log_weights)
     noisy = weights * jnp.exp(task.log_noise)
     cheapest = jnp.min(jnp.einsum("qmk,qrk->qmr", noisy, task.routes), axis=-1)
-    each = (task.demo @ weights - cheapest.mean(axis=-1)) / task.demo.sum(axis=-1)
-    return jnp.sum(task.trust * each) / jnp.sum(task.trust)
+    losses = (task.demo @ weights - cheapest.mean(axis=-1)) / task.demo.sum(axis=-1)  # [Q]
+    return jnp.sum(task.trust * losses) / jnp.sum(task.trust)
 
 
 def regrets(weights: Float[Array, " K"], task: FitTask) -> Float[Array, " Q"]:
@@ -94,26 +100,27 @@ def adam(
     objective: Callable[[Array, Array], Array],
     start: Float[Array, " K"],
     rates: optax.Schedule,
-    each: Float[Array, " N"],
-    tidy: Callable[[Array], Array] = lambda at: at,
+    numbers: Float[Array, " N"],
+    normalised: Callable[[Array], Array] = lambda place: place,
 ) -> Float[Array, " K"]:
-    """Return where ``N`` steps of Adam end.
+    """Return the place where ``N`` steps of Adam end.
 
     Args:
-      objective: of a place ``[K]`` and of ``each`` step's own number.
-      start: ``[K]``.
+      objective: a function of a place ``[K]`` and of the step's number in ``numbers``, to be minimised.
+      start: the first place.
       rates: of learning, by step.
-      each: ``[N]`` what the objective takes at each step.
-      tidy: brings a place back to its standard form after each step.
+      numbers: what the objective takes at each step, such as its noise.
+      normalised: brings a place back to its standard form after each step; left out, places stay as they are.
     """
     optimiser = optax.adam(rates)
 
-    def step(carry: Any, now: Any) -> Any:
-        at, state = carry
-        updates, state = optimiser.update(jax.grad(objective)(at, now), state)
-        return (tidy(optax.apply_updates(at, updates)), state), None
+    def step(carry: Any, number: Any) -> Any:
+        """Return the place and Adam's state after one step, as `jax.lax.scan` takes them, and no output."""
+        place, state = carry
+        updates, state = optimiser.update(jax.grad(objective)(place, number), state)
+        return (normalised(optax.apply_updates(place, updates)), state), None
 
-    (ended, _), _ = jax.lax.scan(step, (start, optimiser.init(start)), each)
+    (ended, _), _ = jax.lax.scan(step, (start, optimiser.init(start)), numbers)
     return ended
 
 
@@ -121,7 +128,7 @@ def adam(
 def descend(
     log_weights: Float[Array, " K"], task: FitTask, objective: Callable, num_steps: int
 ) -> tuple[Float[Array, " K"], Float[Array, ""]]:
-    """Return log weights after ``num_steps`` of Adam on an objective, and the objective there."""
+    """Return log weights after ``num_steps`` of Adam on an objective of log weights and task, and its value there."""
     rates = optax.cosine_decay_schedule(FIRST_RATE, num_steps, LAST_RATE / FIRST_RATE)
-    ended = adam(lambda at, _: objective(at, task), log_weights, rates, jnp.arange(num_steps))
+    ended = adam(lambda place, _: objective(place, task), log_weights, rates, jnp.arange(num_steps))
     return ended, objective(ended, task)

@@ -41,6 +41,7 @@ FAR_SPREAD, NEAR_SPREAD = 3.0, 0.1  # of the candidates' log weights about the b
 NUM_TRIED, NUM_PROBES = 3, 8  # weights planned for, and searches around the best, a round
 PROBE_NOISE = (0.05, 0.8)  # of those searches' log weights, from the nearest to the farthest
 PATIENCE = 3  # rounds that better nothing
+NUM_AT_ONCE = 64  # candidates judged at once, to bound memory
 MEAN = "mean_"  # of a metric along a route
 MET = 0.02  # a target is met if it is missed by no more than this share
 
@@ -70,6 +71,7 @@ class Target:
     value: float
 
     def __post_init__(self) -> None:
+        """Check outcome, sense and value; ``mean_NAME`` is checked against the maps' metrics by `fit_targets`."""
         if not self.outcome.startswith(MEAN):
             one_of(
                 "outcome", self.outcome, ("mean_NAME of a metric", "detour", "length_m", "people")
@@ -78,7 +80,9 @@ class Target:
         if not np.isfinite(self.value):
             raise InputError(f"target {str(self)!r} must end in a finite number")
         most = 1.0 if self.outcome.startswith(MEAN) else np.inf
-        if (self.sense == ">=" and self.value > most) or (self.sense == "<=" and self.value < 0):
+        is_too_high = self.sense == ">=" and self.value > most
+        is_too_low = self.sense == "<=" and self.value < 0
+        if is_too_high or is_too_low:
             raise InputError(
                 f"target {str(self)!r} cannot be met: {self.outcome} lies between 0 and {most:g}"
             )
@@ -144,14 +148,14 @@ class TargetFit:
 
     @property
     def sentence(self) -> str:
-        """What came of it."""
+        """Whether all targets are met; if not, which are missed, which conflict, and whether the budget ran out."""
         if self.is_met:
             return "All targets are met."
         rows = self.outcomes[~self.outcomes.is_met].iterrows()
         missed = [f"{target} (reached {row.reached:.4g})" for target, row in rows]
         sentence = f"Not all targets were met; the best trade-off found misses {', '.join(missed)}."
         if self.conflicts:
-            pairs = "; ".join(f"{one} with {other}" for one, other in self.conflicts)
+            pairs = "; ".join(f"{first} with {second}" for first, second in self.conflicts)
             sentence += f" These conflict, as far as the search could find: {pairs}."
         if not self.is_in_budget:
             sentence += " The budget ended the search: a larger one may find better."
@@ -172,7 +176,7 @@ def fit_targets(
     perturbed planner over the routes found so far, with noise that shrinks, from the best of many random weights.
     Routes under the best weights are then planned without noise, and more around them, until three rounds better
     nothing; the best weights by planned routes are returned. If they miss, each target is tried alone, and then each
-    pair of those that can be met. A target that was missed may still be reachable: the search found no better weights.
+    pair of targets that can be met alone. A target that was missed may still be reachable, as the search is not exact.
 
     Args:
       queries: from `jaxurban.studies.make_queries`; lists of several maps may be joined with ``+``.
@@ -198,6 +202,7 @@ def fit_targets(
       wish
       detour <= 0.2     0.2       0.0    True
     """
+    # What is searched for, and where from: equal shares of the shortest routes' cost unless the caller names weights.
     begin_s = time.perf_counter()
     settings = settings or FitSettings()
     names = check_alike(queries)
@@ -214,6 +219,7 @@ def fit_targets(
     shortest = pool.cheapest(np.eye(len(names))[:1])[:, :, 0]
     units = feature_units(queries, shortest[0])
     first = 1 / units if weights is None else np.maximum(weights, 1e-6)
+    # All targets together; where some are missed, each of several alone, then pairs.
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         search = _Search(
             pool,
@@ -250,10 +256,14 @@ def fit_targets(
 
 
 def _wanted(targets: Sequence[Target | str], names: Sequence[str]) -> tuple[Target, ...]:
-    """Return targets, texts among them parsed, of routes with these weights.
+    """Return the targets of a fit, the texts among them parsed.
+
+    Args:
+      targets: one or more; a single text is one target.
+      names: of the weights, ``"distance"`` first, which decide the outcomes that routes have.
 
     Raises:
-      InputError: none, a text of another form, or an outcome that such routes do not have.
+      InputError: there is no target, a text has another form, or routes do not have the outcome.
     """
     if not targets:
         raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
@@ -261,8 +271,9 @@ def _wanted(targets: Sequence[Target | str], names: Sequence[str]) -> tuple[Targ
     if "population" in names:
         outcomes.insert(2, "people")
     wanted = []
-    for each in [targets] if isinstance(targets, str) else targets:
-        target = Target.parse(each) if isinstance(each, str) else each
+    for target in [targets] if isinstance(targets, str) else targets:
+        if isinstance(target, str):
+            target = Target.parse(target)
         one_of("the outcome of a target", target.outcome, outcomes)
         wanted.append(target)
     return tuple(wanted)
@@ -286,7 +297,14 @@ class _Aim(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Best:
-    """The best weights of one search; what is reached and missed ``[N]`` of all targets, and a row per round so far."""
+    """The best weights of one search so far.
+
+    Attributes:
+      log_weights: ``[K]``.
+      reached: ``[N]`` the outcomes of the routes planned under them, of all targets.
+      missed: ``[N]`` by which share of its bound each target is missed; inf before the first round.
+      rows: a row per round; the list grows with the search.
+    """
 
     log_weights: np.ndarray
     reached: np.ndarray
@@ -307,9 +325,16 @@ class _Search:
     report: Report
 
     def run(self, active: Sequence[Target]) -> _Best:
-        """Return the best weights for some of the targets; the others count as met."""
+        """Return the best weights for some of the targets; the others count as met.
+
+        Each round judges many weights over the known routes, descends from the best of them, plans routes under the
+        best ends of the descents, and searches around the best weights so far. It ends after the settings' rounds, when
+        no target is missed, when three rounds better nothing, or when the time is over.
+        """
+        # What is asked of each target, and numbers that are random but the same for all sets of targets.
         senses = {">=": 1.0, "<=": -1.0}
-        sign = jnp.array([senses[each.sense] * (each in active) for each in self.targets])
+        signs = [senses[each.sense] if each in active else 0.0 for each in self.targets]
+        sign = jnp.array(signs)
         bound = jnp.array([target.value for target in self.targets])
         rng = np.random.default_rng(self.settings.seed)
         num_weights = len(self.log_start)
@@ -319,19 +344,25 @@ class _Search:
         nothing = np.full(len(self.targets), np.inf)
         rows: list[dict] = []
         best = _Best(self.log_start, nothing, nothing, rows)
+
         for number in range(self.settings.max_rounds):
+            # Candidates, judged over the known routes, and descents from the best of them.
             routes = jnp.asarray(np.concatenate(self.pool.routes, axis=-1))
             aim = _Aim(bound, sign, routes, self.shortest)
             anywhere = best.log_weights + spread * rng.normal(size=(NUM_CANDIDATES, num_weights))
             candidates = np.vstack([best.log_weights, self.log_start, self._corners(), anywhere])
             starts = self._least(candidates, NUM_STARTS, aim)
             descended = _descend(jnp.asarray(starts), noises, aim, self.pool.names, self.targets)
+
+            # The best by planned routes; sums are features and integrals [2, Q, K] of them.
             for log_weights in self._least(np.concatenate([descended, starts]), NUM_TRIED, aim):
                 sums = self.pool.cheapest(np.exp(log_weights)[None])[:, :, 0]
                 reached = self.outcomes(np.concatenate(sums, axis=-1))
                 missed = np.asarray(_missed(reached, bound, sign))
                 if np.sum(missed**2) < np.sum(best.missed**2):
                     best = _Best(log_weights, reached, missed, rows)
+
+            # The round as a row of the curve.
             row = {
                 "round": number + 1,
                 "loss": float(np.sum(best.missed**2)),
@@ -347,19 +378,20 @@ class _Search:
         return best
 
     def conflicts(self, best: _Best, alone: Sequence[_Best]) -> list[tuple[str, str]]:
-        """Return pairs of targets, each met alone, that are not met together.
+        """Return pairs of targets, as texts, that are each met alone and not met together.
 
         Args:
-          best: of all targets together.
-          alone: of each of them.
+          best: of all targets together; of two targets it is the only pair's.
+          alone: of each target when it was the only one, in their order.
         """
-        reachable = [k for k, result in enumerate(alone) if result.missed[k] <= MET]
+        reachable = [index for index, result in enumerate(alone) if result.missed[index] <= MET]
         conflicts = []
         for pair in itertools.combinations(reachable, 2):
-            one, other = (self.targets[k] for k in pair)
-            both = best if len(self.targets) == 2 else self.run([one, other])
+            targets = [self.targets[index] for index in pair]
+            both = best if len(self.targets) == 2 else self.run(targets)
             if both.missed[list(pair)].max() > MET:
-                conflicts.append((str(one), str(other)))
+                first, second = map(str, targets)
+                conflicts.append((first, second))
         return conflicts
 
     def _least(self, candidates: np.ndarray, num: int, aim: _Aim) -> np.ndarray:
@@ -389,26 +421,29 @@ def outcome_values(
     names: Sequence[str],
     targets: Sequence[Target],
 ) -> Float[Array, " N"]:
-    """Return the targets' outcomes of routes.
+    """Return the outcome of routes that each target bounds (see `Target`).
 
     Args:
-      sums: features and integrals ``[Q, 2 K]`` of the routes.
-      shortest: those of the shortest routes.
-      names: ``[K]`` the weights.
-      targets: ``[N]``.
+      sums: features and then integrals ``[Q, 2 K]`` of a route of each query.
+      shortest: the same of the shortest routes, to which detours and people are related.
+      names: ``[K]`` the weights, ``"distance"`` first.
+      targets: ``[N]`` name the outcomes.
     """
+    # Integrals begin after K features, with the length; then one for each metric.
     num = len(names)
-    length_m, base_m = sums[:, num], shortest[:, num]
+    length_m, shortest_m = sums[:, num], shortest[:, num]
     values = []
     for target in targets:
         if target.outcome == "length_m":
             value = jnp.mean(length_m)
         elif target.outcome == "detour":
-            value = jnp.mean(length_m / base_m) - 1
+            value = jnp.mean(length_m / shortest_m) - 1
         elif target.outcome == "people":
             column = num + list(names).index("population")
-            base = jnp.maximum(jnp.sum(shortest[:, column]), 1e-9)
-            value = jnp.sum(sums[:, column]) / base
+            people = jnp.maximum(
+                jnp.sum(shortest[:, column]), 1e-9
+            )  # the shortest routes may pass none
+            value = jnp.sum(sums[:, column]) / people
         else:
             column = num + list(names).index(target.outcome.removeprefix(MEAN))
             value = jnp.mean(sums[:, column] / length_m)
@@ -417,7 +452,12 @@ def outcome_values(
 
 
 def _missed(values: AnyArray, bound: AnyArray, sign: AnyArray) -> Array:
-    """Return by which share of its bound each target is missed; signs: +1 (at least), -1 (at most) or 0 (not now)."""
+    """Return ``[N]`` by which share of its bound each outcome misses its target, 0 where the target is met.
+
+    Args:
+      values: ``[N]`` outcomes.
+      bound, sign: ``[N]`` as in `_Aim`; a target with the sign 0 counts as met.
+    """
     return jnp.maximum(sign * (bound - values) / jnp.maximum(jnp.abs(bound), 1e-3), 0.0)
 
 
@@ -431,9 +471,17 @@ def _squared_misses(
 
 @partial(jax.jit, static_argnames=("names", "targets"))
 def _descend(starts: Array, draws: Array, aim: _Aim, names: Any, targets: Any) -> Array:
-    """Return log weights ``[S, K]`` after descents from each start over known routes."""
+    """Return log weights ``[S, K]`` after a descent from each start, over the known routes with noise that shrinks.
+
+    Args:
+      starts: ``[S, K]`` log weights.
+      draws: ``[M, K]`` normal noise, the same at every step.
+      aim: what is missed least.
+      names, targets: as in `outcome_values`.
+    """
 
     def squared(log_weights: Any, noise: Any) -> Array:
+        """Return the squared misses of the expected sums of routes under perturbed weights."""
         expected = known_route_sums(log_weights, aim.routes, draws, noise)
         return _squared_misses(expected, aim, names, targets)
 
@@ -446,27 +494,40 @@ def _descend(starts: Array, draws: Array, aim: _Aim, names: Any, targets: Any) -
 
 @partial(jax.jit, static_argnames=("names", "targets"))
 def _known_misses(candidates: Array, aim: _Aim, names: Any, targets: Any) -> Array:
-    """Return ``[S]`` the squared misses of the cheapest known routes under log weights ``[S, K]``."""
+    """Return ``[S]`` the squared misses of the cheapest known routes under each of log weights ``[S, K]``.
+
+    Args:
+      candidates: the log weights.
+      aim: what is missed.
+      names, targets: as in `outcome_values`.
+    """
 
     def squared(log_weights: Any) -> Array:
+        """Return the squared misses under log weights ``[K]``."""
         costs = aim.routes[..., : len(names)] @ jnp.exp(log_weights)
         cheapest = jnp.argmin(costs, axis=-1)[:, None, None]
         chosen = jnp.take_along_axis(aim.routes, cheapest, axis=1)[:, 0]
         return _squared_misses(chosen, aim, names, targets)
 
-    return jax.lax.map(squared, candidates, batch_size=64)
+    return jax.lax.map(squared, candidates, batch_size=NUM_AT_ONCE)
 
 
 def _outcome_table(
-    targets: Sequence[Target], result: Sequence[_Best], at_shortest: np.ndarray
+    targets: Sequence[Target], results: Sequence[_Best], at_shortest: np.ndarray
 ) -> pd.DataFrame:
-    """Return a row per target, each as its own search reached it."""
+    """Return a row per target, indexed by its text: its bound, and what was reached and missed.
+
+    Args:
+      targets: ``[N]``.
+      results: of the search that counts for each target, in their order; its own entry of each is taken.
+      at_shortest: ``[N]`` the outcomes of the shortest routes.
+    """
     table = pd.DataFrame(
         {
             "wished": [target.value for target in targets],
             "shortest": at_shortest,
-            "reached": np.diag([each.reached for each in result]),
-            "missed_by": np.diag([each.missed for each in result]),
+            "reached": np.diag([result.reached for result in results]),
+            "missed_by": np.diag([result.missed for result in results]),
         },
         index=pd.Index(map(str, targets), name="wish"),
     )

@@ -139,11 +139,12 @@ def fit_weights(
 ) -> WeightFit:
     """Return the weights under which demonstrated routes are as close to cheapest as any weights make them.
 
-    A perturbed Fenchel-Young loss is brought down by gradient in log weights, over the routes found so far. Rounds of
-    searches under the current and under perturbed weights find more, until a round betters none. The noise shrinks from
-    round to round: wide noise leads from anywhere, narrow noise ends near the middle of the weights that explain the
-    demonstrations. From there the mean regret itself is brought down, and demonstrations that stay far costlier than
-    most are trusted less (a redescending weight on their regret), so that some detours do not bend the fit.
+    A perturbed Fenchel-Young loss is minimised by gradient in log weights, over the routes found so far. Rounds of
+    searches under the current and under perturbed weights find more routes, until a round finds no cheaper one. The
+    noise shrinks from round to round: wide noise leads from anywhere, narrow noise ends near the middle of the weights
+    that explain the demonstrations. From there the mean regret itself is minimised, and demonstrations that stay far
+    costlier than most are trusted less (a redescending weight on their regret), so that some detours do not bend the
+    fit.
 
     Only the direction of W can be found; its length is set by ``scale``. The weight of a layer that is constant
     over the maps cannot be identified, and ``unidentified`` says so: under ``line`` (or where it costs nothing) it
@@ -178,24 +179,30 @@ def fit_weights(
     begin_s = time.perf_counter()
     settings = settings or FitSettings()
     demonstrations = list(demonstrations)
-    queries = [each.query for each in demonstrations]
+
+    # The weights that can be fitted, and the features of the demonstrations.
+    queries = [demonstration.query for demonstration in demonstrations]
     names = check_alike(queries)
     constant = constant_layers(queries)
     left_out = _left_out(constant, queries)
     is_fitted = np.array([name not in left_out for name in names])
-    demo = np.array([each.features for each in demonstrations])
+    demo = np.array([demonstration.features for demonstration in demonstrations])
+
+    # What is fitted over: the routes found so far, beginning with the demonstrations themselves.
     noise_rounds = min(settings.max_rounds, NOISE_ROUNDS)
-    least_rounds = min(settings.max_rounds, TRUST_ROUNDS + DOUBT_ROUNDS + 1)
     pool = pool_of_fit(
         settings,
         queries,
-        [each.sums for each in demonstrations],
+        [demonstration.sums for demonstration in demonstrations],
         fit="imitation",
         noise_rounds=noise_rounds,
         demonstrations=fingerprint(demo),
     )
     unit = np.where(is_fitted, feature_units(queries, demo), 1.0)
     fit = _Fit(pool, demo, unit, is_fitted, settings.seed)
+
+    # Rounds of searches, until one betters no known route or the budget ends; then intervals.
+    least_rounds = min(settings.max_rounds, TRUST_ROUNDS + DOUBT_ROUNDS + 1)
     rows = []
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         for number in range(settings.max_rounds):
@@ -209,6 +216,7 @@ def fit_weights(
         regret = fit.searched_regret(fit.log_weights)
         best = fit.least_mean_regret(float(regret.mean()))
         draws, interval = _refitted(fit, demonstrations, scale, bootstrap)
+    # What the fit says, and what it cannot say.
     table = _weight_table(fit, scale, interval)
     unidentified = [_constant_sentence(name, name in left_out) for name in constant]
     unidentified += _wide_sentences(table.drop(index=list(constant)))
@@ -234,14 +242,19 @@ def fit_weights(
 
 
 def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str]:
-    """Return which of the constant layers get the weight 0: under ``cell`` those that cost nothing, else all.
+    """Return which of the constant layers get the weight 0.
 
-    Under ``cell`` a constant cost still counts steps, and diagonals save some: left out, it would bend the others.
+    Under the cost model ``line`` these are all of them. Under ``cell`` a constant cost still counts steps, of which
+    diagonals save some, and to leave it out would bend the other weights: only layers that cost nothing are left out.
+
+    Args:
+      constant: names of the layers that are the same everywhere (`constant_layers`).
+      queries: whose maps and cost model count; at least one.
     """
     if queries[0].cost_map.cost_model.kind != "cell":
         return set(constant)
-    cost_maps = maps_of(queries)
-    return {name for name in constant if not np.any([each.cost_of(name) for each in cost_maps])}
+    costs = [cost_map.cost_of for cost_map in maps_of(queries)]
+    return {name for name in constant if not np.any([cost_of(name) for cost_of in costs])}
 
 
 def _noise_of(number: int, noise_rounds: int) -> float:
@@ -272,32 +285,54 @@ class _Fit:
         return self.weights_of(self.log_weights)
 
     def weights_of(self, log_weights: np.ndarray) -> np.ndarray:
+        """Return ``[K]`` weights of features in their own units for log weights ``[F]``; 0 where none is fitted."""
         weights = np.zeros(len(self.unit))
         weights[self.is_fitted] = np.asarray(weights_of(jnp.asarray(log_weights)))
         return weights / self.unit
 
     def task(self, num_noise: int, noise: float, rng: np.random.Generator) -> FitTask:
-        """Return what the loss looks at now."""
+        """Return the demonstrations, known routes, noise and trust that the loss looks at now, of the fitted weights.
+
+        Args:
+          num_noise: M noises of each query, even.
+          noise: their standard deviation, in log weight.
+          rng: draws them.
+        """
         shape = (len(self.demo), num_noise, len(self.log_weights))
         return FitTask(
-            jnp.asarray((self.demo / self.unit)[:, self.is_fitted]),
-            jnp.asarray((self.pool.routes[0] / self.unit)[:, :, self.is_fitted]),
-            jnp.asarray(draw_log_noise(rng, shape, noise)),
-            jnp.asarray(self.trust),
+            demo=jnp.asarray((self.demo / self.unit)[:, self.is_fitted]),
+            routes=jnp.asarray((self.pool.routes[0] / self.unit)[:, :, self.is_fitted]),
+            log_noise=jnp.asarray(draw_log_noise(rng, shape, noise)),
+            trust=jnp.asarray(self.trust),
         )
 
     def run_round(self, number: int, noise: float) -> dict[str, Any]:
-        """Search under perturbed weights, set the trust of each demonstration again, and descend."""
+        """Search under perturbed weights, set the trust of each demonstration again, and descend.
+
+        Changes ``log_weights``, ``trust`` and the pool.
+
+        Args:
+          number: of the round, from 0; the first `TRUST_ROUNDS` trust all demonstrations alike.
+          noise: standard deviation of the log weights about the current ones.
+
+        Returns:
+          The row of the round in `WeightFit.curve`, but for its time and weights.
+        """
+        # [Q, 1 + NUM_PROBES, K] weights for searches: the current ones first, then perturbed ones.
         rng = np.random.default_rng([IN_ROUND, number, self.seed])
         probes = np.exp(rng.normal(size=(len(self.demo), 1 + NUM_PROBES, len(self.unit))) * noise)
         probes[:, 0] = 1.0
         probed = self.weights * probes
+
+        # The cheapest costs [Q, 1 + NUM_PROBES] among the known routes, and by search: the gap is what was not known.
         num_known = self.pool.num_routes
         expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.routes[0]), axis=-1)
         searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
+        # First the loss, which leads from anywhere; then the mean regret, with patience that falls from round to round.
         task = self.task(NUM_NOISE, noise, rng)
-        objective = fenchel_young_loss if number < TRUST_ROUNDS else mean_regret
+        objective = fenchel_young_loss
         if number >= TRUST_ROUNDS:
+            objective = mean_regret
             patience = FIRST_DOUBT ** max(0.0, 1 - (number - TRUST_ROUNDS) / DOUBT_ROUNDS)
             regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), task))
             self.trust = redescending_trust(regret, patience)
@@ -321,12 +356,15 @@ class _Fit:
         return (self.demo @ weights) / (cheapest @ weights) - 1
 
     def near_optimal_range(self, scale: np.ndarray, least: np.ndarray) -> np.ndarray:
-        """Return ``[2, K]`` the range of each weight, a . W = 1 for ``scale`` a, that explains the routes as well.
+        """Return ``[2, K]`` the least and the largest value of each weight that explain the routes as well as the fit.
+
+        The weights W that are compared have a . W = 1. Weights that are not fitted have the range 0 to 0.
 
         Args:
-          scale: ``[K]`` a.
+          scale: ``[K]`` a: ones where weights sum to 1, or 1 for the distance alone.
           least: ``[Q, K]`` features that the demonstrations have at least (`Demonstration.least_features`).
         """
+        # In the units of the task, whose noise plays no part here.
         unit = self.unit[self.is_fitted]
         task = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
         task = task._replace(demo=(least / self.unit)[:, self.is_fitted])
@@ -337,12 +375,21 @@ class _Fit:
         return ends
 
     def least_mean_regret(self, best: float) -> float:
-        """Return the least mean regret over all routes that any weights are found to reach, at most ``best``."""
+        """Return the least mean regret, over all demonstrations alike, that any weights are found to reach.
+
+        The fit itself, which trusts some demonstrations less, may have more. Rounds of descents and searches end where
+        a search finds no cheaper routes than the descent knew. The pool grows; the fit's weights stay.
+
+        Args:
+          best: a mean regret that is already reached, above which the result never is.
+        """
         lowest = self.log_weights
         for _ in range(REGRET_ROUNDS):
-            everyone = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
-            everyone = everyone._replace(trust=jnp.ones(len(self.demo)))
-            ended, expected = descend(jnp.asarray(lowest), everyone, mean_regret, STEPS)
+            task = self.task(
+                2, LAST_NOISE, np.random.default_rng(self.seed)
+            )  # its noise plays no part
+            task = task._replace(trust=jnp.ones(len(self.demo)))
+            ended, expected = descend(jnp.asarray(lowest), task, mean_regret, STEPS)
             lowest = np.asarray(ended)
             reached = float(self.searched_regret(lowest).mean())
             best = min(best, reached)
@@ -354,17 +401,30 @@ class _Fit:
 def _refitted(
     fit: _Fit, demonstrations: Sequence[Demonstration], scale: str, bootstrap: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``[B, K]`` weights of bootstrap fits and ``[2, K]`` their interval."""
+    """Return the weights ``[B, K]`` of bootstrap fits, and the lower and upper ends ``[2, K]`` of their intervals.
+
+    An interval reaches from the 5th to the 95th percentile, and as far as weights explain the demonstrations as well as
+    the fit does. A single demonstration has no bootstrap fits (B is 0) and the second part alone.
+
+    Args:
+      fit: of all demonstrations.
+      demonstrations: all of them.
+      scale: of the weights, ``"simplex"`` or ``"distance"``.
+      bootstrap: how many fits; with 0 the intervals are NaN.
+    """
+    # Fits to demonstrations that are drawn again, cities first.
     rng = np.random.default_rng([IN_BOOTSTRAP, 0, fit.seed])
     num = len(fit.unit)
-    cities, _ = pd.factorize(np.array([id(each.query.cost_map.maps) for each in demonstrations]))
+    maps = [id(demonstration.query.cost_map.maps) for demonstration in demonstrations]
+    cities, _ = pd.factorize(np.array(maps))  # a city is one set of maps
     task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
     log_draws = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng))
     draws = np.array([_scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, num)
     if not bootstrap:
         return draws, np.full((2, num), np.nan)
+    # Weights that explain the demonstrations as well: they sum to 1, or the distance alone is 1.
     sides = np.ones(num) if scale == "simplex" else np.eye(num)[0]
-    least = np.array([each.least_features for each in demonstrations])
+    least = np.array([demonstration.least_features for demonstration in demonstrations])
     low, high = fit.near_optimal_range(sides, least)
     if len(draws):
         drawn_low, drawn_high = np.percentile(draws, [5, 95], axis=0)
@@ -374,12 +434,19 @@ def _refitted(
 
 
 def _scaled(weights: np.ndarray, scale: str) -> np.ndarray:
-    """Return weights of the given scale."""
+    """Return weights ``[K]`` that sum to 1 (``"simplex"``), or of which the distance's is 1 (``"distance"``)."""
     return weights / (weights.sum() if scale == "simplex" else weights[0])
 
 
 def _weight_table(fit: _Fit, scale: str, interval: np.ndarray) -> pd.DataFrame:
-    """Return the table of a `WeightFit`, of an interval ``[2, K]``."""
+    """Return the table of a `WeightFit`, a row per weight by its name.
+
+    Args:
+      fit: when it has ended.
+      scale: of its weights.
+      interval: ``[2, K]`` lower and upper ends, of the same scale.
+    """
+    # What each weight costs on average, and how much that differs between demonstrations.
     cost = fit.weights * fit.demo.mean(axis=0)
     spread = fit.weights * fit.demo.std(axis=0)
     columns = {
@@ -387,17 +454,18 @@ def _weight_table(fit: _Fit, scale: str, interval: np.ndarray) -> pd.DataFrame:
         "low": interval[0],
         "high": interval[1],
         "share_of_cost": cost / cost.sum(),
-        "spread": spread / max(float(np.linalg.norm(spread)), 1e-300),
+        "spread": spread / max(float(np.linalg.norm(spread)), 1e-300),  # 0 / 0 is 0
     }
     return pd.DataFrame(columns, pd.Index(fit.pool.names, name="name"))
 
 
 def _metric_share(table: pd.DataFrame) -> float:
-    """Return the share of the cost that the metrics make up."""
+    """Return the share of the demonstrations' cost that the metrics make up: all but the distance, the first row."""
     return 1 - float(table["share_of_cost"].iloc[0])
 
 
 def _constant_sentence(name: str, is_left_out: bool) -> str:
+    """Return a sentence on the weight of a layer that is constant, and on what the fit did with it."""
     outcome = "stands for the steps that diagonals save under the cost model 'cell'"
     if is_left_out:
         outcome = "is left at 0"
@@ -415,7 +483,14 @@ def _wide_sentences(table: pd.DataFrame) -> list[str]:
 
 
 def _verdict(regret: np.ndarray, trust: np.ndarray, best: float, metric_share: float) -> str:
-    """Return whether demonstrations follow the metrics, from the least mean regret that any weights reach."""
+    """Return a sentence on whether the demonstrations follow the metrics, most of them do, or they do not.
+
+    Args:
+      regret: ``[Q]`` of each demonstration under the fitted weights, a share of the cheapest cost.
+      trust: ``[Q]`` in the end, from 0 to 1.
+      best: the least mean regret that any weights reach; the routes follow up to `OPTIMAL_REGRET`.
+      metric_share: of the metrics in the cost; where it is negligible the routes follow distance alone.
+    """
     followed = "these metrics"
     if metric_share <= NEGLIGIBLE:
         followed = "distance alone and none of these metrics"
@@ -432,7 +507,14 @@ def _verdict(regret: np.ndarray, trust: np.ndarray, best: float, metric_share: f
 def _warnings(
     demonstrations: Sequence[Demonstration], num_weights: int, trust: np.ndarray, is_settled: bool
 ) -> Iterator[str]:
-    """Yield the further sentences that a reader of the fit must know."""
+    """Yield the further sentences that a reader of the fit must know: few, bad or altered routes, an unfinished search.
+
+    Args:
+      demonstrations: all, of which those with a note have a sentence each.
+      num_weights: K.
+      trust: ``[Q]`` in the end.
+      is_settled: the last round found no better routes.
+    """
     num = len(demonstrations)
     if num < FEW * num_weights:
         yield (
@@ -444,6 +526,6 @@ def _warnings(
         yield f"{num_bad} of {num} demonstrations cost far more than the others' weights explain, and hardly count."
     if not is_settled:
         yield "The last round still found better routes; its weights are given: allow more rounds or a larger budget."
-    for number, each in enumerate(demonstrations, 1):
-        if each.note:
-            yield f"Demonstration {each.query.name or number!r}: {each.note}."
+    for number, demonstration in enumerate(demonstrations, start=1):
+        if demonstration.note:
+            yield f"Demonstration {demonstration.query.name or number!r}: {demonstration.note}."

@@ -115,15 +115,18 @@ def find_breakpoints(
     Raises:
       InputError: the query has no path.
     """
+    # Rounds of searches at all corners of cells that are not verified yet.
     before = pool.num_plans
     growing = _Growing(corners, tolerance)
-    most = np.inf if max_plans is None else max_plans
+    limit = np.inf if max_plans is None else max_plans
     places = growing.unverified()
-    while len(places) and pool.num_plans - before < most:
+    while len(places) and pool.num_plans - before < limit:
         growing.verify(places, pool.cheapest(places @ corners)[:, 0])
         places = growing.unverified()
         if on_plans is not None:
             on_plans(pool.num_plans - before)
+
+    # The routes that have a cell, in the order in which they are reported.
     order = growing.order()
     facts = np.array([growing.facts[route] for route in order])
     return Partition(
@@ -141,13 +144,15 @@ def find_breakpoints(
 def nearest_breakpoints(
     pool: RoutePool, weights: np.ndarray, columns: Sequence[int], factors: tuple[float, float]
 ) -> np.ndarray:
-    """Return ``[N, 2]`` the factors of each weight at which the cheapest route stops being so: below 1, and above 1.
+    """Return ``[N, 2]`` the nearest factors of each weight, below 1 and above 1, at which the cheapest route changes.
 
-    The others stay as given. NaN where the route is the cheapest to the end of the range, or the weight is 0. A search
-    at the end finds a route that is cheaper there, the next one where both cost the same, and so on towards the given
-    weight (Newton's method on a concave, piecewise linear function: each route is met once), until none is cheaper:
-    some four searches for each factor. Between two breakpoints so near that costs differ by less than `TIE`, the
-    farther one may be found.
+    One weight varies at a time. The factor is NaN where the route stays the cheapest to the end of the range, or where
+    the weight is 0.
+
+    A first search at the end of the range finds a route that is cheaper there. The next search is at the factor where
+    both routes cost the same, and so on towards the given weight, until no route is cheaper. This is Newton's method on
+    a concave, piecewise linear function: each route is found once, with some four searches for each factor. Between
+    two breakpoints so near that costs differ by less than `TIE`, the farther one may be found.
 
     Args:
       pool: of one query; routes found join it.
@@ -158,14 +163,16 @@ def nearest_breakpoints(
     Raises:
       InputError: the query has no path.
     """
+    # [N, 2] the factors of the next searches, which are due until they find nothing cheaper.
     features = pool.cheapest(weights[None])[0, 0, 0]
-    factors_at = np.tile(np.asarray(factors, np.float64), (len(columns), 1))
+    tried = np.tile(np.asarray(factors, np.float64), (len(columns), 1))
     is_due = np.tile(weights[list(columns), None] > 0, 2)
-    result = np.full(factors_at.shape, np.nan)
+    result = np.full(tried.shape, np.nan)
     while is_due.any():
+        # A search for each: the given weights, one of them changed.
         rows, ends = np.nonzero(is_due)
         places = np.tile(weights, (len(rows), 1))
-        places[np.arange(len(rows)), np.asarray(columns)[rows]] *= factors_at[rows, ends]
+        places[np.arange(len(rows)), np.asarray(columns)[rows]] *= tried[rows, ends]
         others = pool.cheapest(places)[0, 0]
         for row, end, place, other in zip(
             rows.tolist(), ends.tolist(), places, others, strict=True
@@ -174,10 +181,12 @@ def nearest_breakpoints(
             if place @ excess <= TIE * (place @ features):
                 is_due[row, end] = False
                 continue
+            # The factor at which both cost the same: weights @ excess + (factor - 1) * weight * excess[column] = 0.
+            # At the given weights the other route costs as much at least; rounding may say less.
             column = columns[row]
-            # At the given weights the other one costs as much at least; rounding may say less.
             ahead = min(weights @ excess, 0.0)
-            factors_at[row, end] = result[row, end] = 1 - ahead / (weights[column] * excess[column])
+            tried[row, end] = 1 - ahead / (weights[column] * excess[column])
+            result[row, end] = tried[row, end]
     return result
 
 
@@ -191,9 +200,9 @@ def pareto_front(
 ) -> Partition:
     """Return the routes that are best for some weights of two or three features, such as distance and population.
 
-    No other route is as cheap in every chosen feature and better in one. These are the **supported** points only: the
-    corners of the front's convex hull. A point of the front inside the hull is the cheapest under no weights, so no
-    weighted sum finds it, and it is not here. Features that are not chosen cost nothing.
+    No other route is as low in every chosen feature and lower in one. The result holds the **supported** routes only:
+    the corners of the front's convex hull. A route of the front inside the hull is the cheapest under no weights, so no
+    weighted sum finds it. Features that are not chosen cost nothing.
 
     Args:
       pool: of one query; routes found join it.
@@ -205,10 +214,13 @@ def pareto_front(
     """
     columns = [pool.names.index(name) for name in objectives]
     alone = np.eye(len(pool.names))[columns]
-    # In units of what routes have of each, so that no objective is squeezed into a corner of the triangle.
+    # Each objective is counted in its largest value on the routes that are best in another one, so that none is
+    # squeezed into a corner of the triangle; one that is 0 on all of them keeps its unit.
     size = pool.cheapest(alone)[0, 0][:, columns].max(axis=0)
+    units = np.where(size > 0, size, 1.0)
+    # At its corner an objective has nearly all of the weight, and the others at least `LEAST`.
     shares = np.eye(len(objectives)) * (1 - len(objectives) * LEAST) + LEAST
-    corners = shares @ (alone / np.where(size > 0, size, 1.0)[:, None])
+    corners = shares @ (alone / units[:, None])
     result = find_breakpoints(
         pool, corners, tolerance=tolerance, max_plans=max_plans, on_plans=on_plans
     )
@@ -243,7 +255,12 @@ class _Growing:
                 self._add(np.stack([features, integrals]), ends)
 
     def _add(self, facts: np.ndarray, ends: np.ndarray) -> None:
-        """Add a route: its region of weights is what all known ones leave it, and it takes its part of theirs."""
+        """Add a route: its cell is what the known routes leave it, and their cells lose what it takes.
+
+        Args:
+          facts: ``[2, K]`` its features and integrals.
+          ends: ``[C]`` its cost at each corner.
+        """
         new = np.eye(len(self.corners))
         for route, other in enumerate(self.ends):
             if len(self.cells[route]):
@@ -262,27 +279,37 @@ class _Growing:
 
 
 def _clip(cell: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """Return the part of a convex cell ``[V, C]`` where ``place @ excess <= 0``, empty where that has no size.
+    """Return the part of a convex cell where ``place @ excess <= 0``; ``[0, C]`` where that part has no size.
 
     One half-plane of Sutherland and Hodgman's clipping (1974).
+
+    Args:
+      cell: ``[V, C]`` its corners, in order around it; no corner for an empty cell.
+      excess: ``[C]`` cost at each corner of the whole line or triangle, less the cost of another route.
     """
-    empty = np.empty((0, len(excess)))
-    above = cell @ excess
-    if above.max(initial=0.0) <= 0:
+    excesses = cell @ excess
+    if excesses.max(initial=0.0) <= 0:
         return cell
-    kept = []
+
+    # Corners below the dividing line are kept, and a side that crosses the line ends on it.
+    corners = []
     following = np.roll(cell, -1, axis=0)
-    above_following = np.roll(above, -1)
-    for corner, other, a, b in zip(cell, following, above, above_following, strict=True):
-        if a <= 0:
-            kept.append(corner)
-        if a * b < 0:  # the side crosses the line between
-            kept.append(corner + (other - corner) * (a / (a - b)))
-    points = {_key(place): place for place in kept}
-    if len(points) < len(excess):
-        return empty
-    clipped = np.array([*points.values()])
-    return clipped if _size(clipped) > EMPTY else empty
+    following_excesses = np.roll(excesses, -1)
+    for corner, other, here, there in zip(
+        cell, following, excesses, following_excesses, strict=True
+    ):
+        if here <= 0:
+            corners.append(corner)
+        if here * there < 0:
+            corners.append(corner + (other - corner) * (here / (here - there)))
+
+    # Each corner once; fewer than the line or triangle itself has enclose nothing.
+    points = {_key(place): place for place in corners}
+    if len(points) >= len(excess):
+        clipped = np.array([*points.values()])
+        if _size(clipped) > EMPTY:
+            return clipped
+    return np.empty((0, len(excess)))
 
 
 def _size(cell: np.ndarray) -> float:
@@ -294,4 +321,5 @@ def _size(cell: np.ndarray) -> float:
 
 
 def _key(place: np.ndarray) -> tuple[int, ...]:
+    """Return a key that places ``[C]`` have in common if they are one but for rounding."""
     return tuple(np.round(place / SAME_POINT).astype(np.int64).tolist())

@@ -21,7 +21,16 @@ from jaxurban.world.footprints import HeightOrigin
 
 
 def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVisits:
-    """Return which cells of a soft city's region a route's cost counts, and how often, if it was planned on them."""
+    """Return which cells of a soft city's region the cost of a route counts, and how often.
+
+    Args:
+      soft: the soft city.
+      planned: the route.
+      params: give the altitude of the soft maps.
+
+    Raises:
+      InputError: there is no route, it climbs, or it was planned on another grid, altitude or time of day.
+    """
     region = soft.surface.region
     if not planned.status.has_path:
         raise InputError(
@@ -31,6 +40,7 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
         raise InputError(
             "the route changes its altitude and a soft city has one: plan it at that altitude"
         )
+    # Both must be of one grid and one altitude, which is compared to the millimetre.
     of_route = planned.crs, planned.settings["resolution_m"], round(planned.altitude_m, 3)
     of_soft = region.crs, region.resolution_m, round(float(np.asarray(params.altitude_m)), 3)
     if of_route != of_soft:
@@ -38,6 +48,7 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
             "the route and the soft city must have one CRS, cell size and altitude, got "
             f"{', '.join(map(str, of_route))} m and {', '.join(map(str, of_soft))} m: make both from the same maps"
         )
+    # People differ by time of day.
     time_of_day = planned.settings["time_of_day"]
     if soft.population is not None and time_of_day is not None and time_of_day != soft.time_of_day:
         raise InputError(
@@ -45,9 +56,8 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
             f"time_of_day={time_of_day!r}"
         )
     points_m = planned.xy_m - region.bounds_m[:2]
-    return path_visits(
-        points_m, region.shape, region.resolution_m, CostModel.from_settings(planned.settings)
-    )
+    model = CostModel.from_settings(planned.settings)
+    return path_visits(points_m, region.shape, region.resolution_m, model)
 
 
 def weights_of(planned: PlannedPath) -> Weights:
@@ -102,6 +112,7 @@ def building_costs(
       rank
       1           32     0.0023     380.0  generated
     """
+    # [B] gradients of all buildings, by layer and in sum; the listed ones are numbers of buildings, in their order.
     assert city.buildings is not None
     visits = _visits(soft, planned, params)
     weights = weights_of(planned) if weights is None else Weights.of(weights).checked(soft.names)
@@ -110,6 +121,8 @@ def building_costs(
     per_metre = np.sum([parts[name] for name in parts], axis=0)
     listed = np.flatnonzero((parts != 0).any(axis=1))
     listed = listed[np.argsort(-per_metre[listed], kind="stable")]
+
+    # Where the listed buildings are; a route of one point is a line of no length.
     buildings = city.buildings.take(listed)
     inside = shapely.point_on_surface(buildings.polygons)
     lon, lat = soft.surface.region.lonlat_of_xy(shapely.get_x(inside), shapely.get_y(inside))
@@ -139,14 +152,24 @@ def building_costs(
 def _slopes(
     soft: SoftCity, params: SoftParams, weights: Weights, visits: PathVisits
 ) -> tuple[dict[str, jax.Array], jax.Array]:
-    """Return the gradient ``[B]`` of each layer's part of the cost by heights, and the whole soft cost."""
+    """Return by layer the gradient ``[B]`` of its part of the cost by the buildings' heights, and the whole soft cost.
+
+    Layers that do not depend on heights have no gradient, and count in the cost only.
+
+    Args:
+      soft: the soft city, whose heights vary.
+      params: altitude, softness and the metrics' settings.
+      weights: of distance and layers.
+      visits: cells of the route, how often each counts, and the route's length.
+    """
 
     def part(name: str, height_m: jax.Array) -> jax.Array:
+        """Return the part of the cost that a layer has, where buildings are ``[B]`` metres high."""
         return weights[name] * (soft.layer(name, height_m, params, visits.cells) @ visits.times)
 
-    # Not people.
+    # Layers that vary with the time of day are of people, who do not depend on heights.
     by_height = [name for name, metric in soft.metrics.items() if TIME_OF_DAY not in metric.dims]
-    result = {name: jax.value_and_grad(partial(part, name))(soft.height_m) for name in by_height}
-    cost = weights.distance * visits.length_m + sum(value for value, _ in result.values())
+    parts = {name: jax.value_and_grad(partial(part, name))(soft.height_m) for name in by_height}
+    cost = weights.distance * visits.length_m + sum(value for value, _ in parts.values())
     cost += sum(part(name, soft.height_m) for name in soft.names if name not in by_height)
-    return {name: slope for name, (_, slope) in result.items()}, jnp.asarray(cost)
+    return {name: slope for name, (_, slope) in parts.items()}, jnp.asarray(cost)

@@ -31,18 +31,22 @@ def add_changed_rows(
     scenarios: Mapping[str, Scenario] | None,
     report: Report,
 ) -> tuple[dict[str, pd.DataFrame], tuple[str, ...]]:
-    """Make the rows of routes on changed maps that a study lacks, whole maps at a time.
+    """Make the rows of routes on changed maps that a study lacks, and keep them in its folder.
+
+    Each changed map is made once, for all routes of its city. What is made is kept even if an error ends the call.
 
     Args:
       folder: of the study.
-      cities: of the study.
-      instances: its routes.
-      scenarios: of cities; of others the record in the maps' folder names the sources.
+      cities: of the study; their settings say which changes are wanted.
+      instances: its routes, with a column ``city``.
+      scenarios: by city; for a city without one the record in the maps' folder names the sources.
       report: of the progress.
 
     Returns:
-      The rows by the folder of the study in which they are kept, and why some maps were not made.
+      The rows, by the name of the subfolder in which they are kept (empty where no change is wanted), and sentences on
+      maps that could not be made.
     """
+    # A store for each kind of change that is wanted.
     stores = {}
     wanted = {
         OnPerturbedMaps: cities.settings.num_heights > 0,
@@ -51,6 +55,7 @@ def add_changed_rows(
     for kind, is_wanted in wanted.items():
         if is_wanted:
             stores[kind] = RowStore(folder / kind.folder / ROWS_FILE, kind.key, has_parts=True)
+    # Rows are saved with all their columns, whatever happens.
     skipped = []
     try:
         for city in cities.maps if stores else ():
@@ -76,7 +81,16 @@ def _add_city(
     scenario: Scenario | None,
     report: Report,
 ) -> list[InputError]:
-    """Add the rows of a city's routes on its changed maps to the stores, and return why some maps are not made."""
+    """Add the rows of a city's routes on its changed maps to the stores, and return why some maps are not made.
+
+    Args:
+      stores: by kind of change; those that lack rows of the city get them.
+      city: its name.
+      cities: of the study.
+      instances: the routes in this city.
+      scenario: of the city; None: the record of its maps names the sources.
+      report: of the progress.
+    """
     maps = cities.maps[city]
     settings = cities.settings
     try:
@@ -91,9 +105,11 @@ def _add_city(
         tasks = kind.tasks(task, settings)
         for number, (change, changed) in enumerate(zip(changes, tasks, strict=True)):
             report(stage, number, len(changes))
-            if isinstance(changed, InputError):
+            if isinstance(changed, InputError):  # a change that a metric refuses
                 errors.append(changed)
                 continue
+
+            # The maps are made only if a route lacks its row.
             job = kind(
                 nominal=maps,
                 change=change,
@@ -118,7 +134,12 @@ def _made(task: MapTask) -> MetricMaps:
 
 
 def _map_task(source: Source, maps: MetricMaps, scenario: Scenario | None) -> MapTask:
-    """Return what the maps of a city are made of, its sources read again.
+    """Return the task that makes the maps of a city, its sources read again.
+
+    Args:
+      source: of the maps, whose folder names the sources where there is no scenario.
+      maps: the task makes the same grid and the same metrics.
+      scenario: of the city, or None.
 
     Raises:
       InputError: sources that are unknown or gone, or those of other maps.

@@ -55,20 +55,23 @@ class Cities(NamedTuple):
 
 
 def named_sources(sources: Any) -> dict[str, Source]:
-    """Return the maps of each city by its name: folders as `MapsFolder`.
+    """Return the maps of each city by its name; maps in memory as they are, folders as `MapsFolder`.
+
+    Args:
+      sources: maps or folders by name, or one or several folders, which are called by their own names.
 
     Raises:
-      InputError: none, or two of one name.
+      InputError: there is no city, two have one name, or maps in memory have none.
     """
     several = sources
     if isinstance(sources, Mapping):
         several = sources.values()
     elif isinstance(sources, str | Path | MapsFolder):
         several = [sources]
-    opened = [
-        source if isinstance(source, MetricMaps | MapsFolder) else MapsFolder(source)
-        for source in several
-    ]
+    opened = []
+    for source in several:
+        is_opened = isinstance(source, MetricMaps | MapsFolder)
+        opened.append(source if is_opened else MapsFolder(source))
     names = list(map(str, sources)) if isinstance(sources, Mapping) else _folder_names(opened)
     if not names or len(set(names)) < len(names):
         raise InputError(
@@ -79,7 +82,11 @@ def named_sources(sources: Any) -> dict[str, Source]:
 
 
 def _folder_names(sources: Iterable[Source]) -> list[str]:
-    """Return the names of folders of maps."""
+    """Return the name of each folder of maps, without its path.
+
+    Raises:
+      InputError: maps in memory, which have no name.
+    """
     names = []
     for source in sources:
         if isinstance(source, MetricMaps):
@@ -93,11 +100,17 @@ def _folder_names(sources: Iterable[Source]) -> list[str]:
 def open_cities(
     sources: Mapping[str, Source], settings: SensitivityStudySettings, weights: WeightsLike
 ) -> Cities:
-    """Return the cities of a study.
+    """Return the cities of a study, their maps opened.
+
+    Args:
+      sources: by the cities' names; at least one.
+      settings: of the study; the scenarios of the maps fill in what they leave out.
+      weights: of sampled routes; None: those of the maps' scenarios.
 
     Raises:
       InputError: maps whose scenarios differ in what all routes share, or whose costs cannot be compared.
     """
+    # By city: what workers open, the maps, and the rules under the city's own scenario.
     opened = {}
     all_maps = {}
     rules = {}
@@ -107,6 +120,8 @@ def open_cities(
         all_maps[city] = maps
         opened[city] = maps if isinstance(source, MetricMaps) else source.at(maps)
         rules[city] = settings_of_city, Weights.of(weights, maps.recorded.get("weights"))
+
+    # One set of rules and comparable costs for all cities.
     first = next(iter(rules))
     for city, other in rules.items():
         if other != rules[first]:
@@ -114,20 +129,22 @@ def open_cities(
                 f"the scenarios of {first} and {city} give other weights, cost models, clearances or vehicles: name "
                 "them for both (--weights, --cost-model, --clearance, --vertical-clearance), or make them the same"
             )
-    cities = Cities(opened, all_maps, *rules[first])
+    common_settings, common_weights = rules[first]
     resolutions_m = {maps.grid.resolution_m for maps in all_maps.values()}
-    if CostModel.of(cities.settings.cost_model).kind == "cell" and len(resolutions_m) > 1:
-        listed = ", ".join(f"{each:g} m" for each in sorted(resolutions_m))
+    if CostModel.of(common_settings.cost_model).kind == "cell" and len(resolutions_m) > 1:
+        listed = ", ".join(f"{side_m:g} m" for side_m in sorted(resolutions_m))
         raise InputError(
             f"the maps have cells of {listed}, on which the 'cell' cost model costs differently: use cost_model='line'"
         )
-    return cities
+    return Cities(opened, all_maps, common_settings, common_weights)
 
 
 def routes_of_cities(
     cities: Cities, routes: pd.DataFrame | int, altitudes_m: Sequence[float] | None
 ) -> pd.DataFrame:
-    """Return the routes of all cities as instances with a column ``city``.
+    """Return the routes of all cities as instances with the columns ``city`` and `CITY_NUMBER`.
+
+    There is a column for the weight of every metric of any city, with 0 where a city lacks the metric.
 
     Args:
       cities: of the study.
@@ -143,10 +160,12 @@ def routes_of_cities(
         _check_cities(routes, cities.maps)
         if altitudes_m is not None:
             raise InputError("altitudes_m is of sampled routes: a table of routes names its own")
+    # The routes of each city: those of the table, or sampled ones.
     parts = []
     for number, (city, maps) in enumerate(cities.maps.items()):
-        known = {"distance", *METRICS, *maps.metrics}  # a city may lack the layers of another one
-        of_city = Weights(**{name: value for name, value in weights.items() if name in known})
+        # A city may lack the layers of another one, and then has no weight for them.
+        names = {"distance", *METRICS, *maps.metrics}
+        of_city = Weights(**{name: weights[name] for name in weights if name in names})
         if isinstance(routes, pd.DataFrame):
             part = _listed_routes(routes, city, maps, of_city)
         else:
@@ -169,9 +188,20 @@ def routes_of_cities(
 def _listed_routes(
     routes: pd.DataFrame, city: str, maps: MetricMaps, weights: Weights
 ) -> pd.DataFrame:
-    """Return the routes of a table that lie in a city, as instances."""
+    """Return the routes of a table that lie in a city, as instances.
+
+    Args:
+      routes: instances or queries; without a column ``city`` all of them lie in this one.
+      city: its name.
+      maps: of the city.
+      weights: of queries that name none.
+
+    Raises:
+      InputError: a route that does not fit the maps, or an invalid weight.
+    """
     part = routes
     if "city" in routes:
+        # Weights of layers that only other cities have.
         weighed = weight_columns(weighed_metrics(routes.columns))
         foreign = set(weighed) - set(weight_columns(maps.metrics))
         part = routes[routes["city"].astype(str) == city].drop(columns=["city", *foreign])
@@ -186,7 +216,14 @@ def _listed_routes(
 
 
 def check_some_vary(cities: Cities, instances: pd.DataFrame) -> None:
-    """Check that every weight to vary counts on one route at least; each route names those that do not on it."""
+    """Raise InputError unless every weight to vary is above 0 on one route at least.
+
+    A weight that is 0 on some routes is no error here: the row of such a route says so.
+
+    Args:
+      cities: of the study; their settings name the weights to vary, or none, which means all metrics.
+      instances: the routes, with a column for each weight.
+    """
     names = ("distance", *cities.metrics)
     counted = [name for name in names if (instances[f"{WEIGHT_PREFIX}{name}"] > 0).any()]
     vary = cities.settings.vary
@@ -203,7 +240,12 @@ def check_some_vary(cities: Cities, instances: pd.DataFrame) -> None:
 
 
 def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:
-    """Check that a table has routes, all of them of the cities whose maps are there, and some of each."""
+    """Raise InputError unless a table has routes of each city and of no other one.
+
+    Args:
+      routes: with a column ``city``, which may be missing where there is a single city.
+      cities: names of the cities whose maps are there.
+    """
     cities = tuple(cities)
     if routes.empty:
         raise InputError("the table of routes has no rows: give at least one route")
@@ -228,7 +270,7 @@ def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:
 
 
 def routes_key(instances: pd.DataFrame) -> str:
-    """Return what tells the routes of one study from those of another."""
+    """Return a text that differs between studies of different routes: how many there are, and a digest of them."""
     plain = instances.drop(columns="is_connected").sort_values(list(ROUTE_KEY))
     return f"{len(plain)} ({fingerprint(plain.to_csv(index=False))})"
 

@@ -51,9 +51,9 @@ class SensitivityStudySettings(RouteJob):
         weight as the unit unless it is named.
       factors: breakpoints are looked for, and weights of the Sobol indices drawn, from the first to the second of
         these times each weight.
-      wrong: a wrong weight is so many times too large or too small.
+      wrong: factor by which a wrong weight is too large or too small.
       num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none.
-      num_heights: also plan on maps of so many draws of all heights.
+      num_heights: draws of all heights, on the maps of each of which every route is planned too.
       has_parameters: also plan on maps of which one parameter of the metrics is halved or doubled: each number that
         they have a gradient by (GDOP threshold, lidar range, risk threshold, both gammas of the population).
       seed: of the sampling of routes and weights, with the place of the city among those of the study and the route's
@@ -142,44 +142,51 @@ def query_of(cost_map: CostMap, instance: Row) -> tuple[RouteQuery, np.ndarray]:
 def route_facts(
     cost_map: CostMap, instance: Row, settings: SensitivityStudySettings
 ) -> dict[str, Any]:
-    """Return what the weights do to one route.
+    """Return what the weights do to one route, as the columns of a row.
 
-    ``status``; ``cost`` and the outcomes of the cheapest route under the given weights (`outcomes_of`); for each weight
-    ``elasticity:NAME``, its share of the cost, which is d log cost / d log w; for each that varies ``below:NAME`` and
-    ``above:NAME``, the nearest factors at which the route changes (none within the range: no number);
-    ``regret_low:NAME`` and ``regret_high:NAME``, how much more, under the true weights, the route costs that is the
-    cheapest where this weight is `wrong` times too small or too large; and its Sobol shares of each outcome with half
-    the width of their 95 % intervals, ``first:NAME:OUTCOME``, ``first_ci``, ``total`` and ``total_ci`` likewise.
+    For every route: ``status`` and ``note``; ``cost`` and the outcomes (`outcomes_of`) of the cheapest route under the
+    given weights; ``vary``, the weights that vary; ``num_plans`` and ``elapsed_s``. A route that is not found has its
+    status and note alone.
+
+    For each weight: ``elasticity:NAME``, its share of the cost, which is d log cost / d log w.
+
+    For each weight that varies: ``below:NAME`` and ``above:NAME``, the nearest factors at which the route changes (NaN
+    if none is within the range). ``regret_low:NAME`` and ``regret_high:NAME``, by which share a route costs more under
+    the true weights if it is planned with this weight ``wrong`` times too small or too large. ``first:NAME:OUTCOME``
+    and ``total:NAME:OUTCOME``, its Sobol shares of each outcome, with half the width of their 95 % intervals
+    (``first_ci``, ``total_ci``), unless the settings ask for no samples.
 
     Args:
-      cost_map: of the maps.
+      cost_map: at the instance's altitude and times.
       instance: ends and weights.
-      settings: what is asked.
+      settings: of the study.
 
     Raises:
       InputError: a place that is not free, both in one cell, or a weight to vary that is 0 or not there.
     """
+    # The cheapest route, and what it costs.
     begin_s = time.perf_counter()
     query, weights = query_of(cost_map, instance)
     varied = varied_columns(query.names, weights, settings.vary)
-    first = astar(query.problem(weights))
-    if not first.status.has_path:
-        return {"status": first.status.value, "note": first.status.sentence}
-    features, integrals = query.sums(first.points_m)
+    path = astar(query.problem(weights))
+    if not path.status.has_path:
+        return {"status": path.status.value, "note": path.status.sentence}
+    features, integrals = query.sums(path.points_m)
     cost = float(weights @ features)
     if not cost > 0:
         raise InputError(
             "the cheapest route costs nothing, so no weight has a share of its cost: give a weight above 0"
         )
     facts = {
-        "status": first.status.value,
-        "note": first.note,
+        "status": path.status.value,
+        "note": path.note,
         "vary": ",".join(varied),
         "cost": cost,
     }
     facts |= {name: float(value) for name, value in outcomes_of(integrals, query.names).items()}
     for name, share in zip(query.names, weights * features / cost, strict=True):
         facts[f"elasticity:{name}"] = float(share)
+    # How it changes with each weight that varies; the draws of each route have a seed of their own.
     pool = RoutePool([query], workers=settings.num_threads)
     facts |= _changes(pool, weights, varied, settings, cost)
     if settings.num_samples:
@@ -193,8 +200,8 @@ def route_facts(
             seed % 2**31,
         )
         for share in shares.reset_index().to_dict("records"):
-            where = f"{share['factor']}:{share['outcome']}"
-            facts |= {f"{kind}:{where}": float(share[kind]) for kind in OF_SHARE}
+            suffix = f"{share['factor']}:{share['outcome']}"
+            facts |= {f"{kind}:{suffix}": float(share[kind]) for kind in OF_SHARE}
     return facts | {"num_plans": pool.num_plans + 1, "elapsed_s": time.perf_counter() - begin_s}
 
 
@@ -205,22 +212,26 @@ def _changes(
     settings: SensitivityStudySettings,
     cost: float,
 ) -> dict[str, float]:
-    """Return the breakpoints of the weights that vary, and the regrets of wrong ones, as columns of a row.
+    """Return the breakpoints of the weights that vary, and the regrets of wrong weights, as columns of a row.
+
+    They are ``below``, ``above``, ``regret_low`` and ``regret_high`` of each weight (see `route_facts`).
 
     Args:
-      pool: of the route's query.
+      pool: of the route's query; routes that searches find join it.
       weights: ``[K]``.
       varied: columns of the weights that vary, by their names.
-      settings: of the study.
-      cost: of the cheapest route.
+      settings: of the study, with the range of factors and the factor of a wrong weight.
+      cost: of the cheapest route under the given weights, above 0.
     """
     columns = list(varied.values())
     nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
-    wrong = np.tile(weights, (len(columns), 2, 1))  # of each that varies, too small and too large
+    # [varied, 2, K] the weights with each that varies too small, then too large, and the regrets [varied, 2].
+    wrong = np.tile(weights, (len(columns), 2, 1))
     for number, column in enumerate(columns):
         wrong[number, :, column] *= 1 / settings.wrong, settings.wrong
     cheapest = pool.cheapest(wrong.reshape(-1, len(weights)))[0, 0]
     regret = np.maximum(cheapest @ weights / cost - 1, 0.0).reshape(-1, 2)
+
     facts = {}
     for name, values in zip(varied, np.hstack([nearest, regret]).tolist(), strict=True):
         for kind, value in zip(OF_WEIGHT[1:], values, strict=True):
@@ -244,7 +255,10 @@ def plain_task(task: MapTask) -> MapTask:
 
 
 def parameters_of(task: MapTask) -> dict[str, float]:
-    """Return every number that the metrics of a task have a gradient by, as ``{"lidar.range_m": 100.0}``."""
+    """Return every number that the metrics of a task have a gradient by, as ``{"lidar.range_m": 100.0}``.
+
+    A user's own layers have none.
+    """
     result: dict[str, float] = {}
     for name, metric in task.metrics.items():
         settings = task.settings_of(metric)
@@ -255,19 +269,22 @@ def parameters_of(task: MapTask) -> dict[str, float]:
 
 
 def with_parameter(task: MapTask, parameter: str, factor: float) -> MapTask:
-    """Return a task with one parameter (see `parameters_of`) so many times as large.
+    """Return a task with one parameter multiplied by a factor.
+
+    Args:
+      task: stays as it is.
+      parameter: a metric and its setting, as ``"lidar.range_m"`` (see `parameters_of`).
+      factor: above 0.
 
     Raises:
       InputError: the metric cannot have such a value.
     """
-    metric, _, name = parameter.partition(".")
-    of = task.metrics[metric]
-    settings = task.settings_of(of)
+    metric_name, name = parameter.split(".")
+    metric = task.metrics[metric_name]
+    settings = task.settings_of(metric)
     settings = replace(settings, **{name: factor * getattr(settings, name)})
-    return replace(
-        task,
-        params=replace(task.params, sections={**task.params.sections, of.section: settings}),
-    )
+    sections = {**task.params.sections, metric.section: settings}
+    return replace(task, params=replace(task.params, sections=sections))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -351,12 +368,22 @@ class OnOtherParameters(OnPerturbedMaps):
 
 
 def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> dict[str, Any]:
-    """Return how a route changes on another map, and what keeping the nominal one costs there."""
+    """Return how a route changes on another map, and what it costs to keep the nominal route there.
+
+    The columns are those of `OnPerturbedMaps`; where either map has no route, its status and a note alone.
+
+    Args:
+      nominal, other: the same query on the nominal map and on the other one.
+      weights: ``[K]``.
+    """
+    # The cheapest route of each map.
     paths = [astar(query.problem(weights)) for query in (nominal, other)]
     for path in paths:
         if not path.status.has_path:
             return {"status": path.status.value, "note": path.status.sentence}
     nominal_m, other_m = (path.points_m for path in paths)
+
+    # Both routes on both maps: own and moved on the nominal map, kept and best on the other one.
     on_nominal = nominal.cost_map.problem.features
     on_other = other.cost_map.problem.features
     own, moved = on_nominal(nominal_m), on_nominal(other_m)

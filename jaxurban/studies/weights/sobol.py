@@ -7,7 +7,6 @@ simplex do not: a larger one makes the others smaller, and no share could be put
 vary freely here. Only their ratios choose a route; leave one of them, such as the distance's, as the unit.
 """
 
-import itertools
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -40,29 +39,41 @@ Evaluate = Callable[[np.ndarray], Mapping[str, np.ndarray]]
 
 
 def check_sampling(settings: Any) -> None:
-    """Raise InputError unless names, range, samples and seed of the weights that vary make sense."""
+    """Raise InputError unless the settings of weights that vary make sense.
+
+    Args:
+      settings: with ``vary`` (names, each once), ``factors`` (two, below and above 1), ``num_samples`` (0 or a power of
+        two above 1) and ``seed`` (0 or more).
+    """
     at_least("seed", settings.seed)
     if len(set(settings.vary)) < len(settings.vary):
         raise InputError(f"vary must name each weight once, got {', '.join(settings.vary)}")
-    factors, num = settings.factors, settings.num_samples
+    factors = settings.factors
     if len(factors) != 2 or not 0 < factors[0] < 1 < factors[1] < math.inf:
         raise InputError(
             f"factors must be two (--range), from below 1 to above 1 times the weights, as 0.1,10, got {factors}"
         )
-    if num < 0 or num == 1 or num & (num - 1):
+    num = settings.num_samples
+    is_power = num & (num - 1) == 0  # of two, with a single binary digit 1; or 0
+    if num < 0 or num == 1 or not is_power:
         raise InputError(f"num_samples must be a power of two such as 32, got {num}")
 
 
 def varied_columns(
     names: Sequence[str], weights: np.ndarray, vary: Sequence[str]
 ) -> dict[str, int]:
-    """Return the columns of the weights to vary by name: without any, all metrics whose weight is above 0.
+    """Return the columns of the weights to vary, by name.
+
+    Args:
+      names: ``[K]`` of the weights, ``"distance"`` first.
+      weights: ``[K]``.
+      vary: names of the weights to vary; empty: all metrics whose weight is above 0.
 
     Raises:
-      InputError: there is none, or a weight that is not there or 0.
+      InputError: no weight varies, or one is named that does not exist or is 0.
     """
     if not vary:
-        vary = list(itertools.compress(names[1:], weights[1:] > 0))
+        vary = [name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0]
     if not vary:
         raise InputError(
             "no metric of these maps has a weight above 0, so nothing varies: give one, or name vary"
@@ -81,9 +92,9 @@ def sobol_indices(
 ) -> pd.DataFrame:
     """Return Sobol indices of a function's outcomes with respect to its ``D`` factors, uniform from 0 to 1.
 
-    A row for each outcome and factor (the index): ``first``, ``total``, and half the width of their 95 % confidence
-    intervals, ``first_ci`` and ``total_ci``, NaN for an outcome that does not vary; and of the outcome ``mean``,
-    ``std``, ``lowest`` and ``highest`` over the samples.
+    The table has a row for each outcome and factor, which are its index. ``first`` and ``total`` are the indices, and
+    ``first_ci`` and ``total_ci`` half the width of their 95 % intervals; these four are NaN for an outcome that does
+    not vary. ``mean``, ``std``, ``lowest`` and ``highest`` are of the outcome over the samples.
 
     Args:
       evaluate: takes ``[N (D + 2), D]`` points and returns each outcome there.
@@ -96,11 +107,9 @@ def sobol_indices(
         "names": list(factors),
         "bounds": [[0.0, 1.0]] * len(factors),
     }
-    outcomes = evaluate(sampling.sample(problem, num_samples, calc_second_order=False, seed=seed))
-    return pd.concat(
-        {name: _indices(problem, values, seed) for name, values in outcomes.items()},
-        names=["outcome"],
-    )
+    points = sampling.sample(problem, num_samples, calc_second_order=False, seed=seed)
+    tables = {name: _indices(problem, values, seed) for name, values in evaluate(points).items()}
+    return pd.concat(tables, names=["outcome"])
 
 
 def sobol_of_weights(
@@ -112,15 +121,16 @@ def sobol_of_weights(
     seed: int = 0,
     on_plans: OnPlans | None = None,
 ) -> pd.DataFrame:
-    """Return how the outcomes of the cheapest routes depend on weights, each log-uniform around the given one.
+    """Return Sobol indices of the outcomes of the cheapest routes, with respect to ``D`` weights that vary.
 
-    Outcomes are means over the pool's queries (see `outcomes_of`); N (D + 2) weights are planned under, for each.
+    Each weight is log-uniform around its given value. Outcomes are means over the pool's queries (see `outcomes_of`).
+    Each query is searched under N (D + 2) sets of weights. The table is that of `sobol_indices`.
 
     Args:
       pool: the queries; routes found join it.
-      weights: ``[K]`` the given ones; those not varied stay.
+      weights: ``[K]`` the given weights; a weight that does not vary keeps its value.
       columns: of the weights that vary.
-      factors: each goes from the first to the second of these times its given value.
+      factors: a weight goes from the first to the second of these times its given value.
       num_samples, seed: as in `sobol_indices`.
       on_plans: gets the number of searches made so far.
 
@@ -133,6 +143,8 @@ def sobol_of_weights(
         """Return the mean outcomes at points ``[N, D]`` of the unit cube, weights spaced by logarithm."""
         varied = np.tile(weights, (len(unit), 1))
         varied[:, columns] = low * (high / low) ** unit
+
+        # Integrals [Q, N, K], some weights at a time, so that progress shows.
         parts = []
         for begin in range(0, len(varied), NUM_AT_ONCE):
             some = varied[begin : begin + NUM_AT_ONCE]
@@ -146,15 +158,29 @@ def sobol_of_weights(
 
 
 def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
-    """Return the indices of one outcome, a row per factor."""
-    facts = dict.fromkeys(("first", "first_ci", "total", "total_ci"), np.nan)
-    facts |= {"mean": values.mean(), "std": values.std()}
-    facts |= {"lowest": values.min(), "highest": values.max()}
+    """Return the indices of one outcome, a row per factor (see `sobol_indices`).
+
+    Args:
+      problem: the factors' names and bounds, as SALib takes them.
+      values: ``[N (D + 2)]`` the outcome at SALib's points.
+      seed: of the points; the bootstrap has the next one.
+    """
+    # A table without indices, which is all of an outcome that does not vary.
+    facts = {
+        "first": np.nan,
+        "first_ci": np.nan,
+        "total": np.nan,
+        "total_ci": np.nan,
+        "mean": values.mean(),
+        "std": values.std(),
+        "lowest": values.min(),
+        "highest": values.max(),
+    }
     table = pd.DataFrame(facts, pd.Index(problem["names"], name="factor"))
     if np.ptp(values) <= CONSTANT * np.abs(values).max():
         return table
     with warnings.catch_warnings():
-        # Of a part: the intervals show it.
+        # SALib warns where a part of the values is constant; the intervals show it.
         warnings.filterwarnings("ignore", "Constant values encountered")
         result = analysis.analyze(
             problem,
@@ -164,8 +190,8 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
             conf_level=CONFIDENCE,
             seed=seed + 1,  # SALib takes 0 for none
         )
+    # SALib's intervals are those of the normal law, and ours those of few samples.
     num_samples = len(values) // (len(table) + 2)
-    # SALib's ends are those of the normal law.
     wider = reach_of(num_samples) / special.ndtri((1 + CONFIDENCE) / 2)
     return table.assign(
         first=result["S1"],
@@ -178,10 +204,11 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
 def cost_gradient(names: Sequence[str], weights: np.ndarray, features: np.ndarray) -> pd.DataFrame:
     """Return how the optimal cost V responds to a small change of each weight, a row per weight.
 
-    V(W) = min W . f has the gradient f, the features of the cheapest route, wherever that is unique (envelope theorem;
-    Danskin 1967); where routes tie it is one of V's supergradients. Of several queries: that of their mean cost.
-    ``weight``; ``gradient``, dV/dw; ``elasticity``, d log V / d log w, which is also the weight's share of the cost:
-    elasticities sum to 1.
+    V(W) = min W . f has the gradient f, the features of the cheapest route, wherever this route is unique (envelope
+    theorem; Danskin 1967). Where routes tie, f is one of V's supergradients. For several queries V is their mean cost.
+
+    The columns are ``weight``; ``gradient``, dV/dw; and ``elasticity``, d log V / d log w, which is also the weight's
+    share of the cost. Elasticities sum to 1; they are NaN where the cost is 0.
 
     Args:
       names: ``[K]`` of the weights.
@@ -200,10 +227,12 @@ def outcome_slopes(
 ) -> pd.DataFrame:
     """Return how the outcomes of the cheapest routes respond to a small change of each weight.
 
-    Between breakpoints they are constant, so their derivative is 0 and says nothing; what counts is the slope of their
-    mean over perturbed weights. A row for each outcome and weight (the index), of several queries their mean: ``value``
-    under W; ``expected``, its mean under weights W exp(noise Z); ``expected_slope``, the derivative of that mean by
-    log w, and ``expected_slope_se``, the standard error of this estimate.
+    Between breakpoints outcomes are constant, so their derivative is 0 and says nothing. What counts is the slope of
+    their mean over perturbed weights W exp(noise Z), Z normal.
+
+    The table has a row for each outcome and weight, which are its index. ``value`` is the outcome under W, a mean over
+    the queries; ``expected`` its mean under perturbed weights; ``expected_slope`` the derivative of that mean by log w,
+    and ``expected_slope_se`` the standard error of this estimate.
 
     Args:
       pool: the queries; routes found join it.
@@ -216,8 +245,10 @@ def outcome_slopes(
       InputError: a query without a path.
     """
     values = {name: np.mean(value) for name, value in outcomes_of(integrals, pool.names).items()}
-    repeats = range(seed * NUM_REPEATS, (seed + 1) * NUM_REPEATS)
-    estimates = [_expected(pool, weights, noise, each) for each in repeats]
+
+    # Independent estimates, with seeds that no other seed of the caller uses: their scatter is the standard error.
+    seeds = range(seed * NUM_REPEATS, (seed + 1) * NUM_REPEATS)
+    estimates = [_expected(pool, weights, noise, each) for each in seeds]
     expected, slopes = map(np.array, zip(*estimates, strict=True))
     num = len(pool.names)
     columns = {
@@ -233,15 +264,25 @@ def outcome_slopes(
 def _expected(
     pool: RoutePool, weights: np.ndarray, noise: float, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return an estimate ``[J]`` of expected outcomes and ``[J, K]`` of their slopes by log weights."""
+    """Return estimates of the expected outcomes ``[J]`` and of their slopes by log weights ``[J, K]``.
+
+    Args:
+      pool: the queries; routes found join it.
+      weights: ``[K]``; the slope by a weight that is 0 is 0.
+      noise: of log weights.
+      seed: of the noise.
+    """
+    # Means [Q, K] and slopes [Q, K, K] of the integrals, of which outcomes are made.
     drawn = draw_pairs(seed, NUM_NOISE, len(weights))
     integrals = pool.cheapest(weights * np.exp(noise * drawn))[1]
     mean, slope = mean_and_slope(integrals, drawn, noise)
     slope = np.where(weights > 0, slope, 0.0)
 
     def outcomes(integrals: Any) -> Any:
+        """Return ``[J]`` the outcomes, as means over the queries, of integrals ``[Q, K]``."""
         return jnp.stack([value.mean() for value in outcomes_of(integrals, pool.names).values()])
 
+    # The chain rule.
     with jax.enable_x64(True):
         by_integral = np.asarray(jax.jacfwd(outcomes)(jnp.asarray(mean)))  # [J, Q, K]
         return np.asarray(outcomes(mean)), np.einsum("jqi,qik->jk", by_integral, slope)

@@ -48,7 +48,7 @@ class Sensitivity(FactsRepr):
 
     @property
     def facts(self) -> dict[str, str]:
-        """The route, and of each weight that varies its share of the cost and how many routes its range holds."""
+        """The route, and for each weight that varies its value, share of the cost and number of routes in its range."""
         low, high = self.settings.factors
         facts = {
             "route": f"cost {self.route.cost:,.2f}, {self.route.length_m:,.0f} m at {self.route.altitude_m:g} m",
@@ -63,9 +63,10 @@ class Sensitivity(FactsRepr):
 
     @typed
     def breakpoints(self, name: str) -> pd.DataFrame:
-        """Return the routes along the range of one weight: ``from`` and ``to`` its value, and their outcomes.
+        """Return the routes along the range of one weight, and their outcomes.
 
-        ``is_given`` marks the route under the given weights.
+        ``from`` and ``to`` are the values of the weight between which a route is the cheapest; ``is_given`` marks the
+        route under the given weights.
 
         Args:
           name: of a weight that was varied.
@@ -83,16 +84,21 @@ class Sensitivity(FactsRepr):
           [False, True, False]
         """
         line = self.lines[one_of("name", name, self.lines)]
+        # Values of the weight at both ends of the line and at the breakpoints between, from the shares of the second
+        # corner there. The given weight lies between two of them.
         column = self.names.index(name)
-        ends = np.concatenate([[0.0], line.breakpoints, [1.0]])
-        values = line.weights_at(np.stack([1 - ends, ends], axis=-1))[:, column]
+        shares = np.concatenate([[0.0], line.breakpoints, [1.0]])
+        values = line.weights_at(np.stack([1 - shares, shares], axis=-1))[:, column]
         given_route = np.searchsorted(values[1:-1], self.weights[column], side="right")
-        return pd.DataFrame(
-            {"weight_name": name, "from": values[:-1], "to": values[1:]}
-            | outcomes_of(line.integrals, self.names)
-            | {"is_given": np.arange(len(line.cells)) == given_route},
-            pd.RangeIndex(1, len(line.cells) + 1, name="route"),
-        )
+        num_routes = len(line.cells)
+        columns = {
+            "weight_name": name,
+            "from": values[:-1],
+            "to": values[1:],
+            **outcomes_of(line.integrals, self.names),
+            "is_given": np.arange(num_routes) == given_route,
+        }
+        return pd.DataFrame(columns, pd.RangeIndex(1, num_routes + 1, name="route"))
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Return all tables by name.
@@ -149,6 +155,7 @@ class SensitivitySettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        """Check all numbers; names are checked against the maps when the study runs."""
         check_sampling(self)
         at_least("num_samples", self.num_samples, 2)
         at_least("max_plans", self.max_plans, 1)
@@ -176,14 +183,15 @@ def sensitivity(
     """Return what would change the cheapest route of a query, and what would not.
 
     Along the range of each weight all breakpoints are found. The Pareto front can hold nearly as many routes as the
-    maps have cells: there the tolerance leaves out those that never save more than this share of the cost.
+    maps have cells, so there the tolerance leaves out routes that never save more than this share of the cost.
 
     Args:
       cost_map: from `jaxurban.cost_map`; the weights vary around its own.
       start, goal: longitude, latitude in degrees.
-      snap: move a start or goal inside an obstacle to the nearest free cell, by at most 50 m, or so many metres.
-      settings: what is varied.
-      progress: gets what runs and the searches made, as in `ju.build_maps`.
+      snap: move a start or goal inside an obstacle to the nearest free cell: False never, True by at most 50 m, a
+        number by at most this many metres.
+      settings: which weights vary, and how far.
+      progress: gets the stage and the number of searches so far, as in `ju.build_maps`.
 
     Returns:
       ``cost``, a row per weight: its value, the derivative of the cost by it, and its share of the cost
@@ -202,6 +210,7 @@ def sensitivity(
       >>> result.breakpoints("gps")["to"].round(2).tolist()  # three routes, by the weight up to which each is cheapest
       [0.44, 3.03, 10.0]
     """
+    # The query, its route, and the columns of the weights that vary.
     check_flat(cost_map)
     begin_s = time.perf_counter()
     settings = settings or SensitivitySettings()
@@ -213,17 +222,21 @@ def sensitivity(
     for name in settings.objectives:
         one_of("each of objectives", name, names)
     with reporting("sensitivity", progress) as report:
+        # Small changes of the weights.
         report("local")
         features, integrals = pool.cheapest(weights[None])[:, :, 0]
         cost = cost_gradient(names, weights, features)
         outcomes = outcome_slopes(pool, weights, integrals, seed=settings.seed)
-        metrics = [name for name in columns if name != "distance"]
-        largest = sorted(metrics, key=lambda name: -cost["elasticity"][name])
+        # What the settings leave out: the objectives are distance and the metrics with the largest shares of the cost.
+        shares = cost["elasticity"][[name for name in columns if name != "distance"]]
+        largest = shares.sort_values(ascending=False, kind="stable").index[:2]
         settings = replace(
             settings,
             vary=tuple(columns),
-            objectives=settings.objectives or ("distance", *largest[:2]),
+            objectives=settings.objectives or ("distance", *largest),
         )
+
+        # The whole range of the weights: all at once, one by one, and traded against each other.
         sobol = sobol_of_weights(
             pool,
             weights,
@@ -247,6 +260,7 @@ def sensitivity(
             max_plans=settings.max_plans,
             on_plans=partial(report, "Pareto front"),
         )
+        # A route to draw for each cell of each line.
         report("routes")
         return Sensitivity(
             maps=cost_map.maps,
@@ -266,7 +280,7 @@ def sensitivity(
 
 
 def _routes(query: RouteQuery, line: Partition) -> list[np.ndarray]:
-    """Return ``[N, 2]`` easting, northing of the cheapest route in the middle of each cell of a line."""
+    """Return the cheapest route in the middle of each cell of a line, each ``[N, 2]`` easting, northing in metres."""
     southwest_m = query.cost_map.grid.bounds_m[:2]
     with ThreadPoolExecutor() as threads:
         routes = threads.map(query.cheapest, line.weights_at(line.middles))
@@ -276,7 +290,16 @@ def _routes(query: RouteQuery, line: Partition) -> list[np.ndarray]:
 def _plan(
     cost_map: CostMap, start: Point, goal: Point, snap: bool | float
 ) -> tuple[RouteQuery, PlannedPath]:
-    """Return the query and the planned route."""
+    """Return the query between two places, and its planned route.
+
+    Args:
+      cost_map: with the weights that the route is planned under.
+      start, goal: longitude, latitude in degrees.
+      snap: as in `sensitivity`.
+
+    Raises:
+      InputError: there is no route, or both places are in one cell.
+    """
     route = cost_map.plan(start, goal, snap=snap)
     if not route.status.has_path:
         raise InputError(f"there is no route to study: {route.to_dict()['message']}")

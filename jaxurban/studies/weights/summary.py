@@ -46,15 +46,17 @@ def routes_of(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
 
 
 def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.DataFrame:
-    """Return a row per route and weight: `OF_WEIGHT`, whether it ``varies``, ``nearest`` and ``regret``.
+    """Return a row per route and weight: the columns `OF_WEIGHT`, ``varies``, ``nearest`` and ``regret``.
 
-    ``nearest`` is the factor, by which the weight is multiplied or divided, at which the route changes; where it does
-    not within the range, the range's nearer end. ``regret`` is the larger of both.
+    ``varies`` says whether the weight was varied. ``nearest`` is the least factor above 1 by which the weight can be
+    multiplied or divided to change the route; where no factor of the range does, it is the factor of the range's nearer
+    end. ``regret`` is the larger one of ``regret_low`` and ``regret_high``. Both are NaN for weights that do not vary.
 
     Args:
       routes: from `routes_of`.
-      factors: the range in which breakpoints were looked for.
+      factors: the range in which breakpoints were looked for, below and above 1.
     """
+    # Rows hold the numbers of a weight side by side, as "below:gps"; a metric that a city's maps lack has none.
     varied = routes["vary"].str.split(",")
     parts = []
     for column in map(str, routes.filter(regex="^elasticity:")):
@@ -65,7 +67,9 @@ def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.Data
             part[kind] = routes.get(f"{kind}:{name}", np.nan)
         parts.append(part)
     table = pd.concat(parts, ignore_index=True)
-    table = table[table.elasticity.notna()]  # not the metrics that a city's maps lack
+    table = table[table.elasticity.notna()]
+
+    # What is nearer, above or below; `np.fmin` passes over NaN.
     limit = min(factors[1], 1 / factors[0])
     nearest = table.above.combine(1 / table.below, np.fmin).clip(upper=limit).fillna(limit)
     regret = table[["regret_low", "regret_high"]].max(axis=1)
@@ -75,18 +79,23 @@ def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.Data
 
 
 def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.Series], Statistic]]:
-    """Return the statistics of each weight: its values in a table of weights, and how they are averaged.
+    """Return the statistics of a weight by name: a function of its rows that gives the values, and their average.
 
-    ``share`` of the cost (mean); ``nearest`` (median factor); ``changes``, the share of routes that change where the
-    weight is up to ``wrong`` times too small or too large; ``regret`` (mean).
+    ``share`` is the mean share of the cost, ``nearest`` the median factor, ``changes`` the share of routes that change
+    where the weight is up to ``wrong`` times too small or too large, ``regret`` the mean regret.
+
+    Args:
+      wrong: factor of a wrong weight, above 1.
     """
+
+    def is_changed(table: pd.DataFrame) -> pd.Series:
+        """Return 1 for each route that changes and 0 for the others; NaN where the weight does not vary."""
+        return (table.nearest <= wrong).astype(float).where(table.varies)
+
     return {
         "share": (lambda table: table.elasticity, "mean"),
         "nearest": (lambda table: table.nearest, "median"),
-        "changes": (
-            lambda table: (table.nearest <= wrong).astype(float).where(table.varies),
-            "share",
-        ),
+        "changes": (is_changed, "share"),
         "regret": (lambda table: table.regret, "mean"),
     }
 
@@ -100,7 +109,11 @@ def by_stratum(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
-    """Yield the parts of a table of weights, by what they are cut and the value: all, then cuts with two values up."""
+    """Yield the parts of a table of weights: what the table is cut by, the value of the part, and the part.
+
+    First the whole table, then the parts of each cut whose columns all have two values or more. A cut by two columns
+    names both, joined by a comma.
+    """
     yield ALL, ALL, table
     strata = by_stratum(table)
     for cut in (*CUTS, *BOTH):
@@ -119,6 +132,7 @@ def _differs(table: pd.DataFrame, column: str) -> bool:
 
 
 def _text_of(value: Any) -> str:
+    """Return the value of a cut as text; a number is an altitude in metres."""
     return f"{value:g} m" if isinstance(value, float) else str(value)
 
 
@@ -128,9 +142,10 @@ def pairs_of(table: pd.DataFrame) -> Clusters:
 
 
 def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
-    """Return which weights matter where: a row for each part (``cut``, ``value``) and weight, see `statistics_of`.
+    """Return which weights matter where: a row for each part (``cut``, ``value``) of the routes and each weight.
 
-    Of all routes in 8 cities or more also ``over cities``, with the interval for which whole cities are drawn.
+    Its columns are the sizes of the part and the statistics of `statistics_of` with their intervals. For all routes
+    together, in 8 cities or more, a second row ``over cities`` has intervals for which whole cities are drawn.
 
     Args:
       weights: from `weights_table`.
@@ -139,6 +154,7 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     rows = []
     for cut, value, part in cuts_of(weights):
         for name, of_weight in part.groupby("weight_name", sort=False):
+            # The draws of each row, by its cut and value.
             draws = {(cut, value): pairs_of(of_weight)}
             if cut == ALL and of_weight.city.nunique() >= FEWEST_GROUPS:
                 draws[OVER_CITIES, OVER_CITIES] = Clusters(of_weight.city)
@@ -149,8 +165,8 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
                     "weight_name": name,
                     **_sizes_of(of_weight),
                 }
-                for statistic, (values_of, mean) in statistics_of(wrong).items():
-                    row |= named(statistic, clusters.interval(values_of(of_weight), mean))
+                for statistic, (values_of, average) in statistics_of(wrong).items():
+                    row |= named(statistic, clusters.interval(values_of(of_weight), average))
                 rows.append(row)
     return pd.DataFrame(rows)
 
@@ -165,7 +181,13 @@ def _sizes_of(part: pd.DataFrame) -> dict[str, float]:
 
 
 def shares_table(routes: pd.DataFrame) -> pd.DataFrame:
-    """Return the Sobol shares of every route: a row for each route, outcome and weight."""
+    """Return the Sobol shares of every route: a row for each route, outcome and weight, with the columns `OF_SHARE`.
+
+    Without any share the table has these columns and no rows.
+
+    Args:
+      routes: from `routes_of`, which hold the shares side by side, as ``"first:gps:length_m"``.
+    """
     parts = [pd.DataFrame(columns=[*ROUTE_KEY, "outcome", "weight_name", *OF_SHARE])]
     for column in map(str, routes.filter(regex="^first:")):
         _, name, outcome = column.split(":")
@@ -178,19 +200,19 @@ def shares_table(routes: pd.DataFrame) -> pd.DataFrame:
 def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
     """Return mean Sobol shares over routes: a row for each outcome, weight and kind, with a ``verdict`` in words.
 
-    Estimates of one route from few samples scatter about the truth, below 0 too, independently from route to route:
-    their means are nearer to it, and the intervals hold both the scatter and how routes differ. A share whose interval
-    reaches 0 is `UNCLEAR`, whatever its value. The verdict is of the mean, not of one route: ``own_ci``, the median
-    half-width of one route's interval, may be wider than the share where the mean is `CLEAR`.
+    Estimates of one route from few samples scatter about the truth, below 0 too, independently from route to route.
+    Their mean is nearer to the truth, and its interval holds both the scatter and how routes differ. A share whose
+    interval reaches 0 is `UNCLEAR`, whatever its value. The verdict is on the mean, not on one route: ``own_ci``, the
+    median half-width of one route's interval, may be wider than the share where the mean is `CLEAR`.
 
     A share whose interval reaches above 1 by more than `ABOVE_ONE` is `UNRESOLVED`: on some routes the samples hardly
-    vary, and their small variance is what shares are divided by. ``samples_needed`` is then four times as many, and at
-    least `FEW_SAMPLES`: the next step, not a bound. Intervals of so few cannot say more, since what the samples missed
-    is not in them. Of other shares what lies above 1 is cut off.
+    vary, and shares are divided by their small variance. ``samples_needed`` is then four times the number of samples,
+    and at least `FEW_SAMPLES`. That is the next step, not a bound, since the intervals cannot show what the samples
+    missed. Other shares, and their upper ends, are cut off at 1, and their ``samples_needed`` is NaN.
 
     Args:
       shares: from `shares_table`.
-      num_samples: N of each.
+      num_samples: N of each route's indices.
     """
     rows = []
     for (outcome, name), part in shares.groupby(["outcome", "weight_name"], sort=False):
@@ -208,16 +230,18 @@ def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
                     "verdict": _verdict(share, len(known)),
                 }
             )
+
+    # What lies above 1 stays visible only where it is the reason for the verdict.
     table = pd.DataFrame(rows)
     is_unresolved = table.verdict == UNRESOLVED
     for name in ("share", "share_high"):
         table[name] = table[name].where(is_unresolved, table[name].clip(upper=1.0))
-    return table.assign(
-        samples_needed=np.where(is_unresolved, max(4 * num_samples, FEW_SAMPLES), np.nan)
-    )
+    needed = max(4 * num_samples, FEW_SAMPLES)
+    return table.assign(samples_needed=np.where(is_unresolved, needed, np.nan))
 
 
 def _verdict(share: Interval, num_routes: int) -> str:
+    """Return the verdict on a mean share, over the routes on which the outcome varies (see `summarise_shares`)."""
     if not num_routes:
         return CONSTANT
     if not np.isfinite(share.low):
@@ -228,10 +252,14 @@ def _verdict(share: Interval, num_routes: int) -> str:
 
 
 def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
-    """Return how far routes change on other maps: a row for all, for each city and each altitude.
+    """Return how far routes change on other maps: a row for all routes, for each city and for each altitude.
 
-    Of parameters so for each ``parameter`` and ``factor``. Of heights all draws together, draws and routes being drawn
-    both. Columns are means of those of `jaxurban.studies.weights.routes.OnPerturbedMaps`.
+    On maps of other parameters there are such rows for each ``parameter`` and ``factor``. On maps of perturbed heights
+    all draws count together, and intervals are of draws and of routes at once. The columns are the means of the columns
+    of `jaxurban.studies.weights.routes.OnPerturbedMaps`.
+
+    Args:
+      changed: rows of routes on other maps, of either kind.
     """
     changed = changed[changed.status.isin(HAS_PATH)].assign(**{ALL: ALL})
     kinds = [name for name in ("parameter", "factor") if name in changed]
@@ -246,7 +274,10 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
 
 
 def _changes_of(part: pd.DataFrame) -> dict[str, float]:
-    """Return how many routes a part of a table of changed maps holds, and its statistics with their intervals."""
+    """Return the columns of a row of `summarise_changed`: the sizes of a part, and its means with their intervals.
+
+    ``draws`` counts the draws of heights, where there are any; ``groups`` is the number of groups of the bootstrap.
+    """
     row = _sizes_of(part)
     clusters = pairs_of(part)
     if "draw" in part:
@@ -254,6 +285,6 @@ def _changes_of(part: pd.DataFrame) -> dict[str, float]:
         row["draws"] = part.draw.nunique()
     row["groups"] = clusters.num_groups
     for statistic in REMADE_STATISTICS:
-        mean: Statistic = "share" if statistic in SHARES_OF_ROUTES else "mean"
-        row |= named(statistic, clusters.interval(part[statistic], mean))
+        average: Statistic = "share" if statistic in SHARES_OF_ROUTES else "mean"
+        row |= named(statistic, clusters.interval(part[statistic], average))
     return row
