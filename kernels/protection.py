@@ -65,9 +65,9 @@ def protection_levels(
     """Return the horizontal and the vertical protection level (metres, float64) of each choice of satellites.
 
     Weighted least squares with G = [-e -n -u | clocks] and W = 1 / sigma_int^2, one clock for each constellation in
-    view: S = (G^T W G)^-1 G^T W with all satellites, S_k without those of fault mode k. With sigma_k^2 = sum (S_k
-    sigma_int)^2, b_k = sum |S_k| b, T_k = K_fa sqrt(sum ((S_k - S) sigma_acc)^2), K_fa = Q^-1(P_fa / (2 N)), of which
-    each horizontal axis takes half, and N fault modes, the level L of an axis solves
+    view: S = (G^T W G)^-1 G^T W with all satellites, S_k without the satellites of fault mode k, of which there are N.
+    With sigma_k^2 = sum (S_k sigma_int)^2, b_k = sum |S_k| b, T_k = K_fa sqrt(sum ((S_k - S) sigma_acc)^2) and K_fa =
+    Q^-1(P_fa / (2 N)), where each horizontal axis takes half of P_fa, the level L of an axis solves
     ``2 Q((L - b_0) / sigma_0) + sum_k p_k Q'((L - T_k - b_k) / sigma_k) = PHMI (1 - P_unmonitored / sum of PHMI)``,
     Q' = Q above 0 and 1 below. The horizontal level is the hypotenuse of east and north.
 

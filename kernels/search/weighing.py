@@ -20,8 +20,8 @@ def _weigh_rows(costs, weights, sums):
             weight = weights[layer]
             if weight != 0.0:
                 line = costs[layer, row]
-                for k in range(total.size):
-                    total[k] += weight * line[k]
+                for col in range(total.size):
+                    total[col] += weight * line[col]
 
 
 def weighted_sum(costs: np.ndarray, weights: np.ndarray) -> np.ndarray:
