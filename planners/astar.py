@@ -72,16 +72,20 @@ def astar(
     begin_s = time.perf_counter()
     end_s = begin_s + budget_s
     name = "tiles" if heuristic == AUTO else heuristic
+
+    # Where the budget ends before the heuristic's tables are made, nothing is searched.
     note = ""
     try:
         bound = make_heuristic(name, problem, end_s)
     except TimeoutError:
         bound = make_heuristic("octile", problem)
         note = f"The tables of the heuristic {name!r} were not done in time."
+
     start = cell_of(problem, problem.start)
     goal = cell_of(problem, problem.goal)
     search = GridSearch(graph_of(problem), bound, start, goal)
     ended = search.run(reopen=reopen, end_s=end_s) if not note else PAUSED
+
     points_m = np.empty(0)
     lower_bound = search.low_f if ended == PAUSED else np.inf
     if ended == FOUND:
@@ -89,7 +93,7 @@ def astar(
         points_m = path_points_m(problem, search.states, search.graph.steps)
     else:
         status = Status.NO_PATH if ended == EXHAUSTED else Status.BUDGET_EMPTY
-    if name in PRINTED:
+    if name in PRINTED:  # which are no lower bounds
         lower_bound = heuristic_at(make_heuristic("octile", problem), start, goal)
     return Path.of(
         problem,
@@ -168,9 +172,14 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
 
 
 def _tile_bound(problem: Problem) -> TileBound:
-    """Return the tiles' bound on the cost to the problem's goal."""
+    """Return the tiles' bound on the cost to the problem's goal.
+
+    A step costs a constant plus a share of the map costs of its two cells, so over a tile whose cheapest cell costs c it
+    costs at least ``base + share * c``; the pairs (base, share) are of a straight and of a diagonal step.
+    """
     graph = graph_of(problem)
     share = graph.from_share + graph.to_share
+    # Of `STEPS` the first is straight, and with 8 neighbours the last is diagonal; with 4 two steps make a diagonal.
     straight, diagonal = ((float(graph.step_cost[step]), float(share[step])) for step in (0, -1))
     if problem.cost_model.connectivity == 4:
         diagonal = (2 * straight[0], 2 * straight[1])
@@ -178,10 +187,19 @@ def _tile_bound(problem: Problem) -> TileBound:
 
 
 def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: float) -> Heuristic:
-    """Return a heuristic between levels: length and map cost where they are asked for, and the change of level."""
+    """Return a heuristic in a volume: length and map cost, if the name asks for them, and the change of level.
+
+    Args:
+      name: of `VOLUME_HEURISTICS` (see `make_heuristic`).
+      problem: the query in a volume.
+      octile: the octile heuristic on one altitude.
+      end_s: time of `time.perf_counter` to give up at.
+    """
     _, goal_row, goal_col = problem.goal
     _, num_rows, num_cols = problem.is_free.shape
-    # The least that changing from each level to the goal's costs beside horizontal length.
+
+    # The least that changing from each level to the goal's costs beside horizontal length: of each level ``[H, 3]`` to
+    # the one below, to itself and to the one above, then summed level by level away from the goal's.
     longest_m = problem.resolution_m * (np.sqrt(2) if problem.cost_model.connectivity == 8 else 1)
     rise_m = rises_m(problem)
     change = problem.distance_weight * (np.hypot(longest_m, rise_m) - longest_m) + height_cost(
@@ -191,10 +209,13 @@ def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: flo
     down = change[1:, 0]
     goal = problem.goal[0]
     rise = np.concatenate([np.cumsum(up[:goal][::-1])[::-1], [0.0], np.cumsum(down[goal:])])
+
     if name == "none":
         return NO_HEURISTIC._replace(num_rows=num_rows, rise=np.zeros(len(rise_m)))
     if name == "octile":
         return octile._replace(num_rows=num_rows, rise=rise)
+
+    # "plus": the larger of length and map cost, in one field for all levels.
     rows = np.abs(np.arange(num_rows) - goal_row)[:, None]
     cols = np.abs(np.arange(num_cols) - goal_col)
     length = octile.straight * np.maximum(rows, cols) + octile.diagonal * np.minimum(rows, cols)
@@ -205,9 +226,10 @@ def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: flo
 def _seen_from_above(problem: Problem, end_s: float) -> np.ndarray:
     """Return ``[Y, X]`` the cost to the goal's cell if every cell could be crossed at its cheapest level.
 
-    Costs beyond some of those above the start's, or beyond what is reached before ``end_s``, are cut there: the lesser
-    of two consistent bounds is one too, and it is sooner done.
+    The search ends soon after it has reached the start, or at ``end_s`` (of `time.perf_counter`). Costs above the
+    highest one reached by then are cut to it: the lesser of two consistent bounds is a consistent bound too.
     """
+    # The map as seen from above: the cheapest level of each cell, free if any level is.
     cost = problem.cost.min(axis=0)
     is_free = np.any(problem.is_free, axis=0)
     (_, *start), (_, *goal) = problem.start, problem.goal
@@ -216,13 +238,16 @@ def _seen_from_above(problem: Problem, end_s: float) -> np.ndarray:
     plan = Problem(
         cost[None], is_free, tuple(start), tuple(goal), problem.resolution_m, weights, model
     )
+
+    # Backwards from the goal: shares of the cells that a step leaves and enters change places.
     graph = graph_of(plan)
     backwards = graph._replace(from_share=graph.to_share, to_share=graph.from_share)
     search = GridSearch(backwards, NO_HEURISTIC, plan.goal, None)
-    ended, is_met = PAUSED, False
-    while ended == PAUSED and not is_met and time.perf_counter() < end_s:
-        is_met = bool(search.states[plan.start] & CLOSED)  # and goes on once more
+    ended, is_reached = PAUSED, False
+    while ended == PAUSED and not is_reached and time.perf_counter() < end_s:
+        is_reached = bool(search.states[plan.start] & CLOSED)  # then one chunk more is searched
         ended = search.run(end_s=0.0, chunk=FEW + search.num_expanded // 4)
+
     costs = search.costs_from_start(final=True).reshape(is_free.shape)
     if ended == EXHAUSTED:
         return costs
@@ -245,7 +270,7 @@ def symmetric_costs(problem: Problem, end_s: float = np.inf) -> np.ndarray:
       end_s: time of `time.perf_counter` to give up at.
 
     Raises:
-      TimeoutError: the clock passed it.
+      TimeoutError: the clock passed ``end_s``.
     """
     search = GridSearch(graph_of(problem, is_symmetric=True), NO_HEURISTIC, problem.goal, None)
     if search.run(end_s=end_s) != EXHAUSTED:
@@ -256,20 +281,21 @@ def symmetric_costs(problem: Problem, end_s: float = np.inf) -> np.ndarray:
 def cost_to_go(problem: Problem, end_s: float = np.inf) -> np.ndarray:
     """Return ``[Y, X]`` the exact cost from every cell to a problem's goal, inf without a way.
 
-    It is kept with the map for all queries to the same goal, until another goal's takes its place: a search with
-    ``heuristic="exact"`` then walks down on it.
+    The costs are kept with the map for all queries to the same goal, until those to another goal take their place: a
+    search with ``heuristic="exact"`` then only walks down on them.
 
     Args:
       problem, end_s: as in `symmetric_costs`.
 
     Raises:
-      TimeoutError: the clock passed it; nothing new is kept.
+      TimeoutError: the clock passed ``end_s``; nothing new is kept.
     """
     cache = problem.cache
     costs_to_go = cache.costs_to_go  # another thread may replace it meanwhile
     if problem.goal not in costs_to_go:
         costs = symmetric_costs(problem, end_s)
         if problem.cost_model.kind == "cell":
+            # Symmetric costs count half of both cells of a step, the problem's all of the cell entered.
             half = 0.5 * (problem.cost[problem.goal] - np.where(problem.is_free, problem.cost, 0.0))
             costs = np.maximum(costs + half, 0.0)  # rounding might leave less
         costs_to_go = cache.costs_to_go = {problem.goal: costs}
@@ -281,17 +307,17 @@ def make_landmarks(
 ) -> LandmarkBound:
     """Return landmarks for a problem's map and weights, built once for all its queries (`Problem.between`).
 
-    Landmarks that are there already are returned, whatever their number; `landmark_bound` turns them to a goal. The
-    bound is lowered by one unit in the last place of the largest cost, for every cell, more than the sums along any
-    path can lose, so that rounding never lifts it above the true cost.
+    Landmarks that the map has already are returned, whatever their number; `landmark_bound` gives the bound to a goal.
+    The bound is lowered by one unit in the last place of the largest cost for every cell, which is more than the sums
+    along any path can lose, so that rounding never lifts it above the true cost.
 
     Args:
       problem: the query; its start and goal play no part.
-      num: how many, where the map has as many cells.
+      num: how many landmarks; fewer if the map has fewer cells.
       end_s: time of `time.perf_counter` to give up at.
 
     Raises:
-      TimeoutError: the clock passed it.
+      TimeoutError: the clock passed ``end_s``.
     """
     if problem.cache.landmarks is None:
         cells = landmark_cells(problem, num)
@@ -310,13 +336,14 @@ def make_landmarks(
 def landmark_cells(problem: Problem, num: int) -> list[Cell]:
     """Return up to ``num`` cells of the largest connected part of the map, far from its middle and from each other.
 
-    The first is the cell farthest from the mean, each next one the cell farthest from all before, in a
-    straight line. Choosing by cost instead, or by the share of shortest paths left uncovered (avoid, Goldberg
+    The first is the cell farthest from the part's mean, each next one the cell farthest from the nearest cell before,
+    in a straight line. Choosing by cost instead, or by the share of shortest paths left uncovered (avoid, Goldberg
     & Werneck 2005), saved no more expansions on Lower Manhattan and needs searches of its own.
     """
     # A diagonal step between two free neighbours joins what they join already.
     parts, _ = label(problem.is_free, np.ones((3, 3)) if problem.cost_model.joins_corners else None)
-    rows, cols = np.nonzero(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
+    largest = 1 + np.argmax(np.bincount(parts.ravel())[1:])  # part 0 is what is not free
+    rows, cols = np.nonzero(parts == largest)
     away = np.hypot(rows - rows.mean(), cols - cols.mean())
     cells: list[Cell] = []
     nearest = np.full(rows.size, np.inf)
