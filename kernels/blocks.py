@@ -21,8 +21,8 @@ def rounded_up(number: int, multiple: int = HALO_STEP) -> int:
 def blocks_of(shape: tuple[int, int]) -> Iterator[tuple[int, int, int]]:
     """Yield the southwest row, southwest column and side of each block that covers a grid, all in cells.
 
-    Large blocks (`LARGE` cells a side) lie where they fit whole, small ones (`SMALL`) in the strips that are left in the
-    north and in the east. The last small blocks may reach beyond the grid.
+    Large blocks (`LARGE` cells a side) lie where they fit whole, small ones (`SMALL`) in the strips that are left in
+    the north and in the east. The last small blocks may reach beyond the grid.
 
     Args:
       shape: rows and columns of the grid.

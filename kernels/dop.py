@@ -128,15 +128,16 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
 
     ``GDOP = sqrt(trace((G^T W G)^-1))``; the other DOPs take its east, north, up and clock terms (Langley 1999, the
     paper's PDOP equation with the square left out). Of several clocks the trace has one, the first that is seen. The
-    DOPs are inf where a pivot is below `LEAST_PIVOT` (fewer satellites than three plus one for each clock, or all on one
-    cone). Derivatives by the weights are exact, and zero where the result is inf.
+    DOPs are inf where a pivot is below `LEAST_PIVOT` (fewer satellites than three plus one for each clock, or all on
+    one cone). Derivatives by the weights are exact, and zero where the result is inf.
 
     The clocks are eliminated by taking the weighted mean of their satellites off the rows, and what is left is made
     orthogonal by Gram and Schmidt. A clock's variance is one over the sum of its weights, plus the variance of the
     position along its mean direction.
 
     As the weights of a system go to 0, so does its influence, and its clock is left out. If that clock was the first,
-    the next one takes its place in GDOP and TDOP, without a kink, while the sum of the system's weights goes from 1 to 0.
+    the next one takes its place in GDOP and TDOP, without a kink, while the sum of the system's weights goes from 1 to
+    0.
 
     Args:
       satellites: from `geometry`.
@@ -172,8 +173,7 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
     clock_of_satellite = jnp.asarray(satellites.members).T
     # The highest precision, since GPUs would multiply in TF32.
     columns = [
-        over(row)
-        - jnp.tensordot(clock_of_satellite, mean, axes=1, precision=lax.Precision.HIGHEST)
+        over(row) - jnp.tensordot(clock_of_satellite, mean, axes=1, precision=lax.Precision.HIGHEST)
         for row, mean in zip(satellites.rows.T, means, strict=True)
     ]
 

@@ -72,10 +72,10 @@ def protection_levels(
     Q' = Q above 0 and 1 below. The horizontal level is the hypotenuse of east and north.
 
     Fault modes are each satellite and each constellation in view, then pairs of these by falling probability, until the
-    probability of all other faults is at most ``p_unmonitored``. Of pairs of equal probability all are taken or none, so
-    that the order of satellites and systems changes nothing. Modes whose subset leaves the position undetermined count
-    as unmonitored too. A level is inf if more than ``p_unmonitored`` is left unmonitored, or if all satellites together
-    leave the position undetermined.
+    probability of all other faults is at most ``p_unmonitored``. Of pairs of equal probability all are taken or none,
+    so that the order of satellites and systems changes nothing. Modes whose subset leaves the position undetermined
+    count as unmonitored too. A level is inf if more than ``p_unmonitored`` is left unmonitored, or if all satellites
+    together leave the position undetermined.
 
     Sources: Blanch et al. 2012 (ION GNSS) and 2015 (IEEE Trans. AES 51, "Baseline advanced RAIM user algorithm and
     possible improvements"); EU-US Working Group C, ARAIM Milestone 3 report, 2016, and its Reference Airborne Algorithm
@@ -117,7 +117,8 @@ def _levels_of(seen, ranging, budget):
     """Return the horizontal and the vertical protection level, metres; both inf where there is none.
 
     The equations are those of `protection_levels`. A fault mode has two events: a number below ``n`` is a satellite of
-    ``seen``, a number from ``n`` on is a constellation in view, and `NO_EVENT` in the second place means one event only.
+    ``seen``, a number from ``n`` on is a constellation in view, and `NO_EVENT` in the second place means one event
+    only.
 
     Args:
       seen: ``[n]`` numbers of the satellites in view.
@@ -199,8 +200,8 @@ def _events(seen, ranging):
       ranging: `Ranging` of all satellites.
 
     Returns:
-      ``[m]`` numbers of the constellations, ascending, and ``[n + m]`` priors: of a fault of each satellite of ``seen``,
-      then of each of these constellations.
+      ``[m]`` numbers of the constellations, ascending, and ``[n + m]`` priors: of a fault of each satellite of
+      ``seen``, then of each of these constellations.
     """
     constellations = np.unique(ranging.constellation[seen])
     prior = np.empty(len(seen) + len(constellations))
@@ -430,7 +431,7 @@ def tail(x):
 
 @compiled()
 def quantile(probability):
-    """Return Q^-1 of a probability above 0 and below 0.5, by Newton's method on the logarithm of Q, which is concave."""
+    """Return Q^-1 of a probability between 0 and 0.5, by Newton's method on the logarithm of Q, which is concave."""
     # Above the solution, since Q(x) <= exp(-x^2 / 2) / 2.
     x = math.sqrt(-2 * math.log(2 * probability))
     for _ in range(MOST_HALVINGS):

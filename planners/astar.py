@@ -174,8 +174,8 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
 def _tile_bound(problem: Problem) -> TileBound:
     """Return the tiles' bound on the cost to the problem's goal.
 
-    A step costs a constant plus a share of the map costs of its two cells, so over a tile whose cheapest cell costs c it
-    costs at least ``base + share * c``; the pairs (base, share) are of a straight and of a diagonal step.
+    A step costs a constant plus a share of the map costs of its two cells, so over a tile whose cheapest cell costs c
+    it costs at least ``base + share * c``; the pairs (base, share) are of a straight and of a diagonal step.
     """
     graph = graph_of(problem)
     share = graph.from_share + graph.to_share

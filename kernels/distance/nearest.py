@@ -63,8 +63,8 @@ class Disc(NamedTuple):
 def disc(radius_m: float, resolution_m: float, dtype: DTypeLike) -> Disc:
     """Return the cells whose centre is nearer than a radius to a cell's, the nearest first, that cell included.
 
-    Repetitions of the cell itself (offset 0, 0) at the end fill the list up to a multiple of `DISC_STEP`; a minimum over
-    the disc does not change by them.
+    Repetitions of the cell itself (offset 0, 0) at the end fill the list up to a multiple of `DISC_STEP`; a minimum
+    over the disc does not change by them.
 
     Args:
       radius_m: distance that all of these cells are nearer than.

@@ -283,12 +283,13 @@ def _bitmaps(roof_m: jax.Array, least_m: jax.Array, band: int) -> jax.Array:
 def _sum_bits(words: UInt[Array, "K y x"]) -> Int[Array, "8 y x"]:
     """Return how many of the K bytes of a word have each bit set, ``[8, y, x]`` int32; axis 0 numbers the bits.
 
-    Bytes are added three at a time: every other bit is masked out, which leaves two bits for each sum of 0 to 3, and the
-    four sums in a byte are then added to counters of 16 or 32 bits.
+    Bytes are added three at a time: every other bit is masked out, which leaves two bits for each sum of 0 to 3, and
+    the four sums in a byte are then added to counters of 16 or 32 bits.
     """
     threes = jnp.pad(words, ((0, -len(words) % 3), (0, 0), (0, 0))).reshape(-1, 3, *words.shape[1:])
     dtype = jnp.uint16 if len(words) < 2**16 else jnp.uint32
-    places = jnp.arange(0, BYTE_BITS, 2, dtype=jnp.uint8)[:, None, None]  # of the four sums in a byte
+    # The lower bit of each of the four sums in a byte.
+    places = jnp.arange(0, BYTE_BITS, 2, dtype=jnp.uint8)[:, None, None]
     none = jnp.zeros((len(places), *words.shape[1:]), dtype)
 
     def sum_every_other(first: int) -> jax.Array:
@@ -348,7 +349,7 @@ def count_returns_by_steps(
         """Return the counts ``[Y, X]`` at one altitude, of which ``threshold_m`` ``[N]`` gives the steps' roofs."""
 
         def step(returned, of_step):
-            """Join what the rays of all azimuths look at by one step to the bits ``[K, band, X]`` of those returned."""
+            """Join what the rays of all azimuths look at by one step to the bits ``[K, band, X]`` returned."""
             threshold, start = of_step
             return returned | _looks(pack(padded_m, threshold, band), start, (band, cols)), None
 

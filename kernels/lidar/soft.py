@@ -230,7 +230,8 @@ def _total_of_groups(
             return total + of_azimuth(rays[0]), None
         return total + jnp.sum(jax.vmap(of_azimuth)(rays), axis=0), None
 
-    whole = len(rays) // at_once * at_once  # azimuths in full groups; the last, smaller group comes after them
+    # Azimuths in full groups; the last, smaller group comes after them.
+    whole = len(rays) // at_once * at_once
     total, _ = lax.scan(add_azimuths, none, rays[:whole].reshape(-1, at_once, *rays.shape[1:]))
     return total if whole == len(rays) else add_azimuths(total, rays[whole:])[0]
 

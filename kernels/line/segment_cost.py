@@ -37,7 +37,7 @@ class CostGrid(NamedTuple):
 
 @compiled()
 def keeps_off(cells, closed, x0, y0, x1, y1, margin):
-    """Return whether a segment keeps more than a margin from every cell that holds ``closed``, and from the map's border.
+    """Return whether a segment keeps more than a margin from every cell that is ``closed``, and from the map's border.
 
     The margin counts along x and y: the square of a closed cell, grown by the margin on all sides, must not meet the
     segment. In each column of grown squares the part of the segment in that column spans a range of y, which gives the
@@ -133,7 +133,8 @@ def segment_cost(cost_grid, x0, y0, x1, y1, limit):
     sides_y = length / dy if num_y else 0.0
     next_x = (col + (step_x > 0) - x0) * sides_x if num_x else np.inf
     next_y = (row + (step_y > 0) - y0) * sides_y if num_y else np.inf
-    # Under `cell`, where on the segment the next state lies; a step up to a diagonal long has the state at its end only.
+    # Under `cell`, where on the segment the next state lies; a step up to a diagonal long has the state at its end
+    # only.
     next_state = length if length <= DIAGONAL_SIDES else 1.0
 
     begin = 0.0  # of the part in the current cell

@@ -31,7 +31,8 @@ class Crossings(NamedTuple):
     @property
     def shares(self) -> np.ndarray:
         """``[M, 2]`` where on its segment each part begins and ends, from 0 to 1."""
-        total_m = np.bincount(self.segment, self.length_m)[self.segment]  # of each part's whole segment
+        # The length of each part's whole segment.
+        total_m = np.bincount(self.segment, self.length_m)[self.segment]
         share = self.length_m / np.where(total_m > 0, total_m, 1.0)
         end = np.cumsum(share)
         # What the segments before a part's own add to the sum: its value at the segment's first part.

@@ -127,8 +127,8 @@ def costs_at_corners(
 def _search_corners(minima, straight, diagonal, start, cost, heap):
     """Lower the costs at lattice points to those of Dijkstra's search, and return the cost at which the search ended.
 
-    It ends at `BEYOND` times the highest cost at a corner of the start's tile, or where no point is open; then the limit
-    is inf if a corner was not reached.
+    It ends at `BEYOND` times the highest cost at a corner of the start's tile, or where no point is open; then the
+    limit is inf if a corner was not reached.
 
     Args:
       minima, straight, diagonal, start: as in `costs_at_corners`.
@@ -273,9 +273,10 @@ def printed_plus_field(layers: np.ndarray, goal: tuple[int, ...], first_index: i
 def _add_printed_layer(layer, goal_row, goal_col, first_index, field):
     """Add one layer's larger sum (see `printed_plus_field`) to the field, in place.
 
-    Rows are visited from the goal's row away, first to the north and then to the south; in each, columns from the goal's
-    column away, first to the east and then to the west. So the box between node and goal grows by a row or a column at a
-    time, and its minima and sums are carried on. The goal's own row and column count in the first of both passes only.
+    Rows are visited from the goal's row away, first to the north and then to the south; in each, columns from the
+    goal's column away, first to the east and then to the west. So the box between node and goal grows by a row or a
+    column at a time, and its minima and sums are carried on. The goal's own row and column count in the first of both
+    passes only.
 
     Args:
       layer: ``[Y, X]`` weighted costs.

@@ -113,9 +113,9 @@ class _Line(NamedTuple):
 def _cast(words, kept, altitudes_m, receivers, range_m, slabs, line):
     """Clear one satellite's bit in the words of the receivers that lie behind a slab.
 
-    "Along" is the axis that the line follows (rows if it ``is_rows``, else columns), "across" is the other axis. For each
-    slab and altitude the walk leads away from the satellite, from the first receiver that the shadow may reach to the
-    last, and tests each receiver exactly.
+    "Along" is the axis that the line follows (rows if it ``is_rows``, else columns), "across" is the other axis. For
+    each slab and altitude the walk leads away from the satellite, from the first receiver that the shadow may reach to
+    the last, and tests each receiver exactly.
 
     Args:
       words: ``[A, y, x]`` uint32 words that hold the satellite's bit; altered.
@@ -141,7 +141,8 @@ def _cast(words, kept, altitudes_m, receivers, range_m, slabs, line):
         # Steps from the slab to the receivers: none is ahead of its slab, and none outside the map.
         nearest = max(0, own - last_along if ahead > 0 else first_along - own)
         farthest = own - first_along if ahead > 0 else last_along - own
-        phase = (own - first_along) * ahead % every  # steps that lead to a row (column) of receivers leave this rest
+        # A number of steps that leads to a row (column) of receivers leaves this rest, divided by `every`.
+        phase = (own - first_along) * ahead % every
 
         # The line's cell across, from the first receiver's: this number plus the line's offset at each step.
         beside = slab_across[slab] - sideways[own - first] - first_across
