@@ -397,7 +397,7 @@ def count_returns_on_terrain_by_steps(
         """Return the counts ``[Y, X]`` at one altitude, of which ``beams_m`` ``[N, B]`` gives the lowest heights."""
 
         def step(ended, of_step):
-            """Let the rays ``[K, Y, X]`` that meet a roof by one step return, and end the beams that meet the ground."""
+            """Let the rays ``[K, Y, X]`` that meet a roof by one step return, and end beams that meet the ground."""
             heights_m, start = of_step
             ground_m = _looks(terrain_m, start, shape) - own_m[None]
             top_m = ground_m + _looks(rise_m, start, shape)

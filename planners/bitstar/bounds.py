@@ -43,7 +43,11 @@ class Bounds(NamedTuple):
     goal: np.ndarray
 
     def from_start_and_to_goal(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``[N]`` the bounds from the start and to the goal at points ``[N, 2]`` of free cells."""
+        """Return ``[N]`` the lower bounds of the cost from the start and to the goal, at points ``[N, 2]`` of free cells.
+
+        Both are costs; at the start (the goal) itself its own bound is 0.
+        """
+        # For either end: the distance, plus the larger of what rows and what columns between cost.
         col, row = xy.astype(np.int64).T
         row_at, col_at, enter = self.edge_parts(xy)
         from_start, to_goal = (
@@ -51,6 +55,8 @@ class Bounds(NamedTuple):
             + np.maximum(rows[row] + np.abs(row_at - end_row), cols[col] + np.abs(col_at - end_col))
             for end, end_row, end_col, rows, cols in self._ends()
         )
+
+        # A path also pays for entering the cell of its end.
         goal_col, goal_row = self.goal.astype(np.int64)
         from_start = np.where((xy == self.start).all(axis=1), 0.0, from_start + enter)
         to_goal = np.where(
@@ -108,6 +114,7 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
       InputError: an unknown heuristic.
     """
     one_of("heuristic", heuristic, HEURISTICS)
+    # The distance alone, with no map cost.
     num_rows, num_cols = is_reachable.shape
     nothing = np.zeros(num_rows), np.zeros(num_cols)
     bounds = Bounds(
@@ -122,10 +129,13 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
     )
     if heuristic == "euclidean":
         return bounds
+
+    # What the cheapest cell of each row, and of each column, costs more than the cheapest cell of all.
     cheapest = problem.cost[is_reachable].min()
     cost = np.where(is_reachable, problem.cost, np.inf)
     minima = [cost.min(axis=axis) - cheapest for axis in (1, 0)]
     minima = [np.where(np.isfinite(excess), excess, 0.0) for excess in minima]
+
     if problem.cost_model.kind == "line":
         sides_per_reference = problem.resolution_m / problem.cost_model.reference_length_m
         row_sum, col_sum = (np.append(0.0, np.cumsum(m)) * sides_per_reference for m in minima)
@@ -134,6 +144,8 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
             row_sum=row_sum,
             col_sum=col_sum,
         )
+
+    # Under `cell`, of the start and of the goal: what rows, and columns, between cost at least.
     ends = [
         tuple(_entered_between(m, index) for m, index in zip(minima, cell, strict=True))
         for cell in (problem.start, problem.goal)
@@ -147,13 +159,19 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
 
 
 def _entered_between(minima: np.ndarray, end: int) -> np.ndarray:
-    """Return ``[N]`` the least map cost of entering rows strictly between each row and ``end``'s.
+    """Return ``[N]`` the least map cost of the rows that a path enters strictly between each row and row ``end``.
 
-    Two rows that follow each other are never both leapt. Such a way runs through ever nearer rows: of
-    any other, the rows where it first comes nearer are one.
+    A step leaps one row at most, so of two neighbouring rows at least one is entered. Only ways that come nearer to
+    ``end`` with each row need to be looked at: of any other way, the rows where it comes nearer than before are such a
+    way, and cost no more. The same holds for columns.
+
+    Args:
+      minima: ``[N]`` least cost of entering each row.
+      end: number of the row at which the path ends (or begins).
     """
     between = np.zeros(len(minima))
     for step in (1, -1):
+        # Rows next to the end have none between; one row between may be leapt.
         for row in range(end + 3 * step, len(minima) if step > 0 else -1, step):
             near = row - step
             next_near = row - 2 * step
@@ -202,21 +220,31 @@ class InformedSet:
         self._through = np.empty(0)
 
     def shrink(self, incumbent: float) -> None:
-        """Leave out what cannot hold a path cheaper than the incumbent."""
+        """Leave out cells that cannot hold a path cheaper than the incumbent; nothing changes if it is no lower.
+
+        Alters ``cells``, ``incumbent`` and ``measure``.
+        """
         if not incumbent < self.incumbent:
             return
         if self.incumbent == np.inf:
             self._through = self.bounds.through_cells(self.cells)
+
+        # A cell may hold such a point though its centre is none: by up to `slack`.
         self.incumbent = incumbent
         may_hold = self._through < incumbent + self.bounds.slack()
         if not may_hold.all():
             self.cells = self.cells[may_hold]
             self._through = self._through[may_hold]
+
         num_cells = float(np.count_nonzero(self._through < incumbent))
         self.measure = min(max(num_cells, 1.0), self._ellipse()[2])
 
     def _ellipse(self) -> tuple[float, float, float]:
-        """Return half the two axes and the area of the ellipse of the distance bound, in cell sides."""
+        """Return half the major axis, half the minor axis and the area of the ellipse of the distance bound.
+
+        It holds all points through which a path no longer than the incumbent allows can lead, its foci being start and
+        goal. Lengths are in cell sides; all three are inf without an incumbent, or where distance costs nothing.
+        """
         if self.bounds.per_side == 0 or self.incumbent == np.inf:
             return np.inf, np.inf, np.inf
         major = 0.5 * self.incumbent / self.bounds.per_side
@@ -225,7 +253,11 @@ class InformedSet:
         return major, minor, np.pi * major * minor
 
     def sample(self, num_samples: int, rng: np.random.Generator) -> np.ndarray:
-        """Return ``[N, 2]`` points spread evenly over the set; fewer than wanted where it is too thin."""
+        """Return ``[N, 2]`` x, y of random points spread evenly over the set, in cell sides.
+
+        Points are drawn in the ellipse or in the cells, whichever has the smaller area, and kept where their bound is
+        below the incumbent. N is below ``num_samples`` if `MAX_ROUNDS` draws do not give as many.
+        """
         major, minor, area = self._ellipse()
         kept = [np.empty((0, 2))]
         num_kept = 0
@@ -243,6 +275,7 @@ class InformedSet:
         return np.concatenate(kept)[:num_samples]
 
     def _in_cells(self, num_points: int, rng: np.random.Generator) -> np.ndarray:
+        """Return ``[N, 2]`` random points of the set's cells, off the cells' borders."""
         row, col = np.divmod(
             self.cells[rng.integers(self.cells.size, size=num_points)], self.is_reachable.shape[1]
         )
@@ -253,7 +286,14 @@ class InformedSet:
     def _in_ellipse(
         self, num_points: int, major: float, minor: float, rng: np.random.Generator
     ) -> np.ndarray:
-        """Return those of so many uniform points ``[N, 2]`` of the ellipse that lie in reachable cells."""
+        """Draw random points of the ellipse, and return ``[N, 2]`` the points that lie in reachable cells.
+
+        Args:
+          num_points: how many are drawn.
+          major, minor: half of the ellipse's axes, in cell sides.
+          rng: random numbers.
+        """
+        # Uniform in the unit disc (hence the root), then stretched along and across the line from start to goal.
         radius = np.sqrt(rng.random(num_points))
         angle = rng.uniform(0, 2 * np.pi, num_points)
         along = major * radius * np.cos(angle)
@@ -266,6 +306,8 @@ class InformedSet:
             + along[:, None] * unit
             + across[:, None] * np.array([-unit[1], unit[0]])
         )
+
+        # Off the borders of cells, and only in reachable cells of the map.
         cell = np.floor(xy)
         xy = cell + np.clip(xy - cell, OFF_BORDER, 1 - OFF_BORDER)
         col, row = cell.astype(np.int64).T
