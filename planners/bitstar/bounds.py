@@ -43,7 +43,7 @@ class Bounds(NamedTuple):
     goal: np.ndarray
 
     def from_start_and_to_goal(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``[N]`` the lower bounds of the cost from the start and to the goal, at points ``[N, 2]`` of free cells.
+        """Return ``[N]`` the lower bounds of cost from the start and to the goal, at points ``[N, 2]`` of free cells.
 
         Both are costs; at the start (the goal) itself its own bound is 0.
         """

@@ -45,7 +45,8 @@ class BatchGraph(NamedTuple):
     def of(cls, xy: np.ndarray, radius: float, per_side: float) -> Self:
         """Return the graph of nodes ``[N, 2]``, in cell sides.
 
-        Squares have the radius as their side, or more, so that there are about four times as many as nodes at most.
+        A square's side is the radius (twice the nodes' extent at most), or more, so that there are at most about four
+        times as many squares as nodes.
         """
         low, high = xy.min(axis=0), xy.max(axis=0)
         extent = float((high - low).max()) + 1e-6
