@@ -79,9 +79,9 @@ def _folder(module: str, chosen: str) -> Path:
     """
     beside = Path(sys.modules[module].__file__ or "").parent / "__pycache__"
     cache_home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    parents = (beside, Path(cache_home, "jaxurban", "numba"))
+    parents = [beside, Path(cache_home, "jaxurban", "numba")]
     if chosen:
-        parents = (Path(chosen),)
+        parents = [Path(chosen)]
     for parent in parents:
         with suppress(OSError):
             folder = parent / f"numba-{_digest(module)}"

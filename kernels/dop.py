@@ -71,11 +71,13 @@ class Dops(NamedTuple):
 def unit_vectors(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> np.ndarray:
     """Return ``[S, 3]`` float64 unit vectors east, north, up from ``[S]`` look angles.
 
-    Azimuth is clockwise from north, elevation above the horizon.
+    Args:
+      azimuth_rad: clockwise from north.
+      elevation_rad: above the horizon.
     """
     azimuth = np.asarray(azimuth_rad, float)
     elevation = np.asarray(elevation_rad, float)
-    level = np.cos(elevation)
+    level = np.cos(elevation)  # length of the horizontal part
     return np.column_stack([np.sin(azimuth) * level, np.cos(azimuth) * level, np.sin(elevation)])
 
 
@@ -231,7 +233,7 @@ def dops_of_words(satellites: Geometry, words: UInt[Array, "W ..."]) -> Dops:
 
     Args:
       satellites: from `geometry`.
-      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells behind.
+      words: ``[W, ...]`` satellite ``s`` is bit ``s % 32`` of word ``s // 32``; ``...`` are any axes of cells.
     """
     bits = [(words[s // WORD_BITS] >> (s % WORD_BITS)) & 1 for s in range(len(satellites.rows))]
     return dops(satellites, jnp.stack(bits).astype(satellites.rows.dtype))

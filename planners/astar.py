@@ -120,9 +120,10 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
 
     - ``none``: 0, which makes A* Dijkstra's search.
     - ``euclidean``: ``distance_weight`` times the straight distance (the paper's h_dist).
-    - ``octile``: the least length of an 8-connected path; Manhattan distance at connectivity 4. In a volume plus what
-      changing to the goal's level costs at least: a step that rises by d is longer than its horizontal part s by
-      ``sqrt(s^2 + d^2) - s``, which is least for the longest s (a diagonal).
+    - ``octile``: the cost of the least length of an 8-connected path (at connectivity 4 of the Manhattan distance). In
+    a
+      volume it adds the least cost of changing to the goal's level: a step that rises by d is longer than its
+      horizontal part s by ``sqrt(s^2 + d^2) - s``, which is least for the longest s (a diagonal).
     - ``tiles``: octile or, where larger, the cost to go over tiles of 8 x 8 cells that cost what their cheapest cell
       does (admissible, consistent).
     - ``landmarks``: octile or, where larger, the best landmark's bound (admissible, consistent).
@@ -130,7 +131,7 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
     - ``plus-printed``, ``plus-printed-from-0``: octile, plus the paper's box minima, summed over indices
       1..dx or 0..dx-1: **not** admissible. Under the ``line`` model every line counts in full.
     - ``plus``, of volumes: octile or, where larger, the cost to the goal over the map of each column's cheapest level,
-      plus the same for the change of level; of what is reached before ``end_s``.
+      plus the same for the change of level; as far as that search came before ``end_s``.
 
     Args:
       name: of `HEURISTICS`, or of `VOLUME_HEURISTICS`.
@@ -143,10 +144,11 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
     """
     one_of("heuristic", name, HEURISTICS if problem.levels_m is None else VOLUME_HEURISTICS)
     per_side = problem.distance_weight * problem.resolution_m
-    octile = NO_HEURISTIC._replace(
-        straight=per_side,
-        diagonal=per_side * (np.sqrt(2) - 1 if problem.cost_model.connectivity == 8 else 1),
-    )
+    # With dr, dc rows and columns to the goal: the larger one in straight steps, and what each of the smaller one's
+    # steps costs more, as part of a diagonal or, with 4 neighbours, as a step of its own.
+    more = np.sqrt(2) - 1 if problem.cost_model.connectivity == 8 else 1
+    octile = NO_HEURISTIC._replace(straight=per_side, diagonal=per_side * more)
+
     if problem.levels_m is not None:
         return _volume_heuristic(name, problem, octile, end_s)
     if name == "none":
@@ -163,11 +165,13 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
         return octile._replace(tiles=_tile_bound(problem))
     if name == "octile":
         return octile
+
+    # What the paper prints.
     layers = problem.costs * problem.layer_weights[:, None, None]
     field = printed_plus_field(layers, problem.goal, first_index=int(name == "plus-printed"))
     if problem.cost_model.kind == "line":
         field *= problem.resolution_m / problem.cost_model.reference_length_m
-    # Inf comes of NaN inside obstacles here; the search would take it for a proof that there is no way.
+    # Costs of NaN inside obstacles give inf here, which the search would take for a proof that there is no way.
     return octile._replace(field=np.minimum(field, np.finfo(np.float64).max / 2, out=field))
 
 

@@ -184,7 +184,11 @@ class Problem:
         object.__setattr__(self, "weights", _read_only(weights, np.float64))
 
     def _check_endpoints(self) -> None:
-        """Raise InputError if the start or the goal is not a free cell of the map."""
+        """Check that the start and the goal are free cells of the map.
+
+        Raises:
+          InputError: one of them is outside the map or not free.
+        """
         where = "map" if self.levels_m is None else "volume"
         for name in ("start", "goal"):
             node = getattr(self, name)
@@ -214,7 +218,7 @@ class Problem:
         return climb, descent
 
     def between(self, start: Cell, goal: Cell) -> "Problem":
-        """Return the same query between other cells; the map, checked already, is shared.
+        """Return the same query between other cells; the map, which is checked already, and its cache are shared.
 
         Raises:
           InputError: a cell is outside the map or inside an obstacle.
@@ -255,7 +259,11 @@ class Problem:
         return self.features(points_m).cost(self.weights)
 
     def checked_cost(self, points_m: np.ndarray) -> float:
-        """Return the cost of a path (points as in `features`); raise InputError where it is not valid."""
+        """Return the cost of a path (points as in `features`).
+
+        Raises:
+          InputError: the path is not valid.
+        """
         cost = self.cost_of(points_m)
         if cost == np.inf:
             raise InputError(

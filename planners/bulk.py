@@ -173,7 +173,7 @@ class _Places:
         self._compile()
 
     def fill(self) -> None:
-        """Begin a waiting query in each free place."""
+        """Begin a waiting query in each free place, as long as one waits; its clock begins now."""
         for place in range(self.num):
             if place not in self.running and self.waiting:
                 index, problem = self.waiting.pop()
@@ -190,15 +190,15 @@ class _Places:
         self.frontier = advance(self.frontier, self.grids, num_rounds, self.num_together)
 
     def make_room(self) -> None:
-        """Make the list of open cells longer where it is crowded, off the queries' clocks."""
+        """Double the list of open cells if it is crowded; the time for that counts for no query."""
         if not is_crowded(self.frontier, self.grids, self.num_together):
             return
         begin_s = time.perf_counter()
         self.frontier = with_list_of(2 * self.frontier.open_f.size, self.frontier)
         self._compile()
-        away_s = time.perf_counter() - begin_s
+        compile_s = time.perf_counter() - begin_s
         for query in self.running.values():
-            query.begin_s += away_s
+            query.begin_s += compile_s
 
     def ended(self, budget_s: float) -> Iterator[tuple[int, "_Running"]]:
         """Yield the place of each query that is done or out of time, and the query; afterwards the place is free."""
@@ -470,7 +470,12 @@ def _samples(queries: list[Batches]) -> Samples:
 
 
 def _padded(parts: list[dict[str, np.ndarray]], num_nodes: int) -> Samples:
-    """Return the parts in a row, followed by nodes of no query."""
+    """Return the samples of all parts, one part after the other, followed by nodes of no query.
+
+    Args:
+      parts: columns of `Samples`, by name.
+      num_nodes: N, how many nodes there are then in all.
+    """
     num_missing = num_nodes - sum(len(part["g"]) for part in parts)
     nothing = {name: np.ones(num_missing) for name in Samples._fields}
     nothing["query"] = np.full(num_missing, NO_QUERY, np.int32)

@@ -75,7 +75,7 @@ class CostModel:
     @classmethod
     @typed
     def from_settings(cls, settings: Mapping[str, Any]) -> "CostModel":
-        """Return the model that settings give under the names of `settings`, as a scenario or a path holds them.
+        """Return the model that settings give, named as `CostModel.settings` names them in scenarios and paths.
 
         Returns:
           `CostModel`; what the settings leave out is the default, and their other entries are ignored.
@@ -123,6 +123,7 @@ def allowed_moves(is_free: np.ndarray, connectivity: int, needs_both_free: bool)
     moves = np.empty(is_free.shape, np.uint8)
     _find_moves(
         np.pad(is_free, 1).view(np.uint8),
+        # Bits of the eight steps, or of the four straight ones.
         0xFF if connectivity == 8 else 0x0F,
         needs_both_free,
         moves,

@@ -118,8 +118,9 @@ def lowest_heights(
     A beam whose range ends before the segment begins has inf if it points up and -inf if it points
     down (the horizontal one: inf), which keeps the heights ascending from beam to beam.
     """
-    near_m = np.maximum(np.arange(steps) - 0.5, 0.0)[:, None] * resolution_m
-    far_m = (np.arange(steps) + 0.5)[:, None] * resolution_m
+    step = np.arange(steps)[:, None]
+    near_m = np.maximum(step - 0.5, 0.0) * resolution_m
+    far_m = (step + 0.5) * resolution_m
     slope = np.tan(elevations_rad)
     reach_m = range_m * np.cos(elevations_rad)
     # A falling beam is lowest at the segment's far end, or where its range ends; a rising one at the near end.
@@ -315,6 +316,15 @@ def pack(
     """Return ``heights_m >= least_m`` as words: bit b of word (i, j) stands for cell (i + b * band, j), b bands north.
 
     A word begins in each row but the last ones, from which there is no cell for every bit.
+
+    Args:
+      heights_m: ``[*n, Y, X]`` heights; also ranks of heights will do.
+      least_m: what they are compared with, of a shape that broadcasts.
+      band: rows from one bit to the next.
+      dtype: unsigned type of the words.
+
+    Returns:
+      ``[*n, y, X]`` words, y being Y less ``band`` rows for every bit but the first.
     """
     num_bits = 8 * jnp.dtype(dtype).itemsize
     num_words = heights_m.shape[-2] - (num_bits - 1) * band

@@ -176,14 +176,14 @@ def soft_returns(
 ) -> Float[Array, "Y X"]:
     """Return the share of scan positions that return softly, over level ground, for every cell.
 
-    Takes 5 bytes a step for each cell (float32), and no more for the gradient on a CPU; on a GPU the gradient takes
-    some 1.5 kB a cell. Both forms give the same but for the order in which azimuths are added.
+    It takes 5 bytes of memory for each step and cell (float32), and no more for the gradient on a CPU; on a GPU the
+    gradient takes some 1.5 kB for each cell. Both forms differ only by the order in which azimuths are added.
 
     Args:
       roof_m: roof heights with their halo, 0 without a building.
       scan: from `scan_of`.
       offsets: from `jaxurban.kernels.lidar.hard.ray_offsets`.
-      softness_m: of the margins; 0 gives the exact result.
+      softness_m: scale over which the margins are smoothed; 0 gives the exact result.
     """
     return lax.platform_dependent(
         roof_m, scan, offsets, softness_m, cpu=one_by_one, default=together

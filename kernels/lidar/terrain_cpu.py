@@ -214,6 +214,7 @@ def _add_not_above(num_met, num_landed, own_m, ground_m, rise_m, at, heights_m, 
 
 @compiled()
 def _plus_not_above(num, h0, h1, h2, h3, level_m):
+    """Return ``num`` plus how many of four heights are not above a level, uint8; added in int32, which vectorises."""
     more = (
         np.int32(h0 <= level_m)
         + np.int32(h1 <= level_m)

@@ -57,6 +57,7 @@ def tile_minima(cost: np.ndarray, is_free: np.ndarray) -> np.ndarray:
       cost: ``[Y, X]`` float64, anything in cells that are not free.
       is_free: ``[Y, X]`` bool.
     """
+    # Tiles along each axis, the last of which may reach beyond the map.
     num_i, num_j = ((size - 1) // TILE + 1 for size in cost.shape)
     minima = np.full((num_i + 2, num_j + 2), np.inf)
     _lower_minima(cost, is_free, minima, np.empty(num_j * TILE + 1))

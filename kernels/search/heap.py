@@ -170,7 +170,7 @@ def empty_queue(num_entries: int, step: float) -> Queue:
 
 
 def grown(queue: Queue) -> Queue:
-    """Return the queue with room for twice as many entries."""
+    """Return the queue with room for twice as many entries; what stands in the new slots has no meaning yet."""
     size = queue.far_next.size
     return queue._replace(
         near=queue.near.grown(),

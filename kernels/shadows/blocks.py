@@ -121,7 +121,7 @@ class _Tops(NamedTuple):
     entry_steps: float = ENTRY_STEPS
 
     def block(self, corner: tuple[int, int], side: int) -> Roofs:
-        """Return the roofs of a block; beyond the grid nothing stands."""
+        """Return the roofs of a block, its southwest cell and its side given in cells; beyond the grid nothing stands."""
         shape = side, side
         top_m = part_of(self.top_m, corner, shape, -np.inf)
         turned_m = None
@@ -297,7 +297,7 @@ class _Place(NamedTuple):
             return z_m
         ground_m = part_of(self.receivers.ground_m, self.in_region, (self.side, self.side), 0)
         every = self.receivers.every
-        size = self.side // self.receivers.every
+        size = self.side // every
         row, col = self.phase
         return ground_m[row::every, col::every][:size, :size] + z_m
 
@@ -305,7 +305,7 @@ class _Place(NamedTuple):
         """Join (OR) a block's word ``[A, t, t]`` with the region's words ``[A, y, x]``, in place."""
         # Row and column of the block's first receiver among the region's; may be negative.
         every = self.receivers.every
-        size = self.side // self.receivers.every
+        size = self.side // every
         starts = [
             (int(start + phase) - every // 2) // every
             for start, phase in zip(self.in_region, self.phase, strict=True)

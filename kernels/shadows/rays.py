@@ -126,13 +126,14 @@ def walk(
         return jnp.any(step * lines.drop_m < most_m) & (step < max(num_rows, num_cols))
 
     def ahead(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Take one step along all rays, and raise the shadow by the roof that each meets there."""
+        """Take one step along all rays, and raise each ray's shadow by the top that it meets there."""
         step, shadow_m = state
         of_row = row + jnp.floor(lines.row_phase + step * lines.row_step).astype(jnp.int32)
         of_col = col + jnp.floor(lines.col_phase + step * lines.col_step).astype(jnp.int32)
         met_m = top_m.at[of_row, of_col].get(mode="fill", fill_value=-jnp.inf)
-        counts = (of_row >= 0) & (of_col >= 0)  # a negative number would be one from the end
-        counts &= step * lines.drop_m < most_m  # whatever rays walk beside this one
+        # Negative numbers would count from the end; a ray that has risen enough ends, whatever others walk beside it.
+        counts = (of_row >= 0) & (of_col >= 0)
+        counts &= step * lines.drop_m < most_m
         thrown_m = met_m + (ENTRY_STEPS - step) * lines.drop_m
         return step + 1, jnp.maximum(shadow_m, jnp.where(counts, thrown_m, -jnp.inf))
 

@@ -122,7 +122,7 @@ def digital_lines(
     first_col: int,
     shape: Shape,
 ) -> list[Line]:
-    """Return the `digital_line` of every direction, ``[S]`` azimuths and elevations."""
+    """Return the `digital_line` of every direction, ``[S]`` azimuths and elevations; other arguments as there."""
     angles = zip(np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float), strict=True)
     return [digital_line(*pair, resolution_m, first_row, first_col, shape) for pair in angles]
 
@@ -204,9 +204,9 @@ def shadow_height(
     """Return the height below which each cell's centre does not see the source, ``[Y, X]``.
 
     ``S = max over the cells on the ray of (top - run x tan(elevation))``, the cell itself left out:
-    a receiver at absolute height ``h`` sees the source where ``S <= h``. One pass over the cells
-    serves all heights, one compiled program every direction on grids of one shape. -inf where the
-    line meets no cell.
+    a receiver at absolute height ``h`` sees the source where ``S <= h``. S is -inf where the line meets
+    no cell. One pass over the cells serves all heights, and one compiled program serves every direction
+    on grids of one shape.
 
     The ray is replaced by a digital line that stays within one cell of it and enters cells
     `ENTRY_STEPS` before their centre.

@@ -188,8 +188,14 @@ def reachable_cells(problem: Problem) -> np.ndarray | None:
 
 
 def cost_grid_of(problem: Problem, is_reachable: np.ndarray) -> CostGrid:
-    """Return the map as segments see it, closed outside the cells ``[Y, X]`` that paths may cross."""
+    """Return the map as segments see it, in cell sides: closed outside the cells that paths may cross.
+
+    Args:
+      problem: the query.
+      is_reachable: ``[Y, X]`` bool these cells.
+    """
     is_line = problem.cost_model.kind == "line"
+    # Under `line` a cell's cost is per reference length, under `cell` per state.
     per_side = problem.resolution_m / problem.cost_model.reference_length_m if is_line else 1.0
     return CostGrid(
         cell_cost=np.where(is_reachable, problem.cost * per_side, np.inf),
@@ -211,6 +217,7 @@ class InformedSet:
     """
 
     def __init__(self, bounds: Bounds, is_reachable: np.ndarray) -> None:
+        """Begin with the whole of the cells ``[Y, X]`` that paths may cross, and no incumbent."""
         self.bounds = bounds
         self.is_reachable = is_reachable
         self.cells = np.flatnonzero(is_reachable)
@@ -324,7 +331,12 @@ class InformedSet:
 def graph_radius(num_nodes: int, measure: float, eta: float) -> float:
     """Return the radius of the random geometric graph, in cell sides (Gammell et al. 2015, eq. for r(q); 2-D).
 
-    Above ``eta`` = 1 the graph holds paths that come ever nearer to the optimum as the nodes grow in number.
+    Above ``eta`` = 1 the graph holds paths that come ever nearer to the optimum as the number of nodes grows.
+
+    Args:
+      num_nodes: of the graph; below 2 the radius is inf.
+      measure: area that the nodes are spread over, in cells.
+      eta: factor of the radius.
     """
     if num_nodes < 2:
         return np.inf

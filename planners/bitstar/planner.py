@@ -235,13 +235,13 @@ def bitstar(
 ) -> Path:
     """Return the best path found through random samples of the free cells, better the longer it runs.
 
-    Each batch adds samples where a cheaper path may lead, joins all within the radius of theory, and
+    Each batch adds samples where a cheaper path may lead, joins all nodes within the radius of `graph_radius`, and
     searches that graph in order of lower bounds, keeping the tree. Batch 0 is the straight segment.
     Edges are costed, and tested for obstacles, over the exact cells that they cross. With a limit of
     batches or samples a run repeats exactly for its seed; the budget and Ctrl-C are heeded within some
     20 ms of search, and between batches.
 
-    The status is OPTIMAL where the cost meets the lower bound, NO_PATH where obstacles part start and
+    The status is OPTIMAL where the cost meets the lower bound, NO_PATH where obstacles separate start and
     goal, FEASIBLE where ``target_cost`` or ``min_improvement`` ended the search. Of ``diagonal`` only
     ``"always"`` plays a part: then a path may pass between two obstacles that touch at a corner.
     ``connectivity`` plays none. Under the ``cell`` model a step of any length costs one cell, so that

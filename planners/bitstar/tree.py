@@ -104,7 +104,7 @@ class Tree(NamedTuple):
 
     @classmethod
     def of_samples(cls, xy: np.ndarray, bounds: Bounds) -> Self:
-        """Return samples that nothing joins yet."""
+        """Return samples ``[N, 2]`` of free cells with their bounds, none of them in a tree yet."""
         from_start, to_goal = bounds.from_start_and_to_goal(xy)
         return cls(
             xy,
