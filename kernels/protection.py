@@ -250,13 +250,13 @@ def _fault_modes(prior, p_unmonitored):
     if num_pairs:
         pairs = np.empty((num_pairs, 2), np.int64)
         p_pair = np.empty(num_pairs)
-        at = 0
-        for one in range(num):
-            for other in range(one + 1, num):
-                pairs[at, 0] = one
-                pairs[at, 1] = other
-                p_pair[at] = prior[one] * prior[other]
-                at += 1
+        place = 0
+        for event in range(num):
+            for other_event in range(event + 1, num):
+                pairs[place, 0] = event
+                pairs[place, 1] = other_event
+                p_pair[place] = prior[event] * prior[other_event]
+                place += 1
         for pair in np.argsort(-p_pair, kind="mergesort"):
             is_enough = p_left <= p_unmonitored and p_pair[pair] < p_mode[num_modes - 1] * SAME
             if is_enough or p_pair[pair] == 0:

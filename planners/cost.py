@@ -86,8 +86,9 @@ class CostModel:
           >>> ju.CostModel.from_settings(path.settings) == ju.CostModel()
           True
         """
-        given = {name: settings.get(name, default) for name, default in cls().settings.items()}
-        return cls(one_of("cost_model", given.pop("cost_model"), get_args(CostKind)), **given)
+        parts = {name: settings.get(name, default) for name, default in cls().settings.items()}
+        kind = one_of("cost_model", parts.pop("cost_model"), get_args(CostKind))
+        return cls(kind, **parts)
 
     @property
     def passes_corners(self) -> bool:

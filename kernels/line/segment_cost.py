@@ -230,7 +230,9 @@ def segment_costs(
         last_state = jnp.where(
             length > DIAGONAL_SIDES, jnp.ceil(length * (1 - TOUCH_CELLS)) - 1, 0.0
         )
-        (x, y), (step_x, step_y) = zip(border, step, start, along, num_cuts, strict=True), step
+        # What `next_cut` takes, by axis.
+        x, y = zip(border, step, start, along, num_cuts, strict=True)
+        step_x, step_y = step
 
         def next_cut(num_passed: Array, axis: tuple[Array, ...]) -> Array:
             """Return how far along the segment the next border of an axis is cut; inf if all of them are passed."""
@@ -251,14 +253,14 @@ def segment_costs(
             """
             num_x, num_y, behind, total = walk
             next_x, next_y = next_cut(num_x, x), next_cut(num_y, y)
-            to = jnp.minimum(jnp.minimum(next_x, next_y), length)
+            ahead = jnp.minimum(jnp.minimum(next_x, next_y), length)
             if is_line:
-                share = to - behind
+                share = ahead - behind
             else:
                 # A state on a border belongs to the cell it came through.
                 before, by_now = (
                     jnp.clip(jnp.floor(sides + TOUCH_CELLS), 0, last_state)
-                    for sides in (behind, to)
+                    for sides in (behind, ahead)
                 )
                 share = by_now - before  # number of states on the part
 
@@ -275,7 +277,7 @@ def segment_costs(
             is_pinched = is_corner & jnp.isinf(beside) & ~jnp.asarray(passes_corners)
             num_x += (is_corner | (next_x < next_y)).astype(jnp.int32)
             num_y += (is_corner | (next_y < next_x)).astype(jnp.int32)
-            return num_x, num_y, to, jnp.where(is_pinched, jnp.inf, total)
+            return num_x, num_y, ahead, jnp.where(is_pinched, jnp.inf, total)
 
         none = jnp.zeros_like(num_cuts[0])
         # Once more after the last cut, for the part that leads to the end.

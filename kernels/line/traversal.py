@@ -86,36 +86,39 @@ def crossed_cells(points_m: np.ndarray, resolution_m: float) -> Crossings:
     length = np.empty(most_parts)
     count = _walk(np.ascontiguousarray(points), *places, length)
     (segment, row, col), length = places[:, :count], length[:count]
-    length_m = length * resolution_m
-
-    # With altitudes lengths are those in the air, and each segment straight up or down adds two parts, where it stands.
+    crossings = Crossings(points_m, segment, row, col, length * resolution_m)
     if points_m.shape[1] == 3:
-        legs_m = np.diff(points_m, axis=0).T
-        over_m = np.hypot(*legs_m[:2])
-        length_m *= np.divide(
-            np.hypot(over_m, legs_m[2]), over_m, out=np.ones_like(over_m), where=over_m > 0
-        )[segment]
-        rises = np.repeat(
-            np.flatnonzero((points[1:] == points[:-1]).all(axis=1) & (legs_m[2] != 0)), 2
-        )
-        rise_col, rise_row = np.floor(points[rises]).astype(np.int64).T
-        parts = (
-            (segment, rises),
-            (row, rise_row),
-            (col, rise_col),
-            (length_m, np.abs(legs_m[2, rises]) / 2),
-        )
-        order = np.argsort(np.concatenate(parts[0]), kind="stable")  # by segment
-        segment, row, col, length_m = (np.concatenate(part)[order] for part in parts)
+        crossings = _in_air(crossings, points)
+    if len(crossings.segment):
+        return crossings
 
     # A path of no length lies in one cell.
-    if not len(segment):
-        (col, row), segment, length_m = (
-            np.floor(points[:1]).astype(np.int64).T,
-            np.zeros(1, np.int64),
-            np.zeros(1),
-        )
-    return Crossings(points_m, segment, row, col, length_m)
+    col, row = np.floor(points[:1]).astype(np.int64).T
+    return Crossings(points_m, np.zeros(1, np.int64), row, col, np.zeros(1))
+
+
+def _in_air(plan: Crossings, points: np.ndarray) -> Crossings:
+    """Return the parts of a path with altitudes: longer where it climbs, and two for each segment straight up or down.
+
+    Args:
+      plan: the parts of its plan, with the path's points ``[N, 3]``.
+      points: ``[N, 2]`` x, y of its points, in cell sides.
+    """
+    # A part is longer than in plan by the same factor as its whole segment.
+    legs_m = np.diff(plan.points_m, axis=0).T
+    over_m = np.hypot(*legs_m[:2])
+    leg_m = np.hypot(over_m, legs_m[2])
+    factor = np.divide(leg_m, over_m, out=np.ones_like(over_m), where=over_m > 0)
+    before = plan.segment, plan.row, plan.col, plan.length_m * factor[plan.segment]
+
+    # Straight up or down: two halves in one cell, put in the order of segments.
+    is_rise = (points[1:] == points[:-1]).all(axis=1) & (legs_m[2] != 0)
+    rises = np.repeat(np.flatnonzero(is_rise), 2)
+    col, row = np.floor(points[rises]).astype(np.int64).T
+    added = rises, row, col, np.abs(legs_m[2, rises]) / 2
+    order = np.argsort(np.append(plan.segment, rises), kind="stable")
+    parts = zip(before, added, strict=True)
+    return Crossings(plan.points_m, *(np.append(*pair)[order] for pair in parts))
 
 
 def is_free_way(crossings: Crossings, is_free: np.ndarray, passes_corners: bool) -> bool:

@@ -121,7 +121,7 @@ class _Tops(NamedTuple):
     entry_steps: float = ENTRY_STEPS
 
     def block(self, corner: tuple[int, int], side: int) -> Roofs:
-        """Return the roofs of a block, its southwest cell and its side given in cells; beyond the grid nothing stands."""
+        """Return the roofs of a block from its southwest cell and its side in cells; beyond the grid nothing stands."""
         shape = side, side
         top_m = part_of(self.top_m, corner, shape, -np.inf)
         turned_m = None
@@ -179,7 +179,7 @@ def _walk(
         for first, size in zip(receivers.first_cell, words.shape[1:], strict=True)
     ]
     row_starts, col_starts = (
-        _starts(*each, side) for each in zip(shape, toward, receivers.first_cell, ends, strict=True)
+        _starts(*axis, side) for axis in zip(shape, toward, receivers.first_cell, ends, strict=True)
     )
     bundle = _filled(lines, which)
     bits = np.zeros(AT_ONCE, np.uint32)
@@ -189,8 +189,10 @@ def _walk(
     beyond_m = np.full((AT_ONCE, shape[1] + 2), -np.inf, dtype)  # the row toward the source
     beside_m = np.full((AT_ONCE, shape[0]), -np.inf, dtype)  # the column toward it
     if rings is not None:
-        beyond_m[:num] = np.asarray(rings.north if toward[0] > 0 else rings.south)[which]
-        beside_m[:num] = np.asarray(rings.east if toward[1] > 0 else rings.west)[which]
+        source_row_m = rings.north if toward[0] > 0 else rings.south
+        source_col_m = rings.east if toward[1] > 0 else rings.west
+        beyond_m[:num] = np.asarray(source_row_m)[which]
+        beside_m[:num] = np.asarray(source_col_m)[which]
     cols_m = np.empty_like(beside_m)
 
     for row in row_starts:

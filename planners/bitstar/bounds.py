@@ -50,13 +50,16 @@ class Bounds(NamedTuple):
         # For either end: the distance, plus the larger of what rows and what columns between cost.
         col, row = xy.astype(np.int64).T
         row_at, col_at, enter = self.edge_parts(xy)
-        from_start, to_goal = (
-            self.per_side * np.hypot(*(xy - end).T)
-            + np.maximum(rows[row] + np.abs(row_at - end_row), cols[col] + np.abs(col_at - end_col))
-            for end, end_row, end_col, rows, cols in self._ends()
-        )
+        bounds = []
+        for end, (rows, cols) in ((self.start, self.from_start), (self.goal, self.to_goal)):
+            end_row_at, end_col_at, _ = self.edge_parts(end[None])
+            by_rows = rows[row] + np.abs(row_at - end_row_at)
+            by_cols = cols[col] + np.abs(col_at - end_col_at)
+            distance = np.hypot(*(xy - end).T)
+            bounds.append(self.per_side * distance + np.maximum(by_rows, by_cols))
 
         # A path also pays for entering the cell of its end.
+        from_start, to_goal = bounds
         goal_col, goal_row = self.goal.astype(np.int64)
         from_start = np.where((xy == self.start).all(axis=1), 0.0, from_start + enter)
         to_goal = np.where(
@@ -68,14 +71,6 @@ class Bounds(NamedTuple):
         """Return ``[M]`` the sum of both bounds at the centres of free cells, given as flat numbers."""
         row, col = np.divmod(cells, self.enter.shape[1])
         return np.add(*self.from_start_and_to_goal(np.stack([col, row], axis=1) + 0.5))
-
-    def _ends(self) -> list[tuple[np.ndarray, float, float, np.ndarray, np.ndarray]]:
-        """Return, of start and goal, the point, ``row_sum`` and ``col_sum`` there, and rows' and columns' parts."""
-        row_at, col_at, _ = self.edge_parts(np.stack([self.start, self.goal]))
-        return [
-            (self.start, row_at[0], col_at[0], *self.from_start),
-            (self.goal, row_at[1], col_at[1], *self.to_goal),
-        ]
 
     def slack(self) -> float:
         """Return how far that sum can fall from the centre of a cell to anywhere in it."""
