@@ -109,6 +109,7 @@ def _fill_levels(patterns, ranging, budget, levels):
             if (patterns[s // WORD_BITS, number] >> np.uint32(s % WORD_BITS)) & np.uint32(1):
                 seen[num] = s
                 num += 1
+        # The satellites of this choice, whose bits are set, are the first `num` of `seen`.
         levels[0, number], levels[1, number] = _levels_of(seen[:num], ranging, budget)
 
 
@@ -175,7 +176,7 @@ def _levels_of(seen, ranging, budget):
         p_row[rows] = p_mode[mode]
         rows += 1
 
-    # What is left unmonitored takes its share of the integrity risk; the rest is the modes'.
+    # Faults that are left unmonitored take their share of the integrity risk; modes share the rest.
     share = 1 - p_left / (budget.phmi_horizontal + budget.phmi_vertical)
     if p_left > budget.p_unmonitored or share <= 0:
         return np.inf, np.inf

@@ -352,12 +352,13 @@ def level_parts(problem: "Problem", points_m: np.ndarray) -> list[tuple[int | No
     if problem.levels_m is None:
         return [(0, 0, last)]
     # Cut where legs on a level and legs that climb or descend follow each other.
-    is_level = np.diff(points_m[:, 2]) == 0
+    is_level = np.diff(points_m[:, 2]) == 0  # of each leg
     cuts = [0, *(np.flatnonzero(is_level[1:] != is_level[:-1]) + 1).tolist(), last]
     level = np.searchsorted(problem.levels_m, points_m[:, 2])
-    if last:
-        return [(int(level[a]) if is_level[a] else None, a, b) for a, b in pairwise(cuts)]
-    return []
+    if not last:
+        return []
+    # A part's first leg says whether all of them lie on a level.
+    return [(int(level[a]) if is_level[a] else None, a, b) for a, b in pairwise(cuts)]
 
 
 def sample_segment(start_m: np.ndarray, end_m: np.ndarray, step_m: float) -> np.ndarray:

@@ -195,6 +195,8 @@ def count_returns_by_azimuths(
     num_blocks = [-(-size // most) for size, most in zip(shape, BLOCK, strict=True)]
     rows, cols = (-(-size // num) for size, num in zip(shape, num_blocks, strict=True))
     rows = -(-rows // BYTE_BITS) * BYTE_BITS
+
+    # Roofs padded to whole blocks, and where each block begins: phase 0, row and column.
     beyond = num_blocks[0] * rows - shape[0], num_blocks[1] * cols - shape[1]
     padded_m = jnp.pad(roof_m, ((0, 0), (0, beyond[0]), (0, beyond[1])))
     blocks = np.array([(0, *block) for block in np.ndindex(*num_blocks)], np.int32)
@@ -204,6 +206,7 @@ def count_returns_by_azimuths(
         """Return the counts ``[rows, cols]`` of the block at one corner, zeros where no roof is high enough."""
         around = len(padded_m), rows + 2 * halo, cols + 2 * halo
         around_m = lax.dynamic_slice(padded_m, corner, around)
+        # A step is live if a roof around the block returns the scan at it.
         highest_m = jnp.max(around_m, initial=0, where=around_m > 0)
         is_live = threshold_m <= highest_m
         return lax.cond(
@@ -242,6 +245,8 @@ def _count_block(
     rows, cols = (size - 2 * halo for size in roof_m.shape[1:])
     band = rows // BYTE_BITS  # rows of words: bit b of a word is the receiver b bands further north
     cut = partial(lax.dynamic_slice, allow_negative_indices=False)  # compiles sooner
+
+    # Steps at either end that no roof is high enough for are left out, and the rest is taken a few at a time.
     first, after_last = (lax.argmax(live, 0, jnp.int32) for live in (is_live, is_live[::-1]))
     num_passes = -(-(steps - after_last - first) // at_once)  # rounded up
 

@@ -110,6 +110,7 @@ def _count(
     most_ended = np.zeros(num_azimuths, np.int64)
     num_met = np.empty(own_m.shape, np.uint8)
     num_landed = np.empty(own_m.shape, np.uint8)
+
     for u in range(len(looks)):
         n, p, row, col = looks[u]  # step, phase, and the cell that the southwest receiver looks at
 

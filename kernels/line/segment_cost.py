@@ -222,10 +222,12 @@ def segment_costs(
         length = jnp.hypot(*delta)
         first, last = (jnp.floor(point).astype(jnp.int32) for point in (start, end))
         step = jnp.where(delta > 0, 1, -1).astype(jnp.int32)
-        border = first + (delta > 0).astype(jnp.int32)  # the first one on the way, by its number
-        # Cell sides along the segment per cell side of x and of y.
+
+        # Along either axis: the first border on the way, cell sides of the segment per cell side, and borders to cut.
+        border = first + (delta > 0).astype(jnp.int32)
         along = length / jnp.where(delta == 0, 1.0, delta)
         num_cuts = jnp.abs(last - first)
+
         # Where the last state before the end lies, in cell sides from the start; 0 if there is none.
         last_state = jnp.where(
             length > DIAGONAL_SIDES, jnp.ceil(length * (1 - TOUCH_CELLS)) - 1, 0.0
@@ -237,8 +239,8 @@ def segment_costs(
         def next_cut(num_passed: Array, axis: tuple[Array, ...]) -> Array:
             """Return how far along the segment the next border of an axis is cut; inf if all of them are passed."""
             border, step, start, along, num_cuts = axis
-            at = (border + step * num_passed).astype(start.dtype)
-            return jnp.where(num_passed < num_cuts, (at - start) * along, jnp.inf)
+            next_border = (border + step * num_passed).astype(start.dtype)
+            return jnp.where(num_passed < num_cuts, (next_border - start) * along, jnp.inf)
 
         def is_under_way(walk: tuple[Array, ...]) -> Array:
             """Return whether a border is left to pass on a segment that is not blocked so far."""
@@ -264,6 +266,7 @@ def segment_costs(
                 )
                 share = by_now - before  # number of states on the part
 
+            # The cell of this part, and its cost.
             col, row = first[0] + step_x * num_x, first[1] + step_y * num_y
             here = cost_at(col, row)
             # The inner `where` keeps 0 times inf, which is NaN, out of the sum.

@@ -261,7 +261,7 @@ def neighbours(
             reach + here(samples.to_goal) < here(samples.incumbent)
         )
 
-        # Write them in a row: place is where each edge goes in the list.
+        # Write the edges kept one after the other; `place` is where each goes in the list.
         num_here = jnp.sum(is_edge, axis=1, dtype=jnp.int32)
         behind = edges.num + jnp.cumsum(num_here)
         place = (behind - num_here)[:, None] + jnp.cumsum(is_edge, axis=1, dtype=jnp.int32) - 1
@@ -274,6 +274,7 @@ def neighbours(
         num_of_node = lax.dynamic_update_slice_in_dim(num_of_node, num_here, first, 0)
         return edges, num_of_node, first + sizes.nodes_together
 
+    # Turn after turn, until all nodes with candidates are done: these come first, as nodes of no query are last.
     nowhere = jnp.zeros(num_places, jnp.int32)
     edges = Edges(nowhere, nowhere, jnp.zeros(num_places), jnp.int32(0))
     carry = (edges, jnp.zeros(square.size, jnp.int32), jnp.int32(0))
