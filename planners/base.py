@@ -364,7 +364,7 @@ class Path:
       planner, heuristic, backend: what ran.
       note: one more sentence, where there is something to say.
       history: of an anytime planner, after each batch: seconds, samples drawn, cost of the best path.
-      setup_s: seconds before that, of no budget: what the planner runs was compiled, or loaded (0: it was there).
+      setup_s: seconds before the search, which count for no budget, in which code was compiled or loaded; 0 for none.
       graph: what OPTIMAL and ``lower_bound`` are of: a grid (`Problem.grid_name`) or `EVERY_PATH`; empty where
         nothing is known of others.
     """

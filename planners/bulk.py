@@ -61,7 +61,7 @@ def solve_by_frontier(
     budget_s: float = np.inf,
     band_steps: float = BAND_STEPS,
 ) -> Iterator[tuple[int, Path]]:
-    """Yield ``(index, path)`` of every problem as it is done, the cheapest path or why there is none.
+    """Yield ``(index, path)`` of every problem when it is done: the cheapest path, or a status that says why not.
 
     Queries share the device: as many as fit run together, and the next one begins when one is done. The bound
     is octile, sums are float64, and the results are those of `astar` up to the order of additions. A path's
@@ -427,13 +427,13 @@ class _Graphs:
 
 
 def _moved(parent: np.ndarray, num: int) -> np.ndarray:
-    """Return the numbers of parents, ``[N]`` int32, after all nodes moved by so many places."""
+    """Return the numbers of parents, ``[N]`` int32, after all nodes moved by ``num`` places."""
     return np.where(parent == NO_PARENT, NO_PARENT, parent + num).astype(np.int32)
 
 
 @cache
 def _compile(num_nodes: int, shape: tuple[int, ...], is_line: bool, sizes: Sizes) -> None:
-    """Compile the search for so many nodes on a map of a shape, by a search of none."""
+    """Compile the search for a number of nodes on a map of a shape, by a search in which all nodes are of no query."""
     trees = search_samples(
         _padded([], num_nodes), jnp.zeros(shape), 1.0, False, is_line=is_line, sizes=sizes
     )

@@ -218,7 +218,7 @@ class PathFeatures:
 def path_features(
     problem: "Problem", points_m: np.ndarray, kind: CostKind | None = None
 ) -> PathFeatures:
-    """Return what a path adds up on a problem's map (`Problem.features`).
+    """Return the features of a path on a problem's map (`Problem.features`): what the weights multiply in its cost.
 
     Under ``cell`` (the paper's transition cost) each step between states costs the layers of the cell in which it
     ends, whatever its length; states are the path's points, and samples every resolution step of segments longer than

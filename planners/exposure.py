@@ -122,7 +122,7 @@ class _Search:
 
     @property
     def has_gap(self) -> bool:
-        """Whether a path may cost less than the best of those that are known, or none is."""
+        """Whether a path within the budgets may cost less than the best one known, or none is known."""
         best = self.best()
         return best is None or best.cost > self.bound * (1 + SAME_EXPOSURE)
 
@@ -153,16 +153,16 @@ class _Search:
         of_exposures = np.eye(len(problem.weights))[self.columns]
         weights = np.concatenate([of_exposures, [problem.weights] * 2])
         weights[-1, self.columns] += prices
-        weighed = [problem.with_weights(each) for each in weights]
+        weighed = [problem.with_weights(row) for row in weights]
         try:
-            to_go = np.array([cost_to_go(each, self.end_s).ravel() for each in weighed])
+            to_go = np.array([cost_to_go(query, self.end_s).ravel() for query in weighed])
         except TimeoutError:
             return 0, False
 
         # As many labels as memory and the time left allow.
         left_s = max(self.end_s - time.perf_counter(), 0.0)
         most = 1 + int(min(MOST_LABELS, LABELS_PER_S * left_s))
-        self.has_cut_labels = most <= MOST_LABELS  # all of fewer decide
+        self.has_cut_labels = most <= MOST_LABELS  # by time, not by memory
 
         layers = problem.costs[self.columns - 1].reshape(len(limits), -1).astype(np.float64)
         best = self.best()
@@ -178,6 +178,7 @@ class _Search:
             most,
         )
 
+        # A path that labels found becomes known; a bound of inf proves that none keeps the budgets.
         self.bound = max(self.bound, float(least))
         if way:
             rows, cols = np.unravel_index(way[::-1], problem.is_free.shape)
@@ -185,7 +186,7 @@ class _Search:
         return num_labels, least == np.inf
 
     def prices(self) -> tuple[np.ndarray, float] | None:
-        """Return the prices ``[K]`` that raise the bound most by all known paths, and the bound that they allow.
+        """Return the prices ``[K]`` that make the least cost + prices . excess of known paths largest, and that sum.
 
         None where the solver fails, as where exposures differ by more than 20 powers of ten.
         """
@@ -195,7 +196,7 @@ class _Search:
         # divided by the highest one, so that numbers are near 1.
         excess = np.array([known.excess for known in self.known])
         costs = np.array([known.cost for known in self.known])
-        unit = costs.max() or 1.0
+        unit = costs.max() or 1.0  # 1 if all paths cost nothing
         num = excess.shape[1]
         solution = linprog(
             np.append(np.zeros(num), -1.0),

@@ -144,7 +144,7 @@ def rises_m(problem: Problem) -> np.ndarray:
 
 
 def height_cost(problem: Problem, rise_m: np.ndarray) -> np.ndarray:
-    """Return what the height alone of steps that rise so many metres costs."""
+    """Return the cost of the change of height alone of steps that rise by ``rise_m`` metres (negative: descend)."""
     climb_cost, descent_cost = problem.height_costs
     return np.where(rise_m > 0, climb_cost * rise_m, -descent_cost * rise_m)
 

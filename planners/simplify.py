@@ -137,7 +137,7 @@ def _fewest(
 
 
 def farthest(before: np.ndarray, after: np.ndarray) -> float:
-    """Return how far the points of a path ``[N, 2]`` are at most from what it became, ``[W, 2]``."""
+    """Return the largest distance of the points of a path ``[N, 2]`` from the simplified path ``[W, 2]``."""
     line = shapely.LineString(after if len(after) > 1 else np.repeat(after, 2, axis=0))
     return float(shapely.distance(shapely.points(before), line).max())
 

@@ -8,8 +8,8 @@ what stands in the halo beyond it changes nothing, so that one halo serves all c
 Columns stand at cells and reach up to a top. A receiver's squared distance to one of them is (run / threshold)^2 +
 (drop / scale)^2, where the drop is what the top lies below the receiver: a scale equal to the threshold gives Euclid's
 distance, a scale of 0 counts only columns that reach the receiver, and one between makes it smooth. The nearest column
-is found outside the gradient; what is differentiated is its own distance (one of several at the same distance), so the
-gradient costs one scatter.
+is found outside the gradient, and its own distance alone is differentiated (one of several at the same distance), so
+the gradient costs one scatter.
 """
 
 import math

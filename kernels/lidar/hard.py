@@ -364,7 +364,7 @@ def count_returns_by_steps(
         """Return the counts ``[Y, X]`` at one altitude, of which ``threshold_m`` ``[N]`` gives the steps' roofs."""
 
         def step(returned, of_step):
-            """Join what the rays of all azimuths look at by one step to the bits ``[K, band, X]`` returned."""
+            """Join what all azimuths look at by one step to the bits ``[K, band, X]`` of the steps before."""
             threshold, start = of_step
             return returned | _looks(pack(padded_m, threshold, band), start, (band, cols)), None
 
@@ -432,7 +432,7 @@ def count_returns_on_terrain_by_steps(
 
 
 def _looks(rasters: jax.Array, start: jax.Array, shape: tuple[int, int]) -> jax.Array:
-    """Return what the cells look at in ``[P, ...]`` rasters along each azimuth, ``[K, *shape]``."""
+    """Return the values of ``[P, Y, X]`` rasters at the cells that receivers look at by one step, ``[K, *shape]``."""
 
     def look(corner: jax.Array) -> jax.Array:
         return lax.dynamic_slice(rasters, tuple(corner), (1, *shape))[0]

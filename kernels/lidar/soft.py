@@ -10,7 +10,7 @@ the three, a scan position by the largest over beams and steps: its *clearance*,
 position returns. The soft return is sigmoid(clearance / softness).
 
 Least and largest keep one condition, one beam and one step each, so the gradient of a scan position runs to one roof.
-Who that is, is found outside the gradient; what is differentiated is the one margin that decided.
+The margin that decides is chosen outside the gradient; that margin alone is differentiated.
 """
 
 from collections.abc import Callable
@@ -349,6 +349,6 @@ def together_at(at: ScansAt) -> jax.Array:
 
 
 def _in_batches(at: ScansAt, *, at_once: int) -> jax.Array:
-    """Return `soft_returns_at`, `CELLS_AT_ONCE` cells after the other, so many azimuths at once."""
+    """Return `soft_returns_at`, with `CELLS_AT_ONCE` cells and ``at_once`` azimuths together."""
     of_cell = jax.checkpoint(partial(_returns_of_cell, at, at_once=at_once))
     return lax.map(of_cell, (at.altitude_m, at.cells), batch_size=CELLS_AT_ONCE)

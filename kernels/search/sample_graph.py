@@ -402,7 +402,7 @@ def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Ar
 
 
 def _in_turns(turn: Callable[[Any], Any], carry: Any, num: Array, most_turns: int) -> Any:
-    """Return what is carried, whose last part is how many are done, when so many are; one turn needs no loop."""
+    """Repeat a turn until the carry's last part is at least ``num``; return the carry. One turn needs no loop."""
     if most_turns == 1:
         return turn(carry)
     return lax.while_loop(lambda carry: carry[-1] < num, turn, carry)

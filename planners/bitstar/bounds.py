@@ -175,7 +175,7 @@ def _entered_between(minima: np.ndarray, end: int) -> np.ndarray:
 
 
 def reachable_cells(problem: Problem) -> np.ndarray | None:
-    """Return ``[Y, X]`` bool the cells that paths off the grid may cross; None where none joins start and goal."""
+    """Return ``[Y, X]`` bool the cells that paths off the grid may cross; None if no way joins start and goal."""
     islands = problem.islands
     if islands[problem.start] == islands[problem.goal]:
         return islands == islands[problem.start]
@@ -187,7 +187,7 @@ def cost_grid_of(problem: Problem, is_reachable: np.ndarray) -> CostGrid:
 
     Args:
       problem: the query.
-      is_reachable: ``[Y, X]`` bool these cells.
+      is_reachable: ``[Y, X]`` bool, the cells that paths may cross.
     """
     is_line = problem.cost_model.kind == "line"
     # Under `line` a cell's cost is per reference length, under `cell` per state.
@@ -205,10 +205,11 @@ class InformedSet:
     """The points of reachable cells through which a cheaper path may lead; it shrinks as paths get cheaper.
 
     Attributes:
-      bounds: the lower bounds that say so.
-      cells: ``[M]`` flat numbers of the cells that hold such points.
+      bounds: the lower bounds that say where a cheaper path may lead.
+      is_reachable: ``[Y, X]`` bool cells that paths may cross.
+      cells: ``[M]`` flat numbers of the cells that hold points of the set.
       incumbent: cost of the best path, inf without one.
-      measure: area of the set, in cells: as many as have such a point at their centre.
+      measure: area of the set, in cells: the number of cells whose centre lies in it, at most the ellipse's area.
     """
 
     def __init__(self, bounds: Bounds, is_reachable: np.ndarray) -> None:
