@@ -19,16 +19,25 @@ def rounded_up(number: int, multiple: int = HALO_STEP) -> int:
 
 
 def blocks_of(shape: tuple[int, int]) -> Iterator[tuple[int, int, int]]:
-    """Yield row, column and side of the blocks that cover a grid: large ones where they fit, small ones beside.
+    """Yield the southwest row, southwest column and side of each block that covers a grid, all in cells.
 
-    Those at the end may stick out of it.
+    Large blocks (`LARGE` cells a side) lie where they fit whole, small ones (`SMALL`) in the strips that are left in
+    the north and in the east. The last small blocks may reach beyond the grid.
+
+    Args:
+      shape: rows and columns of the grid.
     """
-    large_rows, large_cols = (size // LARGE * LARGE for size in shape)
+    num_rows, num_cols = shape
+    # Rows and columns that large blocks cover.
+    large_rows = num_rows // LARGE * LARGE
+    large_cols = num_cols // LARGE * LARGE
+
     for row in range(0, large_rows, LARGE):
         for col in range(0, large_cols, LARGE):
             yield row, col, LARGE
-    for row in range(0, shape[0], SMALL):
-        for col in range(0, shape[1], SMALL):
+
+    for row in range(0, num_rows, SMALL):
+        for col in range(0, num_cols, SMALL):
             if row >= large_rows or col >= large_cols:
                 yield row, col, SMALL
 
@@ -36,7 +45,17 @@ def blocks_of(shape: tuple[int, int]) -> Iterator[tuple[int, int, int]]:
 def part_of(
     values: np.ndarray, corner: tuple[int, int], shape: tuple[int, int], fill: float
 ) -> np.ndarray:
-    """Return a part of an array ``[Y, X]`` from a row and a column on, filled where it sticks out of it."""
+    """Return a contiguous rectangular part of an array ``[Y, X]``, filled where the part reaches beyond the array.
+
+    The part may be a view of the array's memory.
+
+    Args:
+      values: the array.
+      corner: row and column of the array at which the part begins; may be negative.
+      shape: rows and columns of the part.
+      fill: value of the part's cells outside the array.
+    """
+    # Where the part lies inside the array, by axis: empty where an end is not above its beginning.
     begins = [max(start, 0) for start in corner]
     ends = [
         min(start + size, whole)
@@ -45,20 +64,29 @@ def part_of(
     inner = values[begins[0] : max(ends[0], begins[0]), begins[1] : max(ends[1], begins[1])]
     if inner.shape == shape:
         return np.ascontiguousarray(inner)
+
     part = np.full(shape, fill, values.dtype)
-    row, col = begins[0] - corner[0], begins[1] - corner[1]
+    row, col = begins[0] - corner[0], begins[1] - corner[1]  # of the inner part in the part
     part[row : row + inner.shape[0], col : col + inner.shape[1]] = inner
     return part
 
 
 def by_cells(function: Callable[[Array], Any], values: Array, num_together: int) -> Any:
-    """Return what a function makes of ``[N, ...]`` values, called for so many cells after the other, ``[N, C]``.
+    """Return what a function gives for all cells, calling it for one group of cells after the other.
 
-    Cells of zeros fill the last call up, so that every one has the same shape.
+    Only one group's intermediate arrays are in memory at a time.
+
+    Args:
+      function: takes ``[N, C]`` values of a group of C cells; returns an array ``[C]``, or a pytree of such arrays.
+      values: ``[N, ...]``, N numbers for each cell.
+      num_together: C. Cells of zeros fill the last group up, so that all groups have the same shape.
+
+    Returns:
+      The function's pytree, each array in the shape ``[...]`` of the cells.
     """
     shape = values.shape[1:]
-    num = math.prod(shape)
-    flat = jnp.pad(values.reshape(len(values), num), ((0, 0), (0, -num % num_together)))
-    calls = flat.reshape(len(values), -1, num_together).swapaxes(0, 1)
-    made = lax.map(function, calls)
-    return jax.tree.map(lambda of_calls: of_calls.reshape(-1)[:num].reshape(shape), made)
+    num_cells = math.prod(shape)
+    flat = jnp.pad(values.reshape(len(values), num_cells), ((0, 0), (0, -num_cells % num_together)))
+    groups = flat.reshape(len(values), -1, num_together).swapaxes(0, 1)
+    results = lax.map(function, groups)
+    return jax.tree.map(lambda result: result.reshape(-1)[:num_cells].reshape(shape), results)

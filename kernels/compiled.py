@@ -28,26 +28,29 @@ config: Any = numba.config
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator: `numba.njit` with these options, and a cache on disk that knows of inner functions.
 
-    Python's lock is released in all of them. Options that differ from function to function would have Numba resolve,
-    and compile, all that they take from it once for each choice.
+    Every function so decorated releases Python's lock while it runs (``nogil``); options that differ from function to
+    function would make Numba compile its own inner functions once for each set of options.
 
     Numba's own ``cache=True`` compiles again when the file of the outer function changes, but goes on with the old
     machine code when a compiled function that it calls, or a constant that it reads, changes in another file. Here
     the folder is named by all files of the package that the function's own file imports from, so that compiled
-    functions can be shared between files. They are imported at its top, from their modules.
+    functions can be shared between files. They must be imported at the file's top, each from its own module.
+
+    Args:
+      options: of `numba.njit`.
     """
     options = {"nogil": True} | options
 
     def decorate(function: Callable[..., Any]) -> Any:
-        before = config.CACHE_DIR
-        with suppress(
-            RuntimeError, OSError
-        ):  # a read-only install without a home: each process compiles
-            config.CACHE_DIR = str(_folder(function.__module__, before))
+        """Return the function compiled at its first call; Numba reads the cache's folder from its configuration."""
+        configured = config.CACHE_DIR
+        with suppress(RuntimeError, OSError):
+            config.CACHE_DIR = str(_folder(function.__module__, configured))
             try:
                 return numba.njit(cache=True, **options)(function)
             finally:
-                config.CACHE_DIR = before
+                config.CACHE_DIR = configured
+        # No folder can be written to (a read-only install without a home): each process compiles.
         return numba.njit(**options)(function)
 
     return decorate
@@ -62,17 +65,29 @@ def on_host(values: Any) -> np.ndarray:
 
 @functools.cache
 def _folder(module: str, chosen: str) -> Path:
-    """Return the folder for the machine code of a module, made: in ``chosen``, beside it, or in the user's cache."""
+    """Return a writable folder for the machine code of a module; it is made where it does not exist.
+
+    It lies in ``chosen`` alone if that is given; else beside the module, or where that cannot be written to, in the
+    user's cache.
+
+    Args:
+      module: name of an imported module.
+      chosen: path of the folder that Numba's configuration names; empty without one.
+
+    Raises:
+      OSError: none of these folders can be written to.
+    """
     beside = Path(sys.modules[module].__file__ or "").parent / "__pycache__"
-    own = Path(
-        os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "jaxurban", "numba"
-    )
-    for folder in (Path(chosen),) if chosen else (beside, own):
+    cache_home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    parents = [beside, Path(cache_home, "jaxurban", "numba")]
+    if chosen:
+        parents = [Path(chosen)]
+    for parent in parents:
         with suppress(OSError):
-            found = folder / f"numba-{_digest(module)}"
-            found.mkdir(parents=True, exist_ok=True)
-            if os.access(found, os.W_OK | os.X_OK):
-                return found
+            folder = parent / f"numba-{_digest(module)}"
+            folder.mkdir(parents=True, exist_ok=True)
+            if os.access(folder, os.W_OK | os.X_OK):
+                return folder
     raise OSError("no folder can be written to")
 
 

@@ -71,11 +71,13 @@ class Dops(NamedTuple):
 def unit_vectors(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> np.ndarray:
     """Return ``[S, 3]`` float64 unit vectors east, north, up from ``[S]`` look angles.
 
-    Azimuth is clockwise from north, elevation above the horizon.
+    Args:
+      azimuth_rad: clockwise from north.
+      elevation_rad: above the horizon.
     """
     azimuth = np.asarray(azimuth_rad, float)
     elevation = np.asarray(elevation_rad, float)
-    level = np.cos(elevation)
+    level = np.cos(elevation)  # length of the horizontal part
     return np.column_stack([np.sin(azimuth) * level, np.cos(azimuth) * level, np.sin(elevation)])
 
 
@@ -88,26 +90,30 @@ def geometry(
     """Return the geometry of all satellites, computed in float64 on the host.
 
     Args:
-      directions: ``[S, 3]`` unit vectors east, north, up. Satellites that all together leave the
-        position undetermined (fewer than three and one for each clock, or on one cone) give inf for every choice of
-        them.
-      dtype: of the result; decides the precision of the DOPs.
-      multiple_of: satellites that weigh nothing are added up to a multiple of this, so that few
-        programs are compiled.
+      directions: ``[S, 3]`` unit vectors east, north, up; S may be 0. If all satellites together leave the position
+        undetermined (fewer than three plus one for each clock, or all on one cone), the DOPs of every choice of them
+        are inf.
+      dtype: type of the result's arrays; decides the precision of the DOPs.
+      multiple_of: satellites of weight 0 fill S up to a multiple of this number, so that few programs are compiled.
       clocks: which clock each satellite has; left out, all share one.
     """
     directions = np.asarray(directions, float).reshape(-1, 3)
     num = len(directions)
-    padded = max(1, -(-num // multiple_of)) * multiple_of
+    padded = max(1, -(-num // multiple_of)) * multiple_of  # satellites with those that fill up
     clocks = clocks or Clocks(np.zeros(num, int), 1)
+
     members = np.zeros((clocks.num, padded))
     counts = np.zeros(padded)
     rows = np.zeros((padded, 3))
     members[np.asarray(clocks.numbers, int), np.arange(num)] = 1
     counts[:num] = 1
+
+    # Take each clock's mean direction off the directions of its satellites, which eliminates the clocks.
     sums = members @ counts
     means = (members * counts)[:, :num] @ directions / np.where(sums > 0, sums, 1.0)[:, None]
     centred = directions - members[:, :num].T @ means
+
+    # Make what is left orthonormal by its QR decomposition; rows stay 0 where it has no full rank.
     basis = np.eye(3)
     scaled = centred * np.sqrt(counts[:num, None])
     if num >= 3 and np.linalg.matrix_rank(scaled) == 3:
@@ -120,36 +126,45 @@ def geometry(
 
 @jax.jit
 def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
-    """Return the DOPs of satellites under weights, each ``[...]``.
+    """Return the DOPs of satellites under weights, each an array ``[...]`` of the cells.
 
-    ``GDOP = sqrt(trace((G^T W G)^-1))``, its east, north, up and clock terms in the others (Langley
-    1999, the paper's PDOP equation with the square left out); of several clocks the trace has one, the first that is
-    seen. Exact derivatives by the weights; zero where the result is inf: where a pivot is below `LEAST_PIVOT` (fewer
-    satellites than three and one for each clock, or all on one cone).
+    ``GDOP = sqrt(trace((G^T W G)^-1))``; the other DOPs take its east, north, up and clock terms (Langley 1999, the
+    paper's PDOP equation with the square left out). Of several clocks the trace has one, the first that is seen. The
+    DOPs are inf where a pivot is below `LEAST_PIVOT` (fewer satellites than three plus one for each clock, or all on
+    one cone). Derivatives by the weights are exact, and zero where the result is inf.
 
-    The clocks are eliminated by taking the weighted mean of their satellites off the rows; what is left is made
-    orthogonal by Gram and Schmidt, and a clock's variance is one over its weights and the position's along its mean.
+    The clocks are eliminated by taking the weighted mean of their satellites off the rows, and what is left is made
+    orthogonal by Gram and Schmidt. A clock's variance is one over the sum of its weights, plus the variance of the
+    position along its mean direction.
 
-    As the weights of a system go to 0, so does all that it says, and its clock is left out. Where it was the first, the
-    next one takes its place in GDOP and TDOP, without a kink, while the sum of its weights goes from 1 to 0.
+    As the weights of a system go to 0, so does its influence, and its clock is left out. If that clock was the first,
+    the next one takes its place in GDOP and TDOP, without a kink, while the sum of the system's weights goes from 1 to
+    0.
 
     Args:
       satellites: from `geometry`.
-      weights: 1 for a satellite that is seen, 0 for one that is not, or between; any axes of cells behind.
+      weights: ``[S, ...]`` 1 for a satellite that is seen, 0 for one that is not, or between; ``...`` are any axes of
+        cells.
     """
 
     def over(per_satellite: Array | np.ndarray) -> Array:
+        """Return ``[S]`` values with an axis of length 1 for each axis of cells."""
         return jnp.reshape(per_satellite, (-1, *[1] * (weights.ndim - 1)))
 
     def total(values: Array) -> Array:
+        """Return the sum over satellites, ``[1, ...]``."""
         return jnp.sum(values, axis=0, keepdims=True)
 
     def by_clock(row: Array | np.ndarray, values: Array) -> Array:
-        """Return sums over each clock's satellites: in order, so that up to 31 of them may be filled up."""
+        """Return the sum of ``row * values`` over each clock's satellites, ``[C, ...]``.
+
+        Satellites are added in their order, so up to 31 satellites of weight 0 may follow them without changing a bit.
+        """
         return jnp.concatenate(
             [total(over(member * row) * values) for member in satellites.members]
         )
 
+    # Take the weighted mean of each clock's satellites off the rows.
     weighed = weights * over(satellites.weights)
     sums = by_clock(jnp.ones_like(satellites.weights), weighed)
     is_seen = sums > LEAST_CLOCK
@@ -157,14 +172,15 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
     means = [
         jnp.where(is_seen, by_clock(row, weighed) / divisors, 0.0) for row in satellites.rows.T
     ]
-    of_each = jnp.asarray(satellites.members).T
+    clock_of_satellite = jnp.asarray(satellites.members).T
+    # The highest precision, since GPUs would multiply in TF32.
     columns = [
-        over(row)
-        - jnp.tensordot(
-            of_each, mean, axes=1, precision=lax.Precision.HIGHEST
-        )  # else GPUs take TF32
+        over(row) - jnp.tensordot(clock_of_satellite, mean, axes=1, precision=lax.Precision.HIGHEST)
         for row, mean in zip(satellites.rows.T, means, strict=True)
     ]
+
+    # Gram and Schmidt: columns become orthogonal under the weights, and the normal matrix L D L^T of unit lower
+    # triangular L and the diagonal D of pivots. A pivot too small is replaced by 1, so that gradients stay finite.
     lower = {}
     pivots = []
     is_determined = jnp.asarray(True)
@@ -177,20 +193,24 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
             columns[i] -= lower[i, j] * columns[j]
 
     def variance(row: list[Array]) -> Array:
-        """Return that of the position along a row: |D^-1/2 L^-1 row|^2, a sum of squares."""
+        """Return the variance of the position along a row: |D^-1/2 L^-1 row|^2, a sum of squares."""
         east = row[0]
         north = row[1] - lower[1, 0] * row[0]
         up = row[2] - lower[2, 0] * east - lower[2, 1] * north
         return east**2 / pivots[0] + north**2 / pivots[1] + up**2 / pivots[2]
 
     def root(squared: Array) -> Array:
+        """Return the square root, inf where the position is undetermined, without the axis of length 1."""
         roots = jnp.sqrt(jnp.where(is_determined, squared, 1.0))
         return jnp.where(is_determined, roots, jnp.inf)[0]
 
     east, north, up = (variance(list(row)) for row in jnp.asarray(satellites.basis))
-    toward = [over(mean) + found for mean, found in zip(satellites.means.T, means, strict=True)]
+    # Mean direction of each clock's satellites under the weights: that of all of them, plus the mean of their rows.
+    toward = [over(mean) + seen for mean, seen in zip(satellites.means.T, means, strict=True)]
     of_clocks = 1 / divisors + variance(toward)
-    share = jnp.ones_like(sums)  # of a clock that has no other
+
+    # The first clock that is seen counts; a share below 1 leaves the rest to the clocks after it.
+    share = jnp.ones_like(sums)  # a clock without others counts whole
     if len(sums) > 1:
         share = jnp.where(
             is_seen, _smooth_step(by_clock(jnp.ones_like(satellites.weights), weights)), 0.0
@@ -213,7 +233,7 @@ def dops_of_words(satellites: Geometry, words: UInt[Array, "W ..."]) -> Dops:
 
     Args:
       satellites: from `geometry`.
-      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells behind.
+      words: ``[W, ...]`` satellite ``s`` is bit ``s % 32`` of word ``s // 32``; ``...`` are any axes of cells.
     """
     bits = [(words[s // WORD_BITS] >> (s % WORD_BITS)) & 1 for s in range(len(satellites.rows))]
     return dops(satellites, jnp.stack(bits).astype(satellites.rows.dtype))

@@ -15,13 +15,14 @@ SNAP_CELLS = 1e-6  # an outline's corner this close to a border of cells lies on
 def burn_outlines(points, ring_start, outline_start, values, first_row, first_col, centre, touched):
     """Raise cells to the highest value among the outlines that hold them, in place, in one pass over the outlines.
 
-    A cell of ``centre`` is held by an outline in which its centre lies. A centre on the border between two outlines
-    belongs to the northern, or the western one; one on an edge of a hole that runs along the row is held (as GDAL has
-    it, whose cells these are).
+    An outline holds a cell of ``centre`` if the cell's centre lies in it. A centre on the border between two outlines
+    belongs to the northern or the western one; a centre on an edge of a hole that runs along the row is held. These are
+    the cells that GDAL burns.
 
-    A cell of ``touched`` is held where an edge crosses its interior. With the cells of ``centre`` these are all that
-    the outline shares area with: a cell that is neither crossed by its border nor holds it is in or out as a whole. An
-    edge along a border of cells crosses none; a corner within ``SNAP_CELLS`` of a border is taken to lie on it.
+    An outline holds a cell of ``touched`` if one of its edges crosses the cell's interior. With the cells of ``centre``
+    these are all cells that the outline shares area with, since a cell that no edge crosses is inside or outside as a
+    whole. An edge along a border of cells crosses none; a corner within ``SNAP_CELLS`` of a border counts as lying on
+    it.
 
     Args:
       points: ``[P, 2]`` float64 x, y of the rings' corners in cell sides from the CRS's origin, first and last of a
@@ -30,9 +31,10 @@ def burn_outlines(points, ring_start, outline_start, values, first_row, first_co
       outline_start: ``[N + 1]`` int64 where each outline, an exterior ring and its holes, begins in the rings.
       values: ``[N]`` of the outlines, in the type of ``centre``.
       first_row, first_col: southwest cell of ``centre``, counted from the CRS's origin.
-      centre: ``[Y, X]``, row 0 in the south; what lies outside is left out.
-      touched: ``[Y, X]`` of the same type; ``[0, 0]`` where nobody asks.
+      centre: ``[Y, X]``, row 0 in the south, altered; what lies outside is left out.
+      touched: ``[Y, X]`` of the same type, altered; ``[0, 0]`` if it is not needed.
     """
+    # Working memory for all outlines: it grows where one needs more, and is handed on.
     is_crossed = np.zeros(256, np.bool_)
     row = np.empty(64, np.int64)
     col = np.empty(64, np.int64)
@@ -48,11 +50,18 @@ def burn_outlines(points, ring_start, outline_start, values, first_row, first_co
 
 @compiled()
 def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
-    """Raise the cells whose centre lies in one outline; ``is_crossed`` is memory, all False, that is handed on.
+    """Raise the cells of ``centre`` whose centre lies in one outline, by even-odd scan lines; return ``is_crossed``.
 
     Where an edge crosses a row of centres is computed from the CRS's origin, so that it is rounded alike whatever part
     is burnt: an edge through a centre leaves it on the same side in every tile.
+
+    Args:
+      points, first_row, first_col, centre: as in `burn_outlines`.
+      rings: ``[R + 1]`` where each ring of the outline begins in ``points``, and the end; the exterior comes first.
+      value: of the outline.
+      is_crossed: working memory, all False; returned all False, and larger if the outline needs more.
     """
+    # The box of rows and columns in which centres can lie.
     num_rows, num_cols = centre.shape
     west = south = np.inf
     east = north = -np.inf
@@ -72,6 +81,8 @@ def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
         return is_crossed
     if len(is_crossed) < (end_row - low_row) * num:
         is_crossed = np.zeros(2 * (end_row - low_row) * num, np.bool_)
+
+    # For each row mark the cell from which on an edge lies in the west; two edges at one cell undo each other.
     for ring in range(len(rings) - 1):
         for at in range(rings[ring], rings[ring + 1] - 1):
             x0, y0 = points[at]
@@ -79,6 +90,7 @@ def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
             if y0 > y1:
                 x0, y0, x1, y1 = x1, y1, x0, y0
             elif y0 == y1:
+                # An edge along a row crosses none; the edge of a hole along a row of centres holds them.
                 row = _row_from(y0)
                 if ring > 0 and y0 == row + 0.5 and low_row <= row - first_row < end_row:
                     first = _col_from(min(x0, x1)) - first_col
@@ -94,6 +106,8 @@ def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
                 if col < num:
                     place = (row - low_row) * num + col
                     is_crossed[place] = not is_crossed[place]
+
+    # From west to east each mark leads into the outline or out of it; marks are cleared on the way.
     place = 0
     for row in range(low_row, end_row):
         is_inside = False
@@ -121,7 +135,13 @@ def _col_from(x):
 
 @compiled()
 def _touch(points, rings, value, first_row, first_col, touched, row, col, length):
-    """Raise the cells whose interior an edge of one outline crosses; the last three are memory that is handed on."""
+    """Raise the cells of ``touched`` whose interior an edge of one outline crosses.
+
+    Args:
+      points, first_row, first_col, touched: as in `burn_outlines`.
+      rings, value: as in `_fill`.
+      row, col, length: working memory for the parts of an edge; returned, longer if an edge needs more.
+    """
     num_rows, num_cols = touched.shape
     for ring in range(len(rings) - 1):
         x1 = _snapped(points[rings[ring], 0] - first_col)
@@ -136,7 +156,8 @@ def _touch(points, rings, value, first_row, first_col, touched, row, col, length
                 or min(x0, x1) > num_cols
                 or min(y0, y1) > num_rows
             ):
-                continue
+                continue  # wholly outside
+            # An edge along a border of cells crosses no interior.
             if (x0 == x1 and x0 == np.rint(x0)) or (y0 == y1 and y0 == np.rint(y0)):
                 continue
             most_parts = (
@@ -166,13 +187,15 @@ def _snapped(value):
 
 @compiled()
 def settle(roof_m, cell, floor_m, top_m, is_of_cell):
-    """Raise roofs by the slabs that rest on them, in place, and return which hang freely, ``[H]`` bool.
+    """Raise roofs by the slabs that rest on them, and return which slabs hang freely, ``[H]`` bool.
+
+    A slab hangs freely if its floor is above the roof of its cell, which slabs below it may have raised.
 
     Args:
-      roof_m: ``[Y * X]`` of the cells.
-      cell: ``[H]`` int64 number of the cell that each slab hangs over, ascending; in one cell floors ascend.
-      floor_m, top_m: ``[H]`` in the type of the roofs.
-      is_of_cell: ``[H]`` bool: it counts for the whole cell; others raise no roof.
+      roof_m: ``[Y * X]`` roof heights of the cells; altered.
+      cell: ``[H]`` int64 number of the cell that each slab lies over, ascending; in one cell floors ascend.
+      floor_m, top_m: ``[H]`` heights of each slab's underside and top, in the type of the roofs.
+      is_of_cell: ``[H]`` bool whether the slab counts for the whole cell; other slabs raise no roof.
     """
     hangs = np.zeros(len(cell), np.bool_)
     for slab in range(len(cell)):

@@ -65,26 +65,28 @@ def protection_levels(
     """Return the horizontal and the vertical protection level (metres, float64) of each choice of satellites.
 
     Weighted least squares with G = [-e -n -u | clocks] and W = 1 / sigma_int^2, one clock for each constellation in
-    view: S = (G^T W G)^-1 G^T W with all satellites, S_k without those of fault mode k. With sigma_k^2 = sum (S_k
-    sigma_int)^2, b_k = sum |S_k| b, T_k = K_fa sqrt(sum ((S_k - S) sigma_acc)^2), K_fa = Q^-1(P_fa / (2 N)), of which
-    each horizontal axis takes half, and N fault modes, the level L of an axis solves
+    view: S = (G^T W G)^-1 G^T W with all satellites, S_k without the satellites of fault mode k, of which there are N.
+    With sigma_k^2 = sum (S_k sigma_int)^2, b_k = sum |S_k| b, T_k = K_fa sqrt(sum ((S_k - S) sigma_acc)^2) and K_fa =
+    Q^-1(P_fa / (2 N)), where each horizontal axis takes half of P_fa, the level L of an axis solves
     ``2 Q((L - b_0) / sigma_0) + sum_k p_k Q'((L - T_k - b_k) / sigma_k) = PHMI (1 - P_unmonitored / sum of PHMI)``,
     Q' = Q above 0 and 1 below. The horizontal level is the hypotenuse of east and north.
 
-    Fault modes are each satellite and each constellation in view, then pairs of these by falling probability until
-    what is left is at most ``p_unmonitored``; of pairs of equal probability all or none, so that no order of satellites
-    or systems has a say. Modes whose subset leaves the position undetermined are left too. inf
-    where more is left than that, or where all satellites leave the position undetermined.
+    Fault modes are each satellite and each constellation in view, then pairs of these by falling probability, until the
+    probability of all other faults is at most ``p_unmonitored``. Of pairs of equal probability all are taken or none,
+    so that the order of satellites and systems changes nothing. Modes whose subset leaves the position undetermined
+    count as unmonitored too. A level is inf if more than ``p_unmonitored`` is left unmonitored, or if all satellites
+    together leave the position undetermined.
 
     Sources: Blanch et al. 2012 (ION GNSS) and 2015 (IEEE Trans. AES 51, "Baseline advanced RAIM user algorithm and
     possible improvements"); EU-US Working Group C, ARAIM Milestone 3 report, 2016, and its Reference Airborne Algorithm
-    Description Document 3.0, equations 26, 27, 31, 32. The level is the end of an interval, halved from the level
-    without faults (doubled until it is enough) and 0 down to the tolerance, so never below the solution.
+    Description Document 3.0, equations 26, 27, 31, 32. The level is the upper end of an interval that holds the
+    solution, so it is never below the solution. The interval begins with 0 and the level without faults (doubled until
+    it is enough), and is halved until it is no longer than the tolerance.
 
     Args:
-      patterns: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
-      ranging: of the satellites.
-      budget: of the risks.
+      patterns: ``[W, P]`` choices of satellites; satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
+      ranging: what is known of the satellites.
+      budget: how the risks are shared out.
     """
     levels = np.empty((2, patterns.shape[1]))
     _fill_levels(
@@ -95,7 +97,10 @@ def protection_levels(
 
 @compiled()
 def _fill_levels(patterns, ranging, budget, levels):
-    """Fill ``levels`` ``[2, P]``."""
+    """Fill ``levels`` ``[2, P]`` with the horizontal and the vertical level of each choice of satellites, metres.
+
+    Arguments are otherwise those of `protection_levels`.
+    """
     num_satellites = len(ranging.directions)
     for number in range(patterns.shape[1]):
         seen = np.empty(num_satellites, np.int64)
@@ -104,26 +109,31 @@ def _fill_levels(patterns, ranging, budget, levels):
             if (patterns[s // WORD_BITS, number] >> np.uint32(s % WORD_BITS)) & np.uint32(1):
                 seen[num] = s
                 num += 1
+        # The satellites of this choice, whose bits are set, are the first `num` of `seen`.
         levels[0, number], levels[1, number] = _levels_of(seen[:num], ranging, budget)
 
 
 @compiled()
 def _levels_of(seen, ranging, budget):
-    """Return the horizontal and the vertical protection level, metres; inf where there is none.
+    """Return the horizontal and the vertical protection level, metres; both inf where there is none.
+
+    The equations are those of `protection_levels`. A fault mode has two events: a number below ``n`` is a satellite of
+    ``seen``, a number from ``n`` on is a constellation in view, and `NO_EVENT` in the second place means one event
+    only.
 
     Args:
       seen: ``[n]`` numbers of the satellites in view.
-      ranging, budget: as in `protection_levels`, whose equations these are. A test of the two horizontal axes shares
-        its false alarms with the other one, and each counts both tails: hence P_fa / 4 N, and P_fa / 2 N of the
-        vertical one.
-
-    An event of a mode below ``n`` is a satellite of ``seen``, from ``n`` on a constellation, or `NO_EVENT`.
+      ranging: `Ranging` of all satellites.
+      budget: `RiskBudget`.
     """
+    # S of all satellites; without it there is no position.
     num = len(seen)
     is_kept = np.ones(num, np.bool_)
     of_all, of_subset = np.empty((AXES, num)), np.empty((AXES, num))
     if not _fill_gains(seen, is_kept, ranging, of_all):
         return np.inf, np.inf
+
+    # Fault modes, and K_fa: false alerts are shared by the modes, by both tails, and by the two horizontal axes.
     constellations, prior = _events(seen, ranging)
     modes, p_mode, p_left = _fault_modes(prior, budget.p_unmonitored)
     num_modes = len(modes)
@@ -131,13 +141,15 @@ def _levels_of(seen, ranging, budget):
     if num_modes:
         k_horizontal = quantile(budget.pfa_horizontal / (4 * num_modes))
         k_vertical = quantile(budget.pfa_vertical / (2 * num_modes))
-    # Rows are the modes that are monitored, the one without faults first: sigma, and threshold and bias together.
+
+    # Terms of the modes that are monitored, the one without faults first: sigma_k, and T_k + b_k together.
     sigma_m = np.empty((AXES, num_modes + 1))
     offset_m = np.empty((AXES, num_modes + 1))
     p_row = np.empty(num_modes + 1)
     _fill_terms(of_all, of_all, 0.0, 0.0, seen, ranging, sigma_m[:, 0], offset_m[:, 0])
-    rows = 1
+    rows = 1  # modes filled in so far
     for mode in range(num_modes):
+        # Leave out the satellites of the mode's events.
         for i in range(num):
             is_kept[i] = True
         for event in modes[mode]:
@@ -146,6 +158,8 @@ def _levels_of(seen, ranging, budget):
                     is_kept[i] &= ranging.constellation[seen[i]] != constellations[event - num]
             elif event != NO_EVENT:
                 is_kept[event] = False
+
+        # A mode whose subset leaves the position undetermined is not monitored.
         if not _fill_gains(seen, is_kept, ranging, of_subset):
             p_left += p_mode[mode]
             continue
@@ -161,9 +175,13 @@ def _levels_of(seen, ranging, budget):
         )
         p_row[rows] = p_mode[mode]
         rows += 1
+
+    # Faults that are left unmonitored take their share of the integrity risk; modes share the rest.
     share = 1 - p_left / (budget.phmi_horizontal + budget.phmi_vertical)
     if p_left > budget.p_unmonitored or share <= 0:
         return np.inf, np.inf
+
+    # Axis 2 is up; east and north take half of the horizontal risk each.
     of_axis = np.empty(AXES)
     for axis in range(AXES):
         risk = budget.phmi_vertical if axis == 2 else budget.phmi_horizontal / 2
@@ -176,7 +194,16 @@ def _levels_of(seen, ranging, budget):
 
 @compiled()
 def _events(seen, ranging):
-    """Return the constellations in view and the priors of all events: of the satellites, then of those."""
+    """Return the constellations in view, and the prior probabilities of all events.
+
+    Args:
+      seen: ``[n]`` numbers of the satellites in view.
+      ranging: `Ranging` of all satellites.
+
+    Returns:
+      ``[m]`` numbers of the constellations, ascending, and ``[n + m]`` priors: of a fault of each satellite of
+      ``seen``, then of each of these constellations.
+    """
     constellations = np.unique(ranging.constellation[seen])
     prior = np.empty(len(seen) + len(constellations))
     for i in range(len(seen)):
@@ -188,16 +215,27 @@ def _events(seen, ranging):
 
 @compiled()
 def _fault_modes(prior, p_unmonitored):
-    """Return the fault modes ``[K, 2]`` (events, the second maybe `NO_EVENT`), their priors, and what is left.
+    """Return the fault modes, their priors, and the probability of all sets of several events that are no modes.
 
-    Left is the probability of all sets of several events that are no modes.
+    Modes are the single events, and as many pairs of events as `protection_levels` says.
+
+    Args:
+      prior: ``[E]`` prior probabilities of the events; an event of probability 0 is in no mode.
+      p_unmonitored: largest probability that may be left.
+
+    Returns:
+      ``[K, 2]`` numbers of each mode's events, the second one `NO_EVENT` for a single event; ``[K]`` its prior; what is
+      left.
     """
+    # The elementary symmetric sums: of_order[k] is the sum of the products of every k priors.
     num = len(prior)
-    of_order = np.zeros(num + 1)  # sums of the products of so many priors
+    of_order = np.zeros(num + 1)
     of_order[0] = 1.0
     for event in range(num):
         for order in range(event + 1, 0, -1):
             of_order[order] += of_order[order - 1] * prior[event]
+
+    # Pairs are needed only where single events leave too much.
     p_left = of_order[2:].sum()
     num_pairs = num * (num - 1) // 2 if p_left > p_unmonitored else 0
     modes = np.full((num + num_pairs, 2), NO_EVENT)
@@ -208,16 +246,18 @@ def _fault_modes(prior, p_unmonitored):
             modes[num_modes, 0] = event
             p_mode[num_modes] = prior[event]
             num_modes += 1
+
+    # The likeliest pairs first, until little enough is left and the next pair is less likely than the last one.
     if num_pairs:
         pairs = np.empty((num_pairs, 2), np.int64)
         p_pair = np.empty(num_pairs)
-        at = 0
-        for one in range(num):
-            for other in range(one + 1, num):
-                pairs[at, 0] = one
-                pairs[at, 1] = other
-                p_pair[at] = prior[one] * prior[other]
-                at += 1
+        place = 0
+        for event in range(num):
+            for other_event in range(event + 1, num):
+                pairs[place, 0] = event
+                pairs[place, 1] = other_event
+                p_pair[place] = prior[event] * prior[other_event]
+                place += 1
         for pair in np.argsort(-p_pair, kind="mergesort"):
             is_enough = p_left <= p_unmonitored and p_pair[pair] < p_mode[num_modes - 1] * SAME
             if is_enough or p_pair[pair] == 0:
@@ -230,7 +270,15 @@ def _fault_modes(prior, p_unmonitored):
 
 @compiled()
 def _fill_gains(seen, is_kept, ranging, gains):
-    """Fill ``gains`` ``[3, n]`` with the rows of S for east, north and up; return False where they are undetermined."""
+    """Fill ``gains`` with the rows of S for east, north and up; return whether the position is determined.
+
+    Args:
+      seen: ``[n]`` numbers of the satellites in view.
+      is_kept: ``[n]`` bool which of these are used; the gains of the others are 0.
+      ranging: `Ranging` of all satellites.
+      gains: ``[3, n]`` filled in place, or left as it was if the position is undetermined.
+    """
+    # Number the unknowns: east, north, up, then a clock for each constellation that is used.
     clock = np.full(len(ranging.p_const), -1, np.int64)
     size, num_kept = AXES, 0
     for i in range(len(seen)):
@@ -241,6 +289,8 @@ def _fill_gains(seen, is_kept, ranging, gains):
                 size += 1
     if num_kept < size or num_kept == 0:
         return False
+
+    # The lower triangle of the normal matrix G^T W G, G = [-e -n -u | clocks].
     normal = np.zeros((size, size))
     for i in range(len(seen)):
         if is_kept[i]:
@@ -254,6 +304,8 @@ def _fill_gains(seen, is_kept, ranging, gains):
             normal[own, own] += weight
     if not _factorise(normal):
         return False
+
+    # S = (G^T W G)^-1 G^T W, of which the first three rows are needed.
     inverse = np.zeros((AXES, size))  # rows of the inverse of the normal matrix
     for axis in range(AXES):
         _solve(normal, axis, inverse[axis])
@@ -271,7 +323,10 @@ def _fill_gains(seen, is_kept, ranging, gains):
 
 @compiled()
 def _factorise(normal):
-    """Turn the lower triangle of a symmetric matrix into its Cholesky factor; False where it is singular."""
+    """Turn the lower triangle of a symmetric matrix ``[n, n]`` into its Cholesky factor, in place.
+
+    Return False, with the work half done, where the matrix is singular: a pivot is below `LEAST_PIVOT` of its diagonal.
+    """
     for j in range(len(normal)):
         diagonal = normal[j, j]
         pivot = diagonal
@@ -288,22 +343,34 @@ def _factorise(normal):
 
 
 @compiled()
-def _solve(factor, unit, found):
-    """Fill ``found`` with a column of the inverse of the matrix whose Cholesky factor is given."""
+def _solve(factor, unit, column):
+    """Fill ``column`` ``[n]`` with column number ``unit`` of the inverse of L L^T, L the Cholesky factor ``[n, n]``."""
+    # L y = e, e the unit vector, from the first row down.
     for i in range(len(factor)):
-        found[i] = 1.0 if i == unit else 0.0
+        column[i] = 1.0 if i == unit else 0.0
         for k in range(i):
-            found[i] -= factor[i, k] * found[k]
-        found[i] /= factor[i, i]
+            column[i] -= factor[i, k] * column[k]
+        column[i] /= factor[i, i]
+
+    # L^T x = y, from the last row up.
     for i in range(len(factor) - 1, -1, -1):
         for k in range(i + 1, len(factor)):
-            found[i] -= factor[k, i] * found[k]
-        found[i] /= factor[i, i]
+            column[i] -= factor[k, i] * column[k]
+        column[i] /= factor[i, i]
 
 
 @compiled()
 def _fill_terms(gains, of_all, k_horizontal, k_vertical, seen, ranging, sigma_m, offset_m):
-    """Fill sigma_k and T_k + b_k ``[3]`` of one mode from its gains and those of all satellites."""
+    """Fill sigma_k and T_k + b_k of one fault mode, by axis, in metres (see `protection_levels`).
+
+    Args:
+      gains: ``[3, n]`` S_k of the mode.
+      of_all: ``[3, n]`` S of all satellites.
+      k_horizontal, k_vertical: K_fa of either direction.
+      seen: ``[n]`` numbers of the satellites in view.
+      ranging: `Ranging` of all satellites.
+      sigma_m, offset_m: ``[3]`` filled in place.
+    """
     for axis in range(AXES):
         variance, separation, bias_m = 0.0, 0.0, 0.0
         for i in range(len(seen)):
@@ -312,19 +379,27 @@ def _fill_terms(gains, of_all, k_horizontal, k_vertical, seen, ranging, sigma_m,
             separation += ((gains[axis, i] - of_all[axis, i]) * ranging.sigma_acc_m[s]) ** 2
             bias_m += abs(gains[axis, i]) * ranging.bias_m[s]
         sigma_m[axis] = math.sqrt(variance)
-        offset_m[axis] = (k_vertical if axis == 2 else k_horizontal) * math.sqrt(
-            separation
-        ) + bias_m
+        k_alert = k_vertical if axis == 2 else k_horizontal
+        offset_m[axis] = k_alert * math.sqrt(separation) + bias_m
 
 
 @compiled()
 def _level(sigma_m, offset_m, prior, risk, tolerance_m):
-    """Return the protection level of one axis, of its modes ``[K]``, the first of which is without faults."""
+    """Return the protection level of one axis, metres, at most ``tolerance_m`` above the solution.
+
+    Args:
+      sigma_m, offset_m: ``[K]`` sigma_k and T_k + b_k of the modes, the one without faults first.
+      prior: ``[K]`` probabilities of the modes; the first is not read.
+      risk: integrity risk of the axis.
+      tolerance_m: length of the interval at which halving ends.
+    """
+    # Half of the risk lies in either tail. Without fault modes that is the answer; with them, where to begin.
     high_m = quantile(risk / 2) * sigma_m[0] + offset_m[0]
     if len(sigma_m) == 1:
         return high_m
     while not _is_enough(high_m, sigma_m, offset_m, prior, risk):
         high_m *= 2
+
     low_m = 0.0
     for _ in range(MOST_HALVINGS):
         if high_m - low_m <= tolerance_m:
@@ -339,7 +414,7 @@ def _level(sigma_m, offset_m, prior, risk, tolerance_m):
 
 @compiled()
 def _is_enough(level_m, sigma_m, offset_m, prior, risk):
-    """Return whether errors beyond a level are as improbable as the risk."""
+    """Return whether the probability of errors beyond a level is at most the risk; arguments as in `_level`."""
     total = 2 * tail((level_m - offset_m[0]) / sigma_m[0])
     for mode in range(1, len(sigma_m)):
         beyond = (level_m - offset_m[mode]) / sigma_m[mode]
@@ -357,12 +432,14 @@ def tail(x):
 
 @compiled()
 def quantile(probability):
-    """Return Q^-1 of a probability below 0.5, by Newton's method on the logarithm of Q, which is concave."""
+    """Return Q^-1 of a probability between 0 and 0.5, by Newton's method on the logarithm of Q, which is concave."""
+    # Above the solution, since Q(x) <= exp(-x^2 / 2) / 2.
     x = math.sqrt(-2 * math.log(2 * probability))
     for _ in range(MOST_HALVINGS):
         of_tail = tail(x)
+        # -log(Q(x) / probability) over the derivative of log Q, -exp(-x^2 / 2) / (sqrt(2 pi) Q(x)).
         step = math.log(of_tail / probability) * of_tail * SQRT_TWO_PI * math.exp(x * x / 2)
         x += step
-        if abs(step) <= 1e-14 * x:
+        if abs(step) <= 1e-14 * x:  # rounding
             break
     return x

@@ -26,10 +26,14 @@ FIRST_HEAP = 4096  # entries; doubled when full
 
 @compiled_first()
 def ptp(problem: Problem, *, budget_s: float = np.inf, seed: int = 0) -> Path:
-    """Return the straight path, sampled every resolution step, or BLOCKED where that is not a free way (`is_free_way`).
+    """Return the straight path, sampled every resolution step, or BLOCKED if it is not a free way (`is_free_way`).
 
-    Neither the budget nor the seed plays a part. The status is FEASIBLE, never OPTIMAL: nothing else was
-    tried. The lower bound is the distance alone and holds for any path.
+    The status is otherwise FEASIBLE, never OPTIMAL, since nothing else was tried. The lower bound is the cost of the
+    distance alone, and holds for any path.
+
+    Args:
+      problem: the query, on one altitude.
+      budget_s, seed: taken for the planner contract; neither plays a part.
     """
     begin_s = time.perf_counter()
     start_m = (np.array(problem.start[::-1]) + 0.5) * problem.resolution_m
@@ -55,9 +59,9 @@ def theta_star(
 ) -> Path:
     """Return a path of straight segments between cells and points between them, free of the grid's eight directions.
 
-    Theta* lets a cell hang from the parent of its neighbour, by the straight segment, where that is cheaper than the
-    step; then the path is shortcut between points along it, at their best (dynamic programming). Segments are costed,
-    and tested for obstacles, over the exact cells that they cross. Never costlier than the cheapest grid path. Of
+    Theta* takes as a cell's parent the parent of its neighbour, by the straight segment, where that is cheaper than the
+    step. Then the path is shortcut between points along it, by dynamic programming. Segments are costed, and tested for
+    obstacles, over the exact cells that they cross. The path is never costlier than the cheapest grid path. Of
     ``diagonal`` only ``"always"`` plays a part: then a path may pass between two obstacles that touch at a corner.
     ``connectivity`` plays none.
 
@@ -78,6 +82,8 @@ def theta_star(
     """
     check_line_model(problem, "planner 'theta-star'")
     begin_s = time.perf_counter()
+
+    # Without a way between start and goal there is nothing to search.
     points_m = np.empty(0)
     status = Status.NO_PATH
     lower_bound = np.inf
@@ -108,12 +114,21 @@ def theta_star(
 def _search(
     problem: Problem, cost_grid: CostGrid, bounds: Bounds, end_s: float
 ) -> tuple[np.ndarray, int]:
-    """Return ``[N, 2]`` the path's cell centres, none where time ran out, and the cells expanded."""
+    """Search, and return ``[N, 2]`` x, y of the path's cell centres in cell sides, and how many cells were expanded.
+
+    Args:
+      problem: the query.
+      cost_grid: its map, on which a way joins start and goal.
+      bounds: its lower bounds.
+      end_s: time of `time.perf_counter` at which the search gives up; N is 0 then.
+    """
     num_cells = cost_grid.cell_cost.size
     num_cols = cost_grid.cell_cost.shape[1]
     start = index_of(problem, problem.start)
     goal = index_of(problem, problem.goal)
     goal_row, goal_col = problem.goal
+
+    # The bound's map part at cells' centres, which lie half-way between the borders.
     row_at = 0.5 * (bounds.row_sum[:-1] + bounds.row_sum[1:])
     col_at = 0.5 * (bounds.col_sum[:-1] + bounds.col_sum[1:])
     nodes = AnyAngleNodes(
@@ -125,6 +140,8 @@ def _search(
         rows=np.abs(row_at - row_at[goal_row]),
         cols=np.abs(col_at - col_at[goal_col]),
     )
+
+    # Search from the start, in chunks between two looks at the clock.
     heap = Heap.empty(FIRST_HEAP)
     nodes.g[start] = 0.0
     heap.item[place(heap, 0.0)] = start
@@ -138,6 +155,8 @@ def _search(
             break
         if time.perf_counter() >= end_s:
             break
+
+    # Follow the parents from the goal back.
     path = []
     node = goal
     while node != NO_PARENT and ended == FOUND:
@@ -172,14 +191,22 @@ class AnyAngleNodes(NamedTuple):
 
 @compiled()
 def advance(cost_grid, nodes, goal, heap, max_expanded):
-    """Expand cells in order of f until the goal is met, no cell is open, or ``max_expanded`` are done.
+    """Expand cells in order of f until the goal is reached, no cell is open, or ``max_expanded`` cells are expanded.
 
     A neighbour is reached by the step to it, or by the straight segment from the expanded cell's own
     parent, whichever is cheaper: so no cell is closed at more than the cheapest grid path to it costs
     (the first open cell of that path never costs more, and comes before any cell closed too early).
     A segment is costed once for each parent in turn, not for each neighbour that has this parent.
 
-    Returns: how the chunk ended, and the cells expanded.
+    Args:
+      cost_grid: `CostGrid`, the map.
+      nodes: `AnyAngleNodes`; its arrays are altered.
+      goal: flat cell number.
+      heap: the open cells, by f; altered. Outdated entries stay in it, and are skipped when their cell is closed.
+      max_expanded: cells.
+
+    Returns:
+      How the chunk ended (FOUND, EXHAUSTED, PAUSED, or FULL for want of room in the heap), and the cells expanded.
     """
     num_rows, num_cols = cost_grid.cell_cost.shape
     goal_row = goal // num_cols
@@ -190,6 +217,8 @@ def advance(cost_grid, nodes, goal, heap, max_expanded):
             return PAUSED, num_expanded
         if heap.size[0] + STEPS_PER_NODE > heap.f.size:
             return FULL, num_expanded
+
+        # Close the open cell of lowest f.
         node = heap.item[0]
         drop_top(heap)
         if nodes.is_closed[node]:
@@ -201,6 +230,8 @@ def advance(cost_grid, nodes, goal, heap, max_expanded):
         row = node // num_cols
         col = node % num_cols
         parent = nodes.parent[node]
+
+        # The neighbours on the map, but for those that are closed or blocked.
         for to_row in range(max(row - 1, 0), min(row + 2, num_rows)):
             for to_col in range(max(col - 1, 0), min(col + 2, num_cols)):
                 to = to_row * num_cols + to_col
@@ -212,6 +243,8 @@ def advance(cost_grid, nodes, goal, heap, max_expanded):
                     length = np.sqrt(2.0)
                     if is_pinched(cost_grid, row, col, to_row, to_col):
                         continue
+
+                # By the step: half of it lies in each of the two cells.
                 best = nodes.g[to]
                 best_parent = NO_PARENT
                 g = nodes.g[node] + length * (
@@ -219,6 +252,8 @@ def advance(cost_grid, nodes, goal, heap, max_expanded):
                 )
                 if g < best:
                     best, best_parent = g, node
+
+                # By the segment from the parent, unless it was tried last; one no cheaper than the best costs inf.
                 if parent != NO_PARENT and parent != nodes.tried[to]:
                     nodes.tried[to] = parent
                     x = parent % num_cols + 0.5
@@ -229,6 +264,8 @@ def advance(cost_grid, nodes, goal, heap, max_expanded):
                     )
                     if g < best:
                         best, best_parent = g, parent
+
+                # Open the neighbour where either is cheaper than what is known, at f = g + the bound to the goal.
                 if best_parent != NO_PARENT:
                     nodes.g[to], nodes.parent[to] = best, best_parent
                     dr, dc = float(to_row - goal_row), float(to_col - goal_col)

@@ -72,16 +72,20 @@ def astar(
     begin_s = time.perf_counter()
     end_s = begin_s + budget_s
     name = "tiles" if heuristic == AUTO else heuristic
+
+    # Where the budget ends before the heuristic's tables are made, nothing is searched.
     note = ""
     try:
         bound = make_heuristic(name, problem, end_s)
     except TimeoutError:
         bound = make_heuristic("octile", problem)
         note = f"The tables of the heuristic {name!r} were not done in time."
+
     start = cell_of(problem, problem.start)
     goal = cell_of(problem, problem.goal)
     search = GridSearch(graph_of(problem), bound, start, goal)
     ended = search.run(reopen=reopen, end_s=end_s) if not note else PAUSED
+
     points_m = np.empty(0)
     lower_bound = search.low_f if ended == PAUSED else np.inf
     if ended == FOUND:
@@ -89,7 +93,7 @@ def astar(
         points_m = path_points_m(problem, search.states, search.graph.steps)
     else:
         status = Status.NO_PATH if ended == EXHAUSTED else Status.BUDGET_EMPTY
-    if name in PRINTED:
+    if name in PRINTED:  # which are no lower bounds
         lower_bound = heuristic_at(make_heuristic("octile", problem), start, goal)
     return Path.of(
         problem,
@@ -116,9 +120,10 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
 
     - ``none``: 0, which makes A* Dijkstra's search.
     - ``euclidean``: ``distance_weight`` times the straight distance (the paper's h_dist).
-    - ``octile``: the least length of an 8-connected path; Manhattan distance at connectivity 4. In a volume plus what
-      changing to the goal's level costs at least: a step that rises by d is longer than its horizontal part s by
-      ``sqrt(s^2 + d^2) - s``, which is least for the longest s (a diagonal).
+    - ``octile``: the cost of the least length of an 8-connected path (at connectivity 4 of the Manhattan distance). In
+    a
+      volume it adds the least cost of changing to the goal's level: a step that rises by d is longer than its
+      horizontal part s by ``sqrt(s^2 + d^2) - s``, which is least for the longest s (a diagonal).
     - ``tiles``: octile or, where larger, the cost to go over tiles of 8 x 8 cells that cost what their cheapest cell
       does (admissible, consistent).
     - ``landmarks``: octile or, where larger, the best landmark's bound (admissible, consistent).
@@ -126,7 +131,7 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
     - ``plus-printed``, ``plus-printed-from-0``: octile, plus the paper's box minima, summed over indices
       1..dx or 0..dx-1: **not** admissible. Under the ``line`` model every line counts in full.
     - ``plus``, of volumes: octile or, where larger, the cost to the goal over the map of each column's cheapest level,
-      plus the same for the change of level; of what is reached before ``end_s``.
+      plus the same for the change of level; as far as that search came before ``end_s``.
 
     Args:
       name: of `HEURISTICS`, or of `VOLUME_HEURISTICS`.
@@ -139,10 +144,11 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
     """
     one_of("heuristic", name, HEURISTICS if problem.levels_m is None else VOLUME_HEURISTICS)
     per_side = problem.distance_weight * problem.resolution_m
-    octile = NO_HEURISTIC._replace(
-        straight=per_side,
-        diagonal=per_side * (np.sqrt(2) - 1 if problem.cost_model.connectivity == 8 else 1),
-    )
+    # With dr, dc rows and columns to the goal: the larger one in straight steps, and what each of the smaller one's
+    # steps costs more, as part of a diagonal or, with 4 neighbours, as a step of its own.
+    more = np.sqrt(2) - 1 if problem.cost_model.connectivity == 8 else 1
+    octile = NO_HEURISTIC._replace(straight=per_side, diagonal=per_side * more)
+
     if problem.levels_m is not None:
         return _volume_heuristic(name, problem, octile, end_s)
     if name == "none":
@@ -159,18 +165,25 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
         return octile._replace(tiles=_tile_bound(problem))
     if name == "octile":
         return octile
+
+    # What the paper prints.
     layers = problem.costs * problem.layer_weights[:, None, None]
     field = printed_plus_field(layers, problem.goal, first_index=int(name == "plus-printed"))
     if problem.cost_model.kind == "line":
         field *= problem.resolution_m / problem.cost_model.reference_length_m
-    # Inf comes of NaN inside obstacles here; the search would take it for a proof that there is no way.
+    # Costs of NaN inside obstacles give inf here, which the search would take for a proof that there is no way.
     return octile._replace(field=np.minimum(field, np.finfo(np.float64).max / 2, out=field))
 
 
 def _tile_bound(problem: Problem) -> TileBound:
-    """Return the tiles' bound on the cost to the problem's goal."""
+    """Return the tiles' bound on the cost to the problem's goal.
+
+    A step costs a constant plus a share of the map costs of its two cells, so over a tile whose cheapest cell costs c
+    it costs at least ``base + share * c``; the pairs (base, share) are of a straight and of a diagonal step.
+    """
     graph = graph_of(problem)
     share = graph.from_share + graph.to_share
+    # Of `STEPS` the first is straight, and with 8 neighbours the last is diagonal; with 4 two steps make a diagonal.
     straight, diagonal = ((float(graph.step_cost[step]), float(share[step])) for step in (0, -1))
     if problem.cost_model.connectivity == 4:
         diagonal = (2 * straight[0], 2 * straight[1])
@@ -178,10 +191,19 @@ def _tile_bound(problem: Problem) -> TileBound:
 
 
 def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: float) -> Heuristic:
-    """Return a heuristic between levels: length and map cost where they are asked for, and the change of level."""
+    """Return a heuristic in a volume: length and map cost, if the name asks for them, and the change of level.
+
+    Args:
+      name: of `VOLUME_HEURISTICS` (see `make_heuristic`).
+      problem: the query in a volume.
+      octile: the octile heuristic on one altitude.
+      end_s: time of `time.perf_counter` to give up at.
+    """
     _, goal_row, goal_col = problem.goal
     _, num_rows, num_cols = problem.is_free.shape
-    # The least that changing from each level to the goal's costs beside horizontal length.
+
+    # The least that changing from each level to the goal's costs beside horizontal length: of each level ``[H, 3]`` to
+    # the one below, to itself and to the one above, then summed level by level away from the goal's.
     longest_m = problem.resolution_m * (np.sqrt(2) if problem.cost_model.connectivity == 8 else 1)
     rise_m = rises_m(problem)
     change = problem.distance_weight * (np.hypot(longest_m, rise_m) - longest_m) + height_cost(
@@ -191,10 +213,13 @@ def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: flo
     down = change[1:, 0]
     goal = problem.goal[0]
     rise = np.concatenate([np.cumsum(up[:goal][::-1])[::-1], [0.0], np.cumsum(down[goal:])])
+
     if name == "none":
         return NO_HEURISTIC._replace(num_rows=num_rows, rise=np.zeros(len(rise_m)))
     if name == "octile":
         return octile._replace(num_rows=num_rows, rise=rise)
+
+    # "plus": the larger of length and map cost, in one field for all levels.
     rows = np.abs(np.arange(num_rows) - goal_row)[:, None]
     cols = np.abs(np.arange(num_cols) - goal_col)
     length = octile.straight * np.maximum(rows, cols) + octile.diagonal * np.minimum(rows, cols)
@@ -205,9 +230,10 @@ def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: flo
 def _seen_from_above(problem: Problem, end_s: float) -> np.ndarray:
     """Return ``[Y, X]`` the cost to the goal's cell if every cell could be crossed at its cheapest level.
 
-    Costs beyond some of those above the start's, or beyond what is reached before ``end_s``, are cut there: the lesser
-    of two consistent bounds is one too, and it is sooner done.
+    The search ends soon after it has reached the start, or at ``end_s`` (of `time.perf_counter`). Costs above the
+    highest one reached by then are cut to it: the lesser of two consistent bounds is a consistent bound too.
     """
+    # The map as seen from above: the cheapest level of each cell, free if any level is.
     cost = problem.cost.min(axis=0)
     is_free = np.any(problem.is_free, axis=0)
     (_, *start), (_, *goal) = problem.start, problem.goal
@@ -216,13 +242,16 @@ def _seen_from_above(problem: Problem, end_s: float) -> np.ndarray:
     plan = Problem(
         cost[None], is_free, tuple(start), tuple(goal), problem.resolution_m, weights, model
     )
+
+    # Backwards from the goal: shares of the cells that a step leaves and enters change places.
     graph = graph_of(plan)
     backwards = graph._replace(from_share=graph.to_share, to_share=graph.from_share)
     search = GridSearch(backwards, NO_HEURISTIC, plan.goal, None)
-    ended, is_met = PAUSED, False
-    while ended == PAUSED and not is_met and time.perf_counter() < end_s:
-        is_met = bool(search.states[plan.start] & CLOSED)  # and goes on once more
+    ended, is_reached = PAUSED, False
+    while ended == PAUSED and not is_reached and time.perf_counter() < end_s:
+        is_reached = bool(search.states[plan.start] & CLOSED)  # then one chunk more is searched
         ended = search.run(end_s=0.0, chunk=FEW + search.num_expanded // 4)
+
     costs = search.costs_from_start(final=True).reshape(is_free.shape)
     if ended == EXHAUSTED:
         return costs
@@ -245,7 +274,7 @@ def symmetric_costs(problem: Problem, end_s: float = np.inf) -> np.ndarray:
       end_s: time of `time.perf_counter` to give up at.
 
     Raises:
-      TimeoutError: the clock passed it.
+      TimeoutError: the clock passed ``end_s``.
     """
     search = GridSearch(graph_of(problem, is_symmetric=True), NO_HEURISTIC, problem.goal, None)
     if search.run(end_s=end_s) != EXHAUSTED:
@@ -256,20 +285,21 @@ def symmetric_costs(problem: Problem, end_s: float = np.inf) -> np.ndarray:
 def cost_to_go(problem: Problem, end_s: float = np.inf) -> np.ndarray:
     """Return ``[Y, X]`` the exact cost from every cell to a problem's goal, inf without a way.
 
-    It is kept with the map for all queries to the same goal, until another goal's takes its place: a search with
-    ``heuristic="exact"`` then walks down on it.
+    The costs are kept with the map for all queries to the same goal, until those to another goal take their place: a
+    search with ``heuristic="exact"`` then only walks down on them.
 
     Args:
       problem, end_s: as in `symmetric_costs`.
 
     Raises:
-      TimeoutError: the clock passed it; nothing new is kept.
+      TimeoutError: the clock passed ``end_s``; nothing new is kept.
     """
     cache = problem.cache
     costs_to_go = cache.costs_to_go  # another thread may replace it meanwhile
     if problem.goal not in costs_to_go:
         costs = symmetric_costs(problem, end_s)
         if problem.cost_model.kind == "cell":
+            # Symmetric costs count half of both cells of a step, the problem's all of the cell entered.
             half = 0.5 * (problem.cost[problem.goal] - np.where(problem.is_free, problem.cost, 0.0))
             costs = np.maximum(costs + half, 0.0)  # rounding might leave less
         costs_to_go = cache.costs_to_go = {problem.goal: costs}
@@ -281,17 +311,17 @@ def make_landmarks(
 ) -> LandmarkBound:
     """Return landmarks for a problem's map and weights, built once for all its queries (`Problem.between`).
 
-    Landmarks that are there already are returned, whatever their number; `landmark_bound` turns them to a goal. The
-    bound is lowered by one unit in the last place of the largest cost, for every cell, more than the sums along any
-    path can lose, so that rounding never lifts it above the true cost.
+    Landmarks that the map has already are returned, whatever their number; `landmark_bound` gives the bound to a goal.
+    The bound is lowered by one unit in the last place of the largest cost for every cell, which is more than the sums
+    along any path can lose, so that rounding never lifts it above the true cost.
 
     Args:
       problem: the query; its start and goal play no part.
-      num: how many, where the map has as many cells.
+      num: how many landmarks; fewer if the map has fewer cells.
       end_s: time of `time.perf_counter` to give up at.
 
     Raises:
-      TimeoutError: the clock passed it.
+      TimeoutError: the clock passed ``end_s``.
     """
     if problem.cache.landmarks is None:
         cells = landmark_cells(problem, num)
@@ -310,13 +340,14 @@ def make_landmarks(
 def landmark_cells(problem: Problem, num: int) -> list[Cell]:
     """Return up to ``num`` cells of the largest connected part of the map, far from its middle and from each other.
 
-    The first is the cell farthest from the mean, each next one the cell farthest from all before, in a
-    straight line. Choosing by cost instead, or by the share of shortest paths left uncovered (avoid, Goldberg
+    The first is the cell farthest from the part's mean, each next one the cell farthest from the nearest cell before,
+    in a straight line. Choosing by cost instead, or by the share of shortest paths left uncovered (avoid, Goldberg
     & Werneck 2005), saved no more expansions on Lower Manhattan and needs searches of its own.
     """
     # A diagonal step between two free neighbours joins what they join already.
     parts, _ = label(problem.is_free, np.ones((3, 3)) if problem.cost_model.joins_corners else None)
-    rows, cols = np.nonzero(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
+    largest = 1 + np.argmax(np.bincount(parts.ravel())[1:])  # part 0 is what is not free
+    rows, cols = np.nonzero(parts == largest)
     away = np.hypot(rows - rows.mean(), cols - cols.mean())
     cells: list[Cell] = []
     nearest = np.full(rows.size, np.inf)

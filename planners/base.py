@@ -144,8 +144,13 @@ class Problem:
     cache: ProblemCache = field(init=False, repr=False, default_factory=ProblemCache)
 
     def __post_init__(self) -> None:
-        given = np.asarray(self.costs)
-        costs = _read_only(given, np.float32 if given.dtype == np.float32 else np.float64)
+        """Keep the arrays as read-only views of the types that compiled searches take, and check all values.
+
+        Raises:
+          InputError: a value out of its range.
+        """
+        costs = np.asarray(self.costs)
+        costs = _read_only(costs, np.float32 if costs.dtype == np.float32 else np.float64)
         is_free = _read_only(self.is_free, np.bool_)
         if self.levels_m is not None:
             object.__setattr__(self, "levels_m", np.asarray(self.levels_m, np.float64))
@@ -160,7 +165,13 @@ class Problem:
         self._check_endpoints()
 
     def _set_weights(self, weights: Any) -> None:
-        """Set the weights ``[1 + L]``, in a volume ``[3 + L]``; of one number alone layers count 1."""
+        """Set the weights ``[1 + L]``, in a volume ``[3 + L]``.
+
+        One number alone is the weight of distance; then layers have weight 1, climb and descent weight 0.
+
+        Raises:
+          InputError: too many or too few weights, or one that is negative or not finite.
+        """
         weights = np.asarray(weights, np.float64)
         num_heights = 0 if self.levels_m is None else 2
         if weights.ndim == 0:
@@ -173,7 +184,11 @@ class Problem:
         object.__setattr__(self, "weights", _read_only(weights, np.float64))
 
     def _check_endpoints(self) -> None:
-        """Raise InputError if the start or the goal is not a free cell of the map."""
+        """Check that the start and the goal are free cells of the map.
+
+        Raises:
+          InputError: one of them is outside the map or not free.
+        """
         where = "map" if self.levels_m is None else "volume"
         for name in ("start", "goal"):
             node = getattr(self, name)
@@ -203,7 +218,7 @@ class Problem:
         return climb, descent
 
     def between(self, start: Cell, goal: Cell) -> "Problem":
-        """Return the same query between other cells; the map, checked already, is shared.
+        """Return the same query between other cells; the map, which is checked already, and its cache are shared.
 
         Raises:
           InputError: a cell is outside the map or inside an obstacle.
@@ -213,7 +228,7 @@ class Problem:
         return other
 
     def alone(self) -> "Problem":
-        """Return the same query with nothing made for it but moves and weighing: no earlier search helps this one."""
+        """Return the same query with an empty cache, but for moves and map cost: no earlier search helps this one."""
         return self._changed(cache=ProblemCache(CellCache(self.moves), self.cost))
 
     def with_weights(self, weights: np.ndarray | float) -> "Problem":
@@ -244,7 +259,11 @@ class Problem:
         return self.features(points_m).cost(self.weights)
 
     def checked_cost(self, points_m: np.ndarray) -> float:
-        """Return the cost of a path (points as in `features`); raise InputError where it is not valid."""
+        """Return the cost of a path (points as in `features`).
+
+        Raises:
+          InputError: the path is not valid.
+        """
         cost = self.cost_of(points_m)
         if cost == np.inf:
             raise InputError(
@@ -254,6 +273,7 @@ class Problem:
         return cost
 
     def _changed(self, **values: Any) -> "Problem":
+        """Return a copy with other values of some attributes, which are not checked."""
         other = copy.copy(self)
         for name, value in values.items():
             object.__setattr__(other, name, value)
@@ -284,7 +304,10 @@ class Problem:
 
     @property
     def moves(self) -> np.ndarray:
-        """``[Y, X]`` or ``[K, Y, X]`` uint8: bit k is set where horizontal step k of `cost_model.STEPS` is allowed."""
+        """``[Y, X]`` or ``[K, Y, X]`` uint8: bit k is set where horizontal step k of `planners.cost.STEPS` is allowed.
+
+        They are kept for all queries with the same free cells.
+        """
         cells = self.cache.cells
         if cells.moves is None:
             num_rows, num_cols = self.is_free.shape[-2:]
@@ -341,7 +364,7 @@ class Path:
       planner, heuristic, backend: what ran.
       note: one more sentence, where there is something to say.
       history: of an anytime planner, after each batch: seconds, samples drawn, cost of the best path.
-      setup_s: seconds before that, of no budget: what the planner runs was compiled, or loaded (0: it was there).
+      setup_s: seconds before the search, which count for no budget, in which code was compiled or loaded; 0 for none.
       graph: what OPTIMAL and ``lower_bound`` are of: a grid (`Problem.grid_name`) or `EVERY_PATH`; empty where
         nothing is known of others.
     """
@@ -374,18 +397,19 @@ class Path:
         backend: str = "numba",
         **search: Any,
     ) -> Self:
-        """Return what a planner found, costed along the exact cells, and when it did.
+        """Return a planner's result, its path costed along the exact cells.
 
         Args:
           problem: the query.
-          points_m: of the path; empty without one.
-          status: how the planner ended; a path at any angle that meets the bound is OPTIMAL.
-          lower_bound: what was proven; an OPTIMAL path's is its cost, and without any path it is inf.
-          begin_s: of `time.perf_counter`.
+          points_m: ``[N, 2]`` (through a volume ``[N, 3]``) points of the path; of no elements without a path.
+          status: how the planner ended. A path at any angle whose cost meets the bound becomes OPTIMAL.
+          lower_bound: what the planner proved. For an OPTIMAL path its cost stands instead, for NO_PATH inf, and
+            otherwise it is at most the cost.
+          begin_s: time of `time.perf_counter` at which the planner began; ``elapsed_s`` counts from it.
           note: sentences about the search.
-          graph: what the search went over; left out, the problem's grid.
-          backend: ``"numba"`` or ``"jax"``.
-          search: more of the attributes.
+          graph: which paths the search chose from, as in the attributes; left out, the problem's grid.
+          backend: ``"numba"``, ``"jax"`` or ``"numpy"``.
+          search: other attributes, by name.
         """
         cost = np.inf
         if len(points_m):
@@ -416,7 +440,7 @@ class Path:
 
     @property
     def ran(self) -> dict[str, Any]:
-        """What ran, as `of` takes it: of a path that is made of this one."""
+        """The attributes that say what ran, by name: a path that is made from this one gives them to `Path.of`."""
         names = (
             "num_expanded",
             "planner",
@@ -440,9 +464,10 @@ class Path:
 
     @property
     def gap(self) -> float:
-        """How much costlier the path may be than the best one: (cost - lower_bound) / lower_bound.
+        """By what share the path may be costlier than the best one: (cost - lower_bound) / lower_bound.
 
-        0 where the bound is met (both 0 included); inf without a path, or where the bound is not positive.
+        It is 0 where the cost meets the bound (both may be 0), and inf without a path or where the bound is not
+        positive.
         """
         if not self.status.has_path:
             return np.inf

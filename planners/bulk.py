@@ -61,12 +61,12 @@ def solve_by_frontier(
     budget_s: float = np.inf,
     band_steps: float = BAND_STEPS,
 ) -> Iterator[tuple[int, Path]]:
-    """Yield ``(index, path)`` of every problem as it is done, the cheapest path or why there is none.
+    """Yield ``(index, path)`` of every problem when it is done: the cheapest path, or a status that says why not.
 
     Queries share the device: as many as fit run together, and the next one begins when one is done. The bound
     is octile, sums are float64, and the results are those of `astar` up to the order of additions. A path's
-    ``elapsed_s``, to which the budget applies, is the wall time from its begin to its end and so grows with
-    the number that run together; compiling is left out. Where the budget ends first, what was found so far
+    ``elapsed_s``, to which the budget applies, is the wall time from its begin to its end, and so it grows with
+    the number of queries that run together; compiling is left out. If the budget ends first, the best path so far
     comes back as BUDGET_FEASIBLE, with the bound proven so far.
 
     Args:
@@ -77,6 +77,8 @@ def solve_by_frontier(
         band gives the same results; a wide one does more together and more twice.
     """
     kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
+
+    # Queries on one map together, and maps of one shape, since a program is compiled for a shape.
     by_shape: dict[tuple[int, ...], dict[int, list[int]]] = {}
     for index, problem in enumerate(problems):
         by_map = by_shape.setdefault(problem.cost.shape, {})
@@ -92,11 +94,16 @@ def solve_by_frontier(
 def _in_turns(
     queries: list[tuple[int, Problem]], planner: str, budget_s: float, band_steps: float, kind: str
 ) -> Iterator[tuple[int, Path]]:
-    """Yield the number and path of queries on maps of one shape: a few places on the device, filled as they fall free.
+    """Yield ``(index, path)`` of queries on maps of one shape: a few places on the device are filled as they fall free.
 
-    JAX works in a thread of its own, which a Ctrl-C here lets end its turn: a compilation that is cut off
+    JAX works in a thread of its own, which finishes its turn after a Ctrl-C here: a compilation that is cut off
     goes on in JAX's threads and crashes if the interpreter ends meanwhile. The thread also keeps the
-    setting for float64 to itself; a generator would hand it to its caller.
+    setting for float64 to itself, which a generator would hand to its caller.
+
+    Args:
+      queries: indices and problems.
+      planner, budget_s, band_steps: as in `solve_by_frontier`.
+      kind: ``"cpu"`` or ``"gpu"``.
     """
     turns = _turns(queries, planner, budget_s, band_steps, kind)
 
@@ -121,7 +128,10 @@ class _Running:
 def _turns(
     queries: list[tuple[int, Problem]], planner: str, budget_s: float, band_steps: float, kind: str
 ) -> Iterator[list[tuple[int, Path]]]:
-    """Yield what is done after every few rounds; each begins the queries that there is room for."""
+    """Yield after every few rounds a list of ``(index, path)`` of the queries that are done, maybe empty.
+
+    Each turn first begins the queries that there is room for. Arguments are those of `_in_turns`.
+    """
     search = _Places(queries, band_steps, kind)
     while search.waiting or search.running:
         search.fill()
@@ -134,30 +144,36 @@ def _turns(
 
 
 class _Places:
-    """The places on the device: queries that wait, those that run, by place, and the search of all of these.
-
-    Args:
-      queries: numbers and problems, on maps of one shape.
-      band_steps, kind: as in `solve_by_frontier`.
-    """
+    """The places on the device: the queries that wait, those that run, by place, and the search of all of these."""
 
     def __init__(self, queries: list[tuple[int, Problem]], band_steps: float, kind: str) -> None:
+        """Put the maps on the device, make places for as many queries as fit, and compile the search.
+
+        Args:
+          queries: indices and problems, on maps of one shape.
+          band_steps: as in `solve_by_frontier`.
+          kind: ``"cpu"`` or ``"gpu"``.
+        """
+        # Problems on one map share its cost array.
         maps = list({id(problem.cost): problem for _, problem in queries}.values())
         self.map_index = {id(problem.cost): k for k, problem in enumerate(maps)}
         self.grids = _grids(maps)
         self.bands = [_band(problem, band_steps) for problem in maps]
+
+        # Places are a power of two, so that few shapes are compiled.
         num_cells = maps[0].cost.size
         fitting = max(1, BYTES_OF_G[kind] // (BYTES_A_CELL * num_cells))
         self.num = min(power_of_two(len(queries)), QUERIES_TOGETHER[kind], fitting)
         self.num_together = CELLS_TOGETHER * self.num
-        self.waiting = queries[::-1]
+
+        self.waiting = queries[::-1]  # the first one is taken from the end
         self.running: dict[int, _Running] = {}
         list_size = 2 * len(STEPS) * self.num_together + self.num
         self.frontier = empty_frontier(self.num, num_cells, list_size)
         self._compile()
 
     def fill(self) -> None:
-        """Begin a waiting query in each free place."""
+        """Begin a waiting query in each free place, as long as one waits; its clock begins now."""
         for place in range(self.num):
             if place not in self.running and self.waiting:
                 index, problem = self.waiting.pop()
@@ -174,18 +190,18 @@ class _Places:
         self.frontier = advance(self.frontier, self.grids, num_rounds, self.num_together)
 
     def make_room(self) -> None:
-        """Make the list of open cells longer where it is crowded, off the queries' clocks."""
+        """Double the list of open cells if it is crowded; the time for that counts for no query."""
         if not is_crowded(self.frontier, self.grids, self.num_together):
             return
         begin_s = time.perf_counter()
         self.frontier = with_list_of(2 * self.frontier.open_f.size, self.frontier)
         self._compile()
-        away_s = time.perf_counter() - begin_s
+        compile_s = time.perf_counter() - begin_s
         for query in self.running.values():
-            query.begin_s += away_s
+            query.begin_s += compile_s
 
     def ended(self, budget_s: float) -> Iterator[tuple[int, "_Running"]]:
-        """Yield each query that is done or out of time with its place, which is free then."""
+        """Yield the place of each query that is done or out of time, and the query; afterwards the place is free."""
         lowest_f = np.asarray(self.frontier.lowest_f)
         for place, query in list(self.running.items()):
             if np.isinf(lowest_f[place]) or time.perf_counter() - query.begin_s >= budget_s:
@@ -200,7 +216,7 @@ class _Places:
 
 
 def _path(frontier: Frontier, place: int, query: _Running, planner: str) -> Path:
-    """Return the path of the query in a place, as far as it is known."""
+    """Return the path of the query in a place, as far as it is known; the query is done if nothing of it is open."""
     problem = query.problem
     lowest_f = float(frontier.lowest_f[place])
     is_reached = bool(frontier.g[place, index_of(problem, problem.goal)] < np.inf)
@@ -223,7 +239,10 @@ def _path(frontier: Frontier, place: int, query: _Running, planner: str) -> Path
 
 
 def _grids(maps: list[Problem]) -> Grids:
-    """Return the maps on the device, the first one repeated to a power of two so that few shapes are compiled."""
+    """Return maps of one shape on the device.
+
+    The first one is repeated until the number of maps is a power of two, so that few shapes are compiled.
+    """
     maps = maps + maps[:1] * (power_of_two(len(maps)) - len(maps))
     graphs = [graph_of(problem) for problem in maps]
     bounds = [make_heuristic("octile", problem) for problem in maps]
@@ -260,12 +279,12 @@ def solve_batched(
 ) -> Generator[tuple[int, Path]]:
     """Yield ``(index, path)`` of every problem as it is done: BIT* whose graphs are searched by `search_samples`.
 
-    Batches are those of `bitstar`, and so is the informed set. Of a batch's graph, and of the tree that the batches
-    before left, the cheapest path is found: the cost that Dijkstra's search gives, which never rises from batch to
-    batch. All edges that may help are costed, which are more than `bitstar` takes up with ``"numba"``.
+    Batches are those of `bitstar`, and so is the informed set. Each search gives the cheapest path over a batch's graph
+    and the tree of the batches before, at the cost that Dijkstra's search gives, which never rises from batch to batch.
+    All edges that may help are costed, which are more than `bitstar` costs with ``"numba"``.
 
     Queries on one map run together, up to `SAMPLED_TOGETHER`; ``elapsed_s``, to which the budget applies, is then the
-    wall time of all, compiling left out. A batch is made no larger than what the time left is likely to search, but
+    wall time of all, compiling left out. A batch is made no larger than the time left is likely to suffice for, but
     once begun it is searched to its end. With a limit of batches or samples a run repeats exactly for its seed,
     whatever runs beside it.
 
@@ -297,6 +316,7 @@ def solve_batched(
         by_map.setdefault(problem.cache, []).append(index)
 
     def search(index: int) -> Batches:
+        """Return the batches of one query, whose clock begins now."""
         problem = problems[index]
         return Batches(problem, heuristic, options, seeds[index], budget_s, max_samples)
 
@@ -315,10 +335,13 @@ def solve_batched(
 
 
 def _run_together(graphs: "_Graphs", queries: dict[int, Batches]) -> Iterator[int]:
-    """Search the queries' graphs batch by batch; yield the number of each that is done.
+    """Search the queries' graphs batch by batch; yield the index of each query when it is done.
 
-    JAX works in a thread of its own, as in `_in_turns`: a Ctrl-C lets it end its turn, and the setting for float64
-    stays there.
+    JAX works in a thread of its own, for the reasons given in `_in_turns`.
+
+    Args:
+      graphs: the search on the map of all queries.
+      queries: by index; altered.
     """
     running = {index: batches for index, batches in queries.items() if not batches.is_done}
     yield from (index for index in queries if index not in running)
@@ -330,6 +353,9 @@ def _run_together(graphs: "_Graphs", queries: dict[int, Batches]) -> Iterator[in
             num_nodes = max(FEWEST_NODES, sum(len(batches.tree.xy) for batches in running.values()))
             compile_s = worker.submit(graphs.search, list(running.values())).result()
             now_s = time.perf_counter()
+
+            # Compiling is of no budget. The next batch gets as many nodes as the time left, at this batch's speed,
+            # suffices for, shared evenly by the queries that run.
             for index, batches in list(running.items()):
                 batches.begin_s += compile_s
                 batches.end_s += compile_s
@@ -351,7 +377,12 @@ class _Graphs:
         self._candidates, self._edges = CANDIDATES, EDGES
 
     def search(self, queries: list[Batches]) -> float:
-        """Grow the tree of each query over its graph to the cheapest paths; return the seconds that compiling took."""
+        """Grow the tree of each query over its graph to the cheapest paths; return the seconds that compiling took.
+
+        Args:
+          queries: whose ``tree`` and ``num_costed`` are altered.
+        """
+        # Search, again with more room if there was too little.
         with jax.enable_x64(True):
             cell_cost = self._cell_cost = jnp.asarray(self._cell_cost)
             samples = _samples(queries)
@@ -380,6 +411,8 @@ class _Graphs:
                 self._candidates = max(self._candidates, power_of_two(int(trees.most_candidates)))
                 self._edges = max(self._edges, power_of_two(edges))
             g, parent, edge_cost, num_costed = (np.asarray(values) for values in trees[:4])
+
+        # Hand each query its own part of the arrays, parents numbered within it.
         first = 0
         for batches in queries:
             own = slice(first, first + len(batches.tree.xy))
@@ -394,13 +427,13 @@ class _Graphs:
 
 
 def _moved(parent: np.ndarray, num: int) -> np.ndarray:
-    """Return the numbers of parents, ``[N]`` int32, after all nodes moved by so many places."""
+    """Return the numbers of parents, ``[N]`` int32, after all nodes moved by ``num`` places."""
     return np.where(parent == NO_PARENT, NO_PARENT, parent + num).astype(np.int32)
 
 
 @cache
 def _compile(num_nodes: int, shape: tuple[int, ...], is_line: bool, sizes: Sizes) -> None:
-    """Compile the search for so many nodes on a map of a shape, by a search of none."""
+    """Compile the search for a number of nodes on a map of a shape, by a search in which all nodes are of no query."""
     trees = search_samples(
         _padded([], num_nodes), jnp.zeros(shape), 1.0, False, is_line=is_line, sizes=sizes
     )
@@ -408,7 +441,11 @@ def _compile(num_nodes: int, shape: tuple[int, ...], is_line: bool, sizes: Sizes
 
 
 def _samples(queries: list[Batches]) -> Samples:
-    """Return the nodes of all queries, one query after the other."""
+    """Return the nodes of all queries, one query after the other, filled up to one of few sizes.
+
+    A query is numbered by its place in the list. Columns are those of `Samples`: some are the same for all nodes of a
+    query, some are the tree's own.
+    """
     parts: list[dict[str, np.ndarray]] = []
     num_nodes = 0
     for query, batches in enumerate(queries):
@@ -425,6 +462,7 @@ def _samples(queries: list[Batches]) -> Samples:
         part["parent"] = _moved(tree.parent, num_nodes)
         parts.append(part)
         num_nodes += len(tree.xy)
+
     room = FEWEST_NODES
     while room < num_nodes:
         room *= 4
@@ -432,7 +470,12 @@ def _samples(queries: list[Batches]) -> Samples:
 
 
 def _padded(parts: list[dict[str, np.ndarray]], num_nodes: int) -> Samples:
-    """Return the parts in a row, followed by nodes of no query."""
+    """Return the samples of all parts, one part after the other, followed by nodes of no query.
+
+    Args:
+      parts: columns of `Samples`, by name.
+      num_nodes: N, how many nodes there are then in all.
+    """
     num_missing = num_nodes - sum(len(part["g"]) for part in parts)
     nothing = {name: np.ones(num_missing) for name in Samples._fields}
     nothing["query"] = np.full(num_missing, NO_QUERY, np.int32)

@@ -15,13 +15,13 @@ _COMPILING = threading.RLock()  # other threads wait here, before their clocks s
 
 
 def compiled_first(**options: Any) -> Callable[[Callable[..., Path]], Callable[..., Path]]:
-    """Return a decorator of planners, and of what alters their paths: all that one runs is compiled before its clock.
+    """Return a decorator of planners, and of functions that alter paths: it compiles all that they run off the clock.
 
-    That is done by a plan across a few cells, or with a path there. Paths carry as ``setup_s`` how long it took,
-    loading from Numba's cache included.
+    Before its first problem of each kind the function is called with a problem (and a path) of a few cells. The path
+    that it returns then carries as ``setup_s`` how long that took, loading from Numba's cache included.
 
     Args:
-      options: of the plan across a few cells, beside the heuristic.
+      options: of the call with a few cells, beside the heuristic.
     """
 
     def decorate(planner: Callable[..., Path]) -> Callable[..., Path]:
@@ -30,7 +30,15 @@ def compiled_first(**options: Any) -> Callable[[Callable[..., Path]], Callable[.
 
         @functools.wraps(planner)
         def run(problem: Problem, *alteration: Any, **query: Any) -> Path:
+            """Return the planner's path, the function compiled for the problem's kind first.
+
+            Args:
+              problem: the query.
+              alteration: of a function that alters paths, the path and what follows it.
+              query: other arguments of the function.
+            """
             chosen = {"heuristic": query["heuristic"]} if "heuristic" in query else {}
+            # What Numba compiles for depends on these.
             kind = (
                 *chosen.values(),
                 problem.costs.dtype,
@@ -57,11 +65,11 @@ def warm_up(
     """Compile all that a planner runs on a problem, by a plan across a few cells, and return the seconds it took.
 
     Args:
-      planner: or what alters a planner's path.
-      problem: gives the types of the few cells.
-      alteration: the path and what follows it in the arguments, where one is altered; a path of a few points stands
-        for it.
-      options: of the planner.
+      planner: a planner, or a function that alters a planner's path.
+      problem: whose types and cost model the problem of a few cells has.
+      alteration: empty for a planner; else the path, in whose place a path of a few points is altered, and the
+        arguments that follow it.
+      options: other arguments of the planner.
     """
     begin_s = time.perf_counter()
     few = _few_cells(problem)
@@ -74,7 +82,11 @@ def warm_up(
 
 
 def _few_cells(problem: Problem) -> Problem:
-    """Return a problem of the same types where only length costs, and the straight way is blocked: all code runs."""
+    """Return a problem of 5 by 5 cells of 1 m, so small that planning takes no time.
+
+    It has the types, the cost model and the number of layers of the problem given. Only length costs, and the straight
+    way is blocked, so that all code of a planner runs.
+    """
     is_free = np.ones((5, 5), np.bool_)
     is_free[2, 1:4] = False
     start: Cell = (0, 2)
@@ -91,7 +103,7 @@ def _few_cells(problem: Problem) -> Problem:
 
 
 def _few_points(few: Problem) -> Path:
-    """Return a path around the blocked cells of a problem of a few, so near to them that it has to be moved."""
+    """Return a path around the blocked cells of `_few_cells`, so near to them that a function has to move it."""
     x_m = 1.0 - max(few.leg_margin_m, 0.01)
     points_m = np.array([[2.5, 0.5], [x_m, 0.5], [x_m, 4.5], [2.5, 4.5]])
     points_m = points_m if few.levels_m is None else np.column_stack([points_m, np.zeros(4)])

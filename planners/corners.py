@@ -15,13 +15,13 @@ STRETCH = 2 / np.sqrt(2 + np.sqrt(2))
 def corner_bound(problem: Problem) -> float:
     """Return a lower bound of the cost of any curve between a problem's ends under the ``line`` model.
 
-    A path along sides (at the cheaper of their two cells) and diagonals of free cells costs at most `STRETCH` times the
-    cheapest curve (Bose, Esteban, Orden & Silveira 2024, square meshes). So the costs of such paths, over `STRETCH`,
-    can be continued into each cell with a slope of at most its cost, from the four corners of the start's cell to those
-    of the goal's; half a side at either end is added. Passing between two closed cells at a corner counts as allowed.
+    The cheapest path along sides (at the cheaper of their two cells) and diagonals of free cells costs at most
+    `STRETCH` times the cheapest curve (Bose, Esteban, Orden & Silveira 2024, square meshes). So the cost of such a path
+    between corners of the start's and the goal's cell, divided by `STRETCH`, plus half a side in each of these two
+    cells, is a lower bound between their centres. Passing between two closed cells at a corner counts as allowed.
 
-    The cheapest path between centres of neighbours proves no such bound: beside a closed cell a curve may round a
-    corner in half the diagonal step, for which the grid takes two straight ones.
+    The cheapest path between centres of neighbouring cells proves no such bound: beside a closed cell a curve may round
+    a corner in half the diagonal step, where the grid takes two straight ones.
 
     Args:
       problem: on one altitude, its ends in two cells.
@@ -29,6 +29,7 @@ def corner_bound(problem: Problem) -> float:
     Returns:
       The bound; inf where no such path joins the ends.
     """
+    # Cost of a cell's side; here each cell is a tile of its own.
     per_side = problem.resolution_m * (
         problem.distance_weight + problem.cost / problem.cost_model.reference_length_m
     )
@@ -37,15 +38,21 @@ def corner_bound(problem: Problem) -> float:
     corners, is_joined = costs_at_corners(framed, (0.0, 1.0), (0.0, np.sqrt(2)), goal, start)
     if not is_joined:
         return np.inf
+    # Costs begin at the corners of the start's cell; the least one at the goal's four corners counts.
     between = corners[goal[0] : goal[0] + 2, goal[1] : goal[1] + 2].min()
     return float(between / STRETCH + (per_side[start] + per_side[goal]) / 2)
 
 
 def with_corner_bound(problem: Problem, path: Path) -> Path:
-    """Return a path at any angle with the higher of its planner's lower bound and `corner_bound`, the same for all.
+    """Return a path at any angle with the higher of its planner's lower bound and `corner_bound`.
 
-    It is kept with the map for further planners of the same query. A path of the grid comes back as it is, and so does
-    one under the ``cell`` model with map costs, where the bound does not hold.
+    The status becomes OPTIMAL where the cost of such a path meets the bound. The corner bound is kept with the map for
+    other planners of the same query. Nothing changes without a path, for a path of the grid, for one that meets its
+    bound already, and under the ``cell`` model with map costs, where the bound does not hold.
+
+    Args:
+      problem: the query that was planned.
+      path: what a planner returned for it.
     """
     if (
         path.graph == problem.grid_name

@@ -55,6 +55,7 @@ class CostModel:
     diagonal: Diagonal = DEFAULTS.diagonal
 
     def __post_init__(self) -> None:
+        """Keep the reference length as a float, and raise InputError if it is not positive."""
         length_m = positive("reference_length_m", self.reference_length_m, "metres")
         object.__setattr__(self, "reference_length_m", length_m)
 
@@ -63,7 +64,7 @@ class CostModel:
         """Return the cost model that is given whole, by its kind alone, or not at all.
 
         Returns:
-          `CostModel`; of a kind alone with the defaults of the rest, of None the default.
+          `CostModel`: the one given; for a kind, that kind with the defaults of all else; for None, the default.
 
         Examples:
           >>> ju.CostModel.of("cell").kind, ju.CostModel.of(None) == ju.CostModel()
@@ -74,7 +75,7 @@ class CostModel:
     @classmethod
     @typed
     def from_settings(cls, settings: Mapping[str, Any]) -> "CostModel":
-        """Return the model that settings give under the names of `settings`, as a scenario or a path holds them.
+        """Return the model that settings give, named as `CostModel.settings` names them in scenarios and paths.
 
         Returns:
           `CostModel`; what the settings leave out is the default, and their other entries are ignored.
@@ -85,8 +86,9 @@ class CostModel:
           >>> ju.CostModel.from_settings(path.settings) == ju.CostModel()
           True
         """
-        given = {name: settings.get(name, default) for name, default in cls().settings.items()}
-        return cls(one_of("cost_model", given.pop("cost_model"), get_args(CostKind)), **given)
+        parts = {name: settings.get(name, default) for name, default in cls().settings.items()}
+        kind = one_of("cost_model", parts.pop("cost_model"), get_args(CostKind))
+        return cls(kind, **parts)
 
     @property
     def passes_corners(self) -> bool:
@@ -122,6 +124,7 @@ def allowed_moves(is_free: np.ndarray, connectivity: int, needs_both_free: bool)
     moves = np.empty(is_free.shape, np.uint8)
     _find_moves(
         np.pad(is_free, 1).view(np.uint8),
+        # Bits of the eight steps, or of the four straight ones.
         0xFF if connectivity == 8 else 0x0F,
         needs_both_free,
         moves,
@@ -131,9 +134,18 @@ def allowed_moves(is_free: np.ndarray, connectivity: int, needs_both_free: bool)
 
 @compiled()
 def _find_moves(framed, steps, needs_both_free, moves):
-    """Set moves, given cells ``[Y + 2, X + 2]`` of 1 (free) or 0, and the bits of the steps that there are."""
+    """Set the bits of the steps that are allowed from each cell (see `allowed_moves`).
+
+    Bit k stands for step k of `STEPS`: north, south, east, west, then northeast, northwest, southeast, southwest.
+
+    Args:
+      framed: ``[Y + 2, X + 2]`` uint8 cells with a frame of closed ones, 1 for free and 0 for closed.
+      steps: bits of the steps that the connectivity has.
+      needs_both_free: a diagonal step also needs both orthogonal neighbours free.
+      moves: ``[Y, X]`` uint8, filled in place.
+    """
     for row in range(moves.shape[0]):
-        # The rows around, as `STEPS` go: bits, not branches, so that the processor takes many cells at once.
+        # Bits, not branches, so that the processor takes many cells at once.
         here = framed[row + 1]
         north = framed[row + 2]
         south = framed[row]
@@ -152,6 +164,7 @@ def _find_moves(framed, steps, needs_both_free, moves):
                 diagonals &= (
                     (up & east) << 4 | (up & west) << 5 | (down & east) << 6 | (down & west) << 7
                 )
+            # Minus 1 is all bits: a closed cell, 0, has none.
             moves[row, col - 1] = (
                 -here[col] & steps & (diagonals | up | down << 1 | east << 2 | west << 3)
             )
@@ -195,7 +208,7 @@ class PathFeatures:
 
     @property
     def mean_costs(self) -> np.ndarray:
-        """``[L]`` the mean of each layer's cost along the path, by length; of a path without length, at its place."""
+        """``[L]`` the mean of each layer's cost along the path, weighted by length; without length, at its place."""
         length_m = self.length_m if self.length_m.sum() > 0 else np.ones(len(self.length_m))
         return (
             self.costs[(slice(None), *self.crossed)].astype(np.float64) @ length_m / length_m.sum()
@@ -205,7 +218,7 @@ class PathFeatures:
 def path_features(
     problem: "Problem", points_m: np.ndarray, kind: CostKind | None = None
 ) -> PathFeatures:
-    """Return what a path adds up on a problem's map (`Problem.features`).
+    """Return the features of a path on a problem's map (`Problem.features`): what the weights multiply in its cost.
 
     Under ``cell`` (the paper's transition cost) each step between states costs the layers of the cell in which it
     ends, whatever its length; states are the path's points, and samples every resolution step of segments longer than
@@ -222,6 +235,7 @@ def path_features(
     Raises:
       InputError: points that are not finite metres of these shapes.
     """
+    # The path cut at borders of cells.
     cut = crossed_cells(points_m, problem.resolution_m)
     points_m = cut.points_m
     is_volume = problem.levels_m is not None
@@ -230,6 +244,8 @@ def path_features(
             f"a path must be [N, {problem.is_free.ndim}] here, got shape {points_m.shape}: mend the path"
         )
     crossed = _nodes_in(problem, cut)
+
+    # Metres, in a volume also climbed and descended; and whether the path is valid.
     legs_m = np.diff(points_m, axis=0).T
     length_m = np.hypot(*legs_m[:2])
     if is_volume:
@@ -240,6 +256,9 @@ def path_features(
     else:
         metres = [length_m.sum()]
         is_valid = _is_way(problem, problem.is_free, cut)
+
+    # The cells whose costs count, and how often: by length under `line`; under `cell`, of each state once. A state lies
+    # in the last cell of its step, and a step of no length at the end is none.
     if (kind or problem.cost_model.kind) == "line":
         counted = crossed
         count = cut.length_m / problem.cost_model.reference_length_m
@@ -248,6 +267,7 @@ def path_features(
         is_last = np.append(states.segment[1:] != states.segment[:-1], states.length_m[-1] > 0)
         counted = tuple(index[is_last] for index in _nodes_in(problem, states))
         count = np.ones(int(is_last.sum()))
+
     layers = np.full(len(problem.costs), np.inf)
     if is_valid:
         layers = problem.costs[(slice(None), *counted)].astype(np.float64) @ count
@@ -280,27 +300,37 @@ def _nodes_in(problem: "Problem", cut: Crossings) -> Index:
 
 
 def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
-    """Return whether each leg on a level is free there, and each step that changes it is one that the search may take.
+    """Return whether a path through a volume is valid.
 
-    Such a step leads to a neighbour and is allowed on both of its levels.
+    Each leg on one level must be a free way there. Each step that changes the level must be one that the search may
+    take: it leads to a neighbour, and its horizontal part is allowed on both of its levels.
+
+    Args:
+      problem: of a volume.
+      points_m: ``[N, 3]`` x, y, altitude.
     """
     nodes = _nodes_of(problem, points_m)
     num_levels, num_rows, num_cols = problem.is_free.shape
     if (nodes < 0).any() or (nodes >= (num_levels, num_rows, num_cols)).any():
         return False
+
+    # Legs on one level.
     steps = np.diff(nodes, axis=0)
     is_climb = np.diff(points_m[:, 2]) != 0
     for level, first, last in level_parts(problem, points_m):
         way = crossed_cells(points_m[first : last + 1, :2], problem.resolution_m)
         if level is not None and not _is_way(problem, problem.is_free[level], way):
             return False
+
+    # Ends of steps that change the level, or the only point: neighbours, and free.
     is_node = np.append(is_climb, len(nodes) == 1) | np.append(False, is_climb)
     if (
         np.abs(steps[is_climb]).max(initial=0) > 1
         or not problem.is_free[tuple(nodes[is_node].T)].all()
     ):
         return False
-    # The bit of the horizontal part of each step; 0 straight up or down.
+
+    # The bit of the horizontal part of each step, 0 straight up or down, must be set on both levels.
     bit = (steps[is_climb, None, 1:] == np.array(STEPS)).all(axis=2) @ (1 << np.arange(len(STEPS)))
     (level, row, col), to_level = nodes[:-1][is_climb].T, nodes[1:, 0][is_climb]
     return bool(
@@ -309,23 +339,37 @@ def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
 
 
 def level_parts(problem: "Problem", points_m: np.ndarray) -> list[tuple[int | None, int, int]]:
-    """Return the parts of a path: its level (None: it changes), and the first and last point."""
+    """Return the parts of a path in order, each as its level, the number of its first point and that of its last.
+
+    The level of a part that climbs or descends is None. On one altitude the path is one part of level 0; a path of one
+    point in a volume has no part.
+
+    Args:
+      problem: the query.
+      points_m: ``[N, 2]``, in a volume ``[N, 3]``.
+    """
     last = len(points_m) - 1
     if problem.levels_m is None:
         return [(0, 0, last)]
-    is_level = np.diff(points_m[:, 2]) == 0
+    # Cut where legs on a level and legs that climb or descend follow each other.
+    is_level = np.diff(points_m[:, 2]) == 0  # of each leg
     cuts = [0, *(np.flatnonzero(is_level[1:] != is_level[:-1]) + 1).tolist(), last]
     level = np.searchsorted(problem.levels_m, points_m[:, 2])
-    if last:
-        return [(int(level[a]) if is_level[a] else None, a, b) for a, b in pairwise(cuts)]
-    return []
+    if not last:
+        return []
+    # A part's first leg says whether all of them lie on a level.
+    return [(int(level[a]) if is_level[a] else None, a, b) for a, b in pairwise(cuts)]
 
 
 def sample_segment(start_m: np.ndarray, end_m: np.ndarray, step_m: float) -> np.ndarray:
     """Return ``[N, 2]`` points on a segment every ``step_m`` from its start, its end included; ``[N, 3]`` on a level.
 
-    The paper's straight path (eq. for alpha, with y's component mended): the last step is the shorter
+    This is the paper's straight path (eq. for alpha, with y's component corrected): the last step is the shorter
     one. A segment of no length is one point.
+
+    Args:
+      start_m, end_m: ``[2]`` or ``[3]`` ends of the segment.
+      step_m: distance between points.
     """
     length_m = float(np.hypot(*(end_m - start_m)[:2]))
     if length_m == 0:
@@ -341,11 +385,14 @@ def path_states(points_m: np.ndarray, resolution_m: float) -> np.ndarray:
     """Return ``[M, 2]`` the states whose cells the ``cell`` model counts: the points, and samples of long segments.
 
     A segment longer than a diagonal step is sampled every resolution step; a shorter one is one step.
+
+    Args:
+      points_m: ``[N, 2]`` points of a path; with altitudes ``[N, 3]``, and so are the states.
+      resolution_m: side of a cell.
     """
     points = np.asarray(points_m, np.float64)
-    is_long = np.hypot(*np.diff(points[:, :2], axis=0).T) > np.sqrt(2) * resolution_m * (
-        1 + SAME_LENGTH
-    )
+    diagonal_m = np.sqrt(2) * resolution_m * (1 + SAME_LENGTH)
+    is_long = np.hypot(*np.diff(points[:, :2], axis=0).T) > diagonal_m
     if not is_long.any():
         return points
     segments = [points[:1]]

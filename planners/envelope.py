@@ -56,7 +56,10 @@ def planned_cost(
         planner = partial(find_planner(planner), budget_s=np.inf, seed=0)
 
     def search(costs, weights):
-        """Return the path's cost, its features ``[W]``, and ``[Y, X]`` how often its cost counts each cell."""
+        """Plan on the host: return the cost, the features ``[W]``, and ``[Y, X]`` how often the cost counts each cell.
+
+        Without a path these are inf, zeros and zeros.
+        """
         query = problem.with_costs(np.asarray(costs, np.float64), np.asarray(weights, np.float64))
         path = planner(query)
         if not path.status.has_path:
@@ -65,7 +68,7 @@ def planned_cost(
         return features.cost(query.weights), features.phi, features.visits
 
     def call(costs, weights):
-        """Return the planned path's cost, features and visits, computed on the host."""
+        """Return what `search` does, as JAX arrays in the type of the costs."""
         cell_shape = problem.is_free.shape
         if costs.shape[1:] != cell_shape or weights.shape != (1 + costs.shape[0],):
             raise InputError(
@@ -79,13 +82,16 @@ def planned_cost(
 
     @jax.custom_vjp
     def cost(costs, weights):
+        """Return the cost of the planned path."""
         return call(costs, weights)[0]
 
     def forward(costs, weights):
+        """Return the cost, and what its gradient needs."""
         total, features, counts = call(costs, weights)
         return total, (features, counts, weights)
 
     def backward(kept, cotangent):
+        """Return the gradients: by layers, weights times counts; by weights, the features."""
         features, counts, weights = kept
         by_layer = jnp.asarray(weights[1:], counts.dtype)[:, None, None] * counts
         return cotangent * by_layer, jnp.asarray(cotangent * features, weights.dtype)
@@ -99,21 +105,21 @@ def call_on_host(
     shapes: Sequence[jax.ShapeDtypeStruct],
     *arrays: jax.Array,
 ) -> tuple[jax.Array, ...]:
-    """Return what a host function makes of float arrays; it gets and gives NumPy arrays of the types given.
+    """Return the results of a host function of float arrays, called from JAX.
 
     `jax.pure_callback` may run it in a thread that does not know of ``jax.enable_x64(True)``, where arguments and
-    results would be rounded to float32 (JAX 0.8: the larger programs of a CPU). They travel as their bits, which nobody
-    rounds. One query after the other under vmap.
+    results would be rounded to float32 (JAX 0.8: the larger programs of a CPU). So they are passed as their bits, which
+    are not rounded. Under vmap the function is called for one item after the other.
 
     Args:
-      function: pure, of NumPy arrays; gives one array for each of ``shapes``.
-      shapes: of the results, float32 or float64.
-      arrays: arguments, float32 or float64.
+      function: pure; takes NumPy arrays of the types of ``arrays``, and returns one array for each of ``shapes``.
+      shapes: shapes and types of the results, float32 or float64.
+      arrays: the function's arguments, float32 or float64.
     """
     dtypes = [np.dtype(jnp.result_type(array)) for array in arrays]
 
     def on_words(*words):
-        """Call the function with numbers made of words, and return its results as words."""
+        """Call the function with the numbers that words of 32 bits stand for, and return its results as words."""
         values = map(_from_words, map(np.asarray, words), dtypes)
         results = zip(function(*values), shapes, strict=True)
         return tuple(_to_words(np.asarray(value, shape.dtype)) for value, shape in results)

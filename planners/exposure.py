@@ -53,10 +53,21 @@ class _Search:
         seed: int,
         end_s: float,
     ) -> None:
+        """Begin with no path known and no search done.
+
+        Args:
+          problem: the query.
+          planner: a grid planner.
+          layers: ``[K]`` numbers of the layers whose exposures have budgets.
+          budgets: ``[K]`` the budgets.
+          seed: of the planner.
+          end_s: time of `time.perf_counter` after which no search begins.
+        """
         self.problem = problem
         self.planner = planner
         self.seed = seed
         self.end_s = end_s
+        # Of weights and features, of which the first is distance.
         self.columns = 1 + np.array(layers)
         # No larger than what can be exceeded: sums stay precise.
         self.budgets = np.minimum([*budgets], _most_exposures(problem)[layers])
@@ -67,7 +78,15 @@ class _Search:
         self.has_cut_labels = False  # for want of time
 
     def run(self, prices: np.ndarray, *, is_of_cost: bool = True) -> float:
-        """Search for the least cost (unless it is left out) + prices . excess, and return a lower bound on it."""
+        """Search for the path of least cost + prices . excess, and return a lower bound of that sum over all paths.
+
+        The excess of a path is its exposures less the budgets, in units. The path found becomes known, and a higher
+        lower bound of cost is kept.
+
+        Args:
+          prices: ``[K]`` not negative, of exposures in units.
+          is_of_cost: whether the cost counts; without it the sum is of the excess alone, and proves no bound of cost.
+        """
         weights = self.problem.weights * is_of_cost
         weights[self.columns] += prices / self.units
         left_s = max(self.end_s - time.perf_counter(), 0.0)
@@ -82,7 +101,7 @@ class _Search:
         return least
 
     def add(self, points_m: np.ndarray) -> None:
-        """Take in a path."""
+        """Add a path ``[N, 2]`` or ``[N, 3]`` to those known; the first one's exposures become the units."""
         phi = self.problem.features(points_m).phi
         exposure = phi[self.columns]
         if not self.known:
@@ -103,7 +122,7 @@ class _Search:
 
     @property
     def has_gap(self) -> bool:
-        """Whether a path may cost less than the best of those that are known, or none is."""
+        """Whether a path within the budgets may cost less than the best one known, or none is known."""
         best = self.best()
         return best is None or best.cost > self.bound * (1 + SAME_EXPOSURE)
 
@@ -118,21 +137,33 @@ class _Search:
         return self.has_cut_labels or time.perf_counter() >= self.end_s
 
     def close(self, prices: np.ndarray) -> tuple[int, bool]:
-        """Close the gap by labels, as far as they go; return how many, and whether they prove that none is within."""
+        """Search by labels for a path cheaper than the best one known, on one altitude, and raise the bound.
+
+        Args:
+          prices: ``[K]`` of exposures in units, under which the bound is as high as prices take it.
+
+        Returns:
+          How many labels were made, and whether they prove that no path keeps the budgets.
+        """
         problem = self.problem
         limits = self.budgets * (1 + SAME_EXPOSURE / 2)
         prices = prices / self.units
+
+        # Exact costs to go: of each exposure alone, of cost, and of cost under prices.
         of_exposures = np.eye(len(problem.weights))[self.columns]
         weights = np.concatenate([of_exposures, [problem.weights] * 2])
         weights[-1, self.columns] += prices
-        weighed = [problem.with_weights(each) for each in weights]
+        weighed = [problem.with_weights(row) for row in weights]
         try:
-            to_go = np.array([cost_to_go(each, self.end_s).ravel() for each in weighed])
+            to_go = np.array([cost_to_go(query, self.end_s).ravel() for query in weighed])
         except TimeoutError:
             return 0, False
+
+        # As many labels as memory and the time left allow.
         left_s = max(self.end_s - time.perf_counter(), 0.0)
         most = 1 + int(min(MOST_LABELS, LABELS_PER_S * left_s))
-        self.has_cut_labels = most <= MOST_LABELS  # all of fewer decide
+        self.has_cut_labels = most <= MOST_LABELS  # by time, not by memory
+
         layers = problem.costs[self.columns - 1].reshape(len(limits), -1).astype(np.float64)
         best = self.best()
         way, num_labels, least = _advance(
@@ -146,6 +177,8 @@ class _Search:
             np.inf if best is None else best.cost,
             most,
         )
+
+        # A path that labels found becomes known; a bound of inf proves that none keeps the budgets.
         self.bound = max(self.bound, float(least))
         if way:
             rows, cols = np.unravel_index(way[::-1], problem.is_free.shape)
@@ -153,15 +186,17 @@ class _Search:
         return num_labels, least == np.inf
 
     def prices(self) -> tuple[np.ndarray, float] | None:
-        """Return the prices ``[K]`` that raise the bound most by all known paths, and the bound that they allow.
+        """Return the prices ``[K]`` that make the least cost + prices . excess of known paths largest, and that sum.
 
         None where the solver fails, as where exposures differ by more than 20 powers of ten.
         """
         from scipy.optimize import linprog
 
+        # Unknowns are the prices and the bound, which is at most cost + prices . excess of every known path. Costs are
+        # divided by the highest one, so that numbers are near 1.
         excess = np.array([known.excess for known in self.known])
         costs = np.array([known.cost for known in self.known])
-        unit = costs.max() or 1.0
+        unit = costs.max() or 1.0  # 1 if all paths cost nothing
         num = excess.shape[1]
         solution = linprog(
             np.append(np.zeros(num), -1.0),
@@ -174,7 +209,11 @@ class _Search:
         return np.maximum(solution.x[:-1], 0.0) * unit, float(solution.x[-1]) * unit
 
     def raise_bound(self) -> np.ndarray:
-        """Search under the prices ``[K]`` that raise the bound most until none raise it, and return them."""
+        """Search again and again under the prices that raise the bound most; return the last ones, ``[K]``.
+
+        This ends where a search raises the bound to what known paths allow (but for `ENOUGH`), where the solver fails,
+        or where no further search may begin; without any search the prices are 0.
+        """
         prices = np.zeros(len(self.budgets))
         while not self.is_late:
             solution = self.prices()
@@ -205,19 +244,20 @@ def within_budgets(
     budget_s: float,
     seed: int,
 ) -> Path:
-    """Return the cheapest path of a grid planner whose exposures keep their budgets, with a lower bound for all.
+    """Return the cheapest path of a grid planner whose exposures keep their budgets, with a lower bound of all of them.
 
     The status is OPTIMAL where prices or labels close the gap, OVER_EXPOSURE where every path exceeds a budget, and
-    UNDECIDED where neither a path nor that was found and more seconds change nothing.
+    UNDECIDED where neither a path nor such a proof was found and more seconds would change nothing.
 
     Args:
       problem: the query, under the ``line`` model.
-      planner: whose lower bounds hold for the grid.
-      budgets: of exposures, >= 0, by layer.
-      names: of the problem's layers.
-      budget_s: seconds for all of it.
+      planner: a grid planner; its lower bounds must hold for all paths of the grid.
+      budgets: largest exposure allowed, >= 0, by name of the layer.
+      names: of the problem's layers, in their order.
+      budget_s: seconds for all searches together.
       seed: of the planner.
     """
+    # The path without budgets is the answer if it keeps them, or if there is none.
     begin_s = time.perf_counter()
     columns = [names.index(name) for name in budgets]
     search = _Search(problem, planner, columns, budgets.values(), seed, begin_s + budget_s)
@@ -225,6 +265,9 @@ def within_budgets(
     first = search.paths[0]
     if not search.known or search.best() is not None:
         return first
+
+    # Raise the bound by prices. With no path within the budgets, look whether one budget alone is below what any path
+    # has, and, if not, go on. Labels close what is left on one altitude.
     num_labels = 0
     is_over = False
     prices = search.raise_bound()
@@ -234,6 +277,7 @@ def within_budgets(
             prices = search.raise_bound()
     if not is_over and problem.levels_m is None and search.has_gap:
         num_labels, is_over = search.close(prices)
+
     end = _end_of(search, num_labels, is_over, budgets)
     best = search.best()
     num_expanded = sum(path.num_expanded for path in search.paths) + num_labels
@@ -255,7 +299,14 @@ class _End(NamedTuple):
 
 
 def _end_of(search: _Search, num_labels: int, is_over: bool, budgets: Mapping[str, float]) -> _End:
-    """Return how a search ended; ``is_over``: every path exceeds a budget."""
+    """Return how a search ended.
+
+    Args:
+      search: after its last search.
+      num_labels: labels that it made.
+      is_over: whether it is proven that every path exceeds a budget.
+      budgets: by name of the layer, for the sentence.
+    """
     best = search.best()
     is_spent = search.is_out_of_time
     limits = " and ".join(f"{name} <= {most:g}" for name, most in budgets.items())
@@ -280,20 +331,27 @@ def _end_of(search: _Search, num_labels: int, is_over: bool, budgets: Mapping[st
 def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_labels):
     """Expand labels in order of the least cost that a path through them may have, until one is at the goal.
 
+    A label is a way from the start to a node, with its cost and its exposures so far.
+
     Args:
-      graph: of the problem (`graph_of`), on one altitude.
-      layers: ``[K, M]`` what exposures count of each cell.
+      graph: of the problem (`graph_of`), on one altitude. ``M`` nodes.
+      layers: ``[K, M]`` cost of each cell in each layer whose exposure has a limit.
       to_go: ``[K + 2, M]`` the least exposures from each cell to the goal, then cost, then cost under prices.
       start, goal: nodes.
-      limits, prices: ``[K]`` of exposures.
-      most_cost: of a known path.
-      most_labels: to make.
+      limits: ``[K]`` largest exposures allowed.
+      prices: ``[K]`` cost per exposure.
+      most_cost: cost of a known path, inf for none: only a cheaper one is looked for.
+      most_labels: how many labels may be made.
 
-    Returns: the nodes of the path from the goal back, none without a cheaper one; the labels made; a lower bound.
+    Returns:
+      The nodes of the path from the goal back to the start, empty if no cheaper path was found; the number of labels
+      made; and a lower bound of the cost of every path within the limits, or ``most_cost`` if that is lower.
     """
     num = len(limits)
-    size = 1
+    size = 1  # labels made
     num_compared = 0
+
+    # Of each label: node, parent label, next older label at the node, cost and exposures so far.
     # Memory that is not written to is not taken.
     node = np.empty(most_labels, np.int64)
     parent = np.empty(most_labels, np.int64)
@@ -304,11 +362,13 @@ def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_
     parent[0] = -1
     cost[0] = 0.0
     spent[0] = 0.0
-    newest = np.full(graph.cost.size, -1)  # label expanded at each node, and from it the older ones
+    newest = np.full(graph.cost.size, -1)  # the label expanded last at each node, -1 for none
     offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
     queue = [(to_go[num, start], 0)]
-    way = [0 for _ in range(0)]
+    way = [0 for _ in range(0)]  # an empty list of whole numbers, as Numba has to know the type
+
     while queue:
+        # At the goal, follow the parents back; where there is no room for more, what is open bounds the cost.
         least, label = heapq.heappop(queue)
         at = node[label]
         if at == goal:
@@ -318,6 +378,8 @@ def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_
             return way, size, least
         if size + len(offsets) > most_labels or num_compared > COMPARED * most_labels:
             return way, size, least
+
+        # Drop a label if one expanded before at its node, at no higher cost, has spent no more of any exposure.
         other = newest[at]
         while other >= 0 and not (spent[other] <= spent[label]).all():
             other = older[other] if num > 1 else -1  # of one budget the newest has spent least
@@ -326,6 +388,8 @@ def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_
             continue
         older[label] = newest[at]
         newest[at] = label
+
+        # Make a label of each step that may still keep the limits and end below the known path's cost.
         for k in range(len(offsets)):
             if not (graph.moves[at] >> k) & 1:
                 continue
@@ -341,6 +405,7 @@ def _advance(graph, layers, to_go, start, goal, limits, prices, most_cost, most_
                 priced, to_cost + to_go[num, to]
             ) >= most_cost:
                 continue
+
             node[size], parent[size], cost[size] = to, label, to_cost
             for layer in range(num):  # a row at once takes Numba 1.5 s more to compile
                 spent[size, layer] = to_spent[layer]

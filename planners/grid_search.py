@@ -104,10 +104,13 @@ def graph_of(problem: Problem, *, is_symmetric: bool = False) -> Graph:
       is_symmetric: under the ``cell`` model, count half of each of a step's two cells instead of the one
         entered. A path from P to Q then costs ``(cost[P] - cost[Q]) / 2`` more than it does in truth.
     """
+    # Costs of some cells from which steps lead, evenly spread over the map.
     cost = problem.cost
     moves = problem.moves.reshape(-1)
     stride = max(1, moves.size // SAMPLES)
     sample = cost.reshape(-1)[::stride][moves[::stride] > 0]
+
+    # Rise and length of each step, ``[H, K]`` by level and step, and the shares of its two cells' costs.
     num_rows, num_cols = cost.shape[-2:]
     is_volume = problem.levels_m is not None
     up, rows, cols = (ALL_STEPS if is_volume else ALL_STEPS[: len(STEPS)]).T
@@ -119,6 +122,7 @@ def graph_of(problem: Problem, *, is_symmetric: bool = False) -> Graph:
     else:
         from_share = np.full(length_m.shape, 0.5 if is_symmetric else 0.0)
         to_share = 1.0 - from_share
+
     return Graph(
         cost=cost.reshape(-1),
         moves=moves,
@@ -140,7 +144,7 @@ def rises_m(problem: Problem) -> np.ndarray:
 
 
 def height_cost(problem: Problem, rise_m: np.ndarray) -> np.ndarray:
-    """Return what the height alone of steps that rise so many metres costs."""
+    """Return the cost of the change of height alone of steps that rise by ``rise_m`` metres (negative: descend)."""
     climb_cost, descent_cost = problem.height_costs
     return np.where(rise_m > 0, climb_cost * rise_m, -descent_cost * rise_m)
 
@@ -153,18 +157,24 @@ def cell_of(problem: Problem, node: Cell) -> Cell:
 
 
 def path_points_m(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return ``[N, 2]`` (in a volume ``[N, 3]``) the centres from start to goal.
+    """Return ``[N, 2]`` (in a volume ``[N, 3]``) x, y (and altitude) of the cells' centres from start to goal, metres.
+
+    The goal must have been reached.
 
     Args:
       problem: the query.
-      states: ``[Y, X]`` uint8 whose bits `PARENT_STEP` number the step that led to each cell; in a volume of all
-        levels, row upon row.
-      steps: ``[K, 2]`` rows and columns of each step, likewise.
+      states: ``[Y, X]`` uint8 whose bits `PARENT_STEP` number the step that led to each cell; in a volume the rows of
+        all levels, one level upon the other.
+      steps: ``[K, 2]`` rows and columns of each step, in the same rows.
     """
     start = cell_of(problem, problem.start)
+
+    # Undo steps from the goal back.
     cells = [cell_of(problem, problem.goal)]
     while cells[-1] != start:
-        cells.append(tuple(map(operator.sub, cells[-1], steps[states[cells[-1]] & PARENT_STEP])))
+        step = steps[states[cells[-1]] & PARENT_STEP]
+        cells.append(tuple(map(operator.sub, cells[-1], step)))
+
     row, col = np.array(cells[::-1]).T
     level, row = np.divmod(row, problem.is_free.shape[-2])
     xy_m = (np.stack([col, row], axis=1) + 0.5) * problem.resolution_m
@@ -174,11 +184,12 @@ def path_points_m(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np
 # Inlined by force: LLVM would not, and counting references to the arrays took four fifths of the time.
 @compiled(forceinline=True)
 def _raised(value, landmarks, tiles, row, col):
-    """Return the larger of a bound and of what landmarks or tiles prove, where there are any."""
+    """Return the larger of a bound, ``value``, and of what landmarks or tiles prove at a cell, where there are any."""
     if tiles is not None:  # decided when it is compiled
         return max(value, tile_estimate(tiles, row, col))
     if landmarks is None:  # likewise
         return value
+    # The greatest difference of the costs to a landmark (see `LandmarkBound`).
     apart = 0.0
     for k in range(landmarks.at_goal.size):
         # A landmark that reaches only one of the two proves that there is no way (inf); one that reaches
@@ -199,7 +210,13 @@ def _on_plan(num_rows, rise, row, goal_row):
 
 @compiled(forceinline=True)
 def estimate(heuristic, row, col, goal_row, goal_col):
-    """Return ``h`` at a cell (see `Heuristic`)."""
+    """Return ``h`` at a cell: the distance part, the change of level, and the field, landmarks or tiles.
+
+    Args:
+      heuristic: `Heuristic`, of which a part that is None or has no cells is left out.
+      row, col: the cell; in a volume the rows of all levels, one level upon the other.
+      goal_row, goal_col: the goal, likewise.
+    """
     row, goal_row, value = _on_plan(heuristic.num_rows, heuristic.rise, row, goal_row)
     dr, dc = abs(row - goal_row), abs(col - goal_col)
     value += heuristic.straight * max(dr, dc) + heuristic.diagonal * min(dr, dc)
@@ -212,12 +229,26 @@ def estimate(heuristic, row, col, goal_row, goal_col):
 
 @compiled(forceinline=True)
 def _steps_from(plane, moves, cost, node):
-    """Return the bits of the steps that lead from a node, how many there may be, and where tables have its level's."""
+    """Return the steps that lead from a node.
+
+    Args:
+      plane: nodes of a level of a volume; None on one altitude.
+      moves: ``[M]`` uint8 bits of the eight horizontal steps allowed from each node.
+      cost: ``[M]``, inf where a node of a volume is not free.
+      node: uint64 number of the node.
+
+    Returns:
+      The bits of the steps that are allowed, in the order of `ALL_STEPS`; how many steps there are; and where the steps
+      of the node's level begin in the graph's tables by level and step.
+    """
     if plane is None:  # likewise
         return moves[node], len(STEPS), 0
     here = np.uint32(moves[node])
     above = node + np.uint64(plane)
     below = node - np.uint64(plane)
+
+    # A step up (bits 8 to 15) or down (16 to 23) is allowed where its horizontal part is on both levels; straight up
+    # (24) and down (25) where the other node is free.
     bits = here
     if above < np.uint64(moves.size):
         bits |= (here & moves[above]) << 8 | np.uint32(cost[above] < np.inf) << 24
@@ -228,34 +259,38 @@ def _steps_from(plane, moves, cost, node):
 
 @compiled()
 def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
-    """Expand nodes in order of f until the goal is met, none is open, or ``max_expanded`` are done.
+    """Expand nodes in order of f until the goal is reached, none is open, or ``max_expanded`` nodes are expanded.
 
     ``f = g + h``. The queue holds outdated entries, which are skipped: a node's newest entry is
     its lowest. Equal f come in an order that only the problem decides, so runs repeat. With ``reopen`` a cheaper way to
     a closed node opens it again.
 
-    All neighbours are looked at before any is changed, without branches, which would go the wrong way half of the time.
+    All neighbours are looked at before any is changed, without branches, half of which would be mispredicted.
 
     Args:
-      graph, heuristic: what is searched, by which bound.
+      graph: `Graph` to search.
+      heuristic: `Heuristic`, the bound to the goal.
       goal: a node, or `NOWHERE`.
       reopen: see above.
-      g: ``[M]`` float64 cost of the cheapest way found to each node; anything where it is `UNREACHED`.
-      state: ``[M]`` uint8 (see `UNREACHED` and the names after it).
-      queue: the open nodes.
-      max_expanded: nodes.
+      g: ``[M]`` float64 cost of the cheapest way known to each node, of no meaning where it is `UNREACHED`; altered.
+      state: ``[M]`` uint8 bits `CLOSED`, `REACHED` and the step from the parent (`PARENT_STEP`); altered.
+      queue: `Queue` of the open nodes; altered.
+      max_expanded: nodes to expand at most.
 
-    Returns: how the chunk ended, and the nodes expanded.
+    Returns:
+      How the chunk ended (FOUND, EXHAUSTED, PAUSED, or FULL for want of room in the queue), and the nodes expanded.
     """
     goal_row = goal // graph.num_cols
     goal_col = goal % graph.num_cols
     offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
     near = queue.near
-    # A way to a node is cheaper where it costs less than this times the way known; a closed node that is kept has none.
+    # A way to a closed node must cost less than this times the way known; none costs less than a negative number.
     if_closed = CHEAPER if reopen else -1.0
+    # The steps of one expansion that are cheaper than the way known, and g by them.
     cheaper_steps = np.empty(MAX_STEPS, np.uint64)
     cheaper_gs = np.empty(MAX_STEPS)
     num_expanded = 0
+
     while True:
         if near.size[0] == 0:
             refill(queue, graph.num_cols, graph.moves, graph.cost, g, state)
@@ -265,6 +300,8 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
             return PAUSED, num_expanded
         if near.size[0] + queue.tally[NUM_FAR] + MAX_STEPS > queue.far_f.size:
             return FULL, num_expanded
+
+        # Close the open node of lowest f.
         # Unsigned: else Numba asks each time whether it counts from the end.
         node = np.uint64(near.item[0])
         if state[node] & CLOSED:
@@ -277,6 +314,9 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
         if node == goal:
             return FOUND, num_expanded
         num_expanded += 1
+
+        # Look at all steps. One that is not allowed leads to the node itself, and is not counted; what it wrote is then
+        # written over.
         steps, num_steps, first = _steps_from(graph.plane, graph.moves, graph.cost, node)
         node_g = g[node]
         node_cost = graph.cost[node]
@@ -295,6 +335,8 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
             limit = np.inf if to_state == UNREACHED else limit
             cheaper_steps[num_cheaper], cheaper_gs[num_cheaper] = k, to_g
             num_cheaper += is_allowed & (to_g < limit)
+
+        # Open the nodes to which these steps lead.
         for i in range(num_cheaper):
             k, to_g = cheaper_steps[i], cheaper_gs[i]
             to = np.uint64(np.int64(node) + offsets[k])
@@ -316,12 +358,21 @@ class GridSearch:
     """
 
     def __init__(self, graph: Graph, heuristic: Heuristic, start: Cell, goal: Cell | None) -> None:
+        """Begin a search with the start alone open.
+
+        Args:
+          graph: what is searched.
+          heuristic: the bound to the goal.
+          start: row and column (`cell_of`).
+          goal: likewise; None for a search of all nodes.
+        """
         self.graph, self.heuristic = graph, heuristic
         self.start = start[0] * graph.num_cols + start[1]
         self.goal = NOWHERE if goal is None else goal[0] * graph.num_cols + goal[1]
         self.num_expanded = 0
         num_nodes = graph.cost.size
         cost = float(graph.sample.mean()) if graph.sample.size else 0.0
+        # Buckets are fitted to what a step over a cell of mean cost costs.
         queue = empty_queue(
             FIRST_ENTRIES,
             float(np.mean(graph.step_cost + (graph.from_share + graph.to_share) * cost)),
@@ -340,10 +391,12 @@ class GridSearch:
         return self._state.reshape(-1, self.graph.num_cols)
 
     def costs_from_start(self, *, final: bool = False) -> np.ndarray:
-        """Return ``[M]`` float64 the cost of the cheapest way found to each node, inf without one.
+        """Return ``[M]`` float64 the cost of the cheapest way known to each node, inf without one.
+
+        The search's own array is altered and returned, so the search cannot be run on afterwards.
 
         Args:
-          final: leave out what a further search may still lower.
+          final: inf also for nodes that are not closed, whose cost a further search may still lower.
         """
         np.copyto(self._g, np.inf, where=self._state & (CLOSED if final else REACHED) == 0)
         return self._g
@@ -366,9 +419,9 @@ class GridSearch:
           chunk: expansions between two looks at it; left out, `CHUNK`.
         """
         while True:
-            known = self._g, self._state, self._queue
+            arrays = self._g, self._state, self._queue
             ended, num_done = advance(
-                self.graph, self.heuristic, self.goal, reopen, *known, chunk or CHUNK
+                self.graph, self.heuristic, self.goal, reopen, *arrays, chunk or CHUNK
             )
             self.num_expanded += num_done
             if ended in (FOUND, EXHAUSTED):

@@ -38,12 +38,12 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
     Level by level the path is subdivided, more finely each time, and shortcut again. On each level waypoints move
     along the directions of the grid and of their segments (a compass search, which follows the kinks that cell borders
     and corners of obstacles give the exact cost), by steps that grow and shrink. A move is made only where it lowers
-    the exact cost of the two segments that it changes: the path stays free and never gets costlier. Where the whole
-    does not end up cheaper the path itself comes back, with a note.
+    the exact cost of the two segments that it changes: the path stays free and never gets costlier. If the result is
+    not cheaper, the path itself comes back, with a note.
 
     The status is OPTIMAL where the cost meets a lower bound of every curve (`bitstar.bounds`, with map costs),
-    BUDGET_FEASIBLE where the path had it or the budget ended before the last level, else FEASIBLE. Deterministic. The
-    search's time and the refinement's, without compilation, are added up.
+    BUDGET_FEASIBLE where the path's status was that or the budget ended before the last level, else FEASIBLE. The
+    result is deterministic. The time of the search and that of the refinement, without compilation, are added up.
 
     Args:
       problem: the query, under the ``line`` cost model, or under any where only length costs.
@@ -56,7 +56,8 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
     check_line_model(problem, "refinement")
     if not path.status.has_path:
         return path
-    before = problem.checked_cost(path.points_m)
+    before = problem.checked_cost(path.points_m)  # the cost
+
     begin_s = time.perf_counter()
     end_s = begin_s + budget_s
     islands = problem.islands
@@ -66,6 +67,8 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
     xy = np.minimum(
         path.points_m / problem.resolution_m, np.array(problem.is_free.shape[::-1]) * INSIDE
     )
+
+    # Level by level, the cheapest so far is subdivided, moved and shortcut.
     best = before
     points_m = path.points_m
     is_spent = False
@@ -81,10 +84,12 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
         is_spent = time.perf_counter() >= end_s
         if is_spent:
             break
-    begin_s -= path.elapsed_s
+
+    begin_s -= path.elapsed_s  # so that the search's time counts too
     if not best < before * CHEAPER:
         note = " ".join(filter(None, (path.note, "Refinement found nothing cheaper.")))
         return replace(path, elapsed_s=time.perf_counter() - begin_s, note=note)
+
     note = f"Refinement lowered what the search minimises by {1 - best / before:.2%}."
     ran = path.ran | {"graph": EVERY_PATH, "note": " ".join(filter(None, (path.note, note)))}
     is_spent = is_spent or path.status is Status.BUDGET_FEASIBLE
@@ -95,7 +100,11 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
 
 
 def check_line_model(problem: Problem, what: str) -> None:
-    """Refuse the ``cell`` cost model, but where only length costs, since there the models agree.
+    """Refuse the ``cell`` cost model, unless only length costs, since then both models agree.
+
+    Args:
+      problem: the query.
+      what: subject of the error's sentence.
 
     Raises:
       InputError: the problem's cost model is ``cell``, and its map has costs.
@@ -115,24 +124,44 @@ def _compass(xy: np.ndarray) -> list[np.ndarray]:
 
 
 def _move(cost_grid: CostGrid, xy: np.ndarray, end_s: float) -> None:
-    """Move waypoints, altered in place, round after round, until the steps are small or time is up."""
+    """Move the inner waypoints to where the path costs less, in place.
+
+    Each round moves them along every direction of `_compass` in turn. It ends when all steps are small, after `ROUNDS`
+    rounds, or when time is up.
+
+    Args:
+      cost_grid: the map.
+      xy: ``[N, 2]`` waypoints in cell sides; altered.
+      end_s: time of `time.perf_counter` at which no further round begins.
+    """
+    # A step's length for each direction and waypoint, in cell sides.
     steps = [np.full(len(xy), FIRST_STEP) for _ in _compass(xy)]
     for _ in range(ROUNDS):
         if time.perf_counter() >= end_s or max(step.max() for step in steps) < LAST_STEP:
             break
         for direction, step in zip(_compass(xy), steps, strict=True):
+            # A direction may be 0.
             length = np.maximum(np.hypot(*direction.T), np.finfo(float).tiny)
             move_points(cost_grid, xy, direction / length[:, None], step, float(LONGEST))
 
 
 def subdivided(xy: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a polyline ``[M, 2]`` with points added so that no segment is longer, and ``[M]`` which they are."""
+    """Return a polyline with points added evenly so that no segment is longer than a length.
+
+    Args:
+      xy: ``[N, 2]`` the polyline.
+      longest: length, in the same unit.
+
+    Returns:
+      ``[M, 2]`` the points of the new polyline, and ``[M]`` bool which of them were added.
+    """
+    # For each segment into how many parts it is cut; then for each part its number in its segment.
     num_parts = np.maximum(1, np.ceil(np.hypot(*np.diff(xy, axis=0).T) / longest)).astype(np.int64)
-    at = np.arange(num_parts.sum()) - np.repeat(np.cumsum(num_parts) - num_parts, num_parts)
-    share = (at / np.repeat(num_parts, num_parts))[:, None]
+    part = np.arange(num_parts.sum()) - np.repeat(np.cumsum(num_parts) - num_parts, num_parts)
+    share = (part / np.repeat(num_parts, num_parts))[:, None]
     begin = np.repeat(np.arange(len(num_parts)), num_parts)
     points = xy[begin] + share * (xy[begin + 1] - xy[begin])
-    return np.concatenate([points, xy[-1:]]), np.append(at > 0, False)
+    return np.concatenate([points, xy[-1:]]), np.append(part > 0, False)
 
 
 def shortened(cost_grid: CostGrid, xy: np.ndarray) -> np.ndarray:
@@ -147,8 +176,13 @@ def shortened(cost_grid: CostGrid, xy: np.ndarray) -> np.ndarray:
 def shortcut(cost_grid: CostGrid, xy: np.ndarray, reach: int) -> np.ndarray:
     """Return the cheapest way ``[K, 2]`` through some of the points ``[N, 2]`` in their order, ends included.
 
-    Of all ways whose segments span at most ``reach`` points, by dynamic programming; of equally cheap
-    ones, one with long segments. Where every way is blocked the points come back.
+    It is the cheapest of all ways whose segments span at most ``reach`` points, by dynamic programming; of equally
+    cheap ways it is one with long segments. If every way is blocked, the points themselves come back.
+
+    Args:
+      cost_grid: the map.
+      xy: points in cell sides.
+      reach: see above.
     """
     best = np.full(len(xy), np.inf)
     parent = np.full(len(xy), NO_PARENT)
@@ -164,9 +198,16 @@ def shortcut(cost_grid: CostGrid, xy: np.ndarray, reach: int) -> np.ndarray:
 
 @compiled()
 def _weigh_shortcuts(cost_grid, xy, reach, best, parent):
-    """Set what the cheapest way to each point costs, and the point before on it."""
+    """Find the cheapest way from the first point to each point, over points before it.
+
+    Args:
+      cost_grid, xy, reach: as in `shortcut`.
+      best: ``[N]`` costs of these ways: 0 for the first point, inf for all others; filled in place.
+      parent: ``[N]`` the point before on each way, NO_PARENT without one; filled in place.
+    """
     for k in range(1, len(xy)):
         for j in range(k - 1, max(-1, k - 1 - reach), -1):
+            # A little more than the best so far, so that of equal ways the one with the longest last segment is kept.
             limit = best[k] * SAME_COST - best[j]
             if limit > 0.0:
                 cost = best[j] + segment_cost(
@@ -185,10 +226,16 @@ def _is_near_border(x, y):
 def move_points(cost_grid, xy, direction, step, longest):
     """Move each inner point by its step along its direction, or against it, where that makes its two segments cheaper.
 
-    Point after point, each against the exact cost at the places that its neighbours have by then: the path
+    Point after point is moved, at the exact cost of its segments to where its neighbours stand by then: the path
     never gets costlier, nor blocked. Steps grow where they helped and shrink where they did not. Points stay
-    on the map and off the borders of cells, and no segment grows longer than ``longest``. ``xy`` and ``step``
-    are altered.
+    on the map and off the borders of cells, and no segment grows longer than ``longest``.
+
+    Args:
+      cost_grid: `CostGrid`, the map.
+      xy: ``[N, 2]`` points in cell sides; altered. The ends stay.
+      direction: ``[N, 2]`` unit vectors.
+      step: ``[N]`` lengths of the steps in cell sides; altered.
+      longest: in cell sides.
     """
     num_rows, num_cols = cost_grid.cell_cost.shape
     for k in range(1, len(xy) - 1):
@@ -198,6 +245,8 @@ def move_points(cost_grid, xy, direction, step, longest):
         cost = segment_cost(cost_grid, x0, y0, x1, y1, np.inf) + segment_cost(
             cost_grid, x1, y1, x2, y2, np.inf
         )
+
+        # Try the step along the direction, then against it; the first that helps is kept.
         factor = SHRINK
         for sign in (1.0, -1.0):
             x = x1 + sign * step[k] * direction[k, 0]

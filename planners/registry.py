@@ -102,9 +102,9 @@ def find_planner(
     """Return the planner of a name, with its own heuristic or the one given.
 
     Args:
-      name: of `PLANNERS`, or of `VOLUME_PLANNERS`.
-      heuristic: left out, the planner's own.
-      is_for_volumes: it must fly between levels, else on one altitude.
+      name: a key of `PLANNERS`, or of `VOLUME_PLANNERS` if ``is_for_volumes``.
+      heuristic: name of the heuristic; left out, the planner's own.
+      is_for_volumes: whether the planner must fly between levels, rather than on one altitude.
 
     Raises:
       InputError: an unknown planner, or a heuristic that it does not take.
@@ -118,6 +118,7 @@ def find_planner(
         raise InputError(
             f"{fault}{nearest_name(name, fitting)}: choose one of {', '.join(fitting)}"
         )
+
     entry = fitting[name]
     if heuristic is None:
         return entry.run
@@ -174,6 +175,7 @@ def solve_many(
     one_of("backend", backend, get_args(Backend))
     if num_threads is not None:
         at_least("num_threads", num_threads, 1)
+
     only = range(len(problems)) if only is None else only
     if backend == "jax" and planner in SAMPLING_PLANNERS:
         some = [problems[index] for index in only]
@@ -185,6 +187,7 @@ def solve_many(
             budget_s=budget_s,
         )
         return ((only[k], path) for k, path in paths)
+
     runs_in_jax = _runs_in_jax(backend, planner, heuristic, len(problems))
     num_threads = num_threads or _num_processors()
     heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
@@ -197,20 +200,25 @@ def solve_many(
         if heuristic != "exact":
             shared = [k for k in only if heuristics[k] == "exact"]
         for same_goal in _by_map_and_goal(problems, shared):
+            # Made here and kept with the map, so that the searches only walk down on it.
             cost_to_go(problems[same_goal[0]])
             walk = partial(find_planner(planner, "exact"), budget_s=budget_s, seed=seed)
             yield from run(same_goal, walk)
+
         alone = sorted(set(only) - set(shared))
         if runs_in_jax:
             together = [problems[k] for k in alone]
             for k, path in solve_by_frontier(together, planner=planner, budget_s=budget_s):
                 yield alone[k], path
             return
+
+        # One problem of each map that needs landmarks, which all of the map's queries share.
         with_landmarks = {
             problems[k].cache: problems[k] for k in alone if heuristics[k] == "landmarks"
         }
         for problem in with_landmarks.values():
             make_landmarks(problem)
+
         for name in dict.fromkeys(heuristics[k] for k in alone):
             search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
             yield from run([k for k in alone if heuristics[k] == name], search)
@@ -219,7 +227,11 @@ def solve_many(
 
 
 def _runs_in_jax(backend: Backend, planner: str, heuristic: str | None, num_queries: int) -> bool:
-    """Return whether the frontier search runs; InputError where it is asked for and does not know the planner."""
+    """Return whether the queries run together in JAX's frontier search, by the rules of `solve_many`.
+
+    Raises:
+      InputError: ``"jax"`` is asked for, and the frontier search cannot stand for the planner or its heuristic.
+    """
     is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
     if backend == "jax" and not is_for_frontier:
         raise InputError(
@@ -242,11 +254,18 @@ def _by_map_and_goal(problems: Sequence[Problem], chosen: Sequence[int]) -> list
 def choose_heuristics(
     problems: Sequence[Problem], planner: str, heuristic: str | None, budget_s: float
 ) -> list[str | None]:
-    """Return the heuristic of each problem, which all of them decide, and neither a clock nor what was solved before.
+    """Return the heuristic of each problem; it depends on all problems, on no clock and on nothing solved before.
 
-    For planners that choose theirs: ``"exact"`` to goals that at least `FEW_TO_ONE_GOAL` queries on a map share (A*
-    alone), ``"landmarks"`` on a map with more than `FEW_QUERIES` others; where the fields should take no more than half
-    of the budgets of those that share them. Else the one named; None is the planner's default.
+    For a planner that chooses its heuristic: ``"exact"`` for goals that at least `FEW_TO_ONE_GOAL` queries on a map
+    share (A* alone), ``"landmarks"`` on a map with more than `FEW_QUERIES` other queries; but only if making the fields
+    should take no more than half of the budgets of the queries that share them. Otherwise the heuristic given; None
+    stands for the planner's default.
+
+    Args:
+      problems: all queries.
+      planner: name of the planner.
+      heuristic: name of the heuristic asked for; None for the planner's own.
+      budget_s: seconds for each query.
     """
     heuristics = [heuristic] * len(problems)
     if (heuristic or PLANNERS[planner].default_heuristic) != AUTO:
@@ -254,6 +273,7 @@ def choose_heuristics(
     others: dict[ProblemCache, list[int]] = {}
 
     def choose(name: str, indices: list[int], fewest: int, num_fields: int) -> bool:
+        """Set a heuristic for problems on one map if they are enough for its fields; return whether it was set."""
         expected_s = num_fields * problems[indices[0]].is_free.size / NODES_PER_S
         is_chosen = len(indices) >= fewest and expected_s <= 0.5 * budget_s * len(indices)
         for index in indices if is_chosen else ():
@@ -278,12 +298,23 @@ def _in_threads(
     search: Callable[[Problem], Path],
     num_threads: int,
 ) -> Iterator[Outcome]:
-    """Yield the outcome of each search as it ends; few are begun ahead, so that closing stops soon."""
+    """Yield ``(index, path)`` of each search as it ends, or the exception that it raised in the path's place.
+
+    Only twice as many searches as threads are begun ahead, so that closing the generator ends soon. A KeyboardInterrupt
+    or the like in a search is raised here.
+
+    Args:
+      problems: all queries.
+      indices: which of these to search.
+      search: the planner.
+      num_threads: threads that search at a time.
+    """
     waiting = iter(indices)
     running: dict[Future[Path], int] = {}
     pool = ThreadPoolExecutor(num_threads, thread_name_prefix="planner")
     try:
         while True:
+            # Begin searches up to the limit, then wait for one or more to end.
             for index in waiting:
                 running[pool.submit(search, problems[index])] = index
                 if len(running) >= 2 * num_threads:

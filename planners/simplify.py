@@ -28,17 +28,17 @@ AHEAD = 1e-12  # relative: sums this much smaller are smaller
 def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
     """Return the path with as few waypoints as keep it within a tolerance of where it was, clear of closed cells.
 
-    Waypoints are places along the path, at most a cell apart. Every leg that skips some keeps `CLEAR_M`, or the
-    problem's larger margin, from every cell that is not free and from the map's border, so that rounding of a file's
-    coordinates takes it into none. Where the path passes nearer, its points are first moved aside, each twice by at
-    most three times `CLEAR_M`, or a quarter of the tolerance, where that mends it; what cannot be mended, as a step
-    between two obstacles that touch at a corner (``diagonal="always"``), stays as it was planned, and the note says so.
-    In a volume the parts on one level are simplified, each on its level's cells; climbs and descents stay. The ends
-    stay.
+    Waypoints are chosen from places along the path, at most a cell apart. Every leg that skips some of these keeps
+    `CLEAR_M`, or the problem's larger margin, from every cell that is not free and from the map's border, so that
+    rounding of a file's coordinates takes it into no such cell. Where the path passes nearer, its points are first
+    moved aside, at most twice, each time by at most three times `CLEAR_M` or a quarter of the tolerance. Legs that this
+    does not clear, such as a step between two obstacles that touch at a corner (``diagonal="always"``), stay as they
+    were planned, and the note says so. In a volume the parts on one level are simplified, each on its level's cells;
+    climbs and descents stay. The ends stay.
 
-    The cost is that of the new path, which may be above or below the old. The status is that of the path where
-    nothing changed, else FEASIBLE (BUDGET_FEASIBLE where the path was). The lower bound stays that of the planner's
-    graph, or the cost where that is lower.
+    The cost is that of the new path, which may be above or below the old one. The status stays where nothing changed;
+    otherwise OPTIMAL becomes FEASIBLE. The lower bound stays that of the planner's graph, or the cost where that is
+    lower.
 
     Args:
       problem: the query that the path was planned for.
@@ -53,6 +53,8 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
         return path
     problem.checked_cost(path.points_m)
     begin_s = time.perf_counter()
+
+    # Part by part, each without its first point, which ends the part before.
     parts = [path.points_m[:1]]
     num_near = 0
     for level, first, last in level_parts(problem, path.points_m):
@@ -74,12 +76,15 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
             points_m = np.column_stack([xy_m, altitude_m])
         parts.append(points_m[1:])
     points_m = np.concatenate(parts)
+
+    # A path that has not changed keeps its status.
     status = path.status
     is_same_shape = points_m.shape == path.points_m.shape
     if is_same_shape and np.allclose(points_m, path.points_m, rtol=0, atol=1e-9):
         points_m = path.points_m
     elif status is Status.OPTIMAL:
         status = Status.FEASIBLE
+
     notes = [path.note]
     if num_near:
         notes.append(
@@ -92,35 +97,47 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
 def _fewest(
     is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: float, margin: float
 ) -> np.ndarray:
-    """Return the waypoints ``[W, 2]`` of a path of points ``[N, 2]`` on one level, in cell sides, as the margin is."""
+    """Return the waypoints ``[W, 2]`` of a simplified path on one level, in cell sides.
+
+    Args:
+      is_free: ``[Y, X]`` bool.
+      xy: ``[N, 2]`` points of the path, in cell sides; a single point comes back.
+      tolerance_m: how far the path may be from where it was, in metres.
+      side_m: side of a cell, in metres.
+      margin: that legs keep from closed cells, in cell sides.
+    """
     if len(xy) < 2:
         return xy
+
+    # By how much points may move: not at all, or in `DIRECTIONS` directions by each distance of `NUDGES`.
     is_free = on_host(is_free)
     tolerance = tolerance_m / side_m
     rings = np.minimum(np.array(NUDGES) * CLEAR_M / side_m, tolerance / 4)
     turn = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     offsets = np.concatenate([np.zeros((1, 2)), *(ring * around for ring in rings)])
-    for divide in (
-        False,
-        True,
-    ):  # its own points first, and points between them only where that does not do
+
+    # Move points until all legs are clear: first the path's own points, then, only if that is not enough, points
+    # between them too. Every move takes its length off the tolerance.
+    for divide in (False, True):
         is_far = are_clear(is_free, xy, margin)
         if is_far.all():
             break
         if divide:
             xy = _divided(xy, is_far)
             is_far = are_clear(is_free, xy, margin)
+        # Points may move if a leg on either side is not clear; the ends stay.
         is_movable = np.concatenate([[False], ~(is_far[:-1] & is_far[1:]), [False]])
         moved = xy + offsets[nudges(is_free, xy, is_movable, offsets, margin)]
         tolerance -= float(np.hypot(*(moved - xy).T).max())
         xy = moved
+
     xy, _ = subdivided(xy, SPACING)
     return np.asarray(xy[fewest_legs(is_free, xy, tolerance, margin)])
 
 
 def farthest(before: np.ndarray, after: np.ndarray) -> float:
-    """Return how far the points of a path ``[N, 2]`` are at most from what it became, ``[W, 2]``."""
+    """Return the largest distance of the points of a path ``[N, 2]`` from the simplified path ``[W, 2]``."""
     line = shapely.LineString(after if len(after) > 1 else np.repeat(after, 2, axis=0))
     return float(shapely.distance(shapely.points(before), line).max())
 
@@ -141,22 +158,25 @@ def nudges(
     offsets: np.ndarray,
     margin: float,
 ) -> np.ndarray:
-    """Return ``[N]`` by which of a few offsets points move, so that as few legs as can be are not clear.
+    """Return ``[N]`` the number of the offset by which each point moves, so that as few legs as possible are not clear.
 
-    Legs that are not clear stay where they are: moved, one through the corner of two closed cells would enter one.
-    Of such ways the one whose points move the least in all, by dynamic programming over the offsets of each point.
+    Legs that remain unclear stay where they are: if a leg through the corner of two closed cells moved, it would enter
+    one of them. Of all such choices this is the one whose points move the least in sum, by dynamic programming over the
+    offsets of each point.
 
     Args:
       is_free: ``[Y, X]`` bool.
-      xy: ``[N, 2]`` points.
-      is_movable: ``[N]`` bool.
-      offsets: ``[C, 2]``; the first is 0, 0.
+      xy: ``[N, 2]`` points, in cell sides.
+      is_movable: ``[N]`` bool; other points stay. The first point must not be movable.
+      offsets: ``[C, 2]`` in cell sides; the first is 0, 0.
       margin: see `is_clear`.
     """
     best = np.full((len(xy), len(offsets)), np.inf)
     parent = np.zeros(best.shape, np.int64)
     best[0, 0] = 0.0
     _weigh_nudges(is_free, xy, is_movable, offsets, margin, best, parent)
+
+    # From the last point back.
     chosen = [int(np.argmin(best[-1]))]
     for parents in parent[:0:-1]:
         chosen.append(parents[chosen[-1]])
@@ -165,7 +185,14 @@ def nudges(
 
 @compiled()
 def _weigh_nudges(is_free, xy, is_movable, offsets, margin, best, parent):
-    """Set what the best way to each point counts, by its offset, and the offset of the point before on that way."""
+    """Find the best choice of offsets up to each point, for each offset of that point.
+
+    Args:
+      is_free, xy, is_movable, offsets, margin: as in `nudges`.
+      best: ``[N, C]`` sum of the moves, plus `STUCK` for each leg that is not clear; 0 for the first point's first
+        offset, inf for all else; filled in place.
+      parent: ``[N, C]`` offset of the point before, in that choice; filled in place.
+    """
     num, num_offsets = best.shape
     for k in range(1, num):
         for c in range(num_offsets if is_movable[k] else 1):
@@ -178,6 +205,7 @@ def _weigh_nudges(is_free, xy, is_movable, offsets, margin, best, parent):
                 from_x = xy[k - 1, 0] + offsets[p, 0]
                 from_y = xy[k - 1, 1] + offsets[p, 1]
                 if not is_clear(is_free, from_x, from_y, x, y, margin):
+                    # A leg that is not clear may only stay.
                     reach = reach + STUCK if c == p == 0 else np.inf
                 if reach < best[k, c]:
                     best[k, c], parent[k, c] = reach, p
@@ -185,13 +213,19 @@ def _weigh_nudges(is_free, xy, is_movable, offsets, margin, best, parent):
 
 @compiled()
 def is_within(xy, first, last, tolerance):
-    """Whether the points between two lie within a tolerance of the segment that joins these."""
+    """Return whether the points between two points lie within a tolerance of the segment that joins the two.
+
+    Args:
+      xy: ``[N, 2]`` points.
+      first, last: numbers of the two.
+      tolerance: in the unit of the points.
+    """
     (x0, y0), (x1, y1) = xy[first], xy[last]
     dx, dy = x1 - x0, y1 - y0
     length = np.hypot(dx, dy)
     for k in range(first + 1, last):
         x, y = xy[k, 0] - x0, xy[k, 1] - y0
-        share = 0.0
+        share = 0.0  # of the segment, at the place nearest to the point
         if length > 0.0:
             share = min(max((x * dx + y * dy) / (length * length), 0.0), 1.0)
         if np.hypot(x - share * dx, y - share * dy) > tolerance:
@@ -200,16 +234,22 @@ def is_within(xy, first, last, tolerance):
 
 
 def fewest_legs(is_free: np.ndarray, xy: np.ndarray, tolerance: float, margin: float) -> np.ndarray:
-    """Return ``[K]`` which points to keep, ends included: the fewest legs, and of these ways the most even.
+    """Return ``[K]`` the numbers of the points to keep, ends included: the fewest legs, as even as possible.
 
-    The most even way has the least sum of its legs' squared lengths, so that none is shorter than it need be.
+    Of all ways with the fewest legs it is the one with the least sum of squared lengths, so that no leg is shorter than
+    necessary.
 
-    A leg may skip up to `REACH` points that lie within the tolerance of it where it is clear (`is_clear`); from one
-    point to the next it always may lead, as the path does. Every two points that such a leg joins are an edge of a
-    graph, and the shortest way through it is the answer (Imai & Iri 1988, "Polygonal approximations of a curve"). From
-    each point the cone of directions that still pass all points since within the tolerance says when to stop looking
-    farther (Chan & Chin 1996, "Approximation of polygonal curves with minimum number of line segments or minimum
-    error").
+    A leg may skip up to `REACH` points if it is clear (`is_clear`) and they lie within the tolerance of it. From one
+    point to the next a leg is always allowed, as the path leads there. Every two points that an allowed leg joins are
+    an edge of a graph, and the shortest way through the graph is the answer (Imai & Iri 1988, "Polygonal approximations
+    of a curve"). From each point the cone of directions that pass all points since within the tolerance says when to
+    stop looking farther (Chan & Chin 1996, "Approximation of polygonal curves with minimum number of line segments or
+    minimum error").
+
+    Args:
+      is_free: ``[Y, X]`` bool.
+      xy: ``[N, 2]`` points of the path, in cell sides.
+      tolerance, margin: in cell sides.
     """
     num = len(xy)
     legs = np.full(num, num)
@@ -225,28 +265,41 @@ def fewest_legs(is_free: np.ndarray, xy: np.ndarray, tolerance: float, margin: f
 
 @compiled()
 def _weigh_legs(is_free, xy, tolerance, margin, legs, squares, parent):
-    """Set how many legs lead to each point at least, the least sum of their squared lengths, and the point before."""
+    """Find the way of fewest legs from the first point to each point, and of these the most even one.
+
+    Args:
+      is_free, xy, tolerance, margin: as in `fewest_legs`.
+      legs: ``[N]`` number of legs on that way; 0 for the first point, N for all others; filled in place.
+      squares: ``[N]`` sum of their squared lengths; 0 for the first point, inf for all others; filled in place.
+      parent: ``[N]`` the point before on that way; filled in place.
+    """
     num = len(xy)
     for i in range(num - 1):
+        # The cone of directions from point i, from `low` to `high` around the heading `axis`; no bound until a point
+        # lies beyond the tolerance.
         axis = 0.0
         low = -np.inf
         high = np.inf
-        farthest = 0.0
+        farthest = 0.0  # distance of the points so far
         for j in range(i + 1, min(num, i + 1 + REACH)):
             (x0, y0), (x1, y1) = xy[i], xy[j]
             away = np.hypot(x1 - x0, y1 - y0)
             heading = np.arctan2(y1 - y0, x1 - x0)
             axis = heading if low == -np.inf else axis
-            turn = (heading - axis + np.pi) % (2 * np.pi) - np.pi
+            turn = (heading - axis + np.pi) % (2 * np.pi) - np.pi  # from -pi to pi
+
+            # A leg to point j that has fewer legs before it, or as many and a smaller sum.
             number = legs[i] + 1
             total = squares[i] + away * away
             if number < legs[j] or (number == legs[j] and total < squares[j] * (1 - AHEAD)):
-                # No point since is farther from the first one, nor from the ray: then the segment's end is no bar.
+                # In the cone all points since lie near the ray; if none is farther away than j, also near the segment.
                 is_near = low <= turn <= high and (
                     away >= farthest or is_within(xy, i, j, tolerance)
                 )
                 if j == i + 1 or (is_near and is_clear(is_free, x0, y0, x1, y1, margin)):
                     legs[j], squares[j], parent[j] = number, total, i
+
+            # Narrow the cone by point j.
             farthest = max(farthest, away)
             if away > tolerance:
                 half = np.arcsin(tolerance / away)

@@ -8,8 +8,8 @@ what stands in the halo beyond it changes nothing, so that one halo serves all c
 Columns stand at cells and reach up to a top. A receiver's squared distance to one of them is (run / threshold)^2 +
 (drop / scale)^2, where the drop is what the top lies below the receiver: a scale equal to the threshold gives Euclid's
 distance, a scale of 0 counts only columns that reach the receiver, and one between makes it smooth. The nearest column
-is found outside the gradient; what is differentiated is its own distance (one of several at the same distance), so the
-gradient costs one scatter.
+is found outside the gradient, and its own distance alone is differentiated (one of several at the same distance), so
+the gradient costs one scatter.
 """
 
 import math
@@ -61,19 +61,23 @@ class Disc(NamedTuple):
 
 
 def disc(radius_m: float, resolution_m: float, dtype: DTypeLike) -> Disc:
-    """Return the cells nearer than a radius, the nearest first; filled up by the cell itself.
+    """Return the cells whose centre is nearer than a radius to a cell's, the nearest first, that cell included.
+
+    Repetitions of the cell itself (offset 0, 0) at the end fill the list up to a multiple of `DISC_STEP`; a minimum
+    over the disc does not change by them.
 
     Args:
-      radius_m: beyond which there are none.
+      radius_m: distance that all of these cells are nearer than.
       resolution_m: side of a cell.
-      dtype: of the squared distances.
+      dtype: type of the squared distances.
     """
     window = window_cells(radius_m, resolution_m)
     span = np.arange(-window, window + 1)
     offsets = np.stack(np.meshgrid(span, span, indexing="ij"), axis=-1).reshape(-1, 2)
     run_m = np.hypot(*offsets.T) * resolution_m
     order = np.argsort(run_m, kind="stable")
-    nearer = offsets[order[run_m[order] < radius_m]]
+    is_nearer = run_m[order] < radius_m
+    nearer = offsets[order[is_nearer]]
     filled = np.pad(nearer, [(0, -len(nearer) % DISC_STEP), (0, 0)]).astype(np.int32)
     run_m2 = (filled.astype(float) ** 2).sum(axis=1) * resolution_m**2
     return Disc(filled, run_m2.astype(dtype))
@@ -82,14 +86,19 @@ def disc(radius_m: float, resolution_m: float, dtype: DTypeLike) -> Disc:
 def nearest_along(
     squared_m2: Float[Array, " N+2H"], run_m2: Float[Array, " H+1"]
 ) -> tuple[Float[Array, " N"], Int[Array, " N"]]:
-    """Return the squared distance to the nearest source along one column, and how many cells away that one is.
+    """Return the squared distance to the nearest source along one line of cells, and how many cells away it stands.
 
-    The lower envelope of parabolas (Felzenszwalb and Huttenlocher 2012, eq. 2), by brute force over the halo; mapped
-    over columns and rows. To end where no cell could come nearer was tried: asking costs more than it saves.
+    The line is a row or a column of a raster. This is the lower envelope of parabolas (Felzenszwalb and Huttenlocher
+    2012, eq. 2), by brute force over the halo. Ending the search where no cell could come nearer was tried: the test
+    costs more than it saves.
 
     Args:
-      squared_m2: what each source adds to the squared distance, inf without one.
-      run_m2: from `squared_runs`.
+      squared_m2: ``[N + 2 H]`` what each cell's source adds to the squared distance, in square metres; inf without one.
+      run_m2: ``[H + 1]`` from `squared_runs`; its length gives H, the cells of halo at either end.
+
+    Returns:
+      ``[N]`` the squared distance, inf where no source is near enough, and ``[N]`` int32 the offset of the source in
+      cells, negative toward the line's beginning (0 also without a source).
     """
     halo = len(run_m2) - 1
     num = len(squared_m2) - 2 * halo
@@ -97,15 +106,16 @@ def nearest_along(
     def look(
         state: tuple[Array, Array], step: tuple[Array, Array]
     ) -> tuple[tuple[Array, Array], None]:
-        """Take in the columns that lie at one offset of the disc from each receiver."""
-        nearest, where = state
-        offset, offset_m2 = step
-        for toward in (-offset, offset):
-            beside_m2 = lax.dynamic_slice(squared_m2, (halo + toward,), (num,)) + offset_m2
-            where = jnp.where(beside_m2 < nearest, toward, where)
-            nearest = jnp.minimum(beside_m2, nearest)
-        return (nearest, where), None
+        """Compare the two sources at one distance, before and behind each cell, with the nearest one so far."""
+        nearest_m2, nearest_offset = state
+        distance, distance_m2 = step
+        for offset in (-distance, distance):
+            source_m2 = lax.dynamic_slice(squared_m2, (halo + offset,), (num,)) + distance_m2
+            nearest_offset = jnp.where(source_m2 < nearest_m2, offset, nearest_offset)
+            nearest_m2 = jnp.minimum(source_m2, nearest_m2)
+        return (nearest_m2, nearest_offset), None
 
+    # Begin with each cell's own source, at offset 0.
     start = squared_m2[halo : halo + num], jnp.zeros(num, jnp.int32)
     steps = jnp.arange(1, halo + 1, dtype=jnp.int32), run_m2[1:]
     return lax.scan(look, start, steps, unroll=OFFSETS_PER_PASS)[0]
@@ -118,8 +128,8 @@ def capped_distance(
     """Return the distance to the nearest source, at most ``cap_m``, ``[Y, X]`` metres.
 
     Args:
-      source_m2: what a source adds to the squared distance: 0 where it stands at the cell itself, a squared height
-        where it stands below it, inf without a source.
+      source_m2: what each cell's source adds to the squared distance: 0 for a source at the receivers' height, the
+        square of the drop for one below it, inf without a source.
       run_m2: from `squared_runs`, of a halo of at least `window_cells` of the cap.
       cap_m: cap; may be traced.
 
@@ -154,6 +164,7 @@ def capped_distance_over_terrain(
     tops_m = jnp.where(is_source, top_m, OUT_OF_REACH_M)
 
     def look(nearest: Array, cell: Disc) -> tuple[Array, None]:
+        """Lower ``[Y, X]`` squared distances by the columns at one offset of the disc from each receiver."""
         row, col = cell.offsets + halo
         drop_m = jnp.maximum(receiver_m - lax.dynamic_slice(tops_m, (row, col), nearest.shape), 0.0)
         return jnp.minimum(nearest, drop_m**2 + cell.run_m2), None
@@ -187,10 +198,13 @@ def nearest_column(
       scale_m: drop that counts 1.
       run_m2: from `squared_runs`.
     """
+    # Which column is the nearest, outside the gradient: along each row, then along each column of these minima.
     source = jnp.where(roof_m > 0, squared_drop(altitude_m - roof_m, scale_m), jnp.inf)
     source_m2 = lax.stop_gradient(source * threshold_m**2)
     along_rows, col_offsets = jax.vmap(nearest_along, (0, None))(source_m2, run_m2)
     _, row_offset = jax.vmap(nearest_along, (1, None), 1)(along_rows, run_m2)
+
+    # Its own distance, which is differentiated. Rows still have their halo, columns have lost it by the first pass.
     rows, cols = row_offset.shape
     halo = len(run_m2) - 1
     row = jnp.arange(rows)[:, None] + halo + row_offset
@@ -224,13 +238,16 @@ def nearest_column_at(
 
     @jax.checkpoint
     def nearest(receiver):
+        """Return the squared distance, in thresholds, from one receiver (height, cell) to its nearest column."""
         height_m, cell = receiver
         row, col = (cell[None] + halo + around.offsets).T
         drop_m = height_m - roof_m[row, col]
         if terrain_m is not None:
+            # The disc begins with offset 0, 0: there is the receiver's own ground.
             drop_m = drop_m + terrain_m[row[0], col[0]] - terrain_m[row, col]
         source = jnp.where(roof_m[row, col] > 0, squared_drop(drop_m, scale_m), jnp.inf)
         squared = source + around.run_m2 / threshold_m**2
+        # Chosen outside the gradient, so that one column alone is differentiated.
         return squared[jnp.argmin(lax.stop_gradient(squared))]
 
     return capped_root(lax.map(nearest, (altitude_m, cells), batch_size=CELLS_AT_ONCE), 1.0)

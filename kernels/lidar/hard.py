@@ -59,7 +59,7 @@ def ray_offsets(num_azimuths: int, steps: int) -> np.ndarray:
     """Return the cell that each step of each ray looks at, ``[K, N, 2]`` int32 rows north, columns east.
 
     Azimuths are equally spaced from grid north, clockwise. A point on a border between cells counts
-    to the outer one, so the offsets have the symmetry of the grid.
+    to the outer one (within 1e-9 of a cell, for rounding), so the offsets have the symmetry of the grid.
     """
     azimuth_rad = 2 * np.pi * np.arange(num_azimuths) / num_azimuths
     direction = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
@@ -82,17 +82,19 @@ def phases(supersampled: Float[Array, "nY nX"], per_cell: int) -> Float[Array, "
 def phase_starts(
     offsets: Int[np.ndarray, "K N 2"], per_cell: int, halo: int | None = None
 ) -> Int[np.ndarray, "K N 3"]:
-    """Return phase, row and column where each step of each ray finds what the southwest receiver looks at.
+    """Return the phase, row and column that the southwest receiver looks at by each step of each ray, int32.
+
+    Any other receiver looks at the same phase, as many rows and columns further on as it stands from that receiver.
 
     Args:
-      offsets: from `ray_offsets`, in subcells from a receiver, which stands in the
-        cell (n // 2, n // 2) of its map cell.
-      per_cell: n.
-      halo: cells that phases reach beyond the receivers, from whose corner rows and columns count; left out,
-        `halo_cells`.
+      offsets: from `ray_offsets`, in subcells from a receiver, which stands in the subcell (n // 2, n // 2) of its map
+        cell.
+      per_cell: n, subcells along a side of a map cell.
+      halo: map cells that the phases reach beyond the receivers; rows and columns count from the halo's corner. Left
+        out, `halo_cells`.
     """
     halo = halo_cells(offsets.shape[1], per_cell) if halo is None else halo
-    cell, phase = np.divmod(offsets + per_cell // 2, per_cell)
+    cell, phase = np.divmod(offsets + per_cell // 2, per_cell)  # both [K, N, 2]: rows, columns
     starts = [phase[..., 0] * per_cell + phase[..., 1], cell[..., 0] + halo, cell[..., 1] + halo]
     return np.stack(starts, axis=-1).astype(np.int32)
 
@@ -116,25 +118,29 @@ def lowest_heights(
     A beam whose range ends before the segment begins has inf if it points up and -inf if it points
     down (the horizontal one: inf), which keeps the heights ascending from beam to beam.
     """
-    near_m = np.maximum(np.arange(steps) - 0.5, 0.0)[:, None] * resolution_m
-    far_m = (np.arange(steps) + 0.5)[:, None] * resolution_m
+    step = np.arange(steps)[:, None]
+    near_m = np.maximum(step - 0.5, 0.0) * resolution_m
+    far_m = (step + 0.5) * resolution_m
     slope = np.tan(elevations_rad)
     reach_m = range_m * np.cos(elevations_rad)
+    # A falling beam is lowest at the segment's far end, or where its range ends; a rising one at the near end.
     lowest_m = np.where(slope < 0, np.minimum(far_m, reach_m), near_m) * slope
     lowest_m = np.where(near_m <= reach_m, lowest_m, np.where(slope < 0, -np.inf, np.inf))
     return np.asarray(altitudes_m, float)[:, None, None] + lowest_m
 
 
 def flat_thresholds(lowest_m: np.ndarray) -> np.ndarray:
-    """Return the least roof that returns the scan at each step over flat ground, ``[A, N]`` float64.
+    """Return the height of the lowest roof that returns the scan at each step over flat ground, ``[A, N]`` metres.
 
-    inf where no beam is left; never below `TINY_M`, so that bare ground returns nothing.
+    It is inf where no beam is left in the air and in range, and never below `TINY_M`, so that bare ground returns
+    nothing.
 
     Args:
-      lowest_m: ``[A, N, B]`` from `lowest_heights`.
+      lowest_m: ``[A, N, B]`` float64 from `lowest_heights`.
     """
     landed = np.zeros_like(lowest_m, dtype=bool)
-    landed[:, 1:] = (lowest_m <= 0)[:, :-1]  # heights of a falling beam only fall
+    # A beam has landed before a step if it was not above the ground at the step before: a falling beam only falls.
+    landed[:, 1:] = (lowest_m <= 0)[:, :-1]
     out_of_range = np.isinf(lowest_m)
     return np.where(landed | out_of_range, np.inf, np.maximum(lowest_m, TINY_M)).min(axis=-1)
 
@@ -164,12 +170,13 @@ def count_returns(
       starts: ``[K, N, 3]`` from `phase_starts`.
       halo: H, from `halo_cells`.
 
-    Cells inside buildings get a number too (K, mostly). To the form for a CPU altitudes that no roof reaches cost
-    nothing. The gradient is zero.
+    Cells inside buildings get a number too (K, mostly). The form for a CPU takes no time for altitudes that no roof
+    reaches. The gradient is zero.
     """
     by_steps = partial(count_returns_by_steps, halo=halo)
     by_azimuths = partial(count_returns_by_azimuths, halo=halo)
     fixed = lax.stop_gradient((roof_m, thresholds_m))
+    # Under vmap the CPU takes one map after the other, since its conditions would run both of their branches.
     return lax.platform_dependent(
         *fixed, starts, cpu=sequential_vmap(by_azimuths), default=by_steps
     )
@@ -178,20 +185,28 @@ def count_returns(
 def count_returns_by_azimuths(
     roof_m: jax.Array, thresholds_m: jax.Array, starts: jax.Array, *, halo: int
 ) -> jax.Array:
-    """Return `count_returns`, by the form for a CPU: block by block, azimuth by azimuth."""
+    """Return `count_returns`, by the form for a CPU: altitude by altitude, block by block, azimuth by azimuth.
+
+    Arguments and result are those of `count_returns`. Blocks are equal, at most `BLOCK` receivers, and their rows a
+    multiple of `BYTE_BITS`; they may reach beyond the receivers in the north and the east, where roofs are 0.
+    """
     shape = [size - 2 * halo for size in roof_m.shape[1:]]
+    # How many blocks along each axis, then the rows and columns of receivers in a block; -(-a // b) rounds up.
     num_blocks = [-(-size // most) for size, most in zip(shape, BLOCK, strict=True)]
     rows, cols = (-(-size // num) for size, num in zip(shape, num_blocks, strict=True))
     rows = -(-rows // BYTE_BITS) * BYTE_BITS
+
+    # Roofs padded to whole blocks, and where each block begins: phase 0, row and column.
     beyond = num_blocks[0] * rows - shape[0], num_blocks[1] * cols - shape[1]
     padded_m = jnp.pad(roof_m, ((0, 0), (0, beyond[0]), (0, beyond[1])))
     blocks = np.array([(0, *block) for block in np.ndindex(*num_blocks)], np.int32)
     corners = blocks * np.array([1, rows, cols], np.int32)
 
     def count_block(threshold_m: jax.Array, corner: jax.Array) -> jax.Array:
-        """Return the counts of the block at one corner, zeros where no roof is high enough."""
+        """Return the counts ``[rows, cols]`` of the block at one corner, zeros where no roof is high enough."""
         around = len(padded_m), rows + 2 * halo, cols + 2 * halo
         around_m = lax.dynamic_slice(padded_m, corner, around)
+        # A step is live if a roof around the block returns the scan at it.
         highest_m = jnp.max(around_m, initial=0, where=around_m > 0)
         is_live = threshold_m <= highest_m
         return lax.cond(
@@ -201,6 +216,7 @@ def count_returns_by_azimuths(
         )
 
     def count_at(threshold_m: jax.Array) -> jax.Array:
+        """Return the counts ``[Y, X]`` at one altitude, whose blocks are put side by side."""
         counts = lax.map(partial(count_block, threshold_m), corners)
         whole = counts.reshape(*num_blocks, rows, cols).swapaxes(1, 2)
         return whole.reshape(num_blocks[0] * rows, -1)[: shape[0], : shape[1]]
@@ -211,25 +227,28 @@ def count_returns_by_azimuths(
 def _count_block(
     roof_m: jax.Array, threshold_m: jax.Array, is_live: jax.Array, starts: jax.Array, halo: int
 ) -> jax.Array:
-    """Return the counts of a block of receivers at one altitude, ``[8 * band, x]``.
+    """Return how many azimuths return the scan to each receiver of a block at one altitude, ``[8 * band, x]`` int32.
 
-    What has returned is kept for all azimuths, a bit for each receiver. Of a few steps at a time bitmaps are made,
-    which a core's cache holds, and each azimuth joins what it looks at in them.
+    One bit for each receiver and azimuth says whether the scan has returned. A few steps at a time are made into
+    bitmaps, which fit a core's cache; each azimuth then joins (ORs) the cells that it looks at in them.
 
     Args:
-      roof_m: ``[P, Y, X]`` `phases` of the roofs around the block.
-      threshold_m: ``[N]`` least roof that returns the scan at each step.
-      is_live: ``[N]`` whether any roof does; none before the first and after the last such step is looked at.
+      roof_m: ``[P, Y, X]`` `phases` of the roofs over the block and its halo.
+      threshold_m: ``[N]`` lowest roof that returns the scan at each step.
+      is_live: ``[N]`` whether any roof is as high as that; steps before the first and after the last such step are left
+        out.
       starts: ``[K, N, 3]`` from `phase_starts`.
-      halo: cells beyond the block.
+      halo: cells beyond the block on each side.
     """
     num_azimuths, steps = starts.shape[:2]
     at_once = min(STEPS_PER_PASS, steps)
     rows, cols = (size - 2 * halo for size in roof_m.shape[1:])
-    band = rows // BYTE_BITS
+    band = rows // BYTE_BITS  # rows of words: bit b of a word is the receiver b bands further north
     cut = partial(lax.dynamic_slice, allow_negative_indices=False)  # compiles sooner
+
+    # Steps at either end that no roof is high enough for are left out, and the rest is taken a few at a time.
     first, after_last = (lax.argmax(live, 0, jnp.int32) for live in (is_live, is_live[::-1]))
-    num_passes = -(-(steps - after_last - first) // at_once)
+    num_passes = -(-(steps - after_last - first) // at_once)  # rounded up
 
     def look(i: jax.Array, returned: jax.Array) -> jax.Array:
         """Join what all azimuths look at in the next few steps."""
@@ -238,6 +257,7 @@ def _count_block(
         corners = lax.dynamic_slice_in_dim(starts, n, at_once, axis=1)
 
         def look_along(k: jax.Array, returned: jax.Array) -> jax.Array:
+            """Join what azimuth k looks at: a shift by rows and columns is another corner of the same bitmap."""
             words = lax.dynamic_index_in_dim(returned, k, keepdims=False)
             for bitmap, corner in zip(bitmaps, corners[k], strict=True):
                 words |= cut(bitmap, corner, (1, band, cols))[0]
@@ -250,10 +270,16 @@ def _count_block(
 
 
 def _bitmaps(roof_m: jax.Array, least_m: jax.Array, band: int) -> jax.Array:
-    """Return the words of roofs that reach each of a few heights, ``[n, P, y, X]`` bytes, as `pack`.
+    """Return bitmaps of the roofs that reach each of n heights, ``[n, P, y, X]`` bytes packed as by `pack`.
 
-    A roof's rank, how many of the heights it reaches, is found once for each cell and not for each word that it is in:
-    XLA would do that, but for the loop.
+    A roof reaches a height exactly if its rank (how many of the n heights it reaches) is not below the height's rank
+    (how many of the heights are not above it). So each cell's heights are compared once, and bytes are packed; the
+    loop keeps XLA from finding this itself.
+
+    Args:
+      roof_m: ``[P, Y, X]`` roof heights.
+      least_m: ``[n]`` heights, in any order.
+      band: rows from one bit of a word to the next.
     """
     rank = sum((roof_m >= height_m).astype(jnp.uint8) for height_m in least_m)
     least_rank = jnp.sum(least_m[None] <= least_m[:, None], axis=1, dtype=jnp.uint8)
@@ -261,13 +287,19 @@ def _bitmaps(roof_m: jax.Array, least_m: jax.Array, band: int) -> jax.Array:
 
 
 def _sum_bits(words: UInt[Array, "K y x"]) -> Int[Array, "8 y x"]:
-    """Return how many of K bytes have each bit set: three at a time, which two bits can count."""
+    """Return how many of the K bytes of a word have each bit set, ``[8, y, x]`` int32; axis 0 numbers the bits.
+
+    Bytes are added three at a time: every other bit is masked out, which leaves two bits for each sum of 0 to 3, and
+    the four sums in a byte are then added to counters of 16 or 32 bits.
+    """
     threes = jnp.pad(words, ((0, -len(words) % 3), (0, 0), (0, 0))).reshape(-1, 3, *words.shape[1:])
     dtype = jnp.uint16 if len(words) < 2**16 else jnp.uint32
+    # The lower bit of each of the four sums in a byte.
     places = jnp.arange(0, BYTE_BITS, 2, dtype=jnp.uint8)[:, None, None]
     none = jnp.zeros((len(places), *words.shape[1:]), dtype)
 
     def sum_every_other(first: int) -> jax.Array:
+        """Return the counts ``[4, y, x]`` of bits ``first``, ``first + 2`` and so on."""
         one, two, three = ((threes[:, i] >> first) & 0b01010101 for i in range(3))
         total, _ = lax.scan(
             lambda total, pairs: (total + ((pairs[None] >> places) & 0b11).astype(dtype), None),
@@ -289,6 +321,15 @@ def pack(
     """Return ``heights_m >= least_m`` as words: bit b of word (i, j) stands for cell (i + b * band, j), b bands north.
 
     A word begins in each row but the last ones, from which there is no cell for every bit.
+
+    Args:
+      heights_m: ``[*n, Y, X]`` heights; also ranks of heights will do.
+      least_m: what they are compared with, of a shape that broadcasts.
+      band: rows from one bit to the next.
+      dtype: unsigned type of the words.
+
+    Returns:
+      ``[*n, y, X]`` words, y being Y less ``band`` rows for every bit but the first.
     """
     num_bits = 8 * jnp.dtype(dtype).itemsize
     num_words = heights_m.shape[-2] - (num_bits - 1) * band
@@ -320,7 +361,10 @@ def count_returns_by_steps(
     padded_m = jnp.pad(roof_m, ((0, 0), (0, WORD_BITS * band - rows), (0, 0)))
 
     def count_at(threshold_m: jax.Array) -> jax.Array:
+        """Return the counts ``[Y, X]`` at one altitude, of which ``threshold_m`` ``[N]`` gives the steps' roofs."""
+
         def step(returned, of_step):
+            """Join what all azimuths look at by one step to the bits ``[K, band, X]`` of the steps before."""
             threshold, start = of_step
             return returned | _looks(pack(padded_m, threshold, band), start, (band, cols)), None
 
@@ -354,22 +398,27 @@ def count_returns_on_terrain_by_steps(
       lowest_m: from `lowest_heights`, rounded up to the type of ``roof_m``.
       starts: from `phase_starts`.
       halo: H, cells beyond the receivers.
-      receiver_phase: the phase in which receivers stand.
+      receiver_phase: number of the phase whose cells hold the receivers.
     """
     shape = roof_m.shape[1] - 2 * halo, roof_m.shape[2] - 2 * halo
     own_m = terrain_m[receiver_phase, halo : halo + shape[0], halo : halo + shape[1]]
     rise_m = jnp.where(roof_m > 0, roof_m, -jnp.inf)
     num_beams = lowest_m.shape[-1]
-    has_returned = num_beams + 1  # in place of the number of beams that have ended
+    # A number for each ray counts how many of its lowest beams have ended; this one stands for "has returned".
+    has_returned = num_beams + 1
     dtype = jnp.int8 if has_returned <= np.iinfo(np.int8).max else jnp.int32
 
     def count_at(beams_m: jax.Array) -> jax.Array:
+        """Return the counts ``[Y, X]`` at one altitude, of which ``beams_m`` ``[N, B]`` gives the lowest heights."""
+
         def step(ended, of_step):
+            """Let the rays ``[K, Y, X]`` that meet a roof by one step return, and end beams that meet the ground."""
             heights_m, start = of_step
             ground_m = _looks(terrain_m, start, shape) - own_m[None]
             top_m = ground_m + _looks(rise_m, start, shape)
             num_met = _num_not_above(heights_m, top_m, dtype)
             num_landed = _num_not_above(heights_m, ground_m, dtype)
+            # Beams of height -inf are out of range: those that fall most, so the lowest ones.
             ended = jnp.maximum(ended, jnp.sum(heights_m == -jnp.inf, dtype=dtype))
             is_met = (num_met > ended) & (top_m > -jnp.inf)
             ended = jnp.maximum(ended, num_landed)
@@ -383,7 +432,7 @@ def count_returns_on_terrain_by_steps(
 
 
 def _looks(rasters: jax.Array, start: jax.Array, shape: tuple[int, int]) -> jax.Array:
-    """Return what the cells look at in ``[P, ...]`` rasters along each azimuth, ``[K, *shape]``."""
+    """Return the values of ``[P, Y, X]`` rasters at the cells that receivers look at by one step, ``[K, *shape]``."""
 
     def look(corner: jax.Array) -> jax.Array:
         return lax.dynamic_slice(rasters, tuple(corner), (1, *shape))[0]

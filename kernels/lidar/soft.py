@@ -10,7 +10,7 @@ the three, a scan position by the largest over beams and steps: its *clearance*,
 position returns. The soft return is sigmoid(clearance / softness).
 
 Least and largest keep one condition, one beam and one step each, so the gradient of a scan position runs to one roof.
-Who that is, is found outside the gradient; what is differentiated is the one margin that decided.
+The margin that decides is chosen outside the gradient; that margin alone is differentiated.
 """
 
 from collections.abc import Callable
@@ -70,20 +70,34 @@ def scan_of(
     elevations_rad: Float[np.ndarray, " B"],
     resolution_m: float,
 ) -> Scan:
-    """Return a scan position in the type of ``altitude_m``."""
+    """Return a scan position in the type of ``altitude_m``.
+
+    Args:
+      altitude_m: height of the receiver above its ground; may be traced.
+      range_m: slant range along a beam; may be traced.
+      elevations_rad: of the beams above the horizon, ascending.
+      resolution_m: side of a cell.
+    """
     dtype = jnp.result_type(altitude_m)
     fixed = resolution_m, np.tan(elevations_rad), np.cos(elevations_rad)
     return Scan(altitude_m, range_m, *(jnp.asarray(value, dtype) for value in fixed))
 
 
 def margins_at(scan: Scan, n: Int[Array, "*s"], b: Int[Array, "*s"]) -> Margins:
-    """Return what beams ``b`` do at steps ``n``; differentiable in altitude and range."""
+    """Return the margins of beams at steps, in the shape of ``n`` and ``b``; differentiable in altitude and range.
+
+    Args:
+      scan: the scan position.
+      n: numbers of the steps.
+      b: numbers of the beams.
+    """
     slope, cosine = scan.slope[b], scan.cosine[b]
     step = jnp.asarray(n, slope.dtype)
     near_m = jnp.maximum(step - 0.5, 0.0) * scan.resolution_m
     far_m = (step + 0.5) * scan.resolution_m
     reach_m = scan.range_m * cosine
     falls = slope < 0
+    # Over a segment a falling beam is lowest at the far end, or where its range ends, and highest at the near end.
     lowest_m = scan.altitude_m + jnp.where(falls, jnp.minimum(far_m, reach_m), near_m) * slope
     in_air_m = scan.altitude_m + jnp.where(falls, jnp.minimum(near_m, reach_m) * slope, 0.0)
     return Margins(lowest_m, in_air_m, reach_m - near_m)
@@ -101,17 +115,27 @@ def _least(roof_m: jax.Array, at: Margins) -> jax.Array:
 
 
 def _best_looks(roof_m: jax.Array, scan: Scan, steps: int) -> tuple[jax.Array, jax.Array]:
-    """Return the clearance ``[N, *shape]`` of each step that looks at a cell, and the int8 beam that has it."""
+    """Return for each step and cell the clearance of a scan that looks at the cell, and the beam that has it.
+
+    Args:
+      roof_m: ``[*shape]`` roof heights, 0 without a building.
+      scan: the scan position.
+      steps: N.
+
+    Returns:
+      ``[N, *shape]`` the largest clearance over the beams, in metres, and ``[N, *shape]`` int8 the number of its beam.
+    """
     table = all_margins(scan, steps)
 
     def look(n):
-        best = jnp.full(roof_m.shape, -jnp.inf, roof_m.dtype)
+        """Return the clearance and the beam of every cell at step n."""
+        best_m = jnp.full(roof_m.shape, -jnp.inf, roof_m.dtype)
         beam = jnp.zeros(roof_m.shape, jnp.int8)
         for b in range(len(scan.slope)):
-            found = _least(roof_m, Margins(*(value[n, b] for value in table)))
-            beam = jnp.where(found > best, jnp.int8(b), beam)
-            best = jnp.maximum(found, best)
-        return best, beam
+            clearance_m = _least(roof_m, Margins(*(value[n, b] for value in table)))
+            beam = jnp.where(clearance_m > best_m, jnp.int8(b), beam)
+            best_m = jnp.maximum(clearance_m, best_m)
+        return best_m, beam
 
     return lax.map(look, jnp.arange(steps))
 
@@ -134,6 +158,7 @@ def _clearance(roof_m: jax.Array, scan: Scan, deciding: _Deciding) -> jax.Array:
 
 @_clearance.defjvp
 def _clearance_jvp(primals, tangents):
+    """Return the clearance, and the derivative of the one margin that decided it, by roofs and by the scan."""
     (roof_m, scan, deciding), (d_roof_m, d_scan, _) = primals, tangents
 
     def decide(roof_m, scan):
@@ -151,14 +176,14 @@ def soft_returns(
 ) -> Float[Array, "Y X"]:
     """Return the share of scan positions that return softly, over level ground, for every cell.
 
-    Takes 5 bytes a step for each cell (float32), and no more for the gradient on a CPU; on a GPU the gradient takes
-    some 1.5 kB a cell. Both forms give the same but for the order in which azimuths are added.
+    It takes 5 bytes of memory for each step and cell (float32), and no more for the gradient on a CPU; on a GPU the
+    gradient takes some 1.5 kB for each cell. Both forms differ only by the order in which azimuths are added.
 
     Args:
       roof_m: roof heights with their halo, 0 without a building.
       scan: from `scan_of`.
       offsets: from `jaxurban.kernels.lidar.hard.ray_offsets`.
-      softness_m: of the margins; 0 gives the exact result.
+      softness_m: scale over which the margins are smoothed; 0 gives the exact result.
     """
     return lax.platform_dependent(
         roof_m, scan, offsets, softness_m, cpu=one_by_one, default=together
@@ -189,14 +214,23 @@ def azimuths_at_once(num_azimuths: int) -> int:
 def _total_of_groups(
     of_azimuth: Callable, rays: jax.Array, none: jax.Array, at_once: int
 ) -> jax.Array:
-    """Return the sum of what a function makes of each of ``[K, ...]`` rays, so many at once, kept for no gradient."""
+    """Return the sum of what a function gives for each azimuth; a gradient computes it again and keeps none of it.
+
+    Args:
+      of_azimuth: takes one azimuth's ray ``[...]`` and returns an array like ``none``.
+      rays: ``[K, ...]`` rays of all azimuths.
+      none: zeros, to which the results are added in the order of azimuths.
+      at_once: how many azimuths are taken together.
+    """
 
     @jax.checkpoint
     def add_azimuths(total, rays):
+        """Add the results of one group's rays to the total; a group of one needs no vmap."""
         if at_once == 1:
             return total + of_azimuth(rays[0]), None
         return total + jnp.sum(jax.vmap(of_azimuth)(rays), axis=0), None
 
+    # Azimuths in full groups; the last, smaller group comes after them.
     whole = len(rays) // at_once * at_once
     total, _ = lax.scan(add_azimuths, none, rays[:whole].reshape(-1, at_once, *rays.shape[1:]))
     return total if whole == len(rays) else add_azimuths(total, rays[whole:])[0]
@@ -211,25 +245,31 @@ def _returns(
     at_once: int,
     unroll: int,
 ) -> jax.Array:
-    """Return `soft_returns`, so many azimuths and steps at once."""
+    """Return `soft_returns`, ``[Y, X]``, with ``at_once`` azimuths together and ``unroll`` steps a turn of the loop.
+
+    Arguments are otherwise those of `soft_returns`.
+    """
     num_azimuths, steps, _ = offsets.shape
     halo = steps - 1
     rows, cols = (size - 2 * halo for size in roof_m.shape)
+    # Outside the gradient: the clearance and the beam of each step and cell looked at.
     clearance_m, beam = _best_looks(lax.stop_gradient(roof_m), lax.stop_gradient(scan), steps)
     row, col = jnp.indices((rows, cols), jnp.int32, sparse=True)
 
     def of_azimuth(start):
+        """Return the soft returns ``[Y, X]`` of one azimuth, whose ray begins its steps at ``start`` ``[N, 2]``."""
+
         def look(state, n):
-            best, which = state
-            found = lax.dynamic_slice(clearance_m, (n, start[n, 0], start[n, 1]), (1, rows, cols))[
-                0
-            ]
-            return (jnp.maximum(found, best), jnp.where(found > best, n, which)), None
+            """Keep the larger clearance of step n and of the steps before, and the number of its step."""
+            best_m, best_n = state
+            corner = n, start[n, 0], start[n, 1]
+            step_m = lax.dynamic_slice(clearance_m, corner, (1, rows, cols))[0]
+            return (jnp.maximum(step_m, best_m), jnp.where(step_m > best_m, n, best_n)), None
 
         nothing = jnp.full((rows, cols), -jnp.inf, roof_m.dtype), jnp.zeros((rows, cols), jnp.int32)
-        (best, n), _ = lax.scan(look, nothing, jnp.arange(steps, dtype=jnp.int32), unroll=unroll)
-        at = row + start[n, 0], col + start[n, 1]
-        deciding = _Deciding(n, beam[(n, *at)], *at, best)
+        (best_m, n), _ = lax.scan(look, nothing, jnp.arange(steps, dtype=jnp.int32), unroll=unroll)
+        cell = row + start[n, 0], col + start[n, 1]  # that the deciding step looked at
+        deciding = _Deciding(n, beam[(n, *cell)], *cell, best_m)
         return soft_step(_clearance(roof_m, scan, deciding), softness_m)
 
     return (
@@ -261,17 +301,25 @@ class ScansAt(NamedTuple):
 
 
 def _returns_of_cell(at: ScansAt, receiver: tuple[jax.Array, jax.Array], at_once: int) -> jax.Array:
-    """Return `soft_returns_at` of one receiver, its altitude and its cell, so many azimuths at once."""
+    """Return the share of azimuths that return softly to one receiver, a number from 0 to 1.
+
+    Args:
+      at: the scan positions, of which roofs, terrain, scan and rays count.
+      receiver: the altitude and the cell ``[2]`` of the receiver.
+      at_once: how many azimuths are taken together.
+    """
     (altitude_m, cell), steps = receiver, at.offsets.shape[1]
     level = all_margins(at.scan._replace(altitude_m=altitude_m), steps)  # [N, B]
 
     def of_azimuth(offset):
-        row, col = (cell[None] + offset + steps - 1).T
+        """Return the soft return of one azimuth, whose steps look at offsets ``[N, 2]``."""
+        row, col = (cell[None] + offset + steps - 1).T  # with the halo of steps - 1 cells
         margins = level
         if at.terrain_m is not None:
             rise_m = at.terrain_m[row, col] - at.terrain_m[row[0], col[0]]
             above_m = level.lowest_m - rise_m[:, None]
             behind_m = jnp.full_like(above_m[:1], altitude_m)
+            # The least height above the cells of the steps before; at step 0 the receiver's own.
             passed_m = jnp.concatenate([behind_m, lax.cummin(above_m)[:-1]])
             margins = level._replace(lowest_m=above_m, in_air_m=jnp.minimum(altitude_m, passed_m))
         return soft_step(_least(at.roof_m[row, col][:, None], margins).max(), at.softness_m)
@@ -301,6 +349,6 @@ def together_at(at: ScansAt) -> jax.Array:
 
 
 def _in_batches(at: ScansAt, *, at_once: int) -> jax.Array:
-    """Return `soft_returns_at`, `CELLS_AT_ONCE` cells after the other, so many azimuths at once."""
+    """Return `soft_returns_at`, with `CELLS_AT_ONCE` cells and ``at_once`` azimuths together."""
     of_cell = jax.checkpoint(partial(_returns_of_cell, at, at_once=at_once))
     return lax.map(of_cell, (at.altitude_m, at.cells), batch_size=CELLS_AT_ONCE)

@@ -11,8 +11,6 @@ Legend: ``K`` azimuths, ``N`` steps, ``B`` beams, ``U`` looks, ``P`` phases, ``Y
 receivers, ``h, w`` cells around a tile, ``r, c`` receivers of it.
 """
 
-from itertools import product
-
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -35,18 +33,19 @@ def count_on_terrain_on_host(
 ) -> Int[np.ndarray, "A y x"]:
     """Return how many of K scan positions meet a building before the terrain, ``[A, y, x]`` int32.
 
-    Receivers stand ``altitude`` above their own cell's terrain, roofs ``roof_m`` above theirs. Over constant terrain
-    these are the counts over flat ground.
+    Receivers stand at their altitude above the terrain of their own cell, roofs at ``roof_m`` above the terrain of
+    theirs. Over constant terrain these are the counts over flat ground.
 
     Args:
       roof_m: roof heights above their ground, 0 without a building, as `jaxurban.kernels.lidar.hard.phases`.
       terrain_m: ground elevation, likewise.
-      lowest_m: from `jaxurban.kernels.lidar.hard.lowest_heights`, rounded up to the type of ``roof_m``; of `MOST_BEAMS`
-        at most.
+      lowest_m: from `jaxurban.kernels.lidar.hard.lowest_heights`, rounded up to the type of ``roof_m``; B is at most
+        `MOST_BEAMS`.
       starts: from `jaxurban.kernels.lidar.hard.phase_starts`.
       halo: cells beyond the receivers.
       receiver_phase: the phase in which receivers stand.
     """
+    # Rays that look at the same cell by the same step share one look: (step, phase, row, column).
     num_azimuths, num_steps = starts.shape[:2]
     steps = np.broadcast_to(np.arange(num_steps)[:, None], (num_azimuths, num_steps, 1))
     every_look = np.concatenate([steps, starts], axis=-1).reshape(-1, 4)
@@ -56,34 +55,31 @@ def count_on_terrain_on_host(
     rays = np.argsort(look_of_ray.ravel(), kind="stable") // num_steps
     first_ray = np.append(0, np.cumsum(num_rays))
     roofs_m, grounds_m = np.asarray(roof_m), np.asarray(terrain_m)
+    # Beams of height inf meet nothing: they fill the last group of `AT_ONCE` up.
     beams_m = np.pad(np.asarray(lowest_m), ((0, 0), (0, 0), (0, AT_ONCE)), constant_values=np.inf)
     counts = np.zeros((len(beams_m), *(size - 2 * halo for size in roofs_m.shape[1:])), np.int32)
-    for row, col in product(
-        *(range(0, size, side) for size, side in zip(counts.shape[1:], TILE, strict=True))
-    ):
-        tile = counts[:, row : row + TILE[0], col : col + TILE[1]]
-        rows, cols = tile.shape[1:]
-        around = slice(None), slice(row, row + rows + 2 * halo), slice(col, col + cols + 2 * halo)
-        ground_m, rise_m = grounds_m[around].copy(), roofs_m[around].copy()
-        rise_m[~(rise_m > 0)] = -np.inf
-        own_m = ground_m[receiver_phase, halo : halo + rows, halo : halo + cols].copy()
-        level_m = ground_m - np.fmin.reduce(own_m, axis=None)
-        highest_m = np.fmax([level_m, level_m + rise_m], -np.inf)
-        for axis in (2, 3):
-            highest_m = np.maximum.reduceat(highest_m, range(0, highest_m.shape[axis], BLOCK), axis)
-        for count, heights_m in zip(tile, beams_m, strict=True):
-            _count(
-                count,
-                ground_m,
-                rise_m,
-                own_m,
-                highest_m,
-                heights_m,
-                looks,
-                first_ray,
-                rays,
-                num_azimuths,
-            )
+    num_rows, num_cols = counts.shape[1:]
+
+    for row in range(0, num_rows, TILE[0]):
+        for col in range(0, num_cols, TILE[1]):
+            tile = counts[:, row : row + TILE[0], col : col + TILE[1]]
+            rows, cols = tile.shape[1:]
+            row_end, col_end = row + rows + 2 * halo, col + cols + 2 * halo
+            around = np.s_[:, row:row_end, col:col_end]
+            ground_m, rise_m = grounds_m[around].copy(), roofs_m[around].copy()
+            rise_m[~(rise_m > 0)] = -np.inf
+            own_m = ground_m[receiver_phase, halo : halo + rows, halo : halo + cols].copy()
+
+            # The highest ground and roof of each block of cells; fmin and fmax leave NaN out.
+            level_m = ground_m - np.fmin.reduce(own_m, axis=None)
+            highest_m = np.fmax([level_m, level_m + rise_m], -np.inf)
+            for axis in (2, 3):
+                begins = range(0, highest_m.shape[axis], BLOCK)
+                highest_m = np.maximum.reduceat(highest_m, begins, axis)
+
+            around_m = ground_m, rise_m, own_m, highest_m
+            for count, heights_m in zip(tile, beams_m, strict=True):
+                _count(count, *around_m, heights_m, looks, first_ray, rays, num_azimuths)
     return counts
 
 
@@ -91,7 +87,10 @@ def count_on_terrain_on_host(
 def _count(
     counts, ground_m, rise_m, own_m, highest_m, heights_m, looks, first_ray, rays, num_azimuths
 ):
-    """Fill ``counts`` of the receivers of a tile at one altitude.
+    """Count the scan positions that return to the receivers of a tile at one altitude, and fill ``counts`` with them.
+
+    A ray's state is the number of its lowest beams that have ended, or `RETURNED`. Looks are in order of steps, so each
+    ray looks at its cells from near to far.
 
     Args:
       counts: ``[r, c]`` int32, the result.
@@ -111,8 +110,11 @@ def _count(
     most_ended = np.zeros(num_azimuths, np.int64)
     num_met = np.empty(own_m.shape, np.uint8)
     num_landed = np.empty(own_m.shape, np.uint8)
+
     for u in range(len(looks)):
-        n, p, row, col = looks[u]
+        n, p, row, col = looks[u]  # step, phase, and the cell that the southwest receiver looks at
+
+        # The fewest and the most beams that have ended, over the rays of this look and the receivers.
         num_ended = 0
         while heights_m[n, num_ended] == -np.inf:  # out of range
             num_ended += 1
@@ -121,9 +123,14 @@ def _count(
             least = min(least, least_ended[rays[r]])
             most = max(most, most_ended[rays[r]])
         least = max(least, num_ended)
+
+        # Nothing happens where the lowest beam still in the air is above all ground and roofs that are looked at.
         ground, top = _highest(highest_m[:, p], row, col, own_m.shape)
         if not heights_m[n, least] <= max(ground, top):
             continue
+
+        # How many beams are not above the roof, and not above the ground, for each receiver: beams ascend, so the
+        # first group that is above both ends the loop. A roof's number decides no more once it is above ``most``.
         num_met[:], num_landed[:] = np.uint8(least), np.uint8(least)
         for b in range(least, heights_m.shape[1] - AT_ONCE, AT_ONCE):
             meets = b <= most and heights_m[n, b] <= top
@@ -141,16 +148,18 @@ def _count(
                 meets,
                 lands,
             )
-        (_, most_met), (least_landed, most_landed) = (
-            _range(num_met.reshape(-1)),
-            _range(num_landed.reshape(-1)),
-        )
+        _, most_met = _range(num_met.reshape(-1))
+        least_landed, most_landed = _range(num_landed.reshape(-1))
+
+        # Update the states of each ray for which something may have changed.
         for r in range(first_ray[u], first_ray[u + 1]):
             k = rays[r]
             if most_met > least_ended[k] or most_landed > least_ended[k]:
                 _end(states[k], num_met.reshape(-1), num_landed.reshape(-1), np.uint8(num_ended))
             least_ended[k] = max(least_ended[k], least_landed)
             most_ended[k] = max(most_ended[k], most_landed)
+
+    # Count without branches, so that the processor takes many receivers at once.
     returned = np.zeros(own_m.size, np.int32)
     for k in range(num_azimuths):
         state = states[k]
@@ -161,7 +170,13 @@ def _count(
 
 @compiled()
 def _highest(highest_m, row, col, shape):
-    """Return the highest ground and roof of the blocks that a window touches."""
+    """Return the heights of the highest ground and of the highest roof over the blocks that a window touches, metres.
+
+    Args:
+      highest_m: ``[2, I, J]`` highest ground, and roof, of each block of `BLOCK` cells a side.
+      row, col: southwest cell of the window.
+      shape: rows and columns of the window.
+    """
     ground_m = highest_m[0, row // BLOCK, col // BLOCK]
     top_m = highest_m[1, row // BLOCK, col // BLOCK]
     for i in range(row // BLOCK, (row + shape[0] - 1) // BLOCK + 1):
@@ -173,7 +188,18 @@ def _highest(highest_m, row, col, shape):
 
 @compiled()
 def _add_not_above(num_met, num_landed, own_m, ground_m, rise_m, at, heights_m, meets, lands):
-    """Add how many of `AT_ONCE` beams are not above the roof, and not above the ground, that each receiver looks at."""
+    """Add to each receiver's numbers how many of the next `AT_ONCE` beams are not above what it looks at, in place.
+
+    Args:
+      num_met: ``[r, c]`` uint8 beams not above the roof; raised if ``meets``.
+      num_landed: ``[r, c]`` uint8 beams not above the ground; raised if ``lands``.
+      own_m: ``[r, c]`` the receivers' own ground.
+      ground_m, rise_m: ``[h, w]`` ground of one phase, and how far roofs rise above it, -inf without a roof.
+      at: row and column that the southwest receiver looks at.
+      heights_m: lowest heights of the beams, of which the first `AT_ONCE` count.
+      meets, lands: whether any of these beams can be that low; else the comparison is left out.
+    """
+    # Four numbers, not an array: so the loop over receivers is vectorised.
     (row, col), (h0, h1, h2, h3) = at, (heights_m[0], heights_m[1], heights_m[2], heights_m[3])
     for i in range(len(own_m)):
         own, met, landed = own_m[i], num_met[i], num_landed[i]
@@ -189,6 +215,7 @@ def _add_not_above(num_met, num_landed, own_m, ground_m, rise_m, at, heights_m, 
 
 @compiled()
 def _plus_not_above(num, h0, h1, h2, h3, level_m):
+    """Return ``num`` plus how many of four heights are not above a level, uint8; added in int32, which vectorises."""
     more = (
         np.int32(h0 <= level_m)
         + np.int32(h1 <= level_m)

@@ -37,14 +37,20 @@ class CostGrid(NamedTuple):
 
 @compiled()
 def keeps_off(cells, closed, x0, y0, x1, y1, margin):
-    """Whether a segment keeps more than a margin from every cell that holds ``closed``, and from the map's border.
+    """Return whether a segment keeps more than a margin from every cell that is ``closed``, and from the map's border.
 
-    The margin counts along x and y: no cell's square, grown by it on all sides, meets the segment. Column after column
-    of grown squares, the part of the segment within it lies between two heights, which name the rows to look at. A
-    segment that is clear crosses free cells only, and passes no corner between two closed ones.
+    The margin counts along x and y: the square of a closed cell, grown by the margin on all sides, must not meet the
+    segment. In each column of grown squares the part of the segment in that column spans a range of y, which gives the
+    rows to look at. A segment that is clear crosses free cells only, and passes no corner between two closed ones.
+
+    Args:
+      cells: ``[Y, X]`` of any type.
+      closed: value of a closed cell.
+      x0, y0, x1, y1: ends of the segment, in cell sides.
+      margin: in cell sides, below one half.
     """
     num_rows, num_cols = cells.shape
-    if x1 < x0:
+    if x1 < x0:  # always from west to east
         x0, y0, x1, y1 = x1, y1, x0, y0
     slope = (y1 - y0) / (x1 - x0) if x1 > x0 else 0.0
     first = int(np.floor(x0 - margin))
@@ -54,11 +60,11 @@ def keeps_off(cells, closed, x0, y0, x1, y1, margin):
     for col in range(first, last + 1):
         west = max(x0, col - margin)
         east = min(x1, col + 1 + margin)
-        low, high = y0 + (west - x0) * slope, y0 + (east - x0) * slope
+        y_west, y_east = y0 + (west - x0) * slope, y0 + (east - x0) * slope
         if x1 == x0:
-            low, high = y0, y1
-        bottom = int(np.floor(min(low, high) - margin))
-        top = int(np.floor(max(low, high) + margin))
+            y_west, y_east = y0, y1
+        bottom = int(np.floor(min(y_west, y_east) - margin))
+        top = int(np.floor(max(y_west, y_east) + margin))
         if bottom < 0 or top >= num_rows:
             return False
         for row in range(bottom, top + 1):
@@ -75,7 +81,7 @@ def is_clear(is_free, x0, y0, x1, y1, margin):
 
 @compiled()
 def are_clear(is_free, xy, margin):
-    """Return ``[N - 1]`` bool: which legs of a polyline ``[N, 2]`` do; of a single point, ``[1]`` whether that does."""
+    """Return ``[N - 1]`` bool which legs of a polyline ``[N, 2]`` are clear (`is_clear`); for one point, ``[1]``."""
     are = np.empty(max(1, len(xy) - 1), np.bool_)
     for k in range(len(are)):
         end = min(k + 1, len(xy) - 1)
@@ -95,13 +101,19 @@ def is_pinched(cost_grid, row, col, to_row, to_col):
 
 @compiled()
 def segment_cost(cost_grid, x0, y0, x1, y1, limit):
-    """Return the cost of a segment, or inf: blocked, or not below ``limit``. One of no length costs nothing.
+    """Return the cost of a segment; inf if it is blocked, or if its cost is not below ``limit``.
 
     The walk from border to border is that of `kernels.line.traversal` and the law that of its `is_free_way`, but an end
     on a border counts as lying in the cell north or east of it: a segment that only touches an obstacle with its end
     may count as blocked. Costs are those of `path_features`; under ``cell`` both ends must lie off the borders of their
-    cells.
+    cells. A segment of no length costs nothing.
+
+    Args:
+      cost_grid: `CostGrid`.
+      x0, y0, x1, y1: ends of the segment, in cell sides.
+      limit: the walk ends where the cost reaches it; inf for none.
     """
+    # What can be decided without a walk: the distance alone, and the margin.
     dx, dy = x1 - x0, y1 - y0
     length = np.sqrt(dx * dx + dy * dy)
     total = cost_grid.per_side * length
@@ -111,6 +123,8 @@ def segment_cost(cost_grid, x0, y0, x1, y1, limit):
         cost_grid.cell_cost, np.inf, x0, y0, x1, y1, cost_grid.margin
     ):
         return np.inf
+
+    # Borders still to be crossed along x and along y, and where on the segment (in cell sides) the next one lies.
     row, col = int(np.floor(y0)), int(np.floor(x0))
     num_x = abs(int(np.floor(x1)) - col)
     num_y = abs(int(np.floor(y1)) - row)
@@ -119,16 +133,18 @@ def segment_cost(cost_grid, x0, y0, x1, y1, limit):
     sides_y = length / dy if num_y else 0.0
     next_x = (col + (step_x > 0) - x0) * sides_x if num_x else np.inf
     next_y = (row + (step_y > 0) - y0) * sides_y if num_y else np.inf
-    # In the `cell` model the next state that costs, as far along the segment as this.
+    # Under `cell`, where on the segment the next state lies; a step up to a diagonal long has the state at its end
+    # only.
     next_state = length if length <= DIAGONAL_SIDES else 1.0
-    at = 0.0
+
+    begin = 0.0  # of the part in the current cell
     while True:
         end = min(next_x, next_y, length)
         cell_cost = cost_grid.cell_cost[row, col]
         if cell_cost == np.inf:
             return np.inf
         if cost_grid.is_line:
-            total += cell_cost * (end - at)
+            total += cell_cost * (end - begin)
         else:
             # A state on a border belongs to the cell it came through; the last step may be shorter.
             while next_state < length * (1 - TOUCH_CELLS) and next_state <= end + TOUCH_CELLS:
@@ -138,6 +154,8 @@ def segment_cost(cost_grid, x0, y0, x1, y1, limit):
             return np.inf
         if num_x <= 0 and num_y <= 0:
             break
+
+        # Go on to the next cell: through a corner along both axes at once, if that leaves a gap.
         is_corner = abs(next_x - next_y) < TOUCH_CELLS
         if is_corner and is_pinched(cost_grid, row, col, row + step_y, col + step_x):
             return np.inf
@@ -151,7 +169,9 @@ def segment_cost(cost_grid, x0, y0, x1, y1, limit):
             row += step_y
             num_y -= 1
             next_y = (row + (step_y > 0) - y0) * sides_y if num_y > 0 else np.inf
-        at = end
+        begin = end
+
+    # Under `cell` the end is a state of its own.
     if not cost_grid.is_line and length > 0.0:
         total += cost_grid.cell_cost[row, col]
     return total if total < limit else np.inf
@@ -166,20 +186,21 @@ def segment_costs(
     is_line: bool,
     passes_corners: bool | Bool[Array, ""],
 ) -> Float[Array, " E"]:
-    """Return the cost of each of ``E`` segments, inf where it is not a free way, infinite costs being blocked cells.
+    """Return the cost of each of ``E`` segments, inf for a segment that is not a free way.
 
-    All are walked along together, from cut to cut. They are cut exactly at cell borders, as in
+    All segments are walked along together, from cut to cut. They are cut exactly at cell borders, as in
     `kernels.line.traversal`, and are free by the law of its `is_free_way`: a corner passed within ``TOUCH_CELLS``
     counts as touched, so that the cells beside it are not crossed.
-    ``line``: the cell's cost is integrated along the segment. ``cell``: every state costs that of the cell in which it
-    lies; states stand one cell side apart, the end is one, the start is none, and a segment up to a diagonal long has
-    no other. A segment of no length costs nothing.
 
-    It takes as many rounds as the segment with most cells has cells. The precision is that of the coordinates: call it
-    under ``jax.enable_x64(True)``, since float32 does not distinguish corners.
+    Under ``line`` the cell's cost is integrated along the segment. Under ``cell`` every state costs as much as the cell
+    in which it lies; states stand one cell side apart, the end is a state, the start is none, and a segment up to a
+    diagonal long has no state but its end. A segment of no length costs nothing.
+
+    The number of rounds is the number of cells of the segment with most cells. The precision is that of the
+    coordinates: call it under ``jax.enable_x64(True)``, since float32 does not distinguish corners.
 
     Args:
-      cell_cost: cost of a cell per cell side crossed (`line`) or per state (`cell`); inf: no way through.
+      cell_cost: cost of a cell per cell side crossed (`line`) or per state (`cell`); inf for a blocked cell.
       start, end: x, y in cell sides, off the borders of their cells, finite.
       per_side: distance cost per cell side.
       is_line: which cost model.
@@ -188,60 +209,81 @@ def segment_costs(
     num_rows, num_cols = cell_cost.shape
 
     def cost_at(col: Array, row: Array) -> Array:
+        """Return the cost of a cell, inf outside the map."""
         is_inside = (row >= 0) & (row < num_rows) & (col >= 0) & (col < num_cols)
         return jnp.where(is_inside, cell_cost[row, col], jnp.inf)
 
     def cost(start: Array, end: Array) -> Array:
-        """Return what one segment costs; of two, x comes before y, apart, as arrays of two take twice as long."""
+        """Return the cost of one segment.
+
+        Values of both axes come x before y, and the loop takes them apart: arrays of two take twice as long.
+        """
         delta = end - start
         length = jnp.hypot(*delta)
         first, last = (jnp.floor(point).astype(jnp.int32) for point in (start, end))
         step = jnp.where(delta > 0, 1, -1).astype(jnp.int32)
-        border = first + (delta > 0).astype(jnp.int32)  # of its cell on the way
-        # Cell sides along the segment per cell side of x and of y.
+
+        # Along either axis: the first border on the way, cell sides of the segment per cell side, and borders to cut.
+        border = first + (delta > 0).astype(jnp.int32)
         along = length / jnp.where(delta == 0, 1.0, delta)
         num_cuts = jnp.abs(last - first)
+
+        # Where the last state before the end lies, in cell sides from the start; 0 if there is none.
         last_state = jnp.where(
             length > DIAGONAL_SIDES, jnp.ceil(length * (1 - TOUCH_CELLS)) - 1, 0.0
         )
-        (x, y), (step_x, step_y) = zip(border, step, start, along, num_cuts, strict=True), step
+        # What `next_cut` takes, by axis.
+        x, y = zip(border, step, start, along, num_cuts, strict=True)
+        step_x, step_y = step
 
         def next_cut(num_passed: Array, axis: tuple[Array, ...]) -> Array:
+            """Return how far along the segment the next border of an axis is cut; inf if all of them are passed."""
             border, step, start, along, num_cuts = axis
-            at = (border + step * num_passed).astype(start.dtype)
-            return jnp.where(num_passed < num_cuts, (at - start) * along, jnp.inf)
+            next_border = (border + step * num_passed).astype(start.dtype)
+            return jnp.where(num_passed < num_cuts, (next_border - start) * along, jnp.inf)
 
         def is_under_way(walk: tuple[Array, ...]) -> Array:
+            """Return whether a border is left to pass on a segment that is not blocked so far."""
             num_x, num_y, _, total = walk
             return ((num_x < num_cuts[0]) | (num_y < num_cuts[1])) & jnp.isfinite(total)
 
         def go_on(walk: tuple[Array, ...]) -> tuple[Array, ...]:
-            """Go on to the next cut, from so many of x and of y that are passed, cell sides behind, and the cost."""
+            """Add the cost of the part up to the next cut.
+
+            The walk holds how many borders of x and of y are passed, how many cell sides of the segment lie behind, and
+            the cost so far.
+            """
             num_x, num_y, behind, total = walk
             next_x, next_y = next_cut(num_x, x), next_cut(num_y, y)
-            to = jnp.minimum(jnp.minimum(next_x, next_y), length)
+            ahead = jnp.minimum(jnp.minimum(next_x, next_y), length)
             if is_line:
-                share = to - behind
+                share = ahead - behind
             else:
                 # A state on a border belongs to the cell it came through.
                 before, by_now = (
                     jnp.clip(jnp.floor(sides + TOUCH_CELLS), 0, last_state)
-                    for sides in (behind, to)
+                    for sides in (behind, ahead)
                 )
-                share = by_now - before
+                share = by_now - before  # number of states on the part
+
+            # The cell of this part, and its cost.
             col, row = first[0] + step_x * num_x, first[1] + step_y * num_y
             here = cost_at(col, row)
+            # The inner `where` keeps 0 times inf, which is NaN, out of the sum.
             total += jnp.where(
                 jnp.isinf(here), jnp.inf, share * jnp.where(jnp.isinf(here), 0.0, here)
             )
+
+            # A corner is passed along both axes at once; blocked cells on both sides of it leave no gap.
             is_corner = jnp.abs(next_x - next_y) < TOUCH_CELLS
             beside = jnp.minimum(cost_at(col, row + step_y), cost_at(col + step_x, row))
             is_pinched = is_corner & jnp.isinf(beside) & ~jnp.asarray(passes_corners)
             num_x += (is_corner | (next_x < next_y)).astype(jnp.int32)
             num_y += (is_corner | (next_y < next_x)).astype(jnp.int32)
-            return num_x, num_y, to, jnp.where(is_pinched, jnp.inf, total)
+            return num_x, num_y, ahead, jnp.where(is_pinched, jnp.inf, total)
 
         none = jnp.zeros_like(num_cuts[0])
+        # Once more after the last cut, for the part that leads to the end.
         total = go_on(
             lax.while_loop(
                 is_under_way, go_on, (none, none, jnp.zeros_like(length), per_side * length)

@@ -57,6 +57,7 @@ def tile_minima(cost: np.ndarray, is_free: np.ndarray) -> np.ndarray:
       cost: ``[Y, X]`` float64, anything in cells that are not free.
       is_free: ``[Y, X]`` bool.
     """
+    # Tiles along each axis, the last of which may reach beyond the map.
     num_i, num_j = ((size - 1) // TILE + 1 for size in cost.shape)
     minima = np.full((num_i + 2, num_j + 2), np.inf)
     _lower_minima(cost, is_free, minima, np.empty(num_j * TILE + 1))
@@ -65,7 +66,13 @@ def tile_minima(cost: np.ndarray, is_free: np.ndarray) -> np.ndarray:
 
 @compiled()
 def _lower_minima(cost, is_free, minima, least):
-    """Set the minima of tiles; ``least`` is memory for a row of cells, and one more."""
+    """Set the cheapest free cell of every tile; a tile holds the cells on its rim, so neighbours share a row or column.
+
+    Args:
+      cost, is_free: ``[Y, X]`` as in `tile_minima`.
+      minima: ``[I + 2, J + 2]`` filled in place but for its frame.
+      least: ``[J * TILE + 1]`` working memory: the cheapest free cell of each column within a row of tiles.
+    """
     num_rows, num_cols = cost.shape
     num_i, num_j = minima.shape[0] - 2, minima.shape[1] - 2
     for i in range(num_i):
@@ -88,12 +95,14 @@ def costs_at_corners(
     start: tuple[int, ...],
     goal: tuple[int, ...],
 ) -> tuple[np.ndarray, bool]:
-    """Return what Dijkstra's search from the goal's tile over sides and diagonals of tiles gives at lattice points.
+    """Return the costs from lattice points to the goal's tile, by Dijkstra's search over sides and diagonals of tiles.
 
     Args:
       minima: ``[I + 2, J + 2]`` cheapest cell of every tile, inf without one and in the frame.
-      straight, diagonal: a side, and a diagonal, of a tile of cheapest cell c costs ``straight[0] + straight[1] * c``.
-      start, goal: tiles.
+      straight: a side of a tile whose cheapest cell costs c costs ``straight[0] + straight[1] * c``; of the two tiles
+        that share the side the cheaper one counts.
+      diagonal: the same of a tile's diagonal.
+      start, goal: tiles, by row and column.
 
     Returns:
       ``[I + 1, J + 1]`` float64 the costs to the goal's tile, at most the search's limit, and whether a way joins
@@ -102,10 +111,12 @@ def costs_at_corners(
     width = minima.shape[1] - 1
     corners = np.full((minima.shape[0] - 1, width), np.inf)
     cost = corners.reshape(-1)
-    first = goal[0] * width + goal[1]
+    first = goal[0] * width + goal[1]  # southwest corner of the goal's tile
+
+    # All four corners of the goal's tile are open at cost 0; with equal keys any order is a heap.
     # Each point is opened again at most once by each of its neighbours; memory that is not written to is not taken.
     most = 8 * cost.size + 4
-    heap = Heap(np.empty(most), np.empty(most, np.int32), np.array([4]))
+    heap = Heap(np.empty(most), np.empty(most, np.int32), np.array([4]))  # of size 4
     heap.item[:4] = first, first + 1, first + width, first + width + 1
     heap.f[:4] = cost[heap.item[:4]] = 0.0
     limit = _search_corners(minima, straight, diagonal, start, cost, heap)
@@ -115,14 +126,23 @@ def costs_at_corners(
 
 @compiled()
 def _search_corners(minima, straight, diagonal, start, cost, heap):
-    """Lower the costs at lattice points, row by row, to those found, and return the limit, inf where no way joins."""
+    """Lower the costs at lattice points to those of Dijkstra's search, and return the cost at which the search ended.
+
+    It ends at `BEYOND` times the highest cost at a corner of the start's tile, or where no point is open; then the
+    limit is inf if a corner was not reached.
+
+    Args:
+      minima, straight, diagonal, start: as in `costs_at_corners`.
+      cost: ``[N]`` costs at lattice points, row by row; altered.
+      heap: the open points; altered.
+    """
     width = minima.shape[1] - 1
     num_left = 4  # corners of the start's tile that the search has not come to
     limit = np.inf  # where it ends: `BEYOND` times the cost at the last of these
     while heap.size[0] > 0 and heap.f[0] <= limit:
         value, node = heap.f[0], heap.item[0]
         drop_top(heap)
-        if value > cost[node]:
+        if value > cost[node]:  # outdated
             continue
         i = node // width
         j = node % width
@@ -130,6 +150,8 @@ def _search_corners(minima, straight, diagonal, start, cost, heap):
             num_left -= 1
             if num_left == 0:
                 limit = BEYOND * value
+
+        # The four tiles around the point; a side costs as the cheaper tile beside it, a diagonal as its own tile.
         sw = minima[i, j]
         se = minima[i, j + 1]
         nw = minima[i + 1, j]
@@ -160,7 +182,7 @@ def tile_bound(
     start: tuple[int, ...],
     goal: tuple[int, ...],
 ) -> TileBound:
-    """Return the bound on the cost to the goal, for a search from start to goal.
+    """Return the bound on the cost to the goal, for a search from start to goal (see the top of this file).
 
     Args:
       minima: of `tile_minima`.
@@ -168,12 +190,14 @@ def tile_bound(
       diagonal: the same of a diagonal one: no less than a straight one, and no more than two.
       start, goal: cells.
     """
+    # Of a whole tile: TILE steps, then the costs at its corners.
     straight, diagonal = ((TILE * base, TILE * share) for base, share in (straight, diagonal))
     first = (start[0] // TILE, start[1] // TILE)
     last = (goal[0] // TILE, goal[1] // TILE)
     corners, is_joined = costs_at_corners(minima, straight, diagonal, first, last)
     side, across = (base + share * minima[1:-1, 1:-1] for base, share in (straight, diagonal))
     num_i, num_j = side.shape
+
     # The highest middle to which no plane is too steep; it need not lie above all corners.
     highest = np.maximum(corners[:-1], corners[1:])
     centres = np.maximum(highest[:, :-1], highest[:, 1:])
@@ -184,13 +208,21 @@ def tile_bound(
         for sides in (np.s_[:num_i, :num_j], np.s_[-num_i:, -num_j:]):
             highest = 0.5 * (total[sides] + np.minimum(side, across - apart[sides]))
             np.minimum(centres, highest, out=centres)
+
+    # Less the estimate at the goal itself, so that the bound is 0 there.
     at_goal = tile_estimate(TileBound(corners, centres, 0.0), *goal)
     return TileBound(corners, centres, at_goal if is_joined else -np.inf)
 
 
 @compiled(forceinline=True)
 def tile_estimate(bound, row, col):
-    """Return the bound at a cell."""
+    """Return the bound at a cell, on the plane through the centre of its tile and the tile's nearest side.
+
+    Args:
+      bound: `TileBound`.
+      row, col: the cell.
+    """
+    # The tile, and the cell's place in it, from -1/2 to 1/2 from its middle.
     i, j = row // TILE, col // TILE
     y = (row - i * TILE) * (1 / TILE) - 0.5
     x = (col - j * TILE) * (1 / TILE) - 0.5
@@ -198,11 +230,13 @@ def tile_estimate(bound, row, col):
     se = bound.corners[i, j + 1]
     nw = bound.corners[i + 1, j]
     ne = bound.corners[i + 1, j + 1]
+
+    # The side's two corners, in the order of `along`; `out` leads from the middle toward the side.
     is_beside = abs(x) >= abs(y)  # the plane of the west or the east side
     out, along = (x, y) if is_beside else (y, x)
     first = (se if is_beside else nw) if out > 0 else sw
     last = ne if out > 0 else (nw if is_beside else se)
-    share = 2 * abs(out)
+    share = 2 * abs(out)  # 0 in the middle, 1 at the side
     return (
         (1 - share) * bound.centres[i, j]
         + share * 0.5 * (first + last)
@@ -214,8 +248,8 @@ def tile_estimate(bound, row, col):
 def printed_plus_field(layers: np.ndarray, goal: tuple[int, ...], first_index: int) -> np.ndarray:
     """Return ``[Y, X]`` the map part of h_plus as the paper prints it, for every node: **not** admissible.
 
-    For each layer the larger of the sum of column minima and the sum of row minima within the box
-    between node and goal; then the sum over layers (Ochoa & Atkins, eq. h_plus and s_k). Columns are
+    For each layer it is the larger of the sum of column minima and the sum of row minima within the box
+    between node and goal; these are summed over layers (Ochoa & Atkins, eq. h_plus and s_k). Columns are
     numbered from the box's west side and rows from its south side, wherever the goal lies. The paper's
     sum runs over i = 1..dx while its index map starts at 0, which leaves two readings:
 
@@ -238,7 +272,19 @@ def printed_plus_field(layers: np.ndarray, goal: tuple[int, ...], first_index: i
 
 @compiled()
 def _add_printed_layer(layer, goal_row, goal_col, first_index, field):
-    """Add one layer's larger sum to the field, going away from the goal's row, north and then south."""
+    """Add one layer's larger sum (see `printed_plus_field`) to the field, in place.
+
+    Rows are visited from the goal's row away, first to the north and then to the south; in each, columns from the
+    goal's column away, first to the east and then to the west. So the box between node and goal grows by a row or a
+    column at a time, and its minima and sums are carried on. The goal's own row and column count in the first of both
+    passes only.
+
+    Args:
+      layer: ``[Y, X]`` weighted costs.
+      goal_row, goal_col: the goal.
+      first_index: 1 or 0.
+      field: ``[Y, X]`` altered.
+    """
     num_rows, num_cols = layer.shape
     box_min = np.empty(num_cols)  # minimum over the box's rows, by column
     # Sum over the box's rows of their minimum between the goal's column and each column.

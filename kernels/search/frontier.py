@@ -69,7 +69,13 @@ class Frontier(NamedTuple):
 
 
 def empty_frontier(num_queries: int, num_cells: int, list_size: int) -> Frontier:
-    """Return a frontier with nothing open: every query is done until `begin` gives it a start and a goal."""
+    """Return a frontier with nothing open: every query is done until `begin` gives it a start and a goal.
+
+    Args:
+      num_queries: Q.
+      num_cells: N, of every map.
+      list_size: B, open cells that the list has room for.
+    """
     return Frontier(
         map_index=jnp.zeros(num_queries, jnp.int32),
         start=jnp.zeros(num_queries, jnp.int32),
@@ -106,7 +112,18 @@ def begin(
     goal: Array,
     band: Array,
 ) -> Frontier:
-    """Return the frontier with a query begun; it must be done or dropped, and the list have a place left."""
+    """Return the frontier with a query begun: its start alone is open.
+
+    The place of the query must be free (done or dropped), and the list must have room for one more cell.
+
+    Args:
+      frontier: of all queries; its memory is used again.
+      grids: the maps.
+      query: number of the query's place, below Q.
+      map_index: number of its map.
+      start, goal: flat cell numbers.
+      band: how far above the query's lowest f cells are expanded, as a cost.
+    """
     f = _bound(grids, map_index, start, goal)
     place = frontier.num_open
     return frontier._replace(
@@ -137,7 +154,7 @@ def drop(frontier: Frontier, query: Array) -> Frontier:
 
 
 def with_list_of(list_size: int, frontier: Frontier) -> Frontier:
-    """Return the frontier with room for more open cells."""
+    """Return the frontier with room for ``list_size`` open cells, at least as many as before; new places are empty."""
     more = (0, list_size - frontier.open_f.size)
     return frontier._replace(
         open_query=jnp.pad(frontier.open_query, more),
@@ -152,12 +169,13 @@ def advance(frontier: Frontier, grids: Grids, max_rounds: Array, num_together: i
     """Return the frontier after up to ``max_rounds`` rounds, fewer where nothing is open any more.
 
     A round expands up to ``num_together`` of the open cells whose f lies within the band above the lowest
-    f of their query. What is left over, or turns out to be cheaper later, is expanded in a later round;
+    f of their query. A cell that is left over, or is reached at a lower cost later, is expanded in a later round;
     a query is done when no open f is below the cost of its goal. So the goal's g is exact for every band.
-    Rounds also end where the list might overflow (see `is_crowded`).
+    Rounds also end where the list might overflow (see `is_crowded`). The memory of the frontier given is used again.
     """
 
     def may_go_on(carry: tuple[Frontier, Array]) -> Array:
+        """Return whether another round is allowed, is needed and has room."""
         frontier, num_rounds = carry
         return (
             (num_rounds < max_rounds)
@@ -187,6 +205,11 @@ def _lowest_f(frontier: Frontier) -> tuple[Array, Array]:
 
 
 def _round(frontier: Frontier, grids: Grids, num_together: int) -> Frontier:
+    """Return the frontier after one round: the chosen open cells are expanded together.
+
+    Arrays of fixed size stand for lists of any length, so places without an entry hold numbers out of bounds: reading
+    there gives the fill value, and writing there is dropped. Below, ``T`` is ``num_together`` and ``K`` the steps.
+    """
     num_queries = frontier.goal.size
     list_size = frontier.open_f.size
     goal_g = frontier.g[jnp.arange(num_queries), frontier.goal] * CHEAPER
@@ -194,6 +217,7 @@ def _round(frontier: Frontier, grids: Grids, num_together: int) -> Frontier:
     is_open = f < jnp.inf
     is_near = is_open & (f <= (lowest_f + frontier.band)[frontier.open_query])
 
+    # Choose up to T entries of the list near the lowest f of their query, ``[T]`` each.
     chosen = jnp.nonzero(is_near, size=num_together, fill_value=list_size)[0]
     query = frontier.open_query.at[chosen].get(mode="fill", fill_value=num_queries)
     cell = frontier.open_cell.at[chosen].get(mode="fill", fill_value=0)
@@ -206,6 +230,7 @@ def _round(frontier: Frontier, grids: Grids, num_together: int) -> Frontier:
     map_index = frontier.map_index.at[query].get(mode="fill", fill_value=0)
     goal = frontier.goal.at[query].get(mode="fill", fill_value=0)
 
+    # All K steps from them, ``[T, K]``: the cells that they lead to, and g and f there.
     step = jnp.arange(grids.steps.shape[0], dtype=jnp.uint8)[None]
     offset = (grids.steps[:, 0] * grids.num_cols + grids.steps[:, 1])[None]
     is_allowed = ((grids.moves[map_index, cell][:, None] >> step) & 1 == 1) & is_current[:, None]
@@ -217,6 +242,8 @@ def _round(frontier: Frontier, grids: Grids, num_together: int) -> Frontier:
     )
     to_f = to_g + _bound(grids, map_index[:, None], to, goal[:, None])
     to_query = jnp.broadcast_to(query[:, None], to.shape)
+
+    # Keep the steps that lower g, and that may lie on a path cheaper than the goal's.
     is_better = is_allowed & (to_g < frontier.g.at[to_query, to].get(mode="fill", fill_value=-1.0))
     is_better &= to_f < goal_g.at[to_query].get(mode="fill", fill_value=0.0)
     better_query = jnp.where(is_better, to_query, num_queries)  # out of bounds, hence dropped
@@ -228,11 +255,13 @@ def _round(frontier: Frontier, grids: Grids, num_together: int) -> Frontier:
     reached_by = frontier.reached_by.at[best_query, to].set(steps, mode="drop")
     opens = is_best & (reached_by.at[best_query, to].get(mode="fill", fill_value=NO_STEP) == steps)
 
+    # The new list: what was open and not chosen, then the cells that these steps open.
     stays = is_open.at[chosen].set(False, mode="drop")
     is_kept = jnp.concatenate([stays, opens.ravel()])
     kept = jnp.nonzero(is_kept, size=list_size, fill_value=is_kept.size)[0]
 
     def listed(old: Array, new: Array, empty: float) -> Array:
+        """Return one field of the new list, ``[B]``; ``empty`` stands in its free places."""
         return jnp.concatenate([old, new.ravel()]).at[kept].get(mode="fill", fill_value=empty)
 
     return frontier._replace(

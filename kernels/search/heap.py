@@ -53,11 +53,15 @@ class Heap(NamedTuple):
 
 @compiled()
 def place(heap, f):
-    """Make a place in a heap that has room for an entry of key ``f``, and return it: its item is to be filled in."""
+    """Make a place for an entry of key ``f`` in a heap that has room, and return its index.
+
+    The heap's size and keys are altered; the caller must fill in ``heap.item`` at the index. Parents with larger keys
+    move down until the place is right.
+    """
     i = heap.size[0]
     heap.size[0] = i + 1
     while i > 0:
-        up = (i - 1) >> 2
+        up = (i - 1) >> 2  # the parent, as every entry has up to four children
         if heap.f[up] <= f:
             break
         heap.f[i] = heap.f[up]
@@ -70,7 +74,10 @@ def place(heap, f):
 # Inlined by force: handing it the arrays took as long as what it does.
 @compiled(forceinline=True)
 def drop_top(heap):
-    """Remove the lowest entry of a heap that has one."""
+    """Remove the lowest entry of a heap that has one, in place.
+
+    The last entry takes its place, and goes down past smaller children until none of its own is smaller.
+    """
     last = heap.size[0] - 1
     heap.size[0] = last
     f, item = heap.f[last], heap.item[last]
@@ -79,7 +86,7 @@ def drop_top(heap):
         first = 4 * i + 1
         if first >= last:
             break
-        low = first
+        low = first  # the lowest child
         for j in range(first + 1, min(first + 4, last)):
             if heap.f[j] < heap.f[low]:
                 low = j
@@ -93,17 +100,21 @@ def drop_top(heap):
 
 
 def _prefetch(typing_context, array, index):
-    """Ask for the cache line where an item of an array ``[N]`` begins; an index outside the array does no harm."""
+    """Have the processor load the cache line of one item of an array ``[N]``; an index outside the array does no harm.
+
+    This is Numba's form of a function of an array and an index: it returns the types, and what emits the code.
+    """
 
     def generate(context, builder, signature, arguments):
-        """Emit LLVM's prefetch of one place of an array."""
+        """Emit a call of LLVM's prefetch for the address of the item; its result is None."""
         values, place = arguments
         data = context.make_array(signature.args[0])(context, builder, values).data
         address = builder.bitcast(builder.gep(data, [place]), BYTES)
         hint = [ir.Constant(WORD, word) for word in (READ, KEEP_CLOSE, DATA)]
-        kind = ir.FunctionType(ir.VoidType(), [BYTES, *[WORD] * len(hint)])
+        signature_in_llvm = ir.FunctionType(ir.VoidType(), [BYTES, *[WORD] * len(hint)])
+        # A module declares it once.
         function = builder.module.globals.get("llvm.prefetch") or ir.Function(
-            builder.module, kind, "llvm.prefetch"
+            builder.module, signature_in_llvm, "llvm.prefetch"
         )
         builder.call(function, [address, *hint])
         return context.get_dummy_value()
@@ -140,7 +151,13 @@ class Queue(NamedTuple):
 
 
 def empty_queue(num_entries: int, step: float) -> Queue:
-    """Return a queue with room for that many entries, its buckets fitted to what a step costs (the order never is)."""
+    """Return an empty queue.
+
+    Args:
+      num_entries: entries that it has room for.
+      step: cost of a typical step, which sets the width of the buckets; 0: all entries go into the heap. The order of
+        entries does not depend on it, but for entries of equal f.
+    """
     return Queue(
         near=Heap.empty(num_entries),
         far_f=np.empty(num_entries),
@@ -153,7 +170,7 @@ def empty_queue(num_entries: int, step: float) -> Queue:
 
 
 def grown(queue: Queue) -> Queue:
-    """Return the queue with room for twice as many entries."""
+    """Return the queue with room for twice as many entries; what stands in the new slots has no meaning yet."""
     size = queue.far_next.size
     return queue._replace(
         near=queue.near.grown(),
@@ -168,12 +185,14 @@ def grown(queue: Queue) -> Queue:
 
 @compiled(forceinline=True)
 def insert(queue, f, node):
-    """Put a node into a queue that has room."""
+    """Put a node into a queue that has room: into its heap, or first in the list of a later bucket."""
     tally = queue.tally
     bucket = (f - queue.scale[0]) * queue.scale[1]
     if not bucket >= tally[BUCKET] + 1:  # NaN, of an infinite f, comes here too
         queue.near.item[place(queue.near, f)] = node
         return
+
+    # Take a free slot, and put it before the bucket's first one; beyond the buckets there is one list for all.
     index = int(min(bucket, NUM_BUCKETS))
     slot = tally[FREE_SLOT]
     tally[FREE_SLOT] = queue.far_next[slot]
@@ -186,15 +205,22 @@ def insert(queue, f, node):
 
 @compiled(forceinline=True)
 def refill(queue, num_cols, moves, cost, g, state):
-    """Bring the next bucket's entries into an empty heap; it stays empty where no bucket is left.
+    """Bring the next bucket's entries into the heap if it is empty; it stays empty where no bucket is left.
 
-    They will soon be expanded, so what is known of them and of their neighbours is asked for now. Those that have been
-    by now, from a lower f, are left out.
+    These nodes will soon be expanded, so what the search keeps of them and of their neighbours is prefetched. A node
+    that was closed meanwhile, at a lower f, is left out.
+
+    Args:
+      queue: altered.
+      num_cols: cells in a row of the grid, the distance to a node's neighbours north and south.
+      moves, cost, g, state: ``[M]`` arrays of the search, by node (see `planners.grid_search.advance`).
     """
     tally = queue.tally
     while queue.near.size[0] == 0 and tally[NUM_FAR] > 0:
         index = tally[BUCKET] + 1
         tally[BUCKET] = index
+
+        # Behind the last bucket: begin with the first one again, at the lowest f of what lies beyond.
         if index == NUM_BUCKETS:
             tally[BUCKET] = 0
             queue.scale[0] = np.inf
@@ -202,6 +228,8 @@ def refill(queue, num_cols, moves, cost, g, state):
             while slot != NO_SLOT:
                 queue.scale[0] = min(queue.scale[0], queue.far_f[slot])
                 slot = queue.far_next[slot]
+
+        # Empty the list: slots become free, and nodes go into the heap, or into later buckets.
         slot = queue.first[index]
         queue.first[index] = NO_SLOT
         while slot != NO_SLOT:

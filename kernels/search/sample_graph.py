@@ -115,27 +115,31 @@ def search_samples(
     is_line: bool,
     sizes: Sizes,
 ) -> Trees:
-    """Return the cheapest paths from every query's start over its random geometric graph and the tree given.
+    """Return the cheapest paths from every query's start over its random geometric graph and the tree in ``samples``.
 
-    All pairs of nodes within the radius are joined, but for edges whose lower bound says that they cannot lead to a
-    cheaper path than those known; each edge is costed by `segment_costs`, in both directions. Costs are relaxed, all
-    nodes together, until none falls, so that the goal's ``g`` is that of Dijkstra's search, or the one given.
+    All pairs of nodes within the radius are joined, but for edges whose lower bound proves that they cannot lead to a
+    path cheaper than the query's best. Each edge is costed by `segment_costs`, in both directions. Costs are relaxed,
+    all nodes together, until none falls, so that the goal's ``g`` is that of Dijkstra's search, or the tree's if lower.
 
     Call it under ``jax.enable_x64(True)``.
 
     Args:
       samples: the nodes.
       cell_cost, per_side, passes_corners, is_line: the map of all queries, as in `segment_costs`.
-      sizes: room; too little is told in the result, and nothing is searched then.
+      sizes: room in the arrays. If it is too little, nothing is searched, and the result says what would do.
     """
+    # Sort nodes by square, so that the nodes of neighbouring squares are next to each other in memory.
     order = jnp.argsort(_squares(samples, cell_cost.shape)[0]).astype(jnp.int32)
     place = jnp.zeros_like(order).at[order].set(jnp.arange(order.size, dtype=jnp.int32))
 
     def renumbered(parent: Array, number: Array) -> Array:
+        """Return parents by their new numbers; no parent stays none."""
         return jnp.where(parent == NO_PARENT, NO_PARENT, number[jnp.maximum(parent, 0)])
 
     ordered = Samples(*(values[order] for values in samples))
     ordered = ordered._replace(parent=renumbered(ordered.parent, place))
+
+    # Find the edges, cost them and relax; with too little room for them there are none.
     edges, num_of_node, most_candidates = neighbours(ordered, cell_cost.shape, sizes)
     num_edges = edges.num
     edges = edges._replace(num=jnp.where(num_edges <= edges.cost.size, num_edges, 0))
@@ -143,6 +147,8 @@ def search_samples(
         edges, ordered, cell_cost, per_side, passes_corners, is_line=is_line, sizes=sizes
     )
     g, parent, edge_cost, num_rounds = relaxed(edges, ordered, sizes.edges_together)
+
+    # Back to the order in which nodes were given.
     return Trees(
         g[place],
         renumbered(parent[place], order),
@@ -155,14 +161,19 @@ def search_samples(
 
 
 def _squares(samples: Samples, shape: tuple[int, ...]) -> tuple[Array, Array]:
-    """Return ``[N]`` the number of the square that holds each node, and the squares in a row.
+    """Return ``[N]`` int64 the number of the square that holds each node, and ``[N]`` how many squares a row has.
 
-    Squares are no smaller than the radius, and have a frame of empty ones, so that squares side by side in different
-    rows or queries never follow each other.
+    Numbers ascend by query, then row, then column; a node of no query has the largest. A square's side is the query's
+    radius, within limits, and a frame of empty squares surrounds the map, so that the squares at the end of a row and
+    at the beginning of the next one, or of the next query, are never taken for neighbours.
+
+    Args:
+      samples: the nodes.
+      shape: rows and columns of the map.
     """
     longest = float(max(shape))
     side = jnp.clip(samples.radius, longest / MOST_SQUARES, longest)
-    num_cols = (longest / side).astype(jnp.int64) + 3
+    num_cols = (longest / side).astype(jnp.int64) + 3  # one begun, and the frame's two
     col, row = (jnp.floor(samples.xy / side[:, None]).astype(jnp.int64) + 1).T
     square = samples.query.astype(jnp.int64) * SQUARES_OF_A_QUERY + row * num_cols + col
     return jnp.where(samples.query == NO_QUERY, jnp.iinfo(jnp.int64).max, square), num_cols
@@ -171,27 +182,35 @@ def _squares(samples: Samples, shape: tuple[int, ...]) -> tuple[Array, Array]:
 def neighbours(
     samples: Samples, shape: tuple[int, ...], sizes: Sizes
 ) -> tuple[Edges, Array, Array]:
-    """Return the edges within the radius, yet without costs, ``[N]`` how many lead to each node, and `most_candidates`.
+    """Return the edges between nodes within the radius, still without costs.
 
-    An edge is kept where by its lower bound it may give its end a lower cost than it has, and the query a cheaper path.
-    Where edges lack room their number says so; where candidates do, no edge is kept.
+    An edge is kept if by its lower bound it may lower the cost of its end and lead to a cheaper path of the query.
 
     Args:
-      samples: sorted by square.
+      samples: the nodes, sorted by square.
       shape: rows and columns of the map.
-      sizes: room.
+      sizes: room in the arrays.
+
+    Returns:
+      The edges, whose ``num`` is larger than their arrays if these lack room; ``[N]`` int32 how many edges lead to each
+      node; and the most candidates that a node has. If that is above ``sizes.candidates``, there are no edges.
     """
+    # Candidates of a node: the nodes in its own square and the eight around, three squares in each of three rows. As
+    # nodes are sorted, each row of three is a range of nodes, from `begin` to `end`, ``[N, 3]``.
     square, num_cols = _squares(samples, shape)
     west = square[:, None] + num_cols[:, None] * jnp.arange(-1, 2)[None] - 1
     # Unrolled, as the loop would be one launch a step.
     position = partial(jnp.searchsorted, square, method="scan_unrolled")
     begin = position(west)
     end = position(west + 2, side="right")
+
+    # Candidates get slots, 0 and up, through the three rows; `ends` are the slots at which the rows end.
     is_node = samples.query != NO_QUERY
-    # Of three rows of squares.
     ends = jnp.cumsum(jnp.where(is_node[:, None], end - begin, 0), axis=1).astype(jnp.int32)
-    # So that slot k of row r of squares is begin + k.
+    # Less the slots before a row, so that the candidate in slot k of row r is node begin[r] + k.
     begin = begin.astype(jnp.int32).at[:, 1:].add(-ends[:, :2])
+
+    # Without room for the candidates of one node all have none.
     most_candidates = ends[:, 2].max()
     ends = jnp.where(most_candidates <= sizes.candidates, ends, 0)
     num_nodes = jnp.sum(ends[:, 2] > 0)
@@ -199,23 +218,29 @@ def neighbours(
     num_places = sizes.edges * square.size
 
     def turn(carry: tuple[Edges, Array, Array]) -> tuple[Edges, Array, Array]:
-        """Add the edges that lead to the next few nodes, behind those that are there."""
+        """Add the edges that lead to the next T = ``nodes_together`` nodes, behind the edges in the list.
+
+        The carry is the edges, the number of edges to each node, and the first of these nodes. Arrays are ``[T, C]``:
+        a node's row holds its ``C`` slots for candidates.
+        """
         edges, num_of_node, first = carry
 
         def here(values: Array) -> Array:
+            """Return the values of these nodes, as a column ``[T, 1, ...]``."""
             return lax.dynamic_slice_in_dim(values, first, sizes.nodes_together)[:, None]
 
+        # The candidate in each slot: the south row of squares first, then the middle one, then the north.
         last = here(ends)[:, 0]
         start = here(begin)[:, 0]
-        in_row = [slot < last[:, :1], slot < last[:, 1:2]]
-        origin = slot + jnp.where(
-            in_row[0], start[:, :1], jnp.where(in_row[1], start[:, 1:2], start[:, 2:])
-        )
+        start_of_slot = jnp.where(slot < last[:, 1:2], start[:, 1:2], start[:, 2:])
+        origin = slot + jnp.where(slot < last[:, :1], start[:, :1], start_of_slot)
         is_edge = slot < last[:, 2:]
         origin = jnp.where(is_edge, origin, 0)
         node = jnp.broadcast_to(
             first + jnp.arange(sizes.nodes_together, dtype=jnp.int32)[:, None], origin.shape
         )
+
+        # Lower bound of the cost of a path from the start over the edge to its end (see `Samples`).
         dx = samples.xy[origin, 0] - here(samples.xy[:, 0])
         dy = samples.xy[origin, 1] - here(samples.xy[:, 1])
         distance = jnp.sqrt(dx * dx + dy * dy)
@@ -229,10 +254,14 @@ def neighbours(
             + here(samples.enter)
             + map_part
         )
+
+        # Keep edges within the radius that may lower the cost of their end, and of the query's path.
         is_edge &= (distance <= here(samples.radius)) & (origin != node)
         is_edge &= (reach < here(samples.g)) & (
             reach + here(samples.to_goal) < here(samples.incumbent)
         )
+
+        # Write the edges kept one after the other; `place` is where each goes in the list.
         num_here = jnp.sum(is_edge, axis=1, dtype=jnp.int32)
         behind = edges.num + jnp.cumsum(num_here)
         place = (behind - num_here)[:, None] + jnp.cumsum(is_edge, axis=1, dtype=jnp.int32) - 1
@@ -245,6 +274,7 @@ def neighbours(
         num_of_node = lax.dynamic_update_slice_in_dim(num_of_node, num_here, first, 0)
         return edges, num_of_node, first + sizes.nodes_together
 
+    # Turn after turn, until all nodes with candidates are done: these come first, as nodes of no query are last.
     nowhere = jnp.zeros(num_places, jnp.int32)
     edges = Edges(nowhere, nowhere, jnp.zeros(num_places), jnp.int32(0))
     carry = (edges, jnp.zeros(square.size, jnp.int32), jnp.int32(0))
@@ -262,15 +292,28 @@ def costed(
     is_line: bool,
     sizes: Sizes,
 ) -> Edges:
-    """Return the edges that by their costs may still help, with these."""
+    """Return the edges that may still help when their costs are known, with these costs.
+
+    An edge helps if it may lower the cost of its end and lead to a cheaper path of the query.
+
+    Args:
+      edges: from `neighbours`.
+      samples: the nodes.
+      cell_cost, per_side, passes_corners, is_line: as in `segment_costs`.
+      sizes: how many edges are costed together.
+    """
     num_places = edges.cost.size
 
     def turn(carry: tuple[Edges, Array]) -> tuple[Edges, Array]:
-        """Cost the next few edges, and move those that are kept to the front, in their order."""
+        """Cost the next few edges, and move the edges that are kept to the front of the list, in their order.
+
+        The carry is the list, whose ``num`` counts the edges kept, and the first edge that is not costed yet.
+        """
         kept, first = carry
         is_edge = first + jnp.arange(sizes.edges_together, dtype=jnp.int32) < edges.num
 
         def here(nodes: Array) -> Array:
+            """Return the nodes of these edges, 0 behind the last edge."""
             return jnp.where(
                 is_edge, lax.dynamic_slice_in_dim(nodes, first, sizes.edges_together), 0
             )
@@ -301,17 +344,28 @@ def costed(
 
 
 def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Array, Array, Array]:
-    """Return ``g``, ``parent`` and ``edge_cost`` when no edge, nor the tree given, lowers a cost, and the rounds done.
+    """Return the costs and the parents that are left when neither an edge nor the tree lowers a cost any more.
 
-    Each round looks at the edges of the tree given, then at all others, ``edges_together`` of them together. Parents
-    change with a strictly lower cost only, so that they lead back to the start even where edges cost nothing.
+    Each round looks at the edges of the tree, then at all others, ``edges_together`` of them together. Parents change
+    with a strictly lower cost only, so that they lead back to the start even where edges cost nothing.
+
+    Args:
+      edges: from `costed`.
+      tree: the nodes; its ``g``, ``parent`` and ``edge_cost`` are the tree to begin with.
+      edges_together: edges of one turn.
+
+    Returns:
+      ``g``, ``parent`` and ``edge_cost``, ``[N]`` each as in `Samples`, and the number of rounds.
     """
     is_child = tree.parent != NO_PARENT
     tree_parent = jnp.maximum(tree.parent, 0)
     tree_cost = jnp.where(is_child, tree.edge_cost, jnp.inf)
 
     def one_turn(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        """Lower the costs at the targets of the next few edges, and note by which edge."""
+        """Lower the costs at the targets of the next few edges, and note the edge by which each was lowered.
+
+        The carry is ``g``, the number of the edge by which each node was reached, and the first of these edges.
+        """
         g, reached_by, first = carry
         origin, target, cost = (
             lax.dynamic_slice_in_dim(values, first, edges_together) for values in edges[:3]
@@ -324,7 +378,10 @@ def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Ar
         return lowest, reached_by, first + edges_together
 
     def go_on(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        """Lower all costs once, along the tree and along every edge."""
+        """Lower all costs once, along the tree and along every edge.
+
+        The carry is ``g``, the edge by which each node was reached, whether a cost fell, and the rounds done.
+        """
         before, reached_by, _, num_rounds = carry
         along_tree = before[tree_parent] + tree_cost
         reached_by = jnp.where(along_tree < before, BY_TREE, reached_by)
@@ -336,6 +393,8 @@ def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Ar
 
     to_begin = (tree.g, jnp.full(tree.g.size, BY_TREE, jnp.int32), jnp.array(True), jnp.int32(0))
     g, reached_by, _, num_rounds = lax.while_loop(lambda carry: carry[2], go_on, to_begin)
+
+    # A node whose cost no edge lowered keeps its parent in the tree.
     is_by_tree = reached_by == BY_TREE
     edge = jnp.clip(reached_by, 0, edges.cost.size - 1)
     parent = jnp.where(is_by_tree, tree.parent, edges.origin[edge])
@@ -343,7 +402,7 @@ def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Ar
 
 
 def _in_turns(turn: Callable[[Any], Any], carry: Any, num: Array, most_turns: int) -> Any:
-    """Return what is carried, whose last part is how many are done, when so many are; one turn needs no loop."""
+    """Repeat a turn until the carry's last part is at least ``num``; return the carry. One turn needs no loop."""
     if most_turns == 1:
         return turn(carry)
     return lax.while_loop(lambda carry: carry[-1] < num, turn, carry)

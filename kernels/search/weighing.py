@@ -20,15 +20,20 @@ def _weigh_rows(costs, weights, sums):
             weight = weights[layer]
             if weight != 0.0:
                 line = costs[layer, row]
-                for k in range(total.size):
-                    total[k] += weight * line[k]
+                for col in range(total.size):
+                    total[col] += weight * line[col]
 
 
 def weighted_sum(costs: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return ``[*cells]`` float64 the weighted sum of layers ``[L, *cells]``, added in their order."""
+    """Return ``[*cells]`` float64 the weighted sum of layers, added in their order.
+
+    Args:
+      costs: ``[L, *cells]`` layers.
+      weights: ``[L]``; a layer of weight 0 is not read.
+    """
     shape = costs.shape[1:]
     layers = np.ascontiguousarray(costs).reshape(len(costs), math.prod(shape[:-1]), shape[-1])
-    layers.flags.writeable = False  # as compiled loops expect, whoever asks
+    layers.flags.writeable = False  # always, since Numba compiles again for another kind of array
     sums = np.zeros(layers.shape[1:])
     _weigh_rows(layers, np.asarray(weights, np.float64), sums)
     return sums.reshape(shape)

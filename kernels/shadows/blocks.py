@@ -75,18 +75,19 @@ def mark_visible(
     entry_steps: float = ENTRY_STEPS,
     turned_top_m: Float[np.ndarray, "Y X"] | None = None,
 ) -> None:
-    """Set the bit of every satellite in the visibility words where it is seen.
+    """Set the bit of every satellite in the visibility words of the receivers that see it.
 
-    It is seen where its `jaxurban.kernels.shadows.sweep.shadow_height` is not above the receiver, to the bit.
+    A receiver sees a satellite if the satellite's `jaxurban.kernels.shadows.sweep.shadow_height`, to the bit, is not
+    above the receiver.
 
     Args:
       words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; altered.
       top_m: absolute height of roofs and bare ground.
-      receivers: where the words stand.
+      receivers: to which the words belong.
       lines: from `digital_line`, for the grid grown by one cell on each side, fields stacked along ``S``.
       rings: what the grids around this one hand on, fields stacked along ``S``; left out, nothing stands there.
       entry_steps: share of a step before a cell's middle at which a ray meets its roof.
-      turned_top_m: the tops for lines that head east or west; left out, those for all.
+      turned_top_m: the tops for lines that head east or west; left out, ``top_m``.
     """
     tops = _Tops(top_m, turned_top_m, entry_steps)
     for which in _bundles(lines):
@@ -96,9 +97,9 @@ def mark_visible(
 def hand_on(
     top_m: Float[np.ndarray, "Y X"], lines: Line, rings: Ring
 ) -> tuple[Float[np.ndarray, "S X"], Float[np.ndarray, "S Y"]]:
-    """Return what a grid hands on away from the sources: max(raised, sweep) in its last row and its last column.
+    """Return ``max(raised, sweep)`` in a grid's last row and last column, those farthest from each satellite.
 
-    Arguments as in `mark_visible`.
+    The next grids take these as their rings. Arguments are those of `mark_visible`; no receivers stand in this grid.
     """
     num_rows, num_cols = top_m.shape
     num = len(lines.heading)
@@ -107,8 +108,8 @@ def hand_on(
     nobody = Receivers((0, 0), 1, None, np.empty(0, top_m.dtype))
     no_words = np.empty((0, *top_m.shape), np.uint32)
     for which in _bundles(lines):
-        found = _walk(_Tops(top_m), lines, rings, which, nobody, no_words)
-        rows[which], cols[which] = found
+        walked = _walk(_Tops(top_m), lines, rings, which, nobody, no_words)
+        rows[which], cols[which] = walked
     return rows, cols
 
 
@@ -120,7 +121,7 @@ class _Tops(NamedTuple):
     entry_steps: float = ENTRY_STEPS
 
     def block(self, corner: tuple[int, int], side: int) -> Roofs:
-        """Return the roofs of a block; beyond the grid nothing stands."""
+        """Return the roofs of a block from its southwest cell and its side in cells; beyond the grid nothing stands."""
         shape = side, side
         top_m = part_of(self.top_m, corner, shape, -np.inf)
         turned_m = None
@@ -130,8 +131,8 @@ class _Tops(NamedTuple):
 
 
 def _bundles(lines: Line) -> Iterator[np.ndarray]:
-    """Yield the numbers of satellites that are cast together: of one quadrant and one word."""
-    toward = np.asarray(lines.toward)
+    """Yield ``[n]`` numbers of satellites that are cast together: at most `AT_ONCE`, of one quadrant and one word."""
+    toward = np.asarray(lines.toward)  # [S, 2] names each satellite's quadrant
     of_word = np.arange(len(toward)) // WORD_BITS
     keys = np.column_stack([of_word, toward])
     for key in np.unique(keys, axis=0):
@@ -152,31 +153,51 @@ def _walk(
     receivers: Receivers,
     words: UInt[np.ndarray, "A y x"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Cast the shadows of satellites of one quadrant block by block, mark a word, and return what is handed on."""
+    """Cast the shadows of satellites of one quadrant block by block, mark a word, and return what is handed on.
+
+    Blocks are visited from the source on, row of blocks by row of blocks, so that what a block's neighbours toward the
+    source hand on is known before it is cast.
+
+    Args:
+      tops: what throws shadows.
+      lines, rings, receivers: as in `mark_visible`.
+      which: ``[n]`` numbers of the satellites, of one quadrant and one word.
+      words: their word for all receivers; altered.
+
+    Returns:
+      ``[n, X]`` and ``[n, Y]`` the grid's row, and column, farthest from the source (see `hand_on`).
+    """
     shape = tops.top_m.shape
     dtype = tops.top_m.dtype
     num = len(which)
     side = _side(shape, receivers.every)
-    toward = tuple(int(ahead) for ahead in lines.toward[which[0]])
+    toward = tuple(int(ahead) for ahead in lines.toward[which[0]])  # 1 or -1, by axis
+
+    # Where blocks begin, as far as receivers need them.
     ends = [
         first + size * receivers.every
         for first, size in zip(receivers.first_cell, words.shape[1:], strict=True)
     ]
     row_starts, col_starts = (
-        _starts(*each, side) for each in zip(shape, toward, receivers.first_cell, ends, strict=True)
+        _starts(*axis, side) for axis in zip(shape, toward, receivers.first_cell, ends, strict=True)
     )
     bundle = _filled(lines, which)
     bits = np.zeros(AT_ONCE, np.uint32)
     bits[:num] = np.uint32(1) << (which % WORD_BITS).astype(np.uint32)
 
+    # What is handed on to the first row and the first column of blocks.
     beyond_m = np.full((AT_ONCE, shape[1] + 2), -np.inf, dtype)  # the row toward the source
     beside_m = np.full((AT_ONCE, shape[0]), -np.inf, dtype)  # the column toward it
     if rings is not None:
-        beyond_m[:num] = np.asarray(rings.north if toward[0] > 0 else rings.south)[which]
-        beside_m[:num] = np.asarray(rings.east if toward[1] > 0 else rings.west)[which]
+        source_row_m = rings.north if toward[0] > 0 else rings.south
+        source_col_m = rings.east if toward[1] > 0 else rings.west
+        beyond_m[:num] = np.asarray(source_row_m)[which]
+        beside_m[:num] = np.asarray(source_col_m)[which]
     cols_m = np.empty_like(beside_m)
+
     for row in row_starts:
         last_row, rows = _handed(row, side, shape[0], toward[0])
+        # The row that this row of blocks hands on to the next, whose corner lies in the column toward the source.
         next_m = np.full_like(beyond_m, -np.inf)
         next_m[:, -1 if toward[1] > 0 else 0] = beside_m[:, row + last_row]
         side_m = part_of(beside_m, (0, row), (AT_ONCE, side), -np.inf)
@@ -206,7 +227,14 @@ def _walk(
 
 
 def _starts(size: int, ahead: int, begin: int, end: int, side: int) -> list[int]:
-    """Return where the blocks along an axis begin, from the source on, as far as cells from begin to end need them."""
+    """Return where the blocks along one axis begin, the block nearest to the source first.
+
+    Args:
+      size: cells of the grid along the axis.
+      ahead: 1 where the source is beyond the last cell, -1 where it is beyond the first.
+      begin, end: first cell that needs an answer, and the one after the last; blocks beyond these are left out.
+      side: of a block, in cells.
+    """
     if ahead > 0:
         return [size - side * (k + 1) for k in range(-(-(size - begin) // side))]
     return [side * k for k in range(-(-end // side))]
@@ -262,24 +290,29 @@ class _Place(NamedTuple):
         return self.row - self.receivers.first_cell[0], self.col - self.receivers.first_cell[1]
 
     def heights_m(self, dtype: np.dtype) -> np.ndarray:
-        """Return the absolute height of the block's receivers, ``[A, T / n, T / n]``; ``[A, 1, 1]`` on flat ground."""
+        """Return the absolute height of the block's receivers, ``[A, T / n, T / n]``; ``[A, 1, 1]`` on flat ground.
+
+        Beyond the region the ground counts as 0; no receiver is marked there.
+        """
         z_m = self.receivers.altitudes_m.astype(dtype)[:, None, None]
         if self.receivers.ground_m is None:
             return z_m
         ground_m = part_of(self.receivers.ground_m, self.in_region, (self.side, self.side), 0)
         every = self.receivers.every
-        size = self.side // self.receivers.every
+        size = self.side // every
         row, col = self.phase
         return ground_m[row::every, col::every][:size, :size] + z_m
 
     def mark(self, words: UInt[np.ndarray, "A y x"], word: Array) -> None:
-        """Join a block's word with those of the region."""
+        """Join (OR) a block's word ``[A, t, t]`` with the region's words ``[A, y, x]``, in place."""
+        # Row and column of the block's first receiver among the region's; may be negative.
         every = self.receivers.every
-        size = self.side // self.receivers.every
+        size = self.side // every
         starts = [
             (int(start + phase) - every // 2) // every
             for start, phase in zip(self.in_region, self.phase, strict=True)
         ]
+        # The region's receivers that the block holds.
         rows, cols = (
             slice(max(start, 0), max(0, min(start + size, num)))
             for start, num in zip(starts, words.shape[1:], strict=True)
@@ -320,11 +353,15 @@ class Block(NamedTuple):
 def cast(
     block: Block, *, every: int = 1
 ) -> tuple[UInt[Array, "A t t"], Float[Array, "S T"], Float[Array, "S T"]]:
-    """Return the word of a block's receivers, and the row and the column that it hands on.
+    """Return the word of a block's receivers, and the row and the column that the block hands on.
 
     Args:
-      block: with its satellites.
+      block: the block with its satellites.
       every: n: receivers stand in every n-th cell both ways.
+
+    Returns:
+      ``[A, t, t]`` uint32 with the bits of the satellites seen; ``[S, T]`` the row and ``[S, T]`` the column of
+      ``max(raised, sweep)`` numbered by ``block.last``.
     """
     by_sweep, by_doubling = (
         partial(form, every=every) for form in (cast_by_sweep, cast_by_doubling)
@@ -333,17 +370,19 @@ def cast(
 
 
 def cast_by_sweep(block: Block, *, every: int) -> tuple[Array, Array, Array]:
-    """Return `cast`, by the form for a CPU: satellite by satellite, none that fills up."""
+    """Return `cast`, by the form for a CPU: satellite by satellite; the satellites that fill up are left out."""
     side = len(block.roofs.top_m)
     dtype = block.roofs.top_m.dtype
+    # By `Line.heading`: NORTH, SOUTH, EAST, WEST.
     headings = [
         partial(form, block, every=every, toward_last=toward_last)
         for form in (_cast_along_rows, _cast_along_columns)
         for toward_last in (True, False)
     ]
 
-    def add(k: Array, found: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        word, rows, cols = found
+    def add(k: Array, result: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        """Add satellite k to the word, and what the block hands on for it."""
+        word, rows, cols = result
         line, ring = jax.tree.map(lambda values: values[k], (block.lines, block.rings))
         shadow_m, row_m, col_m = lax.switch(line.heading, headings, line, ring)
         seen = jnp.where(shadow_m[None] <= block.height_m, block.bits[k], jnp.uint32(0))
@@ -359,14 +398,17 @@ def _cast_along_rows(
 ) -> tuple[Array, Array, Array]:
     """Return the shadow of one satellite where receivers stand, and the row and the column that are handed on.
 
-    `jaxurban.kernels.shadows.sweep.sweep` inside a ring, which keeps no more cells than are asked for.
+    This is `jaxurban.kernels.shadows.sweep.sweep` inside a ring, but keeps only the cells that are needed.
 
     Args:
-      block: of which the roofs count, and where receivers stand.
+      block: its roofs, the place of its receivers (``phase``) and what it hands on (``last``) are read.
       line: toward a source beyond the last row (the first, if not ``toward_last``).
       ring: what is handed on to the block.
       every: n, as in `cast`.
-      toward_last: where the source is.
+      toward_last: whether the source is beyond the last row.
+
+    Returns:
+      ``[t, t]`` the shadow's height at the receivers; ``[T]`` the row and ``[T]`` the column handed on.
     """
     top_m = jnp.asarray(block.roofs.top_m)
     side = len(top_m)
@@ -375,12 +417,13 @@ def _cast_along_rows(
     (first_row, first_col), (last_row, last_col) = block.phase, block.last
 
     def received(values_m: Array, first: Array | np.int32) -> Array:
-        """Return the rows (columns) with receivers."""
+        """Return every n-th value along the first axis, from ``first`` on: the rows (columns) with receivers."""
         if every == 1:
             return values_m
         return lax.dynamic_slice_in_dim(values_m, first, side - every + 1)[::every]
 
     def step(carry: Any, row: Any) -> tuple[Any, Any]:
+        """Cast onto one row: the row toward the source, shifted along the lines and less the ray's climb."""
         beyond_m, handed_m = carry
         row_top_m, shift, west_m, east_m, number = row
         shadow_m = lax.dynamic_slice(beyond_m, (1 + shift,), (side,)) - drop_m
@@ -399,7 +442,10 @@ def _cast_along_rows(
 def _cast_along_columns(
     block: Block, line: Line, ring: Ring, *, every: int, toward_last: bool
 ) -> tuple[Array, Array, Array]:
-    """Return `_cast_along_rows` with rows for columns: toward the last column or the first."""
+    """Return what `_cast_along_rows` does, for a source beyond the last column (the first, if not ``toward_last``).
+
+    The block is turned: its columns become rows, and so does the ring, whose corners move from rows to columns.
+    """
     roofs = block.roofs
     top_m = roofs.top_m if roofs.turned_m is None else roofs.turned_m
     turned = block._replace(
@@ -419,13 +465,13 @@ def _cast_along_columns(
 
 
 def cast_by_doubling(block: Block, *, every: int) -> tuple[Array, Array, Array]:
-    """Return `cast`, by the form for a GPU: of all satellites at once."""
+    """Return `cast`, by the form for a GPU: for all satellites at once."""
     roofs = block.roofs
     side = len(roofs.top_m)
     last_row, last_col = block.last
 
     def cast_one(line: Line, ring: Ring) -> tuple[Array, Array, Array]:
-        """Return what receivers get of one line's shadow, and what the block hands on by its last row and column."""
+        """Return one line's shadow at the receivers, ``[t, t]``, and the row and the column that are handed on."""
         top_m = jnp.asarray(roofs.top_m)
         if roofs.turned_m is not None:
             top_m = jnp.where(line.heading >= EAST, roofs.turned_m, top_m)

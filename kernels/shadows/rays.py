@@ -52,14 +52,18 @@ def walks(
       row, col: global numbers of the cells where the rays begin.
     """
     east, north = np.sin(azimuth_rad), np.cos(azimuth_rad)
+
+    # A line is walked along the axis that it is nearer to, a whole cell a step, and moves across it by the slope.
     is_rows = np.abs(north) >= np.abs(east)
     along = np.where(is_rows, north, east)
     across = np.where(is_rows, east, north)
     ahead = np.where(along > 0, 1.0, -1.0)
     slope = across / along
+    # The same phase as `digital_line`'s, which counts from cell 0 of the axis that is walked.
     start = slope * np.where(is_rows, row, col) + 0.5
     phase = start - np.floor(start)
     sideways = slope * ahead
+
     in_type = partial(np.asarray, dtype=np.float32)
     return Walks(
         in_type(np.where(is_rows, ahead, sideways)),
@@ -84,13 +88,15 @@ def shadows_at(
         outside.
       row, col: cells of ``top_m`` where the rays begin.
       lines: of the rays.
-      most_m: a ray is followed until it has risen so far; of use is the height of the highest top above the lowest
-        place.
+      most_m: a ray is followed until it has risen this far: the height of the highest top above the lowest place is
+        enough.
     """
-    order = np.argsort(-lines.drop_m, kind="stable")  # the short ones first
+    # Steep rays, which are short, come first, since rays of one turn walk as long as the longest of them.
+    order = np.argsort(-lines.drop_m, kind="stable")
     shadow_m = np.empty(len(order), np.float32)
     for first in range(0, len(order), RAYS_A_TURN):
         chosen = order[first : first + RAYS_A_TURN]
+        # Repeated up to a power of two, so that few shapes are compiled.
         filled = np.resize(chosen, min(RAYS_A_TURN, 2 ** int(np.ceil(np.log2(len(order))))))
         start = np.asarray(row[filled], np.int32), np.asarray(col[filled], np.int32)
         walked = walk(
@@ -108,21 +114,26 @@ def walk(
     lines: Walks,
     most_m: Float[Array, ""],
 ) -> Float[Array, " R"]:
-    """Return what `shadows_at` does, of rays that walk together until the last of them is above all."""
+    """Return what `shadows_at` does, for rays that walk together until all of them have risen by ``most_m``.
+
+    Arguments are those of `shadows_at`.
+    """
     num_rows, num_cols = top_m.shape
 
     def is_below(state: tuple[Array, Array]) -> Array:
+        """Return whether a ray is still low enough, and the map long enough, for another step."""
         step, _ = state
         return jnp.any(step * lines.drop_m < most_m) & (step < max(num_rows, num_cols))
 
     def ahead(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Take one step along all rays, and raise the shadow by the roof that each meets there."""
+        """Take one step along all rays, and raise each ray's shadow by the top that it meets there."""
         step, shadow_m = state
         of_row = row + jnp.floor(lines.row_phase + step * lines.row_step).astype(jnp.int32)
         of_col = col + jnp.floor(lines.col_phase + step * lines.col_step).astype(jnp.int32)
         met_m = top_m.at[of_row, of_col].get(mode="fill", fill_value=-jnp.inf)
-        counts = (of_row >= 0) & (of_col >= 0)  # a negative number would be one from the end
-        counts &= step * lines.drop_m < most_m  # whatever rays walk beside this one
+        # Negative numbers would count from the end; a ray that has risen enough ends, whatever others walk beside it.
+        counts = (of_row >= 0) & (of_col >= 0)
+        counts &= step * lines.drop_m < most_m
         thrown_m = met_m + (ENTRY_STEPS - step) * lines.drop_m
         return step + 1, jnp.maximum(shadow_m, jnp.where(counts, thrown_m, -jnp.inf))
 

@@ -90,6 +90,8 @@ def digital_line(
       shape: rows and columns of the grid.
     """
     east, north = math.sin(azimuth_rad), math.cos(azimuth_rad)
+
+    # The line is swept along the axis that it is nearer to, a row (column) a step.
     is_rows = abs(north) >= abs(east)
     if is_rows:
         along, across = north, east
@@ -100,6 +102,8 @@ def digital_line(
         heading = EAST if east > 0 else WEST
         index = first_col + np.arange(shape[1])
     ahead = 1 if along > 0 else -1
+
+    # Cells sideways at each row (column) and at the next one toward the source; shifts are their differences.
     offset = np.floor(across / along * np.stack([index, index + ahead]) + 0.5)
     shifts = np.zeros(max(shape), np.int32)
     shifts[: len(index)] = offset[1] - offset[0]
@@ -118,13 +122,13 @@ def digital_lines(
     first_col: int,
     shape: Shape,
 ) -> list[Line]:
-    """Return the `digital_line` of every direction, ``[S]`` azimuths and elevations."""
+    """Return the `digital_line` of every direction, ``[S]`` azimuths and elevations; other arguments as there."""
     angles = zip(np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float), strict=True)
     return [digital_line(*pair, resolution_m, first_row, first_col, shape) for pair in angles]
 
 
 def stacked(lines: Sequence[Line]) -> Line:
-    """Return lines over one grid as one, fields stacked along ``S``."""
+    """Return lines over one grid as one `Line`, fields stacked along ``S``; no lines give fields of length 0."""
     if not lines:
         return Line(
             np.zeros((0, 0), np.int32),
@@ -136,10 +140,18 @@ def stacked(lines: Sequence[Line]) -> Line:
 
 
 def _sweep_rows(raised_m: Array, shifts: Array, drop_m: Array, toward_last: bool) -> Array:
-    """Return `sweep` for a source beyond the last row (the first, if not ``toward_last``)."""
+    """Return `sweep` for a source beyond the last row (the first, if not ``toward_last``), ``[Y, X]``.
+
+    Args:
+      raised_m: ``[Y, X]`` tops, raised by what the line gains before it meets them.
+      shifts: ``[>= Y]`` as in `Line`.
+      drop_m: height that a ray gains from one row to the next.
+      toward_last: whether the source is beyond the last row.
+    """
     num_cols = raised_m.shape[1]
 
     def step(beyond_m, row):
+        """Cast the row toward the source onto one row, and return what that row hands on, and its shadow."""
         row_raised_m, shift = row
         shadow_m = lax.dynamic_slice(beyond_m, (1 + shift,), (num_cols,)) - drop_m
         return beyond_m.at[1:-1].set(jnp.maximum(row_raised_m, shadow_m)), shadow_m
@@ -166,6 +178,7 @@ def sweep(raised_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]:
     """
     drop_m = jnp.asarray(line.drop_m, raised_m.dtype)
     shifts = jnp.asarray(line.shifts)
+    # NORTH, SOUTH, EAST, WEST: for the last two columns become rows and back.
     return lax.switch(
         line.heading,
         [
@@ -191,9 +204,9 @@ def shadow_height(
     """Return the height below which each cell's centre does not see the source, ``[Y, X]``.
 
     ``S = max over the cells on the ray of (top - run x tan(elevation))``, the cell itself left out:
-    a receiver at absolute height ``h`` sees the source where ``S <= h``. One pass over the cells
-    serves all heights, one compiled program every direction on grids of one shape. -inf where the
-    line meets no cell.
+    a receiver at absolute height ``h`` sees the source where ``S <= h``. S is -inf where the line meets
+    no cell. One pass over the cells serves all heights, and one compiled program serves every direction
+    on grids of one shape.
 
     The ray is replaced by a digital line that stays within one cell of it and enters cells
     `ENTRY_STEPS` before their centre.
@@ -221,18 +234,28 @@ def num_passes(num_steps: float) -> int:
 
 
 def doubled(raised_m: Array, line: Line, passes: int) -> Array:
-    """Return `sweep` of one direction, looking ``2^passes`` rows (columns) far."""
+    """Return `sweep` of one direction, looking ``2^passes`` rows (columns) far, by doubling (see the top of this file).
+
+    Args:
+      raised_m: ``[Y, X]`` tops, raised by what the line gains before it meets them.
+      line: from `digital_line`, for the same shape; its fields may be traced, heading too.
+      passes: from `num_passes`.
+    """
     num_rows, num_cols = raised_m.shape
     row = lax.broadcasted_iota(jnp.int32, raised_m.shape, 0)
     col = lax.broadcasted_iota(jnp.int32, raised_m.shape, 1)
     is_rows = (line.heading == NORTH) | (line.heading == SOUTH)
     is_forward = (line.heading == NORTH) | (line.heading == EAST)
     ahead = jnp.where(is_forward, 1, -1)
+
+    # Sums of shifts give how many cells the line has moved sideways by each row (column).
     shifts = jnp.asarray(line.shifts)
     summed = jnp.cumsum(shifts)
-    # Cells sideways of each row (column), but for a constant.
+    # Up to a constant, which cancels.
     offsets = jnp.where(is_forward, summed - shifts, -summed)
     drop_m = jnp.asarray(line.drop_m, raised_m.dtype)
+
+    # Each cell's place along the axis that is swept and across it; one program serves both axes.
     along = jnp.where(is_rows, row, col)
     across = jnp.where(is_rows, col, row)
     length = jnp.where(is_rows, num_rows, num_cols)
@@ -240,18 +263,19 @@ def doubled(raised_m: Array, line: Line, passes: int) -> Array:
     here = offsets[along]
 
     def beyond(values_m: Array, steps: int) -> Array:
-        """Return the values that many steps along each cell's line, less what a ray gains; -inf beyond the grid."""
+        """Return the values ``steps`` further along each cell's line, less what a ray gains; -inf beyond the grid."""
         there = along + ahead * steps
         side = across + offsets[jnp.clip(there, 0, length - 1)] - here
         is_inside = (there >= 0) & (there < length) & (side >= 0) & (side < width)
         cell = jnp.where(is_rows, there * num_cols + side, side * num_cols + there)
-        found = values_m.reshape(-1)[jnp.where(is_inside, cell, 0)]
-        return jnp.where(is_inside, found - steps * drop_m, -jnp.inf)
+        reached_m = values_m.reshape(-1)[jnp.where(is_inside, cell, 0)]
+        return jnp.where(is_inside, reached_m - steps * drop_m, -jnp.inf)
 
-    reached_m = raised_m
+    # After pass k each cell has the highest of 2^(k + 1) cells from itself on; last, the cell itself is left out.
+    highest_m = raised_m
     for k in range(passes):
-        reached_m = jnp.maximum(reached_m, beyond(reached_m, 1 << k))
-    return beyond(reached_m, 1)
+        highest_m = jnp.maximum(highest_m, beyond(highest_m, 1 << k))
+    return beyond(highest_m, 1)
 
 
 @partial(jax.jit, static_argnames="passes")
@@ -267,6 +291,7 @@ def shadow_heights_at_once(
     """
 
     def cast(line: Line) -> Array:
+        """Return the shadow's height toward one satellite, ``[Y, X]``."""
         raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
         return doubled(raised_m, line, passes)
 
@@ -278,13 +303,13 @@ def shadow_heights(
 ) -> Float[Array, "S y x"]:
     """Return `shadow_height` toward every satellite in a window of the grid, ``[S, y, x]``.
 
-    A shadow follows the one top that throws it: its derivative by that top is 1, by every other 0 (where two tie, JAX
-    shares it), by the ray's climb a row minus the number of rows between. The reverse mode sweeps again satellite by
-    satellite, so it keeps no rows but those of one sweep; a rule of our own for it was tried and was no faster.
+    A shadow follows the one top that throws it: its derivative by that top is 1, by every other top 0 (where two tie,
+    JAX shares it), and by the ray's climb per row it is minus the number of rows between. The reverse mode sweeps again
+    satellite by satellite, so it keeps no rows but those of one sweep; a hand-written rule was tried and was no faster.
 
     Args:
       top_m: absolute height of roofs and bare ground, row 0 in the south.
-      lines: lines of all satellites over this grid, each field stacked: ``[S, max(Y, X)]``, ``[S]``, ``[S]``.
+      lines: lines of all satellites over this grid, fields stacked along ``S``.
       window: first and end row, first and end column, and n: every n-th cell of these is kept, from n // 2 on.
     """
     forms = (partial(form, window=window) for form in (heights_by_sweep, heights_by_doubling))
@@ -327,7 +352,7 @@ def visible_words(
       top_m: absolute height of roofs and bare ground.
       height_m: ``[A, y, x]`` absolute height of the receivers, or ``[A, 1, 1]``.
       lines: of all satellites, fields stacked along ``S``.
-      num: how many of the satellites there are; those behind fill up, and are never seen.
+      num: number of satellites; the lines behind them fill up, and are never seen.
       window: of the receivers, as for `shadow_heights`.
     """
     by_sweep = partial(words_by_sweep, window=window)
@@ -336,10 +361,11 @@ def visible_words(
 
 
 def words_by_sweep(top_m: Array, height_m: Array, lines: Line, num: Array, window: Window) -> Array:
-    """Return `visible_words`, by the form for a CPU: satellite by satellite, none that fills up."""
+    """Return `visible_words`, by the form for a CPU: satellite by satellite; the lines that fill up are left out."""
     kept = _kept(window)
 
     def mark(number: Array, words: Array) -> Array:
+        """Add the bit of one satellite to the words ``[W, A, y, x]``; every bit is added once, so adding sets it."""
         line = jax.tree.map(lambda values: values[number], lines)
         seen = shadow_height(top_m, line)[None, *kept] <= height_m
         bit = seen.astype(jnp.uint32) << (number % WORD_BITS).astype(jnp.uint32)
@@ -353,11 +379,11 @@ def words_by_sweep(top_m: Array, height_m: Array, lines: Line, num: Array, windo
 def words_by_doubling(
     top_m: Array, height_m: Array, lines: Line, num: Array, window: Window
 ) -> Array:
-    """Return `visible_words`, by the form for a GPU: of all satellites at once."""
+    """Return `visible_words`, by the form for a GPU: for all satellites at once."""
     shadows_m = heights_by_doubling(top_m, lines, window)
     words = []
     for first in range(0, max(len(shadows_m), 1), WORD_BITS):
-        some_m = shadows_m[first : first + WORD_BITS, None]
+        some_m = shadows_m[first : first + WORD_BITS, None]  # of one word: [bits, 1, y, x]
         bit = jnp.arange(len(some_m), dtype=jnp.uint32)[:, None, None, None]
         seen = (some_m <= height_m[None]) & (first + bit < num.astype(jnp.uint32))
         words.append(jnp.sum(seen.astype(jnp.uint32) << bit, axis=0, dtype=jnp.uint32))

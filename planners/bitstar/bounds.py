@@ -43,14 +43,23 @@ class Bounds(NamedTuple):
     goal: np.ndarray
 
     def from_start_and_to_goal(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``[N]`` the bounds from the start and to the goal at points ``[N, 2]`` of free cells."""
+        """Return ``[N]`` the lower bounds of cost from the start and to the goal, at points ``[N, 2]`` of free cells.
+
+        Both are costs; at the start (the goal) itself its own bound is 0.
+        """
+        # For either end: the distance, plus the larger of what rows and what columns between cost.
         col, row = xy.astype(np.int64).T
         row_at, col_at, enter = self.edge_parts(xy)
-        from_start, to_goal = (
-            self.per_side * np.hypot(*(xy - end).T)
-            + np.maximum(rows[row] + np.abs(row_at - end_row), cols[col] + np.abs(col_at - end_col))
-            for end, end_row, end_col, rows, cols in self._ends()
-        )
+        bounds = []
+        for end, (rows, cols) in ((self.start, self.from_start), (self.goal, self.to_goal)):
+            end_row_at, end_col_at, _ = self.edge_parts(end[None])
+            by_rows = rows[row] + np.abs(row_at - end_row_at)
+            by_cols = cols[col] + np.abs(col_at - end_col_at)
+            distance = np.hypot(*(xy - end).T)
+            bounds.append(self.per_side * distance + np.maximum(by_rows, by_cols))
+
+        # A path also pays for entering the cell of its end.
+        from_start, to_goal = bounds
         goal_col, goal_row = self.goal.astype(np.int64)
         from_start = np.where((xy == self.start).all(axis=1), 0.0, from_start + enter)
         to_goal = np.where(
@@ -62,14 +71,6 @@ class Bounds(NamedTuple):
         """Return ``[M]`` the sum of both bounds at the centres of free cells, given as flat numbers."""
         row, col = np.divmod(cells, self.enter.shape[1])
         return np.add(*self.from_start_and_to_goal(np.stack([col, row], axis=1) + 0.5))
-
-    def _ends(self) -> list[tuple[np.ndarray, float, float, np.ndarray, np.ndarray]]:
-        """Return, of start and goal, the point, ``row_sum`` and ``col_sum`` there, and rows' and columns' parts."""
-        row_at, col_at, _ = self.edge_parts(np.stack([self.start, self.goal]))
-        return [
-            (self.start, row_at[0], col_at[0], *self.from_start),
-            (self.goal, row_at[1], col_at[1], *self.to_goal),
-        ]
 
     def slack(self) -> float:
         """Return how far that sum can fall from the centre of a cell to anywhere in it."""
@@ -108,6 +109,7 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
       InputError: an unknown heuristic.
     """
     one_of("heuristic", heuristic, HEURISTICS)
+    # The distance alone, with no map cost.
     num_rows, num_cols = is_reachable.shape
     nothing = np.zeros(num_rows), np.zeros(num_cols)
     bounds = Bounds(
@@ -122,10 +124,13 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
     )
     if heuristic == "euclidean":
         return bounds
+
+    # What the cheapest cell of each row, and of each column, costs more than the cheapest cell of all.
     cheapest = problem.cost[is_reachable].min()
     cost = np.where(is_reachable, problem.cost, np.inf)
     minima = [cost.min(axis=axis) - cheapest for axis in (1, 0)]
     minima = [np.where(np.isfinite(excess), excess, 0.0) for excess in minima]
+
     if problem.cost_model.kind == "line":
         sides_per_reference = problem.resolution_m / problem.cost_model.reference_length_m
         row_sum, col_sum = (np.append(0.0, np.cumsum(m)) * sides_per_reference for m in minima)
@@ -134,6 +139,8 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
             row_sum=row_sum,
             col_sum=col_sum,
         )
+
+    # Under `cell`, of the start and of the goal: what rows, and columns, between cost at least.
     ends = [
         tuple(_entered_between(m, index) for m, index in zip(minima, cell, strict=True))
         for cell in (problem.start, problem.goal)
@@ -147,13 +154,19 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
 
 
 def _entered_between(minima: np.ndarray, end: int) -> np.ndarray:
-    """Return ``[N]`` the least map cost of entering rows strictly between each row and ``end``'s.
+    """Return ``[N]`` the least map cost of the rows that a path enters strictly between each row and row ``end``.
 
-    Two rows that follow each other are never both leapt. Such a way runs through ever nearer rows: of
-    any other, the rows where it first comes nearer are one.
+    A step leaps one row at most, so of two neighbouring rows at least one is entered. Only ways that come nearer to
+    ``end`` with each row need to be looked at: of any other way, the rows where it comes nearer than before are such a
+    way, and cost no more. The same holds for columns.
+
+    Args:
+      minima: ``[N]`` least cost of entering each row.
+      end: number of the row at which the path ends (or begins).
     """
     between = np.zeros(len(minima))
     for step in (1, -1):
+        # Rows next to the end have none between; one row between may be leapt.
         for row in range(end + 3 * step, len(minima) if step > 0 else -1, step):
             near = row - step
             next_near = row - 2 * step
@@ -162,7 +175,7 @@ def _entered_between(minima: np.ndarray, end: int) -> np.ndarray:
 
 
 def reachable_cells(problem: Problem) -> np.ndarray | None:
-    """Return ``[Y, X]`` bool the cells that paths off the grid may cross; None where none joins start and goal."""
+    """Return ``[Y, X]`` bool the cells that paths off the grid may cross; None if no way joins start and goal."""
     islands = problem.islands
     if islands[problem.start] == islands[problem.goal]:
         return islands == islands[problem.start]
@@ -170,8 +183,14 @@ def reachable_cells(problem: Problem) -> np.ndarray | None:
 
 
 def cost_grid_of(problem: Problem, is_reachable: np.ndarray) -> CostGrid:
-    """Return the map as segments see it, closed outside the cells ``[Y, X]`` that paths may cross."""
+    """Return the map as segments see it, in cell sides: closed outside the cells that paths may cross.
+
+    Args:
+      problem: the query.
+      is_reachable: ``[Y, X]`` bool, the cells that paths may cross.
+    """
     is_line = problem.cost_model.kind == "line"
+    # Under `line` a cell's cost is per reference length, under `cell` per state.
     per_side = problem.resolution_m / problem.cost_model.reference_length_m if is_line else 1.0
     return CostGrid(
         cell_cost=np.where(is_reachable, problem.cost * per_side, np.inf),
@@ -186,13 +205,15 @@ class InformedSet:
     """The points of reachable cells through which a cheaper path may lead; it shrinks as paths get cheaper.
 
     Attributes:
-      bounds: the lower bounds that say so.
-      cells: ``[M]`` flat numbers of the cells that hold such points.
+      bounds: the lower bounds that say where a cheaper path may lead.
+      is_reachable: ``[Y, X]`` bool cells that paths may cross.
+      cells: ``[M]`` flat numbers of the cells that hold points of the set.
       incumbent: cost of the best path, inf without one.
-      measure: area of the set, in cells: as many as have such a point at their centre.
+      measure: area of the set, in cells: the number of cells whose centre lies in it, at most the ellipse's area.
     """
 
     def __init__(self, bounds: Bounds, is_reachable: np.ndarray) -> None:
+        """Begin with the whole of the cells ``[Y, X]`` that paths may cross, and no incumbent."""
         self.bounds = bounds
         self.is_reachable = is_reachable
         self.cells = np.flatnonzero(is_reachable)
@@ -202,21 +223,31 @@ class InformedSet:
         self._through = np.empty(0)
 
     def shrink(self, incumbent: float) -> None:
-        """Leave out what cannot hold a path cheaper than the incumbent."""
+        """Leave out cells that cannot hold a path cheaper than the incumbent; nothing changes if it is no lower.
+
+        Alters ``cells``, ``incumbent`` and ``measure``.
+        """
         if not incumbent < self.incumbent:
             return
         if self.incumbent == np.inf:
             self._through = self.bounds.through_cells(self.cells)
+
+        # A cell may hold such a point though its centre is none: by up to `slack`.
         self.incumbent = incumbent
         may_hold = self._through < incumbent + self.bounds.slack()
         if not may_hold.all():
             self.cells = self.cells[may_hold]
             self._through = self._through[may_hold]
+
         num_cells = float(np.count_nonzero(self._through < incumbent))
         self.measure = min(max(num_cells, 1.0), self._ellipse()[2])
 
     def _ellipse(self) -> tuple[float, float, float]:
-        """Return half the two axes and the area of the ellipse of the distance bound, in cell sides."""
+        """Return half the major axis, half the minor axis and the area of the ellipse of the distance bound.
+
+        It holds all points through which a path no longer than the incumbent allows can lead, its foci being start and
+        goal. Lengths are in cell sides; all three are inf without an incumbent, or where distance costs nothing.
+        """
         if self.bounds.per_side == 0 or self.incumbent == np.inf:
             return np.inf, np.inf, np.inf
         major = 0.5 * self.incumbent / self.bounds.per_side
@@ -225,7 +256,11 @@ class InformedSet:
         return major, minor, np.pi * major * minor
 
     def sample(self, num_samples: int, rng: np.random.Generator) -> np.ndarray:
-        """Return ``[N, 2]`` points spread evenly over the set; fewer than wanted where it is too thin."""
+        """Return ``[N, 2]`` x, y of random points spread evenly over the set, in cell sides.
+
+        Points are drawn in the ellipse or in the cells, whichever has the smaller area, and kept where their bound is
+        below the incumbent. N is below ``num_samples`` if `MAX_ROUNDS` draws do not give as many.
+        """
         major, minor, area = self._ellipse()
         kept = [np.empty((0, 2))]
         num_kept = 0
@@ -243,6 +278,7 @@ class InformedSet:
         return np.concatenate(kept)[:num_samples]
 
     def _in_cells(self, num_points: int, rng: np.random.Generator) -> np.ndarray:
+        """Return ``[N, 2]`` random points of the set's cells, off the cells' borders."""
         row, col = np.divmod(
             self.cells[rng.integers(self.cells.size, size=num_points)], self.is_reachable.shape[1]
         )
@@ -253,7 +289,14 @@ class InformedSet:
     def _in_ellipse(
         self, num_points: int, major: float, minor: float, rng: np.random.Generator
     ) -> np.ndarray:
-        """Return those of so many uniform points ``[N, 2]`` of the ellipse that lie in reachable cells."""
+        """Draw random points of the ellipse, and return ``[N, 2]`` the points that lie in reachable cells.
+
+        Args:
+          num_points: how many are drawn.
+          major, minor: half of the ellipse's axes, in cell sides.
+          rng: random numbers.
+        """
+        # Uniform in the unit disc (hence the root), then stretched along and across the line from start to goal.
         radius = np.sqrt(rng.random(num_points))
         angle = rng.uniform(0, 2 * np.pi, num_points)
         along = major * radius * np.cos(angle)
@@ -266,6 +309,8 @@ class InformedSet:
             + along[:, None] * unit
             + across[:, None] * np.array([-unit[1], unit[0]])
         )
+
+        # Off the borders of cells, and only in reachable cells of the map.
         cell = np.floor(xy)
         xy = cell + np.clip(xy - cell, OFF_BORDER, 1 - OFF_BORDER)
         col, row = cell.astype(np.int64).T
@@ -282,7 +327,12 @@ class InformedSet:
 def graph_radius(num_nodes: int, measure: float, eta: float) -> float:
     """Return the radius of the random geometric graph, in cell sides (Gammell et al. 2015, eq. for r(q); 2-D).
 
-    Above ``eta`` = 1 the graph holds paths that come ever nearer to the optimum as the nodes grow in number.
+    Above ``eta`` = 1 the graph holds paths that come ever nearer to the optimum as the number of nodes grows.
+
+    Args:
+      num_nodes: of the graph; below 2 the radius is inf.
+      measure: area that the nodes are spread over, in cells.
+      eta: factor of the radius.
     """
     if num_nodes < 2:
         return np.inf

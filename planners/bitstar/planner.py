@@ -58,6 +58,7 @@ class BitStarOptions:
     on_batch: "Callable[[Batches], None] | None" = None
 
     def __post_init__(self) -> None:
+        """Check all numbers, and raise InputError for one out of its range."""
         at_least("batch_samples", self.batch_samples, 1)
         positive("eta", self.eta)
         for name in ("growth", "target_cost", "min_improvement"):
@@ -71,7 +72,12 @@ DEFAULTS = BitStarOptions()
 
 
 def check_limits(budget_s: float, max_samples: int | None, options: BitStarOptions) -> None:
-    """Refuse what no search can be run with.
+    """Refuse limits with which no search can be run.
+
+    Args:
+      budget_s: seconds of search; inf for no limit.
+      max_samples: limit of samples; None for no limit.
+      options: of the batches, which may limit their number.
 
     Raises:
       InputError: a number of samples out of its range, or no limit of time, batches or samples.
@@ -109,6 +115,16 @@ class Batches:
         budget_s: float,
         max_samples: int | None,
     ) -> None:
+        """Begin a query with a tree of its start and goal alone, and no batch.
+
+        Args:
+          problem: the query.
+          heuristic: one of `bitstar.bounds.HEURISTICS`.
+          options: how batches are made, and what else ends the search.
+          seed: of the samples.
+          budget_s: seconds of search from now on.
+          max_samples: limit of samples; None for no limit.
+        """
         self.begin_s = time.perf_counter()
         islands = problem.islands
         self.end_s = self.begin_s + budget_s
@@ -131,23 +147,33 @@ class Batches:
         self._rng = np.random.default_rng(seed)
 
     def end(self, most_nodes: float = np.inf) -> None:
-        """Record the batch whose graph was searched; begin the next, of up to so many nodes, or end."""
+        """Record the batch whose graph was searched; then begin the next batch, or set ``is_done``.
+
+        Args:
+          most_nodes: limit of the tree's nodes in the next batch, samples included.
+        """
         last_cost = self.cost
         self.cost = min(self.cost, self.tree.path_cost(self.tree.path()))
         self.history.append((time.perf_counter() - self.begin_s, self._num_drawn, self.cost))
         if self.options.on_batch is not None:
             self.options.on_batch(self)
+
+        # End where the cost is good enough, or fell by too little.
         self.is_done = True
         if self.cost <= max(self.bounds.from_start_to_goal() * SAME_COST, self.options.target_cost):
             return
         if last_cost < np.inf and last_cost - self.cost < self.options.min_improvement * last_cost:
             return
+
+        # Leave out what cannot lead to a cheaper path, and end where a limit is reached.
         self.tree = self.tree.pruned()
         self._informed.shrink(self.cost)
         num_wanted = self._num_wanted(most_nodes)
         self.is_spent = num_wanted <= 0 or time.perf_counter() >= self.end_s
         if self.is_spent:
             return
+
+        # Add samples; a set too thin to give any ends the search.
         self.samples = self._informed.sample(num_wanted, self._rng)
         self._num_drawn += len(self.samples)
         self.tree = self.tree.with_samples(self.samples, self.bounds)
@@ -155,7 +181,10 @@ class Batches:
         self.is_done = not len(self.samples)
 
     def _num_wanted(self, most_nodes: float) -> int:
-        """Return how many samples the next batch is to have, 0 or less where a limit is reached."""
+        """Return how many samples the next batch is to have, 0 or less where a limit is reached.
+
+        The smallest of what the options ask for, `MOST_IN_A_BATCH`, and what the limits of samples and nodes leave.
+        """
         if self.options.max_batches is not None and len(self.history) > self.options.max_batches:
             return 0
         num_left = np.inf if self.max_samples is None else self.max_samples - self._num_drawn
@@ -163,7 +192,11 @@ class Batches:
         return int(min(num_wanted, MOST_IN_A_BATCH, num_left, most_nodes - len(self.tree.xy)))
 
     def path(self, planner: str, backend: str) -> Path:
-        """Return the path when the batches have ended, costed again along the exact cells that it crosses."""
+        """Return the path when the batches have ended, costed again along the exact cells that it crosses.
+
+        Args:
+          planner, backend: names that the path carries.
+        """
         xy = np.empty(0)
         status = Status.NO_PATH
         lower_bound = np.inf
@@ -202,13 +235,13 @@ def bitstar(
 ) -> Path:
     """Return the best path found through random samples of the free cells, better the longer it runs.
 
-    Each batch adds samples where a cheaper path may lead, joins all within the radius of theory, and
+    Each batch adds samples where a cheaper path may lead, joins all nodes within the radius of `graph_radius`, and
     searches that graph in order of lower bounds, keeping the tree. Batch 0 is the straight segment.
     Edges are costed, and tested for obstacles, over the exact cells that they cross. With a limit of
     batches or samples a run repeats exactly for its seed; the budget and Ctrl-C are heeded within some
     20 ms of search, and between batches.
 
-    The status is OPTIMAL where the cost meets the lower bound, NO_PATH where obstacles part start and
+    The status is OPTIMAL where the cost meets the lower bound, NO_PATH where obstacles separate start and
     goal, FEASIBLE where ``target_cost`` or ``min_improvement`` ended the search. Of ``diagonal`` only
     ``"always"`` plays a part: then a path may pass between two obstacles that touch at a corner.
     ``connectivity`` plays none. Under the ``cell`` model a step of any length costs one cell, so that
@@ -244,7 +277,7 @@ bitstar_plus = partial(bitstar, heuristic="plus", planner="bitstar-plus")
 
 
 def _search(cost_grid: CostGrid, batches: Batches) -> None:
-    """Search the graph of one batch after the other, until something ends them."""
+    """Search the graph of one batch after the other, until the batches are done; their tree is altered."""
     queue = Heap.empty(FIRST_QUEUE, EDGE)
     while not batches.is_done:
         graph = BatchGraph.of(batches.tree.xy, batches.radius, batches.bounds.per_side)
@@ -261,7 +294,12 @@ def _search(cost_grid: CostGrid, batches: Batches) -> None:
 
 
 def _filled(queue: Heap, f: np.ndarray) -> Heap:
-    """Return a queue for the expansion of the tree's nodes, by ``[T]`` their f."""
+    """Return a queue in which each of the tree's nodes waits for its expansion.
+
+    Args:
+      queue: from the last batch; its memory is used again if it is large enough.
+      f: ``[T]`` f of the tree's nodes 0 to T - 1.
+    """
     if len(queue.f) < 2 * len(f):
         queue = Heap.empty(4 * len(f), EDGE)
     order = np.argsort(f, kind="stable")  # sorted is a heap

@@ -43,7 +43,11 @@ class BatchGraph(NamedTuple):
 
     @classmethod
     def of(cls, xy: np.ndarray, radius: float, per_side: float) -> Self:
-        """Return the graph of nodes ``[N, 2]``."""
+        """Return the graph of nodes ``[N, 2]``, in cell sides.
+
+        A square's side is the radius (twice the nodes' extent at most), or more, so that there are at most about four
+        times as many squares as nodes.
+        """
         low, high = xy.min(axis=0), xy.max(axis=0)
         extent = float((high - low).max()) + 1e-6
         side = max(min(radius, 2 * extent), extent / (2 * np.sqrt(len(xy)) + 1))
@@ -100,7 +104,7 @@ class Tree(NamedTuple):
 
     @classmethod
     def of_samples(cls, xy: np.ndarray, bounds: Bounds) -> Self:
-        """Return samples that nothing joins yet."""
+        """Return samples ``[N, 2]`` of free cells with their bounds, none of them in a tree yet."""
         from_start, to_goal = bounds.from_start_and_to_goal(xy)
         return cls(
             xy,
@@ -127,7 +131,12 @@ class Tree(NamedTuple):
         return self._replace(**arrays)
 
     def taken(self, order: np.ndarray) -> Self:
-        """Return the nodes in another order, or some of them; the parents of tree nodes must be among them."""
+        """Return some of the nodes, in a given order.
+
+        Args:
+          order: ``[M]`` numbers of the nodes; start, goal, and the parents of tree nodes must be among them.
+        """
+        # The new number of each node, by which the parents are named.
         number = np.full(len(self.xy), NO_PARENT, np.int32)
         number[order] = np.arange(len(order), dtype=np.int32)
         arrays: dict[str, Any] = {name: getattr(self, name)[order] for name in LASTING}
@@ -152,8 +161,8 @@ class Tree(NamedTuple):
     def pruned(self) -> Self:
         """Return the tree without what cannot lie on a path cheaper than the goal's.
 
-        A node that might, but not by its way through the tree, becomes a sample again, and so do all
-        that hang from it.
+        A node that might lie on a cheaper path, but not by its way through the tree, becomes a sample again, and so do
+        all nodes below it in the tree.
         """
         incumbent = self.g[self.goal]
         is_kept = self.least_f < incumbent
@@ -161,11 +170,14 @@ class Tree(NamedTuple):
         in_tree[self.path()] = True
         in_tree[self.start] = True
         has_parent = self.parent != NO_PARENT
+
+        # Cut off the children of nodes that left the tree, generation by generation.
         while True:
             is_cut = in_tree & has_parent & ~in_tree[self.parent]
             if not is_cut.any():
                 break
             in_tree[is_cut] = False
+
         is_kept |= in_tree
         is_kept[self.goal] = True
         cut = self._replace(
@@ -175,15 +187,19 @@ class Tree(NamedTuple):
         return cut.taken(np.flatnonzero(is_kept))
 
     def ready(self, graph: BatchGraph) -> Self:
-        """Return the tree sorted for a search of its graph, with what that needs beside it."""
+        """Return the tree sorted for a search of its graph, with the arrays that only a search needs."""
+        # Tree nodes first, then samples, each by square.
         order = np.argsort(
             graph.bucket_of(self.xy) + np.where(np.isfinite(self.g), 0, graph.num), kind="stable"
         )
         tree = self.taken(order)
+
         is_tree = np.isfinite(tree.g)
         num_tree = int(np.count_nonzero(is_tree))
         bucket = graph.bucket_of(tree.xy)
         squares = np.arange(graph.num + 1)
+
+        # Edges of the tree that are longer than the radius, by their children, sorted by parent.
         has_parent = np.flatnonzero(tree.parent != NO_PARENT)
         length = np.hypot(*(tree.xy[has_parent] - tree.xy[tree.parent[has_parent]]).T)
         long_child = has_parent[length > graph.radius]
@@ -209,27 +225,43 @@ def _push(queue, f, origin, target, cost):
 
 @compiled()
 def _num_near(begin, num_cols, bucket):
-    """Return how many nodes lie in a bucket and its eight neighbours; buckets have a frame of empty ones."""
+    """Return how many nodes lie in a square bucket and its eight neighbours.
+
+    Args:
+      begin: ``[B + 1]`` first node of each bucket; three buckets in a row hold nodes that follow each other.
+      num_cols: buckets in a row.
+      bucket: not in the frame of empty buckets.
+    """
     count = 0
-    for low in (bucket - num_cols, bucket, bucket + num_cols):
-        count += begin[low + 2] - begin[low - 1]
+    for middle in (bucket - num_cols, bucket, bucket + num_cols):
+        count += begin[middle + 2] - begin[middle - 1]
     return count
 
 
 @compiled()
 def _queue_edges(nodes, queue, graph, node, begin, bucket):
-    """Queue the edges from a node to those within the radius that they may improve."""
+    """Queue the edges from a node to the nodes within the radius that they may improve, each by its lower bound.
+
+    Args:
+      nodes: `Tree`, ready for the search.
+      queue: a `Heap` of EDGE with room; altered.
+      graph: `BatchGraph`.
+      node: where the edges begin.
+      begin: ``tree_begin`` or ``sample_begin``: edges to the tree's nodes, or to samples.
+      bucket: of the node.
+    """
     x, y = nodes.xy[node]
     g = nodes.g[node]
     incumbent = nodes.best[nodes.goal]
     row_at, col_at = nodes.row_at[node], nodes.col_at[node]
     num_cols = graph.num_cols
-    for low in (bucket - num_cols, bucket, bucket + num_cols):
-        for near in range(begin[low - 1], begin[low + 2]):
+    for middle in (bucket - num_cols, bucket, bucket + num_cols):
+        for near in range(begin[middle - 1], begin[middle + 2]):
             dx, dy = nodes.xy[near, 0] - x, nodes.xy[near, 1] - y
             square = dx * dx + dy * dy
             if square > graph.radius * graph.radius or near == node:
                 continue
+            # At least this much costs a path to the node near, and one on to the goal.
             map_part = max(abs(nodes.row_at[near] - row_at), abs(nodes.col_at[near] - col_at))
             reach = g + graph.per_side * np.sqrt(square) + nodes.enter[near] + map_part
             f = reach + nodes.to_goal[near]
@@ -239,26 +271,38 @@ def _queue_edges(nodes, queue, graph, node, begin, bucket):
 
 @compiled()
 def _expand(nodes, queue, graph, node, most):
-    """Queue what a node leads to; return whether it was, nothing being done where the queue would pass ``most``.
+    """Queue the edges that lead on from a node, and return True; return False, with nothing done, for want of room.
 
-    A node known from earlier batches leads to samples only: its edges to the tree were weighed before. A
-    node that is new or was improved leads to both, and to its children that lie beyond the radius.
+    A node known from earlier batches has edges to samples only, since its edges to the tree were weighed before. A
+    node that is new or was improved (FRESH) has edges to both, and to its children that lie beyond the radius.
+
+    Args:
+      nodes: `Tree`, ready for the search; altered: the node becomes EXPANDED.
+      queue: a `Heap` of EDGE; altered.
+      graph: `BatchGraph`.
+      node: number of the node.
+      most: entries that the queue has room for.
     """
     x, y = nodes.xy[node]
     row = int((y - graph.y) / graph.side) + 1  # as `BatchGraph.bucket_of`
     col = int((x - graph.x) / graph.side) + 1
     bucket = row * graph.num_cols + col
+
+    # Room for all nodes near, more than the edges that will be queued.
     is_fresh = nodes.state[node] == FRESH
     num_most = _num_near(nodes.sample_begin, graph.num_cols, bucket)
     if is_fresh:
         num_most += _num_near(nodes.tree_begin, graph.num_cols, bucket) + nodes.long_child.size
     if queue.size[0] + num_most > most:
         return False
+
     nodes.state[node] = EXPANDED
     _queue_edges(nodes, queue, graph, node, nodes.sample_begin, bucket)
     if not is_fresh:
         return True
     _queue_edges(nodes, queue, graph, node, nodes.tree_begin, bucket)
+
+    # Its children beyond the radius, by tree edges whose costs are known.
     for k in range(nodes.long_begin[node], nodes.long_begin[node + 1]):
         child = nodes.long_child[k]
         reach = nodes.g[node] + nodes.edge_cost[child]
@@ -272,26 +316,32 @@ def _expand(nodes, queue, graph, node, most):
 def advance(cost_grid, nodes, queue, graph, max_taken):
     """Take edges from the queue until none can improve the solution, or ``max_taken`` entries are done.
 
-    An edge is queued by its lower bound and costed when it comes first; where its true cost no longer
-    puts it first, it goes back with that. So the tree grows in order of cost, as A*'s would. A node that
-    was improved is expanded again, which brings the improvement to all that hangs from it. Equal entries
+    An edge is queued by its lower bound and costed when it comes first. If its true cost no longer puts it first,
+    it goes back into the queue with that cost. So the tree grows in order of cost, as that of A* would. A node that
+    was improved is expanded again, which brings the improvement to all nodes below it. Equal entries
     come in an order that only the nodes decide, so runs repeat.
 
     Args:
-      cost_grid, nodes, graph: see there; nodes are altered.
+      cost_grid: `CostGrid`, the map.
+      nodes: `Tree`, ready for the search; altered.
       queue: a `Heap` of EDGE; altered.
-      max_taken: entries of the queue.
+      graph: `BatchGraph`.
+      max_taken: entries to take from the queue.
 
-    Returns: how the chunk ended (EXHAUSTED: the batch is done), and the edges costed.
+    Returns:
+      How the chunk ended (EXHAUSTED: the batch is done; FULL: the queue lacks room; PAUSED), and the edges costed.
     """
     num_costed = 0
     goal = nodes.goal
     for _ in range(max_taken):
         if queue.size[0] == 0 or queue.f[0] >= nodes.g[goal]:
             return EXHAUSTED, num_costed
+
         edge = queue.item[0]
         node, target, cost = edge.origin, edge.target, edge.cost
         drop_top(queue)
+
+        # An edge from a node to itself stands for the node's expansion; without room it goes back.
         if node == target:
             if nodes.state[node] == EXPANDED:
                 continue
@@ -299,6 +349,8 @@ def advance(cost_grid, nodes, queue, graph, max_taken):
                 _push(queue, nodes.g[node] + nodes.to_goal[node], node, node, NOT_COSTED)
                 return FULL, num_costed
             continue
+
+        # Cost an edge if it may still improve its end and the solution; it waits if another entry comes before it now.
         g = nodes.g[node]
         if cost == NOT_COSTED:
             limit = min(nodes.best[target], nodes.best[goal] - nodes.to_goal[target]) - g
@@ -314,6 +366,8 @@ def advance(cost_grid, nodes, queue, graph, max_taken):
             if queue.size[0] > 0 and f > queue.f[0]:
                 _push(queue, f, node, target, cost)
                 continue
+
+        # Join the target to the tree by the edge, if that improves it, and have it expanded; the goal leads nowhere.
         if g + cost >= nodes.g[target]:
             continue
         nodes.g[target] = g + cost
