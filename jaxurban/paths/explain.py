@@ -178,9 +178,9 @@ class RouteReport(FactsRepr):
           The most expensive stretch is segment ...% of the length; beside its length it pays most for lidar ...
           ...
         """
-        totals = "\n".join(
-            f"{name:<24}{fact}" for name, fact in self.facts.items() if name != "why"
-        )
+        facts = self.facts
+        del facts["why"]  # it has a paragraph to itself
+        totals = "\n".join(f"{name:<24}{fact}" for name, fact in facts.items())
         segments = self._segments().to_string(col_space=8) if len(self.segments) else "segment"
         density = "" if self.density is None else self.density.table()
         return "\n\n".join(filter(None, [totals, self.why, segments, density]))
