@@ -62,7 +62,7 @@ class Hiding:
         return Outlines(city.buildings, city.hanging, self.known_ground_at, highest_m)
 
     def ground_at(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """Return the elevation of the ground at places in the city's CRS; NaN where it is not known, 0 without terrain."""
+        """Return the ground's elevation at places in the city's CRS: NaN where it is not known, 0 without terrain."""
         if self.city.terrain is None:
             return np.zeros(np.shape(x_m))
         return values_at(self.city.terrain, x_m, y_m, self.city.crs, "bilinear")
