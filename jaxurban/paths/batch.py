@@ -5,7 +5,6 @@ from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path as FilePath
-from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -167,19 +166,9 @@ def plan_many(
         time_of_day=time_of_day,
     )
     results = _Results(batch, None if file is None else RowStore(FilePath(file), ["query"]))
-    solve = partial(
-        solve_many,
-        planner=search.planner,
-        heuristic=search.heuristic,
-        budget_s=search.budget_s,
-        seed=search.seed,
-        backend=backend,
-        num_threads=num_threads,
-    )
-
     # The queries are planned here, while the loop counts them.
     was_interrupted = False
-    done = _done(results, map_of, most_maps, search, solve, strict)
+    done = _done(results, map_of, most_maps, search, backend, num_threads, strict)
     try:
         with reporting("plan_many", progress) as report:
             for num_done, _ in enumerate(done, start=1):
@@ -276,28 +265,13 @@ class _Results:
             self._store.save()
 
 
-class _Located(NamedTuple):
-    """A query whose ends lie on free cells of a cost map, ready to be solved.
-
-    Attributes:
-      number: of the query.
-      key: digest of the query (`row_of`).
-      cost_map: that it is planned on.
-      ends: start and goal.
-    """
-
-    number: int
-    key: str
-    cost_map: CostMap
-    ends: tuple[End, End]
-
-
 def _done(
     results: _Results,
     map_of: Callable[..., CostMap],
     most_maps: int,
     search: PathSearch,
-    solve: partial[Any],
+    backend: Backend,
+    num_threads: int | None,
     strict: bool,
 ) -> Iterator[int]:
     """Plan the queries of a batch, note each in ``results``, and yield its number when it is done.
@@ -307,7 +281,7 @@ def _done(
       map_of: returns the cost map of an altitude, a time and a time of day.
       most_maps: how many cost maps are made, and their queries solved, before the next ones are.
       search: how each path is searched for.
-      solve: `solve_many` with its settings; takes problems, and the numbers of those to solve.
+      backend, num_threads: as of `plan_many`.
       strict: raise the first error or crash instead of noting it.
 
     Raises:
@@ -335,7 +309,8 @@ def _done(
         waiting = waiting[most_maps:]
 
         # Locate the queries of these maps, and take from the file what is done.
-        located: list[_Located] = []
+        # Of each: the number and the digest of the query, its cost map, start and goal.
+        located: list[tuple[int, str, CostMap, tuple[End, End]]] = []
         unsolved: list[int] = []  # indices in `located`
         for (altitude_m, time, time_of_day, weights), numbers in groups:
             try:
@@ -343,7 +318,7 @@ def _done(
             except InputError as error:
                 yield from [refuse(k, error) for k in numbers]
                 continue
-            digest = _digest(cost_map, search, solve.keywords["backend"])
+            digest = _digest(cost_map, search, backend)
             for k in numbers:
                 query = results.queries[k]
                 try:
@@ -352,7 +327,7 @@ def _done(
                     yield refuse(k, error)
                     continue
                 key = fingerprint(digest, ends)
-                located.append(_Located(k, key, cost_map, ends))
+                located.append((k, key, cost_map, ends))
                 finish_path = partial(finish, cost_map, ends=ends, search=search)
                 if results.take(k, key, search.budget_s, finish_path):
                     yield k
@@ -360,10 +335,20 @@ def _done(
                     unsolved.append(len(located) - 1)
 
         # Solve the rest. All problems are given, as they decide heuristics together.
-        problems = [
-            query.cost_map.problem.between(*(end.cell for end in query.ends)) for query in located
-        ]
-        with closing(solve(problems, only=unsolved)) as outcomes:
+        problems = []
+        for _, _, cost_map, (start, goal) in located:
+            problems.append(cost_map.problem.between(start.cell, goal.cell))
+        outcomes = solve_many(
+            problems,
+            planner=search.planner,
+            heuristic=search.heuristic,
+            budget_s=search.budget_s,
+            seed=search.seed,
+            backend=backend,
+            num_threads=num_threads,
+            only=unsolved,
+        )
+        with closing(outcomes):
             for index, outcome in outcomes:
                 k, key, cost_map, ends = located[index]
                 if isinstance(outcome, Path):

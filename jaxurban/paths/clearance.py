@@ -114,8 +114,6 @@ def kept_m(horizontal_m: float, resolution_m: float) -> float:
 
     It is the clearance or, as distances between cells come in steps, more.
     """
-    if horizontal_m == 0:
-        return 0.0
     step_m, _ = closing_step_m(horizontal_m, resolution_m)
     return max(horizontal_m, step_m - FILE_MARGIN_M)
 

@@ -63,12 +63,9 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
     cells = np.argwhere(roof_m > 0)
     rows, cols = cells.T
     guessed = maps.m(GUESSED) if GUESSED in maps.ds else np.zeros(grid.shape)
-    return Prisms(
-        polygons=cell_boxes(grid, cells, 1),
-        floor_m=np.full(len(cells), -np.inf),
-        top_m=roof_m[rows, cols].astype(float),
-        is_guessed=guessed[rows, cols].astype(bool),
-    )
+    floor_m = np.full(len(cells), -np.inf)
+    top_m = roof_m[rows, cols].astype(float)
+    return Prisms(cell_boxes(grid, cells, 1), floor_m, top_m, guessed[rows, cols].astype(bool))
 
 
 def contacts(steps: Steps, prisms: Prisms, maps: MetricMaps, beside_m: float = 0.0) -> pd.DataFrame:

@@ -188,9 +188,27 @@ class CostMap(FactsRepr):
 
     @property
     def shortest(self) -> Problem:
-        """The same as `problem`, but length alone costs: for the shortest path. Made once."""
-        if self.cache.shortest is None:
-            self.cache.shortest = self._shortest()
+        """The same as `problem`, but length alone costs: for the shortest path. Made once.
+
+        Raises:
+          InputError: no cell is free.
+        """
+        if self.cache.shortest is not None:
+            return self.cache.shortest
+        self.check_any_free()
+        indices = np.unravel_index(np.argmax(self.is_free), self.is_free.shape)
+        first_free = tuple(map(int, indices))
+        self.cache.shortest = Problem(
+            costs=self.costs,
+            is_free=self.is_free,
+            start=first_free,
+            goal=first_free,
+            resolution_m=self.grid.resolution_m,
+            weights=np.eye(len(self.weight_vector))[0],  # 1 for distance, 0 for all else
+            cost_model=self.cost_model,
+            levels_m=None if self.levels is None else self.altitudes_m,
+            leg_margin_m=self.leg_margin_m,
+        )
         return self.cache.shortest
 
     def check_any_free(self) -> None:
@@ -204,28 +222,6 @@ class CostMap(FactsRepr):
         """
         if not self.is_free.any():
             raise InputError(f"no cell is free at {listed_m(self.altitudes_m)} m: {self.remedy}")
-
-    def _shortest(self) -> Problem:
-        """Return a new planners' view of the map on which length alone costs, from the first free cell to itself.
-
-        Raises:
-          InputError: no cell is free.
-        """
-        self.check_any_free()
-        indices = np.unravel_index(np.argmax(self.is_free), self.is_free.shape)
-        first_free = tuple(map(int, indices))
-        length_alone = np.eye(len(self.weight_vector))[0]  # 1 for distance, 0 for all else
-        return Problem(
-            costs=self.costs,
-            is_free=self.is_free,
-            start=first_free,
-            goal=first_free,
-            resolution_m=self.grid.resolution_m,
-            weights=length_alone,
-            cost_model=self.cost_model,
-            levels_m=None if self.levels is None else self.altitudes_m,
-            leg_margin_m=self.leg_margin_m,
-        )
 
     @typed
     def only(self, metrics: Iterable[str]) -> "CostMap":

@@ -20,7 +20,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.export.base import numbers_or_none
-from jaxurban.paths.ground_risk import OverflownDensity
+from jaxurban.paths.ground_risk import DENSITY, OverflownDensity
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import map_at
 from jaxurban.paths.profile import (
@@ -42,7 +42,6 @@ from jaxurban.settings import Vehicle
 SECONDS_PER_HOUR = 3600.0
 COST_OF = "cost_of_"  # before the name of a layer, of its part of the cost
 NO_FIX_IN_1_0 = "under_4_satellites_m"  # the name of ``no_fix_m`` in 1.0, which stays
-DENSITY = "density_per_km2"
 EXTRA_MAPS = {VISIBLE: VISIBLE, FIX: FIX, "density": DENSITY, "terrain": "terrain_m"}
 SEGMENT_HEADS = {  # what a terminal has room for beside the costs; `RouteReport.segments` has more
     "min_gps": "min gps",
@@ -110,7 +109,7 @@ class RouteReport(FactsRepr):
         costs = self.segments["cost"]
         if not costs.sum() > 0:
             return ""
-        row = int(costs.argmax())
+        row = costs.argmax()
         costliest = self.segments.iloc[row]
         share = costliest / self.segments.sum()
         sentence = (
@@ -178,9 +177,10 @@ class RouteReport(FactsRepr):
           The most expensive stretch is segment ...% of the length; beside its length it pays most for lidar ...
           ...
         """
-        facts = self.facts
-        del facts["why"]  # it has a paragraph to itself
-        totals = "\n".join(f"{name:<24}{fact}" for name, fact in facts.items())
+        # `why` has a paragraph to itself.
+        totals = "\n".join(
+            f"{name:<24}{fact}" for name, fact in self.facts.items() if name != "why"
+        )
         segments = self._segments().to_string(col_space=8) if len(self.segments) else "segment"
         density = "" if self.density is None else self.density.table()
         return "\n\n".join(filter(None, [totals, self.why, segments, density]))
@@ -254,7 +254,7 @@ def explain(
     # The route by cell, and who flies it.
     cut = cut_on(planned, maps)
     metrics = tuple(maps.metrics)
-    profile = profile_of(planned, maps, cut, dict(zip(metrics, metrics, strict=True)) | EXTRA_MAPS)
+    profile = profile_of(planned, maps, cut, {name: name for name in metrics} | EXTRA_MAPS)
     given = values_given({"speed_m_s": speed_m_s, "power_w": power_w})
     vehicle = replace(Vehicle.of(planned.settings), **given)
     route = _Route(cut, profile, _cost_map_of(planned, maps), vehicle, swath_m)

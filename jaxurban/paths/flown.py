@@ -105,7 +105,7 @@ def densest_of(people: np.ndarray, steps: Steps) -> dict[str, float]:
     over_m = np.append(0.0, np.cumsum(steps.over_m))  # on the ground, at the begin of each step
     people_before = np.append(0.0, np.cumsum(people))
     people_in_km = np.interp(over_m + WINDOW_M, over_m, people_before) - people_before
-    densest = int(np.argmax(people_in_km))
+    densest = np.argmax(people_in_km)
     from_m = np.append(steps.along_m[:, 0], 0.0)[densest]  # 0 for a mission without steps
     return {"densest_km_people": float(people_in_km[densest]), "densest_km_from_m": float(from_m)}
 
@@ -156,9 +156,8 @@ def costs_of(
     figures |= {name: mission[name] for name in ("cost", "cost_by_layer", "exposure_by_layer")}
 
     # What the cheapest route costs.
-    start, goal = XY(*xy_m[0]), XY(*xy_m[-1])
     try:
-        cheapest = limited_map.planned(start, goal, PathSearch.of(maps, snap=True))
+        cheapest = limited_map.planned(XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps, snap=True))
     except InputError as error:
         return figures | {"cost_note": f"No route to compare with: {str(error).partition(';')[0]}."}
     reason = "" if cheapest.status.has_path else cheapest.message

@@ -71,7 +71,7 @@ class OverflownDensity(FactsRepr):
     def _worst(self, cell_m: float) -> pd.Series:
         """Return the row of ``largest``, of all times of day, with the largest density on the grid of ``cell_m``."""
         rows = self.largest[self.largest["cell_m"] == cell_m]
-        return rows.iloc[int(rows[DENSITY].fillna(-1.0).argmax())]
+        return rows.iloc[rows[DENSITY].fillna(-1.0).argmax()]
 
     @property
     def facts(self) -> dict[str, str]:
@@ -301,15 +301,15 @@ def _largest(
       share: ``[C]`` which share of each is known.
       is_near: ``[C]`` which of them count.
     """
-    worst = int(np.argmax(np.where(is_near & np.isfinite(means), means, -1.0)))
+    worst = np.argmax(np.where(is_near & np.isfinite(means), means, -1.0))
     middle = shapely.centroid(cells.boxes[worst])
     lon, lat = cells.grid.lonlat_of_xy(middle.x, middle.y)
     place = {
-        DENSITY: float(means[worst]),
+        DENSITY: means[worst],
         "lon": float(lon),
         "lat": float(lat),
-        "along_m": float(shapely.line_locate_point(line, middle)),
-        "known_share": float(share[worst]),
+        "along_m": shapely.line_locate_point(line, middle),
+        "known_share": share[worst],
     }
     near_share = share[is_near]
     if not near_share.any():  # so that no cell is the largest
@@ -317,8 +317,8 @@ def _largest(
     return {
         **place,
         "num_cells": len(near_share),
-        "num_partly_known": int(((near_share > 0) & (near_share < WHOLE)).sum()),
-        "num_unknown": int((near_share == 0).sum()),
+        "num_partly_known": ((near_share > 0) & (near_share < WHOLE)).sum(),
+        "num_unknown": (near_share == 0).sum(),
     }
 
 
@@ -332,7 +332,7 @@ def _cautions(maps: MetricMaps, rows: pd.DataFrame) -> Iterator[Caution]:
     guesses = {name: guess for name, guess in maps.guesses.items() if is_of_people(name)}
     yield from caution_of_guesses(guesses)
     num_beyond = rows["num_unknown"] + rows["num_partly_known"]
-    worst = rows.iloc[int(num_beyond.argmax())]
+    worst = rows.iloc[num_beyond.argmax()]
     if num_beyond.max():
         yield Caution(
             f"People: {num_beyond.max()} of {worst['num_cells']} cells reach beyond what is known, "

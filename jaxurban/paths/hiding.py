@@ -98,7 +98,7 @@ class Hiding:
             roof_m = np.zeros(len(ray))
             if self.city.roofs is not None:
                 roof_m = values_at(self.city.roofs, *places, self.city.crs, "nearest")
-            yield Samples(ray, float(along_m), self.ground_at(*places), roof_m)
+            yield Samples(ray, along_m, self.ground_at(*places), roof_m)
 
     def behind(self, rays: Rays, altitude_m: np.ndarray) -> pd.DataFrame:
         """Return a row for each ray: whether it is known, and the roof that hides it.
@@ -191,7 +191,7 @@ class Hiding:
         # Terrain, and roofs of a raster.
         for ray, distance_m, ground_m, roof_m in self.samples(rays, rise_m):
             above_m = ground_m + roof_m - height_m[ray]
-            slope[ray] = np.fmax(slope[ray], _slope(above_m, np.full(len(ray), distance_m)))
+            slope[ray] = np.fmax(slope[ray], _slope(above_m, distance_m))
             gap_m[ray] = np.fmin(gap_m[ray], np.where(np.isnan(above_m), distance_m, np.inf))
 
         # The horizon is known where its ray is above all roofs before it comes to the end of what is known.
@@ -200,6 +200,6 @@ class Hiding:
         return np.where(is_known, np.degrees(horizon.elevation_rad), np.nan)
 
 
-def _slope(above_m: np.ndarray, along_m: np.ndarray) -> np.ndarray:
+def _slope(above_m: np.ndarray, along_m: np.ndarray | float) -> np.ndarray:
     """Return tangents of elevations: height over distance, at distance 0 inf for what is above and 0 for the rest."""
     return np.divide(above_m, along_m, out=np.where(above_m > 0, np.inf, 0.0), where=along_m > 0)

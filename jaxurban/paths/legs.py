@@ -261,7 +261,7 @@ def _steps(
     share = shares[:, 1] - shares[:, 0]
     begin_m, end_m = states[:, :, 3].T
     inside_m = share * (end_m - begin_m)
-    total_m = float(inside_m.sum())
+    total_m = inside_m.sum()
     step_m = max(STEP_M, total_m / MOST_STEPS)
     if step_m > MOST_STEP_M:
         raise InputError(

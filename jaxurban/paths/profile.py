@@ -251,7 +251,7 @@ def guessed_clearances(profile: pd.DataFrame) -> set[str]:
     if profile[TO_GUESSED].min() <= profile[[CLEARANCE, OUTSIDE]].to_numpy().min():
         names.add(CLEARANCE)
     over_m = profile[OVER_ROOF]
-    if over_m.notna().any() and profile[GUESSED].iloc[int(np.nanargmin(over_m))]:
+    if over_m.notna().any() and profile[GUESSED].iloc[over_m.argmin()]:
         names.add(OVER_ROOF)
     return names
 
@@ -350,17 +350,13 @@ def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
     if not stretches:
         return
 
-    def length_m(stretch: tuple[float, float]) -> float:
-        """Return the length of a stretch along the route."""
-        from_m, to_m = stretch
-        return to_m - from_m
-
-    longest = sorted(stretches, key=length_m, reverse=True)[:MOST_SEGMENTS]
+    # The longest, the earlier of two as long, and then in the order of travel.
+    longest = sorted(stretches, key=lambda stretch: stretch[0] - stretch[1])[:MOST_SEGMENTS]
     listed = ", ".join(f"{from_m:.0f} to {to_m:.0f} m" for from_m, to_m in sorted(longest))
     where = f"from {listed} along the route"
     if len(stretches) > len(longest):
         where += f" and {len(stretches) - len(longest)} shorter"
-    no_fix_m = sum(map(length_m, stretches))
+    no_fix_m = sum(to_m - from_m for from_m, to_m in stretches)
     route_m = profile["to_m"].iloc[-1]
     yield Caution(f"GPS: no fix on {no_fix_m:.0f} of {route_m:.0f} m: {where}.", "limit")
 
@@ -375,10 +371,10 @@ def _clearance(profile: pd.DataFrame, least_m: float) -> Caution:
       least_m: the distance that the route should keep from buildings.
     """
     # The nearest obstacle of the region, and the border, beyond which obstacles are not known.
-    nearest = int(np.argmin(profile[CLEARANCE]))
-    border = int(np.argmin(profile[OUTSIDE]))
-    nearest_m = float(profile[CLEARANCE].iloc[nearest])
-    border_m = float(profile[OUTSIDE].iloc[border])
+    nearest = profile[CLEARANCE].argmin()
+    border = profile[OUTSIDE].argmin()
+    nearest_m = profile[CLEARANCE].iloc[nearest]
+    border_m = profile[OUTSIDE].iloc[border]
     if nearest_m <= border_m:
         sentence = f"Buildings: the nearest at flight height is {nearest_m:.1f} m away, {_at(profile, nearest)}"
     else:
@@ -389,17 +385,16 @@ def _clearance(profile: pd.DataFrame, least_m: float) -> Caution:
         if np.isfinite(nearest_m):
             sentence += f"; in the region the nearest is {nearest_m:.1f} m away"
 
-    level = "note"
-    if CLEARANCE in guessed_clearances(profile):
-        level = "guess"
-        guessed_m = float(profile[TO_GUESSED].min())
+    is_guess = CLEARANCE in guessed_clearances(profile)
+    if is_guess:
+        guessed_m = profile[TO_GUESSED].min()
         where = f"the nearest of those is {guessed_m:.1f} m away"
         if guessed_m <= 0:
             where = "the route passes over some"
         sentence += f", if guessed roofs are right: {where}"
     if nearest_m < least_m - AT_LIMIT or nearest_m <= 0:
-        level = "limit"
-    return Caution(f"{sentence}.", level)
+        return Caution(f"{sentence}.", "limit")
+    return Caution(f"{sentence}.", "guess" if is_guess else "note")
 
 
 def _roofs(profile: pd.DataFrame, limit_m: float) -> Iterator[Caution]:
@@ -423,7 +418,7 @@ def _roofs(profile: pd.DataFrame, limit_m: float) -> Iterator[Caution]:
     over_m = over_m.mask(is_beside)
     if not over_m.notna().any():
         return
-    lowest = int(np.nanargmin(over_m))
+    lowest = over_m.argmin()
     least_m = over_m.iloc[lowest]
     roof = _roof(profile, lowest)
     yield Caution(
@@ -477,9 +472,9 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
     ):
         if limit_m_s is None or speed_m_s is None:
             continue
-        num_legs = int((speed_m_s * share > limit_m_s * (1 + AT_LIMIT)).sum())
+        num_legs = (speed_m_s * share > limit_m_s * (1 + AT_LIMIT)).sum()
         if num_legs:
-            steepest = int(np.argmax(share))
+            steepest = np.argmax(share)
             yield (
                 f"Vehicle: legs that would need more than {limit_m_s:g} m/s of {name} at {speed_m_s:g} m/s: "
                 f"{num_legs}; the steepest, {along_m[steepest]:.0f} m along the route, is flown at "
@@ -493,9 +488,9 @@ def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
     east_m, north_m, _ = legs_m[headed].T
     heading_deg = np.degrees(np.arctan2(north_m, east_m))
     turn_deg = np.abs((np.diff(heading_deg) + 180) % 360 - 180)  # from 0 to 180, left or right
-    num_turns = int((turn_deg > vehicle.max_turn_deg * (1 + AT_LIMIT)).sum())
+    num_turns = (turn_deg > vehicle.max_turn_deg * (1 + AT_LIMIT)).sum()
     if num_turns:
-        sharpest = int(np.argmax(turn_deg))
+        sharpest = np.argmax(turn_deg)
         yield (
             f"Vehicle: turns sharper than {vehicle.max_turn_deg:g} degrees: {num_turns}; the sharpest, of "
             f"{turn_deg[sharpest]:.0f} degrees, is {along_m[headed[sharpest + 1]]:.0f} m along the route."

@@ -26,8 +26,15 @@ IN_METRES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
 WEIGHT_PREFIX = "w_"
 COLUMNS = (*LONLAT, *IN_METRES, "altitude_m", "time", "time_of_day")
 OF_SEARCH = (
-    *("objective_cost", "lower_bound", "num_points", "num_expanded", "elapsed_s", "setup_s"),
-    *("planner", "heuristic", "backend"),
+    "objective_cost",
+    "lower_bound",
+    "num_points",
+    "num_expanded",
+    "elapsed_s",
+    "setup_s",
+    "planner",
+    "heuristic",
+    "backend",
 )
 NOT_RUN = "not-run"  # beside the names of `Status` and what `jaxurban.paths.rows` adds
 
@@ -94,14 +101,9 @@ def read_queries(
     """
     no_place = (np.nan, np.nan)
     base_weights = Weights.of(weights).checked(metrics)
-    base = Query(
-        start=no_place,
-        goal=no_place,
-        altitude_m=np.nan if altitude_m is None else finite("altitude_m", altitude_m),
-        time=time,
-        time_of_day=time_of_day,
-        weights=base_weights,
-    )
+    base = Query(no_place, no_place, np.nan, time, time_of_day, base_weights)
+    if altitude_m is not None:
+        base = replace(base, altitude_m=finite("altitude_m", altitude_m))
     if not isinstance(queries, pd.DataFrame):
         queries = table_of(queries)
     weight_names = dict.fromkeys((*base_weights.to_dict(), *metrics))

@@ -207,12 +207,8 @@ def tasks_of(instances: pd.DataFrame, job: RouteJob, store: RowStore) -> list[In
         runs = tuple(run for run, key in keys.items() if key not in store)
         if runs:
             tasks.append(InstanceRuns(instance, runs))
-
-    def by_city_and_map(task: InstanceRuns) -> list[str]:
-        """Return what tasks are sorted by, as texts, since None has no order."""
-        return list(map(str, (task.city, *task.map_key)))
-
-    return sorted(tasks, key=by_city_and_map)
+    # By city, altitude and times, as texts, since None has no order.
+    return sorted(tasks, key=lambda task: [*map(str, (task.city, *task.map_key))])
 
 
 def check_workers(workers: int | str, sources: Iterable[Source]) -> None:

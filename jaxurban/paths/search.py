@@ -94,11 +94,5 @@ class PathSearch:
                 f"{' or '.join(EXACT_PLANNERS)}"
             )
         return cls(
-            planner=planning.planner,
-            heuristic=heuristic,
-            budget_s=planning.budget_s,
-            seed=planning.seed,
-            snap=snap,
-            refine=refine,
-            exposure=budgets,
+            planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine, budgets
         )

@@ -210,14 +210,8 @@ class Sight:
         for name in (HIDDEN, UNKNOWN):
             dops[f"num_{name}"] = np.bincount(epoch[state == name], minlength=num)
         dops |= {name: quality[name] for name in DOPS}
-        return Look(
-            task=task,
-            sky=sky,
-            epoch=epoch,
-            rows=pd.DataFrame(rows).join(behind),
-            dops=pd.DataFrame(dops),
-            is_outdoors=is_outdoors,
-        )
+        ray_rows = pd.DataFrame(rows).join(behind)
+        return Look(task, sky, epoch, ray_rows, pd.DataFrame(dops), is_outdoors)
 
 
 def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
@@ -259,13 +253,13 @@ def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caut
     guesses = {**sight.city.guesses, **look.task.sky.guesses}
     if not sight.city.sources:  # the synthetic city has no real sky
         guesses.pop(NOMINAL_SKY, None)
-    num_guessed = int(rows["roof_is_guessed"].sum()) if "roof_is_guessed" in rows else 0
+    num_guessed = rows["roof_is_guessed"].sum() if "roof_is_guessed" in rows else 0
     if num_guessed:
         guesses[f"heights of the roofs that hide {num_guessed} of {len(rows)} satellites"] = ""
     cautions = caution_of_guesses(guesses)
 
     # Satellites that are unknown.
-    num_unknown = int((rows["state"] == UNKNOWN).sum())
+    num_unknown = (rows["state"] == UNKNOWN).sum()
     if num_unknown:
         sentence = (
             f"{num_unknown} of {len(rows)} satellites are unknown: their rays leave the known buildings or "

@@ -164,13 +164,5 @@ def sky_from(
     look.rows.insert(0, "time", utc[look.epoch])
     look.dops.insert(0, "time", utc)
     lon, lat = sight.region.lonlat_of_xy(*xy_m[:, 0].tolist())
-    return SkyAt(
-        lonlat=(lon, lat),
-        altitude_m=altitude_m,
-        by=by,
-        table=look.rows,
-        dops=look.dops,
-        cautions=cautions,
-        attribution=sight.city.attribution,
-        _sight=sight,
-    )
+    credit = sight.city.attribution
+    return SkyAt((lon, lat), altitude_m, by, look.rows, look.dops, cautions, credit, sight)

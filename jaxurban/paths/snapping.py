@@ -47,12 +47,8 @@ def one_place(name: str, lonlat: Point | XY | None, xy_m: Point | None) -> Point
     Raises:
       InputError: both are None, neither is, or the one that is given is not two numbers, and maybe an altitude.
     """
-    fault = ""
-    if lonlat is None and xy_m is None:
-        fault = "is missing"
-    elif lonlat is not None and xy_m is not None:
-        fault = "must be given in one way, not both"
-    if fault:
+    if (lonlat is None) == (xy_m is None):  # neither is given, or both
+        fault = "is missing" if xy_m is None else "must be given in one way, not both"
         raise InputError(f"{name} {fault}: give it as longitude, latitude or as {name}_xy_m")
 
     place: Any = lonlat if xy_m is None else xy_m
@@ -162,7 +158,7 @@ def joined_ends(cost_map: "CostMap", starts: list[End], goals: list[End]) -> tup
     def rank(ends: tuple[End, End]) -> tuple[bool, float]:
         """Return what makes a pair worse: first that nothing joins it, then how far it is moved."""
         start, goal = ends
-        is_apart = bool(islands[start.cell] != islands[goal.cell])
+        is_apart = islands[start.cell] != islands[goal.cell]
         return is_apart, start.snap_distance_m + goal.snap_distance_m
 
     return min(product(starts, goals), key=rank)
@@ -183,13 +179,13 @@ def pocket_note(cost_map: "CostMap", start: End, goal: End) -> str:
     if islands[start.cell] == islands[goal.cell]:
         return ""
     cells = {"start": start.cell, "goal": goal.cell}
-    sizes = {name: int(np.sum(islands == islands[cell])) for name, cell in cells.items()}
+    sizes = {name: np.sum(islands == islands[cell]) for name, cell in cells.items()}
     inner, outer = sorted(cells, key=lambda name: sizes[name])
 
     # From the inner end to the nearest cell of the outer island, in plan: rows and columns come last.
     outer_cells = np.argwhere(islands == islands[cells[outer]])[:, -2:]
     offsets = outer_cells - cells[inner][-2:]
-    away_m = float(np.hypot(*offsets.T).min()) * cost_map.grid.resolution_m
+    away_m = np.hypot(*offsets.T).min() * cost_map.grid.resolution_m
     return (
         f"The {inner} lies in a pocket of {sizes[inner]:,} free cells, and the nearest cell that is joined to the "
         f"{outer} is {away_m:.0f} m from it."
@@ -224,8 +220,7 @@ def islands_of(is_free: np.ndarray, cuts_corners: bool) -> np.ndarray:
       is_free: ``[Y, X]`` or ``[K, Y, X]`` bool; the result has the same shape.
       cuts_corners: whether cells that touch with a corner are joined.
     """
-    joins_on_level = generate_binary_structure(2, 2 if cuts_corners else 1)
-    joins = joins_on_level
+    joins = joins_on_level = generate_binary_structure(2, 2 if cuts_corners else 1)
     if is_free.ndim == 3:
         joins = generate_binary_structure(3, 1)  # the six cells that share a side
         joins[1] = joins_on_level

@@ -97,7 +97,7 @@ class Departures(FactsRepr):
         # The effect, where at some time all routes have a path.
         if self.best is not None:
             best = table.iloc[self.best]
-            worst = table.iloc[int(table["cost"].argmax())]
+            worst = table.iloc[table["cost"].argmax()]
             has_changed = self.routes.groupby("query")["num_changed"].any()
             most_kept = table["kept_above"].max()
             facts["best"] = f"{_time_of(best)}, cost {best['cost']:,.2f}"

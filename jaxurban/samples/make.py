@@ -183,8 +183,8 @@ def boxes_inside(area: shapely.Polygon, crs: str) -> list[Bounds]:
             last = cells_deg[end - 1] + CELL_DEG
             # A row lies askew in metres, so that a run of cells may reach out though none of them does.
             while first < last and not is_inside(first, row_deg, last):
-                first = first + CELL_DEG / 2
-                last = last - CELL_DEG / 2
+                first += CELL_DEG / 2
+                last -= CELL_DEG / 2
             if first < last:
                 box = np.round([first, row_deg, last, row_deg + ROW_DEG], 6).tolist()
                 boxes.append(tuple(box))

@@ -383,7 +383,7 @@ def _erect(
     polygons[is_tower] = rectangles(is_tower, 1.5, 1.5, 1.0, 1.0)
 
     # A tower is a podium and a shaft, a part that stands on it. The tallest of each cluster has the cluster's height.
-    num_towers = int(is_tower.sum())
+    num_towers = is_tower.sum()
     tower_block = block[is_tower]
     height_m[is_tower] = rng.uniform(15.0, 35.0, num_towers)
     sides_m = np.repeat([lots.depth_m[is_tower], wide_m[is_tower]], 2, axis=0)

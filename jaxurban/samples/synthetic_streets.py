@@ -46,8 +46,18 @@ SHORES = np.array(
 # Columns: s, far bank of the eastern river (q). North of the island it runs west to the wide river's bank.
 EAST_BANK = np.array(
     [
-        *((-3.0, 0.75), (-1.1, 0.56), (-0.7, 0.46), (-0.4, 0.41), (0.1, 0.39), (0.45, 0.32)),
-        *((0.75, 0.21), (0.95, 0.14), (1.05, 0.02), (1.15, -0.16), (1.3, -0.22), (3.0, -0.22)),
+        (-3.0, 0.75),
+        (-1.1, 0.56),
+        (-0.7, 0.46),
+        (-0.4, 0.41),
+        (0.1, 0.39),
+        (0.45, 0.32),
+        (0.75, 0.21),
+        (0.95, 0.14),
+        (1.05, 0.02),
+        (1.15, -0.16),
+        (1.3, -0.22),
+        (3.0, -0.22),
     ]
 )
 WEST_BANK_Q = -0.52
@@ -126,7 +136,7 @@ class Land:
         """Width of streets and of avenues."""
         street_m = np.clip(0.225 * self.pitch_m[0], 8.0, 18.0)
         avenue_m = np.clip(0.11 * self.pitch_m[1], 14.0, 30.0)
-        return float(street_m), float(avenue_m)
+        return street_m, avenue_m
 
 
 class CityPlan:
@@ -146,7 +156,7 @@ class CityPlan:
         self.length_m = 0.93 * ray_m  # s = 1
         self.width_m = min(half_x / cos, half_y / sin, 0.75 * ray_m)  # q = 1
         # Promenade between shore and buildings.
-        self.margin_m = float(np.clip(0.02 * self.width_m, 5.0, 25.0))
+        self.margin_m = np.clip(0.02 * self.width_m, 5.0, 25.0)
 
         # Its streets. Odd numbers of columns, of all blocks and of the park's, so that the park is in the middle.
         island_m = ISLAND_Q * self.width_m
@@ -172,7 +182,7 @@ class CityPlan:
         far_s = 4.0 + self.box.length / self.length_m
         far_q = 4.0 + self.box.length / self.width_m
         # Beyond its ends the bank runs on straight.
-        bank_ends = float(EAST_BANK[0, 0]), float(EAST_BANK[-1, 0])
+        bank_ends = EAST_BANK[0, 0], EAST_BANK[-1, 0]
         bank_s = np.r_[-far_s, np.linspace(*bank_ends, 401), far_s]
         bank_q = PchipInterpolator(EAST_BANK[:, 0], EAST_BANK[:, 1])(np.clip(bank_s, *bank_ends))
         east_side = self._polygon(np.r_[bank_s, far_s, -far_s], np.r_[bank_q, far_q, far_q])

@@ -111,7 +111,7 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
         f"The geofence keeps out of the {roofs.name} within {near_m:g} m that reach the flight: "
         f"{len(reaching) - num_met}, {roofs.origin}"
     )
-    num_guessed = int(roofs.is_guessed[reaching].sum())
+    num_guessed = roofs.is_guessed[reaching].sum()
     if num_guessed:
         note += f", {num_guessed} of guessed height"
     if fences:
@@ -147,11 +147,11 @@ def _roofs_near(maps: "MetricMaps", line: shapely.Geometry, near_m: float) -> _R
     if "roof_guessed" in maps.ds:
         is_guessed = maps.m("roof_guessed")[rows, cols] == 1
     return _Roofs(
-        polygons=cell_boxes(grid, cells, 1),
-        height_m=roof_m[rows, cols].astype(float),
-        is_guessed=is_guessed,
-        name=f"cells of {grid.resolution_m:g} m with roofs",
-        origin="as the city that the maps were made of cannot be read again",
+        cell_boxes(grid, cells, 1),
+        roof_m[rows, cols].astype(float),
+        is_guessed,
+        f"cells of {grid.resolution_m:g} m with roofs",
+        "as the city that the maps were made of cannot be read again",
     )
 
 
