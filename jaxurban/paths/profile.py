@@ -371,8 +371,8 @@ def _clearance(profile: pd.DataFrame, least_m: float) -> Caution:
       least_m: the distance that the route should keep from buildings.
     """
     # The nearest obstacle of the region, and the border, beyond which obstacles are not known.
-    nearest = profile[CLEARANCE].argmin()
-    border = profile[OUTSIDE].argmin()
+    nearest = int(profile[CLEARANCE].argmin())
+    border = int(profile[OUTSIDE].argmin())
     nearest_m = profile[CLEARANCE].iloc[nearest]
     border_m = profile[OUTSIDE].iloc[border]
     if nearest_m <= border_m:
@@ -418,7 +418,7 @@ def _roofs(profile: pd.DataFrame, limit_m: float) -> Iterator[Caution]:
     over_m = over_m.mask(is_beside)
     if not over_m.notna().any():
         return
-    lowest = over_m.argmin()
+    lowest = int(over_m.argmin())
     least_m = over_m.iloc[lowest]
     roof = _roof(profile, lowest)
     yield Caution(
