@@ -5,7 +5,6 @@ from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path as FilePath
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -84,8 +83,8 @@ def plan_many(
     `choose_heuristics`), whatever is done already. So the routes are the same, resumed or not, on one thread or more.
     The column ``heuristic`` names it.
 
-    Lower bounds are the planners' own: the bound that `plan` adds to routes off the grid takes a search of its own,
-    which may cost more than the query.
+    Lower bounds are those of the planners: `plan` adds a bound to routes off the grid, which needs one more search and
+    may cost more than the query, so that it is left out here.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps; what is left out is as their
@@ -136,11 +135,13 @@ def plan_many(
         raise InputError(
             f"the folder of {str(file)!r} does not exist: make it first, or name another file"
         )
+
+    # The cost maps of the queries: as many are held as memory is meant for.
     most_maps = max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape))))
 
     @lru_cache(maxsize=most_maps)
     def map_of(altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
-        """Return the map that queries at an altitude and a time share."""
+        """Return the cost map that queries at an altitude and a time share, under the weights of the call."""
         return cost_map(
             maps,
             altitude_m,
@@ -153,25 +154,24 @@ def plan_many(
             preset=preset,
         )
 
-    lowest_m = maps.altitudes_m[0] if altitude_m is None else altitude_m
-    of_all = map_of(lowest_m, time, time_of_day)  # what is wrong for all queries is refused here
+    # What is wrong for all queries is refused by the first map.
+    first_altitude_m = maps.altitudes_m[0] if altitude_m is None else altitude_m
+    first_map = map_of(first_altitude_m, time, time_of_day)
     batch = read_queries(
         queries,
         altitude_m=altitude_m,
-        weights=of_all.weights,
+        weights=first_map.weights,
         metrics=maps.metrics,
         time=time,
         time_of_day=time_of_day,
     )
     results = _Results(batch, None if file is None else RowStore(FilePath(file), ["query"]))
-    chosen = {name: getattr(search, name) for name in ("planner", "heuristic", "budget_s", "seed")}
-    solve = partial(solve_many, **chosen, backend=backend, num_threads=num_threads)
+    # The queries are planned here, while the loop counts them.
     was_interrupted = False
+    done = _done(results, map_of, most_maps, search, backend, num_threads, strict)
     try:
         with reporting("plan_many", progress) as report:
-            for num_done, _ in enumerate(
-                _done(results, map_of, most_maps, search, solve, strict), start=1
-            ):
+            for num_done, _ in enumerate(done, start=1):
                 report("queries", num_done, len(batch), **results.counts)
     except KeyboardInterrupt:
         was_interrupted = True
@@ -187,14 +187,23 @@ class _Results:
     """What became of each query so far, and the file that keeps it, from which a batch that was ended goes on."""
 
     def __init__(self, queries: Sequence[Query], store: RowStore | None) -> None:
+        """Begin with no query done.
+
+        Args:
+          queries: of the batch.
+          store: the file with results of an earlier run, which are taken one by one (`take`); None to keep no file.
+
+        Raises:
+          InputError: a file of other results than of these queries.
+        """
         self.queries, self._store = queries, store
-        not_run = NOT_RUN, "The batch ended before this query was done."
-        self.rows = [row_of(k, query, *not_run) for k, query in enumerate(queries)]
+        message = "The batch ended before this query was done."
+        self.rows = [row_of(k, query, NOT_RUN, message) for k, query in enumerate(queries)]
         self.paths: list[PlannedPath | None] = [None] * len(queries)
         self.counts = {"paths": 0, "none": 0}
-        if store is not None and not all(
-            row.keys() >= NEEDED and row["query"] < len(queries) for row in store.rows
-        ):
+        if store is None:
+            return
+        if not all(row.keys() >= NEEDED and row["query"] < len(queries) for row in store.rows):
             raise InputError(
                 f"{str(store.file)!r} holds no results of these queries: name another file, or remove it"
             )
@@ -202,10 +211,16 @@ class _Results:
     def add(
         self, k: int, status: str, message: str, path: PlannedPath | None = None, key: str = ""
     ) -> int:
-        """Note a result, keep it in the file, and return the query's number."""
+        """Note a result, keep it in the file, and return the query's number.
+
+        Args:
+          k: number of the query.
+          status, message, path, key: as of `row_of`.
+        """
         self.rows[k] = row_of(k, self.queries[k], status, message, path, key)
         self.paths[k] = path
-        self.counts["paths" if path is not None and path.status.has_path else "none"] += 1
+        outcome = "paths" if path is not None and path.status.has_path else "none"
+        self.counts[outcome] += 1
         if self._store is not None:
             self._store.add([self.rows[k]])
         return k
@@ -213,7 +228,19 @@ class _Results:
     def take(
         self, k: int, key: str, budget_s: float, finish: Callable[[Path], PlannedPath]
     ) -> bool:
-        """Return whether the file holds the result of a query, and note it; not one that a smaller budget ended."""
+        """Note the result of a query that the file holds, and return whether it holds one.
+
+        One that a smaller budget ended does not count, nor an error of input, which costs nothing to find again.
+
+        Args:
+          k: number of the query.
+          key: digest of the query (`row_of`).
+          budget_s: seconds that the search may take now.
+          finish: makes a `PlannedPath` of the planner's path.
+
+        Raises:
+          InputError: the file's result is of another query.
+        """
         row = None if self._store is None else self._store.get(k)
         if self._store is None or row is None or row["status"] == BAD_INPUT:
             return False
@@ -224,15 +251,16 @@ class _Results:
             )
         if row["status"] in ENDED_BY_BUDGET and row["budget_s"] < budget_s:
             return False
-        path = None if row["search"] is None else finish(path_of(row))
-        if path is not None:
+        path = None
+        if row["search"] is not None:  # the planner ran to its end, under the row's budget
+            path = finish(path_of(row))
             settings = {**path.settings, "budget_s": number_or_none(row["budget_s"])}
             path = replace(path, settings=settings)
         self.add(k, row["status"], row["message"], path, key)
         return True
 
     def save(self) -> None:
-        """Write what is known, with what an earlier run knew and this one has not come to yet."""
+        """Write the file, if there is one: these results, and those of an earlier run that were not asked for yet."""
         if self._store is not None:
             self._store.save()
 
@@ -242,16 +270,31 @@ def _done(
     map_of: Callable[..., CostMap],
     most_maps: int,
     search: PathSearch,
-    solve: partial[Any],
+    backend: Backend,
+    num_threads: int | None,
     strict: bool,
 ) -> Iterator[int]:
-    """Make cost maps as far as they can be held, locate their queries and solve them; yield the number of each done."""
+    """Plan the queries of a batch, note each in ``results``, and yield its number when it is done.
+
+    Args:
+      results: with the queries; filled here.
+      map_of: returns the cost map of an altitude, a time and a time of day.
+      most_maps: how many cost maps are made, and their queries solved, before the next ones are.
+      search: how each path is searched for.
+      backend, num_threads: as of `plan_many`.
+      strict: raise the first error or crash instead of noting it.
+
+    Raises:
+      InputError: results of other queries in the file; with ``strict`` that of a query.
+    """
 
     def refuse(k: int, error: InputError | str) -> int:
+        """Note that a query cannot be planned, and return its number; with ``strict`` raise InputError."""
         if strict:
             raise InputError(f"query {k}: {error}")
         return results.add(k, BAD_INPUT, str(error))
 
+    # Queries that share a cost map and weights.
     by_map: dict[tuple, list[int]] = {}
     for k, query in enumerate(results.queries):
         if query.error:
@@ -259,47 +302,67 @@ def _done(
         else:
             map_key = query.altitude_m, query.time, query.time_of_day, query.weights
             by_map.setdefault(map_key, []).append(k)
+
     waiting = list(by_map.items())
     while waiting:
         groups = waiting[:most_maps]
         waiting = waiting[most_maps:]
+
+        # Locate the queries of these maps, and take from the file what is done.
+        # Of each: the number and the digest of the query, its cost map, start and goal.
         located: list[tuple[int, str, CostMap, tuple[End, End]]] = []
-        unsolved: list[int] = []  # by their numbers among those located
-        for (*at, weights), numbers in groups:
+        unsolved: list[int] = []  # indices in `located`
+        for (altitude_m, time, time_of_day, weights), numbers in groups:
             try:
-                shared = map_of(*at).with_weights(weights)
+                cost_map = map_of(altitude_m, time, time_of_day).with_weights(weights)
             except InputError as error:
                 yield from [refuse(k, error) for k in numbers]
                 continue
-            # What stands for the map and the settings of the search, but for its budget.
-            settings = (shared.weights, shared.objective, shared.cost_model, shared.leg_margin_m)
-            of_search = (replace(search, snap=False, budget_s=np.inf), solve.keywords["backend"])
-            digest = fingerprint(shared.costs, shared.is_free, (*settings, of_search))
+            digest = _digest(cost_map, search, backend)
             for k in numbers:
                 query = results.queries[k]
                 try:
-                    ends = shared.ends(query.start, query.goal, snap=search.snap)
+                    ends = cost_map.ends(query.start, query.goal, snap=search.snap)
                 except InputError as error:
                     yield refuse(k, error)
                     continue
                 key = fingerprint(digest, ends)
-                located.append((k, key, shared, ends))
-                finished = partial(finish, shared, ends=ends, search=search)
-                if results.take(k, key, search.budget_s, finished):
+                located.append((k, key, cost_map, ends))
+                finish_path = partial(finish, cost_map, ends=ends, search=search)
+                if results.take(k, key, search.budget_s, finish_path):
                     yield k
                 else:
                     unsolved.append(len(located) - 1)
-        problems = [
-            shared.problem.between(ends[0].cell, ends[1].cell) for _, _, shared, ends in located
-        ]
-        with closing(solve(problems, only=unsolved)) as outcomes:
-            for i, outcome in outcomes:
-                k, key, shared, ends = located[i]
+
+        # Solve the rest. All problems are given, as they decide heuristics together.
+        problems = []
+        for _, _, cost_map, (start, goal) in located:
+            problems.append(cost_map.problem.between(start.cell, goal.cell))
+        outcomes = solve_many(
+            problems,
+            planner=search.planner,
+            heuristic=search.heuristic,
+            budget_s=search.budget_s,
+            seed=search.seed,
+            backend=backend,
+            num_threads=num_threads,
+            only=unsolved,
+        )
+        with closing(outcomes):
+            for index, outcome in outcomes:
+                k, key, cost_map, ends = located[index]
                 if isinstance(outcome, Path):
-                    planned = finish(shared, outcome, ends, search)
+                    planned = finish(cost_map, outcome, ends, search)
                     yield results.add(k, planned.status.value, planned.message, planned, key)
                 elif strict:
                     raise outcome
                 else:
                     failed = failure(outcome)
                     yield results.add(k, failed["status"], failed["note"], key=key)
+
+
+def _digest(cost_map: CostMap, search: PathSearch, backend: str) -> str:
+    """Return what stands for a map and the settings of a search: all that decides a path but its ends and budget."""
+    settings = cost_map.weights, cost_map.objective, cost_map.cost_model, cost_map.leg_margin_m
+    search_settings = replace(search, snap=False, budget_s=np.inf), backend
+    return fingerprint(cost_map.costs, cost_map.is_free, (*settings, search_settings))

@@ -34,16 +34,20 @@ def judged(
     times: Sequence[str | None],
     time_of_day: str | None,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return what a mission meets, a row each of `COLUMNS`, and what of it cannot be judged, as ``flight.unknown``.
+    """Return two tables of a mission: what it meets, and what of it cannot be judged.
+
+    The first has a row for each finding, with the columns `COLUMNS`, in the order of travel. The second has a row for
+    each stretch, with the columns of ``flight.unknown``: ``reason``, and ``from_m`` and ``to_m`` along the mission.
 
     Args:
       flight: the mission over the maps.
       maps: the maps.
       buildings: what stands there.
-      known: where that is known, in the maps' CRS.
-      limits: zones in force, bounds, and clearances, all of which are there.
-      times, time_of_day: of the maps that bounds are on.
+      known: the area in which all buildings are known, in the maps' CRS.
+      limits: the zones in force, the bounds and the clearances, none of which is left out.
+      times, time_of_day: of the maps that the bounds must hold on; None for a map that has no times.
     """
+    # What cannot be judged: steps without data, beyond what is known, or near roofs of guessed height.
     steps = flight.steps
     has_data = maps.ds["has_data"].values[tuple(steps.cell.T)]
     is_known = has_data & np.isfinite(steps.z_m).all(axis=1)
@@ -53,6 +57,8 @@ def judged(
     is_guessed = buildings.is_guessed[near["prism"]]
     unknown += _beyond(flight, steps, maps, known, limits.horizontal_m)
     unknown.append(spans(near.loc[is_guessed, ["from_m", "to_m"]].to_numpy(), GUESSED_ROOFS))
+
+    # What the other steps meet.
     findings = [
         *_buildings(near, buildings, limits),
         _buried(steps),
@@ -60,10 +66,12 @@ def judged(
         *_closed(steps, maps, limits, times, time_of_day),
     ]
     table = pd.concat(findings, ignore_index=True)
-    first = steps.take(table["step"].to_numpy(int))
-    lon, lat = maps.grid.lonlat_of_xy(*first.ends_m[:, 0].T)
-    items = [flight.mission.legs[leg].item for leg in first.leg]
-    table = table.assign(item=items, lon=lon, lat=lat, height_m=first.z_m[:, 0])
+
+    # Where each finding begins.
+    begins = steps.take(table["step"].to_numpy(int))
+    lon, lat = maps.grid.lonlat_of_xy(*begins.ends_m[:, 0].T)
+    items = [flight.mission.legs[leg].item for leg in begins.leg]
+    table = table.assign(item=items, lon=lon, lat=lat, height_m=begins.z_m[:, 0])
     table = table.rename(columns={"from_m": "along_m"}).sort_values("along_m", ignore_index=True)
     return table.reindex(columns=COLUMNS), pd.concat(unknown, ignore_index=True)
 
@@ -71,16 +79,25 @@ def judged(
 def _beyond(
     flight: Flight, steps: Steps, maps: MetricMaps, known: shapely.Geometry, horizontal_m: float
 ) -> Iterator[pd.DataFrame]:
-    """Yield the spans that lie where no building is known, nor within a clearance of there, or off the maps' heights.
+    """Yield tables of stretches (`spans`) beyond what is known: in plan, below and above the maps' altitudes.
 
-    Below the maps count only those that do not lead between the ground and the height of flight.
+    In plan is what lies outside ``known``, or nearer to its border than the clearance. Below the maps, take-off,
+    landing and steps straight up or down do not count, as they lead between the ground and the height of flight.
+
+    Args:
+      flight: the mission over the maps.
+      steps: those of its steps that have data.
+      maps: the maps.
+      known: the area in which all buildings are known, in the maps' CRS.
+      horizontal_m: the clearance.
     """
-    reached = shapely.buffer(known, -horizontal_m) if horizontal_m else known
-    shapely.prepare(reached)
-    is_off = ~shapely.intersects_xy(reached, *steps.ends_m.mean(axis=1).T)
+    judged_area = shapely.buffer(known, -horizontal_m) if horizontal_m else known
+    shapely.prepare(judged_area)
+    is_off = ~shapely.intersects_xy(judged_area, *steps.ends_m.mean(axis=1).T)
     yield spans(steps.along_m[is_off], NO_CITY)
-    kinds = np.array([leg.kind for leg in flight.mission.legs], object)[steps.leg]
-    is_on_site = np.isin(kinds, ON_SITE) | (steps.over_m == 0)
+
+    leg_kinds = np.array([leg.kind for leg in flight.mission.legs], object)
+    is_on_site = np.isin(leg_kinds[steps.leg], ON_SITE) | (steps.over_m == 0)
     z_m = steps.z_m.mean(axis=1)
     low_m = min(maps.altitudes_m)
     high_m = max(maps.altitudes_m)
@@ -91,7 +108,7 @@ def _beyond(
 
 
 def _buried(steps: Steps) -> pd.DataFrame:
-    """Return the stretches below the ground."""
+    """Return a row for each stretch of a mission below the ground, with its greatest depth (``by_m``)."""
     z_m = steps.z_m.min(axis=1)
     stretches = _stretches(steps, z_m < -FILE_MARGIN_M, gap_m=z_m)
     texts = [f"flies up to {-gap_m:.1f} m below the ground" for gap_m in stretches["gap_m"]]
@@ -105,62 +122,98 @@ def _closed(
     times: Sequence[str | None],
     time_of_day: str | None,
 ) -> Iterator[pd.DataFrame]:
-    """Yield the stretches in cells that a bound closes, or where a layer of the user has no value."""
-    closing = {f"do not keep {bound}": bound for bound in limits.bounds}
+    """Yield, for each bound and each layer of the user, a table of the stretches in cells that it closes.
+
+    A bound closes cells where it is not kept, a layer those where it has no value.
+
+    Args:
+      steps: of the mission.
+      maps: on which the bounds are.
+      limits: whose bounds count.
+      times, time_of_day: of the maps; a bound must be kept at each of the times.
+    """
+    bounds = {f"do not keep {bound}": bound for bound in limits.bounds}
     for name in maps.metrics:
         if "layer" in maps.ds[maps.variable(name)].attrs:
-            closing[f"have no value of {name}"] = Bound(name, ">=", 0.0)
-    for what, bound in closing.items():
+            # Every value keeps this bound, so that only missing ones do not.
+            bounds[f"have no value of {name}"] = Bound(name, ">=", 0.0)
+    for fault, bound in bounds.items():
         stretches = _stretches(steps, _is_closed(steps, maps, bound, times, time_of_day))
-        yield stretches.assign(kind="closed", what=f"enters cells that {what}")
+        yield stretches.assign(kind="closed", what=f"enters cells that {fault}")
 
 
 def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> list[pd.DataFrame]:
-    """Return where a mission flies into buildings, and where it comes nearer than the clearances, of its contacts."""
+    """Return the stretches of a mission in buildings, over or under them, and beside them: a table of each.
+
+    Over, under or beside a building only what is nearer than the clearances is returned, and not what belongs to a hit:
+    coming to what it hits, and leaving it, a mission is near that and what stands around.
+
+    Args:
+      near: the mission's steps in and near buildings, as `contacts` returns them.
+      buildings: that they are near.
+      limits: the clearances. `FILE_MARGIN_M` less is still kept.
+    """
+    # Contacts that count. Beside a building the height over it means nothing, so that it is NaN.
     is_over = near["apart_m"] == 0
     is_close = near["gap_m"] < limits.vertical_m - FILE_MARGIN_M
     is_close &= is_over | (near["apart_m"] < limits.horizontal_m - FILE_MARGIN_M)
     over_gap_m = near["gap_m"].where(is_over)
     is_hit = over_gap_m <= 0
     close = merged(near.assign(gap_m=over_gap_m)[is_hit | is_close], "prism")
-    # Coming to what it hits, and leaving it, a mission is near that and what stands around.
-    around = merged(close.loc[close["gap_m"] <= 0, ["from_m", "to_m"]])
-    place = np.searchsorted(around["from_m"] - TOUCH_M, close["from_m"], side="right") - 1
-    close = close[close["to_m"] > np.append(around["to_m"] + TOUCH_M, -np.inf)[place]]
+
+    # A stretch is left out that ends within the last stretch of hits that begins before it. Place -1 is of those that
+    # begin before all hits: they end after -inf.
+    of_hits = merged(close.loc[close["gap_m"] <= 0, ["from_m", "to_m"]])
+    place = np.searchsorted(of_hits["from_m"] - TOUCH_M, close["from_m"], side="right") - 1
+    close = close[close["to_m"] > np.append(of_hits["to_m"] + TOUCH_M, -np.inf)[place]]
+
     hits = merged(near[is_hit])
     over = merged(close[close["gap_m"] > 0])
     beside = merged(close[close["gap_m"].isna()])
-    into_m = -hits["gap_m"]
-    over_m = over["gap_m"]
-    beside_m = beside["apart_m"]
-    above = "passes {:.1f} m over or under a building"
-    aside = "passes {:.1f} m beside a building"
+    over_text = "passes {:.1f} m over or under a building"
+    beside_text = "passes {:.1f} m beside a building"
     return [
-        _described(hits, buildings, "flies up to {:.1f} m into a building", into_m),
-        _described(over, buildings, above, over_m, limits.vertical_m),
-        _described(beside, buildings, aside, beside_m, limits.horizontal_m),
+        _described(hits, buildings, "flies up to {:.1f} m into a building", -hits["gap_m"]),
+        _described(over, buildings, over_text, over["gap_m"], limits.vertical_m),
+        _described(beside, buildings, beside_text, beside["apart_m"], limits.horizontal_m),
     ]
 
 
 def _described(
     rows: pd.DataFrame, buildings: Prisms, text: str, metres: pd.Series, asked_m: float = 0.0
 ) -> pd.DataFrame:
-    """Return stretches near or in buildings as findings; metres are short of what is asked, or as far inside."""
+    """Return stretches in or near buildings with the columns of findings added.
+
+    Args:
+      rows: the stretches; ``prism`` is the number of the building.
+      buildings: that the numbers are of.
+      text: what happens, with a place for the metres.
+      metres: of each row, inside a building or apart from it.
+      asked_m: the clearance from which ``by_m`` counts: what the metres are short of it, or 0 for what is inside.
+    """
     prism = rows["prism"].to_numpy(int)
     is_guessed = buildings.is_guessed[prism]
-    guesses = np.where(is_guessed, " of guessed height", "")
-    what = [text.format(number) + guess for number, guess in zip(metres, guesses, strict=True)]
-    more = {"what": what, "is_guessed": is_guessed, "kind": "building"}
-    by_m = (asked_m - metres).abs()
-    return rows.assign(**more, by_m=by_m, building_m=buildings.top_m[prism])
+    endings = np.where(is_guessed, " of guessed height", "")
+    what = [text.format(number) + ending for number, ending in zip(metres, endings, strict=True)]
+    return rows.assign(
+        what=what,
+        is_guessed=is_guessed,
+        kind="building",
+        by_m=(asked_m - metres).abs(),
+        building_m=buildings.top_m[prism],
+    )
 
 
 def _zones(steps: Steps, maps: MetricMaps, limits: Constraints) -> pd.DataFrame:
-    """Return where a mission enters no-fly zones."""
+    """Return a row for each stretch of a mission in a no-fly zone of ``limits``."""
     zones = limits.zones
-    shapes = np.array([zone.on(maps.grid) for zone in zones], object)
-    floor_m, ceiling_m = np.array([[z.floor_m, z.ceiling_m] for z in zones]).reshape(-1, 2).T
-    rows = contacts(steps, Prisms(shapes, floor_m, ceiling_m, np.zeros(len(zones), bool)), maps)
+    prisms = Prisms(
+        polygons=np.array([zone.on(maps.grid) for zone in zones], object),
+        floor_m=np.array([zone.floor_m for zone in zones], float),
+        top_m=np.array([zone.ceiling_m for zone in zones], float),
+        is_guessed=np.zeros(len(zones), bool),
+    )
+    rows = contacts(steps, prisms, maps)
     rows = merged(rows[rows["gap_m"] <= 0], "prism")
     entered = [zones[number] for number in rows["prism"]]
     what = [f"enters the no-fly zone {zone.label}, {zone.heights}" for zone in entered]
@@ -174,25 +227,43 @@ def _is_closed(
     times: Sequence[str | None],
     time_of_day: str | None,
 ) -> np.ndarray:
-    """Return ``[P]`` bool: a bound is not kept at one of some times; beyond the maps' altitudes that of the nearest."""
+    """Return ``[P]`` bool: whether each step is in a cell where a bound is not kept at one of the times or more.
+
+    A step at an altitude of the maps is judged there. One between two altitudes is judged at their middle, where a
+    bound must hold at both. One beyond all altitudes is judged at the middle of the two that are nearest to it.
+
+    Args:
+      steps: ``P`` of them.
+      maps: that hold the variable of the bound.
+      bound: to be kept.
+      times, time_of_day: of the maps.
+    """
     levels_m = sorted(maps.altitudes_m)
     middles_m = [sum(pair) / 2 for pair in pairwise(levels_m)] or levels_m
-    between = np.searchsorted(levels_m, steps.z_m.mean(axis=1), side="right") - 1
-    between = np.clip(between, 0, len(middles_m) - 1)
-    nearest_m = nearest_level_m(steps.z_m.mean(axis=1), levels_m)
-    is_level = np.abs(steps.z_m - nearest_m[:, None]).max(axis=1) < LEVEL_M
-    map_m = np.where(is_level, nearest_m, np.array(middles_m)[between])
-    is_closed = np.zeros(len(between), bool)
-    for z_m in np.unique(map_m).tolist():
-        at = map_m == z_m
+    step_m = steps.z_m.mean(axis=1)
+    level_below = np.searchsorted(levels_m, step_m, side="right") - 1
+    middle_m = np.array(middles_m)[np.clip(level_below, 0, len(middles_m) - 1)]
+    nearest_m = nearest_level_m(step_m, levels_m)
+    is_on_level = np.abs(steps.z_m - nearest_m[:, None]).max(axis=1) < LEVEL_M
+    judged_at_m = np.where(is_on_level, nearest_m, middle_m)
+
+    is_closed = np.zeros(len(judged_at_m), bool)
+    for z_m in np.unique(judged_at_m).tolist():
+        is_here = judged_at_m == z_m
         for time in times:
             is_kept = bound.is_kept(maps, z_m, time, time_of_day)
-            is_closed[at] |= ~is_kept[tuple(steps.cell[at].T)]
+            is_closed[is_here] |= ~is_kept[tuple(steps.cell[is_here].T)]
     return is_closed
 
 
-def _stretches(steps: Steps, chosen: np.ndarray, **columns: np.ndarray) -> pd.DataFrame:
-    """Return a row for each stretch of steps that are chosen."""
+def _stretches(steps: Steps, is_chosen: np.ndarray, **columns: np.ndarray) -> pd.DataFrame:
+    """Return a row for each stretch of neighbouring steps that are chosen (`merged`).
+
+    Args:
+      steps: ``P`` of them.
+      is_chosen: ``[P]`` bool.
+      columns: ``[P]`` further values of the steps, by the names of their columns.
+    """
     from_m, to_m = steps.along_m.T
-    rows = {"step": np.arange(len(chosen)), "from_m": from_m, "to_m": to_m, **columns}
-    return merged(pd.DataFrame(rows)[chosen])
+    rows = {"step": np.arange(len(is_chosen)), "from_m": from_m, "to_m": to_m, **columns}
+    return merged(pd.DataFrame(rows)[is_chosen])

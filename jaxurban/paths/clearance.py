@@ -25,11 +25,18 @@ MOST_LEG_MARGIN = 0.49
 def obstacles_within(
     maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float
 ) -> np.ndarray:
-    """Return ``[Y, X]`` bool: a roof that touches the cell reaches an altitude, or ends less than ``vertical_m`` below.
+    """Return ``[Y, X]`` bool: whether a roof in the cell reaches an altitude, or ends less than ``vertical_m`` below.
 
-    Roofs count where the maps' rule of obstacles has them, and where a distance is kept in every cell that they touch.
-    Cells without data and roofs of unknown height count, bare ground does not. Over terrain a roof is as high as it is
-    over the lowest ground within ``horizontal_m``, from which a path may pass it. No file is lower than planned.
+    Where a horizontal distance is kept, a roof counts in every cell that it touches; otherwise where the maps' rule of
+    obstacles counts it. Cells without data and roofs of unknown height are obstacles too, bare ground is none. Over
+    terrain the height of a roof is measured from the lowest ground within ``horizontal_m``, since a path may pass it
+    there. No margin is added to ``vertical_m`` for what a file may change, as files round heights up.
+
+    Args:
+      maps: the metric maps.
+      altitude_m: of flight, above the ground.
+      horizontal_m: the distance that is kept from obstacles; 0 for none.
+      vertical_m: the height that is kept over roofs; 0 for none.
 
     Raises:
       InputError: maps that hold no touched roofs.
@@ -41,30 +48,40 @@ def obstacles_within(
             "(clearance_m and vertical_clearance_m 0, no radius of the vehicle)"
         )
     roof_m = maps.m(name)
-    over_m = roof_m
+    top_m = roof_m  # above the ground from which a path may pass it
     if "terrain" in maps.ds:
-        over_m = roof_m + _over_lowest_ground_m(maps, horizontal_m)
-    is_obstacle = (roof_m > 0) & (over_m >= np.float32(altitude_m - vertical_m))
+        top_m = roof_m + _over_lowest_ground_m(maps, horizontal_m)
+    is_obstacle = (roof_m > 0) & (top_m >= np.float32(altitude_m - vertical_m))
     is_obstacle |= np.isnan(roof_m) | ~maps.ds["has_data"].values
+    # The maps' own obstacles count too, which are known at the altitudes of the maps alone.
     if altitude_m in maps.altitudes_m:
         is_obstacle |= maps.m("obstacle", altitude_m) != 0
     return is_obstacle
 
 
 def _over_lowest_ground_m(maps: MetricMaps, reach_m: float) -> np.ndarray:
-    """Return ``[Y, X]`` how much higher each cell's ground is than the lowest known within a reach (and more) of it."""
+    """Return ``[Y, X]`` how much higher the ground of each cell is than the lowest known ground around it, metres.
+
+    Around it are all cells within ``reach_m`` and, as the window is square and whole cells wide, some beyond. The
+    result is 0 where the ground of the cell itself is not known.
+    """
     ground_m = np.where(maps.ds["has_data"].values, maps.m("terrain"), np.inf)
     # One cell more, as the distance is between squares and not between centres.
-    cells = min(math.ceil(reach_m / maps.grid.resolution_m) + 1, max(ground_m.shape))
-    lowest_m = minimum_filter(ground_m, 2 * cells + 1, mode="nearest")
+    reach_cells = math.ceil(reach_m / maps.grid.resolution_m) + 1
+    reach_cells = min(reach_cells, max(ground_m.shape))
+    lowest_m = minimum_filter(ground_m, 2 * reach_cells + 1, mode="nearest")
     return np.subtract(ground_m, lowest_m, out=np.zeros_like(ground_m), where=np.isfinite(ground_m))
 
 
 def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:
     """Return ``[Y, X]`` exact distance from each cell's square to the nearest obstacle's, or to the maps' border.
 
-    Squares of ``[Y, X]`` obstacles that touch, by a side or a corner, are 0 apart. What stands beyond the border is not
-    known, so that it counts as an obstacle.
+    Squares that touch, by a side or a corner, are 0 apart. What stands beyond the border is not known, so that it
+    counts as an obstacle.
+
+    Args:
+      is_obstacle: ``[Y, X]`` bool.
+      resolution_m: side of a cell.
     """
     # From a cell's centre to the obstacles grown by one cell all around it is as far as from square to square.
     grown = binary_dilation(np.pad(is_obstacle, 1, constant_values=True), np.ones((3, 3), bool))
@@ -72,20 +89,31 @@ def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.
 
 
 def closing_step_m(horizontal_m: float, resolution_m: float) -> tuple[float, float]:
-    """Return a clearance as the distance between squares below which cells are closed, and what legs keep beside it."""
-    if horizontal_m == 0:  # closes the cells of obstacles alone
+    """Return how a clearance is kept on cells: a distance below which cells are closed, and a margin of legs beside it.
+
+    Distances between the squares of cells come in steps: 0, 1, 1.41, 2, 2.24 ... sides. The first value is the least
+    step that the clearance exceeds by `MOST_LEG_MARGIN` sides or less; the second is that excess, which the legs of
+    routes keep from closed cells, 0 where the step alone keeps the clearance. Both are metres, and `FILE_MARGIN_M` is
+    included. A clearance of 0 gives 0 and 0: only the cells of obstacles themselves are closed.
+
+    Args:
+      horizontal_m: the clearance.
+      resolution_m: side of a cell.
+    """
+    if horizontal_m == 0:
         return 0.0, 0.0
-    sides = (horizontal_m + FILE_MARGIN_M) / resolution_m
-    whole = np.arange(math.ceil(sides) + 1)
-    steps = np.unique(np.hypot(whole, whole[:, None]))
-    step = float(steps[np.searchsorted(steps, sides - MOST_LEG_MARGIN)])
-    return step * resolution_m, max(0.0, sides - step) * resolution_m
+    clearance_sides = (horizontal_m + FILE_MARGIN_M) / resolution_m
+    offsets = np.arange(math.ceil(clearance_sides) + 1)  # of squares, in rows or columns
+    steps = np.unique(np.hypot(offsets, offsets[:, None]))
+    step = float(steps[np.searchsorted(steps, clearance_sides - MOST_LEG_MARGIN)])
+    return step * resolution_m, max(0.0, clearance_sides - step) * resolution_m
 
 
 def kept_m(horizontal_m: float, resolution_m: float) -> float:
-    """Return what routes keep at least of obstacles under a clearance that is asked, in their files too."""
-    if horizontal_m == 0:
-        return 0.0
+    """Return the least distance of routes, in their files too, from obstacles under a horizontal clearance, metres.
+
+    It is the clearance or, as distances between cells come in steps, more.
+    """
     step_m, _ = closing_step_m(horizontal_m, resolution_m)
     return max(horizontal_m, step_m - FILE_MARGIN_M)
 
@@ -95,8 +123,12 @@ def closed_by_clearance(
 ) -> np.ndarray:
     """Return ``[Y, X]`` bool: cells that a horizontal and a vertical clearance close at an altitude above the ground.
 
-    The horizontal one is kept from obstacles and the maps' border, beside `FILE_MARGIN_M`, by legs that keep the margin
-    of `closing_step_m`; roofs less than the vertical one below the altitude are obstacles too.
+    Roofs that end less than ``vertical_m`` below the altitude are obstacles too. Cells nearer to obstacles, or to the
+    maps' border, than the step of `closing_step_m` are closed; the rest of ``horizontal_m`` and `FILE_MARGIN_M` the
+    legs of routes keep from closed cells.
+
+    Raises:
+      InputError: maps that hold no touched roofs.
     """
     resolution_m = maps.grid.resolution_m
     is_obstacle = obstacles_within(maps, altitude_m, horizontal_m, vertical_m)

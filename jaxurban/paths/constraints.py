@@ -67,6 +67,7 @@ class Bound:
     value: float
 
     def __post_init__(self) -> None:
+        """Refuse a bound that cannot be meant (the errors of the class)."""
         if self.comparison not in OPERATORS:
             raise InputError(
                 f"the bound {self} has the comparison {self.comparison!r}: use {', '.join(OPERATORS)}"
@@ -83,12 +84,12 @@ class Bound:
 
     @classmethod
     def parse(cls, text: str) -> "Bound":
-        """Return the bound in ``"gps>=0.3"``.
+        """Return the bound that a text such as ``"gps>=0.3"`` says.
 
         Raises:
-          InputError: text that does not read name, comparison, number.
+          InputError: a text that does not read name, comparison, number; or a bound that cannot be meant.
         """
-        parts = BOUND.fullmatch(text)
+        parts = BOUND.fullmatch(text)  # groups: name, comparison, number
         if parts is None:
             raise InputError(
                 f"the bound {text!r} must read name, one of {', '.join(OPERATORS)}, number, as in gps>=0.3 or "
@@ -103,9 +104,15 @@ class Bound:
         time: str | None = None,
         time_of_day: str | None = None,
     ) -> np.ndarray:
-        """Return ``[Y, X]`` bool: the bound holds. Nothing holds where there are no data; a DOP may be inf.
+        """Return ``[Y, X]`` bool: whether the bound holds in each cell. Without data it holds nowhere.
 
-        Between two altitudes of the maps it must hold at both, or at the upper one over a wall of the lower.
+        Between two altitudes of the maps it must hold at both. Where the lower one has an obstacle, the upper one
+        alone counts.
+
+        Args:
+          maps: that hold the variable. A DOP may be inf, which is compared like any number.
+          altitude_m: above ground.
+          time, time_of_day: of the GPS and the population map; the first if left out.
 
         Raises:
           InputError: no such map, or an altitude beyond the range of the maps.
@@ -122,7 +129,9 @@ class Bound:
             values = maps.m(self.variable, z_m, time=time, time_of_day=time_of_day)
             # A Python float compares in the map's own float32, so that gps>=0.7 holds where the map says 0.7.
             holds = OPERATORS[self.comparison](values, self.value)
-            is_kept &= holds | (maps.m("obstacle", z_m) == 1) if z_m < altitude_m else holds
+            if z_m < altitude_m:
+                holds = holds | (maps.m("obstacle", z_m) == 1)
+            is_kept &= holds
         return is_kept
 
 
@@ -164,6 +173,7 @@ class Constraints:
     vehicle: Vehicle | None = None
 
     def __post_init__(self) -> None:
+        """Refuse a clearance below 0; one that is None comes from the scenario or the preset."""
         for name in CLEARANCES:
             metres = getattr(self, name)
             if metres is not None:
@@ -210,7 +220,7 @@ class Constraints:
 
     @property
     def keeps_clear(self) -> bool:
-        """Whether paths keep a distance from obstacles."""
+        """Whether paths keep a distance above 0 from obstacles, horizontally or vertically."""
         return self.horizontal_m > 0 or self.vertical_m > 0
 
     @property
@@ -230,7 +240,11 @@ class Constraints:
         return {name: getattr(whole, name) for name in CLEARANCES}
 
     def under(self, planning: Planning, vehicle: Vehicle) -> "Constraints":
-        """Return the constraints, what they leave out taken from a ``[planning]`` and a vehicle.
+        """Return the constraints with what they leave out taken from a ``[planning]`` and a vehicle.
+
+        Args:
+          planning: whose preset and settings give the clearances that are None here.
+          vehicle: what flies, if that is None here.
 
         Returns:
           `Constraints` whose clearances, in metres, and vehicle are all there; this one stays as it is.
@@ -245,7 +259,10 @@ class Constraints:
         return replace(self, **{name: defaults[name] for name in left_out})
 
     def leg_margin_m(self, resolution_m: float) -> float:
-        """Return what straight legs keep from closed cells of that side, for the clearance (`closing_step_m`).
+        """Return how far straight legs stay from closed cells, beside which cells are closed (`closing_step_m`).
+
+        Args:
+          resolution_m: side of a cell.
 
         Returns:
           Metres, less than half a cell; 0 where no horizontal clearance is asked, or closed cells alone keep it.
@@ -255,7 +272,8 @@ class Constraints:
           >>> [round(limits.leg_margin_m(side_m), 2) for side_m in (5.0, 20.0)]
           [0.05, 0.0]
         """
-        return closing_step_m(self.horizontal_m, resolution_m)[1]
+        _, margin_m = closing_step_m(self.horizontal_m, resolution_m)
+        return margin_m
 
     def to_dict(self) -> dict[str, Any]:
         """Return the constraints as plain, JSON-ready values.
@@ -291,13 +309,14 @@ class Constraints:
         if time is None or not any(zone.start or zone.end for zone in self.zones):
             return self
         flight = parse_time(time)
+        in_force = tuple(zone for zone in self.zones if zone.is_in_force(flight))
         off = [zone.label for zone in self.zones if not zone.is_in_force(flight)]
         if off:
             sentence = (
                 f"zones not in force at {time} nor within an hour, which close nothing: {len(off)}"
             )
             warn(f"{sentence} ({listed(off)})", IgnoredZoneWarning)
-        return replace(self, zones=tuple(zone for zone in self.zones if zone.is_in_force(flight)))
+        return replace(self, zones=in_force)
 
     def is_free(
         self,
@@ -357,6 +376,7 @@ class Constraints:
         """
         levels_m = np.atleast_1d(np.asarray(altitude_m, float))
         closed = self._closed_by_zones(maps.grid, levels_m)
+        # Each `level_closed` is a view of `closed`, so that what is added to it is added there.
         for level_closed, z_m in zip(closed, levels_m.tolist(), strict=True):
             for bound in self.bounds:
                 level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
@@ -367,20 +387,22 @@ class Constraints:
     def _closed_by_zones(self, grid: Grid, levels_m: np.ndarray) -> np.ndarray:
         """Return ``[K, Y, X]`` bool: the cells that zones close on each of ``[K]`` ascending levels (see `closed`).
 
-        A warning says where no zone is near the grid.
+        Warns:
+          IgnoredZoneWarning: there are zones, and none of them reaches the grid.
         """
-        next_m = np.append(levels_m[1:], levels_m[-1])
+        next_level_m = np.append(levels_m[1:], levels_m[-1])  # none lies above the last
         closed = np.zeros((len(levels_m), *grid.shape), bool)
-        is_near = False
+        reaches_grid = False
         for zone in self.zones:
-            part = zone.on(grid)
-            is_near |= not part.is_empty
-            is_at = (zone.floor_m <= levels_m) & (levels_m <= zone.ceiling_m)
-            is_between = (levels_m < zone.floor_m) & (zone.ceiling_m < next_m)
-            is_closed = is_at | is_between
-            if is_closed.any():
-                closed[is_closed] |= touched_cells(part, grid)
-        if self.zones and not is_near:
+            zone_m = zone.on(grid)  # its outline in the grid's CRS
+            reaches_grid |= not zone_m.is_empty
+            holds_level = (zone.floor_m <= levels_m) & (levels_m <= zone.ceiling_m)
+            # A zone between a level and the next closes the lower of the two.
+            lies_above_level = (levels_m < zone.floor_m) & (zone.ceiling_m < next_level_m)
+            is_closed_level = holds_level | lies_above_level
+            if is_closed_level.any():
+                closed[is_closed_level] |= touched_cells(zone_m, grid)
+        if self.zones and not reaches_grid:
             files = ", ".join(sorted({repr(zone.source) for zone in self.zones}))
             sentence = f"no zone of {files} lies in the maps' region, so that nothing is closed: check the file"
             warn(sentence, IgnoredZoneWarning)
@@ -396,6 +418,12 @@ class Constraints:
     ) -> list[str]:
         """Return why a cell is closed, a phrase for each constraint that closes it.
 
+        Args:
+          maps: on which the constraints are.
+          altitude_m: above ground, within the range of the maps.
+          cell: row and column.
+          time, time_of_day: of the GPS and the population map; the first if left out.
+
         Returns:
           Texts for people, zones first, then bounds and clearances; empty where no constraint closes the cell.
 
@@ -405,25 +433,31 @@ class Constraints:
           >>> ju.Constraints().reasons(maps, 60.0, (2, 2))
           []
         """
-        (box,) = cell_boxes(maps.grid, np.array([cell]), 1)
         reasons = []
+        (cell_square,) = cell_boxes(maps.grid, np.array([cell]), 1)
         for zone in self.zones:
-            is_at = zone.floor_m <= altitude_m <= zone.ceiling_m
-            if is_at and zone.on(maps.grid).intersects(box):
+            is_at_height = zone.floor_m <= altitude_m <= zone.ceiling_m
+            if is_at_height and zone.on(maps.grid).intersects(cell_square):
                 reasons.append(f"the no-fly zone {zone.label} ({zone.heights})")
+
         for bound in self.bounds:
             is_kept = bound.is_kept(maps, altitude_m, time, time_of_day)
             if not is_kept[cell]:
                 reasons.append(f"the bound {bound}")
-        clearances = self.horizontal_m, self.vertical_m
-        if self.keeps_clear and closed_by_clearance(maps, altitude_m, *clearances)[cell]:
-            kept = " and the ".join(describe_clearances(self.to_dict()))
-            reasons.append(f"the {kept} that is kept from obstacles and the border")
+
+        if self.keeps_clear:
+            is_near = closed_by_clearance(maps, altitude_m, self.horizontal_m, self.vertical_m)
+            if is_near[cell]:
+                clearances = " and the ".join(describe_clearances(self.to_dict()))
+                reasons.append(f"the {clearances} that is kept from obstacles and the border")
         return reasons
 
 
 def _record_of(zone: Zone) -> dict[str, Any]:
-    """Return a no-fly zone as plain, JSON-ready values: heights in metres, None where they have no end."""
+    """Return a no-fly zone as plain, JSON-ready values: name, file, floor, ceiling and outline.
+
+    Floor and ceiling are metres above ground, None where the zone is open downward or upward.
+    """
     return {
         "name": zone.name,
         "file": zone.source,
@@ -434,23 +468,28 @@ def _record_of(zone: Zone) -> dict[str, Any]:
 
 
 def describe_constraints(record: Mapping[str, Any]) -> str:
-    """Return constraints as `Constraints.to_dict` holds them, for a person to read; empty where there are none."""
-    num = len(record.get("no_fly", ()))
-    zones = {0: "", 1: "1 no-fly zone"}.get(num, f"{num} no-fly zones")
+    """Return constraints for a person to read, from a record of `Constraints.to_dict`; empty where there are none."""
+    num_zones = len(record.get("no_fly", ()))
+    zones = {0: "", 1: "1 no-fly zone"}.get(num_zones, f"{num_zones} no-fly zones")
     phrases = [zones, *record.get("require", ()), *describe_clearances(record)]
     return ", ".join(filter(None, phrases))
 
 
 def describe_clearances(record: Mapping[str, Any]) -> list[str]:
-    """Return a phrase for each distance that constraints, as `Constraints.to_dict` holds them, keep from obstacles."""
+    """Return a phrase for each distance kept from obstacles, from a record of `Constraints.to_dict`."""
     phrases = KEPT_CLEAR.items()
     return [f"{phrase} of {record[name]:g} m" for name, phrase in phrases if record.get(name)]
 
 
 def describe_kept(record: Mapping[str, Any], resolution_m: float) -> str:
-    """Return the horizontal distance that is really kept, a phrase; empty where that is what such constraints ask."""
+    """Return a phrase on the horizontal distance that routes keep, where it is more than was asked; else ``""``.
+
+    Args:
+      record: of `Constraints.to_dict`.
+      resolution_m: side of a cell; distances come in steps of cells, so that more may be kept.
+    """
     asked_m = record.get("clearance_m", 0.0) + record.get("vehicle_radius_m", 0.0)
-    kept = kept_m(asked_m, resolution_m)
-    if kept <= asked_m + FILE_MARGIN_M:
+    least_m = kept_m(asked_m, resolution_m)
+    if least_m <= asked_m + FILE_MARGIN_M:
         return ""
-    return f"at least {kept:g} m kept on cells of {resolution_m:g} m"
+    return f"at least {least_m:g} m kept on cells of {resolution_m:g} m"

@@ -34,7 +34,13 @@ class Prisms(NamedTuple):
 
 
 def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
-    """Return the buildings of a city; without one, the cells of maps that a roof touches.
+    """Return the buildings of a city as prisms; without a city, a prism for each cell of the maps that a roof touches.
+
+    Prisms begin far below the ground (-inf), save those of buildings that hang in the air over a slab's floor.
+
+    Args:
+      maps: the maps.
+      city: that the maps are of; None, or without buildings, for the cells.
 
     Raises:
       InputError: a city in another CRS than the maps, or maps that hold no touched roofs.
@@ -46,8 +52,8 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
                 f"sources is a city in {city.crs}, and the maps are in {grid.crs}: give the City that they are of"
             )
         buildings = city.buildings
-        hangs = (buildings.min_height_m > 0) & (city.hanging == SLABS)
-        floor_m = np.where(hangs, buildings.min_height_m, -np.inf)
+        is_slab = (buildings.min_height_m > 0) & (city.hanging == SLABS)
+        floor_m = np.where(is_slab, buildings.min_height_m, -np.inf)
         return Prisms(buildings.polygons, floor_m, buildings.height_m, buildings.is_guessed)
     if TOUCHED not in maps.ds:
         raise InputError(
@@ -55,31 +61,44 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
         )
     roof_m = maps.m(TOUCHED)
     cells = np.argwhere(roof_m > 0)
-    top_m = roof_m[tuple(cells.T)].astype(float)
+    rows, cols = cells.T
     guessed = maps.m(GUESSED) if GUESSED in maps.ds else np.zeros(grid.shape)
-    is_guessed = guessed[tuple(cells.T)].astype(bool)
-    return Prisms(cell_boxes(grid, cells, 1), np.full(len(cells), -np.inf), top_m, is_guessed)
+    floor_m = np.full(len(cells), -np.inf)
+    top_m = roof_m[rows, cols].astype(float)
+    return Prisms(cell_boxes(grid, cells, 1), floor_m, top_m, guessed[rows, cols].astype(bool))
 
 
 def contacts(steps: Steps, prisms: Prisms, maps: MetricMaps, beside_m: float = 0.0) -> pd.DataFrame:
     """Return a row for each step and prism that meet in plan, or are no farther apart than a distance.
 
+    Args:
+      steps: of the mission.
+      prisms: in the maps' CRS.
+      maps: whose terrain, if they hold it, is the ground.
+      beside_m: the distance in plan; 0 for those that meet alone.
+
     Returns:
       ``step`` and ``prism`` (numbers), ``from_m`` and ``to_m`` along the mission, ``gap_m`` (least height over the top,
       or below the floor; negative inside) and ``apart_m`` (distance to the outline in plan), in the order of travel.
     """
+    # Pairs that meet in plan. A step straight up or down gets a length there, since a line needs one.
     ends_m = steps.ends_m.copy()
-    ends_m[:, 1, 0] += DOT_M * (steps.over_m == 0)
+    ends_m[steps.over_m == 0, 1, 0] += DOT_M
     lines = shapely.linestrings(ends_m)
     step, prism = shapely.STRtree(prisms.polygons).query(
         lines, predicate="dwithin", distance=beside_m
     )
-    outlines, z_m = prisms.polygons[prism], steps.z_m[step]
+    outlines = prisms.polygons[prism]
+    z_m = steps.z_m[step]
     apart_m = shapely.distance(lines[step], outlines)
-    if "terrain" in maps.ds and beside_m:  # what stands beside stands on other ground
-        nearest = shapely.get_coordinates(shapely.shortest_line(outlines, lines[step]))[::2]
+
+    # What stands beside a step stands on other ground: heights of the step are measured from there.
+    if "terrain" in maps.ds and beside_m:
+        shortest = shapely.shortest_line(outlines, lines[step])
+        nearest = shapely.get_coordinates(shortest)[::2]  # the end at the outline of each line
         fall_m = steps.ground_m[step] - ground_at(nearest, maps)[:, None]
         z_m = z_m + np.where(apart_m[:, None] > 0, np.nan_to_num(fall_m), 0.0)
+
     gap_m = np.maximum(
         z_m.min(axis=1) - prisms.top_m[prism], prisms.floor_m[prism] - z_m.max(axis=1)
     )
@@ -90,22 +109,28 @@ def contacts(steps: Steps, prisms: Prisms, maps: MetricMaps, beside_m: float = 0
 
 
 def merged(rows: pd.DataFrame, key: str | None = None) -> pd.DataFrame:
-    """Return stretches that touch along the mission as one, in their order: the first of each, its end and extremes.
+    """Return a table in which stretches that overlap, or touch within `TOUCH_M`, are one row, in the order of travel.
+
+    A row has the values of the first of its stretches, the last ``to_m``, and the least ``gap_m`` and ``apart_m``.
 
     Args:
-      rows: in the order of travel, with ``from_m`` and ``to_m``; of ``gap_m`` and ``apart_m`` the least is kept.
-      key: a column; only rows of one value are joined.
+      rows: stretches in the order of travel, with ``from_m`` and ``to_m``.
+      key: name of a column: stretches of other values there are not joined. None joins all.
     """
-    of = np.zeros(len(rows)) if key is None else rows[key].to_numpy()
-    rows = rows.assign(of=of).sort_values(["of", "from_m"], kind="stable", ignore_index=True)
-    reach_m = rows.groupby("of")["to_m"].cummax().shift()
-    is_new = (rows["of"] != rows["of"].shift()) | (rows["from_m"] > reach_m + TOUCH_M)
-    how = dict.fromkeys(rows.columns.drop("of"), "first")
-    how |= {name: "min" for name in ("gap_m", "apart_m") if name in rows} | {"to_m": "max"}
-    return rows.groupby(is_new.cumsum()).agg(how).sort_values("from_m", ignore_index=True)
+    group = np.zeros(len(rows)) if key is None else rows[key].to_numpy()
+    rows = rows.assign(group=group)
+    rows = rows.sort_values(["group", "from_m"], kind="stable", ignore_index=True)
+    # How far the stretches before reach; across the border of groups it has no meaning, and is not used.
+    reach_m = rows.groupby("group")["to_m"].cummax().shift()
+    is_new = (rows["group"] != rows["group"].shift()) | (rows["from_m"] > reach_m + TOUCH_M)
+    taken = dict.fromkeys(rows.columns.drop("group"), "first")
+    for name, extreme in (("gap_m", "min"), ("apart_m", "min"), ("to_m", "max")):
+        if name in rows:
+            taken[name] = extreme
+    return rows.groupby(is_new.cumsum()).agg(taken).sort_values("from_m", ignore_index=True)
 
 
 def union_m(rows: pd.DataFrame) -> float:
-    """Return the length along a mission that stretches cover, each metre once."""
-    each = merged(rows[["from_m", "to_m"]])
-    return float((each["to_m"] - each["from_m"]).sum())
+    """Return the length along a mission that stretches cover, each metre counted once."""
+    stretches = merged(rows[["from_m", "to_m"]])
+    return float((stretches["to_m"] - stretches["from_m"]).sum())

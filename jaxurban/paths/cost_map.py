@@ -1,6 +1,6 @@
 """CostMap: metric maps at one altitude, or between several, under weights, ready for any number of queries."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from typing import Any
@@ -43,7 +43,7 @@ REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wan
 
 
 def weights_on(maps: MetricMaps, given: WeightsLike) -> Weights:
-    """Return weights that are given whole, or with what they do not name as the maps' scenario has it.
+    """Return ``given`` as `Weights`; what a mapping leaves out is as the maps' scenario has it, or by default.
 
     Raises:
       InputError: an invalid weight, or of a metric that the maps do not hold.
@@ -116,9 +116,10 @@ class CostMap(FactsRepr):
     def facts(self) -> dict[str, str]:
         """Grid, altitude or levels, weights and cost model, constraints, and the share of free cells."""
         weights = zip(self.weight_names, self.weight_vector, strict=True)
+        heights_name = "altitude" if self.levels is None else "levels"
         return {
             "grid": self.maps.facts["grid"],
-            "altitude" if self.levels is None else "levels": f"{listed_m(self.altitudes_m)} m",
+            heights_name: f"{listed_m(self.altitudes_m)} m",
             "weights": ", ".join(f"{name} {weight:g}" for name, weight in weights),
             "objective": self.objective,
             "cost model": str(self.cost_model),
@@ -138,35 +139,42 @@ class CostMap(FactsRepr):
 
     @property
     def weight_names(self) -> tuple[str, ...]:
-        """What the weights of `weight_vector` are of."""
-        return ("distance", *self.names, *(() if self.levels is None else ("climb", "descent")))
+        """What each weight of `weight_vector` counts: distance, each metric, and in a volume climb and descent."""
+        names = ("distance", *self.names)
+        return names if self.levels is None else (*names, "climb", "descent")
 
     @cached_property
     def weight_vector(self) -> np.ndarray:
-        """``[W]`` the weights that the cost of a path is under: w_0, each layer's, of climb and descent."""
+        """``[W]`` the weight of each of `weight_names` in the cost of a path: in a volume two more than on a plane."""
         weights = self.weights.vector(("distance", *self.names))
         if self.levels is None:
             return weights
         climb_cost = self.levels.climb_cost
-        if climb_cost is None:
+        if climb_cost is None:  # a metre of climb then costs what a metre of distance does
             climb_cost = weights[0]
         return np.append(weights, [climb_cost, self.levels.descent_cost])
 
     @cached_property
     def is_weighed(self) -> bool:
-        """Whether anything but the shortest path is wanted: not with all weights zero."""
+        """Whether paths are planned under the weights, and not just for the shortest length.
+
+        False under the objective ``"distance"``, and where no weight above 0 is of anything that costs: then every
+        path would be as cheap.
+        """
         if self.objective == "distance":
             return False
-        is_used = self.weight_vector > 0
-        of_heights = is_used[1 + len(self.names) :]
-        if is_used[0] or of_heights.any():
+        distance_weight, *other_weights = self.weight_vector
+        climb_and_descent = other_weights[len(self.names) :]  # empty on one altitude
+        if distance_weight > 0 or max(climb_and_descent, default=0.0) > 0:
             return True
-        layers = zip(self.costs, is_used[1:], strict=False)
-        return any(is_weighed and layer.any() for layer, is_weighed in layers)
+        layers = zip(self.costs, other_weights, strict=False)
+        return any(weight > 0 and costs.any() for costs, weight in layers)
 
     @property
     def problem(self) -> Problem:
-        """The planners' view of the map, from its first free cell to itself; `Problem.between` asks for others.
+        """The planners' view of the map under its weights, made once.
+
+        It leads from the first free cell to itself; `Problem.between` gives that of other ends.
 
         Raises:
           InputError: no cell is free.
@@ -180,9 +188,27 @@ class CostMap(FactsRepr):
 
     @property
     def shortest(self) -> Problem:
-        """The same of the shortest path."""
-        if self.cache.shortest is None:
-            self.cache.shortest = self._shortest()
+        """The same as `problem`, but length alone costs: for the shortest path. Made once.
+
+        Raises:
+          InputError: no cell is free.
+        """
+        if self.cache.shortest is not None:
+            return self.cache.shortest
+        self.check_any_free()
+        indices = np.unravel_index(np.argmax(self.is_free), self.is_free.shape)
+        first_free = tuple(map(int, indices))
+        self.cache.shortest = Problem(
+            costs=self.costs,
+            is_free=self.is_free,
+            start=first_free,
+            goal=first_free,
+            resolution_m=self.grid.resolution_m,
+            weights=np.eye(len(self.weight_vector))[0],  # 1 for distance, 0 for all else
+            cost_model=self.cost_model,
+            levels_m=None if self.levels is None else self.altitudes_m,
+            leg_margin_m=self.leg_margin_m,
+        )
         return self.cache.shortest
 
     def check_any_free(self) -> None:
@@ -197,31 +223,18 @@ class CostMap(FactsRepr):
         if not self.is_free.any():
             raise InputError(f"no cell is free at {listed_m(self.altitudes_m)} m: {self.remedy}")
 
-    def _shortest(self) -> Problem:
-        """A query where length alone costs, at the first free cell: others differ by ends and weights."""
-        self.check_any_free()
-        free = tuple(map(int, np.unravel_index(np.argmax(self.is_free), self.is_free.shape)))
-        return Problem(
-            costs=self.costs,
-            is_free=self.is_free,
-            start=free,
-            goal=free,
-            resolution_m=self.grid.resolution_m,
-            weights=np.eye(len(self.weight_vector))[0],
-            cost_model=self.cost_model,
-            levels_m=None if self.levels is None else self.altitudes_m,
-            leg_margin_m=self.leg_margin_m,
-        )
-
     @typed
     def only(self, metrics: Iterable[str]) -> "CostMap":
         """Return the map with the layers of these metrics alone, so that the others cost nothing.
+
+        Args:
+          metrics: names of metrics, each once.
 
         Returns:
           `CostMap` with the layers in the order of this one, which stays as it is.
 
         Raises:
-          InputError: none, one twice, or a metric that the maps lack.
+          InputError: no name, a name given twice, or a metric that the maps lack.
 
         Examples:
           >>> ju.cost_map(maps, 60.0).only(["risk", "gps"]).weight_names
@@ -234,9 +247,9 @@ class CostMap(FactsRepr):
             raise InputError(
                 f"metrics must name different metrics, and at least one, got {', '.join(names) or 'none'}"
             )
-        kept = [row for row, name in enumerate(self.names) if name in names]
-        names = tuple(self.names[row] for row in kept)
-        return replace(self, names=names, costs=self.costs[kept], is_prepared=False)
+        is_kept = np.isin(self.names, names)
+        kept_names = tuple(name for name in self.names if name in names)
+        return replace(self, names=kept_names, costs=self.costs[is_kept], is_prepared=False)
 
     def with_weights(self, weights: WeightsLike) -> "CostMap":
         """Return the map under other weights; what does not depend on them is shared (`Problem.with_weights`).
@@ -310,16 +323,16 @@ class CostMap(FactsRepr):
           ([586650, 4514550], (2, 2))
         """
         grid = self.grid
-        at: Any = place[:2]
+        coordinates: Any = place[:2]
         try:
             if isinstance(place, XY):
-                xy_m = at
-                cell = grid.cell_of_xy(*at)
+                x_m, y_m = coordinates
+                row, col = grid.cell_of_xy(x_m, y_m)
             else:
-                xy_m, cell = grid.xy_of_lonlat(*at), grid.cell_of_lonlat(*at)
+                x_m, y_m = grid.xy_of_lonlat(*coordinates)
+                row, col = grid.cell_of_lonlat(*coordinates)
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
-        (x_m, y_m), (row, col) = xy_m, cell
         return (float(x_m), float(y_m)), (int(row), int(col))
 
     def locate(self, name: str, place: Point | XY, *, snap: bool | float = False) -> End:
@@ -327,10 +340,10 @@ class CostMap(FactsRepr):
 
         Args:
           name: ``"start"`` or ``"goal"``, for messages.
-          place: longitude, latitude in degrees, or `XY` in the maps' CRS; in a volume also an altitude, one of the
-            levels, and left out the lowest that is free there.
-          snap: move out of a closed cell to the nearest free one of its level, by at most 50 m, or so many metres
-            (`places_near`).
+          place: longitude, latitude in degrees, or `XY` in the maps' CRS; in a volume also an altitude, which is one of
+            the levels. Left out, it is the lowest level that is free there.
+          snap: whether a place in a closed cell moves to the nearest free one of its level: False not at all, True by
+            at most 50 m, a number by at most that many metres (`places_near`).
 
         Returns:
           `End`: the cell, how far its centre is from the place in metres, and whether another cell was taken.
@@ -352,8 +365,8 @@ class CostMap(FactsRepr):
     ) -> tuple[End, End]:
         """Return the cells of a query, with arguments and errors as in `locate`.
 
-        Snapping moves them to cells that free ones join and, where none within reach are joined, to the nearest free
-        ones.
+        Where one of them is in a closed cell, snapping takes the free cells nearest to both that a way through free
+        cells joins. Where no two within reach are joined, it takes the nearest free ones.
 
         Returns:
           `End` of the start and of the goal.
@@ -364,12 +377,16 @@ class CostMap(FactsRepr):
         """
         starts = self._places_near("start", start, snap)
         goals = self._places_near("goal", goal, snap)
-        is_snapped = starts[0].is_snapped or goals[0].is_snapped
-        return joined_ends(self, starts, goals) if is_snapped else (starts[0], goals[0])
+        start_end, goal_end = starts[0], goals[0]
+        if start_end.is_snapped or goal_end.is_snapped:
+            return joined_ends(self, starts, goals)
+        return start_end, goal_end
 
     def _places_near(self, name: str, place: Point | XY, snap: bool | float) -> list[End]:
+        """Return the possible ends of a query at a place, the nearest first; arguments and errors as in `locate`."""
         xy_m, cell = self.cell_of(name, place)
-        return places_near(self, name, xy_m, self._level_of(name, cell, place[2:]), cell, snap)
+        altitude_m = place[2] if len(place) > 2 else None
+        return places_near(self, name, xy_m, self._level_of(name, cell, altitude_m), cell, snap)
 
     @cached_property
     def islands(self) -> np.ndarray:
@@ -396,11 +413,20 @@ class CostMap(FactsRepr):
         """``[K, Y, X]`` where a path may fly, on one altitude too."""
         return self.is_free.reshape(-1, *self.grid.shape)
 
-    def _level_of(self, name: str, cell: Cell, given: Sequence[float | None]) -> int:
-        """Return the level of an end: that of its altitude, else the lowest that is free there."""
-        altitude_m = next((value for value in given if value is not None), None)
+    def _level_of(self, name: str, cell: Cell, altitude_m: float | None) -> int:
+        """Return the number of the level of an end, from 0 for the lowest; 0 on one altitude.
+
+        Args:
+          name: ``"start"`` or ``"goal"``, for messages.
+          cell: row and column of the end.
+          altitude_m: one of the levels; None for the lowest level on which the cell is free, or 0 if it is on none.
+
+        Raises:
+          InputError: an altitude that is none of the levels, or any altitude on a map without levels.
+        """
+        row, col = cell
         if altitude_m is None:
-            return int(np.argmax(self.levels_free[:, cell[0], cell[1]]))  # the lowest free one
+            return int(np.argmax(self.levels_free[:, row, col]))  # the first that is True
         if self.levels is None:
             raise InputError(
                 f"{name} has an altitude, which only a path between levels takes: leave it out"
@@ -413,7 +439,7 @@ class CostMap(FactsRepr):
 
     @property
     def remedy(self) -> str:
-        """What opens cells."""
+        """What a user can do so that more cells are free, as the end of a message."""
         remedy = "fly higher"
         if self.levels is not None:
             remedy = "fly at another level, raise max_altitude_m"
@@ -459,10 +485,10 @@ class CostMap(FactsRepr):
           >>> shortest.status.value, len(shortest.xy_m), round(shortest.length_m)
           ('optimal', 2, 707)
         """
-        ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
+        start_place = one_place("start", start, start_xy_m)
+        goal_place = one_place("goal", goal, goal_xy_m)
         search = PathSearch.of(
-            None,
-            self.levels is not None,
+            is_for_volumes=self.levels is not None,
             planner=planner,
             heuristic=heuristic,
             budget_s=budget_s,
@@ -471,10 +497,10 @@ class CostMap(FactsRepr):
             refine=refine,
             exposure=exposure,
         )
-        return self.planned(*ends, search)
+        return self.planned(start_place, goal_place, search)
 
     def planned(self, start: Point | XY, goal: Point | XY, search: PathSearch) -> PlannedPath:
-        """Return a path between two places, given as in `locate`, searched for in one way that was checked before.
+        """Return a path between two places, given as in `locate`, searched for as a checked `PathSearch` says.
 
         Returns:
           `PlannedPath`, as of `plan`, which is simpler to call.
@@ -484,13 +510,16 @@ class CostMap(FactsRepr):
           >>> ju.cost_map(maps, 60.0).planned(start, goal, PathSearch.of(planner="ptp")).status.value
           'feasible'
         """
+        # The planner: landmarks guide it where the map is prepared and the search leaves its heuristic to it.
         is_guided = self.is_prepared and not search.exposure and search.heuristic is None
         if is_guided and PLANNERS[search.planner].default_heuristic == AUTO:
             search = replace(search, heuristic="landmarks")
         is_for_volumes = self.levels is not None
         find_path = find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
-        ends = self.ends(start, goal, snap=search.snap)
-        problem = self.problem.between(ends[0].cell, ends[1].cell)
+
+        # The problem, and whether it suits what is asked beside the path.
+        ends = start_end, goal_end = self.ends(start, goal, snap=search.snap)
+        problem = self.problem.between(start_end.cell, goal_end.cell)
         if search.refine:
             check_line_model(problem, "refinement")
         if search.exposure:
@@ -498,10 +527,13 @@ class CostMap(FactsRepr):
             find_path = partial(
                 within_budgets, planner=find_path, budgets=search.exposure, names=self.names
             )
-        # An anytime planner would leave nothing of the budget to refine with.
+
+        # The search. An anytime planner would leave nothing of the budget to refine with.
         share = 1 - REFINING_SHARE if search.refine else 1.0
         with warn_if_slow(search.planner, search.budget_s):
             path = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
+
+        # Refinement, for which half of its share of the budget is left even where the search took longer.
         if search.refine and path.status.has_path:
             least_s = search.budget_s * REFINING_SHARE / 2
             left_s = search.budget_s - path.elapsed_s
@@ -509,7 +541,15 @@ class CostMap(FactsRepr):
         return finish(self, with_corner_bound(problem, path), ends, search)
 
     def _check_exposure(self, names: Iterable[str]) -> None:
-        """Raise InputError for budgets of exposure of layers that are not there, or that are not summed by length."""
+        """Check that budgets of exposure can be kept on this map.
+
+        Args:
+          names: of the metrics that have a budget.
+
+        Raises:
+          InputError: a name that is none of the map's metrics, or the cost model ``"cell"``, which sums costs by cell
+            and not along the path.
+        """
         if self.cost_model.kind == "cell":
             raise InputError(
                 "a budget of exposure is of an integral along the path, which cost_model='cell' does not add up: "
@@ -521,6 +561,9 @@ class CostMap(FactsRepr):
     def means(self, features: PathFeatures) -> dict[str, float]:
         """Return the mean of each metric m along a path, by the exact length in each cell.
 
+        Args:
+          features: of the path, as from ``problem.features``.
+
         Returns:
           Numbers in [0, 1] by the metric's name; of a path without length, m at its place.
 
@@ -531,9 +574,12 @@ class CostMap(FactsRepr):
           {'gps': 0.88, 'lidar': 0.11, 'population': 0.04, 'risk': 0.99}
         """
         metrics = self.maps.metrics
-        means = zip(self.names, features.mean_costs, strict=True)
-        # c turns into m as m into c, and rounding may leave the range.
-        return {name: min(max(float(metrics[name].cost(cost)), 0.0), 1.0) for name, cost in means}
+        means = {}
+        for name, mean_cost in zip(self.names, features.mean_costs, strict=True):
+            # The same function turns c into m and m into c. Rounding may leave the range.
+            m = float(metrics[name].cost(mean_cost))
+            means[name] = min(max(m, 0.0), 1.0)
+        return means
 
     @property
     def terrain_m(self) -> np.ndarray | None:

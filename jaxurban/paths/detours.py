@@ -27,10 +27,10 @@ def density_detours(
 ) -> pd.DataFrame:
     """Return what detours between the same ends would lower, and how much longer they are.
 
-    A route is planned clear of all cells of the density's grid above a bound, with the whole corridor: at the least
-    bound under which the ends are still joined, and halfway between that and the route's own density. Cells that the
-    corridor touches at the ends stay open, as none can avoid them. Where no density is known is closed like the
-    densest, but for what the route itself comes near.
+    A detour keeps its whole corridor clear of all cells of the density's grid above a bound. Two bounds are tried: the
+    least under which the ends are still joined, and the one halfway between that and the route's own density. Cells
+    that the corridor touches at the ends stay open, as no route can avoid them. Cells whose density is not known are
+    closed like the densest, except those that the corridor of the route itself touches.
 
     Args:
       planned: the route that ``density`` is of.
@@ -38,11 +38,11 @@ def density_detours(
       density: of the route, whose corridor, grid and times of day are taken.
 
     Returns:
-      A row a detour, the least dense first, none where no route is less dense: ``density_per_km2``, ``lowered_share``,
-      ``length_m``, ``extra_m`` and ``cost``.
+      A row for each detour, the least dense first; no row where no route is less dense. Columns: ``density_per_km2``,
+      ``lowered_share`` (of the route's density), ``length_m``, ``extra_m`` (beyond the route's length) and ``cost``.
 
     Raises:
-      InputError: a cost map in another region.
+      InputError: a cost map in another region than the route's.
 
     Examples:
       >>> cost_map, ends = ju.cost_map(maps, 60.0), (maps.grid.lonlat_of_cell(14, 4), maps.grid.lonlat_of_cell(14, 25))
@@ -54,47 +54,61 @@ def density_detours(
     """
     grid = cost_map.grid
     reach_m = density.reach_m
-    most = density.density_per_km2
+    route_density = density.density_per_km2
+
+    # The mean density of each cell, at the time of day when it is largest; inf where it is never known.
     times = [name or None for name in density.largest["time_of_day"].unique()]
     cells = cells_within(shapely.box(*grid.bounds_m), reach_m, density.settings["cell_m"], grid)
     people = [cost_map.maps.m("density", time_of_day=name) for name in times]
-    means = np.fmax.reduce([cell_means(each, grid, cells)[0] for each in people])
-    is_kept = shapely.dwithin(cells.boxes, shapely.MultiPoint(planned.xy_m[[0, -1]]), reach_m)
-    least = np.nanmax(means[is_kept], initial=0.0)
-    is_kept |= np.isnan(means) & shapely.dwithin(cells.boxes, line_of(planned.xy_m), reach_m)
-    level = np.where(np.isnan(means), np.inf, means)
+    means = np.fmax.reduce([cell_means(per_km2, grid, cells)[0] for per_km2 in people])
+    cell_density = np.where(np.isnan(means), np.inf, means)
+
+    # Cells that stay open. No bound below the densest of those at the ends lowers anything.
+    ends = shapely.MultiPoint(planned.xy_m[[0, -1]])
+    is_open = shapely.dwithin(cells.boxes, ends, reach_m)
+    least_bound = np.nanmax(means[is_open], initial=0.0)
+    is_open |= np.isnan(means) & shapely.dwithin(cells.boxes, line_of(planned.xy_m), reach_m)
+
     corners_m = planned.xy_m
     if cost_map.levels is not None:
         corners_m = np.column_stack([planned.xy_m, planned.z_m])
     start = XY(*corners_m[0])
     goal = XY(*corners_m[-1])
-    nodes = [end.cell for end in cost_map.ends(start, goal)]
+    start_end, goal_end = cost_map.ends(start, goal)
 
-    def up_to(bound: float) -> CostMap:
-        dense = shapely.union_all(cells.boxes[(level > bound) & ~is_kept])
+    def map_below(bound: float) -> CostMap:
+        """Return the cost map on which no corridor comes to cells above a density, save open ones."""
+        dense = shapely.union_all(cells.boxes[(cell_density > bound) & ~is_open])
         closed = touched_cells(shapely.buffer(dense, reach_m * ROUND, quad_segs=16), grid)
         return replace(cost_map, is_free=cost_map.is_free & ~closed)
 
-    def joins(bound: float) -> bool:
-        islands = up_to(bound).islands
-        of_start, of_goal = (islands[node] for node in nodes)
-        return bool(of_start > 0 and of_start == of_goal)
+    def is_joined(bound: float) -> bool:
+        """Return whether free cells of `map_below` join start and goal."""
+        islands = map_below(bound).islands
+        island = islands[start_end.cell]
+        return bool(island > 0 and island == islands[goal_end.cell])
 
-    bounds = np.unique(level[(level >= least) & (level < most)]).tolist()
+    # The least bound under which the ends are joined, by bisection: a larger one opens more cells.
+    is_lower = (cell_density >= least_bound) & (cell_density < route_density)
+    bounds = np.unique(cell_density[is_lower]).tolist()
+    joining_bounds = bounds[bisect_left(bounds, True, key=is_joined) :]
+    tried_bounds = []
+    if joining_bounds:
+        tried_bounds = [joining_bounds[0], (joining_bounds[0] + route_density) / 2]
+
     corridor: dict[str, Any] = {**density.settings}
     if len(times) == 1:
         corridor["time_of_day"] = times[0]
-    joining = bounds[bisect_left(bounds, True, key=joins) :]
     rows: list[dict[str, float]] = []
-    for bound in [joining[0], (joining[0] + most) / 2] if joining else []:
-        route = up_to(bound).plan(start, goal, budget_s=planned.settings.get("budget_s"))
+    for bound in tried_bounds:
+        route = map_below(bound).plan(start, goal, budget_s=planned.settings.get("budget_s"))
         if not route.status.has_path:
             continue
-        beneath = overflown_density(cost_map.maps, route, **corridor).density_per_km2
+        detour_density = overflown_density(cost_map.maps, route, **corridor).density_per_km2
         rows.append(
             {
-                DENSITY: beneath,
-                "lowered_share": 1 - beneath / most,
+                DENSITY: detour_density,
+                "lowered_share": 1 - detour_density / route_density,
                 "length_m": route.length_m,
                 "extra_m": route.length_m - planned.length_m,
                 "cost": route.cost,

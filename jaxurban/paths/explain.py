@@ -20,7 +20,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.export.base import numbers_or_none
-from jaxurban.paths.ground_risk import OverflownDensity
+from jaxurban.paths.ground_risk import DENSITY, OverflownDensity
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import map_at
 from jaxurban.paths.profile import (
@@ -42,7 +42,6 @@ from jaxurban.settings import Vehicle
 SECONDS_PER_HOUR = 3600.0
 COST_OF = "cost_of_"  # before the name of a layer, of its part of the cost
 NO_FIX_IN_1_0 = "under_4_satellites_m"  # the name of ``no_fix_m`` in 1.0, which stays
-DENSITY = "density_per_km2"
 EXTRA_MAPS = {VISIBLE: VISIBLE, FIX: FIX, "density": DENSITY, "terrain": "terrain_m"}
 SEGMENT_HEADS = {  # what a terminal has room for beside the costs; `RouteReport.segments` has more
     "min_gps": "min gps",
@@ -95,36 +94,40 @@ class RouteReport(FactsRepr):
         """`why`, and the totals as texts, in the units that their names say."""
         notes = dict.fromkeys(guessed_clearances(self.profile), " (if guessed roofs are right)")
         notes["people_overflown"] = f" (strip of {self.settings['swath_m']:g} m)"
-        texts = {
-            name.replace("_", " "): f"{_short(value)}{notes.get(name, '')}"
-            for name, value in self.totals.items()
-            if name != NO_FIX_IN_1_0  # it stands under its new name
-        }
-        return {"why": self.why} | texts
+        facts = {"why": self.why}
+        for name, value in self.totals.items():
+            if name != NO_FIX_IN_1_0:  # the same value stands under its new name
+                facts[name.replace("_", " ")] = _short(value) + notes.get(name, "")
+        return facts
 
     @property
     def why(self) -> str:
-        """A sentence: which segment costs the most, and for which layer, beside its length; empty where none costs."""
-        if not self.segments["cost"].sum() > 0:
+        """A sentence on the segment that costs the most, and on the layer that it pays most for, beside its length.
+
+        Empty where no segment costs anything.
+        """
+        costs = self.segments["cost"]
+        if not costs.sum() > 0:
             return ""
-        place = int(self.segments["cost"].argmax())
-        most = self.segments.iloc[place]
-        share = most / self.segments.sum()
+        row = costs.argmax()
+        costliest = self.segments.iloc[row]
+        share = costliest / self.segments.sum()
         sentence = (
-            f"The most expensive stretch is segment {place + 1}, from {most['from_m']:.0f} to {most['to_m']:.0f} m: "
-            f"{share['cost']:.0%} of the cost on {share['length_m']:.0%} of the length"
+            f"The most expensive stretch is segment {row + 1}, from {costliest['from_m']:.0f} to "
+            f"{costliest['to_m']:.0f} m: {share['cost']:.0%} of the cost on {share['length_m']:.0%} of the length"
         )
-        parts = most.filter(like=COST_OF).drop(f"{COST_OF}distance")
-        if not parts.max() > 0:
+        layer_costs = costliest.filter(like=COST_OF).drop(f"{COST_OF}distance")
+        if not layer_costs.max() > 0:
             return f"{sentence}, all of it for its length."
-        layer = str(parts.idxmax()).removeprefix(COST_OF)
-        part = f"{_short(parts.max())} of {_short(most['cost'])}"
-        return f"{sentence}; beside its length it pays most for {layer} ({part})."
+        layer = str(layer_costs.idxmax()).removeprefix(COST_OF)
+        paid = f"{_short(layer_costs.max())} of {_short(costliest['cost'])}"
+        return f"{sentence}; beside its length it pays most for {layer} ({paid})."
 
     @property
     def known_cautions(self) -> list[Caution]:
-        """Its ``cautions``, and those of its ``density``."""
-        return self.cautions + ([] if self.density is None else self.density.cautions)
+        """The ``cautions`` of the route, and those of its ``density``, if it has one."""
+        density_cautions = [] if self.density is None else self.density.cautions
+        return self.cautions + density_cautions
 
     def __repr__(self) -> str:
         return "\n".join(
@@ -174,6 +177,7 @@ class RouteReport(FactsRepr):
           The most expensive stretch is segment ...% of the length; beside its length it pays most for lidar ...
           ...
         """
+        # `why` has a paragraph to itself.
         totals = "\n".join(
             f"{name:<24}{fact}" for name, fact in self.facts.items() if name != "why"
         )
@@ -182,15 +186,19 @@ class RouteReport(FactsRepr):
         return "\n\n".join(filter(None, [totals, self.why, segments, density]))
 
     def _segments(self) -> pd.DataFrame:
-        """Return the columns of the segments that a terminal has room for, as texts under their heads."""
+        """Return the columns of the segments that a terminal has room for, as texts under short heads.
+
+        The heads of the parts of the cost read as a sum: ``cost =distance +gps +lidar``.
+        """
         heads = {"from_m": "from m", "length_m": "length m", "cost": "cost"}
         sign = "="
         for name in map(str, self.segments.filter(regex=f"^{COST_OF}")):
             heads[name] = sign + name.removeprefix(COST_OF)
             sign = "+"
         heads |= SEGMENT_HEADS
-        shown = self.segments.filter(list(heads)).map(_short)
-        return shown.rename(columns=heads).rename_axis(None).rename_axis("segment", axis="columns")
+        texts = self.segments.filter(list(heads)).map(_short)  # those of the columns that exist
+        texts = texts.rename(columns=heads)
+        return texts.rename_axis(None).rename_axis("segment", axis="columns")
 
 
 @typed
@@ -210,11 +218,11 @@ def explain(
     ``swath_m`` over the length on the ground, where the strip is taken to be as dense as the cell that the
     route crosses. Who lives under two passes counts twice. Time is length / speed, energy time x power: no wind,
     no acceleration, the same power in climb and descent. Clearance (``nearest_wall_m``) is the exact distance from the
-    route to the square of the nearest cell with a roof at its altitude (see `clearance_m`); of the highest roof
-    that touches a cell, where the maps hold it, so that 0 is contact. What stands outside the region they do not
-    hold: ``walls_outside_m`` is how far at least the obstacles out there are, the distance to the border.
-    Where a route climbs, each cell takes the maps of the level nearest to it, as the planner did; of satellites and
-    obstacles that below, where there are fewer of the ones and more of the others.
+    route to the square of the nearest cell with a roof at its altitude (see `clearance_m`). The highest roof that
+    touches a cell counts, where the maps hold it, so that 0 is contact. The maps do not hold what stands outside their
+    region: ``walls_outside_m`` is the distance to the border, which those obstacles exceed.
+    Where a route climbs, each cell takes the maps of the level nearest to it, as the planner did. The number of
+    satellites and obstacles are those of the level below, where there are fewer satellites and more obstacles.
 
     Args:
       planned: from `plan`; its settings say which weights, cost model, time and time of day.
@@ -243,33 +251,29 @@ def explain(
     if num_segments < 1:
         raise InputError(f"num_segments must be at least 1, got {num_segments}")
     positive("swath_m", swath_m)
+    # The route by cell, and who flies it.
     cut = cut_on(planned, maps)
-    names = tuple(maps.metrics)
-    grid = maps.grid
+    metrics = tuple(maps.metrics)
+    profile = profile_of(planned, maps, cut, {name: name for name in metrics} | EXTRA_MAPS)
     given = values_given({"speed_m_s": speed_m_s, "power_w": power_w})
     vehicle = replace(Vehicle.of(planned.settings), **given)
-    profile = profile_of(planned, maps, cut, {name: name for name in names} | EXTRA_MAPS)
     route = _Route(cut, profile, _cost_map_of(planned, maps), vehicle, swath_m)
 
+    # The whole, and its segments, each from one step to another.
     num_steps = len(route.states) - 1
-    whole = route.row(0, num_steps, names)
+    whole = route.row(0, num_steps, metrics)
     segment = cut_evenly(cut.points_m, num_segments)
-    starts = np.unique(segment, return_index=True)[1].tolist()
-    parts = list(pairwise([*starts, num_steps]))
-    segments = pd.DataFrame(
-        [route.row(*part, names) for part in parts],
-        pd.RangeIndex(1, len(parts) + 1, name="segment"),
-        list(whole),
-    )
-    x_m, y_m = (route.states[:, :2] + grid.bounds_m[:2]).T
-    lonlat = np.stack(grid.lonlat_of_xy(x_m, y_m), axis=-1)
+    _, first_steps = np.unique(segment, return_index=True)
+    parts = list(pairwise([*first_steps.tolist(), num_steps]))
+    rows = [route.row(first, last, metrics) for first, last in parts]
+    numbers = pd.RangeIndex(1, len(parts) + 1, name="segment")
+
+    x_m, y_m = (route.states[:, :2] + maps.grid.bounds_m[:2]).T
+    lonlat = np.stack(maps.grid.lonlat_of_xy(x_m, y_m), axis=-1)
+    not_of_whole = ("from_", "to_", "min_", "max_")
     return RouteReport(
-        totals={
-            name: value
-            for name, value in whole.items()
-            if not name.startswith(("from_", "to_", "min_", "max_"))
-        },
-        segments=segments,
+        totals={name: whole[name] for name in whole if not name.startswith(not_of_whole)},
+        segments=pd.DataFrame(rows, index=numbers, columns=list(whole)),
         profile=profile,
         lines=tuple(lonlat[first : last + 1] for first, last in parts),
         settings={
@@ -284,13 +288,13 @@ def explain(
 
 @dataclass(frozen=True)
 class _Route:
-    """A route over maps, whose parts are from one state to another.
+    """A route over maps; a part of it runs from one of its states to another, by their numbers.
 
     Attributes:
-      cut: the route by cell.
-      profile: its table of cells.
-      cost_map: that it was planned on.
-      vehicle: that flies it.
+      cut: the route, cut at the borders of cells.
+      profile: a row for each cell that it crosses (`profile_of`).
+      cost_map: the map that it was planned on.
+      vehicle: what flies it.
       swath_m: width of the strip in which people are counted.
     """
 
@@ -302,22 +306,38 @@ class _Route:
 
     @property
     def states(self) -> np.ndarray:
-        """Corners ``[N, 2 or 3]``, as the cost map takes them."""
-        return self.cut.points_m[:, : 2 if self.cost_map.levels is None else 3]
+        """Corners of the route as the cost map takes them: ``[N, 2]`` x, y, in a volume ``[N, 3]`` with altitude."""
+        num_axes = 2 if self.cost_map.levels is None else 3
+        return self.cut.points_m[:, :num_axes]
 
-    def row(self, first: int, last: int, names: Iterable[str]) -> dict[str, float]:
-        """Return a part's place along the route, what it costs, and the extremes of the named maps."""
-        segment = self.cut.segment
-        is_part = (first <= segment) & (segment < max(last, 1))
+    def row(self, first: int, last: int, metrics: Iterable[str]) -> dict[str, float]:
+        """Return a row of `RouteReport.segments`: where a part lies, what it costs and meets, extremes of metrics.
+
+        Args:
+          first, last: numbers of the states at which the part begins and ends; both 0 for a route without length.
+          metrics: names of those whose least and greatest value are returned.
+        """
+        step = self.cut.segment  # of each cell that is crossed
+        is_part = (first <= step) & (step < max(last, 1))
         part = self.profile[is_part]
         row = {"from_m": part["from_m"].min(), "to_m": part["to_m"].max()}
         row |= self._sums(first, last, is_part)
-        for end in ("min", "max"):
-            row |= {f"{end}_{name}": getattr(part[name], end)() for name in names}
+        for metric in metrics:
+            row[f"min_{metric}"] = part[metric].min()
+        for metric in metrics:
+            row[f"max_{metric}"] = part[metric].max()
         return row
 
     def _sums(self, first: int, last: int, is_part: np.ndarray) -> dict[str, float]:
-        """Return what a part costs and meets: sums, means, and the nearest obstacles."""
+        """Return what a part costs and meets, by name: sums, means, and the nearest obstacles.
+
+        What the maps or the vehicle do not say (people, fix, time, energy) is left out.
+
+        Args:
+          first, last: numbers of the states at which it begins and ends.
+          is_part: ``[M]`` bool: the rows of the profile that belong to it.
+        """
+        # Length, cost, its parts, and the mean of each metric.
         part = self.profile[is_part]
         features = self.cost_map.shortest.features(self.states[first : last + 1])
         costs = (self.cost_map.weight_vector * features.phi).tolist()
@@ -327,6 +347,8 @@ class _Route:
             row[COST_OF + name] = cost
         for name, mean in self.cost_map.means(features).items():
             row[f"mean_{name}"] = mean
+
+        # People, fix and clearances.
         east_m, north_m, rise_m = np.diff(self.cut.ends_m, axis=1)[is_part, 0].T
         if DENSITY in part:
             people_m = float(part[DENSITY] @ np.hypot(east_m, north_m))
@@ -336,6 +358,8 @@ class _Route:
             row["no_fix_m"] = row[NO_FIX_IN_1_0] = no_fix_m
         for name in (CLEARANCE, OUTSIDE, OVER_ROOF):
             row[name] = float(part[name].min())
+
+        # Time and energy.
         speed_m_s, power_w = self.vehicle.speed_m_s, self.vehicle.power_w
         if speed_m_s is not None:
             flight_s = self.vehicle.flight_s(self.cut.length_m[is_part], rise_m, speed_m_s)
@@ -346,9 +370,10 @@ class _Route:
 
 
 def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
-    """Return the map that a path was planned on, from its settings; of a volume the levels that the path comes to.
+    """Return the map that a path was planned on, made again from the path's settings.
 
-    Every cell is free, as paths do not keep what closed cells.
+    In a volume it has only the levels between the lowest and the highest point of the path. Every cell is free, as
+    settings do not keep what closed cells.
 
     Raises:
       InputError: the maps lack a metric that the path was planned on.
@@ -366,16 +391,19 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
         maps.with_obstacles("centre"),
         altitudes_m,
         levels,
-        **{name: settings[name] for name in ("time", "time_of_day", "objective")},
+        time=settings["time"],
+        time_of_day=settings["time_of_day"],
+        objective=settings["objective"],
         weights=Weights.of(settings["weights"]),
         cost_model=CostModel.from_settings(settings),
-        constraints=Constraints((), (), 0.0, 0.0),
+        constraints=Constraints(clearance_m=0.0, vertical_clearance_m=0.0),
     )
-    names = [name for name in settings["weights"] if name != "distance"]
-    return replace(cost_map, is_free=np.ones_like(cost_map.is_free)).only(names)
+    metrics = [name for name in settings["weights"] if name != "distance"]
+    return replace(cost_map, is_free=np.ones_like(cost_map.is_free)).only(metrics)
 
 
 def _short(value: float) -> str:
+    """Return a number in a few digits: whole from 1,000 up, else three significant digits, ``none`` if not finite."""
     if not math.isfinite(value):
         return "none"
     return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"

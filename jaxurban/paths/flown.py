@@ -27,22 +27,29 @@ WINDOW_M = 1000.0  # of the densest stretch
 def values_on(
     maps: MetricMaps, name: str, steps: Steps, time: str | None, time_of_day: str | None
 ) -> np.ndarray:
-    """Return ``[P]`` a map's values along steps, each at the nearest altitude.
+    """Return ``[P]`` float64 the values of a map in the cells of steps, each at the altitude nearest to the step.
 
-    NaN without a value, and more than `GROUND_TOLERANCE_M` beyond the altitudes.
+    NaN where the map has no value, and where a step is more than `GROUND_TOLERANCE_M` above or below all altitudes.
+
+    Args:
+      maps: the maps.
+      name: of the map.
+      steps: ``P`` of them.
+      time, time_of_day: of the map; the first if None.
     """
     read = partial(maps.m, name, time=time, time_of_day=time_of_day)
-    cell = tuple(steps.cell.T)
+    cells = tuple(steps.cell.T)
+    if "altitude" not in maps.ds[maps.variable(name)].dims:
+        return read()[cells].astype(float)
+
     z_m = steps.z_m.mean(axis=1)
     levels_m = maps.altitudes_m
-    if "altitude" not in maps.ds[maps.variable(name)].dims:
-        return read()[cell].astype(float)
     nearest_m = nearest_level_m(z_m, levels_m)
-    is_near = np.abs(z_m - z_m.clip(min(levels_m), max(levels_m))) <= GROUND_TOLERANCE_M
+    beyond_m = np.abs(z_m - z_m.clip(min(levels_m), max(levels_m)))
     values = np.full(len(z_m), np.nan)
     for level_m in levels_m:
-        is_at = (nearest_m == level_m) & is_near
-        values[is_at] = read(level_m)[cell][is_at]
+        is_at_level = (nearest_m == level_m) & (beyond_m <= GROUND_TOLERANCE_M)
+        values[is_at_level] = read(level_m)[cells][is_at_level]
     return values
 
 
@@ -53,19 +60,32 @@ def figures_of(
     time_of_day: str | None,
     swath_m: float,
 ) -> dict[str, Any]:
-    """Return metres without a fix, by time, and people below; metres where either is not known stand beside them."""
+    """Return the length of a mission, its metres without a fix and the people below it, by name.
+
+    Beside them stand the metres where the fix or the people are not known, what lies off the maps included. What the
+    maps do not hold is left out.
+
+    Args:
+      flight: the mission over the maps.
+      maps: the maps.
+      times: of the GPS maps: ``no_fix_m`` is of the worst, ``no_fix_by_time_m`` of each. None is the first.
+      time_of_day: of the population map; the first if None.
+      swath_m: width of the strip in which people are counted.
+    """
     steps = flight.steps
     length_m = steps.length_m
-    off_m = max(0.0, round(flight.length_m - float(length_m.sum()), 3))
-    figures: dict[str, Any] = {"length_m": flight.length_m, "on_maps_m": float(length_m.sum())}
+    on_maps_m = float(length_m.sum())
+    off_m = max(0.0, round(flight.length_m - on_maps_m, 3))
+    figures: dict[str, Any] = {"length_m": flight.length_m, "on_maps_m": on_maps_m}
     if FIX in maps.ds:
-        hdop = {
-            time or maps.times[0]: values_on(maps, FIX, steps, time, time_of_day) for time in times
-        }
-        lost_m = {time: float(length_m[np.isinf(values)].sum()) for time, values in hdop.items()}
-        unknown_m = max(float(length_m[np.isnan(values)].sum()) for values in hdop.values())
-        figures |= {"no_fix_m": max(lost_m.values()), "fix_unknown_m": unknown_m + off_m}
-        figures["no_fix_by_time_m"] = lost_m
+        no_fix_m = {}
+        unknown_m = 0.0
+        for time in times:
+            hdop = values_on(maps, FIX, steps, time, time_of_day)
+            no_fix_m[time or maps.times[0]] = float(length_m[np.isinf(hdop)].sum())
+            unknown_m = max(unknown_m, float(length_m[np.isnan(hdop)].sum()))
+        figures |= {"no_fix_m": max(no_fix_m.values()), "fix_unknown_m": unknown_m + off_m}
+        figures["no_fix_by_time_m"] = no_fix_m
     if "density" in maps.ds:
         density = values_on(maps, "density", steps, None, time_of_day)
         people = np.nan_to_num(density) * steps.over_m * swath_m / M2_PER_KM2
@@ -76,13 +96,18 @@ def figures_of(
 
 
 def densest_of(people: np.ndarray, steps: Steps) -> dict[str, float]:
-    """Return the most people below a kilometre of a mission, by its length on the ground, and where along it begins."""
-    over_m = np.append(0.0, np.cumsum(steps.over_m))
-    total = np.append(0.0, np.cumsum(people))
-    inside = np.interp(over_m + WINDOW_M, over_m, total) - total
-    begin = int(np.argmax(inside))
-    along_m = np.append(steps.along_m[:, 0], 0.0)
-    return {"densest_km_people": float(inside[begin]), "densest_km_from_m": float(along_m[begin])}
+    """Return the most people below any kilometre of a mission, and how far along the mission that kilometre begins.
+
+    Args:
+      people: ``[P]`` below each step.
+      steps: ``P`` of them. The kilometre is measured on the ground, and begins where a step does.
+    """
+    over_m = np.append(0.0, np.cumsum(steps.over_m))  # on the ground, at the begin of each step
+    people_before = np.append(0.0, np.cumsum(people))
+    people_in_km = np.interp(over_m + WINDOW_M, over_m, people_before) - people_before
+    densest = np.argmax(people_in_km)
+    from_m = np.append(steps.along_m[:, 0], 0.0)[densest]  # 0 for a mission without steps
+    return {"densest_km_people": float(people_in_km[densest]), "densest_km_from_m": float(from_m)}
 
 
 def costs_of(
@@ -95,14 +120,22 @@ def costs_of(
 ) -> dict[str, Any]:
     """Return what a mission costs, by layer too, and what the cheapest route between its ends would cost.
 
-    ``cost_note`` says why one of them is not there. Both are costed at the mission's median height, within the maps'
-    altitudes; climbs and landings are left out.
+    Both are costed at the mission's median height, within the maps' altitudes; climbs and landings are left out. Where
+    the mission or the route has no cost, its figures are missing, and ``cost_note`` says why.
+
+    Args:
+      flight: the mission over the maps.
+      maps: the maps.
+      weights: of the cost; what they leave out is as in the maps' scenario.
+      constraints: that the cheapest route keeps. The mission is costed as it is, wherever it leads.
+      time, time_of_day: of the maps; the first if None.
     """
+    # The height, and the corners of the mission as the cost map takes them.
     grid = maps.grid
-    is_over = flight.steps.over_m > 0
-    if not is_over.any():
+    moves = flight.steps.over_m > 0  # and not only straight up or down
+    if not moves.any():
         return {"cost_note": "No leg leads over the maps, so there is no cost."}
-    median_m = np.nanmedian(flight.steps.z_m[is_over]).round(2)
+    median_m = np.nanmedian(flight.steps.z_m[moves]).round(2)
     at_m = float(np.clip(median_m, min(maps.altitudes_m), max(maps.altitudes_m)))
     ends = [place[:2] for leg in flight.mission.legs for place in (leg.start, leg.end)]
     xy_m = np.stack(grid.xy_of_lonlat(*np.transpose(ends)), axis=-1)
@@ -111,23 +144,27 @@ def costs_of(
     side_m = np.array(grid.shape[::-1]) * grid.resolution_m
     if not ((points_m >= 0) & (points_m <= side_m)).all():
         return figures | {"cost_note": "The mission leaves the maps, so it has no cost."}
-    flown_on = cost_map(
+
+    # What the mission costs: on a map without a closed cell, as it may lead through some.
+    limited_map = cost_map(
         maps, at_m, weights=weights, time=time, time_of_day=time_of_day, constraints=constraints
     )
-    open_on = replace(
-        flown_on, is_free=np.ones_like(flown_on.is_free), constraints=Constraints((), (), 0.0, 0.0)
-    )
-    of_flown = measured(open_on, points_m)
-    figures |= {name: of_flown[name] for name in ("cost", "cost_by_layer", "exposure_by_layer")}
+    no_limits = Constraints(clearance_m=0.0, vertical_clearance_m=0.0)
+    is_free = np.ones_like(limited_map.is_free)
+    open_map = replace(limited_map, is_free=is_free, constraints=no_limits)
+    mission = measured(open_map, points_m)
+    figures |= {name: mission[name] for name in ("cost", "cost_by_layer", "exposure_by_layer")}
+
+    # What the cheapest route costs.
     try:
-        cheapest = flown_on.planned(XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps, snap=True))
+        cheapest = limited_map.planned(XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps, snap=True))
     except InputError as error:
         return figures | {"cost_note": f"No route to compare with: {str(error).partition(';')[0]}."}
-    if not cheapest.length_m > 0 or not cheapest.status.has_path:
-        reason = cheapest.message
-        if cheapest.status.has_path:
-            reason = "the mission ends where it starts"
+    reason = "" if cheapest.status.has_path else cheapest.message
+    if cheapest.length_m == 0:
+        reason = "the mission ends where it starts"
+    if reason:
         return figures | {"cost_note": f"No route to compare with: {reason}."}
-    saved = of_flown["cost"] - cheapest.cost
+    saved = mission["cost"] - cheapest.cost
     figures |= {"cheapest_cost": cheapest.cost, "cheapest_length_m": cheapest.length_m}
-    return figures | {"saved_cost": saved, "saved_share": saved / of_flown["cost"]}
+    return figures | {"saved_cost": saved, "saved_share": saved / mission["cost"]}

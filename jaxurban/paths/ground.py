@@ -29,32 +29,38 @@ class Ground:
     @property
     def cover_m(self) -> np.ndarray:
         """``[G]`` elevations that, joined by straight lines, are nowhere below the ground."""
-        # A parabola that bulges up lies below its tangents, which meet in the middle.
+        # A parabola that bulges up lies below its tangents at both ends. These meet halfway, as high above the parabola
+        # as that is above the straight line between the ends. Odd places are those halfway.
         cover_m = self.elevation_m.copy()
         cover_m[1::2] += np.maximum(cover_m[1::2] - (cover_m[:-1:2] + cover_m[2::2]) / 2, 0.0)
         return cover_m
 
 
 def ground_along(points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> Ground:
-    """Return the ground under a polyline, at its points, wherever it bends and as often as it bulges between them.
+    """Return the ground under a polyline: at its points, where the ground bends, and between them on curved stretches.
+
+    The ground is bilinear between the centres of cells, so that it bends where the line crosses from centre to centre,
+    and is a parabola in between. Parabolas are cut until none leaves its straight line by more than `MOST_BULGE_M`.
 
     Args:
       points_m: ``[N, 2]`` x, y from the grid's southwest corner, N at least 1.
       terrain_m: ``[Y, X]`` elevation of the ground in each cell.
       grid: of ``terrain_m``.
     """
-    # Where the ground bends.
+    # Where the ground bends: where the line leaves a square between four centres for another on the same leg.
     between_centres = crossed_cells(points_m + grid.resolution_m / 2, grid.resolution_m)
     leg = between_centres.segment
-    is_bend = np.diff(between_centres.segment) == 0
-    bends = np.unique(
-        np.append(np.arange(len(points_m)), (leg + between_centres.shares[:, 1])[:-1][is_bend])
-    )
+    square_ends = leg + between_centres.shares[:, 1]  # counted in points of the line
+    is_bend = np.diff(leg) == 0
+    bends = np.unique(np.append(np.arange(len(points_m)), square_ends[:-1][is_bend]))
+
+    # Into how many pieces the ground between two bends is cut: each of n bulges by the bulge / n².
     *_, elevation_m = _halved(bends, points_m, terrain_m, grid)
     bulge_m = np.abs(elevation_m[1::2] - (elevation_m[:-1:2] + elevation_m[2::2]) / 2)
-    # Each of n bulges by the bulge / n².
-    pieces = np.fmax(np.ceil(np.sqrt(bulge_m / MOST_BULGE_M)), 1)
-    bends = np.interp(np.arange(pieces.sum() + 1), np.append(0, np.cumsum(pieces)), bends)
+    num_pieces = np.fmax(np.ceil(np.sqrt(bulge_m / MOST_BULGE_M)), 1)
+    pieces_before = np.append(0, np.cumsum(num_pieces))
+    bends = np.interp(np.arange(pieces_before[-1] + 1), pieces_before, bends)
+
     at, x_m, y_m, elevation_m = _halved(bends, points_m, terrain_m, grid)
     lonlat = np.stack(grid.lonlat_of_xy(x_m + grid.x_min_m, y_m + grid.y_min_m), axis=-1)
     return Ground(at, lonlat, elevation_m)
@@ -63,7 +69,17 @@ def ground_along(points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> Gro
 def _halved(
     bends: np.ndarray, points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid
 ) -> tuple[np.ndarray, ...]:
-    """Return places along a path and halfway between them, ``[2 N - 1]``, their x and y, and the elevation there."""
+    """Return ``B`` places along a path and those halfway between neighbours, their x and y, and the elevation there.
+
+    Four arrays ``[2 B - 1]``: places counted in the path's points, x and y in metres, and metres above the terrain's
+    zero.
+
+    Args:
+      bends: ``[B]`` places, counted in the path's points (2.5 is halfway from the third to the fourth), ascending.
+      points_m: ``[N, 2]`` x, y of the path from the grid's southwest corner.
+      terrain_m: ``[Y, X]`` elevation of the ground in each cell.
+      grid: of ``terrain_m``.
+    """
     at = np.interp(np.arange(2 * len(bends) - 1) / 2, np.arange(len(bends)), bends)
     x_m, y_m = (np.interp(at, np.arange(len(points_m)), values) for values in points_m.T)
     return at, x_m, y_m, elevation_at(x_m, y_m, terrain_m, grid.resolution_m)
@@ -72,15 +88,17 @@ def _halved(
 def elevation_at(
     x_m: np.ndarray, y_m: np.ndarray, terrain_m: np.ndarray, resolution_m: float
 ) -> np.ndarray:
-    """Return ``[M]`` the elevation at points, bilinear between cell centres; that of the cell beside missing data.
+    """Return ``[M]`` the elevation at points, bilinear between the four cell centres around each.
+
+    Where one of the four has no data, it is that of the cell that holds the point, which may be NaN.
 
     Args:
       x_m, y_m: ``[M]`` from the southwest corner.
-      terrain_m: ``[Y, X]`` elevation at cell centres; as at the border beyond the outermost centres.
+      terrain_m: ``[Y, X]`` elevation at cell centres; beyond the outermost centres it goes on level.
       resolution_m: side of a cell.
     """
-    place = np.clip(
-        np.stack([y_m, x_m]) / resolution_m - 0.5, 0, np.array(terrain_m.shape)[:, None] - 1
-    )
-    smooth_m = map_coordinates(terrain_m, place, np.float64, order=1, mode="nearest")
-    return np.where(np.isnan(smooth_m), terrain_m[tuple(np.rint(place).astype(int))], smooth_m)
+    last_cell = np.array(terrain_m.shape)[:, None] - 1
+    row_col = np.clip(np.stack([y_m, x_m]) / resolution_m - 0.5, 0, last_cell)
+    smooth_m = map_coordinates(terrain_m, row_col, np.float64, order=1, mode="nearest")
+    rows, cols = np.rint(row_col).astype(int)
+    return np.where(np.isnan(smooth_m), terrain_m[rows, cols], smooth_m)

@@ -69,29 +69,33 @@ class OverflownDensity(FactsRepr):
         return float(self._worst(self.settings["cell_m"])[DENSITY])
 
     def _worst(self, cell_m: float) -> pd.Series:
+        """Return the row of ``largest``, of all times of day, with the largest density on the grid of ``cell_m``."""
         rows = self.largest[self.largest["cell_m"] == cell_m]
-        return rows.iloc[int(rows[DENSITY].fillna(-1.0).argmax())]
+        return rows.iloc[rows[DENSITY].fillna(-1.0).argmax()]
 
     @property
     def facts(self) -> dict[str, str]:
         """The density, where it is, that of the other grids, the corridor and the source."""
-        half_m, more_m, buffer_m, cell_m = self.settings.values()
+        settings = self.settings
+        cell_m = settings["cell_m"]
         worst = self._worst(cell_m)
+        density = f"{worst[DENSITY]:,.0f} people per km2 over a cell of {cell_m:g} m"
+        if worst["time_of_day"]:
+            density += f" ({worst['time_of_day']})"
         others = [self._worst(side_m) for side_m in GRIDS_M if side_m != cell_m]
+        other_densities = [f"{row[DENSITY]:,.0f} over {row['cell_m']:g} m" for row in others]
         return {
-            "largest density": f"{worst[DENSITY]:,.0f} people per km2 over a cell of {cell_m:g} m"
-            + f" ({worst['time_of_day']})" * bool(worst["time_of_day"]),
+            "largest density": density,
             "where": f"{worst['lon']:.5f}, {worst['lat']:.5f} (lon, lat), {worst['along_m']:.0f} m along the route",
-            "other grids": ", ".join(
-                f"{each[DENSITY]:,.0f} over {each['cell_m']:g} m" for each in others
-            ),
-            "corridor": f"{self.reach_m:g} m to each side: half-width {half_m:g} m, "
-            f"contingency {more_m:g} m, ground risk buffer {buffer_m:g} m",
+            "other grids": ", ".join(other_densities),
+            "corridor": f"{self.reach_m:g} m to each side: half-width {settings['half_width_m']:g} m, contingency "
+            f"{settings['contingency_m']:g} m, ground risk buffer {settings['buffer_m']:g} m",
             "detours": self._detours(),
             "source": self.source,
         }
 
     def _detours(self) -> str:
+        """Return density and extra length of each detour in words; empty where none were planned."""
         if self.detours is None:
             return ""
         rows = self.detours.to_dict("records")
@@ -121,7 +125,7 @@ class OverflownDensity(FactsRepr):
         }
 
     def table(self) -> str:
-        """Return it for a terminal: facts, cautions, and the segments at each time of day.
+        """Return the report for a terminal: facts, cautions, and the segments, a column for each time of day.
 
         Returns:
           Text of a line for each fact and caution, and after an empty line one for each segment.
@@ -132,12 +136,12 @@ class OverflownDensity(FactsRepr):
           ...
         """
         lines = [f"{name:<24}{fact}" for name, fact in self.facts.items() if fact]
-        names = [*dict.fromkeys(self.segments["time_of_day"])]
-        shown = self.segments.set_index(["to_m", "time_of_day"], append=True)[DENSITY].unstack()
-        shown = shown[names].add_prefix("per km2, ").reset_index("to_m").rename_axis(columns=None)
-        return "\n\n".join(
-            ["\n".join([*lines, *self.cautions]), shown.to_string(float_format="{:,.0f}".format)]
-        )
+        text = "\n".join([*lines, *self.cautions])
+        times_of_day = self.segments["time_of_day"].unique()  # in their order
+        density = self.segments.set_index(["to_m", "time_of_day"], append=True)[DENSITY].unstack()
+        density = density[times_of_day].add_prefix("per km2, ")
+        density = density.reset_index("to_m").rename_axis(columns=None)
+        return f"{text}\n\n{density.to_string(float_format='{:,.0f}'.format)}"
 
 
 @typed
@@ -189,8 +193,11 @@ def overflown_density(
         raise InputError(
             "these maps hold no density of people: make them with [population] blocks, of a census or a raster"
         )
+
+    # The route and its corridor.
     xy_m, top_m = _line_of(path, maps)
-    buffer_m = top_m if buffer_m is None else buffer_m
+    if buffer_m is None:
+        buffer_m = top_m
     if buffer_m is None:
         raise InputError(
             "buffer_m must be given for a line without heights: give it, or [N, 3] with the height above ground"
@@ -204,48 +211,58 @@ def overflown_density(
     reach_m = half_width_m + contingency_m + buffer_m
     line = line_of(xy_m)
     ends_m = np.linspace(0.0, line.length, at_least("num_segments", num_segments, 1) + 1)
-    parts = [substring(line, *ends) for ends in pairwise(ends_m)] if line.length else [line]
-    sides_m = sorted({*GRIDS_M, cell_m})
-    touched = {side_m: cells_within(line, reach_m, side_m, maps.grid) for side_m in sides_m}
-    of_segment = [shapely.dwithin(touched[cell_m].boxes, part, reach_m) for part in parts]
-    largest, segments = [], []
+    parts = [line]
+    if line.length:
+        parts = [substring(line, from_m, to_m) for from_m, to_m in pairwise(ends_m)]
+
+    # The cells that it touches, on each grid; on that of `cell_m` also those of each segment.
+    cells_by_side = {}
+    for side_m in sorted({*GRIDS_M, cell_m}):
+        cells_by_side[side_m] = cells_within(line, reach_m, side_m, maps.grid)
+    boxes = cells_by_side[cell_m].boxes
+    near_parts = [shapely.dwithin(boxes, part, reach_m) for part in parts]
+
+    # The largest mean of each grid, and of each segment, at each time of day.
+    rows, segment_rows = [], []
     times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
     for name in times_of_day:
         density = maps.m("density", time_of_day=name)
-        for side_m, cells in touched.items():
+        for side_m, cells in cells_by_side.items():
             means, share = cell_means(density, maps.grid, cells)
             row = {"cell_m": side_m, "time_of_day": name}
-            largest.append(row | _largest(line, cells, means, share, np.ones(len(means), bool)))
+            rows.append(row | _largest(line, cells, means, share, np.ones(len(means), bool)))
             if side_m != cell_m:
                 continue
-            for number, is_near in enumerate(of_segment):
-                segment = {
-                    "segment": number + 1,
-                    "from_m": ends_m[number],
-                    "to_m": ends_m[number + 1],
-                    "time_of_day": name,
-                }
-                segments.append(segment | _largest(line, cells, means, share, is_near))
-    table = pd.DataFrame(largest)
-    if table.loc[table["cell_m"] == cell_m, DENSITY].isna().all():
+            for number, is_near in enumerate(near_parts, start=1):
+                from_m, to_m = ends_m[number - 1 : number + 1]
+                row = {"segment": number, "from_m": from_m, "to_m": to_m, "time_of_day": name}
+                segment_rows.append(row | _largest(line, cells, means, share, is_near))
+
+    largest = pd.DataFrame(rows)
+    on_grid = largest[largest["cell_m"] == cell_m]
+    if on_grid[DENSITY].isna().all():
         raise InputError(
             "no density of people is known in the corridor of the path: give maps that cover it, with [population] "
             "blocks there"
         )
     return OverflownDensity(
-        table,
-        pd.DataFrame(segments).set_index("segment"),
-        settings,
-        maps.attribution,
-        list(_cautions(maps, table[table["cell_m"] == cell_m])),
+        largest=largest,
+        segments=pd.DataFrame(segment_rows).set_index("segment"),
+        settings=settings,
+        source=maps.attribution,
+        cautions=list(_cautions(maps, on_grid)),
     )
 
 
 def _line_of(path: PlannedPath | np.ndarray, maps: MetricMaps) -> tuple[np.ndarray, float | None]:
-    """Return a route's points ``[N, 2]`` and its greatest height above ground, None where it has none.
+    """Return a route's points ``[N, 2]``, metres in the maps' CRS, and its greatest height above ground in metres.
+
+    Args:
+      path: from `plan`, or points ``[N, 2]``, whose height is not known (None), or ``[N, 3]`` with heights.
+      maps: in whose CRS the route must be.
 
     Raises:
-      InputError: there is no path, it is in another CRS, or not such an array of finite numbers.
+      InputError: there is no path, it is in another CRS, or points that are no such array of finite numbers.
     """
     if isinstance(path, PlannedPath):
         if not path.status.has_path:
@@ -262,7 +279,8 @@ def _line_of(path: PlannedPath | np.ndarray, maps: MetricMaps) -> tuple[np.ndarr
         )
     if not np.isfinite(points).all():
         raise InputError("path must be finite numbers of metres: leave out points without a place")
-    return points[:, :2], float(points[:, 2].max()) if points.shape[1] == 3 else None
+    top_m = float(points[:, 2].max()) if points.shape[1] == 3 else None
+    return points[:, :2], top_m
 
 
 def _largest(
@@ -272,33 +290,54 @@ def _largest(
     share: np.ndarray,
     is_near: np.ndarray,
 ) -> dict[str, float]:
-    """Return the largest mean of the cells that are near, where it lies, and how much of them is known."""
-    worst = int(np.argmax(np.where(is_near & np.isfinite(means), means, -1.0)))
+    """Return the largest mean of the cells that are near, where it lies, and how many of them are known.
+
+    The columns are those of `OverflownDensity.largest` from ``density_per_km2`` on.
+
+    Args:
+      line: the route.
+      cells: ``C`` of them.
+      means: ``[C]`` their densities, NaN where nothing is known.
+      share: ``[C]`` which share of each is known.
+      is_near: ``[C]`` which of them count.
+    """
+    worst = np.argmax(np.where(is_near & np.isfinite(means), means, -1.0))
     middle = shapely.centroid(cells.boxes[worst])
-    near_share = share[is_near]
     lon, lat = cells.grid.lonlat_of_xy(middle.x, middle.y)
-    place = [means[worst], lon, lat, shapely.line_locate_point(line, middle), share[worst]]
-    if not near_share.any():
-        place = [np.nan] * len(place)
-    names = (DENSITY, "lon", "lat", "along_m", "known_share")
+    place = {
+        DENSITY: means[worst],
+        "lon": float(lon),
+        "lat": float(lat),
+        "along_m": shapely.line_locate_point(line, middle),
+        "known_share": share[worst],
+    }
+    near_share = share[is_near]
+    if not near_share.any():  # so that no cell is the largest
+        place = dict.fromkeys(place, np.nan)
     return {
-        **dict(zip(names, map(float, place), strict=True)),
+        **place,
         "num_cells": len(near_share),
-        "num_partly_known": int(((near_share > 0) & (near_share < WHOLE)).sum()),
-        "num_unknown": int((near_share == 0).sum()),
+        "num_partly_known": ((near_share > 0) & (near_share < WHOLE)).sum(),
+        "num_unknown": (near_share == 0).sum(),
     }
 
 
 def _cautions(maps: MetricMaps, rows: pd.DataFrame) -> Iterator[Caution]:
-    """Yield what to know of densities: guesses on people, what is unknown, whom they count and whom not."""
-    people = {name: each for name, each in maps.guesses.items() if is_of_people(name)}
-    yield from caution_of_guesses(people)
-    least = rows.iloc[int((rows["num_unknown"] + rows["num_partly_known"]).argmax())]
-    num = int(least["num_unknown"] + least["num_partly_known"])
-    if num:
+    """Yield what to know of densities: guesses on people, what is unknown, whom they count and whom not.
+
+    Args:
+      maps: that hold the densities.
+      rows: of `OverflownDensity.largest`, one for each time of day, on one grid.
+    """
+    guesses = {name: guess for name, guess in maps.guesses.items() if is_of_people(name)}
+    yield from caution_of_guesses(guesses)
+    num_beyond = rows["num_unknown"] + rows["num_partly_known"]
+    worst = rows.iloc[num_beyond.argmax()]
+    if num_beyond.max():
         yield Caution(
-            f"People: {num} of {least['num_cells']} cells reach beyond what is known, {least['num_unknown']} of them "
-            f"wholly; of the densest {percent(least['known_share'])} is known, and its mean is of that part alone.",
+            f"People: {num_beyond.max()} of {worst['num_cells']} cells reach beyond what is known, "
+            f"{worst['num_unknown']} of them wholly; of the densest {percent(worst['known_share'])} is known, and its "
+            "mean is of that part alone.",
             "guess",
         )
     if "night" in set(rows["time_of_day"]):

@@ -89,7 +89,7 @@ class Flight:
     def line_m(self) -> np.ndarray:
         """``[N, 3]`` x, y and height above ground where it flies over the maps; gaps are closed by straight lines."""
         ends_m = np.dstack([self.steps.ends_m, self.steps.z_m])
-        line_m = np.vstack([ends_m[:, 0], ends_m[-1:, 1]])
+        line_m = np.vstack([ends_m[:, 0], ends_m[-1:, 1]])  # each begin, and the last end
         return line_m[np.isfinite(line_m).all(axis=1)]
 
 
@@ -99,16 +99,24 @@ def spans(along_m: np.ndarray, reason: str) -> pd.DataFrame:
 
 
 def ground_at(places_m: np.ndarray, maps: MetricMaps) -> np.ndarray:
-    """Return the elevation ``[...]`` of the ground at places ``[..., 2]``: NaN outside the maps, 0 if they are flat."""
+    """Return the elevation of the ground at places, metres above the terrain's zero.
+
+    Args:
+      places_m: ``[..., 2]`` x, y in the maps' CRS.
+      maps: whose ``terrain`` is the ground.
+
+    Returns:
+      ``[...]``: NaN outside the maps, 0 everywhere if they hold no terrain.
+    """
     if "terrain" not in maps.ds:
         return np.zeros(places_m.shape[:-1])
     grid = maps.grid
     from_corner_m = places_m - grid.bounds_m[:2]
-    side_m = np.array(grid.shape[::-1]) * grid.resolution_m
-    is_in = ((from_corner_m >= 0) & (from_corner_m <= side_m)).all(axis=-1)
-    elevation_m = np.full(is_in.shape, np.nan)
-    x_m, y_m = from_corner_m[is_in].T
-    elevation_m[is_in] = elevation_at(x_m, y_m, maps.m("terrain"), grid.resolution_m)
+    sides_m = np.array(grid.shape[::-1]) * grid.resolution_m  # along x, y
+    is_inside = ((from_corner_m >= 0) & (from_corner_m <= sides_m)).all(axis=-1)
+    elevation_m = np.full(is_inside.shape, np.nan)
+    x_m, y_m = from_corner_m[is_inside].T
+    elevation_m[is_inside] = elevation_at(x_m, y_m, maps.m("terrain"), grid.resolution_m)
     return elevation_m
 
 
@@ -132,13 +140,16 @@ class Segments(NamedTuple):
         """Return the segments of a mission, in the order of travel."""
         legs, ends = [], []
         for number, leg in enumerate(mission.legs):
-            corners = _corners_of(leg)
-            legs += [number] * (len(corners) - 1)
-            ends += [place for pair in pairwise(corners) for place in pair]
+            for start, end in pairwise(_corners_of(leg)):
+                legs.append(number)
+                ends += [start, end]
         table = pd.DataFrame(ends, columns=list(Place._fields))
-        lonlat = table[["lon", "lat"]].to_numpy(float).reshape(-1, 2, 2)
-        height_m = table["height_m"].to_numpy(float).reshape(-1, 2)
-        return cls(np.array(legs, int), lonlat, height_m, table["datum"].to_numpy().reshape(-1, 2))
+        return cls(
+            leg=np.array(legs, int),
+            lonlat=table[["lon", "lat"]].to_numpy(float).reshape(-1, 2, 2),
+            height_m=table["height_m"].to_numpy(float).reshape(-1, 2),
+            datum=table["datum"].to_numpy().reshape(-1, 2),
+        )
 
 
 def flight_of(mission: Mission, maps: MetricMaps, geoid_m: float | None = None) -> Flight:
@@ -152,39 +163,50 @@ def flight_of(mission: Mission, maps: MetricMaps, geoid_m: float | None = None) 
     Raises:
       InputError: a mission that is too long over the maps.
     """
+    # Where the segments of the mission begin and end.
     segments = Segments.of(mission)
     lon, lat = np.moveaxis(segments.lonlat, -1, 0)
     ends_m = np.stack(maps.grid.xy_of_lonlat(lon, lat), axis=-1)
     ends_m = np.nan_to_num(ends_m, posinf=NOWHERE_M)
+
+    # Their heights: above the zero of the terrain, or above the ground for segments that follow it.
     is_ground = segments.datum == "ground"
-    follows = is_ground.all(axis=1)
-    base_m = np.where(is_ground, ground_at(ends_m, maps), np.nan)
+    follows_ground = is_ground.all(axis=1)
+    datum_m = np.where(is_ground, ground_at(ends_m, maps), np.nan)  # elevation of each datum
     for name, zero_m in _zeros_m(mission, maps, geoid_m).items():
-        base_m[segments.datum == name] = zero_m
-    base_m[follows] = 0.0
-    z_m = segments.height_m + base_m
+        datum_m[segments.datum == name] = zero_m
+    datum_m[follows_ground] = 0.0
+    z_m = segments.height_m + datum_m
     along_m = _along_m(segments.lonlat, z_m)
-    shares = _shares_within(ends_m, maps.grid.bounds_m)
-    is_in = shares[:, 0] < shares[:, 1]
+
+    # What has no height.
     is_known = np.isfinite(z_m).all(axis=1)
-    unknown = [spans(along_m[:0], "")]
+    unknown = [spans(along_m[:0], "")]  # a table without rows, where nothing else is
     for number in np.flatnonzero(~is_known):
-        ends = segments.height_m[number], base_m[number], segments.datum[number]
+        ends = segments.height_m[number], datum_m[number], segments.datum[number]
         unknown.append(spans(along_m[[number]], _why_unknown(*ends, geoid_m)))
-    enter_m, leave_m = np.where(is_in[:, None], between(along_m, shares), along_m[:, 1:]).T
+
+    # What lies outside the maps: a segment before it enters and after it leaves them, or all of it before its end.
+    shares = _shares_within(ends_m, maps.grid.bounds_m)
+    enters = shares[:, 0] < shares[:, 1]
+    enter_m, leave_m = np.where(enters[:, None], between(along_m, shares), along_m[:, 1:]).T
     before_m = np.column_stack([along_m[:, 0], enter_m])
     after_m = np.column_stack([leave_m, along_m[:, 1]])
     for outside_m in (before_m, after_m):
-        is_long = (outside_m[:, 0] < outside_m[:, 1]) | ~is_in
-        unknown.append(spans(outside_m[is_long], OUTSIDE))
-    flown = np.flatnonzero(is_in & is_known)
+        is_stretch = (outside_m[:, 0] < outside_m[:, 1]) | ~enters
+        unknown.append(spans(outside_m[is_stretch], OUTSIDE))
+
+    # The rest, cut into steps.
+    flown = np.flatnonzero(enters & is_known)
     states = np.dstack([ends_m, z_m, along_m])[flown]
-    steps = _steps(states, shares[flown], segments.leg[flown], follows[flown], maps)
+    steps = _steps(states, shares[flown], segments.leg[flown], follows_ground[flown], maps)
     return Flight(mission, steps, pd.concat(unknown), float(along_m.max(initial=0.0)))
 
 
 def _along_m(lonlat: np.ndarray, z_m: np.ndarray) -> np.ndarray:
-    """Return ``[S, 2]`` metres flown at begin and end of segments, which are level where a height is not known.
+    """Return ``[S, 2]`` metres flown since take-off at begin and end of each segment.
+
+    A segment with an end whose height is not known is taken to be level.
 
     Args:
       lonlat: ``[S, 2, 2]`` longitude, latitude of their ends in degrees.
@@ -197,92 +219,139 @@ def _along_m(lonlat: np.ndarray, z_m: np.ndarray) -> np.ndarray:
 
 
 def _why_unknown(
-    height_m: np.ndarray, base_m: np.ndarray, datum: np.ndarray, geoid_m: float | None
+    height_m: np.ndarray, datum_m: np.ndarray, datum: np.ndarray, geoid_m: float | None
 ) -> str:
-    """Return why a segment has no height over the ground; arguments are of its begin and end, ``[2]``."""
+    """Return why a segment has no height over the ground, a phrase that goes after "legs".
+
+    Args:
+      height_m: ``[2]`` at its begin and end, above the datum; NaN where the file leaves it open.
+      datum_m: ``[2]`` elevation of the datum; NaN where it is not known.
+      datum: ``[2]`` name of the datum.
+      geoid_m: height of the geoid above the ellipsoid; None where it is not given.
+    """
     if np.isnan(height_m).any():
         return NO_HEIGHT
-    open_datum = datum[np.argmax(np.isnan(base_m))]
-    if open_datum == "ellipsoid" and geoid_m is not None:
-        open_datum = "geoid"  # which is what lacks a height then
-    return NO_ZERO[open_datum]
+    unknown_datum = datum[np.argmax(np.isnan(datum_m))]
+    if unknown_datum == "ellipsoid" and geoid_m is not None:
+        unknown_datum = "geoid"  # which is what lacks a height then
+    return NO_ZERO[unknown_datum]
 
 
 def _steps(
-    states: np.ndarray, shares: np.ndarray, leg: np.ndarray, follows: np.ndarray, maps: MetricMaps
+    states: np.ndarray,
+    shares: np.ndarray,
+    leg: np.ndarray,
+    follows_ground: np.ndarray,
+    maps: MetricMaps,
 ) -> Steps:
-    """Return the steps of segments, as far as the maps hold them.
+    """Return the steps of ``S`` segments, as far as the maps hold them.
 
     Args:
       states: ``[S, 2, 4]`` x, y, height and metres flown at begin and end.
-      shares: ``[S, 2]`` from which share to which the maps hold a segment.
-      leg: ``[S]`` its leg.
-      follows: ``[S]`` its height is above the ground, else above the zero of the terrain.
+      shares: ``[S, 2]`` of a segment's length, from 0 to 1, at which it enters and leaves the maps.
+      leg: ``[S]`` number of its leg.
+      follows_ground: ``[S]`` whether its heights are above the ground, or else above the zero of the terrain.
       maps: the maps.
+
+    Raises:
+      InputError: more than `MOST_STEPS` steps of `MOST_STEP_M`.
     """
+    # How long a step is, and how many a segment has.
     grid = maps.grid
     share = shares[:, 1] - shares[:, 0]
-    inside_m = share * (states[:, 1, 3] - states[:, 0, 3])
-    total_m = float(inside_m.sum())
+    begin_m, end_m = states[:, :, 3].T
+    inside_m = share * (end_m - begin_m)
+    total_m = inside_m.sum()
     step_m = max(STEP_M, total_m / MOST_STEPS)
     if step_m > MOST_STEP_M:
         raise InputError(
             f"mission flies {total_m / 1000:,.0f} km over the maps, too far to be looked at: split the file"
         )
-    num = np.maximum(np.ceil(inside_m / step_m), 1).astype(int)
-    each = np.repeat(np.arange(len(num)), num)
-    number = np.arange(len(each)) - np.repeat(np.cumsum(num) - num, num)
+    num_steps = np.maximum(np.ceil(inside_m / step_m), 1).astype(int)
+
+    # The segment of each step, its number within the segment, and the shares at which it begins and ends.
+    segment = np.repeat(np.arange(len(num_steps)), num_steps)
+    first_step = np.cumsum(num_steps) - num_steps
+    number = np.arange(len(segment)) - first_step[segment]
     ends = number[:, None] + [0, 1]
-    parts = shares[each, :1] + (share / num)[each, None] * ends
-    x_m, y_m, height_m, along_m = np.moveaxis(between(states[each], parts), -1, 0)
-    places_m = np.stack([x_m, y_m], axis=-1)
+    step_shares = shares[segment, :1] + (share / num_steps)[segment, None] * ends
+
+    # Place, height over the ground and cell of each step.
+    step_states = between(states[segment], step_shares)
+    places_m = step_states[..., :2]
+    height_m, along_m = np.moveaxis(step_states[..., 2:], -1, 0)
     ground_m = ground_at(places_m, maps)
-    z_m = height_m - np.where(follows[each, None], 0.0, ground_m)
+    z_m = height_m - np.where(follows_ground[segment, None], 0.0, ground_m)
     middle = (places_m.mean(axis=1) - grid.bounds_m[:2]) / grid.resolution_m
     cell = np.clip(middle[:, ::-1].astype(int), 0, np.array(grid.shape) - 1)
-    return Steps(places_m, z_m, ground_m, along_m, leg[each], cell)
+    return Steps(places_m, z_m, ground_m, along_m, leg[segment], cell)
 
 
 def between(ends: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Return ``[S, K, ...]`` what lies at shares ``[S, K]``, from 0 to 1, between ends ``[S, 2, ...]``."""
+    """Return ``[S, K, ...]`` values on the straight line between ends ``[S, 2, ...]``, at shares ``[S, K]`` of it.
+
+    A share of 0 is the first end, 1 the second.
+    """
     share = share.reshape(*share.shape, *[1] * (ends.ndim - 2))
     return ends[:, :1] + share * (ends[:, 1:] - ends[:, :1])
 
 
 def _corners_of(leg: Leg) -> list[Place]:
-    """Return the places that a leg runs through: its ends, and the corners of a loiter's circle between them."""
+    """Return the places that a leg runs through: its ends, and the corners of a loiter's circle between them.
+
+    A circle is drawn once around the end of the leg, at the height of the end, by chords that leave it by no more than
+    about `CIRCLE_SAG_M`.
+    """
     if not leg.radius_m:
         return [leg.start, leg.end]
+    # A chord of an angle a leaves a circle by radius x a² / 8 at most, and a is 2 pi / n of n chords.
     radius_m = abs(leg.radius_m)
-    wanted = math.pi * math.sqrt(radius_m / (2 * CIRCLE_SAG_M))
-    azimuths = np.linspace(0.0, 360.0, int(np.clip(wanted, FEWEST_CHORDS, MOST_CHORDS)))
+    num_chords = math.pi * math.sqrt(radius_m / (2 * CIRCLE_SAG_M))
+    azimuths = np.linspace(0.0, 360.0, int(np.clip(num_chords, FEWEST_CHORDS, MOST_CHORDS)))
     lons, lats, radii_m = np.full((len(azimuths), 3), [leg.end.lon, leg.end.lat, radius_m]).T
-    lon, lat, _ = GEOD.fwd(lons, lats, azimuths, radii_m)
-    circle = [leg.end._replace(lon=x, lat=y) for x, y in zip(lon, lat, strict=True)]
+    lons, lats, _ = GEOD.fwd(lons, lats, azimuths, radii_m)
+    circle = [leg.end._replace(lon=lon, lat=lat) for lon, lat in zip(lons, lats, strict=True)]
     return [leg.start, *circle, leg.end]
 
 
 def _zeros_m(mission: Mission, maps: MetricMaps, geoid_m: float | None) -> dict[str, float]:
-    """Return the elevation of the zero of each datum in that of the ground, NaN where it is not known."""
-    home_m = above_geoid_m = math.nan
+    """Return the elevation of the zero of each datum, measured as the maps' ground is; NaN where it is not known.
+
+    Over terrain elevations are above the geoid. Without terrain they are above the level ground, which home stands on.
+
+    Args:
+      mission: whose home has a place, an elevation above the geoid, both or neither.
+      maps: the maps.
+      geoid_m: height of the geoid above the ellipsoid; None where it is not given.
+    """
+    home_m = home_above_geoid_m = math.nan
     if mission.home_elevation_m is not None:
-        above_geoid_m = mission.home_elevation_m
+        home_above_geoid_m = mission.home_elevation_m
     if mission.home is not None:
         home_xy_m = np.array(maps.grid.xy_of_lonlat(*mission.home))
         home_m = float(ground_at(home_xy_m, maps))
-        if math.isnan(home_m):
-            home_m = above_geoid_m
-    geoid_zero_m = 0.0 if "terrain" in maps.ds else -above_geoid_m
-    ellipsoid_m = math.nan if geoid_m is None else geoid_zero_m - geoid_m
-    return {"home": home_m, "geoid": geoid_zero_m, "ellipsoid": ellipsoid_m}
+        if math.isnan(home_m):  # home lies outside the maps
+            home_m = home_above_geoid_m
+    geoid_zero_m = 0.0 if "terrain" in maps.ds else -home_above_geoid_m
+    ellipsoid_zero_m = math.nan if geoid_m is None else geoid_zero_m - geoid_m
+    return {"home": home_m, "geoid": geoid_zero_m, "ellipsoid": ellipsoid_zero_m}
 
 
 def _shares_within(ends_m: np.ndarray, bounds_m: Bounds) -> np.ndarray:
-    """Return ``[S, 2]`` from which share to which a box holds lines ``[S, 2, 2]``; twice the same where nothing."""
+    """Return ``[S, 2]`` the shares of straight lines at which they enter and leave a box.
+
+    Both are from 0, the begin of the line, to 1, its end. They are equal where the line does not meet the box.
+
+    Args:
+      ends_m: ``[S, 2, 2]`` x, y of begin and end of each line.
+      bounds_m: least x and y, greatest x and y of the box.
+    """
     low_m, high_m = np.reshape(bounds_m, (2, 2))
     begin_m = ends_m[:, 0]
     moved_m = ends_m[:, 1] - ends_m[:, 0]
-    moved_m[moved_m == 0] = 1e-9  # it stays beside the box, or within its sides
-    cuts = np.sort([(low_m - begin_m) / moved_m, (high_m - begin_m) / moved_m], axis=0)
-    first, last = np.clip([cuts[0].max(axis=1), cuts[1].min(axis=1)], 0.0, 1.0)
+    # Along an axis on which it does not move, a line stays beside the box or within it: its shares there are huge.
+    moved_m[moved_m == 0] = 1e-9
+    # Of each axis the share at which the line comes within the box's two sides, and that at which it leaves them.
+    enter, leave = np.sort([(low_m - begin_m) / moved_m, (high_m - begin_m) / moved_m], axis=0)
+    first, last = np.clip([enter.max(axis=1), leave.min(axis=1)], 0.0, 1.0)
     return np.stack([np.minimum(first, last), last], axis=1)

@@ -104,7 +104,7 @@ class PlannedPath(FactsRepr):
 
     @property
     def message(self) -> str:
-        """What happened, and what a reader of the path must know beside it."""
+        """What happened, and what a reader of the path must know beside it: sentences."""
         return " ".join(filter(None, (self.search.sentence, self.search.note)))
 
     @property
@@ -118,11 +118,12 @@ class PlannedPath(FactsRepr):
         if not self.status.has_path:
             return facts | {"message": self.search.sentence}
         low_m, high_m = self.z_m.min(), self.z_m.max()
+        altitude = f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m"
         metrics = ", ".join(f"{name} {m:.2f}" for name, m in self.metrics.items())
         return facts | {
             "cost": f"{self.cost:,.2f}",
             "length": f"{self.length_m:,.0f} m in {len(self.xy_m):,} points",
-            "altitude": f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m",
+            "altitude": altitude,
             "mean metrics": metrics or "none",
         }
 
@@ -141,16 +142,17 @@ class PlannedPath(FactsRepr):
           file: ``.geojson``, ``.kml``, ``.gpx`` or ``.plan`` (see `jaxurban.paths.export.write.FORMATS`).
           more: further files, for further formats.
           report: from `jaxurban.explain`, to be written too.
-          end: of a ``.plan``: ``"land"``, ``"return"`` or ``"none"`` (see `write_path`).
-          fence_roofs_m: of a ``.plan``: make exclusion polygons of the roofs so near to the route that reach its height
-            less the vertical clearance (see `roof_fences`).
+          end: how a mission in a ``.plan`` ends: ``"land"``, ``"return"`` or ``"none"`` (see `write_path`).
+          fence_roofs_m: a distance in metres, for a ``.plan``: the roofs within it of the route that reach the route's
+            height less the vertical clearance become exclusion polygons (see `roof_fences`). None makes none.
 
         Returns:
           The first file as a `pathlib.Path`.
 
         Raises:
-          InputError: there is no path, another suffix, an end or fences that are none or without a ``.plan``, a folder
-            that does not exist or cannot be written to, or more vertices of fences than autopilots hold.
+          InputError: there is no path, another suffix, an unknown end, a distance of roofs that is not positive, either
+            of these without a ``.plan``, a folder that does not exist or cannot be written to, or more vertices of
+            fences than autopilots hold.
 
         Examples:
           >>> path.save("route.geojson", "route.kml").name
@@ -162,16 +164,16 @@ class PlannedPath(FactsRepr):
 
         if not self.status.has_path:
             raise InputError(f"there is no path to save: {self.status.sentence}")
-        files = [FilePath(each) for each in (file, *more)]
-        missions = [each for each in files if each.suffix.lower() == MISSION]
+        files = [FilePath(path) for path in (file, *more)]
+        missions = [path for path in files if path.suffix.lower() == MISSION]
         if not missions and (end is not None or fence_roofs_m is not None):
-            check_is_mission(files[0])
+            check_is_mission(files[0])  # raises, as it is none
         roofs = None if fence_roofs_m is None else roof_fences(self, fence_roofs_m)
-        for each in files:
-            if each in missions:
-                write_path(self, each, report, end=end, roofs=roofs)
+        for path in files:
+            if path in missions:
+                write_path(self, path, report, end=end, roofs=roofs)
             else:
-                write_path(self, each, report)
+                write_path(self, path, report)
         return files[0]
 
     def to_dict(self) -> dict[str, Any]:
@@ -217,24 +219,26 @@ def finish(
     """Return a planner's path with its weighted cost, its metrics, its coordinates and its settings.
 
     Args:
-      path: from a planner.
-      ends: from `locate`.
+      cost_map: the map that it was planned on.
+      path: from a planner, or its verdict that there is none.
+      ends: start and goal, from `CostMap.ends`.
       search: how it was searched for, for the record.
     """
     budget_s = search.budget_s if np.isfinite(search.budget_s) else None
     settings = map_settings(cost_map) | {"budget_s": budget_s, "seed": search.seed}
     if search.exposure:
         settings["exposure"] = dict(search.exposure)
-    start_m = cost_map.altitude_m
-    if cost_map.levels is not None:
-        start_m = float(cost_map.altitudes_m[ends[0].cell[0]])
-        settings["goal_altitude_m"] = float(cost_map.altitudes_m[ends[1].cell[0]])
+    start, goal = ends
+    start_altitude_m = cost_map.altitude_m
+    if cost_map.levels is not None:  # the first index of a cell is then its level
+        start_altitude_m = float(cost_map.altitudes_m[start.cell[0]])
+        settings["goal_altitude_m"] = float(cost_map.altitudes_m[goal.cell[0]])
     measures = measured(cost_map, path.points_m) if path.status.has_path else NOT_MEASURED
     return PlannedPath(
         **measures,
         status=path.status,
-        altitude_m=start_m,
-        snap_distance_m=(ends[0].snap_distance_m, ends[1].snap_distance_m),
+        altitude_m=start_altitude_m,
+        snap_distance_m=(start.snap_distance_m, goal.snap_distance_m),
         search=replace(path, note=_note(cost_map, path, ends)),
         settings=settings,
         crs=cost_map.grid.crs,
@@ -247,17 +251,21 @@ def measured(cost_map: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
     """Return where a path lies, what it costs and what it meets, under the names of `PlannedPath`.
 
     Args:
+      cost_map: the map that it is costed on.
       points_m: ``[N, 2]`` x, y in metres from the map's southwest corner; in a volume ``[N, 3]``, with the altitude.
     """
+    # Where it lies.
     grid, weights = cost_map.grid, cost_map.weight_vector
-    plan_m = points_m[:, :2]
-    xy_m = plan_m + grid.bounds_m[:2]
+    from_corner_m = points_m[:, :2]
+    xy_m = from_corner_m + grid.bounds_m[:2]
     z_m = np.full(len(xy_m), cost_map.altitude_m)
     if cost_map.levels is not None:
         z_m = points_m[:, 2]
     ground = None
     if cost_map.terrain_m is not None:
-        ground = ground_along(plan_m, cost_map.terrain_m, grid)
+        ground = ground_along(from_corner_m, cost_map.terrain_m, grid)
+
+    # What it costs: phi holds, of each weight, what the weight is multiplied by.
     features = cost_map.problem.features(points_m)
     costs = (weights * features.phi).tolist()
     reference_m = cost_map.cost_model.reference_length_m
@@ -276,16 +284,19 @@ def measured(cost_map: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
 
 
 def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
-    """Return what the planner noted, and what a reader of the path must know beside it: sentences."""
+    """Return what the planner noted, and what a reader of the path must know beside it: sentences, or ``""``."""
+    start, goal = ends
     has_path = path.status.has_path
-    constraints, grid = cost_map.constraints, cost_map.grid
+    constraints = cost_map.constraints
     notes = [path.note]
+
+    # What was searched for, and from where to where.
     if not cost_map.is_weighed and cost_map.objective == "weighted":
         notes.append(
             "All weights are zero, so every path is as cheap: the distance was minimised instead."
         )
-    notes.append(snap_note(*ends))
-    kept = describe_kept(constraints.to_dict(), grid.resolution_m)
+    notes.append(snap_note(start, goal))
+    kept = describe_kept(constraints.to_dict(), cost_map.grid.resolution_m)
     if kept:
         notes.append(f"Distance to obstacles: {constraints.horizontal_m:g} m asked, {kept}.")
     if cost_map.is_weighed and cost_map.weights.distance == 0 and not path.note and has_path:
@@ -296,20 +307,25 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
         notes.append(
             f"Metrics at {cost_map.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
         )
+
+    # Why there may be no path.
     if str(constraints) and not has_path:
-        maps_free = [cost_map.maps.is_free(z_m) for z_m in cost_map.altitudes_m.tolist()]
-        share = 1 - cost_map.is_free.sum() / np.sum(maps_free)
+        free_on_maps = [cost_map.maps.is_free(z_m) for z_m in cost_map.altitudes_m.tolist()]
+        share = 1 - cost_map.is_free.sum() / np.sum(free_on_maps)
         notes.append(
             f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."
         )
     if path.status is Status.NO_PATH:
-        notes.append(pocket_note(cost_map, *ends))
-        notes.append(what_would_join(cost_map, ends[0].cell, ends[1].cell))
+        notes.append(pocket_note(cost_map, start, goal))
+        notes.append(what_would_join(cost_map, start.cell, goal.cell))
     return " ".join(filter(None, [*notes, *_metric_notes(cost_map)]))
 
 
 def _metric_notes(cost_map: "CostMap") -> Iterator[str]:
-    """Yield which weighed metrics the maps lack, and the caveats of those that a path pays for or is bounded by."""
+    """Yield a sentence on metrics that have a weight and that the maps lack, and the caveats of metrics that count.
+
+    A metric counts where a path pays for it, or where a bound is on one of its maps.
+    """
     weighed = [name for name, weight in cost_map.weights.to_dict().items() if weight > 0]
     missing = [name for name in weighed if name not in ("distance", *cost_map.names)]
     if missing:
@@ -322,7 +338,10 @@ def _metric_notes(cost_map: "CostMap") -> Iterator[str]:
 
 
 def map_settings(cost_map: "CostMap") -> dict[str, Any]:
-    """Return what a cost map says of the paths that are planned on it, as their settings hold it."""
+    """Return the settings that a cost map gives to the paths planned on it: plain values, by the names of their record.
+
+    `PlannedPath.settings` holds them, beside those of the search.
+    """
     settings: dict[str, Any] = {
         "objective": cost_map.objective,
         **cost_map.cost_model.settings,
@@ -350,7 +369,10 @@ def map_settings(cost_map: "CostMap") -> dict[str, Any]:
 
 
 def _between_m(cost_map: "CostMap") -> list[float]:
-    """Return the two altitudes that metrics are interpolated between; none in a volume or where the maps hold it."""
+    """Return the two altitudes of the maps between which metrics are interpolated.
+
+    Empty in a volume, and where the maps hold the altitude itself.
+    """
     if cost_map.levels is not None:
         return []
     around_m = cost_map.maps.around(cost_map.altitude_m)
@@ -358,13 +380,18 @@ def _between_m(cost_map: "CostMap") -> list[float]:
 
 
 def over_budget(exposure: Mapping[str, float], budgets: Mapping[str, float]) -> str:
-    """Return the budgets of exposure that a path exceeds, in words; empty where it keeps all."""
-    over = [
+    """Return the budgets of exposure that a path exceeds, in words; empty where it keeps all.
+
+    Args:
+      exposure: of the path, by metric.
+      budgets: the most that is allowed, by metric, in the same units; a rounding above it is still within.
+    """
+    exceeded = [
         f"the budget of {most:g} for {name}"
         for name, most in budgets.items()
         if exposure[name] > most * (1 + 2 * SAME_EXPOSURE)
     ]
-    return " and ".join(over)
+    return " and ".join(exceeded)
 
 
 @renamed_arguments("2.0", on="cost_map")
@@ -403,12 +430,13 @@ def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> P
     points_m = planned.search.points_m
     simpler = simplify_path(cost_map.problem, planned.search, tolerance_m)
     after = measured(cost_map, simpler.points_m)
-    over = over_budget(after["exposure_by_layer"], planned.settings.get("exposure", {}))
-    if over:
-        note = (
-            f"{planned.search.note} Not simplified to {tolerance_m:g} m, which would exceed {over}."
-        )
+
+    # The path stays as it is where a simpler one exceeds a budget.
+    exceeded = over_budget(after["exposure_by_layer"], planned.settings.get("exposure", {}))
+    if exceeded:
+        note = f"{planned.search.note} Not simplified to {tolerance_m:g} m, which would exceed {exceeded}."
         return replace(planned, search=replace(planned.search, note=note))
+
     note = (
         f"Simplified to {tolerance_m:g} m: {len(simpler.points_m)} of {len(points_m)} waypoints, at most "
         f"{farthest(points_m[:, :2], simpler.points_m[:, :2]):.2f} m from the planned path; the weighted cost is "
@@ -420,22 +448,23 @@ def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> P
 
 
 def _check_same_map(planned: PlannedPath, cost_map: "CostMap") -> None:
-    """Check that a path was planned on a cost map, as that alone knows what the path keeps clear of.
+    """Check that a path was planned on a cost map, which alone knows what the path keeps clear of.
 
     Raises:
-      InputError: another CRS, altitude, setting or region.
+      InputError: the path's CRS, altitude or levels, a setting or the region is another one than the cost map's.
     """
-    a_level = {"levels_m": None, "altitude_m": planned.altitude_m}  # unless the cost map has levels
-    of_path = {"crs": planned.crs, **a_level, **planned.settings}
-    of_map = {"crs": cost_map.grid.crs, **a_level, **map_settings(cost_map)}
+    # Settings of a volume hold its levels. On one altitude both records get that altitude, and no levels.
+    on_one_altitude = {"levels_m": None, "altitude_m": planned.altitude_m}
+    path_record = {"crs": planned.crs, **on_one_altitude, **planned.settings}
+    map_record = {"crs": cost_map.grid.crs, **on_one_altitude, **map_settings(cost_map)}
     if cost_map.levels is None:
-        of_map["altitude_m"] = cost_map.altitude_m
-    others = [name for name, value in of_map.items() if of_path.get(name) != value]
+        map_record["altitude_m"] = cost_map.altitude_m
+    different = [name for name, value in map_record.items() if path_record.get(name) != value]
     xy_m = planned.search.points_m[:, :2] + cost_map.grid.bounds_m[:2]
     if not np.allclose(xy_m, planned.xy_m, rtol=0.0, atol=SAME_PLACE_M):
-        others.append("region")
-    if others:
+        different.append("region")
+    if different:
         raise InputError(
-            f"the path was planned under another {' and another '.join(others)} than those of this cost map: give the "
-            "cost map that it was planned on"
+            f"the path was planned under another {' and another '.join(different)} than those of this cost map: give "
+            "the cost map that it was planned on"
         )

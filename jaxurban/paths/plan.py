@@ -33,9 +33,15 @@ def rules_on(
     constraints: Constraints | None,
     preset: Preset,
 ) -> tuple[MetricMaps, CostModel, Constraints]:
-    """Return maps under their rule of obstacles, cost model and constraints, with all that is left out written out.
+    """Return maps under a rule of obstacles, a cost model and constraints, in none of which anything is left out.
 
-    It is as the maps' scenario says, or as the preset does (see `cost_map`).
+    What the arguments leave out is as the maps' scenario says, or as the preset does (see `cost_map`).
+
+    Args:
+      maps: that keep the rule of obstacles with which they were opened, if one was named then.
+      cost_model: whole, by its kind alone, or None.
+      constraints: whole, with clearances or vehicle None, or None.
+      preset: ``"paper"``, or ``""`` for that of the scenario.
 
     Raises:
       InputError: an unknown preset or cost model.
@@ -128,22 +134,38 @@ def map_at(
     time_of_day: str | None,
     **rules: Any,
 ) -> CostMap:
-    """Return the cost map at altitudes that the maps reach; ``rules`` are further attributes of `CostMap`."""
+    """Return the cost map at altitudes that the maps reach.
+
+    Args:
+      maps: the metric maps.
+      altitudes_m: ``[K]`` the levels of a volume, ascending; ``[1]`` on one altitude.
+      levels: how a path may climb in a volume; None on one altitude.
+      constraints: that close cells.
+      time, time_of_day: of the maps; the first if None.
+      rules: further attributes of `CostMap`: weights, objective and cost model.
+
+    Raises:
+      InputError: a volume that memory cannot hold, or an unknown time or time of day.
+    """
     if levels is not None:
         _check_fits(len(altitudes_m), maps.grid)
     when: dict[str, Any] = {"time": time, "time_of_day": time_of_day}
     is_free = constraints.is_free(maps, altitudes_m.tolist(), **when)
+
+    # The cost of each metric on each level. Maps are read once, however many levels lie between two of them.
     costs = np.empty((len(maps.metrics), *is_free.shape), np.float32)
     is_under_sky = cache(maps.is_under_sky)
-    for (name, metric), layers in zip(maps.metrics.items(), costs, strict=True):
+    for (name, metric), metric_costs in zip(maps.metrics.items(), costs, strict=True):
         read = cache(partial(maps.m, name, **when))
-        is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
+        has_altitudes = "altitude" in maps.ds[maps.variable(name)].dims
         for level, z_m in enumerate(altitudes_m.tolist()):
-            m = read() if is_flat else values_at(z_m, maps.altitudes_m, read, is_under_sky)
+            m = values_at(z_m, maps.altitudes_m, read, is_under_sky) if has_altitudes else read()
             # What is missing where nobody may fly counts as m = 0: searches take numbers alone.
             is_closed_gap = np.isnan(m) & ~is_free[level]
-            layers[level] = metric.cost(np.where(is_closed_gap, np.float32(0), m))
-    of_map = 0 if levels is None else slice(None)
+            metric_costs[level] = metric.cost(np.where(is_closed_gap, np.float32(0), m))
+
+    # On one altitude arrays have no axis of levels.
+    taken_levels = 0 if levels is None else slice(None)
     return CostMap(
         maps=maps,
         altitudes_m=altitudes_m,
@@ -153,21 +175,20 @@ def map_at(
         constraints=constraints,
         **rules,
         names=tuple(maps.metrics),
-        costs=costs[:, of_map],
-        is_free=is_free[of_map],
+        costs=costs[:, taken_levels],
+        is_free=is_free[taken_levels],
     )
 
 
 def _check_fits(num_levels: int, grid: Grid) -> None:
     """Raise InputError where a volume, and a search that visits all of it, take more memory than is free."""
-    needed = num_levels * math.prod(grid.shape) * NODE_BYTES
-    left = free_bytes()
-    if needed > left:
-        needed_text, left_text = distinct_texts(needed, left)
+    needed_bytes = num_levels * math.prod(grid.shape) * NODE_BYTES
+    available_bytes = free_bytes()
+    if needed_bytes > available_bytes:
+        needed, available = distinct_texts(needed_bytes, available_bytes)
         raise InputError(
-            f"a volume of {num_levels} levels of {grid.num_rows} x {grid.num_cols} cells takes up to "
-            f"{needed_text} of memory and {left_text} are free: choose a longer level_step_m, closer "
-            "altitude bounds, or coarser maps"
+            f"a volume of {num_levels} levels of {grid.num_rows} x {grid.num_cols} cells takes up to {needed} of "
+            f"memory and {available} are free: choose a longer level_step_m, closer altitude bounds, or coarser maps"
         )
 
 
@@ -218,8 +239,8 @@ def plan(
       heuristic: of the planner; left out, its own.
       budget_s: seconds that the search may take.
       seed: for sampling planners.
-      snap: move a start or goal that is not free to the nearest free cell: True by at most 50 m, a number by at most so
-        many metres (`PathSearch`).
+      snap: whether a start or goal that is not free moves to the nearest free cell: True by at most 50 m, a number by
+        at most that many metres (`PathSearch`).
       refine: then move the waypoints downhill, off the grid.
       exposure: budgets by layer, such as ``{"population": 120.0}``: most of (1 / l0) x integral of c ds along the path
         (`PlannedPath.exposure_by_layer`). The cheapest path of the grid within them is searched for; ``search`` carries
@@ -245,7 +266,7 @@ def plan(
     maps = as_maps(maps)
     search = PathSearch.of(
         maps,
-        isinstance(altitude_m, Levels),
+        is_for_volumes=isinstance(altitude_m, Levels),
         planner=planner,
         heuristic=heuristic,
         budget_s=budget_s,
@@ -254,8 +275,9 @@ def plan(
         refine=refine,
         exposure=exposure,
     )
-    ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
-    weighed = cost_map(
+    start_place = one_place("start", start, start_xy_m)
+    goal_place = one_place("goal", goal, goal_xy_m)
+    weighed_maps = cost_map(
         maps,
         altitude_m,
         weights=weights,
@@ -266,4 +288,4 @@ def plan(
         constraints=constraints,
         preset=preset,
     )
-    return weighed.planned(*ends, search)
+    return weighed_maps.planned(start_place, goal_place, search)

@@ -26,8 +26,15 @@ IN_METRES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
 WEIGHT_PREFIX = "w_"
 COLUMNS = (*LONLAT, *IN_METRES, "altitude_m", "time", "time_of_day")
 OF_SEARCH = (
-    *("objective_cost", "lower_bound", "num_points", "num_expanded", "elapsed_s", "setup_s"),
-    *("planner", "heuristic", "backend"),
+    "objective_cost",
+    "lower_bound",
+    "num_points",
+    "num_expanded",
+    "elapsed_s",
+    "setup_s",
+    "planner",
+    "heuristic",
+    "backend",
 )
 NOT_RUN = "not-run"  # beside the names of `Status` and what `jaxurban.paths.rows` adds
 
@@ -54,10 +61,11 @@ class Query:
     error: str = ""
 
     def to_dict(self) -> dict[str, object]:
-        """Return the query as the columns that `read_queries` takes."""
-        names = IN_METRES if isinstance(self.start, XY) else LONLAT
+        """Return the query as a row with the columns that `read_queries` takes."""
+        place_columns = IN_METRES if isinstance(self.start, XY) else LONLAT
+        coordinates = (*self.start[:2], *self.goal[:2])
         return {
-            **dict(zip(names, (*self.start[:2], *self.goal[:2]), strict=True)),
+            **dict(zip(place_columns, coordinates, strict=True)),
             "altitude_m": self.altitude_m,
             "time": self.time,
             "time_of_day": self.time_of_day,
@@ -81,10 +89,12 @@ def read_queries(
         ``start_lat``, ``goal_lon``, ``goal_lat`` (or ``start_x_m``, ``start_y_m``, ``goal_x_m``, ``goal_y_m`` in
         the maps' CRS), and any of ``altitude_m``, ``time``, ``time_of_day``, ``w_distance``, ``w_gps``,
         ``w_lidar``, ``w_population``, ``w_risk`` and the like of further ``metrics``.
-      altitude_m, time, time_of_day, weights: for queries that say nothing of their own (weights one by one).
-      metrics: that may be weighed.
+      altitude_m, time, time_of_day, weights: for queries that do not say it themselves; each weight by itself.
+      metrics: names of those that may have a weight.
 
-    A row that cannot be read (a number missing, a negative weight) becomes a query with an ``error``.
+    Returns:
+      A query for each row, in their order. A row that cannot be read (a number missing, a negative weight) becomes a
+      query with an ``error``.
 
     Raises:
       InputError: a column that is not known or missing, or invalid pairs.
@@ -96,12 +106,21 @@ def read_queries(
         base = replace(base, altitude_m=finite("altitude_m", altitude_m))
     if not isinstance(queries, pd.DataFrame):
         queries = table_of(queries)
-    names = _place_columns(queries, dict.fromkeys((*base_weights.to_dict(), *metrics)))
-    return [_of_row(row, names, base) for row in queries.to_dict("records")]
+    weight_names = dict.fromkeys((*base_weights.to_dict(), *metrics))
+    place_columns = _place_columns(queries, weight_names)
+    return [_of_row(row, place_columns, base) for row in queries.to_dict("records")]
 
 
 def _place_columns(queries: pd.DataFrame, weight_names: Iterable[str]) -> Sequence[str]:
-    """Return which columns of a table hold its places; raise InputError for unknown, missing or doubled columns."""
+    """Return the four columns of a table that hold its places: `LONLAT` or `IN_METRES`.
+
+    Args:
+      queries: the table.
+      weight_names: of distance and metrics; each may have a column after `WEIGHT_PREFIX`.
+
+    Raises:
+      InputError: a column that is not known, one of the four that is missing, or places in degrees and in metres.
+    """
     known = (*COLUMNS, *(WEIGHT_PREFIX + name for name in weight_names))
     unknown = [str(name) for name in queries if str(name) not in known]
     if unknown:
@@ -123,16 +142,20 @@ def _place_columns(queries: pd.DataFrame, weight_names: Iterable[str]) -> Sequen
 
 
 def table_of(queries: Iterable[tuple[Point, Point]]) -> pd.DataFrame:
-    """Return pairs of places as a table; raise InputError where they are not of that shape."""
+    """Return pairs of places as a table with the columns `LONLAT`, or `IN_METRES` for pairs of `XY`.
+
+    Raises:
+      InputError: something that is not a pair of places, places in degrees beside `XY`, or `XY` with altitudes.
+    """
     pairs = list(queries)
     try:
         is_xy = [isinstance(place, XY) for pair in pairs for place in pair]
         places = np.array(pairs, float)
     except (TypeError, ValueError):  # no numbers, or not as many in each
         is_xy = []
-        places = np.empty(0)
+        places = np.empty(0)  # whose shape is refused below
     in_metres = bool(is_xy) and all(is_xy)
-    if in_metres and np.isnan(places[..., 2]).all():  # no altitudes of their own
+    if in_metres and np.isnan(places[..., 2]).all():  # an altitude of None has become NaN
         places = places[..., :2]
     if len(pairs) and (places.shape[1:] != (2, 2) or any(is_xy) != in_metres):
         raise InputError(
@@ -142,16 +165,22 @@ def table_of(queries: Iterable[tuple[Point, Point]]) -> pd.DataFrame:
     return pd.DataFrame(places.reshape(-1, 4), columns=list(IN_METRES if in_metres else LONLAT))
 
 
-def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:
-    """Return the query of a row, with an error where a number is missing, not finite or no number."""
+def _of_row(row: Mapping, place_columns: Sequence[str], base: Query) -> Query:
+    """Return the query of a row, with an ``error`` where a number is missing, not finite or no number.
+
+    Args:
+      row: values by column. One that is missing or NaN is as in ``base``.
+      place_columns: `LONLAT` or `IN_METRES`.
+      base: a query with what rows may leave out, which is all but the places.
+    """
     values = {str(name): value for name, value in row.items() if not pd.isna(value)}
     time = values.get("time", base.time)
-    query = base
+    query = base  # what is returned, with the error, if even the first number is no number
     try:
-        places = [float(values.get(name, np.nan)) for name in names]
-        start = tuple(places[:2])
-        goal = tuple(places[2:])
-        is_xy = names == IN_METRES
+        coordinates = [float(values.get(name, np.nan)) for name in place_columns]
+        start = tuple(coordinates[:2])
+        goal = tuple(coordinates[2:])
+        is_xy = place_columns == IN_METRES
         weights = {
             name.removeprefix(WEIGHT_PREFIX): float(value)
             for name, value in values.items()
@@ -166,6 +195,7 @@ def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:
             time_of_day=values.get("time_of_day", base.time_of_day),
             weights=base.weights.replace(**weights).checked(),
         )
+        # NaN is no place and no altitude.
         for end, place in (("start", start), ("goal", goal)):
             if not np.isfinite(place).all():
                 raise InputError(f"{end} needs two finite numbers, got {place}")
@@ -291,44 +321,48 @@ def row_of(
     planned: PlannedPath | None = None,
     key: str = "",
 ) -> dict[str, Any]:
-    """Return what became of a query as a flat row.
+    """Return what became of a query as a flat row, which `path_of` reads.
 
     Args:
-      k: its number.
+      k: number of the query.
       query: as it was asked.
       status: the name of a `Status`, or `BAD_INPUT`, `CRASHED` or `NOT_RUN`.
       message: what happened, in a sentence or two.
       planned: what the planner gave; None where it did not run to its end.
-      key: stands for the query: map, weights, places, planner and settings.
+      key: a digest of map, weights, places, planner and settings, by which another run knows the query again.
     """
     row: dict[str, Any] = {"query": k, **query.to_dict(), "status": status, "message": message}
     if planned is None:
         return row | dict.fromkeys(("budget_s", "x_m", "y_m", "search")) | {"key": key}
+
+    # The columns of `PlannedPaths.to_dataframe`.
     facts = planned.to_dict()
-    search = planned.search
     row |= {name: facts[name] for name in ("cost", "length_m")}
     row |= {f"cost_{name}": value for name, value in facts["cost_by_layer"].items()}
     row |= {f"m_{name}": value for name, value in facts["metrics"].items()}
     row |= {name: facts[name] for name in OF_SEARCH}
     row |= {f"{name}_snap_m": value for name, value in facts["snap_distance_m"].items()}
     budget_s = planned.settings["budget_s"]
-    row["budget_s"] = np.inf if budget_s is None else budget_s
+    row["budget_s"] = np.inf if budget_s is None else budget_s  # None: without a limit
     row["x_m"], row["y_m"] = planned.xy_m.T
-    rest = {item.name: getattr(search, item.name) for item in fields(Path)}
-    rest |= {"status": search.status.value, "points_m": search.points_m[:1].tolist()}
-    return row | {"search": json.dumps(rest), "key": key}
+
+    # What else the planner reported. Of its points the first is enough, as the others follow from x and y.
+    search = planned.search
+    reported = {item.name: getattr(search, item.name) for item in fields(Path)}
+    reported["status"] = search.status.value
+    reported["points_m"] = search.points_m[:1].tolist()
+    return row | {"search": json.dumps(reported), "key": key}
 
 
 def path_of(row: Row) -> Path:
-    """Return the planner's path from a row that `row_of` made."""
-    rest = json.loads(row["search"])
+    """Return the planner's path from a row that `row_of` made of one; its points are ``[0, 2]`` without a path."""
+    reported = json.loads(row["search"])
     points_m = np.empty((0, 2))
-    if rest["points_m"]:
+    if reported["points_m"]:
         xy_m = np.stack([row["x_m"], row["y_m"]], axis=1)
-        points_m = xy_m - (xy_m[0] - rest["points_m"][0])
-    rest |= {
-        "status": Status(rest["status"]),
-        "points_m": points_m,
-        "history": tuple(map(tuple, rest["history"])),
-    }
-    return Path(**rest)
+        corner_m = xy_m[0] - reported["points_m"][0]  # of the map, from which the planner measured
+        points_m = xy_m - corner_m
+    reported["status"] = Status(reported["status"])
+    reported["points_m"] = points_m
+    reported["history"] = tuple(map(tuple, reported["history"]))
+    return Path(**reported)

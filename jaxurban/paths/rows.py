@@ -6,7 +6,6 @@ Every row is on disk when it is counted: after any end, Ctrl-C and ``kill -9`` i
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import groupby
@@ -100,11 +99,12 @@ class RouteRules:
     preset: Preset = ""
 
     def __post_init__(self) -> None:
-        Planning(preset=self.preset)  # refuses an unknown one, as the next line does
+        """Refuse an unknown preset and an unknown cost model: both lines raise InputError."""
+        Planning(preset=self.preset)
         CostModel.of(self.cost_model)
 
     def under(self, maps: MetricMaps) -> tuple[MetricMaps, Self]:
-        """Return maps and rules, with all that holds on them written out (`rules_on`)."""
+        """Return the maps under these rules, and the rules on these maps, in which nothing is left out (`rules_on`)."""
         maps, cost_model, constraints = rules_on(
             maps, self.cost_model, self.constraints, self.preset
         )
@@ -117,7 +117,13 @@ class RouteRules:
     def cost_map(
         self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None
     ) -> Any:
-        """Return the `CostMap` of routes at an altitude and time (errors as in `jaxurban.cost_map`)."""
+        """Return the `CostMap` of routes at an altitude and time (errors as in `jaxurban.cost_map`).
+
+        Args:
+          maps: the metric maps.
+          altitude_m: above ground.
+          time, time_of_day: of the GPS and the population map; the first if None.
+        """
         return cost_map(
             maps,
             altitude_m,
@@ -143,11 +149,16 @@ class RouteJob(RouteRules):
 
     @property
     def runs(self) -> Sequence[Run]:
-        """What is done with every instance, a row each."""
+        """What is done with every instance: each run makes a row. By default one run, without a key."""
         return [()]
 
     def facts(self, cost_map: CostMap, instance: Row, runs: Sequence[Run]) -> Iterable[Row]:
-        """Return what is found for an instance, for one run after the other.
+        """Return the results of runs on an instance, a row of values by column for each, in their order.
+
+        Args:
+          cost_map: of the instance's altitude and times.
+          instance: a row of the table of instances.
+          runs: that are still to be done.
 
         Raises:
           InputError: the instance is not one of these maps.
@@ -155,12 +166,12 @@ class RouteJob(RouteRules):
         raise NotImplementedError
 
     def key_of(self, instance: Row, run: Run) -> dict[str, Any]:
-        """Return the columns that name a row."""
-        named = {**instance, **dict(zip(self.run_key, run, strict=True))}
-        return {name: named[name] for name in self.key}
+        """Return the columns that name the row of a run on an instance, with their values."""
+        values = {**instance, **dict(zip(self.run_key, run, strict=True))}
+        return {name: values[name] for name in self.key}
 
     def row_of(self, instance: Row, run: Run, facts: Row) -> dict[str, Any]:
-        """Return a row: its key and what is known, None for what is no number."""
+        """Return the row of a run on an instance: its key and its results, None for numbers that are not finite."""
         row = self.key_of(instance, run) | dict(facts)
         for name, value in row.items():
             if isinstance(value, float) and not math.isfinite(value):
@@ -186,14 +197,18 @@ class InstanceRuns(NamedTuple):
 
 
 def tasks_of(instances: pd.DataFrame, job: RouteJob, store: RowStore) -> list[InstanceRuns]:
-    """Return what a store does not hold yet, instances of a city and on the same maps one after the other."""
+    """Return the runs that a store does not hold yet, by instance.
+
+    Instances of one city follow each other, and of these those on the same maps, so that maps are made once.
+    """
     tasks = []
     for instance in records_of(instances):
         keys = {run: tuple(job.key_of(instance, run).values()) for run in job.runs}
         runs = tuple(run for run, key in keys.items() if key not in store)
         if runs:
             tasks.append(InstanceRuns(instance, runs))
-    return sorted(tasks, key=lambda task: (str(task.city), *map(str, task.map_key)))
+    # By city, altitude and times, as texts, since None has no order.
+    return sorted(tasks, key=lambda task: [*map(str, (task.city, *task.map_key))])
 
 
 def check_workers(workers: int | str, sources: Iterable[Source]) -> None:
@@ -219,23 +234,24 @@ def run_rows(
     """Return the rows of a job over a table, in the order of their keys; those that the file holds are not made again.
 
     Args:
-      file: where rows are kept.
-      job: what is done.
+      file: where rows are kept. It is complete after any end, an error or Ctrl-C included.
+      job: what is done with each instance.
       instances: altitude, times and what the job needs; with a column ``city`` where there are several.
-      sources: the maps of each city; of None where the table names no city.
-      columns: of rows, with their types.
-      workers: processes of this machine (Dask), 1 works in this process; or the address of a Dask scheduler, whose
-        workers see the maps' folders under the same paths.
-      report: gets how many rows are there, and how many of them have paths.
+      sources: the maps of each city by its name, or by None where the table names no city.
+      columns: returns the columns of rows, with their types.
+      workers: number of processes of this machine (Dask), of which 1 is this process itself; or the address of a Dask
+        scheduler, whose workers see the maps' folders under the same paths.
+      report: is called with how many rows are done, and how many of them have paths.
     """
     store = RowStore(file, job.key, has_parts=True)
     tasks = tasks_of(instances, job, store)
+    num_left = sum(len(task.runs) for task in tasks)
     try:
-        is_here = workers == 1 or not tasks
-        with nullcontext() if is_here else cluster_client(workers) as client:
-            solve = solve_here if is_here else partial(solve_on, client)
-            num_left = sum(len(task.runs) for task in tasks)
-            keep_rows(store, solve(tasks, sources, job), num_left, report)
+        if workers == 1 or not tasks:
+            keep_rows(store, solve_here(tasks, sources, job), num_left, report)
+        else:
+            with cluster_client(workers) as client:
+                keep_rows(store, solve_on(client, tasks, sources, job), num_left, report)
     finally:
         store.save(columns(store.rows))
     return read_table(file, "rows")
@@ -244,22 +260,30 @@ def run_rows(
 def solve_here(
     tasks: Iterable[InstanceRuns], sources: Mapping[Any, Source], job: RouteJob
 ) -> Iterator[list[dict[str, Any]]]:
-    """Yield the rows of each task, made in this process."""
-    for city, of_city in groupby(tasks, lambda task: task.city):
-        yield from map(_solver(sources[city], job), of_city)
+    """Yield the rows of each task, made in this process; tasks of one city follow each other (`tasks_of`)."""
+    for city, city_tasks in groupby(tasks, lambda task: task.city):
+        yield from map(_solver(sources[city], job), city_tasks)
 
 
 def solve_on(
     client: Any, tasks: Iterable[InstanceRuns], sources: Mapping[Any, Source], job: RouteJob
 ) -> Iterator[list[dict[str, Any]]]:
-    """Yield rows that a Dask cluster has made. A run that kills its workers again and again costs its own row alone.
+    """Yield the rows of each task, made on a Dask cluster, as they are done.
 
-    Dask blames every task that a killed worker held. Those it gives up are run once more at the end, run by run, each
-    alone on the cluster, so that only the guilty one is a crash.
+    A run that kills its workers again and again costs only its own row, which then says that it crashed. Dask gives up
+    every task that a killed worker had taken on. These are run once more at the end, run by run, each alone on the
+    cluster, so that only the run that kills is a crash.
+
+    Args:
+      client: of the cluster.
+      tasks: from `tasks_of`.
+      sources: folders of the maps of each city, by its name or None.
+      job: what is done.
     """
     from distributed import KilledWorker, as_completed
 
     def submit(task: InstanceRuns) -> Any:
+        """Return the future of a task's rows."""
         return client.submit(_solve_in_worker, sources[task.city], job, task, pure=False)
 
     waiting = {submit(task): task for task in tasks}
@@ -273,6 +297,7 @@ def solve_on(
             continue
         future.release()
         yield rows
+
     for task in suspects:
         try:
             rows = submit(task).result()
@@ -282,7 +307,7 @@ def solve_on(
 
 
 def _solver(source: Source, job: RouteJob) -> Callable[[InstanceRuns], list[dict[str, Any]]]:
-    """Return what makes the rows of a task; the cost map of its altitude and time is kept for the tasks to come."""
+    """Return a function that makes the rows of a task, and keeps the last cost map for more tasks at its time."""
     maps = source if isinstance(source, MetricMaps) else source.open()
     map_of = lru_cache(maxsize=1)(partial(job.cost_map, maps))
     return lambda task: solve_instance(job, map_of(*task.map_key), *task)
@@ -298,16 +323,16 @@ def _solve_in_worker(source: MapsFolder, job: RouteJob, task: InstanceRuns) -> l
 def solve_instance(
     job: RouteJob, cost_map: CostMap, instance: Row, runs: Sequence[Run]
 ) -> list[dict[str, Any]]:
-    """Return the rows of an instance, one a run; whatever goes wrong is a row too."""
+    """Return the rows of an instance, one for each run; an error makes rows too, which say what it was."""
     try:
-        facts = list(job.facts(cost_map, instance, runs))
+        results = list(job.facts(cost_map, instance, runs))
     except Exception as error:  # whatever a route does, the job goes on
-        facts = [failure(error)] * len(runs)
-    return [job.row_of(instance, run, each) for run, each in zip(runs, facts, strict=True)]
+        results = [failure(error)] * len(runs)
+    return [job.row_of(instance, run, facts) for run, facts in zip(runs, results, strict=True)]
 
 
 def failure(error: Exception) -> dict[str, Any]:
-    """Return what a row says of an error: its status, and a sentence."""
+    """Return what a row says of an error: ``status``, and a sentence as ``note``."""
     if isinstance(error, InputError):
         return {"status": BAD_INPUT, "note": str(error)}
     return {"status": CRASHED, "note": f"{type(error).__name__}: {error}"}
@@ -319,12 +344,12 @@ def keep_rows(
     """Keep rows in a store as they are made, each on disk when it is counted.
 
     Args:
-      store: of all rows, those of earlier runs too.
-      made: rows, from `solve_here` or `solve_on`.
-      num_left: how many will come.
-      report: gets how many are there, and how many of them have paths.
+      store: to which rows are added, beside those of earlier runs.
+      made: lists of rows, from `solve_here` or `solve_on`.
+      num_left: how many rows these will be.
+      report: is called with how many rows are done, and how many of them have paths.
     """
-    counts = Counter(_outcome(row) for row in store.rows)
+    counts = Counter(map(_outcome, store.rows))
     total = len(store) + num_left
     report("runs", len(store), total, **counts)
     for rows in made:
@@ -334,6 +359,7 @@ def keep_rows(
 
 
 def _outcome(row: Row) -> str:
+    """Return what a row counts as in a report: ``"paths"``, ``"crashed"`` or ``"none"``."""
     if row["status"] in HAS_PATH:
         return "paths"
     return "crashed" if row["status"] == CRASHED else "none"

@@ -52,24 +52,26 @@ class PathSearch:
         refine: bool = False,
         exposure: Mapping[str, float] | None = None,
     ) -> "PathSearch":
-        """Return a search whose values can be; what is left out is as the maps' scenario says it.
+        """Return a checked search; what is left out is as the maps' scenario says it.
 
         Args:
-          maps: None where no scenario is asked.
-          is_for_volumes: whether the path may climb, for which no scenario names planner or seed.
-          planner: if nothing names it, ``"astar-plus"``, and between levels ``"astar-volume"``.
-          heuristic, budget_s, seed, snap, refine, exposure: the attributes.
+          maps: whose scenario gives planner, budget and seed; None for the defaults.
+          is_for_volumes: whether the path may climb; then the scenario gives only the budget.
+          planner: left out and not in the scenario, ``"astar-plus"``, between levels ``"astar-volume"``.
+          heuristic, budget_s, seed, snap, refine, exposure: the attributes; None for what is left out.
 
         Raises:
           InputError: an unknown planner, a heuristic that it does not take, a wrong seed, budget or distance of
             snapping, refinement of a path that may climb, or budgets of exposure that are no numbers, of a planner off
             the grid or with refinement.
         """
+        # Planner, budget and seed: the arguments, else the scenario, else the defaults.
         planning = DEFAULTS if maps is None else maps.planning
         if is_for_volumes:
             planning = replace(DEFAULTS, planner="astar-volume", budget_s=planning.budget_s)
         arguments = {"planner": planner, "budget_s": budget_s, "seed": seed}
         planning = replace(planning, **values_given(arguments))
+
         budgets = {}
         for name, most in (exposure or {}).items():
             budgets[name] = finite(f"the budget of exposure to {name}", most)
@@ -77,18 +79,20 @@ class PathSearch:
                 raise InputError(
                     f"the budget of exposure to {name} must be 0 or a positive number, got {most:g}: raise it"
                 )
-        search = cls(
-            planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine, budgets
-        )
-        snap_limit_m(search.snap)
-        if is_for_volumes and search.refine:
+
+        # What does not go together. The calls of `snap_limit_m` and `find_planner` raise InputError themselves.
+        snap_limit_m(snap)
+        if is_for_volumes and refine:
             raise InputError(
                 "refine moves waypoints on one altitude: leave it out of a path that climbs and descends"
             )
-        find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
-        if budgets and (search.refine or search.planner not in (*EXACT_PLANNERS, *VOLUME_PLANNERS)):
+        find_planner(planning.planner, heuristic, is_for_volumes=is_for_volumes)
+        is_on_grid = planning.planner in (*EXACT_PLANNERS, *VOLUME_PLANNERS)
+        if budgets and (refine or not is_on_grid):
             raise InputError(
                 "budgets of exposure are of paths on the grid: leave out refine, and take the planner "
                 f"{' or '.join(EXACT_PLANNERS)}"
             )
-        return search
+        return cls(
+            planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine, budgets
+        )

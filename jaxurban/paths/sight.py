@@ -77,20 +77,39 @@ class Sight:
         sources: str | Path | None,
         resolution_m: float | None,
     ) -> "Sight":
-        """Return the sight of a city, of maps or of their folder, see `jaxurban.sky`."""
+        """Return the sight of a city, of maps or of their folder, see `jaxurban.sky`.
+
+        Args:
+          where: a city, or maps or their folder, whose city is read again from the files of their run.
+          gps: satellites and elevation mask; None for those of the city or of the maps.
+          sources: folder of the files that the run recorded; None to look for them beside the maps.
+          resolution_m: of the maps; None for `RESOLUTION_M` of a city, of a folder its first. Of opened maps it is
+            their own.
+
+        Raises:
+          InputError: a resolution that no maps in the folder have, or files that are gone or were changed.
+        """
         if isinstance(where, City):
             params = MapParams(sections={"gps": gps or where.gps or Gps()})
-            return cls(where, region_of(where, None, resolution_m or RESOLUTION_M), params)
+            region = region_of(where, None, resolution_m or RESOLUTION_M)
+            return cls(where, region, params)
+
+        # The resolution of the maps, of those that their run made.
+        scenario = scenario_of(folder_of(where), sources)
+        resolutions_m = scenario.region.resolution_m
         if isinstance(where, MetricMaps):
             resolution_m = where.grid.resolution_m
-        scenario = scenario_of(folder_of(where), sources)
-        sizes = scenario.region.resolution_m
-        resolution_m = sizes[0] if resolution_m is None else resolution_m
-        if resolution_m not in sizes:
+        if resolution_m is None:
+            resolution_m = resolutions_m[0]
+        if resolution_m not in resolutions_m:
             raise InputError(
-                f"resolution_m must be that of maps in the folder, {listed_m(sizes)}, got {resolution_m:g}"
+                f"resolution_m must be that of maps in the folder, {listed_m(resolutions_m)}, got {resolution_m:g}"
             )
-        region = Grid.from_bounds(scenario.region.bounds, resolution_m, scenario.region.crs, sizes)
+
+        # The city, its region and the parameters of its maps.
+        region = Grid.from_bounds(
+            scenario.region.bounds, resolution_m, scenario.region.crs, resolutions_m
+        )
         heights = replace(scenario.buildings, height_samples=0)
         sections = {"gps": gps or gps_of(scenario)}
         params = replace(scenario.map_params, heights=heights, sections=sections)
@@ -102,12 +121,12 @@ class Sight:
         altitude_m: float,
         reference: tuple[float, float] | None,
     ) -> MapTask:
-        """Return what maps of the city at some times and one altitude are made of.
+        """Return the task of making maps of the city at some times and one altitude, with its skies.
 
         Args:
-          times: UTC; None: those that the satellites' settings name.
-          altitude_m: above the ground.
-          reference: longitude, latitude where look angles are taken; None: as the settings have it.
+          times: UTC, one or more; None for those that the settings of the satellites name.
+          altitude_m: of the maps above the ground.
+          reference: longitude, latitude in degrees where look angles are taken; None for that of the settings.
         """
         gps = replace(self.params.gps, series="epochs", bounds=False)
         if times is not None:
@@ -142,6 +161,7 @@ class Sight:
         Raises:
           InputError: by the map, places beyond its region or at several altitudes; no satellite above the mask.
         """
+        # The skies: those of the map, or those that the middle of the places sees.
         if by == "map" and (np.ptp(altitude_m) > 0 or not self.region.contains_xy(*xy_m).all()):
             raise InputError(
                 "by the map all places must lie in its region and at one altitude_m: take by='outlines'"
@@ -152,22 +172,27 @@ class Sight:
         sky = np.arange(task.num_times) if sky is None else sky
         x_m, y_m, height_m, _ = np.broadcast_arrays(*xy_m, altitude_m, sky)
         num = len(sky)
+
+        # A ray from each place to each satellite in view; an epoch is a place at its time.
         epoch, satellite = np.nonzero(task.sky.is_in_view[sky])
-        at = sky[epoch], satellite
-        azimuth_rad = task.sky.azimuth_rad[at]
-        elevation_rad = task.sky.elevation_rad[at]
+        azimuth_rad = task.sky.azimuth_rad[sky[epoch], satellite]
+        elevation_rad = task.sky.elevation_rad[sky[epoch], satellite]
         rays = Rays(x_m[epoch], y_m[epoch], azimuth_rad, elevation_rad)
         behind = self.hiding.behind(rays, height_m[epoch])
         is_known = behind.pop("is_known").to_numpy()
+
+        # Which of them are seen: ``[N, S]`` of all satellites, and whether each place is outdoors.
         if by == "map":
             track = Track(x_m, y_m, *self.region.cell_of_xy(x_m, y_m), sky, task.sky.times)
             is_seen, is_outdoors = seen_along(task, track, Report())
-            behind = behind.iloc[:, :0]
+            behind = behind.iloc[:, :0]  # no columns, as the map knows no single roof
         else:
             is_seen = np.zeros((num, len(task.sky.names)), bool)
             is_seen[epoch, satellite] = is_known & (behind["margin_m"] > 0)
             is_outdoors = np.ones(num, bool)
             is_outdoors[epoch[behind["roof_distance_m"] == 0]] = False
+
+        # The table of rays. Grid north is turned from true north by the convergence.
         state = np.select([~is_known, is_seen[epoch, satellite]], [UNKNOWN, SEEN], HIDDEN)
         true_rad = azimuth_rad + self.region.convergence_rad(*lonlat)
         rows = {
@@ -178,21 +203,33 @@ class Sight:
             "elevation_deg": np.degrees(elevation_rad),
             "state": state,
         }
+
+        # The table of places.
         quality = quality_along(task, sky, is_seen)
         dops = {NUM_VISIBLE: quality[NUM_VISIBLE].astype(int)}
-        for each in (HIDDEN, UNKNOWN):
-            dops[f"num_{each}"] = np.bincount(epoch[state == each], minlength=num)
+        for name in (HIDDEN, UNKNOWN):
+            dops[f"num_{name}"] = np.bincount(epoch[state == name], minlength=num)
         dops |= {name: quality[name] for name in DOPS}
-        rows_behind = pd.DataFrame(rows).join(behind)
-        return Look(task, sky, epoch, rows_behind, pd.DataFrame(dops), is_outdoors)
+        ray_rows = pd.DataFrame(rows).join(behind)
+        return Look(task, sky, epoch, ray_rows, pd.DataFrame(dops), is_outdoors)
 
 
 def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
-    """Return ``[2, N]`` easting and northing of places in degrees or in metres."""
+    """Return ``[2, N]`` easting and northing of places in degrees or in metres (`XY`).
+
+    Args:
+      name: of the argument that holds the places, for messages.
+      places: ``N`` of them, at least one.
+      grid: in whose CRS the result is.
+
+    Raises:
+      InputError: no place, one that is not two numbers, or one that the CRS has no coordinates for.
+    """
     checked = [one_place(name, place, None) for place in places]
-    values = np.array([place[:2] for place in checked], float).reshape(-1, 2).T
+    coordinates = np.array([place[:2] for place in checked], float).reshape(-1, 2).T
     is_xy = np.array([isinstance(place, XY) for place in checked], bool)
-    xy_m = np.where(is_xy, values, grid.xy_of_lonlat(*np.where(is_xy, 0.0, values)))
+    lonlat = np.where(is_xy, 0.0, coordinates)  # what is in metres already is not converted
+    xy_m = np.where(is_xy, coordinates, grid.xy_of_lonlat(*lonlat))
     if not checked or not np.isfinite(xy_m).all():
         raise InputError(
             f"{name} must be longitude, latitude in degrees in or near the city, got {listed([*map(str, places)])}"
@@ -201,17 +238,28 @@ def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
 
 
 def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caution]:
-    """Return what whoever uses skies must know."""
+    """Return what whoever uses the skies of places must know: guesses, what is unknown, and places without a sky.
+
+    Args:
+      sight: the city that is looked at.
+      look: what the places see.
+      by: ``"outlines"`` or ``"map"``, as the places were looked from.
+      xy_m: ``[2, N]`` of the places, or ``[2, 1]`` of one place at all times.
+    """
     rows = look.rows
     num = len(look.sky)
+
+    # What is guessed: of the city, of its satellites, and heights of the roofs that hide some.
     guesses = {**sight.city.guesses, **look.task.sky.guesses}
     if not sight.city.sources:  # the synthetic city has no real sky
         guesses.pop(NOMINAL_SKY, None)
-    num_guessed = int(rows["roof_is_guessed"].sum()) if "roof_is_guessed" in rows else 0
+    num_guessed = rows["roof_is_guessed"].sum() if "roof_is_guessed" in rows else 0
     if num_guessed:
         guesses[f"heights of the roofs that hide {num_guessed} of {len(rows)} satellites"] = ""
     cautions = caution_of_guesses(guesses)
-    num_unknown = int((rows["state"] == UNKNOWN).sum())
+
+    # Satellites that are unknown.
+    num_unknown = (rows["state"] == UNKNOWN).sum()
     if num_unknown:
         sentence = (
             f"{num_unknown} of {len(rows)} satellites are unknown: their rays leave the known buildings or "
@@ -220,13 +268,15 @@ def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caut
         if by == "map":
             sentence += "; the map counts them as clear where nothing known hides them"
         cautions.append(Caution(f"{sentence}."))
+
+    # Places that are outside, indoors or without a fix.
     is_outside = ~shapely.intersects_xy(sight.city.known_ground, *xy_m)
-    places = {
+    faults = {
         "outside what is known of the city": np.broadcast_to(is_outside, num),
         "in a building, where all that is known is hidden": ~look.is_outdoors,
         "without a position fix": has_no_fix(look.dops[FIX].to_numpy()),
     }
-    for place, is_there in places.items():
-        if is_there.any():
-            cautions.append(Caution(f"{is_there.sum()} of {num} rows are {place}.", "limit"))
+    for fault, has_fault in faults.items():
+        if has_fault.any():
+            cautions.append(Caution(f"{has_fault.sum()} of {num} rows are {fault}.", "limit"))
     return cautions

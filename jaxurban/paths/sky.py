@@ -85,11 +85,12 @@ class SkyAt(FactsRepr):
         is lower. NaN where a ray along the horizon leaves what is known.
         """
         sight = self._sight
-        grid = self._sight.region
+        grid = sight.region
+        # From true north to grid north, from which rays are counted.
         azimuth_rad = np.radians(np.arange(360.0)) - grid.convergence_rad(*self.lonlat)
         lowest_deg = max(sight.params.gps.mask_deg, LOWEST_DEG)
-        xy_m = grid.xy_of_lonlat(*self.lonlat)
-        return sight.hiding.horizon_deg(*xy_m, self.altitude_m, azimuth_rad, lowest_deg)
+        x_m, y_m = grid.xy_of_lonlat(*self.lonlat)
+        return sight.hiding.horizon_deg(x_m, y_m, self.altitude_m, azimuth_rad, lowest_deg)
 
 
 STATES = (SEEN, HIDDEN, UNKNOWN)
@@ -146,14 +147,22 @@ def sky(
 def sky_from(
     sight: Sight, place: Point, altitude_m: float, *, time: Any = None, by: By = "outlines"
 ) -> SkyAt:
-    """Return the sky at a place of a city that is read already; arguments as for `sky`."""
+    """Return the sky at a place of a city that is read already.
+
+    Args:
+      sight: the city, and how maps of it are made.
+      place, altitude_m, time, by: as for `sky`, with its errors.
+    """
     positive("altitude_m", altitude_m)
     xy_m = xy_of("place", [place], sight.region)
-    look = sight.look(by, xy_m, altitude_m, None if time is None else as_tuple(time))
-    lon, lat = sight.region.lonlat_of_xy(*xy_m[:, 0].tolist())
-    times = np.array(look.task.sky.times)
-    look.rows.insert(0, "time", times[look.epoch])
-    look.dops.insert(0, "time", times)
+    times = None if time is None else as_tuple(time)
+    look = sight.look(by, xy_m, altitude_m, times)
     cautions = cautions_of(sight, look, by, xy_m)
+
+    # The tables of the look, which nobody else holds, get the times of their rows.
+    utc = np.array(look.task.sky.times)
+    look.rows.insert(0, "time", utc[look.epoch])
+    look.dops.insert(0, "time", utc)
+    lon, lat = sight.region.lonlat_of_xy(*xy_m[:, 0].tolist())
     credit = sight.city.attribution
     return SkyAt((lon, lat), altitude_m, by, look.rows, look.dops, cautions, credit, sight)

@@ -92,20 +92,26 @@ def sky_along(
       (73, ['time', 'lon', 'lat', 'altitude_m'])
     """
     sight = Sight.of(where, gps, sources, resolution_m)
+
+    # Places, heights and times, each as many as were given.
     if isinstance(places, PlannedPath):
-        altitude_m = places.z_m.tolist() if altitude_m is None else altitude_m
+        if altitude_m is None:
+            altitude_m = places.z_m.tolist()
         places = [XY(*xy_m) for xy_m in places.xy_m.tolist()]
     if altitude_m is None:
         raise InputError("altitude_m is missing: give metres above the ground")
     x_m, y_m = xy_of("places", places, sight.region)
     z_m = np.array([positive("altitude_m", value) for value in as_tuple(altitude_m)])
-    first = sight.task(None, float(z_m.min()), None).sky.times[0] if times is None else times
-    utc = pd.to_datetime([parse_time(time) for time in as_tuple(first)]).round("s")
+    if times is None:
+        times = sight.task(None, float(z_m.min()), None).sky.times[0]
+    utc = pd.to_datetime([parse_time(time) for time in as_tuple(times)]).round("s")
     if len({1, len(x_m), len(z_m)}) > 2 or len({1, len(x_m), len(utc)}) > 2:
         raise InputError(
             f"altitude_m and times must be one for all {len(x_m)} places or one for each, got {len(z_m)} and {len(utc)}"
         )
     x_m, y_m, z_m = np.broadcast_arrays(x_m, y_m, z_m)
+
+    # A route that is flown at a speed has a place a second instead.
     if speed_m_s is not None:
         positive("speed_m_s", speed_m_s)
         if len(utc) > 1:
@@ -114,18 +120,27 @@ def sky_along(
             )
         x_m, y_m, z_m, elapsed_s = _flown(np.stack([x_m, y_m, z_m]), speed_m_s)
         utc = (utc[0] + pd.to_timedelta(elapsed_s, "s")).round("s")
-    names = np.broadcast_to(utc.strftime("%Y-%m-%dT%H:%M:%SZ"), len(x_m))
-    different, sky = np.unique(names, return_inverse=True)
+
+    # What the places see, each under the sky of its time.
+    time_of_place = np.broadcast_to(utc.strftime("%Y-%m-%dT%H:%M:%SZ"), len(x_m))
+    sky_times, sky = np.unique(time_of_place, return_inverse=True)
     xy_m = np.stack([x_m, y_m])
-    look = sight.look(by, xy_m, z_m, different.tolist(), sky)
+    look = sight.look(by, xy_m, z_m, sky_times.tolist(), sky)
     lon, lat = sight.region.lonlat_of_xy(x_m, y_m)
-    table = pd.DataFrame({"time": names, "lon": lon, "lat": lat, "altitude_m": z_m})
+    table = pd.DataFrame({"time": time_of_place, "lon": lon, "lat": lat, "altitude_m": z_m})
     table = table.join(look.dops).assign(has_fix=~has_no_fix(look.dops[FIX].to_numpy()))
     return SkyAlong(table, by, cautions_of(sight, look, by, xy_m), sight.city.attribution)
 
 
 def _flown(corners_m: np.ndarray, speed_m_s: float) -> np.ndarray:
-    """Return ``[4, N]`` x, y, z at each second of a route through corners ``[3, K]`` and at its end, and the time."""
-    at_s = along_of(corners_m.T) / speed_m_s
-    elapsed_s = np.append(np.arange(0.0, at_s[-1]), at_s[-1])
-    return np.stack([*(np.interp(elapsed_s, at_s, values) for values in corners_m), elapsed_s])
+    """Return ``[4, N]`` x, y, z in metres and the time in seconds at each second of a flight, and at its end.
+
+    Args:
+      corners_m: ``[3, K]`` x, y, z of the corners, between which the flight is straight.
+      speed_m_s: of the flight.
+    """
+    corner_s = along_of(corners_m.T) / speed_m_s
+    end_s = corner_s[-1]
+    elapsed_s = np.append(np.arange(0.0, end_s), end_s)
+    xyz_m = [np.interp(elapsed_s, corner_s, values_m) for values_m in corners_m]
+    return np.stack([*xyz_m, elapsed_s])

@@ -37,23 +37,30 @@ class XY(NamedTuple):
 
 
 def one_place(name: str, lonlat: Point | XY | None, xy_m: Point | None) -> Point | XY:
-    """Return a place that is given in degrees or in metres (`XY` always is).
+    """Return a place that a user gives in one of two ways, as floats: an `XY` in metres, or a tuple in degrees.
+
+    Args:
+      name: of the place, such as ``"start"``, for messages.
+      lonlat: longitude, latitude in degrees, or an `XY`; between levels also an altitude, which may be None.
+      xy_m: easting, northing in metres, and between levels an altitude.
 
     Raises:
-      InputError: it is given in neither, or in both, or is not two numbers, and maybe an altitude.
+      InputError: both are None, neither is, or the one that is given is not two numbers, and maybe an altitude.
     """
-    if (lonlat is None) == (xy_m is None):
+    if (lonlat is None) == (xy_m is None):  # neither is given, or both
         fault = "is missing" if xy_m is None else "must be given in one way, not both"
         raise InputError(f"{name} {fault}: give it as longitude, latitude or as {name}_xy_m")
+
     place: Any = lonlat if xy_m is None else xy_m
-    is_xy = xy_m is not None or isinstance(lonlat, XY)
+    is_in_metres = xy_m is not None or isinstance(lonlat, XY)
     try:
-        numbers: Any = [None if value is None else float(value) for value in place]
-    except (TypeError, ValueError):
-        numbers = []
-    if len(numbers) not in (2, 3) or None in numbers[:2]:
-        raise InputError(f"{name} must be {IN_METRES if is_xy else IN_DEGREES}, got {place!r}")
-    return XY(*numbers) if is_xy else tuple(numbers)
+        values: Any = [None if value is None else float(value) for value in place]
+    except (TypeError, ValueError):  # no numbers; what follows refuses an empty list
+        values = []
+    if len(values) not in (2, 3) or None in values[:2]:
+        expected = IN_METRES if is_in_metres else IN_DEGREES
+        raise InputError(f"{name} must be {expected}, got {place!r}")
+    return XY(*values) if is_in_metres else tuple(values)
 
 
 @dataclass(frozen=True)
@@ -79,28 +86,31 @@ def places_near(
     cell: Cell,
     snap: bool | float,
 ) -> list[End]:
-    """Return the cell of a place; if it is closed and ``snap`` allows it, of each island the nearest free cell.
+    """Return the possible ends of a query at a place: its own cell, or free cells near to it.
 
-    The nearest one of all comes first.
+    A free cell is the only end. For a closed one, if ``snap`` allows it, there is an end on each island of joined free
+    cells within reach, in the island's cell nearest to the place; the nearest of all comes first.
 
     Args:
-      cost_map: whose cells.
+      cost_map: whose cells they are.
       name: ``"start"`` or ``"goal"``, for messages.
       xy_m: easting, northing of the place.
-      level: its number; 0 on one altitude.
-      cell: row and column of the cell that it lies in.
-      snap: False never moves it, True by at most `MAX_SNAP_M`, a number by at most so many metres, from the place
-        to the centre of the free cell of its level.
+      level: number of the level of the place; 0 on one altitude.
+      cell: row and column of the cell that the place lies in.
+      snap: False never moves it, True by at most `MAX_SNAP_M`, a number by at most that many metres, from the place
+        to the centre of a free cell of its level.
 
     Raises:
       InputError: the cell is closed, and ``snap`` is off or the nearest free cell farther away than it allows.
     """
-    cap_m = snap_limit_m(snap)
+    limit_m = snap_limit_m(snap)
     is_free = cost_map.levels_free[level]
-    of_level = () if cost_map.levels is None else (level,)
+    level_index = () if cost_map.levels is None else (level,)  # before row and column
     if is_free[cell]:
         offset_m = np.subtract(cost_map.grid.xy_of_cell(*cell), xy_m)
-        return [End((*of_level, *cell), float(np.hypot(*offset_m)))]
+        return [End((*level_index, *cell), float(np.hypot(*offset_m)))]
+
+    # The free cells of the level, and those within reach, the nearest first.
     rows, cols = np.nonzero(is_free)
     if rows.size == 0:
         raise InputError(
@@ -108,13 +118,14 @@ def places_near(
         )
     x_m, y_m = cost_map.grid.xy_of_cell(rows, cols)
     away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
-    near = np.flatnonzero(away_m <= (-1.0 if cap_m is None else cap_m))
+    reach_m = -1.0 if limit_m is None else limit_m  # of nothing at all where it may not move
+    near = np.flatnonzero(away_m <= reach_m)
     near = near[np.argsort(away_m[near], kind="stable")]
     if near.size == 0:
         nearest = int(np.argmin(away_m))
         lon, lat = cost_map.grid.lonlat_of_cell(rows[nearest], cols[nearest])
         needed_m = math.ceil(away_m[nearest])
-        too_far = "" if cap_m is None else f", farther than it may be moved ({cap_m:g} m)"
+        too_far = "" if limit_m is None else f", farther than it may be moved ({limit_m:g} m)"
         option = f"--snap {needed_m} (snap={needed_m})"
         if needed_m <= MAX_SNAP_M:
             option = "--snap (snap=True)"
@@ -122,26 +133,35 @@ def places_near(
             f"{name} is {cost_map.why_closed(cell, level)}; the nearest free cell is at {lon:.6f},{lat:.6f}, "
             f"{away_m[nearest]:.0f} m away{too_far}: take that place, fly higher, or pass {option} to move there"
         )
-    _, first = np.unique(cost_map.islands[of_level][rows[near], cols[near]], return_index=True)
-    nearest_of = near[np.sort(first)]
-    return [
-        End((*of_level, int(rows[k]), int(cols[k])), float(away_m[k]), True) for k in nearest_of
-    ]
+
+    # The first cell of each island.
+    islands = cost_map.islands[level_index]
+    _, first = np.unique(islands[rows[near], cols[near]], return_index=True)
+    ends = []
+    for index in near[np.sort(first)]:
+        free_cell = *level_index, int(rows[index]), int(cols[index])
+        ends.append(End(free_cell, float(away_m[index]), is_snapped=True))
+    return ends
 
 
 def joined_ends(cost_map: "CostMap", starts: list[End], goals: list[End]) -> tuple[End, End]:
-    """Return the start and the goal, of those that `places_near` gives, that free cells join and that move the least.
+    """Return the start and the goal that free cells join and that are together moved the least.
 
-    Where no two are joined, the nearest ones.
+    Where no start is joined with any goal, it is those that are moved the least.
+
+    Args:
+      cost_map: whose cells they are.
+      starts, goals: the possible ends, as `places_near` returns them.
     """
     islands = cost_map.islands
 
-    def apart_then_moved_m(ends: tuple[End, End]) -> tuple[bool, float]:
+    def rank(ends: tuple[End, End]) -> tuple[bool, float]:
+        """Return what makes a pair worse: first that nothing joins it, then how far it is moved."""
         start, goal = ends
-        are_apart = bool(islands[start.cell] != islands[goal.cell])
-        return are_apart, start.snap_distance_m + goal.snap_distance_m
+        is_apart = islands[start.cell] != islands[goal.cell]
+        return is_apart, start.snap_distance_m + goal.snap_distance_m
 
-    return min(product(starts, goals), key=apart_then_moved_m)
+    return min(product(starts, goals), key=rank)
 
 
 def snap_note(start: End, goal: End) -> str:
@@ -154,15 +174,18 @@ def snap_note(start: End, goal: End) -> str:
 
 
 def pocket_note(cost_map: "CostMap", start: End, goal: End) -> str:
-    """Return a sentence on which of two ends that nothing joins is closed in, empty where they are joined."""
+    """Return a sentence on which of two ends lies in the smaller island of free cells; ``""`` where they are joined."""
     islands = cost_map.islands
     if islands[start.cell] == islands[goal.cell]:
         return ""
-    ends = {"start": start.cell, "goal": goal.cell}
-    sizes = {name: int(np.sum(islands == islands[cell])) for name, cell in ends.items()}
-    inner, outer = sorted(ends, key=lambda name: sizes[name])
-    cells = np.argwhere(islands == islands[ends[outer]])[:, -2:]
-    away_m = float(np.hypot(*(cells - ends[inner][-2:]).T).min()) * cost_map.grid.resolution_m
+    cells = {"start": start.cell, "goal": goal.cell}
+    sizes = {name: np.sum(islands == islands[cell]) for name, cell in cells.items()}
+    inner, outer = sorted(cells, key=lambda name: sizes[name])
+
+    # From the inner end to the nearest cell of the outer island, in plan: rows and columns come last.
+    outer_cells = np.argwhere(islands == islands[cells[outer]])[:, -2:]
+    offsets = outer_cells - cells[inner][-2:]
+    away_m = np.hypot(*offsets.T).min() * cost_map.grid.resolution_m
     return (
         f"The {inner} lies in a pocket of {sizes[inner]:,} free cells, and the nearest cell that is joined to the "
         f"{outer} is {away_m:.0f} m from it."
@@ -170,7 +193,10 @@ def pocket_note(cost_map: "CostMap", start: End, goal: End) -> str:
 
 
 def snap_limit_m(snap: Any) -> float | None:
-    """Return how far a place may be moved; None where it may not.
+    """Return how many metres a place may be moved, None where it may not be moved at all.
+
+    Args:
+      snap: True for `MAX_SNAP_M`, False for None, or a number of metres.
 
     Raises:
       InputError: neither a bool nor metres above 0.
@@ -185,55 +211,83 @@ def snap_limit_m(snap: Any) -> float | None:
 
 
 def islands_of(is_free: np.ndarray, cuts_corners: bool) -> np.ndarray:
-    """Return the number of the island of each free cell, ``[Y, X]`` or ``[K, Y, X]``, 0 where it is closed.
+    """Return the number of the island of each free cell, from 1 up, and 0 where a cell is closed.
 
-    On one level cells join as on one altitude; from level to level straight up and down, which all climbs come to.
+    An island is a set of free cells that are joined. Cells of one level join if they touch with a side, or also with a
+    corner; cells of two levels only straight up and down, as every way that climbs also leads through such steps.
+
+    Args:
+      is_free: ``[Y, X]`` or ``[K, Y, X]`` bool; the result has the same shape.
+      cuts_corners: whether cells that touch with a corner are joined.
     """
-    touching = flat = generate_binary_structure(2, 2 if cuts_corners else 1)
+    joins = joins_on_level = generate_binary_structure(2, 2 if cuts_corners else 1)
     if is_free.ndim == 3:
-        touching = generate_binary_structure(3, 1)
-        touching[1] = flat
-    islands, _ = label(is_free, touching)
+        joins = generate_binary_structure(3, 1)  # the six cells that share a side
+        joins[1] = joins_on_level
+    islands, _ = label(is_free, joins)
     return islands
 
 
 def islands_at(cost_map: "CostMap", levels_m: tuple[float, ...]) -> np.ndarray:
-    """Return `islands_of` the free cells of other levels under a cost map's constraints."""
-    levels = levels_m[0] if cost_map.levels is None else levels_m
+    """Return `islands_of` the cells that are free at other altitudes, under a cost map's constraints.
+
+    Args:
+      cost_map: the map.
+      levels_m: the ascending levels of a volume, or one altitude.
+    """
+    altitudes_m = levels_m[0] if cost_map.levels is None else levels_m
     is_free = cost_map.constraints.is_free(
-        cost_map.maps, levels, time=cost_map.time, time_of_day=cost_map.time_of_day
+        cost_map.maps, altitudes_m, time=cost_map.time, time_of_day=cost_map.time_of_day
     )
     return islands_of(is_free, cost_map.cuts_corners)
 
 
 def what_would_join(cost_map: "CostMap", start: Cell, goal: Cell) -> str:
-    """Return sentences on what would join two nodes that nothing joins: a greater altitude, or what may."""
+    """Return sentences on what would join a start and a goal that nothing joins: a greater altitude, or finer maps.
+
+    Args:
+      cost_map: on which they are not joined.
+      start, goal: row and column; in a volume level, row and column.
+    """
+    # The lowest altitude of the maps, above those of the cost map, at which free cells join them.
     levels_m = cost_map.altitudes_m.tolist()
     is_plane = cost_map.levels is None
     higher_m = [z_m for z_m in sorted(cost_map.maps.altitudes_m) if z_m > levels_m[-1]]
-    joined = (
-        "Start and goal are not joined at a greater altitude of these maps. " if higher_m else ""
-    )
+    answer = ""
+    if higher_m:
+        answer = "Start and goal are not joined at a greater altitude of these maps. "
     for z_m in higher_m:
         levels_m = [z_m] if is_plane else [*levels_m, z_m]
         islands = cost_map.islands_at(tuple(levels_m))
-        if islands[start] == islands[goal] != 0:
+        if islands[start] != 0 and islands[start] == islands[goal]:
             bound = "at" if is_plane else "with max_altitude_m"
-            joined = f"Start and goal are joined {bound} {z_m:g} m. "
+            answer = f"Start and goal are joined {bound} {z_m:g} m. "
             break
-    finer = "Finer maps"
+
+    others = "Finer maps"
     if cost_map.constraints.keeps_clear:
-        finer = "A smaller clearance or finer maps"
-    return f"{joined}{finer} may join them too."
+        others = "A smaller clearance or finer maps"
+    return f"{answer}{others} may join them too."
 
 
 def why_closed(cost_map: "CostMap", cell: Cell, level: int = 0) -> str:
-    """Return what closes a cell, an obstacle or each constraint by name, and which level over it is free."""
+    """Return what closes a cell, an obstacle or each constraint by name, and which level over it is free.
+
+    The phrase goes after "it is".
+
+    Args:
+      cost_map: on which the cell is closed.
+      cell: row and column.
+      level: number of its level; 0 on one altitude.
+    """
+    # What closes it: constraints where the maps have no obstacle, else an obstacle in its middle or beside that.
     maps, constraints = cost_map.maps, cost_map.constraints
     levels_m = cost_map.altitudes_m.tolist()
     z_m = levels_m[level]
     when = {"time": cost_map.time, "time_of_day": cost_map.time_of_day}
-    reasons = constraints.reasons(maps, z_m, cell, **when) if maps.is_free(z_m)[cell] else []
+    reasons = []
+    if maps.is_free(z_m)[cell]:
+        reasons = constraints.reasons(maps, z_m, cell, **when)
     if reasons:
         where = f"closed by {' and '.join(reasons)}"
     elif maps.is_free(z_m, "centre")[cell]:
@@ -242,11 +296,17 @@ def why_closed(cost_map: "CostMap", cell: Cell, level: int = 0) -> str:
         where = "inside an obstacle (or where there are no data)"
     if cost_map.levels is None:
         return f"{where} at {z_m:g} m"
-    free = np.flatnonzero(cost_map.levels_free[:, cell[0], cell[1]])
-    if free.size:
-        return f"{where} at {z_m:g} m; the lowest free level there is {levels_m[free[0]]:g} m"
-    sentence = f"{where} at every level from {levels_m[0]:g} to {levels_m[-1]:g} m"
+
+    # Where it is free: at another level, or above all levels of the volume.
+    row, col = cell
+    free_levels = np.flatnonzero(cost_map.levels_free[:, row, col])
+    if free_levels.size:
+        lowest_m = levels_m[free_levels[0]]
+        return f"{where} at {z_m:g} m; the lowest free level there is {lowest_m:g} m"
+    phrase = f"{where} at every level from {levels_m[0]:g} to {levels_m[-1]:g} m"
     for higher_m in sorted(maps.altitudes_m):
         if higher_m > levels_m[-1] and constraints.is_free(maps, higher_m, **when)[cell]:
-            return f"{sentence}; the lowest free altitude there is {higher_m:g} m (raise max_altitude_m)"
-    return sentence
+            return (
+                f"{phrase}; the lowest free altitude there is {higher_m:g} m (raise max_altitude_m)"
+            )
+    return phrase

@@ -60,7 +60,10 @@ class Departures(FactsRepr):
 
     @property
     def best(self) -> int | None:
-        """The first row of ``table`` with the least cost; None where at no time all routes have a path."""
+        """The number of the first row of ``table`` with the least cost.
+
+        None where at no time all routes have a path.
+        """
         is_best = self.table["above_best"] == 0
         return int(is_best.to_numpy().argmax()) if is_best.any() else None
 
@@ -68,42 +71,47 @@ class Departures(FactsRepr):
     def cautions(self) -> list[Caution]:
         """What a pilot should know of the routes at the best time (`jaxurban.cautions`).
 
-        Of several routes what the maps guess, and what of each is beyond limits.
+        Of several routes, what the maps guess, and what of each route is beyond limits. Without a best time, what the
+        maps guess.
         """
-        guesses = guess_cautions(next(filter(None, self.paths)).maps)
+        first_path = next(filter(None, self.paths))  # all are planned on the same maps
+        cautions = guess_cautions(first_path.maps)
         if self.best is None:
-            return guesses
+            return cautions
         rows = self.routes.index[self.routes["departure"] == self.best]
-        if len(rows) == 1:
-            return self.paths[rows[0]].cautions
-        beyond = []
-        for number, row in enumerate(rows):
-            path = self.paths[row]
-            cautions = [] if path is None else path.cautions
-            limits = [each for each in cautions if each.level == "limit"]
-            beyond += [Caution(f"Route {number}: {each}", "limit") for each in limits]
-        return guesses + beyond
+        best_paths = [self.paths[row] for row in rows]
+        if len(best_paths) == 1:
+            return best_paths[0].cautions
+        for number, path in enumerate(best_paths):
+            path_cautions = [] if path is None else path.cautions
+            limits = [caution for caution in path_cautions if caution.level == "limit"]
+            cautions += [Caution(f"Route {number}: {limit}", "limit") for limit in limits]
+        return cautions
 
     @property
     def facts(self) -> dict[str, str]:
         """The best and the worst time, how small the effect is, and which routes have no path at some time."""
         table = self.table
         facts = {"times": f"{len(table)}"}
+
+        # The effect, where at some time all routes have a path.
         if self.best is not None:
             best = table.iloc[self.best]
-            worst = table.iloc[int(table["cost"].argmax())]
+            worst = table.iloc[table["cost"].argmax()]
             has_changed = self.routes.groupby("query")["num_changed"].any()
             most_kept = table["kept_above"].max()
             facts["best"] = f"{_time_of(best)}, cost {best['cost']:,.2f}"
             facts["worst"] = f"{_time_of(worst)}, {worst['above_best']:.2%} above the best"
             facts["routes that change"] = f"{has_changed.sum()} of {len(has_changed)}"
             facts["keeping those of the best"] = f"up to {most_kept:.2%} more at another time"
+
+        # Routes without a path at some of the times, with the message of the first.
         missing = self.routes[self.routes["cost"].isna()]
-        num_missing = missing.groupby("query").size()
-        without = listed([f"route {query} at {number}" for query, number in num_missing.items()])
-        if without:
-            without += f" ({missing['message'].iloc[0]})"
-        return facts | {"times without a path": without}
+        num_times = missing.groupby("query").size()
+        without_path = listed([f"route {query} at {num}" for query, num in num_times.items()])
+        if without_path:
+            without_path += f" ({missing['message'].iloc[0]})"
+        return facts | {"times without a path": without_path}
 
 
 def _time_of(row: pd.Series) -> str:
@@ -160,20 +168,26 @@ def when(
       >>> [round(share, 3) for share in departures.table["above_best"].tolist()]
       [0.0, 0.057]
     """
+    # The times: None for maps that hold none of a kind.
     maps = as_maps(maps)
     times = maps.times if maps.default_time and time is None else (time,)
-    days = (maps.times_of_day or (None,)) if time_of_day is None else (time_of_day,)
-    table = pd.DataFrame(product(times, days), columns=TIMES)
+    times_of_day: Sequence[str | None] = (time_of_day,)
+    if time_of_day is None and maps.times_of_day:
+        times_of_day = maps.times_of_day
+    table = pd.DataFrame(product(times, times_of_day), columns=TIMES)
     if len(table) == 1:
         raise InputError(
             "there is one time alone to fly at: make maps of several, as with gps=Gps(start=..., stop=..., "
             'step_s=3600, series="epochs"), and leave time or time_of_day out'
         )
-    wanted = queries if isinstance(queries, pd.DataFrame) else table_of(queries)
-    if not len(wanted) or {*TIMES} & {*wanted}:
+    query_table = queries if isinstance(queries, pd.DataFrame) else table_of(queries)
+    num_queries = len(query_table)
+    if not num_queries or {*TIMES} & {*query_table}:
         raise InputError(
             "queries must be one or more and have no times of their own: drop time and time_of_day"
         )
+
+    # Every query at every time.
     rules: dict[str, Any] = {
         "objective": objective,
         "cost_model": cost_model,
@@ -182,7 +196,7 @@ def when(
     }
     paths = plan_many(
         maps,
-        table.merge(wanted, how="cross"),
+        table.merge(query_table, how="cross"),
         altitude_m=altitude_m,
         progress=progress,
         weights=weights,
@@ -202,58 +216,69 @@ def when(
     if all(path is None for path in paths):
         raise InputError(paths.rows[0]["message"])
     routes = paths.to_dataframe().astype({"cost": float, "length_m": float})
-    routes["departure"], routes["query"] = np.divmod(routes["query"], len(wanted))
+    routes["departure"], routes["query"] = np.divmod(routes["query"], num_queries)
     routes = routes.join(pd.DataFrame(list(map(_along, paths))))
     table = _with_sums(table, routes)
+
+    # What the routes of the best time (the first one, if at no time all have a path) cost at each other time.
     best = Departures(table, routes, paths).best or 0
-    kept = [paths[best * len(wanted) + query] for query in routes["query"]]
+    kept_paths = [paths[best * num_queries + query] for query in routes["query"]]
 
     @lru_cache(maxsize=1)
     def map_at(altitude_m: float, weights: tuple, departure: int) -> CostMap:
-        at = dict(zip(TIMES, table.loc[departure, TIMES], strict=True))
-        return cost_map(maps, altitude_m, weights=dict(weights), **at, **rules)
+        """Return the cost map of an altitude, of weights (pairs of name and value) and of a row of the table."""
+        time_arguments = dict(zip(TIMES, table.loc[departure, TIMES], strict=True))
+        return cost_map(maps, altitude_m, weights=dict(weights), **time_arguments, **rules)
 
     def cost_at(path: PlannedPath | None, departure: int) -> float:
+        """Return what a path costs at the time of a row of the table: inf where it is closed, NaN without a path."""
         if path is None or not path.status.has_path:
             return np.nan
         cost_map = map_at(path.altitude_m, tuple(path.settings["weights"].items()), departure)
         return cost_map.problem.features(path.search.points_m).cost(cost_map.weight_vector)
 
-    kept_costs = np.array(list(map(cost_at, kept, routes["departure"])))
+    kept_costs = np.array(list(map(cost_at, kept_paths, routes["departure"])))
     kept_above = kept_costs / routes["cost"] - 1
     routes["kept_above"] = kept_above.mask(kept_costs <= routes["cost"], 0.0)
     routes["num_changed"] = routes["kept_above"] > SAME_ROUTE_COST
-    of_time = routes.groupby("departure")
-    table = table.join(of_time[[*routes.filter(like="longest_"), "kept_above"]].max())
-    return Departures(table.join(of_time["num_changed"].sum()), routes, paths)
+
+    by_time = routes.groupby("departure")
+    table = table.join(by_time[[*routes.filter(like="longest_"), "kept_above"]].max())
+    return Departures(table.join(by_time["num_changed"].sum()), routes, paths)
 
 
 def _with_sums(table: pd.DataFrame, routes: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of times with what routes cost and measure then together, and the share above the least cost.
+    """Return a table of times with the sums over all routes at each time, and the share above the least cost.
 
-    A sum is NaN where one route has no path, but routes that have one at no time are in none.
+    A sum is NaN at a time at which one of the routes has no path. Routes that have a path at no time are in no sum.
 
     Args:
       table: a row per time.
-      routes: a row per time, whose row is ``departure``, and route, whose number is ``query``.
+      routes: a row per time and route: ``departure`` is the number of the time's row, ``query`` that of the route.
     """
-    sums = list(routes.filter(regex="^(cost|length_m|no_fix_m|exposure_.+)$"))
-    flown = routes[routes.groupby("query")["cost"].transform("count") > 0]
+    summed = list(routes.filter(regex="^(cost|length_m|no_fix_m|exposure_.+)$"))
+    has_path_at_times = routes.groupby("query")["cost"].transform("count") > 0
+    flown = routes[has_path_at_times]
     num_flown = flown["query"].nunique()
-    table = table.join(flown.groupby("departure")[sums].sum(min_count=num_flown))
-    least = table["cost"].min()
-    above = table["cost"] / least - 1
-    table.insert(3, "above_best", above.mask(table["cost"] <= least * (1 + SAME_ROUTE_COST), 0.0))
+    table = table.join(flown.groupby("departure")[summed].sum(min_count=num_flown))
+    cost = table["cost"]
+    least = cost.min()
+    above_best = (cost / least - 1).mask(cost <= least * (1 + SAME_ROUTE_COST), 0.0)
+    table.insert(3, "above_best", above_best)  # behind time, time_of_day and cost
     return table
 
 
 def _along(path: PlannedPath | None) -> dict[str, float]:
-    """Return exposure by layer along a route, and metres without a fix; nothing without a path."""
+    """Return measures of a route by column: exposure by layer, all metres without a fix, and its longest stretch.
+
+    Empty without a path; the metres are left out where the maps hold no HDOP.
+    """
     if path is None or path.maps is None or not path.status.has_path:
         return {}
     measures = {f"exposure_{name}": value for name, value in path.exposure_by_layer.items()}
     profile = cautious_profile(path, path.maps)
     if FIX in profile:
-        stretches_m = [0.0, *(to_m - from_m for from_m, to_m in without_fix(profile))]
-        measures |= {"no_fix_m": sum(stretches_m), "longest_no_fix_m": max(stretches_m)}
+        lengths_m = [to_m - from_m for from_m, to_m in without_fix(profile)]
+        measures["no_fix_m"] = sum(lengths_m, 0.0)
+        measures["longest_no_fix_m"] = max(lengths_m, default=0.0)
     return measures

@@ -13,7 +13,6 @@ from typing import Any
 
 import geopandas as gpd
 import numpy as np
-import pandas as pd
 import shapely
 from sgp4.exporter import export_tle
 from skyfield.api import load
@@ -52,7 +51,13 @@ TAG_OF = {  # of the names of `Outlines` that differ from OpenStreetMap's
 
 
 def make_lower_manhattan(data: Path, home: Path) -> None:
-    """Write the files of Lower Manhattan."""
+    """Write the files of Lower Manhattan: outlines, base map, census blocks, districts and satellites.
+
+    Args:
+      data: folder of the sources.
+      home: folder to write to.
+    """
+    # Outlines and their tags.
     osm = data / "osm/lower-manhattan.osm.pbf"
     outlines = read_osm(osm, has_decks=True)
     columns = {TAG_OF.get(name, name): values for name, values in outlines.tags.items()}
@@ -63,6 +68,7 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     # Not rounded: its maps are those of the extract itself.
     write_geoparquet(home / BUILDINGS_FILE, frame, facts)
 
+    # Base map and census blocks in the extract's box.
     box = header_box(osm)
     assert box is not None
     census = Population(
@@ -75,22 +81,27 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     blocks, _ = read_blocks(census, crs, box_m)
     counts = {"GEOID10": blocks.block_id, "POP10": blocks.night_count.astype(np.int64)}
     frame = gpd.GeoDataFrame(counts, geometry=blocks.polygons, crs=crs).to_crs(WGS84)
-    write_geoparquet(
-        home / "blocks.parquet", rounded(frame), {"credit": CENSUS_CREDIT, "licence": PUBLIC_DOMAIN}
-    )
+    facts = {"credit": CENSUS_CREDIT, "licence": PUBLIC_DOMAIN}
+    write_geoparquet(home / "blocks.parquet", rounded(frame), facts)
 
+    # Districts, cut 10 m beyond the blocks.
     areas, labels, _ = read_districts(data / "districts/nyc_community_districts.geojson", crs)
     around = shapely.box(*shapely.total_bounds(blocks.polygons)).buffer(10.0, join_style="mitre")
-    frame = gpd.GeoDataFrame(
-        {"BoroCD": labels}, geometry=shapely.intersection(areas, around), crs=crs
-    ).to_crs(WGS84)
+    areas = shapely.intersection(areas, around)
+    frame = gpd.GeoDataFrame({"BoroCD": labels}, geometry=areas, crs=crs).to_crs(WGS84)
     facts = {"credit": DISTRICTS_CREDIT, "licence": "NYC Open Data terms of use"}
     write_geoparquet(home / "districts.parquet", rounded(frame[~frame.is_empty]), facts)
     write_nominal(home / "gps.tle", date(2020, 4, 27), GPS)
 
 
 def make_shinjuku(data: Path, home: Path) -> None:
-    """Write the files of Shinjuku: roof planes with their heights to 0.1 m."""
+    """Write the files of Shinjuku: roof planes with their heights to 0.1 m, and satellites.
+
+    Args:
+      data: folder of the sources.
+      home: folder to write to.
+    """
+    # Roofs near the region, and those farther away that can hide a satellite above the mask from its border.
     frame = gpd.read_parquet(data / "tokyo/tokyo-central-lod2.parquet")
     bounds: Bounds = tuple(SAMPLES["shinjuku"]["region"]["bounds"])
     crs = utm_of(bounds)
@@ -98,12 +109,14 @@ def make_shinjuku(data: Path, home: Path) -> None:
     polygons = projected(frame.geometry.to_numpy(), crs)
     away_m = shapely.distance(polygons, shapely.box(*region_m))
     is_kept = (away_m <= MARGIN_M) | (frame["height"] >= away_m * math.tan(math.radians(MASK_DEG)))
+
+    # The box in which all roofs are kept. A box in degrees lies slightly askew in metres: of the four corners' sorted
+    # degrees the middle two of each axis bound one that is inside.
     x_min, y_min, x_max, y_max = region_m
-    wide_m = (x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M)
-    # A box in degrees lies slightly askew in metres: this one is inside.
-    corners = np.array(shapely.box(*wide_m).exterior.coords)[:4]
+    kept_box = shapely.box(x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M)
+    corners = np.array(kept_box.exterior.coords)[:4]
     lon, lat = np.sort(np.array(transformer(crs, WGS84).transform(*corners.T)), axis=1)
-    box = [round(float(value), 6) for value in (lon[1], lat[1], lon[2], lat[2])]
+    box = [round(float(degrees), 6) for degrees in (lon[1], lat[1], lon[2], lat[2])]
     frame = frame[is_kept].assign(height=frame["height"].round(1))
     facts = {"credit": PLATEAU_CREDIT, "licence": CC_BY, "boxes": [box]}
     write_geoparquet(home / BUILDINGS_FILE, rounded(frame), facts)
@@ -112,7 +125,15 @@ def make_shinjuku(data: Path, home: Path) -> None:
 
 
 def make_nihonbashi(data: Path, home: Path) -> None:
-    """Write the files of Nihonbashi: a drive's log, and the roofs around it, cut at the boxes that are known whole."""
+    """Write the files of Nihonbashi: a drive's log, the roofs around it, and satellites.
+
+    The roofs are cut at the boxes that the file covers, so that all of a box is known.
+
+    Args:
+      data: folder of the sources.
+      home: folder to write to.
+    """
+    # The log, and the boxes around the drive.
     shutil.copyfile(data / NIHONBASHI_LOG, home / LOG_FILE)
     track = read_receiver_log(data / NIHONBASHI_LOG).epochs
     bounds: Bounds = tuple(SAMPLES["nihonbashi"]["region"]["bounds"])
@@ -121,48 +142,62 @@ def make_nihonbashi(data: Path, home: Path) -> None:
     boxes = boxes_inside(shapely.LineString(drive).buffer(KNOWN_M), crs)
     known = shapely.union_all([shapely.box(*box_of(box, crs)) for box in boxes])
     known = known.buffer(-EDGE_M, join_style="mitre")
+
+    # The roofs in them, with their heights to 0.1 m.
     frame = gpd.read_parquet(data / "tokyo/tokyo-east-lod2.parquet")
     frame = frame.set_geometry(shapely.make_valid(frame.geometry.to_numpy())).to_crs(crs)
     frame = frame.clip(known).sort_index().to_crs(WGS84)
+    frame = frame.assign(height=frame["height"].round(1))
     facts = {"credit": PLATEAU_CREDIT, "licence": CC_BY, "boxes": boxes}
-    write_geoparquet(
-        home / BUILDINGS_FILE, rounded(frame.assign(height=frame["height"].round(1))), facts
-    )
+    write_geoparquet(home / BUILDINGS_FILE, rounded(frame), facts)
     write_nominal(home / "gps.tle", date(2023, 6, 22), GPS)
     write_nominal(home / "galileo.tle", date(2023, 6, 22), GALILEO)
 
 
 def boxes_inside(area: shapely.Polygon, crs: str) -> list[Bounds]:
-    """Return rows of boxes, west, south, east, north in degrees, whose boxes in ``crs`` lie in an area of it."""
+    """Return boxes, west, south, east, north in degrees, that lie in an area and cover most of it, row by row.
+
+    Rows are `ROW_DEG` high; ends of boxes are at multiples of `CELL_DEG`, or somewhat inside of these.
+
+    Args:
+      area: in ``crs``.
+      crs: projected, in metres.
+    """
     to_crs = transformer(WGS84, crs)
     bounds_m: Bounds = area.bounds
     west, south, east, north = to_crs.transform_bounds(*bounds_m, direction="INVERSE")
 
-    def is_inside(first: float, low: float, last: float) -> bool:
-        return area.covers(shapely.box(*box_of((first, low, last, low + ROW_DEG), crs)))
+    def is_inside(box_west: float, box_south: float, box_east: float) -> bool:
+        """Return whether the area covers a box of a row."""
+        box = box_west, box_south, box_east, box_south + ROW_DEG
+        return area.covers(shapely.box(*box_of(box, crs)))
 
     boxes: list[Bounds] = []
-    steps = np.arange(round(west / CELL_DEG), round(east / CELL_DEG) + 1) * CELL_DEG
-    for low in np.arange(round(south / ROW_DEG), round(north / ROW_DEG) + 1) * ROW_DEG:
-        is_known = [is_inside(step, low, step + CELL_DEG) for step in steps]
-        turns = np.flatnonzero(np.diff([False, *is_known, False]))
+    cells_deg = np.arange(round(west / CELL_DEG), round(east / CELL_DEG) + 1) * CELL_DEG
+    for row_deg in np.arange(round(south / ROW_DEG), round(north / ROW_DEG) + 1) * ROW_DEG:
+        # Runs of cells that are inside: where one begins, and the first cell after it.
+        is_cell_inside = [is_inside(cell, row_deg, cell + CELL_DEG) for cell in cells_deg]
+        turns = np.flatnonzero(np.diff([False, *is_cell_inside, False]))
         for begin, end in turns.reshape(-1, 2):
-            first = steps[begin]
-            last = steps[end - 1] + CELL_DEG
-            while first < last and not is_inside(first, low, last):  # a row lies askew in metres
-                first = first + CELL_DEG / 2
-                last = last - CELL_DEG / 2
+            first = cells_deg[begin]
+            last = cells_deg[end - 1] + CELL_DEG
+            # A row lies askew in metres, so that a run of cells may reach out though none of them does.
+            while first < last and not is_inside(first, row_deg, last):
+                first += CELL_DEG / 2
+                last -= CELL_DEG / 2
             if first < last:
-                box = np.round([first, low, last, low + ROW_DEG], 6).tolist()
+                box = np.round([first, row_deg, last, row_deg + ROW_DEG], 6).tolist()
                 boxes.append(tuple(box))
     return boxes
 
 
 def write_nominal(path: Path, day: date, constellation: Constellation) -> None:
-    """Write a nominal constellation as two-line elements of a day; their names say what they are."""
+    """Write a nominal constellation as two-line elements of a day; the names of its satellites say that it is one."""
     satellites = nominal_satellites(day, load.timescale(builtin=True), constellation)
-    sets = [[f"{satellite.name} {MARK}", *export_tle(satellite.model)] for satellite in satellites]
-    path.write_text("".join(f"{line}\n" for lines in sets for line in lines))
+    lines: list[str] = []
+    for satellite in satellites:
+        lines += [f"{satellite.name} {MARK}", *export_tle(satellite.model)]
+    path.write_text("".join(f"{line}\n" for line in lines))
 
 
 def rounded(frame: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
@@ -184,10 +219,9 @@ def main(arguments: list[str]) -> None:
         home = HERE / name
         home.mkdir(exist_ok=True)
         make(data, home)
-        sizes = pd.Series({path.name: path.stat().st_size for path in sorted(home.iterdir())})
-        print(
-            f"{name}: {sizes.sum():,} bytes ({', '.join(f'{file} {size:,}' for file, size in sizes.items())})"
-        )
+        sizes = {path.name: path.stat().st_size for path in sorted(home.iterdir())}
+        listed = ", ".join(f"{file} {size:,}" for file, size in sizes.items())
+        print(f"{name}: {sum(sizes.values()):,} bytes ({listed})")
 
 
 if __name__ == "__main__":

@@ -120,17 +120,26 @@ def demo_cover(extent_m: Box) -> LandCover:
 
 
 def _box_around(bounds: Sequence[float], crs: str | None) -> tuple[Box, str]:
-    """Return the synthetic city's box around geographic bounds, and its CRS."""
+    """Return the synthetic city's box around geographic bounds, grown outward to whole `SNAP_M`, and its CRS.
+
+    Args:
+      bounds: west, south, east, north in degrees.
+      crs: projected, in metres; None for the UTM zone of the middle.
+
+    Raises:
+      InputError: as of `demo_city_for_bounds`.
+    """
     crs = crs or utm_of(check_bounds(bounds))
     projected_crs(crs)
-    box = np.array(box_of(check_bounds(bounds), crs))
-    _check_size(box[2] - box[0], box[3] - box[1], f"bounds {list(bounds)}")
-    low = np.floor(box[:2] / SNAP_M) * SNAP_M
-    high = np.ceil(box[2:] / SNAP_M) * SNAP_M
-    return (float(low[0]), float(low[1]), float(high[0]), float(high[1])), crs
+    x_min, y_min, x_max, y_max = box_of(check_bounds(bounds), crs)
+    _check_size(x_max - x_min, y_max - y_min, f"bounds {list(bounds)}")
+    low = np.floor(np.array([x_min, y_min]) / SNAP_M) * SNAP_M
+    high = np.ceil(np.array([x_max, y_max]) / SNAP_M) * SNAP_M
+    return (*low.tolist(), *high.tolist()), crs
 
 
 def _check_size(width_m: float, height_m: float, what: str) -> None:
+    """Raise InputError unless the synthetic city fits a box; ``what`` names the arguments that gave it."""
     fits_width = MIN_SIDE_M <= width_m <= TOLERANCE * MAX_WIDTH_M
     fits_height = MIN_SIDE_M <= height_m <= TOLERANCE * MAX_HEIGHT_M
     if not (fits_width and fits_height):  # so that NaN is refused too
@@ -141,29 +150,34 @@ def _check_size(width_m: float, height_m: float, what: str) -> None:
 
 
 def _clip(polygons: np.ndarray, area: shapely.Polygon) -> np.ndarray:
-    """Return the part of each polygon in ``area``, empty where there is none."""
+    """Return ``[N]`` the part of each polygon ``[N]`` in ``area``, empty where there is none."""
     shapely.prepare(area)
-    crossing = ~shapely.contains_properly(area, polygons)
+    is_cut = ~shapely.contains_properly(area, polygons)
     clipped = polygons.copy()
-    clipped[crossing] = shapely.intersection(polygons[crossing], area)
+    clipped[is_cut] = shapely.intersection(polygons[is_cut], area)
     return clipped
 
 
 def _lay_out_cells(plan: CityPlan, part: Land) -> tuple[np.recarray, np.ndarray]:
-    """Return the street blocks of a part, and their outlines as far as they lie ashore and in the box.
+    """Return ``N`` street blocks of an area of land, and their outlines as far as they lie ashore and in the box.
 
-    Blocks reach to the middle of the streets around them. Of each: ``low_m`` and ``high_m``, its two opposite corners
-    along and across the part's frame, ``centre_xy`` and ``district``.
+    Blocks reach to the middle of the streets around them. The record of a block holds ``low_m`` and ``high_m``
+    (``[N, 2]``, two opposite corners along and across the frame of the land), ``centre_xy`` (``[N, 2]`` in the CRS) and
+    ``district``. Slivers are left out, and so are blocks in the park.
     """
-    along, across = part.frame.local(shapely.get_coordinates(plan.box))
-    along = along / part.pitch_m[0]
-    across = across / part.pitch_m[1]
+    # All blocks of the street grid that the box may touch, counted in streets and avenues.
+    street_pitch_m, avenue_pitch_m = part.pitch_m
+    along_m, across_m = part.frame.local(shapely.get_coordinates(plan.box))
+    along = along_m / street_pitch_m
+    across = across_m / avenue_pitch_m
     rows = np.arange(math.floor(along.min()), math.ceil(along.max()))
     # Avenues half a pitch off the axis: with an odd number of columns the park lies between two of them.
     columns = np.arange(math.floor(across.min()), math.ceil(across.max()) + 1) - 0.5
     steps = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
     low_m = steps * part.pitch_m
     high_m = (steps + 1) * part.pitch_m
+
+    # Those of some size on land.
     outline = _clip(
         shapely.polygons(part.frame.rectangles(*low_m.T, *high_m.T)),
         shapely.intersection(part.land, plan.box),
@@ -179,44 +193,75 @@ def _lay_out_cells(plan: CityPlan, part: Land) -> tuple[np.recarray, np.ndarray]
 
 
 def _records(**columns: np.ndarray) -> np.recarray:
-    """Return columns of one length, each by its name."""
-    kinds = [(name, values.dtype, values.shape[1:]) for name, values in columns.items()]
-    return np.rec.fromarrays([*columns.values()], dtype=kinds)
+    """Return columns of one length as one array of records, whose attributes are the columns by their names."""
+    dtype = [(name, values.dtype, values.shape[1:]) for name, values in columns.items()]
+    return np.rec.fromarrays([*columns.values()], dtype=dtype)
 
 
 def _split(
     rng: np.random.Generator, start: np.ndarray, end: np.ndarray, num: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Return which interval each segment belongs to, its start and its end: ``num`` random segments per interval."""
+    """Return ``S`` random segments that fill ``N`` intervals: the interval of each, its start and its end, ``[S]``.
+
+    Lengths within an interval are between 0.6 and 1.4 of each other's mean, scaled so that they fill it.
+
+    Args:
+      rng: the source of random numbers.
+      start, end: ``[N]`` of the intervals.
+      num: ``[N]`` how many segments each has, at least 1.
+    """
     owner = np.repeat(np.arange(len(num)), num)
     size = rng.uniform(0.6, 1.4, len(owner))
-    total = np.cumsum(size)
-    before = np.r_[0.0, total][np.cumsum(num) - num][owner]
+    total = np.cumsum(size)  # over all intervals, up to the end of each segment
+    first = np.cumsum(num) - num  # segment of each interval
+    before = np.r_[0.0, total][first][owner]  # total up to the start of the interval
     scale = ((end - start) / np.bincount(owner, size, minlength=len(num)))[owner]
-    low = start[owner] + (total - size - before) * scale
-    return owner, low, start[owner] + (total - before) * scale
+    segment_start = start[owner] + (total - size - before) * scale
+    segment_end = start[owner] + (total - before) * scale
+    return owner, segment_start, segment_end
 
 
 def _outline(
     lots: np.recarray, frame: StreetFrame, *points: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Return ``[n, k, 2]``: points of lots, given by their distance from the front and from the left side."""
-    along = np.stack([lots.front_m + lots.sign * depth for depth, _ in points], axis=-1)
-    return frame.xy(along, np.stack([lots.left_m + side for _, side in points], axis=-1))
+    """Return ``[N, K, 2]`` coordinates in the CRS of ``K`` points of each of ``N`` lots.
+
+    Args:
+      lots: records of `_lay_out_lots`.
+      frame: of their streets.
+      points: of each point two arrays ``[N]``: metres behind the front, and metres from the left side of the lot.
+    """
+    along = np.stack([lots.front_m + lots.sign * depth_m for depth_m, _ in points], axis=-1)
+    across = np.stack([lots.left_m + side_m for _, side_m in points], axis=-1)
+    return frame.xy(along, across)
 
 
 def _rectangle(
     lots: np.recarray, frame: StreetFrame, front: Any, back: Any, left: Any, right: Any
 ) -> np.ndarray:
-    """Return ``[n, 4, 2]``: a rectangle set back from the four sides of each lot."""
-    deep = lots.depth_m - back
-    wide = lots.right_m - lots.left_m - right
-    front, left = (np.broadcast_to(inset, deep.shape) for inset in (front, left))
-    return _outline(lots, frame, (front, left), (front, wide), (deep, wide), (deep, left))
+    """Return ``[N, 4, 2]``: the corners of a rectangle set back from the four sides of each lot.
+
+    Args:
+      lots: records of `_lay_out_lots`.
+      frame: of their streets.
+      front, back, left, right: metres from that side of the lot, ``[N]`` or one number.
+    """
+    rear = lots.depth_m - back
+    far_side = lots.right_m - lots.left_m - right
+    front = np.broadcast_to(front, rear.shape)
+    left = np.broadcast_to(left, rear.shape)
+    corners = (front, left), (front, far_side), (rear, far_side), (rear, left)
+    return _outline(lots, frame, *corners)
 
 
 def _ells(lots: np.recarray, frame: StreetFrame, front: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Return L-shaped outlines: a bar along the street with a wing behind its left half."""
+    """Return ``[N]`` L-shaped polygons: a bar along the street with a wing behind its left half.
+
+    Args:
+      lots: records of `_lay_out_lots`.
+      frame: of their streets.
+      front, left: ``[N]`` metres from the front and from both sides of the lot.
+    """
     wide_m = lots.right_m - lots.left_m
     deep = lots.depth_m * 0.6
     rear = lots.depth_m * 0.93
@@ -233,19 +278,31 @@ def _lay_out_lots(
     is_single: np.ndarray,
     lot_m: np.ndarray,
 ) -> np.recarray:
-    """Return the lots of blocks: one row through the block where ``is_single``, else two rows back to back.
+    """Return the lots of ``N`` blocks: one row through the block where ``is_single``, else two rows back to back.
 
-    Of each: its ``block``, where its street front lies, which way it runs from there (``sign``), depth, and two sides.
+    The record of a lot holds ``block`` (its number), ``front_m`` (where its street front lies along the frame),
+    ``sign`` (1 where it runs on from there, -1 where it runs back), ``depth_m``, and ``left_m`` and ``right_m`` (its
+    sides across the frame).
+
+    Args:
+      rng: the source of random numbers.
+      part: the land, whose streets the blocks leave free.
+      cells: records of the blocks (`_lay_out_cells`).
+      is_single: ``[N]`` bool.
+      lot_m: ``[N]`` mean width of the lots of a block.
     """
+    # Rows of lots: the block of each, and whether it is the second of its block.
     street_m, avenue_m = part.street_m
-    block = np.repeat(np.arange(len(is_single)), np.where(is_single, 1, 2))
-    is_second = np.r_[False, block[1:] == block[:-1]]
-    left_m = cells.low_m[block, 1] + avenue_m / 2
-    right_m = cells.high_m[block, 1] - avenue_m / 2
-    num = np.maximum(1, np.round((right_m - left_m) / lot_m[block])).astype(int)
-    row, left_m, right_m = _split(rng, left_m, right_m, num)
-    block = block[row]
-    is_second = is_second[row]
+    row_block = np.repeat(np.arange(len(is_single)), np.where(is_single, 1, 2))
+    is_second_row = np.r_[False, row_block[1:] == row_block[:-1]]
+    left_m = cells.low_m[row_block, 1] + avenue_m / 2
+    right_m = cells.high_m[row_block, 1] - avenue_m / 2
+    num_lots = np.maximum(1, np.round((right_m - left_m) / lot_m[row_block])).astype(int)
+
+    # Their lots.
+    row, left_m, right_m = _split(rng, left_m, right_m, num_lots)
+    block = row_block[row]
+    is_second = is_second_row[row]
     low_m = cells.low_m[block, 0] + street_m / 2
     high_m = cells.high_m[block, 0] - street_m / 2
     return _records(
@@ -261,109 +318,145 @@ def _lay_out_lots(
 def _erect(
     rng: np.random.Generator, plan: CityPlan, part: Land, cells: np.recarray
 ) -> tuple[Footprints, np.ndarray]:
-    """Return the buildings on street blocks, and the block that each stands on."""
+    """Return the buildings on street blocks, and the number of the block that each stands on.
+
+    Shares, sizes and spreads below are chosen so that the city looks like Manhattan; they have no other source. The
+    order of random numbers is part of the city: another one makes another city of the same seed.
+
+    Args:
+      rng: the source of random numbers.
+      plan: where towers stand.
+      part: the land.
+      cells: records of the blocks (`_lay_out_cells`).
+    """
+    # What stands on each block: towers near the clusters, slabs around courts, or rows of houses.
     district = cells.district
-    n = len(cells.district)
+    num_blocks = len(district)
     is_island = district != OTHER_DISTRICT
     depths = [plan.depth_in(cluster, cells.centre_xy) * is_island for cluster in TALLEST_M]
-    depth_of = np.max(depths, axis=0)
-    # So that no city is too small for its towers.
-    is_core = is_island & np.isin(np.arange(n), np.argmax(depths, axis=1))
-    chance = rng.random(n)
-    has_towers = (chance < 1.2 * depth_of - 0.1) | is_core
+    depth = np.max(depths, axis=0)  # in the cluster that is nearest, from 0 to 1
+    # The middle of each cluster always has towers, so that no city is too small for them.
+    is_core = is_island & np.isin(np.arange(num_blocks), np.argmax(depths, axis=1))
+    chance = rng.random(num_blocks)
+    has_towers = (chance < 1.2 * depth - 0.1) | is_core
     has_slabs = ~has_towers & (chance > 0.93)
+
+    # Lots, without those of blocks that are squares, and without vacant ones.
     is_single = has_towers | has_slabs | ((cells.high_m - cells.low_m)[:, 0] < 55.0)
     lot_m = np.select([has_towers, has_slabs, is_island], [54.0, 60.0, 27.0], 44.0)
     lots = _lay_out_lots(rng, part, cells, is_single, lot_m)
-    is_square = rng.random(n) < np.where(is_island, 0.025 * ~has_towers, 0.05)
-    is_vacant = rng.random(len(lots.block)) < np.where(is_island, 0.04, 0.12)[lots.block]
+    is_square = rng.random(num_blocks) < np.where(is_island, 0.025 * ~has_towers, 0.05)
+    is_vacant = rng.random(len(lots)) < np.where(is_island, 0.04, 0.12)[lots.block]
     lots = lots[is_core[lots.block] | ~(is_square[lots.block] | is_vacant)]
     block = lots.block
+    num_lots = len(lots)
     wide_m = lots.right_m - lots.left_m
-    m = len(lots.block)
-    median_m = MEDIAN_HEIGHT_M[district % 13] * (1 + 1.2 * depth_of)
+
+    # Heights, spread around the median of the district, and distances from the sides of the lot.
+    median_m = MEDIAN_HEIGHT_M[district % 13] * (1 + 1.2 * depth)
     median_m = (median_m * np.where(has_slabs, 1.5, 1.0))[block]
-    height_m = np.maximum(median_m * np.exp(0.34 * rng.standard_normal(m)), 5.0)
+    height_m = np.maximum(median_m * np.exp(0.34 * rng.standard_normal(num_lots)), 5.0)
     front_m = np.where(is_island[block], 1.5, 5.0)
-    side_m = np.where(is_island[block], 1.5 * (rng.random(m) < 0.15), rng.uniform(2.0, 4.0, m))
-    back_m = np.where(is_single[block], front_m, lots.depth_m * rng.uniform(0.26, 0.48, m))
-    shape = rng.random(m)
-    is_tower = has_towers[block] & ((shape < 0.65) | is_core[block])
+    island_side_m = np.where(rng.random(num_lots) < 0.15, 1.5, 0.0)  # most touch their neighbours
+    side_m = np.where(is_island[block], island_side_m, rng.uniform(2.0, 4.0, num_lots))
+    back_m = lots.depth_m * rng.uniform(0.26, 0.48, num_lots)
+    back_m = np.where(is_single[block], front_m, back_m)
+
+    # Outlines: bars, courts with a hole, L-shapes, and the podiums of towers.
+    chance = rng.random(num_lots)
+    is_tower = has_towers[block] & ((chance < 0.65) | is_core[block])
     is_court = has_slabs[block] & (wide_m > 48) & (lots.depth_m > 40)
-    is_ell = ~is_single[block] & (shape < 0.25)
+    is_ell = ~is_single[block] & (chance < 0.25)
+    is_bar = ~(is_tower | is_court | is_ell)
 
     def rectangles(which: np.ndarray, front: Any, back: Any, left: Any, right: Any) -> np.ndarray:
+        """Return the rectangles on the lots of a mask, set back from their sides by metres (`_rectangle`)."""
         return shapely.polygons(_rectangle(lots[which], part.frame, front, back, left, right))
 
-    polygons = np.empty(m, object)
-    is_bar = ~(is_tower | is_court | is_ell)
-    side = side_m[is_bar]
-    polygons[is_bar] = rectangles(is_bar, front_m[is_bar], back_m[is_bar], side, side)
+    polygons = np.empty(num_lots, object)
+    bar_side_m = side_m[is_bar]
+    polygons[is_bar] = rectangles(is_bar, front_m[is_bar], back_m[is_bar], bar_side_m, bar_side_m)
     ring = _rectangle(lots[is_court], part.frame, 1.5, 1.5, 1.5, 1.5)
     hole = _rectangle(lots[is_court], part.frame, 16.0, 16.0, 16.0, 16.0)
     polygons[is_court] = shapely.polygons(ring, holes=shapely.linearrings(hole)[:, None])
     polygons[is_ell] = _ells(lots[is_ell], part.frame, front_m[is_ell], side_m[is_ell])
-    # A tower is an outline as high as its podium, and a part that stands on it.
     polygons[is_tower] = rectangles(is_tower, 1.5, 1.5, 1.0, 1.0)
-    num_towers = int(is_tower.sum())
+
+    # A tower is a podium and a shaft, a part that stands on it. The tallest of each cluster has the cluster's height.
+    num_towers = is_tower.sum()
+    tower_block = block[is_tower]
     height_m[is_tower] = rng.uniform(15.0, 35.0, num_towers)
     sides_m = np.repeat([lots.depth_m[is_tower], wide_m[is_tower]], 2, axis=0)
-    inset_m = rng.uniform(0.09, 0.24, (4, num_towers)) * sides_m
+    inset_m = rng.uniform(0.09, 0.24, (4, num_towers)) * sides_m  # front, back, left, right
     shafts = rectangles(is_tower, *inset_m)
-    top_m = (45 + 100 * depth_of[block[is_tower]]) * np.exp(0.42 * rng.standard_normal(num_towers))
+    top_m = (45 + 100 * depth[tower_block]) * np.exp(0.42 * rng.standard_normal(num_towers))
     for cluster, tallest_m in TALLEST_M.items():
-        near = plan.depth_in(cluster, cells.centre_xy[block[is_tower]]) > 0.3
-        top_m[near] *= tallest_m / top_m[near].max(initial=1.0)
+        is_near = plan.depth_in(cluster, cells.centre_xy[tower_block]) > 0.3
+        top_m[is_near] *= tallest_m / top_m[is_near].max(initial=1.0)
+
+    num_outlines = num_lots + num_towers
     buildings = Footprints(
         polygons=np.r_[polygons, shafts],
         height_m=np.concatenate([height_m, np.maximum(top_m, 40.0)]).round(1),
-        min_height_m=np.zeros(m + num_towers),
-        origin=np.full(m + num_towers, HeightOrigin.GENERATED, np.uint8),
-        is_part=np.arange(m + num_towers) >= m,
+        min_height_m=np.zeros(num_outlines),
+        origin=np.full(num_outlines, HeightOrigin.GENERATED, np.uint8),
+        is_part=np.arange(num_outlines) >= num_lots,
     )
-    return buildings, np.r_[block, block[is_tower]]
+    return buildings, np.r_[block, tower_block]
 
 
 def _build(extent_m: Box, crs: str, seed: int) -> City:
-    """Return the city of a seed: districts, blocks of houses, people and water, part by part."""
+    """Return the city of a box, a CRS and a seed, one area of land after the other.
+
+    Args:
+      extent_m: the box.
+      crs: projected, in metres.
+      seed: a whole number from 0 up; the same one gives the same city.
+    """
     at_least("seed", seed)
     plan = CityPlan(extent_m)
     rng = np.random.default_rng(seed)
     parts = plan.parts()
-    buildings = []
+    buildings: list[Footprints] = []
     outlines = []
     people = []
     districts = []
     for part in parts:
+        # Buildings, cut at the promenade, the box and Broadway.
         cells, outline = _lay_out_cells(plan, part)
         dry = part.land.buffer(-plan.margin_m)
         houses, block = _erect(rng, plan, part, cells)
         ground = (plan.box & dry) - plan.broadway()
         houses = replace(houses, polygons=_clip(houses.polygons, ground))
         kept = shapely.area(houses.polygons) > MIN_BUILDING_M2
-        area_km2 = shapely.area(outline) / 1e6
+        buildings.append(houses.take(kept))
+
+        # People: by the district's density, half as many by the water, and nobody on a block without a building.
         num_blocks = len(outline)
         spread = np.exp(0.45 * rng.standard_normal(num_blocks) - 0.1)
         per_km2 = NIGHT_PER_KM2[cells.district % 13] * spread
-        is_home = np.bincount(block[kept], minlength=num_blocks) > 0
+        area_km2 = shapely.area(outline) / 1e6
         is_inland = shapely.contains_properly(dry, outline)
-        buildings.append(houses.take(kept))
-        outlines.append(outline)
+        is_home = np.bincount(block[kept], minlength=num_blocks) > 0
         people.append(np.round(per_km2 * area_km2 * np.where(is_inland, 1.0, WATERFRONT) * is_home))
+        outlines.append(outline)
         districts.append(cells.district)
+
+    # The park is a block without people, of the island, which is the first area of land.
     outlines.append(np.array([shapely.intersection(plan.park(), parts[0].land & plan.box)]))
     people.append(np.zeros(1))
     districts.append(np.array([OTHER_DISTRICT], np.int32))
+
     district = np.concatenate(districts)
     zoning = np.where(district <= NUM_COMMERCIAL, Zoning.COMMERCIAL, Zoning.RESIDENTIAL)
     zoning[district == OTHER_DISTRICT] = Zoning.OTHER
-    columns = [field.name for field in fields(Footprints)]
+    columns = {}
+    for field in fields(Footprints):
+        columns[field.name] = np.concatenate([getattr(each, field.name) for each in buildings])
     return City(
         crs=crs,
         extent_m=extent_m,
-        buildings=Footprints(
-            *(np.concatenate([getattr(each, name) for each in buildings]) for name in columns)
-        ),
+        buildings=Footprints(**columns),
         blocks=Blocks(
             polygons=np.concatenate(outlines),
             night_count=np.concatenate(people),

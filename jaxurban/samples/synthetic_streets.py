@@ -46,8 +46,18 @@ SHORES = np.array(
 # Columns: s, far bank of the eastern river (q). North of the island it runs west to the wide river's bank.
 EAST_BANK = np.array(
     [
-        *((-3.0, 0.75), (-1.1, 0.56), (-0.7, 0.46), (-0.4, 0.41), (0.1, 0.39), (0.45, 0.32)),
-        *((0.75, 0.21), (0.95, 0.14), (1.05, 0.02), (1.15, -0.16), (1.3, -0.22), (3.0, -0.22)),
+        (-3.0, 0.75),
+        (-1.1, 0.56),
+        (-0.7, 0.46),
+        (-0.4, 0.41),
+        (0.1, 0.39),
+        (0.45, 0.32),
+        (0.75, 0.21),
+        (0.95, 0.14),
+        (1.05, 0.02),
+        (1.15, -0.16),
+        (1.3, -0.22),
+        (3.0, -0.22),
     ]
 )
 WEST_BANK_Q = -0.52
@@ -72,14 +82,19 @@ DISTRICTS = np.array(
 
 @dataclass(frozen=True)
 class StreetFrame:
-    """A turned frame: ``along`` points to the bearing, ``across`` 90 degrees clockwise of it."""
+    """A turned frame in metres: ``along`` points to the bearing, ``across`` 90 degrees clockwise of it.
+
+    Attributes:
+      x_m, y_m: its origin in the CRS.
+      bearing_rad: clockwise from grid north.
+    """
 
     x_m: float
     y_m: float
     bearing_rad: float
 
     def xy(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
-        """Return coordinates ``[..., 2]`` in the CRS."""
+        """Return coordinates ``[..., 2]`` in the CRS of points ``[...]`` in this frame, metres."""
         sin = math.sin(self.bearing_rad)
         cos = math.cos(self.bearing_rad)
         return np.stack(
@@ -87,7 +102,7 @@ class StreetFrame:
         )
 
     def local(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return along and across of coordinates ``[..., 2]``."""
+        """Return along and across, each ``[...]`` in metres, of coordinates ``[..., 2]`` in the CRS."""
         sin = math.sin(self.bearing_rad)
         cos = math.cos(self.bearing_rad)
         x = xy[..., 0] - self.x_m
@@ -95,7 +110,7 @@ class StreetFrame:
         return x * sin + y * cos, x * cos - y * sin
 
     def rectangles(self, along_0: Any, across_0: Any, along_1: Any, across_1: Any) -> np.ndarray:
-        """Return the corners ``[..., 4, 2]`` of rectangles in this frame."""
+        """Return the corners ``[..., 4, 2]`` in the CRS of rectangles given by two opposite corners in this frame."""
         along = np.stack([along_0, along_0, along_1, along_1], axis=-1)
         return self.xy(along, np.stack([across_0, across_1, across_1, across_0], axis=-1))
 
@@ -121,13 +136,15 @@ class Land:
         """Width of streets and of avenues."""
         street_m = np.clip(0.225 * self.pitch_m[0], 8.0, 18.0)
         avenue_m = np.clip(0.11 * self.pitch_m[1], 14.0, 30.0)
-        return float(street_m), float(avenue_m)
+        return street_m, avenue_m
 
 
 class CityPlan:
     """The macro layout, scaled to a box; see `Land` for what each area of land gets."""
 
     def __init__(self, extent_m: Box) -> None:
+        """Scale the plan to a box: the island's axis runs through its middle, turned by the avenues' bearing."""
+        # The island's frame, half its length and the width that its shores are measured by.
         x_min, y_min, x_max, y_max = extent_m
         self.box = shapely.box(*extent_m)
         self.frame = StreetFrame((x_min + x_max) / 2, (y_min + y_max) / 2, AVENUE_BEARING_RAD)
@@ -139,44 +156,49 @@ class CityPlan:
         self.length_m = 0.93 * ray_m  # s = 1
         self.width_m = min(half_x / cos, half_y / sin, 0.75 * ray_m)  # q = 1
         # Promenade between shore and buildings.
-        self.margin_m = float(np.clip(0.02 * self.width_m, 5.0, 25.0))
+        self.margin_m = np.clip(0.02 * self.width_m, 5.0, 25.0)
+
+        # Its streets. Odd numbers of columns, of all blocks and of the park's, so that the park is in the middle.
         island_m = ISLAND_Q * self.width_m
-        # Odd numbers of columns, so that the park is in the middle.
         num_columns = max(3, 2 * round((island_m / AVENUE_PITCH_M - 1) / 2) + 1)
-        num_park = max(1, 2 * round((PARK_SHARE * num_columns - 1) / 2) + 1)
+        num_park_columns = max(1, 2 * round((PARK_SHARE * num_columns - 1) / 2) + 1)
         self.avenue_pitch_m = island_m / num_columns
         self.street_pitch_m = min(STREET_PITCH_M, 2 * self.length_m / MIN_ROWS)
-        first, end = (round(s * self.length_m / self.street_pitch_m) for s in PARK_S)
-        self.park_along_m = first * self.street_pitch_m, max(end, first + 1) * self.street_pitch_m
-        self.park_across_m = num_park * self.avenue_pitch_m / 2
+
+        # The park, from one street to another (at least the next), and to both sides of the axis.
+        south, north = (round(s * self.length_m / self.street_pitch_m) for s in PARK_S)
+        north = max(north, south + 1)
+        self.park_along_m = south * self.street_pitch_m, north * self.street_pitch_m
+        self.park_across_m = num_park_columns * self.avenue_pitch_m / 2
 
     def parts(self) -> list[Land]:
         """Return the island and, where the box reaches them, the suburbs beyond its two rivers."""
+        # The island: up along its western shore and back along the eastern one.
         shore_s = np.linspace(-1.0, 1.0, 161)
-        west, east = (PchipInterpolator(SHORES[:, 0], SHORES[:, side])(shore_s) for side in (1, 2))
-        island = self._polygon(np.r_[shore_s, shore_s[::-1]], np.r_[-west, east[::-1]])
-        # Beyond any box.
+        western_q, eastern_q = PchipInterpolator(SHORES[:, 0], SHORES[:, 1:])(shore_s).T
+        island = self._polygon(np.r_[shore_s, shore_s[::-1]], np.r_[-western_q, eastern_q[::-1]])
+
+        # The suburbs, which reach beyond any box: behind the eastern river's far bank, and a straight western one.
         far_s = 4.0 + self.box.length / self.length_m
         far_q = 4.0 + self.box.length / self.width_m
-        ends = float(EAST_BANK[0, 0]), float(EAST_BANK[-1, 0])
-        bank_s = np.r_[-far_s, np.linspace(*ends, 401), far_s]
-        bank_q = PchipInterpolator(EAST_BANK[:, 0], EAST_BANK[:, 1])(np.clip(bank_s, *ends))
+        # Beyond its ends the bank runs on straight.
+        bank_ends = EAST_BANK[0, 0], EAST_BANK[-1, 0]
+        bank_s = np.r_[-far_s, np.linspace(*bank_ends, 401), far_s]
+        bank_q = PchipInterpolator(EAST_BANK[:, 0], EAST_BANK[:, 1])(np.clip(bank_s, *bank_ends))
         east_side = self._polygon(np.r_[bank_s, far_s, -far_s], np.r_[bank_q, far_q, far_q])
         west_side = self._polygon(
             np.array([-far_s, far_s, far_s, -far_s]), np.repeat([WEST_BANK_Q, -far_q], 2)
         )
+        east_frame = replace(self.frame, bearing_rad=EAST_BEARING_RAD)
+        west_frame = replace(self.frame, bearing_rad=WEST_BEARING_RAD)
+
+        island_pitch_m = self.street_pitch_m, self.avenue_pitch_m
         parts = [
-            Land(True, island, self.frame, (self.street_pitch_m, self.avenue_pitch_m)),
-            Land(
-                False, west_side, replace(self.frame, bearing_rad=WEST_BEARING_RAD), SUBURB_PITCH_M
-            ),
-            Land(
-                False, east_side, replace(self.frame, bearing_rad=EAST_BEARING_RAD), SUBURB_PITCH_M
-            ),
+            Land(is_island=True, land=island, frame=self.frame, pitch_m=island_pitch_m),
+            Land(is_island=False, land=west_side, frame=west_frame, pitch_m=SUBURB_PITCH_M),
+            Land(is_island=False, land=east_side, frame=east_frame, pitch_m=SUBURB_PITCH_M),
         ]
-        return [
-            part for part in parts if shapely.area(shapely.intersection(part.land, self.box)) > 0
-        ]
+        return [part for part in parts if shapely.intersection(part.land, self.box).area > 0]
 
     def park(self) -> shapely.Polygon:
         """Return the central park."""
@@ -190,18 +212,26 @@ class CityPlan:
         return line.buffer(min(self.margin_m, BROADWAY_M / 2), cap_style="flat")
 
     def district(self, xy: np.ndarray) -> np.ndarray:
-        """Return the district of points of the island, int32."""
+        """Return the district of points of the island, int32 ``[...]``.
+
+        Args:
+          xy: ``[..., 2]`` in the CRS.
+        """
         along, across = self.frame.local(xy)
-        ends_m = [
-            *(s * self.length_m for s in BANDS_S[:2]),
-            *self.park_along_m,
-            BANDS_S[2] * self.length_m,
-        ]
-        third = (across > -self.park_across_m).astype(int) + (across > self.park_across_m)
-        return DISTRICTS[np.searchsorted(ends_m, along), third].astype(np.int32)
+        # The borders of bands from south to north: two, the ends of the park, and one more.
+        first_m, second_m, last_m = (s * self.length_m for s in BANDS_S)
+        band = np.searchsorted([first_m, second_m, *self.park_along_m, last_m], along)
+        # West of the park, between its sides, and east of it: as many of these borders lie west of a point.
+        third = np.searchsorted([-self.park_across_m, self.park_across_m], across)
+        return DISTRICTS[band, third].astype(np.int32)
 
     def depth_in(self, cluster: Cluster, xy: np.ndarray) -> np.ndarray:
-        """Return how deep in a cluster of towers points lie: 1 in its middle, falling to 0."""
+        """Return ``[...]`` how deep in a cluster of towers points lie: 1 in its middle, falling to 0 (a Gaussian).
+
+        Args:
+          cluster: its centre and radii.
+          xy: ``[..., 2]`` in the CRS.
+        """
         along, across = self.frame.local(xy)
         centre_s, centre_q, radius_s, radius_q = cluster
         s = along / self.length_m
@@ -209,4 +239,5 @@ class CityPlan:
         return np.exp(-(((s - centre_s) / radius_s) ** 2) - ((q - centre_q) / radius_q) ** 2)
 
     def _polygon(self, s: np.ndarray, q: np.ndarray) -> shapely.Polygon:
+        """Return the polygon of corners in fractions of the plan: s along the island's axis, q across it."""
         return shapely.Polygon(self.frame.xy(s * self.length_m, q * self.width_m))

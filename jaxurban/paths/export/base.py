@@ -75,16 +75,21 @@ def upward(height_m: np.ndarray) -> np.ndarray:
 def facts_of(
     route: "PlannedPath", report: "RouteReport | None", *, is_alone: bool = True
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return what is known of the whole path, its ``cautions`` included, and of each segment.
+    """Return two things: what is known of the whole path, by name, and a dictionary for each segment of its report.
 
-    ``is_alone``: of one of several paths in a file the cautions are only what its maps guess, since all else takes some
-    hundredths of a second a path.
+    The first has the ``cautions`` of the path too.
+
+    Args:
+      route: the path.
+      report: of the path, whose totals and settings are added; None for no segments.
+      is_alone: False for one of several paths in a file: its cautions are then only what its maps guess, since all
+        others take some hundredths of a second for each path.
     """
     from jaxurban.paths.profile import guess_cautions
 
-    known = {} if report is None else report.to_dict()
-    segments = known.pop("segments", [])
-    facts = known | route.to_dict()
+    report_facts = {} if report is None else report.to_dict()
+    segments = report_facts.pop("segments", [])
+    facts = report_facts | route.to_dict()
     vehicle = Vehicle.of(facts.get("settings", {}))
     if vehicle.speed_m_s is not None:
         facts.setdefault("speed_m_s", vehicle.speed_m_s)
@@ -113,28 +118,40 @@ class Waypoints(NamedTuple):
     @property
     def above_home_m(self) -> np.ndarray:
         """``[W]`` height above the ground at the first waypoint; level ground is assumed where it is not known."""
-        return self.z_m if self.ground_m is None else self.z_m + self.ground_m - self.ground_m[0]
+        if self.ground_m is None:
+            return self.z_m
+        return self.z_m + self.ground_m - self.ground_m[0]
 
 
 def waypoints(route: "PlannedPath") -> Waypoints:
-    """Return the waypoints of a path."""
+    """Return the waypoints of a path, between which straight lines are nowhere lower than planned.
+
+    They lie where the path bends in plan or in height and, over terrain, where the ground does.
+    """
+    # The points of the path, over terrain all places of its ground. Heights are above the ground, or above the zero of
+    # the terrain, where straight lines run straight.
     ground, lonlat = route.ground, route.lonlat
     xyz_m = np.column_stack([route.xy_m, route.z_m])
     height_m = xyz_m[:, 2]
-    most_m = np.inf
+    height_tolerance_m = np.inf
     if ground is not None:
         lonlat = ground.lonlat
         number = np.arange(len(xyz_m))
         xyz_m = np.column_stack([np.interp(ground.at, number, values) for values in xyz_m.T])
         height_m = xyz_m[:, 2] + ground.cover_m
-        most_m = MISSED_M
+        height_tolerance_m = MISSED_M
+
+    # Those that are kept, and by how much the line of each leg between two of them is too low.
     along_m = along_of(xyz_m)
-    missed_m = np.array([STRAIGHT_M, STRAIGHT_M, STRAIGHT_M, most_m])
-    kept = _bends(along_m, np.column_stack([xyz_m, height_m]), missed_m)
+    tolerances_m = np.array([STRAIGHT_M, STRAIGHT_M, STRAIGHT_M, height_tolerance_m])
+    kept = _bends(along_m, np.column_stack([xyz_m, height_m]), tolerances_m)
     too_low_m = height_m - np.interp(along_m, along_m[kept], height_m[kept])
-    of_leg_m = np.maximum.reduceat(too_low_m, kept[:-1]) if len(kept) > 1 else np.zeros(0)
-    # A waypoint is raised by what the leg before it lacks, or the one after it.
-    raise_m = np.maximum(np.append(of_leg_m, 0.0), np.append(0.0, of_leg_m)).clip(0.0)
+    legs_too_low_m = np.zeros(0)
+    if len(kept) > 1:
+        legs_too_low_m = np.maximum.reduceat(too_low_m, kept[:-1])
+
+    # A waypoint is raised by what the leg before it lacks, or the one after it, whichever is more.
+    raise_m = np.maximum(np.append(legs_too_low_m, 0.0), np.append(0.0, legs_too_low_m)).clip(0.0)
     z_m = height_m[kept] + raise_m
     elevation_m = None
     if ground is not None:
@@ -143,26 +160,27 @@ def waypoints(route: "PlannedPath") -> Waypoints:
     return Waypoints(np.round(lonlat[kept], DECIMALS), z_m, elevation_m)
 
 
-def _bends(along_m: np.ndarray, values_m: np.ndarray, most_m: np.ndarray) -> np.ndarray:
-    """Return the indices of the points ``[W]`` between which straight lines miss no value by more than is allowed.
+def _bends(along_m: np.ndarray, values_m: np.ndarray, tolerances_m: np.ndarray) -> np.ndarray:
+    """Return ``[W]`` indices of points between which straight lines miss no value by more than its tolerance.
 
-    First and last are among them. What a line misses is measured at the same share of the way.
+    The first and the last point are among them; the others follow from halving at the point that is missed by most
+    (Douglas and Peucker's way). A value is compared with the line's at the same share of the length flown.
 
     Args:
-      along_m: ``[G]`` length flown.
+      along_m: ``[G]`` length flown at each point.
       values_m: ``[G, V]`` x, y and what else runs straight along a line.
-      most_m: ``[V]`` by how much a line may miss each.
+      tolerances_m: ``[V]`` by how much a line may miss each.
     """
     whole = 0, len(along_m) - 1
     kept = {*whole}
-    spans = [whole]
+    spans = [whole]  # from one kept point to the next, still to be looked at
     while spans:
         first, last = spans.pop()
         length_m = max(along_m[last] - along_m[first], np.finfo(float).tiny)
         share = (along_m[first:last] - along_m[first]) / length_m
         line_m = values_m[first] + share[:, None] * (values_m[last] - values_m[first])
-        missed = np.max(np.abs(values_m[first:last] - line_m) / most_m, axis=1)
-        if missed.max(initial=0.0) > 1:
+        missed = np.max(np.abs(values_m[first:last] - line_m) / tolerances_m, axis=1)
+        if missed.max(initial=0.0) > 1:  # in tolerances
             worst = first + int(np.argmax(missed))
             kept.add(worst)
             spans += [(first, worst), (worst, last)]

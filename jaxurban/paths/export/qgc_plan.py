@@ -80,9 +80,9 @@ def height_note(route: "PlannedPath") -> str:
 
 def mission_note(route: "PlannedPath", end: str, roofs: "RoofFences | None" = None) -> str:
     """Return what to know of a ``.plan``: its altitudes, its end and its geofence, in a few sentences."""
-    of_roofs = "" if roofs is None else roofs.note
-    _, of_zones = exclusions(route)
-    notes = height_note(route), END_NOTES[end], of_zones, of_roofs
+    roof_note = "" if roofs is None else roofs.note
+    _, zone_note = exclusions(route)
+    notes = height_note(route), END_NOTES[end], zone_note, roof_note
     return " ".join(filter(None, notes))
 
 
@@ -92,13 +92,13 @@ def to_qgc_plan(
     end: str = "land",
     roofs: "RoofFences | None" = None,
 ) -> bytes:
-    """Return a path as a mission of QGroundControl.
+    """Return a path as a mission of QGroundControl, JSON in UTF-8.
 
     Args:
-      routes: one path.
-      report: whose speed the mission takes.
-      end: of `ENDS`.
-      roofs: further exclusion polygons.
+      routes: one path with its name, which the format has no place for.
+      report: of the path, whose speed the mission takes; without one, the speed of the path's vehicle, if it has any.
+      end: how the mission ends, one of `ENDS`.
+      roofs: further exclusion polygons of the geofence, and a sentence on them.
 
     Raises:
       InputError: several paths.
@@ -112,7 +112,9 @@ def to_qgc_plan(
     speed_m_s = facts.get("speed_m_s")
     along = waypoints(route)
     home_m = 0.0 if along.ground_m is None else float(upward(along.ground_m[0]))
-    rings = [*exclusions(route)[0], *([] if roofs is None else roofs.rings)]
+    rings, _ = exclusions(route)
+    if roofs is not None:
+        rings = rings + roofs.rings
     plan = {
         "fileType": "Plan",
         "version": 1,
@@ -144,24 +146,37 @@ def to_qgc_plan(
 
 
 def _items(along: Waypoints, speed_m_s: float | None, end: str) -> list[dict[str, Any]]:
-    """Return the items of a mission: take-off, the speed if it is given, waypoints, the end."""
-    places = zip(along.lonlat.tolist(), upward(along.above_home_m).tolist(), strict=True)
-    items = [_place(MAV_CMD_NAV_TAKEOFF, *next(places))]
+    """Return the items of a mission: take-off, the speed if it is given, waypoints, the end.
+
+    Args:
+      along: the waypoints; the mission takes off at the first.
+      speed_m_s: over the ground; None leaves it to the autopilot.
+      end: one of `ENDS`; ``"none"`` adds no item.
+    """
+    lonlats = along.lonlat.tolist()
+    heights_m = upward(along.above_home_m).tolist()
+    items = [_place(MAV_CMD_NAV_TAKEOFF, lonlats[0], heights_m[0])]
     if speed_m_s is not None:
         params = [GROUND_SPEED, speed_m_s, THROTTLE_AS_IT_IS, 0, 0, 0, 0]
         items.append(_command(MAV_CMD_DO_CHANGE_SPEED, params))
-    items += [_place(MAV_CMD_NAV_WAYPOINT, *place) for place in places]
+    for lonlat, height_m in zip(lonlats[1:], heights_m[1:], strict=True):
+        items.append(_place(MAV_CMD_NAV_WAYPOINT, lonlat, height_m))
     if end == "land":
         ground_m = 0.0 if along.ground_m is None else float(along.ground_m[-1] - along.ground_m[0])
-        last = along.lonlat[-1].tolist()
-        items.append(_place(MAV_CMD_NAV_LAND, last, round(ground_m, Z_DECIMALS)))
+        items.append(_place(MAV_CMD_NAV_LAND, lonlats[-1], round(ground_m, Z_DECIMALS)))
     elif end == "return":
         items.append(_command(MAV_CMD_NAV_RETURN_TO_LAUNCH, [0] * 7))
     return [item | {"doJumpId": number} for number, item in enumerate(items, start=1)]
 
 
 def _place(command: int, lonlat: Sequence[float], z_m: float) -> dict[str, Any]:
-    """Return an item at a place, its altitude above home."""
+    """Return an item of a mission at a place.
+
+    Args:
+      command: number of the MAVLink command.
+      lonlat: longitude, latitude in degrees.
+      z_m: altitude above home.
+    """
     lon, lat = lonlat
     any_yaw = None
     params = [0, 0, 0, any_yaw, lat, lon, z_m]
@@ -172,7 +187,13 @@ def _place(command: int, lonlat: Sequence[float], z_m: float) -> dict[str, Any]:
 def _command(
     command: int, params: Sequence[float | None], frame: int = MAV_FRAME_MISSION
 ) -> dict[str, Any]:
-    """Return an item of a mission by its MAVLink command and seven parameters."""
+    """Return an item of a mission as the JSON of a plan has it.
+
+    Args:
+      command: number of the MAVLink command.
+      params: its seven parameters; None for one that the autopilot chooses.
+      frame: in which they count: `MAV_FRAME_MISSION` for commands that have no place.
+    """
     return {
         "type": "SimpleItem",
         "autoContinue": True,
@@ -183,29 +204,31 @@ def _command(
 
 
 def exclusions(route: "PlannedPath") -> tuple[list[np.ndarray], str]:
-    """Return the outlines ``[N, 2]`` (longitude, latitude) to keep out of, and a sentence on what they leave out.
+    """Return the zones of a path's geofence as rings, and a sentence on them and on what they leave out.
 
-    A geofence knows no heights. So it holds the zones that the path was planned around whose floor and ceiling meet
-    the path's altitudes, but for those that it passes over or under on its way, which would stop it. Where a zone has a
-    hole it is cut in two through it.
+    A ring is ``[N, 2]`` longitude, latitude in degrees of the corners to keep out of. A geofence knows no heights. So
+    it holds only zones that reach the altitudes of the path, and none that the path itself leads over or under, which
+    would stop it. A zone with a hole is cut in two through the hole. Without zones there are no rings, and no sentence.
     """
     if not route.zones:
         return [], ""
     low_m, high_m = route.z_m.min(), route.z_m.max()
-    near = _surroundings(route)
+    surroundings = _surroundings(route)
+    box = shapely.box(*surroundings.bounds_m)
     line = line_of(route.xy_m)
     rings: list[np.ndarray] = []
     num_fenced = num_elsewhere = 0
     for zone in route.zones:
-        part = polygonal(shapely.intersection(zone.on(near), shapely.box(*near.bounds_m)))
+        part = polygonal(shapely.intersection(zone.on(surroundings), box))
         if part.is_empty:
             continue
-        if not (zone.floor_m <= high_m and low_m <= zone.ceiling_m) or part.intersects(line):
+        is_reached = zone.floor_m <= high_m and low_m <= zone.ceiling_m
+        if not is_reached or part.intersects(line):
             num_elsewhere += 1
             continue
         num_fenced += 1
-        wholes = without_holes(polygonal(shapely.simplify(part, SMOOTH_M)))
-        rings += [ring_of(whole, near) for whole in wholes]
+        polygons = without_holes(polygonal(shapely.simplify(part, SMOOTH_M)))
+        rings += [ring_of(polygon, surroundings) for polygon in polygons]
     zones = "no-fly zone" if num_fenced == 1 else "no-fly zones"
     sentence = f"The geofence keeps out of {num_fenced} {zones} within {NEAR_M / 1000:g} km"
     if num_elsewhere:
@@ -222,19 +245,25 @@ def ring_of(polygon: shapely.Polygon, grid: Grid) -> np.ndarray:
 
 
 def without_holes(polygon: shapely.Geometry) -> list[shapely.Polygon]:
-    """Return polygons without holes that cover the same: each with a hole is cut in two, up and down through it."""
-    whole: list[shapely.Polygon] = []
-    parts = list(shapely.get_parts(polygon))
+    """Return polygons without holes that together cover a polygon, or several, with holes.
+
+    A part with a hole is cut in two along the vertical line through the middle of its first hole, until none is left.
+    """
+    polygons: list[shapely.Polygon] = []
+    parts = list(shapely.get_parts(polygon))  # still to be looked at
     while parts:
         part = parts.pop()
         if not part.interiors:
-            whole.append(part)
+            polygons.append(part)
             continue
         west, south, east, north = part.bounds
-        x = part.interiors[0].centroid.x
-        for half in (shapely.box(west, south, x, north), shapely.box(x, south, east, north)):
-            parts += shapely.get_parts(polygonal(shapely.intersection(part, half))).tolist()
-    return whole
+        cut_x = part.interiors[0].centroid.x
+        for side in (
+            shapely.box(west, south, cut_x, north),
+            shapely.box(cut_x, south, east, north),
+        ):
+            parts += shapely.get_parts(polygonal(shapely.intersection(part, side))).tolist()
+    return polygons
 
 
 def _surroundings(route: "PlannedPath") -> Grid:

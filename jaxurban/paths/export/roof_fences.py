@@ -46,24 +46,32 @@ class RoofFences(NamedTuple):
 
 
 class _Roofs(NamedTuple):
-    """Polygons ``[R]`` in the maps' CRS, heights, whether these are guesses, and what the polygons are, and why."""
+    """Roofs near a path. ``R`` of them.
+
+    Attributes:
+      polygons: ``[R]`` in the maps' CRS.
+      height_m: ``[R]`` above the ground.
+      is_guessed: ``[R]`` whether the height is a guess.
+      name: what a polygon is, for messages: a roof, or a cell with one.
+      origin: a phrase on where the polygons come from, or why no better ones are there.
+    """
 
     polygons: np.ndarray
     height_m: np.ndarray
     is_guessed: np.ndarray
-    called: str
-    why: str
+    name: str
+    origin: str
 
 
 def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
     """Return fences of the roofs within a distance of a path that reach its height less the vertical clearance.
 
     The outlines are those of the city that the maps were made of, where it can be read again; else the cells that such
-    roofs touch. Roofs that the path itself meets cannot be fenced and are named.
+    roofs touch. Roofs that the path itself meets cannot be fenced, and the sentence counts them.
 
     Args:
       route: with its maps; simplified as it is to be written.
-      near_m: from the path to the roof.
+      near_m: the distance in plan.
 
     Raises:
       InputError: a distance that is not positive, a path without maps, or more vertices than autopilots hold.
@@ -73,46 +81,52 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
         raise InputError(
             "fence_roofs_m needs the maps of the path, and this one has none: plan it, or leave that out"
         )
+    # The roofs that a leg passes within the distance, and that reach its height less the vertical clearance.
     grid = route.maps.grid
     xy_m = route.xy_m
-    z_m = route.z_m
-    ends = np.array([*pairwise([0, *range(len(xy_m))])])  # of one point too
+    # The first leg has no length, so that there is one of a lone point too.
+    ends = np.array(list(pairwise([0, *range(len(xy_m))])))
     legs = shapely.linestrings(xy_m[ends])
-    over_m = route.settings.get("limits", {}).get("vertical_clearance_m", 0.0)
-    floor_m = z_m[ends].min(axis=1) - over_m
+    vertical_m = route.settings.get("limits", {}).get("vertical_clearance_m", 0.0)
+    floor_m = route.z_m[ends].min(axis=1) - vertical_m
     roofs = _roofs_near(route.maps, shapely.union_all(legs), near_m)
-    of_leg, of_roof = shapely.STRtree(roofs.polygons).query(
-        legs, predicate="dwithin", distance=near_m
-    )
-    reaching = np.unique(of_roof[stands_at(roofs.height_m[of_roof], floor_m[of_leg])])
+    leg, roof = shapely.STRtree(roofs.polygons).query(legs, predicate="dwithin", distance=near_m)
+    reaching = np.unique(roof[stands_at(roofs.height_m[roof], floor_m[leg])])
+
+    # Their fences, with the vertices that zones leave, around the path as the file holds it.
     flown = line_of(np.stack(grid.xy_of_lonlat(*waypoints(route).lonlat.T), axis=-1))
-    zones, _ = exclusions(route)
-    most = MOST_VERTICES - sum(map(len, zones))
-    fences, num_met = _fewest(roofs.polygons[reaching], flown, grid, most)
+    zone_rings, _ = exclusions(route)
+    most_vertices = MOST_VERTICES - sum(map(len, zone_rings))
+    fences, num_met = _fewest(roofs.polygons[reaching], flown, grid, most_vertices)
     rings = [ring_of(fence, grid) for fence in fences]
-    num = sum(map(len, rings))
-    if num > most:
+    num_vertices = sum(map(len, rings))
+    if num_vertices > most_vertices:
         raise InputError(
-            f"{len(reaching)} {roofs.called} within {near_m:g} m of the route take {num} vertices of a fence, and "
-            f"autopilots hold {MOST_VERTICES}, zones included: name a smaller distance, fly higher, or split the "
+            f"{len(reaching)} {roofs.name} within {near_m:g} m of the route take {num_vertices} vertices of a fence, "
+            f"and autopilots hold {MOST_VERTICES}, zones included: name a smaller distance, fly higher, or split the "
             "mission"
         )
+
     note = (
-        f"The geofence keeps out of the {roofs.called} within {near_m:g} m that reach the flight: "
-        f"{len(reaching) - num_met}, {roofs.why}"
+        f"The geofence keeps out of the {roofs.name} within {near_m:g} m that reach the flight: "
+        f"{len(reaching) - num_met}, {roofs.origin}"
     )
-    num_guessed = int(roofs.is_guessed[reaching].sum())
+    num_guessed = roofs.is_guessed[reaching].sum()
     if num_guessed:
         note += f", {num_guessed} of guessed height"
     if fences:
-        note += f", in {num} vertices; the nearest is {shapely.distance(fences, flown).min():.1f} m from the route"
+        nearest_m = shapely.distance(fences, flown).min()
+        note += f", in {num_vertices} vertices; the nearest is {nearest_m:.1f} m from the route"
     if num_met:
         note += f"; {num_met} that the route itself meets are left out, as a fence would stop it"
     return RoofFences(rings, f"{note}.")
 
 
 def _roofs_near(maps: "MetricMaps", line: shapely.Geometry, near_m: float) -> _Roofs:
-    """Return the roofs within a distance of a line and some beside them."""
+    """Return the roofs within a distance of a line in the maps' CRS, and where there are only cells some beside them.
+
+    They are outlines of the city that the maps were made of, or else cells of the maps that a roof touches.
+    """
     from jaxurban.maps.sources import city_of
 
     with warnings.catch_warnings():
@@ -127,15 +141,15 @@ def _roofs_near(maps: "MetricMaps", line: shapely.Geometry, near_m: float) -> _R
     grid = maps.grid
     roof_m = maps.m("roof_touched")
     near_cells = touched_cells(shapely.buffer(line, near_m * ROUND), grid)
-    at = np.argwhere(near_cells & (roof_m > 0))
-    rows, cols = at.T
-    guessed = (
-        maps.m("roof_guessed") if "roof_guessed" in maps.ds else np.zeros(grid.shape, np.uint8)
-    )
+    cells = np.argwhere(near_cells & (roof_m > 0))
+    rows, cols = cells.T
+    is_guessed = np.zeros(len(cells), bool)
+    if "roof_guessed" in maps.ds:
+        is_guessed = maps.m("roof_guessed")[rows, cols] == 1
     return _Roofs(
-        cell_boxes(grid, at, 1),
+        cell_boxes(grid, cells, 1),
         roof_m[rows, cols].astype(float),
-        guessed[rows, cols] == 1,
+        is_guessed,
         f"cells of {grid.resolution_m:g} m with roofs",
         "as the city that the maps were made of cannot be read again",
     )
@@ -144,38 +158,65 @@ def _roofs_near(maps: "MetricMaps", line: shapely.Geometry, near_m: float) -> _R
 def _fewest(
     roofs: np.ndarray, line: shapely.Geometry, grid: Grid, most: int
 ) -> tuple[list[shapely.Polygon], int]:
-    """Return the least coarse fences whose vertices are within a number, if any are, and how many roofs have none."""
+    """Return the least coarse fences that have few enough vertices, and how many roofs have no fence.
+
+    Where even the coarsest have too many, these are returned.
+
+    Args:
+      roofs: ``[R]`` polygons in the grid's CRS.
+      line: the path as its file holds it, in the grid's CRS.
+      grid: of the maps.
+      most: the number of vertices that all fences together may have.
+    """
     for coarsest in range(len(REACHES_M)):
-        fences, num_met = _fences(roofs, line, grid, REACHES_M[coarsest::-1])
-        if sum(len(fence.exterior.coords) - 1 for fence in fences) <= most:
+        fences, num_unfenced = _fences(roofs, line, grid, REACHES_M[coarsest::-1])
+        # Rings repeat their first vertex.
+        num_vertices = sum(len(fence.exterior.coords) - 1 for fence in fences)
+        if num_vertices <= most:
             break
-    return fences, num_met
+    return fences, num_unfenced
 
 
 def _fences(
     roofs: np.ndarray, line: shapely.Geometry, grid: Grid, reaches_m: tuple[float, ...]
 ) -> tuple[list[shapely.Polygon], int]:
-    """Return fences, each grown by the first reach under which it covers its roofs, and how many roofs have none."""
+    """Return fences of roofs, and how many roofs have none: those on the path, and those that no fence covers.
+
+    Roofs are grown by a reach, joined and simplified. A fence must keep off the path and cover whole roofs; roofs that
+    stay uncovered are tried again with the next reach, and at last by themselves, hardly grown.
+
+    Args:
+      roofs: ``[R]`` polygons in the grid's CRS.
+      line: the path as its file holds it, in the grid's CRS.
+      grid: of the maps.
+      reaches_m: the reaches, the coarsest first.
+    """
     fences: list[shapely.Polygon] = []
-    kept_free = shapely.buffer(line, APART_M * 1.1, join_style="mitre", quad_segs=2)
-    left = roofs[~shapely.dwithin(roofs, line, FILE_MARGIN_M + 2 * ROUNDED_M)]
-    num_met = len(roofs) - len(left)
+    strip = shapely.buffer(line, APART_M * 1.1, join_style="mitre", quad_segs=2)  # kept free
+    uncovered = roofs[~shapely.dwithin(roofs, line, FILE_MARGIN_M + 2 * ROUNDED_M)]
+    num_met = len(roofs) - len(uncovered)
     for reach_m in (*reaches_m, 0.0):
-        far = left[~shapely.intersects(left, kept_free)] if reach_m else left
-        grown = shapely.buffer(far, max(reach_m, ROUNDED_M), join_style="mitre")
+        # Grow and join the roofs that stand clear of the path, and take half of the growth back.
+        taken = uncovered[~shapely.intersects(uncovered, strip)] if reach_m else uncovered
+        grown = shapely.buffer(taken, max(reach_m, ROUNDED_M), join_style="mitre")
         joined = shapely.union_all(shapely.make_valid(grown))  # mitres may cross each other
         parts = made_valid(shapely.buffer(joined, -reach_m / 2, join_style="mitre"))
+
+        # Fill holes, cut corners by less than the other half, and cut the path's strip out again.
         if reach_m:
             rings = shapely.get_exterior_ring(shapely.get_parts(parts))
             simple = shapely.simplify(shapely.polygons(rings), reach_m * SIMPLER)
-            parts = polygonal(shapely.difference(simple, kept_free))
+            parts = polygonal(shapely.difference(simple, strip))
+
+        # Keep fences that are off the path when they are rounded as in the file.
         written = np.array([_as_written(part, grid) for part in without_holes(parts)])
         apart_m = APART_M if reach_m else FILE_MARGIN_M
         is_apart = shapely.distance(written, line) >= apart_m
         fences += written[is_apart & shapely.is_valid(written)].tolist()
-        left = left[~shapely.covered_by(left, shapely.union_all(fences))]
-    return fences, num_met + len(left)
+        uncovered = uncovered[~shapely.covered_by(uncovered, shapely.union_all(fences))]
+    return fences, num_met + len(uncovered)
 
 
 def _as_written(polygon: shapely.Polygon, grid: Grid) -> shapely.Polygon:
+    """Return a polygon in the grid's CRS as a file holds it, its corners rounded in degrees."""
     return shapely.Polygon(np.stack(grid.xy_of_lonlat(*ring_of(polygon, grid).T), axis=-1))

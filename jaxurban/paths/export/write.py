@@ -59,26 +59,35 @@ GROUND_REFERENCE = (
 
 
 def _feature(properties: Mapping[str, Any], lonlat: np.ndarray) -> dict[str, Any]:
+    """Return a line ``[N, 2]`` of longitude and latitude as a feature of GeoJSON."""
     geometry = {"type": "LineString", "coordinates": positions(lonlat)}
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 
 def to_geojson(routes: Named, report: "RouteReport | None") -> bytes:
-    """Return paths as GeoJSON."""
+    """Return paths as GeoJSON in UTF-8: a feature for each path, and after it one for each segment of its report.
+
+    Args:
+      routes: the paths with their names, ``""`` for one without.
+      report: of the one path, whose totals become properties too; None for no segments.
+    """
     features = []
     for name, route in routes:
         facts, segments = facts_of(route, report, is_alone=len(routes) == 1)
-        # A GIS takes nested properties for text.
-        facts |= {f"cost_{name}": value for name, value in facts.get("cost_by_layer", {}).items()}
-        facts |= {f"mean_{name}": value for name, value in facts.get("metrics", {}).items()}
+        # A GIS takes nested properties for text, so that each number gets a property of its own too.
+        for layer, cost in facts.get("cost_by_layer", {}).items():
+            facts[f"cost_{layer}"] = cost
+        for metric, mean in facts.get("metrics", {}).items():
+            facts[f"mean_{metric}"] = mean
         facts["z_m"] = upward(route.z_m).tolist()
         ground = route.ground
         if ground is not None:
             elevation_m = np.interp(np.arange(len(route.z_m)), ground.at, ground.elevation_m)
             facts["ground_m"] = np.round(elevation_m, Z_DECIMALS).tolist()
             facts["ground_reference"] = GROUND_REFERENCE
-        properties = {"name": name} | facts if name else facts
-        features.append(_feature(properties, route.lonlat))
+        if name:
+            facts = {"name": name, **facts}
+        features.append(_feature(facts, route.lonlat))
         lines = () if report is None else report.lines
         features += [_feature(segment, line) for segment, line in zip(segments, lines, strict=True)]
     collection = {"type": "FeatureCollection", "features": features}
@@ -93,7 +102,12 @@ def elevation_note(route: "PlannedPath") -> str:
 
 
 def to_gpx(routes: Named, report: "RouteReport | None") -> bytes:
-    """Return paths as routes of GPX 1.1."""
+    """Return paths as routes of GPX 1.1, XML in UTF-8. Points are waypoints, with an elevation only over terrain.
+
+    Args:
+      routes: the paths with their names, ``""`` for one without.
+      report: of the one path, for its description; or None.
+    """
     root = Element(
         "gpx", xmlns="http://www.topografix.com/GPX/1/1", version="1.1", creator="jaxurban"
     )
@@ -103,19 +117,25 @@ def to_gpx(routes: Named, report: "RouteReport | None") -> bytes:
         along = waypoints(route)
         SubElement(element, "name").text = name or _title(route, facts)
         SubElement(element, "desc").text = description_of(facts, elevation_note(route))
-        for number, ((lon, lat), z_m) in enumerate(zip(along.lonlat, along.z_m, strict=True)):
+        for index, (lon, lat) in enumerate(along.lonlat):
             degrees = {"lat": f"{lat:.{DECIMALS}f}", "lon": f"{lon:.{DECIMALS}f}"}
             point = SubElement(element, "rtept", degrees)
+            z_m = along.z_m[index]
             if along.ground_m is not None:
-                elevation_m = upward(along.ground_m[number] + z_m)
+                elevation_m = upward(along.ground_m[index] + z_m)
                 SubElement(point, "ele").text = f"{elevation_m:.{Z_DECIMALS}f}"
-            SubElement(point, "name").text = str(number + 1)
+            SubElement(point, "name").text = str(index + 1)
             SubElement(point, "desc").text = f"{upward(z_m):.{Z_DECIMALS}f} m above ground"
     return _encoded(root)
 
 
 def to_kml(routes: Named, report: "RouteReport | None") -> bytes:
-    """Return paths as KML."""
+    """Return paths as lines of KML, XML in UTF-8, with all that is known of them as data.
+
+    Args:
+      routes: the paths with their names, ``""`` for one without.
+      report: of the one path, for its data; or None.
+    """
     root = Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = SubElement(root, "Document")
     for name, route in routes:
@@ -123,26 +143,29 @@ def to_kml(routes: Named, report: "RouteReport | None") -> bytes:
         placemark = SubElement(document, "Placemark")
         SubElement(placemark, "name").text = name or _title(route, facts)
         SubElement(placemark, "description").text = description_of(facts)
-        del facts["cautions"]
+        del facts["cautions"]  # the description holds them
         data = SubElement(placemark, "ExtendedData")
         for key, value in facts.items():
             text = value if isinstance(value, str) else json.dumps(value)
             SubElement(SubElement(data, "Data", name=key), "value").text = text
-        along = route if route.ground is None else waypoints(route)
+        points = route if route.ground is None else waypoints(route)
+        places = positions(np.column_stack([points.lonlat, upward(points.z_m)]))
         line = SubElement(placemark, "LineString")
         SubElement(line, "altitudeMode").text = "relativeToGround"
         SubElement(line, "coordinates").text = " ".join(
             f"{lon:.{DECIMALS}f},{lat:.{DECIMALS}f},{z_m:.{Z_DECIMALS}f}"
-            for lon, lat, z_m in positions(np.column_stack([along.lonlat, upward(along.z_m)]))
+            for lon, lat, z_m in places
         )
     return _encoded(root)
 
 
 def _title(route: "PlannedPath", facts: Mapping[str, Any]) -> str:
+    """Return the name of a path that has none: planner and altitude."""
     return f"{facts['planner']}, {route.altitude_m:g} m above ground"
 
 
 def _encoded(root: Element) -> bytes:
+    """Return an XML document, which is indented in place, as UTF-8."""
     indent(root)
     return tostring(root, encoding="utf-8", xml_declaration=True)
 
@@ -171,23 +194,26 @@ def write_path(
     replaced.
 
     Args:
-      route: from `plan`, or several; of these, the ones that were found are written.
-      file: where to; several formats are several calls.
+      route: from `plan`, or several; of these, those with a path are written.
+      file: where to; each format needs a call of its own.
       report: from `jaxurban.explain`; its speed becomes the cruise speed of a ``.plan``. Of one path only.
-      names: of several paths; left out, their numbers from 1 up.
-      end: of a ``.plan``: ``"land"`` at the goal, which is meant where it is left out, ``"return"`` to launch as the
-        autopilot does it, or ``"none"``.
-      roofs: of a ``.plan``: more exclusion polygons of its geofence, from `roof_fences`.
+      names: of several paths, one for each; left out, their numbers from 1 up.
+      end: how the mission in a ``.plan`` ends: ``"land"`` at the goal (so also if it is left out), ``"return"`` to
+        launch as the autopilot does it, or ``"none"``.
+      roofs: more exclusion polygons for the geofence of a ``.plan``, from `roof_fences`.
 
     Raises:
       InputError: another suffix, an end or fences of a format without, several paths in a format of one, names that
         are not one for each, or a folder that does not exist or cannot be written to.
     """
+    # The format.
     file = Path(file)
     encode = encoder_of(file)
     if end is not None or roofs is not None:
         check_is_mission(file)
         encode = partial(to_qgc_plan, end=one_of("end", end or "land", ENDS), roofs=roofs)
+
+    # The paths and their names.
     routes: list[PlannedPath | None]
     if isinstance(route, Sequence):
         routes = list(route)
@@ -217,9 +243,13 @@ def check_is_mission(file: Path) -> None:
 
 
 def encoder_of(file: Path) -> Encode:
-    """Return what `write_path` writes a file by; raise InputError where it cannot: call it before a long search."""
-    known = FORMATS.get(file.suffix.lower())
-    if known is None:
+    """Return the function that writes the format of a file, by its suffix. To be called before a long search too.
+
+    Raises:
+      InputError: another suffix, a folder that does not exist, or a file that is a folder.
+    """
+    path_format = FORMATS.get(file.suffix.lower())
+    if path_format is None:
         raise InputError(
             f"cannot determine the format of {str(file)!r}: end its name in one of {', '.join(FORMATS)}"
         )
@@ -229,4 +259,4 @@ def encoder_of(file: Path) -> Encode:
         )
     if file.is_dir():
         raise InputError(f"{str(file)!r} is a folder: name a file")
-    return known.encode
+    return path_format.encode
