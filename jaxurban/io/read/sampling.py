@@ -123,8 +123,8 @@ def heights_above(surface: Raster, ground: Raster) -> Raster:
 def _pixels(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     """Return the values of pixels, float64, NaN outside the raster.
 
-    The pixels are given by rows and columns of the whole file: whole numbers as floats, in arrays of the result's shape.
-    Infinite ones and NaN are outside.
+    The pixels are given by rows and columns of the whole file: whole numbers as floats, in arrays of one shape, as the
+    result. Infinite ones and NaN are outside.
     """
     row = row - raster.first_row
     col = col - raster.first_col
