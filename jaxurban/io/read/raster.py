@@ -335,9 +335,9 @@ def heights_of_surface(
     raised = _raised_share(above, crs)
     if num_sunken > num_known / 2 or raised > MOST_RAISED:
         raise InputError(
-            f"{name} does not stand on the terrain ({num_sunken / num_known:.0%} of its cells lie below it, {raised:.0%} "
-            f"of its blocks of {BLOCK_M:g} m are off it all over, streets and yards included): bring both to one vertical "
-            'datum and unit, or leave out [buildings] kind = "surface" if it holds heights above ground'
+            f"{name} does not stand on the terrain ({num_sunken / num_known:.0%} of its cells lie below it, "
+            f"{raised:.0%} of its blocks of {BLOCK_M:g} m are off it all over, streets and yards included): bring both "
+            'to one vertical datum and unit, or leave out [buildings] kind = "surface" if it holds heights above ground'
         )
     warn(
         f"heights are {name} less the terrain: trees, bridges and cranes in it count as buildings, and what is lower "
