@@ -187,8 +187,7 @@ def checksum_of(data: Path | bytes) -> str:
     """
     if isinstance(data, bytes):
         return f"{zlib.crc32(data):08x}-{len(data)}"
-    crc = 0
-    length = 0
+    crc = length = 0
     with data.open("rb") as file:
         while piece := file.read(PIECE_BYTES):
             crc = zlib.crc32(piece, crc)

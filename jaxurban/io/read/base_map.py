@@ -42,8 +42,17 @@ CLASSES = {  # of the tag `highway`; "_link" counts as what it links
 BESIDE_STREETS = ("sidewalk", "crossing", "parking_aisle", "driveway", "drive-through")
 RAILS = ("rail", "light_rail", "subway", "tram", "narrow_gauge", "monorail", "funicular")
 PLACES = (
-    *("city", "borough", "town", "suburb", "quarter", "neighbourhood", "village", "hamlet"),
-    *("island", "islet", "square"),
+    "city",
+    "borough",
+    "town",
+    "suburb",
+    "quarter",
+    "neighbourhood",
+    "village",
+    "hamlet",
+    "island",
+    "islet",
+    "square",
 )
 TOLERANCE_M = 1.0  # lines are simplified to it
 LEAST_M2 = 50.0  # smaller waters and parks are left out

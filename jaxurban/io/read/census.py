@@ -16,7 +16,7 @@ from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.raster import RASTER_SUFFIXES, read_bands
 from jaxurban.io.read.sampling import pixel_xy
-from jaxurban.io.read.vector import open_frame
+from jaxurban.io.read.vector import POLYGONS, open_frame
 from jaxurban.metrics.population import Population
 from jaxurban.world.blocks import OTHER_DISTRICT, Blocks, Zoning
 from jaxurban.world.grid import Bounds, projected_crs, transformer
@@ -24,8 +24,22 @@ from jaxurban.world.grid import Bounds, projected_crs, transformer
 # Names of the column of total population, the first found wins, case ignored: 2010 SF1 (data.census.gov, American
 # FactFinder), 2020 P1 and DHC, TIGER with counts, GIS joins, and plain tables.
 COUNT_COLUMNS = (
-    *("p001001", "d001", "p1_001n", "p0010001", "pop10", "pop20", "pop100", "u7h001", "h7v001"),
-    *("population", "total_population", "pop_total", "pop", "people", "total", "count"),
+    "p001001",
+    "d001",
+    "p1_001n",
+    "p0010001",
+    "pop10",
+    "pop20",
+    "pop100",
+    "u7h001",
+    "h7v001",
+    "population",
+    "total_population",
+    "pop_total",
+    "pop",
+    "people",
+    "total",
+    "count",
 )
 # Summary level, variant and component, before the digits of the id.
 GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")
@@ -33,7 +47,6 @@ GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")
 MOST_PEOPLE = 1e10  # of a block: more is no count
 COUNT = re.compile(r"\s*(\+?\d[\d,\s]*(?:\.\d*)?(?:[eE]\+?\d{1,2})?)\s*(?:\(.*\))?\s*")
 
-AREAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 SLIVER = 1e-6  # of a pixel's area: what rounding leaves where the borders of two grids coincide
 PAPER_DISTRICTS = tuple(range(101, 113))  # Manhattan's twelve; 164 is Central Park
 
@@ -261,7 +274,7 @@ def clean_polygons(
     polygons[is_invalid] = shapely.make_valid(polygons[is_invalid], method="structure")
     is_mixed = shapely.get_type_id(polygons) == shapely.GeometryType.GEOMETRYCOLLECTION
     polygons[is_mixed] = [polygonal(shape) for shape in polygons[is_mixed]]
-    polygons[~np.isin(shapely.get_type_id(polygons), AREAL)] = None
+    polygons[~np.isin(shapely.get_type_id(polygons), POLYGONS)] = None
     is_kept = shapely.area(polygons) > 0
     num_lost = int((~is_kept).sum())
     num_invalid = int(is_invalid.sum())

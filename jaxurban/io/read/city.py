@@ -145,8 +145,11 @@ def read_city(
 
 def _placed(section: Any) -> Any:
     """Return a section of settings with the path of each file that it names, of sample cities too."""
-    files = {name: file for name, file in vars(section).items() if name in FILE_FIELDS}
-    paths = {name: located(file) for name, file in files.items() if file is not None}
+    paths = {
+        name: located(file)
+        for name, file in vars(section).items()
+        if name in FILE_FIELDS and file is not None
+    }
     return replace(section, **paths)
 
 
@@ -289,8 +292,7 @@ def size_m(extent: Sequence[float]) -> tuple[float, float]:
     west, south, east, north = extent
     middle = (south + north) / 2
     east_west_m = GEOD.line_length([west, east], [middle, middle])
-    north_south_m = GEOD.line_length([west, west], [south, north])
-    return east_west_m, north_south_m
+    return east_west_m, GEOD.line_length([west, west], [south, north])
 
 
 def covers_too_much(path: str | Path, extent: Sequence[float], main: Sequence[float]) -> str:

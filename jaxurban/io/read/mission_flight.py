@@ -41,9 +41,12 @@ STILL = frozenset(
     range(2500, 2512),
 )
 FRAMES: dict[int, Datum] = {
-    **dict.fromkeys((0, 5), "geoid"),
-    **dict.fromkeys((3, 6), "home"),
-    **dict.fromkeys((10, 11), "ground"),
+    0: "geoid",
+    5: "geoid",
+    3: "home",
+    6: "home",
+    10: "ground",
+    11: "ground",
 }
 HAS_HEIGHT = (*TAKEOFFS, WAYPOINT, *LOITERS)  # commands that lead to a height
 PLACED = (*HAS_HEIGHT, *LANDINGS)

@@ -20,16 +20,17 @@ from jaxurban.world.grid import WGS84, Bounds, transformer
 from jaxurban.world.land_cover import LandCover
 
 TAGS = (  # that say something of buildings, as `COLUMNS` sorts them
-    *(
-        "building",
-        "building:part",
-        "height",
-        "building:levels",
-        "levels",
-        "roof:levels",
-        "min_height",
-    ),
-    *("building:min_level", "location", "layer", "man_made"),
+    "building",
+    "building:part",
+    "height",
+    "building:levels",
+    "levels",
+    "roof:levels",
+    "min_height",
+    "building:min_level",
+    "location",
+    "layer",
+    "man_made",
 )
 OSM_SUFFIXES = (".pbf", ".osm")
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
@@ -201,16 +202,15 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
       target: the PBF file to write; an old one is replaced.
       box: west, south, east, north in degrees.
     """
-    file = osmium.io.File(str(source), "pbf")
+    file = _file(source)
 
     # The member ways of a building relation need not bear the tag themselves.
     ways_of = {relation.id: _ways_of(relation) for relation in _relations(file)}
     members = set().union(*ways_of.values())
     near = {way.id for way in _ways_in(file, IdFilter(members), box)} if members else set()
 
-    result = osmium.io.File(str(target), "pbf")
     with osmium.BackReferenceWriter(
-        result, ref_src=file, overwrite=True, remove_tags=False
+        _file(target), ref_src=file, overwrite=True, remove_tags=False
     ) as writer:
         for way in _ways_in(file, HAS_BUILDING_OR_DECK, box):
             if _is_building_or_deck(way.tags):

@@ -23,10 +23,17 @@ from jaxurban.world.raster import Raster
 
 # By the end of their names, the drivers of GDAL that may open them: others (as of .vrt) read what a file names.
 DRIVERS = {
-    **dict.fromkeys((".tif", ".tiff"), "GTiff"),
-    **dict.fromkeys((".bil", ".flt"), "EHdr"),
-    **dict.fromkeys((".dt0", ".dt1", ".dt2"), "DTED"),
-    **{".asc": "AAIGrid", ".img": "HFA", ".hgt": "SRTMHGT", ".png": "PNG"},
+    ".tif": "GTiff",
+    ".tiff": "GTiff",
+    ".bil": "EHdr",
+    ".flt": "EHdr",
+    ".dt0": "DTED",
+    ".dt1": "DTED",
+    ".dt2": "DTED",
+    ".asc": "AAIGrid",
+    ".img": "HFA",
+    ".hgt": "SRTMHGT",
+    ".png": "PNG",
 }
 RASTER_SUFFIXES = tuple(DRIVERS)
 TIFF_MARKS = b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"  # first bytes

@@ -51,7 +51,7 @@ REFERRING = (
 HEAD_BYTES = 1 << 16  # GDAL looks at fewer
 ESCAPE = re.compile(rb"\\u00([2-7][0-9a-fA-F])")  # a plain letter of JSON in digits
 LINK = re.compile(rb'"type"\s*:\s*"(link|url)"')  # of a CRS, by the GeoJSON of 2008
-_POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
+POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
 def open_frame(
@@ -273,7 +273,7 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
     shapes = np.array(frame.geometry, object)
     is_mixed = shapely.get_type_id(shapes) == shapely.GeometryType.GEOMETRYCOLLECTION
     shapes[is_mixed] = [polygonal(shape) for shape in shapes[is_mixed]]
-    is_polygon = np.isin(shapely.get_type_id(shapes), _POLYGONS) | shapely.is_missing(shapes)
+    is_polygon = np.isin(shapely.get_type_id(shapes), POLYGONS) | shapely.is_missing(shapes)
 
     names = filter(is_of_buildings, frame)
     columns = {name: _values(frame.loc[is_polygon, name]) for name in names}
@@ -292,14 +292,12 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
 
 def _scalar(value: Any) -> Any:
     """Return the value of a property; a list, a table or an array as its JSON text, so that no number is read of it."""
-
-    def plain(inner: Any) -> Any:
-        """Return what JSON cannot hold as a list or a text."""
-        return inner.tolist() if isinstance(inner, np.ndarray) else str(inner)
-
     if not isinstance(value, list | dict | tuple | np.ndarray):
         return value
-    return json.dumps(value, default=plain)
+    # What JSON cannot hold becomes a list or a text.
+    return json.dumps(
+        value, default=lambda inner: inner.tolist() if isinstance(inner, np.ndarray) else str(inner)
+    )
 
 
 def _values(column: pd.Series) -> np.ndarray:
