@@ -85,6 +85,7 @@ class _Layer(NamedTuple):
 
     @property
     def title(self) -> str:
+        """What the band is called in QGIS: the variable, its altitude and its times, where it has them."""
         words = [self.tags.get("long_name", self.name)]
         if "altitude_m" in self.tags:
             words.append(f"{self.tags['altitude_m']} m above ground")

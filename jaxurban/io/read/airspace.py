@@ -295,7 +295,11 @@ def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone
 
 
 def _geozones(path: Path) -> list[Json] | None:
-    """Return the zones of a file as they are, None where it is no file of ED-269 or ED-318."""
+    """Return the features of a file of ED-269 or ED-318 as JSON holds them, None of any other file.
+
+    Such a file is known by its suffix and by the words that only these formats have; one that cannot be read is left to
+    the reader of vector files.
+    """
     if path.suffix.lower() not in GEOZONE_SUFFIXES:
         return None
     try:

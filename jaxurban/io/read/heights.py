@@ -39,6 +39,7 @@ def _number(text: str) -> float:
 
 
 def _metres(text: str) -> float:
+    """Return the metres that one entry spells, in metres or in feet and inches, NaN where it is unreadable."""
     if match := _METRES.fullmatch(text):
         return _number(match[1])
     if match := _FEET.fullmatch(text):

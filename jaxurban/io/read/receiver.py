@@ -239,7 +239,10 @@ def _check_once(table: pd.DataFrame, key: list[str], what: str, twice: str, reme
 
 
 def _check_units(table: pd.DataFrame, what: str) -> None:
-    """Raise InputError where all values of a column are as small as they are in another unit."""
+    """Raise InputError where all values of a column are as small as they would be in another unit (`OTHER_UNITS`).
+
+    Columns that are all 0 pass. ``what`` begins the message.
+    """
     for bounds, unit, needed in OTHER_UNITS:
         columns = [column for column in bounds if column in table]
         largest = {column: float(table[column].abs().max()) for column in columns}
