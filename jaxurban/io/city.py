@@ -85,23 +85,27 @@ class City(FactsRepr):
 
     @property
     def facts(self) -> dict[str, str]:
-        """CRS, extent of the region, what is known of buildings, people and terrain, and the credit."""
-        x_min, y_min, x_max, y_max = region_m = self._region_m
-        num = "a height raster"
+        """CRS, extent of the region, what is known of buildings, people and terrain, and the credit, each as a text.
+
+        The box in which most buildings stand is empty where it is not much smaller than the region.
+        """
+        region_m = self._region_m
+        x_min, y_min, x_max, y_max = region_m
+        buildings = "a height raster"
         main = None
         if self.buildings is not None:
             is_inside = shapely.intersects(self.buildings.polygons, shapely.box(*region_m))
-            inside = int(is_inside.sum())
-            around = len(self.buildings) - inside
-            num = f"{inside:,}"
-            if around:
-                num = f"{num}, and {around:,} around"
+            num_inside = int(is_inside.sum())
+            num_around = len(self.buildings) - num_inside
+            buildings = f"{num_inside:,}"
+            if num_around:
+                buildings += f", and {num_around:,} around"
             extent = self.bounds or transformer(self.crs, WGS84).transform_bounds(*region_m)
             main = main_bounds(self.buildings.polygons, self.crs, extent)
         return {
             "CRS": self.crs,
             "extent": f"{(x_max - x_min) / 1000:.3g} x {(y_max - y_min) / 1000:.3g} km",
-            "buildings": num,
+            "buildings": buildings,
             MOST_IN: "" if main is None else str(list(main)),
             "census blocks": "" if self.blocks is None else f"{len(self.blocks):,}",
             "terrain": "flat" if self.terrain is None else "a raster",
@@ -125,8 +129,10 @@ class City(FactsRepr):
         """The box that holds everything known, buildings and terrain: beyond it nothing can shadow."""
         if self.terrain_extent_m is None:
             return self.extent_m
-        (a, b, c, d), (e, f, g, h) = self.extent_m, self.terrain_extent_m
-        return min(a, e), min(b, f), max(c, g), max(d, h)
+        pairs = list(zip(self.extent_m, self.terrain_extent_m, strict=True))
+        x_min, y_min = map(min, pairs[:2])
+        x_max, y_max = map(max, pairs[2:])
+        return x_min, y_min, x_max, y_max
 
     @property
     def known_area(self) -> shapely.Geometry:

@@ -65,6 +65,7 @@ class _Retry(Retry):
     """Waits as long as a busy server asks, up to `MOST_WAIT_S`."""
 
     def get_retry_after(self, response: BaseHTTPResponse) -> float | None:
+        """Return the seconds that a server asks to wait, None without such a wish; InputError for too many."""
         wait_s = super().get_retry_after(response)
         if wait_s is not None and wait_s > MOST_WAIT_S:
             raise InputError(
@@ -81,12 +82,18 @@ class _Adapter(HTTPAdapter):
     """Sends requests; of redirects none that leads from a public server into this machine or its own network."""
 
     def __init__(self, source: Source, **options: Any) -> None:
+        """Make an adapter for a source; ``options`` are those of `HTTPAdapter`."""
         self.source_host = urlsplit(source.url).hostname
         super().__init__(**options)
 
     def send(
         self, request: requests.PreparedRequest, *args: Any, **options: Any
     ) -> requests.Response:
+        """Send a request, the source's own or one that it was redirected to.
+
+        Raises:
+          InputError: a public server redirects to an address that is not public.
+        """
         host = urlsplit(request.url or "").hostname
         own = self.source_host
         if host != own and _is_private(host) and not _is_private(own):
@@ -95,13 +102,15 @@ class _Adapter(HTTPAdapter):
 
 
 def _is_private(host: str | None) -> bool:
-    """Return whether a host, or one of those that its name stands for, is no public one; not of unknown names."""
+    """Return whether one of the addresses of a host is not public; False where its name is not known here."""
     try:
         places = {place[0] for *_, place in socket.getaddrinfo(host, None)}
     except OSError:  # perhaps a proxy knows it
         return False
-    addresses = [ipaddress.ip_address(str(address).partition("%")[0]) for address in places]
-    return not all((getattr(each, "ipv4_mapped", None) or each).is_global for each in addresses)
+    # Without the interface that may follow a "%"; of IPv4 within IPv6 the IPv4 address counts.
+    addresses = [ipaddress.ip_address(str(place).partition("%")[0]) for place in places]
+    plain = [getattr(address, "ipv4_mapped", None) or address for address in addresses]
+    return not all(address.is_global for address in plain)
 
 
 def cache_folder() -> Path:
@@ -112,7 +121,7 @@ def cache_folder() -> Path:
 def download(source: Source, most_bytes: int) -> Path:
     """Return the copy of a source's file in the cache, downloaded now unless it is fresh and whole.
 
-    Its name holds the SHA-256 of its bytes, between dashes.
+    The copy is called ``KEY-SHA256-FILE``: a key of the URL, the digest of its bytes, and the source's name for it.
 
     Args:
       source: where it is, its URL filled in.
@@ -145,7 +154,17 @@ def download(source: Source, most_bytes: int) -> Path:
 
 
 def _receive(source: Source, scratch: Path, most_bytes: int) -> None:
-    """Write what a server sends to a file; stop where it is too large."""
+    """Write what a server sends to a file.
+
+    Args:
+      source: its URL, and how often a busy server is asked.
+      scratch: the file to write.
+      most_bytes: the largest file accepted, unpacked.
+
+    Raises:
+      InputError: the server refuses or asks to wait too long, or the file is larger.
+      requests.RequestException, HTTPError, ValueError: the connection fails, or the URL is none.
+    """
     adapter = _Adapter(
         source,
         max_retries=_Retry(
@@ -168,6 +187,7 @@ def _receive(source: Source, scratch: Path, most_bytes: int) -> None:
         session.adapters.clear()  # so that no redirect leads from https to http
         for scheme in ("https://",) if source.url.startswith("https:") else ("https://", "http://"):
             session.mount(scheme, adapter)
+
         with (
             session.get(
                 source.url, stream=True, timeout=(CONNECT_TIMEOUT_S, TIMEOUT_S)
@@ -179,11 +199,11 @@ def _receive(source: Source, scratch: Path, most_bytes: int) -> None:
                 raise InputError(
                     f"{response.url} answers {response.status_code} {response.reason!r:.200}: {remedy}"
                 )
+
+            # An empty chunk comes first, so that a declared length is checked before anything is received.
             declared = response.headers.get("Content-Length", "")
             num_bytes = int(declared) if declared.isdecimal() else 0
-            for chunk in chain(
-                [b""], response.iter_content(CHUNK_BYTES)
-            ):  # what is declared comes first
+            for chunk in chain([b""], response.iter_content(CHUNK_BYTES)):
                 num_bytes = max(num_bytes, file.tell() + len(chunk))
                 if num_bytes > most_bytes:
                     raise InputError(

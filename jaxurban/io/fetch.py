@@ -106,9 +106,9 @@ class FetchJob:
 
     Attributes:
       bounds: west, south, east, north of the region in degrees.
-      what: names of `SOURCES`.
+      what: names of the sources to fetch, keys of `SOURCES`.
       day: of the GPS maps; None for the elements' own time (of nominal ones: today).
-      urls: URL templates by source that replace the known ones.
+      urls: URL templates by name of a source, in place of those of `SOURCES`.
       margin_m: how far around the region buildings are fetched.
 
     Raises:
@@ -122,8 +122,9 @@ class FetchJob:
     margin_m: float = 1000.0
 
     def __post_init__(self) -> None:
+        """Check the settings; InputError as of the class."""
         check_bounds(self.bounds)
-        for name in self.what or ("",):
+        for name in self.what or ("",):  # nothing at all is refused as an unknown name is
             one_of("--what", name, SOURCES)
         for name in self.urls:
             one_of("--source", name, SOURCES)
@@ -138,7 +139,7 @@ class FetchJob:
         return utm_of(self.bounds)
 
     def box_m(self, margin_m: float) -> Bounds:
-        """Return the region's projected box in metres, grown by a margin."""
+        """Return x_min, y_min, x_max, y_max of the region's box in `crs`, grown by a margin on each side."""
         to_m = transformer(WGS84, self.crs)
         x_min, y_min, x_max, y_max = to_m.transform_bounds(
             *check_bounds(self.bounds), densify_pts=21
@@ -146,7 +147,7 @@ class FetchJob:
         return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
 
     def box(self, margin_m: float) -> Bounds:
-        """Return west, south, east, north of the region's projected box, grown by a margin."""
+        """Return west, south, east, north in degrees of the box around `box_m`."""
         return transformer(self.crs, WGS84).transform_bounds(*self.box_m(margin_m), densify_pts=21)
 
     def requests(self) -> list[Source]:
@@ -158,14 +159,23 @@ class FetchJob:
         return [self._source(name) for name in SOURCES if name in self.what]
 
     def _source(self, name: str) -> Source:
-        """Return a source with its URL for the region, and the terms of the place that it is from."""
+        """Return a source with its URL for the region.
+
+        A source whose URL the user gave has the credit and the terms of its host; OpenStreetMap's stay the same
+        everywhere.
+
+        Raises:
+          InputError: as of `requests`.
+        """
         source = SOURCES[name]
-        template = self.urls.get(name, SOURCES[name].url)
+        template = self.urls.get(name, source.url)
         margin_m = self.margin_m if name == "osm" else BLOCK_MARGIN_M
+
+        # Fill in the template: the sides in degrees, and the query of the Overpass API.
         sides = zip(("west", "south", "east", "north"), self.box(margin_m), strict=True)
-        places = {side: f"{value:.6f}" for side, value in sides}
+        degrees = {side: f"{value:.6f}" for side, value in sides}
         try:
-            url = template.format(**places, query=quote(OVERPASS.format(**places), safe=""))
+            url = template.format(**degrees, query=quote(OVERPASS.format(**degrees), safe=""))
             parts = urlsplit(url)
             if parts.scheme not in ("http", "https") or not parts.hostname or not url.isprintable():
                 raise ValueError("no address of the web")
@@ -174,6 +184,8 @@ class FetchJob:
                 f"the URL {template!r} of the source {name!r} cannot be used ({error}): it must begin with https:// or "
                 "http:// and a host; {query}, {west}, {south}, {east} and {north} may stand in it, other braces doubled"
             ) from error
+
+        # A template without places is of a whole extract, which no server cuts out.
         x_min, y_min, x_max, y_max = self.box_m(margin_m)
         area_km2 = (x_max - x_min) * (y_max - y_min) / 1e6
         if name == "osm" and "{" in template and area_km2 > MOST_OVERPASS_KM2:
@@ -182,9 +194,10 @@ class FetchJob:
                 f"server, is asked for {MOST_OVERPASS_KM2:g} km2 at most: give an extract that covers it with "
                 "--source osm=URL (download.geofabrik.de has them), or a smaller region"
             )
-        if name == "osm":
-            return replace(source, url=url, file=source.file + ".pbf" * parts.path.endswith(".pbf"))
-        if name in self.urls:
+
+        if name == "osm" and parts.path.endswith(".pbf"):
+            return replace(source, url=url, file=f"{source.file}.pbf")
+        if name != "osm" and name in self.urls:
             source = replace(source, credit=parts.hostname, licence="ask its publisher")
         return replace(source, url=url)
 
@@ -192,15 +205,15 @@ class FetchJob:
 def fetch(job: FetchJob, folder: Path, *, most_bytes: int, overwrite: bool = False) -> Settings:
     """Get the files of a job into a folder, with ``scenario.toml``, which uses them, and ``fetch.json``.
 
-    All come into the folder at the end, the scenario last. There is none without ``osm`` in ``what``, as maps need
-    buildings.
+    All files come into the folder at the end, the scenario last. Without ``osm`` in the job's ``what`` there is no
+    scenario, as maps need buildings.
 
     Args:
       job: what to get.
-      folder: where to; made if it is not there.
+      folder: where the files go; made if it is not there.
       most_bytes: the largest file accepted.
-      overwrite: set aside what is there under these names; else only what an earlier fetch wrote, and nobody changed,
-        may be there.
+      overwrite: set aside what is there under the names of these files; otherwise only what an earlier fetch wrote, and
+        nobody changed, may be there.
 
     Returns:
       What ``fetch.json`` holds: of every file where it is from, whose it is, when it came, its length and its SHA-256,
@@ -224,6 +237,7 @@ def fetch(job: FetchJob, folder: Path, *, most_bytes: int, overwrite: bool = Fal
             workspace.begin(stage)
             sweep_scraps(cache_folder())
             record = _fetch(job, sources, stage, most_bytes)
+
             for path in sorted(stage.iterdir(), key=lambda path: path.name == SCENARIO_FILE):
                 target = folder / path.name
                 if overwrite and os.path.lexists(target) and not workspace.is_own(target):
@@ -233,9 +247,19 @@ def fetch(job: FetchJob, folder: Path, *, most_bytes: int, overwrite: bool = Fal
 
 
 def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: int) -> Settings:
-    """Get files into an empty folder, with a scenario and the record, which is returned."""
+    """Get the files of sources into a folder, with `SCENARIO_FILE` and `RECORD_FILE`, and return what the last holds.
+
+    Args:
+      job: its region and day.
+      sources: with their URLs for the region.
+      stage: an empty folder.
+      most_bytes: the largest file accepted.
+
+    Raises:
+      InputError: a file cannot be had or read (then its copy in the cache is removed), or all were left out.
+    """
     today = datetime.now(UTC).date()
-    settings: Settings = {
+    settings: Settings = {  # of the scenario
         "region": {"bounds": list(job.bounds)},
         "gps": {"orbits": NOMINAL, "times": [f"{job.day or today}{NOON}"]},
     }
@@ -243,6 +267,7 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
     left_out = []
     for source in sources:
         path = download(source, most_bytes)
+        target = stage / source.file
         try:
             with readable(
                 path,
@@ -251,17 +276,19 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
                 *OF_DAMAGED,
                 what=source.url,
             ):
-                part = READERS[source.name](job, path, stage / source.file)
+                sections = READERS[source.name](job, path, target)
         except InputError as error:
             path.unlink()
             raise InputError(str(error).replace(str(path), source.url)) from error
-        if not part:
+        if not sections:
             left_out.append(NOTHING[source.name])
             continue
-        if not (stage / source.file).exists():
-            shutil.copyfile(path, stage / source.file)
-        for section, values in part.items():
+
+        if not target.exists():
+            shutil.copyfile(path, target)
+        for section, values in sections.items():
             settings.setdefault(section, {}).update(values)
+        fetched = datetime.fromtimestamp(path.stat().st_mtime, UTC)
         files.append(
             {
                 "source": source.name,
@@ -269,15 +296,14 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
                 "credit": source.credit,
                 "licence": source.licence,
                 "url": source.url,
-                "fetched_utc": datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(
-                    timespec="seconds"
-                ),
+                "fetched_utc": fetched.isoformat(timespec="seconds"),
                 "num_bytes": path.stat().st_size,
-                "sha256": path.name.split("-")[1],
+                "sha256": path.name.split("-")[1],  # as `download` names it
             }
         )
     if not files:
         raise InputError(f"nothing of --what can be fetched here ({'; '.join(left_out)})")
+
     record = {"bounds": list(job.bounds), "files": files, "left_out": left_out}
     (stage / RECORD_FILE).write_text(
         json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
@@ -294,7 +320,16 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
 
 
 def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
-    """Read OpenStreetMap data, an extract cut to the region with its margin."""
+    """Return the sections of a scenario that use OpenStreetMap data.
+
+    Args:
+      job: its region.
+      path: the download, XML of the Overpass API, or an extract in PBF.
+      target: where the file will lie; from an extract the region with its margin is cut out and written here.
+
+    Raises:
+      InputError: the server sent a part of the data only, an extract that does not cover the region, or no building.
+    """
     is_xml = format_of(path) == "osm"
     pattern = rb"<remark>\s*(.*?)\s*</remark>"
     remark = re.search(pattern, path.read_bytes(), re.DOTALL) if is_xml else None
@@ -315,7 +350,7 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
         LOG.info(f"osm: cutting the region and {job.margin_m:g} m around it out of the extract")
         cut_buildings(path, target, job.box(job.margin_m))
     outlines = read_osm(target if target.exists() else path)
-    if not shapely.get_num_coordinates(outlines.polygons).any():
+    if not shapely.get_num_coordinates(outlines.polygons).any():  # an outline may be empty
         raise InputError(
             f"{str(path)!r} has no building in the region: check --bounds, longitude first"
         )
@@ -323,13 +358,19 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
 
 
 def _read_census(job: FetchJob, path: Path, target: Path) -> Settings:
-    """Read census blocks with their people; nothing where there are none."""
+    """Return the sections of a scenario that use census blocks, empty where there is no block; arguments as above.
+
+    Raises:
+      InputError: the server sent an error or a part of the blocks only, or the blocks cannot be read.
+    """
     content = json.loads(path.read_bytes())
     if "features" not in content:
         raise InputError(
             f"{str(path)!r} holds no features but {str(content)[:200]}: run the same command later"
         )
-    if any(of.get("exceededTransferLimit") for of in (content, content.get("properties", {}))):
+    # ArcGIS writes it in either place.
+    holders = (content, content.get("properties", {}))
+    if any(holder.get("exceededTransferLimit") for holder in holders):
         raise InputError(
             f"{str(path)!r} holds a part of the region's blocks only: ask for a smaller region"
         )
@@ -340,7 +381,7 @@ def _read_census(job: FetchJob, path: Path, target: Path) -> Settings:
 
 
 def _read_districts(job: FetchJob, path: Path, target: Path) -> Settings:
-    """Read district polygons; nothing where none touches the region."""
+    """Return the sections of a scenario that use district polygons, empty where none touches the region; as above."""
     polygons = read_districts(path, job.crs)[0]
     if not len(polygons):
         raise InputError(
@@ -352,7 +393,10 @@ def _read_districts(job: FetchJob, path: Path, target: Path) -> Settings:
 
 
 def _read_orbits(job: FetchJob, path: Path, target: Path) -> Settings:
-    """Read element sets; nothing where they are too old for the day of the maps."""
+    """Return the sections of a scenario that use element sets, empty where they are too far from the job's day.
+
+    Arguments as above. Without a day the maps are of the middle of the elements' epochs.
+    """
     epoch = str(middle_epoch(read_orbits(path)))
     if job.day and abs((job.day - date.fromisoformat(epoch[:10])).days) > WARN_AGE_DAYS:
         return {}

@@ -31,14 +31,17 @@ RECORDER: ContextVar["Workspace | None"] = ContextVar("RECORDER", default=None)
 
 
 def recorder_of(path: Path) -> "Workspace | None":
-    """Return what records a file of this path, if anything does."""
+    """Return the workspace that records files of this path now, None if none does."""
     recorder = RECORDER.get()
     return None if recorder is None or recorder.name_of(path) is None else recorder
 
 
 @contextmanager
 def recorded_by(recorder: "Workspace | None") -> Iterator[None]:
-    """Let a recorder record what is written in the block; threads and processes that write enter it themselves."""
+    """Let a workspace record what is written in the block; None: nothing is recorded.
+
+    It holds for this thread alone: other threads and processes that write must enter such a block themselves.
+    """
     token = RECORDER.set(recorder)
     try:
         yield
@@ -48,10 +51,12 @@ def recorded_by(recorder: "Workspace | None") -> Iterator[None]:
 
 @contextmanager
 def scratch_for(path: Path) -> Iterator[Path]:
-    """Yield a scratch path beside ``path``, of which nothing is left after the block; made folders stay.
+    """Yield a scratch path beside ``path``, a hidden name at which nothing is; after the block it is removed.
+
+    Missing folders above the path are made, and stay.
 
     Raises:
-      InputError: the folder cannot be written to.
+      InputError: the folder cannot be written to, or no file can have that name.
     """
     scratch = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{SCRATCH_SUFFIX}")
     recorder = recorder_of(path)
@@ -86,7 +91,8 @@ def whole_file(path: Path) -> Iterator[Path]:
                 f"cannot write {str(path)!r}: a folder of that name is in the way; move it"
             )
         recorder = recorder_of(path)
-        (os.replace if recorder is None else recorder.put)(scratch, path)
+        put = os.replace if recorder is None else recorder.put
+        put(scratch, path)
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -123,12 +129,12 @@ def check_writable(folder: Path) -> None:
 
 @contextmanager
 def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator[None]:
-    """Hold a folder for one run; the hold goes with the process, however it ends.
+    """Hold a folder for one run during the block; the hold goes with the process, however it ends.
 
     Raises:
-      InputError: another run holds it, or it cannot be written to; ``remedy`` ends the sentence.
+      InputError: another run holds the folder, or it cannot be written to; ``remedy`` ends the sentence.
     """
-    # It loads asyncio, for which reading alone need not wait.
+    # Imported here: it loads asyncio, for which commands that only read need not wait.
     from filelock import FileLock, Timeout
 
     lock = FileLock(folder / LOCK_FILE, blocking=False, thread_local=False)
@@ -172,7 +178,13 @@ def is_as_written(path: Path, checksums: Container[str]) -> bool:
 
 
 def checksum_of(data: Path | bytes) -> str:
-    """Return a checksum of a file, or of its bytes: CRC-32 and length; 2 GB/s, twice as fast as SHA-256."""
+    """Return a checksum of the file at a path, or of bytes: their CRC-32, a dash and their length (``0123abcd-512``).
+
+    It takes 2 GB/s, twice as fast as SHA-256; files are read in pieces.
+
+    Raises:
+      OSError: the file cannot be read.
+    """
     if isinstance(data, bytes):
         return f"{zlib.crc32(data):08x}-{len(data)}"
     crc = length = 0
@@ -191,7 +203,10 @@ BLANK = MARK + 8 * b"0"
 
 
 def sealed(data: bytes) -> bytes:
-    """Return the bytes of a file with the CRC-32 of them all in its first `BLANK`: it may be moved about alone."""
+    """Return the bytes of a file with their own CRC-32, as it was with the `BLANK`, in place of the first `BLANK`.
+
+    So the file says itself whether it is whole, wherever it is moved.
+    """
     return data.replace(BLANK, MARK + b"%08x" % zlib.crc32(data), 1)
 
 
@@ -209,7 +224,7 @@ def write_json(path: Path, value: Mapping[str, Any], indent: int | None = None) 
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return what `write_json` wrote.
+    """Return the object that `write_json` wrote into a file, without its checksum.
 
     Raises:
       OSError: the file is missing or cannot be read.

@@ -38,6 +38,7 @@ _PARSING = Lock()  # headers of arrays are Python text, and 3.11 fails now and t
 
 
 def _is_of_steps(name: str) -> bool:
+    """Return whether a name in the folder is one that steps write."""
     return OF_STEPS.fullmatch(name) is not None and is_inside(name)
 
 
@@ -52,13 +53,17 @@ class WorkFolder:
     path: Path
 
     def begin(self, key: str, each: Each = map) -> list[Path]:
-        """Make the folder ready for the job of ``key``: keep that job's work, remove any other's.
+        """Make the folder ready for a job: keep that job's work, remove any other's.
+
+        Args:
+          key: stands for the job; it is written into the folder.
+          each: calls a function with each of many marks, as `map` does, or on several threads.
 
         Returns:
-          Damaged files of that job's work, which are removed, and the steps that wrote them are to be done again.
+          The damaged files of the job's work. They are removed, and the steps that wrote them have no mark any more.
 
         Raises:
-          InputError: a link is in its place, or a file of the user's cannot be moved out of it.
+          InputError: a link is in the place of the folder, or a file of the user's cannot be moved out of it.
         """
         self._check_is_folder()
         if is_as_written(self.path / KEY_FILE, [checksum_of(key.encode())]):
@@ -66,37 +71,44 @@ class WorkFolder:
         else:
             self.discard()
             write_whole(self.path / KEY_FILE, key)
+
+        # All steps are checked before a file is removed.
         marks = self._marks("*")
         damaged: list[Path] = []
         for mark, files in zip(marks, list(each(self._damaged, marks)), strict=True):
             damaged += files
             for path in (mark, *files) if files else ():
                 remove(path)
+
         if self.done(ZARR) is None:  # tiles are written into it
             for path in (self.zarr, *self._marks("tile_*")):
                 remove(path)
         return damaged
 
     def _check_is_folder(self) -> None:
+        """Raise InputError if a link is in the place of the folder."""
         if self.path.is_symlink():
             raise InputError(
                 f"{str(self.path)!r} is a link in the place of unfinished maps: move it, or {ELSEWHERE}"
             )
 
     def _sweep(self) -> None:
-        """Remove what killed processes left half-written, and move what no step writes, a user's, to `KEPT_FOLDER`."""
-        for scrap in [path for path in self.path.rglob("*") if SCRAP.fullmatch(path.name)]:
-            remove(scrap)
-        for path in [
-            path for path in self.path.rglob("*") if path.is_symlink() or not path.is_dir()
-        ]:
+        """Remove what killed processes left half-written, and set aside what no step writes, as it is a user's.
+
+        What is set aside goes to `KEPT_FOLDER` of the output folder, see `Workspace.set_aside`.
+        """
+        for path in list(self.path.rglob("*")):
+            if SCRAP.fullmatch(path.name):
+                remove(path)
+        paths = self.path.rglob("*")
+        for path in [path for path in paths if path.is_symlink() or not path.is_dir()]:
             name = path.relative_to(self.path).as_posix()
             if path.is_symlink() or not _is_of_steps(name):
                 with Workspace.shared(self.path.parents[1], "maps") as workspace:
                     workspace.set_aside(path, name)
 
     def discard(self) -> None:
-        """Remove the folder, but for what no step writes (`_sweep`).
+        """Remove the folder with all that steps wrote; files of the user's in it are set aside before.
 
         Raises:
           InputError: as of `begin`.
@@ -109,18 +121,19 @@ class WorkFolder:
         return sorted((self.path / DONE_FOLDER).glob(pattern))
 
     def _damaged(self, mark: Path) -> list[Path]:
-        """Return the files of a finished step that are not as its mark says; the mark itself where it is not ours."""
+        """Return the files of a finished step that are not as its mark says.
+
+        The mark itself is returned where it cannot be read, or names files that no step writes: these are not looked at
+        then.
+        """
         try:
             checksums = dict(read_json(mark)["checksums"])
         except (OSError, ValueError, LookupError, TypeError):
             return [mark]
-        if not all(map(_is_of_steps, checksums)):  # no mark of ours: what it names is not looked at
+        if not all(map(_is_of_steps, checksums)):
             return [mark]
-        return [
-            self.path / name
-            for name, of in checksums.items()
-            if not is_as_written(self.path / name, [of])
-        ]
+        paths = {self.path / name: checksum for name, checksum in checksums.items()}
+        return [path for path, checksum in paths.items() if not is_as_written(path, [checksum])]
 
     @property
     def zarr(self) -> Path:
@@ -128,25 +141,29 @@ class WorkFolder:
         return self.path / ZARR
 
     def save_arrays(self, name: str, **arrays: np.ndarray) -> None:
-        """Keep arrays under the name of the step that made them, and mark it done."""
+        """Keep arrays, by their names, in a file of the step that made them, and mark the step done.
+
+        Raises:
+          InputError: they cannot be written.
+        """
         path = self.path / ARRAY_FOLDER / f"{name}.npz"
         with whole_file(path) as scratch, scratch.open("wb") as file:
             np.savez(file, allow_pickle=False, **arrays)
         self.mark_done(name, {f"{ARRAY_FOLDER}/{path.name}": checksum_of(path)})
 
     def load_arrays(self, name: str, *wanted: str) -> dict[str, np.ndarray]:
-        """Return those of the ``wanted`` arrays that were kept under a name.
+        """Return those of the ``wanted`` arrays, by their names, that a step of this name kept.
 
         Raises:
-          InputError: they are missing or damaged.
+          InputError: the step's file is missing or damaged.
         """
         path = self.path / ARRAY_FOLDER / f"{name}.npz"
         if self._damaged(self._mark(name)):
             raise InputError(
                 f"{str(path)!r} is missing or damaged: run the same command again, which makes it again"
             )
-        with _PARSING, np.load(path, allow_pickle=False) as kept:
-            return {each: kept[each] for each in kept.files if each in wanted}
+        with _PARSING, np.load(path, allow_pickle=False) as arrays:
+            return {array: arrays[array] for array in arrays.files if array in wanted}
 
     def _mark(self, name: str) -> Path:
         return self.path / DONE_FOLDER / f"{name}.json"
@@ -154,39 +171,44 @@ class WorkFolder:
     def mark_done(
         self, name: str, checksums: dict[str, str], facts: dict[str, Any] | None = None
     ) -> None:
-        """Note that a step is finished and all of it written.
+        """Note that a step is finished and all of it is written.
 
         Args:
           name: of the step.
           checksums: of the files that it wrote, by their names in the folder.
-          facts: what it found.
+          facts: what else `done` returns of the step, as JSON holds it.
         """
         write_json(self._mark(name), {"checksums": checksums, "facts": facts or {}})
 
     def mark_zarr(self) -> None:
-        """Note that the Zarr is there, without the values of its maps."""
+        """Note that the Zarr is there: its mark has all files of it but those that the marks of tiles name."""
         of_tiles = {name for mark in self._marks("tile_*") for name in read_json(mark)["checksums"]}
-        files = (
-            file.relative_to(self.path).as_posix()
-            for file in self.zarr.rglob("*")
-            if file.is_file()
-        )
-        names = sorted(set(filter(_is_of_steps, files)) - of_tiles)
-        self.mark_done(ZARR, {name: checksum_of(self.path / name) for name in names})
+        files = filter(Path.is_file, self.zarr.rglob("*"))
+        names = {file.relative_to(self.path).as_posix() for file in files}
+        own = sorted(set(filter(_is_of_steps, names)) - of_tiles)
+        self.mark_done(ZARR, {name: checksum_of(self.path / name) for name in own})
 
     def done(self, name: str) -> dict[str, Any] | None:
-        """Return what a finished step found, None if it is not finished, or its mark is damaged."""
+        """Return the facts that `mark_done` noted of a step, None if it is not finished or its mark is damaged."""
         with suppress(OSError, ValueError):
             return read_json(self._mark(name))["facts"]
         return None
 
     def finish(self, target: Path) -> None:
-        """Give the assembled maps their name ``target`` and remove the rest as `discard` does."""
+        """Put the assembled maps in their place, and remove the folder.
+
+        Args:
+          target: their path to be, see `jaxurban.io.store.zarr_path`.
+
+        Raises:
+          InputError: a file of others is in the way.
+        """
         self._sweep()
-        checksums: dict[str, str] = {}
+        checksums: dict[
+            str, str
+        ] = {}  # by names in the Zarr; `put_zarr` passes over those of other files
         for mark in self._marks("*"):
-            checksums |= read_json(mark)["checksums"]
-        store.put_zarr(
-            self.zarr, target, {name.removeprefix(f"{ZARR}/"): of for name, of in checksums.items()}
-        )
+            for name, checksum in read_json(mark)["checksums"].items():
+                checksums[name.removeprefix(f"{ZARR}/")] = checksum
+        store.put_zarr(self.zarr, target, checksums)
         remove(self.path)

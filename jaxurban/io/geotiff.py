@@ -38,12 +38,17 @@ NUM_PLACES = 17  # of a colour map in QGIS styles, from low to high
 def geotiff_names(
     variables: Collection[str], metrics: Iterable[str], layers: Sequence[str]
 ) -> list[str]:
-    """Return the maps that are written as GeoTIFF: obstacles, the metrics of the cost, and further layers.
+    """Return the variables that are written as GeoTIFF: obstacles, the metrics of the cost, and further layers.
+
+    A metric that the maps hold at several times only stands for its summaries over the times (`SERIES`).
 
     Args:
-      variables: those that are maps.
+      variables: names of all variables that are maps.
       metrics: names of the metrics of the cost.
-      layers: further variables, or ``("all",)``.
+      layers: further names, or ``("all",)`` for all variables.
+
+    Returns:
+      Names out of ``variables``, each once.
 
     Raises:
       InputError: a layer that the maps do not hold.
@@ -51,10 +56,10 @@ def geotiff_names(
     names = ["obstacle"]
     further = sorted(variables) if tuple(layers) == (ALL,) else layers
     for name in [*metrics, *further]:
-        maps = [name] if name in variables else [f"{name}_{of_series}" for of_series in SERIES]
-        known = [each for each in maps if each in variables]
+        candidates = [name] if name in variables else [f"{name}_{summary}" for summary in SERIES]
+        known = [candidate for candidate in candidates if candidate in variables]
         if not known:
-            one_of("layer", name, sorted({*variables, ALL}))
+            one_of("layer", name, sorted({*variables, ALL}))  # which raises the error
         names += known
     return list(dict.fromkeys(names))
 
@@ -80,6 +85,7 @@ class _Layer(NamedTuple):
 
     @property
     def title(self) -> str:
+        """What the band is called in QGIS: the variable, its altitude and its times, where it has them."""
         words = [self.tags.get("long_name", self.name)]
         if "altitude_m" in self.tags:
             words.append(f"{self.tags['altitude_m']} m above ground")
@@ -88,7 +94,12 @@ class _Layer(NamedTuple):
 
 
 def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
-    """Yield what goes into each GeoTIFF of a dataset."""
+    """Yield what goes into each GeoTIFF of a dataset: a file for each place along a variable's axes before y and x.
+
+    Args:
+      ds: the maps; their values are not read.
+      layers: as of `geotiff_names`, whose errors are raised.
+    """
     resolution = f"{short_number(ds.attrs['resolution_m'])}m"
     times = [f"{time}Z" for time in np.datetime_as_string(ds["time"].values, unit="s")]
     common = {"credit": ds.attrs[CREDIT]} if CREDIT in ds.attrs else {}
@@ -102,23 +113,23 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
         is_of_bytes = array.dtype in (np.bool_, np.uint8)
         norms_of = norms if name == "population" else []
         for place in np.ndindex(array.shape[:-2]):
-            at = dict(zip(array.dims[:-2], place, strict=True))
-            parts = [name]
+            index = dict(zip(array.dims[:-2], place, strict=True))  # by axis
+            parts = [name]  # of the file's name
             tags = {"metric": name, **texts, **common}
-            if ALTITUDE in at:
-                tags["altitude_m"] = short_number(float(ds["altitude"][at[ALTITUDE]]))
+            if ALTITUDE in index:
+                tags["altitude_m"] = short_number(float(ds["altitude"][index[ALTITUDE]]))
                 tags["altitude_reference"] = "above ground"
                 parts.append(f"{tags['altitude_m']}m")
-            if TIME_OF_DAY in at:
-                tags["time_of_day"] = str(ds["time_of_day"].values[at[TIME_OF_DAY]])
+            if TIME_OF_DAY in index:
+                tags["time_of_day"] = str(ds["time_of_day"].values[index[TIME_OF_DAY]])
                 parts.append(tags["time_of_day"])
                 for norm in norms_of:
-                    tags[norm] = repr(float(ds.attrs[norm][at[TIME_OF_DAY]]))
-            if TIME in at:
-                tags["time"] = times[at[TIME]]
+                    tags[norm] = repr(float(ds.attrs[norm][index[TIME_OF_DAY]]))
+            if TIME in index:
+                tags["time"] = times[index[TIME]]
                 if len(times) > 1:
                     parts.append(tags["time"].replace("-", "").replace(":", ""))
-            elif metric is not None and TIME in metric.dims:
+            elif metric is not None and TIME in metric.dims:  # a summary over all times
                 tags |= {"time": f"{times[0]}/{times[-1]}", "num_times": str(len(times))}
             if "time" in tags and "constellations" in ds.attrs:
                 tags["constellation"] = ds.attrs["constellations"]
@@ -133,7 +144,7 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
 
 
 def _styles(ds: xr.Dataset, layers: Sequence[str]) -> dict[str, str]:
-    """Return the variable of each QGIS style by its file's name."""
+    """Return the name of the variable of each QGIS style, by the name of the style's file; arguments as `_layers`."""
     resolution = short_number(ds.attrs["resolution_m"])
     return {
         f"{name}_{resolution}m.qml": name
@@ -148,7 +159,7 @@ def geotiff_paths(ds: xr.Dataset, folder: Path, layers: Sequence[str]) -> list[P
 
 
 def missing_geotiffs(ds: xr.Dataset, folder: Path) -> list[Path]:
-    """Return the GeoTIFFs and styles of obstacles and metrics that are missing or empty."""
+    """Return the paths of the GeoTIFFs and styles of obstacles and metrics at which no file is, or an empty one."""
     return [
         path
         for path in geotiff_paths(ds, folder, ())
@@ -199,12 +210,12 @@ def write_geotiffs(
 
 
 def _rows_of(ds: xr.Dataset, name: str, place: tuple[int, ...], rows: slice) -> np.ndarray:
-    """Return a copy of rows of a map ``[y, x]``, ordered from the north."""
+    """Return a copy of rows (counted from the south) of a map, ``[y, x]`` from north to south."""
     return ds.variables[name][(*place, rows)].values[::-1].copy()
 
 
 def _write_layer(ds: xr.Dataset, grid: Grid, folder: Path, layer: _Layer) -> None:
-    """Write one GeoTIFF."""
+    """Write one GeoTIFF, whole or not at all; InputError where it cannot be written."""
     with whole_file(folder / GEOTIFF_FOLDER / layer.file) as scratch:
         write_cog(
             scratch,
@@ -220,7 +231,10 @@ def _write_layer(ds: xr.Dataset, grid: Grid, folder: Path, layer: _Layer) -> Non
 
 
 def _parts(ds: xr.Dataset, layer: _Layer) -> Iterator[np.ndarray]:
-    """Yield a map from the north to the south, as GeoTIFFs hold it, some rows at a time."""
+    """Yield a map ``[y, x]`` in parts of two blocks' rows, from the north to the south, as `write_cog` takes them.
+
+    Cells without data hold what stands for no value; the map of where data are is written as it stands.
+    """
     for stop in range(ds.sizes["y"], 0, -2 * BLOCK):
         rows = slice(max(0, stop - 2 * BLOCK), stop)
         values = _rows_of(ds, layer.name, layer.place, rows).astype(layer.dtype, copy=False)
@@ -241,7 +255,10 @@ def _writing() -> Iterator[None]:
 
 
 def profile_of(grid: Grid, dtype: np.dtype, count: int = 1) -> dict[str, Any]:
-    """Return how rasterio opens a new GeoTIFF of so many bands on a grid: tiled, north-up, with what is no data."""
+    """Return the arguments by which rasterio opens a new GeoTIFF of ``count`` bands on a grid.
+
+    It is tiled and north-up, and ``nodata`` is what stands for no value in maps of this dtype.
+    """
     return {
         "driver": "GTiff",
         "width": grid.num_cols,
@@ -352,17 +369,24 @@ def write_cog(
 
 
 def ramp_of(ds: xr.Dataset, variable: Variable) -> tuple[np.ndarray, list[str]]:
-    """Return ascending values and their colours, ``#rrggbb`` and linear in between; values are read if they decide."""
+    """Return `NUM_PLACES` ascending values of a variable and their colours, ``#rrggbb``, to be linear in between.
+
+    The maps' values are read only if the range of the variable's scale depends on them.
+    """
     scale = variable.scale
-    places = np.linspace(0, 1, NUM_PLACES)
+    places = np.linspace(0, 1, NUM_PLACES)  # along the colour map
     low, span = scale.range(ds.attrs, lambda: _ends(ds, variable.name))
+    # Where on the scale these colours stand; a logarithmic one spans a factor of 1,000.
     shares = {"linear": places, "sqrt": places**2, "log": 1000 ** (places - 1)}[scale.stretch]
     colours = matplotlib.colormaps[scale.colour_map](places)
     return low + span * shares, list(map(to_hex, colours))
 
 
 def _ends(ds: xr.Dataset, name: str) -> tuple[float, float]:
-    """Return the lowest and the highest value of a variable, 0 where there is none; a layer is read at a time."""
+    """Return the lowest and the highest finite value of a variable, 0 and 0 without any.
+
+    One layer is read at a time, so that the variable need not fit in memory.
+    """
     lows = []
     highs = []
     for index in np.ndindex(ds[name].shape[:-2]):
@@ -375,11 +399,11 @@ def _ends(ds: xr.Dataset, name: str) -> tuple[float, float]:
 
 
 def style(ds: xr.Dataset, name: str) -> str:
-    """Return the QGIS style (QML) of a variable of maps.
+    """Return the QGIS style of a variable of maps, the text of a QML file.
 
     Args:
       ds: the maps.
-      name: of the variable.
+      name: of the variable; one of classes gets a palette, any other a colour ramp (see `ramp_of`).
     """
     variable = held_variables(ds)[name]
     if variable.classes:

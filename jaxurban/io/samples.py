@@ -92,9 +92,9 @@ def check_sample(name: str) -> None:
 
 
 def located(name: str | Path) -> Path:
-    """Return the path of a file that is named, which may be one of a sample city; all readers open files so.
+    """Return the path of a file by its name, a path or ``sample:CITY/FILE``; all readers open files by this.
 
-    ``sample:CITY`` alone is the city's file of buildings.
+    ``sample:CITY`` alone is the city's file of buildings. Only of sample cities it is checked that the file is there.
 
     Raises:
       InputError: no such sample city, or no such file of it.
@@ -112,9 +112,16 @@ def located(name: str | Path) -> Path:
 
 
 def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return settings of a scenario with what a sample city gives where they give none, if it is their source.
+    """Return the settings of a scenario, filled up with those of the sample city that its buildings are from.
 
-    Blocks of other files keep away the sample's districts, and any times keep away the sample's.
+    The scenario's own settings win. Blocks of other files keep away all of the sample's population, other orbits all of
+    its satellites, and a start, stop or step of times its times.
+
+    Args:
+      settings: by section and name; returned as they stand where the buildings are from no sample city.
+
+    Raises:
+      InputError: there is no such sample city.
     """
     buildings = settings.get("buildings")
     name = sample_name(buildings.get("source")) if isinstance(buildings, Mapping) else None
@@ -127,7 +134,7 @@ def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
             continue  # which the scenario refuses
         if section == "population" and {"blocks", "blocks_day", "blocks_night"} & own.keys():
             values = {}
-        if any(key in own for key in ("start", "stop", "step_s")):
+        if {"start", "stop", "step_s"} & own.keys():
             values = {key: value for key, value in values.items() if key != "times"}
         if section == "gps" and "orbits" in own:
             values = {}

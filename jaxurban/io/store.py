@@ -73,7 +73,10 @@ NUMBER_M = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)m"  # as `short_number` writes it
 
 
 def stored_resolutions(folder: Path) -> dict[float, Path]:
-    """Return where the maps under ``folder`` lie that the record of the folder names, by resolution in metres.
+    """Return the folders of the Zarrs under ``folder`` that its record names and that are there.
+
+    Returns:
+      Paths such as ``maps.zarr/5m`` by resolution in metres, in ascending order; empty without a record.
 
     Raises:
       InputError: the record cannot be read.
@@ -85,19 +88,26 @@ def stored_resolutions(folder: Path) -> dict[float, Path]:
 
 
 def check_version(folder: Path) -> None:
-    """Raise InputError if a folder holds maps, or the record of a run, and its own record names none of these."""
+    """Raise InputError if a folder holds maps, or the file of a run that made maps, and its record names none of them.
+
+    Then another version of jaxurban wrote them, or the record is lost.
+    """
+    zarr_files = folder.glob(f"{ZARR_FOLDER}/[0-9]*m/*")
+    outputs = [file.parent for file in zarr_files if file.name in OF_ZARR]
     run = folder / RUN_FILE
-    inside = folder.glob(f"{ZARR_FOLDER}/[0-9]*m/*")
-    files = [file.parent for file in inside if file.name in OF_ZARR]
     if run.is_file() and b'"run_key"' in run.read_bytes():
-        files.append(run)
+        outputs.append(run)
+    # The names as deep as the outputs: "maps.zarr/5m", "run.json".
     written = {Path(folder, *Path(name).parts[:2]) for name in recorded(folder)}
-    if files and written.isdisjoint(files):
+    if outputs and written.isdisjoint(outputs):
         raise InputError(f"{str(folder)!r} {OTHER_VERSION}")
 
 
 def stored_key(folder: Path, resolution_m: float) -> str | None:
-    """Return the run key of the maps that lie under ``folder``, None without any, or where they are damaged."""
+    """Return the run key of the maps at one resolution under ``folder``.
+
+    None where there are no such maps, where they are damaged, and where they were saved from Python, without a key.
+    """
     if resolution_m not in stored_resolutions(folder):
         return None
     with suppress(InputError):
@@ -112,10 +122,12 @@ def are_of_a_run(folder: Path) -> bool:
 
 
 def settings_of(folder: Path) -> dict[str, Any]:
-    """Return the settings that made the maps in ``folder``, empty where they were saved from Python.
+    """Return the settings of the run that made the maps in ``folder``, from `RUN_FILE`.
+
+    They are empty where the maps were saved from Python, or where there are none.
 
     Raises:
-      InputError: the record of the run that made them is damaged or missing, and with it their weights.
+      InputError: the file is damaged, or it is missing though a run made the maps.
     """
     remedy = "run the same `jaxurban maps` command again, which writes it again"
     try:
@@ -138,11 +150,15 @@ def work_path(folder: Path, resolution_m: float) -> Path:
 
 
 def _is_map(array: xr.Variable) -> bool:
+    """Return whether a variable has a value for each cell: its last axes are y and x."""
     return array.dims[-2:] == ("y", "x")
 
 
 def _encoding(array: xr.Variable, tile: tuple[int, int]) -> dict[str, Any]:
-    """Return how a variable is written: a map in tiles, one layer per chunk."""
+    """Return how xarray is to write a variable into a Zarr.
+
+    A chunk of a map holds one tile, of these rows and columns, of one layer: one place along the axes before y and x.
+    """
     missing = NO_BYTE if array.dtype == np.uint8 else no_value(array.dtype)
     encoding: dict[str, Any] = {"compressors": (COMPRESSOR,), "_FillValue": missing}
     if _is_map(array):
@@ -155,11 +171,18 @@ def _encoding(array: xr.Variable, tile: tuple[int, int]) -> dict[str, Any]:
 def _to_zarr(
     ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[int, int] = (1, 1)
 ) -> None:
-    """Write a dataset without the values of its maps, and the metadata of all of the Zarr."""
+    """Write a dataset into a Zarr without the values of its maps, and then the metadata of all of the Zarr.
+
+    Args:
+      ds: rows from south to north; in the Zarr they go from north to south.
+      path: of the Zarr.
+      mode: ``"w"`` for a new Zarr, ``"a"`` to add variables to one.
+      tile: rows and columns of a chunk of a map.
+    """
     # Without the encoding of files that were opened before.
     ds = ds.drop_encoding().assign_attrs({LAYOUT_KEY: LAYOUT})
     for name, array in list(ds.variables.items()):
-        if array.dtype.kind == "T" and name in ds.coords:
+        if array.dtype.kind == "T" and name in ds.coords:  # text of any length becomes text of one
             texts = np.array(array.values.tolist(), str)
             ds = ds.assign_coords({name: (array.dims, texts, array.attrs)})
         elif _is_map(array):
@@ -167,6 +190,8 @@ def _to_zarr(
             ds[name] = (array.dims, no_values, array.attrs)
     if "y" in ds.coords:
         ds = ds.assign_coords(y=ds["y"][::-1])
+
+    # With `compute=False` what dask holds, the maps, is not written.
     encoding = {str(name): _encoding(array, tile) for name, array in ds.variables.items()}
     ds.to_zarr(
         path,
@@ -177,6 +202,8 @@ def _to_zarr(
         write_empty_chunks=True,
         compute=False,
     )
+
+    # The consolidated metadata, of the arrays that were there before too.
     of_arrays = sorted((*path.glob("*/.zarray"), *path.glob("*/.zattrs")))
     files = [path / ".zattrs", path / ".zgroup", *of_arrays]
     parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in files}
@@ -184,38 +211,47 @@ def _to_zarr(
 
 
 def _consolidated(parts: Mapping[str, Any]) -> bytes:
+    """Return the bytes of a `METADATA` file: the metadata of many files by their names under its folder."""
     return json.dumps({"metadata": parts, "zarr_consolidated_format": 1}).encode()
 
 
 def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
-    """Write a dataset of maps under ``folder`` and return its place (``maps.zarr/5m``)."""
+    """Write a dataset of maps, rows from south to north, under ``folder``, and return the path of its Zarr.
+
+    Raises:
+      InputError: the folder cannot be written to, or a file of others is in the way.
+    """
     path = zarr_path(folder, ds.attrs["resolution_m"])
     num_rows = ds.sizes["y"]
     num_cols = ds.sizes["x"]
-    rows, cols = tile_shape((num_rows, num_cols))
-    checksums = dict[str, str]()
+    tile_rows, tile_cols = tile_shape((num_rows, num_cols))
+    checksums: dict[str, str] = {}
     with scratch_for(path) as scratch:
-        _to_zarr(ds, scratch, "w", (rows, cols))
+        _to_zarr(ds, scratch, "w", (tile_rows, tile_cols))
         maps = {str(name): array for name, array in ds.variables.items() if _is_map(array)}
         for name, array in maps.items():
-            for place in np.ndindex(array.shape[:-2]):
-                values = array[place].values
-                for stop in range(num_rows, 0, -rows):
-                    part_rows = slice(max(0, stop - rows), stop)
-                    for start in range(0, num_cols, cols):
-                        part = part_rows, slice(start, min(start + cols, num_cols))
-                        checksums |= write_layer(scratch, name, place, part, values[part])
+            for layer in np.ndindex(array.shape[:-2]):
+                values = array[layer].values
+                # Chunks begin in the northwest, and rows are counted from the south.
+                for stop in range(num_rows, 0, -tile_rows):
+                    rows = slice(max(0, stop - tile_rows), stop)
+                    for start in range(0, num_cols, tile_cols):
+                        window = rows, slice(start, min(start + tile_cols, num_cols))
+                        checksums |= write_layer(scratch, name, layer, window, values[window])
         put_zarr(scratch, path, checksums)
     return path
 
 
 def create_zarr(ds: xr.Dataset, path: Path, tile: tuple[int, int]) -> None:
-    """Write the Zarr of a dataset: coordinates, attributes, and maps without values.
+    """Write the Zarr of a dataset: coordinates, attributes, and maps without values, which `write_layer` fills in.
 
     Args:
-      ds: the dataset; the values of its maps are not looked at.
-      path: where to.
-      tile: rows and columns of a chunk, what one `write_layer` fills.
+      ds: the dataset, rows from south to north; the values of its maps are not looked at.
+      path: of the Zarr.
+      tile: rows and columns of a chunk.
+
+    Raises:
+      InputError: it cannot be written.
     """
     with whole_file(path) as scratch:
         _to_zarr(ds, scratch, "w", tile)
@@ -236,9 +272,10 @@ def write_layer(
     Args:
       path: of the Zarr.
       name: of the variable.
-      index: place along its axes before y and x.
-      window: rows, from the south, and columns; they end where chunks do.
-      values: ``[y, x]`` rows south to north; may stick out of the window in the south and in the east.
+      index: of the map along the variable's axes before y and x.
+      window: rows, counted from the south, and columns of the map; their borders are those of one chunk.
+      values: ``[y, x]`` rows south to north; they may stick out of the window in the south and in the east, and what
+        sticks out is not written.
 
     Returns:
       The checksum of the chunk by its name in the Zarr.
@@ -251,6 +288,8 @@ def write_layer(
     num_rows, num_cols = array["chunks"][-2:]
     num_beyond = len(values) - (rows.stop - rows.start)  # rows south of the window
     values = values[num_beyond:, : cols.stop - cols.start][::-1]
+
+    # Chunks have one size and are counted from the northwest: what the map does not fill of one holds no value.
     chunk = np.full((num_rows, num_cols), array["fill_value"] or 0, array["dtype"])
     chunk[: len(values), : values.shape[1]] = values
     from_north = (array["shape"][-2] - rows.stop) // num_rows
@@ -261,12 +300,14 @@ def write_layer(
 
 
 def put_zarr(made: Path, path: Path, checksums: Mapping[str, str]) -> None:
-    """Give a finished Zarr its name, its files recorded; of an older one only what is own goes.
+    """Record the files of a finished Zarr, and give it its name in place of an older one.
+
+    Files of others stay where they are, as of `Workspace.put_folder`.
 
     Args:
       made: the finished Zarr.
-      path: its name to be.
-      checksums: of its files that are known, by their names in it; the others are read.
+      path: its name to be, see `zarr_path`.
+      checksums: of some of its files, by their names in it; of the others they are computed from the files.
 
     Raises:
       InputError: a file of others is in the way.
@@ -286,19 +327,21 @@ def root_files(folder: Path) -> list[Path]:
 
 
 def put_root(folder: Path) -> None:
-    """Write the group above the resolutions, with the metadata of all that are as they were written, if it is not so.
+    """Write the group above the resolutions (see `root_files`), unless it is there already.
+
+    It holds the metadata of all resolutions whose own metadata are as they were written.
 
     Raises:
       InputError: a file of others is in the way.
     """
-    written = recorded(folder)
+    checksums = recorded(folder)
     group = {"zarr_format": 2}
     parts: dict[str, Any] = {".zgroup": group}
     for path in stored_resolutions(folder).values():
         file = path / METADATA
-        if is_as_written(file, written[file.relative_to(folder).as_posix()]):
-            of_group = json.loads(file.read_bytes())["metadata"]
-            parts |= {f"{path.name}/{name}": part for name, part in of_group.items()}
+        if is_as_written(file, checksums[file.relative_to(folder).as_posix()]):
+            of_resolution = json.loads(file.read_bytes())["metadata"]
+            parts |= {f"{path.name}/{name}": part for name, part in of_resolution.items()}
     contents = json.dumps(group).encode(), _consolidated(parts)
     for file, content in zip(root_files(folder), contents, strict=True):
         if not is_as_written(file, [checksum_of(content)]):
@@ -313,16 +356,24 @@ def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
 
 
 def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
-    """Return the maps under ``folder``; values are read when they are looked at.
+    """Return the maps of one resolution under ``folder``, rows from south to north.
+
+    Values are read when they are looked at.
+
+    Args:
+      folder: that `write_zarr` or ``jaxurban maps`` wrote into.
+      resolution_m: of the maps; None takes the only one that is there.
 
     Raises:
-      InputError: no maps there, several resolutions and none chosen, or maps that are damaged (see `open_whole`).
+      InputError: no maps there, not at this resolution, several resolutions and none chosen, maps of another version,
+        maps that lack a needed variable, or damaged ones (see `open_whole`).
     """
     if folder.is_file():
         raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
     paths = stored_resolutions(folder)
-    listed = ", ".join(map(short_number, paths))
     check_version(folder)
+
+    listed = ", ".join(map(short_number, paths))
     if not paths:
         raise InputError(
             f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`"
@@ -336,6 +387,7 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
             f"{str(folder)!r} holds no maps at {short_number(resolution_m)} m, only at {listed} m"
         )
     path = next(iter(paths.values())) if resolution_m is None else paths[resolution_m]
+
     ds = open_whole(path)
     missing = [name for name in NEEDED if name not in ds]
     if missing:
@@ -346,7 +398,13 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
 
 
 class _Opened(NamedTuple):
-    """A Zarr when it was opened: which file its metadata were, when written, and with which bytes."""
+    """A Zarr when it was opened.
+
+    Attributes:
+      path: of the Zarr.
+      place: number of the file of its metadata on the disk, and its time of writing in nanoseconds.
+      metadata: the bytes of that file.
+    """
 
     path: Path
     place: tuple[int, int]
@@ -354,16 +412,20 @@ class _Opened(NamedTuple):
 
     @classmethod
     def at(cls, path: Path) -> "_Opened":
+        """Return the Zarr at a path as it is now; OSError where it is not there."""
         place = (path / METADATA).stat()
         return cls(path, (place.st_ino, place.st_mtime_ns), (path / METADATA).read_bytes())
 
     def check(self) -> None:
-        """Raise RemadeError unless the Zarr is still the one that was opened, or was repaired by the same run."""
+        """Raise RemadeError unless the Zarr is still the one that was opened, or was repaired by the same run.
+
+        The metadata of a repaired one are the same, with the key of the run in them. Maps that were saved from Python
+        have no such key, and the same metadata may go with other values.
+        """
         with suppress(OSError):
             now = _Opened.at(self.path)
-            # Maps that were saved from Python have no key of a run: the same metadata may go with other values.
-            is_mended = b'"run_key"' in self.metadata and self.metadata == now.metadata
-            if is_mended or self.place == now.place:
+            is_repaired = b'"run_key"' in self.metadata and self.metadata == now.metadata
+            if is_repaired or self.place == now.place:
                 return
         raise RemadeError(
             f"the maps in {str(self.path)!r} were made again or removed since they were opened: open them again"
@@ -381,6 +443,7 @@ class _Map(BackendArray):
     """
 
     def __init__(self, array: xr.Variable, opened: "_Opened", name: str, missing: Any) -> None:
+        """Wrap a variable as xarray's Zarr reader gives it; arguments as the attributes of this class."""
         self.array = array
         self.opened = opened
         self.name = name
@@ -394,10 +457,17 @@ class _Map(BackendArray):
         )
 
     def _read(self, key: tuple) -> np.ndarray:
-        """Return values of a chunk; InputError where files have changed since opening."""
+        """Return the values at an index of xarray's, read from the chunks that it meets.
+
+        A chunk of bytes that went after opening is read as `missing`: that becomes 1 of obstacles, and else 0.
+
+        Raises:
+          InputError: a file is damaged or cannot be read.
+          RemadeError: the Zarr was made again or removed since it was opened.
+        """
         try:
             values = np.asarray(self.array[key].values, order="C")
-            if values.dtype.kind == "u":  # of a chunk that went after opening
+            if values.dtype.kind == "u":
                 values[values == self.missing] = self.name == "obstacle"
         except Exception as error:
             self.opened.check()
@@ -410,16 +480,28 @@ class _Maps(BackendEntrypoint):
     """How xarray opens the Zarr: as it always does, with rows from the south and `_Map` around every map."""
 
     def open_dataset(self, filename_or_obj: Any, *, drop_variables: Any = None) -> xr.Dataset:
-        """Return the maps of a Zarr from south to north; values are read, and checked, when they are looked at."""
-        # Of these maps, no array of others, and by the metadata that `open_whole` has looked at alone.
+        """Return the maps of a Zarr from south to north; values are read, and checked, when they are looked at.
+
+        Args:
+          filename_or_obj: the path of the Zarr.
+          drop_variables: not looked at; xarray asks for the argument.
+
+        Raises:
+          RemadeError: the Zarr was made again or removed in the meantime.
+        """
+        # By the consolidated metadata alone, at which `open_whole` has looked: so no array of others is opened.
         options: dict[str, Any] = {"consolidated": True, "zarr_format": 2, "mask_and_scale": False}
         opened = _Opened.at(Path(filename_or_obj))
         ds = xr.open_dataset(filename_or_obj, engine="zarr", chunks=None, cache=False, **options)
+
+        # Undo what belongs to the file: its attributes, and rows from the north.
         missing = {name: array.attrs.get("_FillValue") for name, array in ds.data_vars.items()}
         for variable in ds.variables.values():
             own = {key: value for key, value in variable.attrs.items() if key not in FOREIGN}
             variable.attrs = own
         ds = ds.isel({"y": slice(None, None, -1)}, missing_dims="ignore")
+
+        # Maps become lazy; coordinates are read at once.
         maps = {}
         for name, array in ds.data_vars.items():
             values = _Map(array.variable, opened, str(name), missing[name])
@@ -428,7 +510,7 @@ class _Maps(BackendEntrypoint):
         coords = ds.coords.to_dataset().load()  # small, and damage shows at once
         opened.check()
         for name, coord in list(coords.variables.items()):
-            if coord.dtype.kind == "U":
+            if coord.dtype.kind == "U":  # text has any length in memory
                 coords[name] = coords[name].astype(np.dtypes.StringDType())
         ds = xr.Dataset(maps, coords.coords, ds.attrs)
         ds.encoding[OPENED] = opened
@@ -436,7 +518,10 @@ class _Maps(BackendEntrypoint):
 
 
 def open_whole(path: Path) -> xr.Dataset:
-    """Return the maps in a Zarr, every file of which is there; values are read, and decoded, when they are looked at.
+    """Return the maps in a Zarr, every file of which is there, rows from south to north.
+
+    Metadata are compared with their checksums, and of chunks only the sizes: their values are read, and decoded, when
+    they are looked at.
 
     Raises:
       InputError: metadata are not as they were written, a chunk is missing or cut, an array is not coded as ours are,
@@ -449,9 +534,10 @@ def open_whole(path: Path) -> xr.Dataset:
                     what = "and the metadata of the arrays beside it are not as they were written"
                     raise _damaged(path / METADATA, what)
                 continue
-            sizes = {checksum.partition("-")[2] for checksum in checksums}
-            if not file.is_file() or f"{file.stat().st_size}" not in sizes:  # it is not read
+            sizes = {checksum.partition("-")[2] for checksum in checksums}  # they end the checksums
+            if not file.is_file() or f"{file.stat().st_size}" not in sizes:
                 raise _damaged(file, "is missing or cut")
+
         _check_arrays(path / METADATA, json.loads((path / METADATA).read_bytes())["metadata"])
         ds = xr.open_dataset(path, engine=_Maps)
         layout = ds.attrs.pop(LAYOUT_KEY, LAYOUT)
@@ -480,7 +566,12 @@ def _check_arrays(file: Path, metadata: Mapping[str, Any]) -> None:
 
 
 def _check_facts(path: Path, attributes: Mapping[str, Any]) -> None:
-    """Raise InputError unless the attributes of maps that others compute with are of their kinds."""
+    """Raise InputError unless the maps' resolution is a number and their guesses are a JSON object, if they have any.
+
+    Args:
+      path: of the Zarr, for the message.
+      attributes: of its dataset.
+    """
     guesses = json.loads(attributes.get("guesses", "{}"))
     if not isinstance(attributes["resolution_m"], numbers.Real) or not isinstance(guesses, dict):
         raise InputError(
@@ -489,7 +580,10 @@ def _check_facts(path: Path, attributes: Mapping[str, Any]) -> None:
 
 
 def _is_ours(array: Mapping[str, Any]) -> bool:
-    """Return whether an array of these metadata is coded as `_to_zarr` codes arrays."""
+    """Return whether an array of these metadata (of a ``.zarray`` file) is coded as `_to_zarr` codes arrays.
+
+    Plain types have no filter, text of any length has the one of `TEXT_FILTERS`, and all have the compressor.
+    """
     dtype = array.get("dtype")
     filters = array.get("filters")
     compressor = array.get("compressor")
@@ -502,7 +596,7 @@ def _is_ours(array: Mapping[str, Any]) -> bool:
 
 
 def _recorded(path: Path) -> dict[Path, set[str]]:
-    """Return the checksums that the files of a Zarr may have."""
+    """Return the checksums that each recorded file of a Zarr may have: during a run the old and the new one."""
     folder = path.parents[1]
     prefix = f"{ZARR_FOLDER}/{path.name}/"
     return {
@@ -513,14 +607,19 @@ def _recorded(path: Path) -> dict[Path, set[str]]:
 
 
 def _damage_in(path: Path, name: str = "") -> InputError | None:
-    """Return the error that names a damaged file of a Zarr, of one array or of all, if any is."""
+    """Return the error that names the first damaged file of an array of a Zarr, None if all are as they were written.
+
+    Without the name of an array the files of all arrays are read.
+    """
     for file, checksums in _recorded(path).items():
-        if (file.parent.name == name or not name) and not is_as_written(file, checksums):
+        is_asked = not name or file.parent.name == name
+        if is_asked and not is_as_written(file, checksums):
             return _damaged(file, "is damaged or cannot be read")
     return None
 
 
 def _damaged(file: Path, what: str) -> InputError:
+    """Return the error that says of a file of a Zarr what is wrong with it (``"is missing"``) and how to repair it."""
     return InputError(
         f"{str(file)!r} {what}: run the same `jaxurban maps` command again, which repairs what is broken (maps that "
         "were saved from Python: save them again)"

@@ -44,7 +44,12 @@ Row = Mapping[str, Any]
 def write_table(
     table: pd.DataFrame, file: str | Path, settings: Mapping[str, Any] | None = None
 ) -> Path:
-    """Write a table, whole or not at all, Parquet with its checksum and ``settings``, and return its file.
+    """Write a table, whole or not at all, and return its file.
+
+    Args:
+      table: without its index.
+      file: a name that ends in .parquet or .csv.
+      settings: what the rows depend on, as JSON holds it; Parquet keeps it beside its checksum, CSV has neither.
 
     Raises:
       InputError: the name ends neither in .parquet nor in .csv, or the folder cannot be written to.
@@ -68,10 +73,10 @@ def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> p
     Args:
       file: a .parquet or .csv file, the latter also compressed, as .csv.gz.
       role: what it holds, for messages.
-      categories: columns of text that a CSV file repeats in many rows, and that are kept once.
+      categories: columns of a CSV file that repeat texts in many rows: they come as categories, which take less room.
 
     Raises:
-      InputError: no such file, or it cannot be read.
+      InputError: no such file, a name of another format, a file that cannot be read, or a column of lists or tables.
     """
     file = Path(file)
     is_packed = file.suffix.lower() in PACKED
@@ -96,6 +101,7 @@ def records_of(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _suffix(file: Path) -> str:
+    """Return the end of a file's name, one of `SUFFIXES` in small letters; InputError of any other name."""
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(
@@ -120,17 +126,18 @@ class RowStore:
         has_parts: bool = False,
         settings: Mapping[str, Any] | None = None,
     ) -> None:
-        """Open the store; ``key`` are the columns that name a row.
+        """Open the store, with the rows that an earlier run left in its file and its parts.
 
         Args:
-          file: ends in .parquet; begins with no row where there is none.
-          key: columns that name a row.
-          has_parts: in the folder of a `Workspace` each `add` is kept at once in the folder `PARTS_FOLDER`, and a
-            damaged file is set aside and reported, so that the job makes its rows again.
+          file: ends in .parquet; where there is none, the store begins without a row.
+          key: names of the columns whose values together name a row.
+          has_parts: in a run that records files (`jaxurban.io.workspace.Workspace`) each `add` is kept at once in a
+            file of the folder `PARTS_FOLDER`, and a damaged file is set aside and reported, so that the job makes its
+            rows again.
           settings: what all rows depend on, as JSON holds it.
 
         Raises:
-          InputError: the file cannot be read, is damaged, or holds rows of other settings.
+          InputError: the file cannot be read, is damaged, holds rows of other settings or without a column of the key.
         """
         if file.suffix != ".parquet":
             raise InputError(f"{str(file)!r} must end in .parquet: give it another name")
@@ -140,8 +147,10 @@ class RowStore:
         self._workspace = recorder_of(file) if has_parts else None
         self._rows: dict[tuple, dict[str, Any]] = {}
         self._is_saved = True
-        self._saved_s = time.perf_counter()
-        self._saving_s = 0.0
+        self._saved_s = time.perf_counter()  # when it was saved last
+        self._saving_s = 0.0  # how long that took
+
+        # The file comes last, as it wins over parts that were joined into it before a kill.
         for part in self._parts():
             if self._is_sound(part):
                 self._take(read_json(part)["rows"])
@@ -149,12 +158,14 @@ class RowStore:
             self._take(_read_rows(file, self._settings))
 
     def _parts(self) -> list[Path]:
+        """Return the files of parts that the workspace has recorded, none without parts."""
         folder = self.file.parent / PARTS_FOLDER
         workspace = self._workspace
         paths = [workspace.folder / name for name in workspace.written] if workspace else []
         return [path for path in paths if path.parent == folder]
 
     def _is_sound(self, file: Path) -> bool:
+        """Return whether a file can be read: with parts, as it was written; a changed one is set aside."""
         if self._workspace is None:
             return True
         if self._workspace.is_changed(file):
@@ -162,6 +173,7 @@ class RowStore:
         return self._workspace.is_own(file)
 
     def _take(self, rows: Iterable[Mapping[Any, Any]]) -> None:
+        """Keep rows in memory by their keys; InputError of a row without a column of the key."""
         for row in rows:
             for name in self.key:
                 if name not in row:
@@ -186,11 +198,14 @@ class RowStore:
         return [self._rows[key] for key in sorted(self._rows)]
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Keep rows, in place of those of the same key; with parts all or none are on disk when this returns."""
+        """Keep rows, in place of rows with the same keys.
+
+        With parts all of them, or none, are on disk when this returns. Otherwise the file is saved if the last time is
+        `SAVE_EVERY_S` ago, or longer where saving takes more than `SAVING_SHARE` of the time.
+        """
         if self._workspace:
-            write_json(
-                self.file.parent / PARTS_FOLDER / f"{uuid.uuid4().hex}.json", {"rows": list(rows)}
-            )
+            part = self.file.parent / PARTS_FOLDER / f"{uuid.uuid4().hex}.json"
+            write_json(part, {"rows": list(rows)})
         self._take(rows)
         self._is_saved = False
         pause_s = max(SAVE_EVERY_S, self._saving_s / SAVING_SHARE)
@@ -198,20 +213,24 @@ class RowStore:
             self.save()
 
     def save(self, columns: Mapping[str, str] | None = None) -> None:
-        """Write all rows into the file, in the order of their keys, and remove the parts.
+        """Write all rows into the file, in the order of their keys, and remove the parts; nothing if none is new.
 
         Args:
-          columns: the type of each column of a table, missing numbers being NaN; guessed if left out.
+          columns: the type of each column of the table by its name, NaN for missing numbers; left out, pandas guesses
+            them.
+
+        Raises:
+          InputError: the file cannot be written.
         """
         if self._is_saved and not self._workspace:
             return
         begin_s = time.perf_counter()
         parts = self._parts()
-        table = pd.DataFrame(self.rows)
         if columns:
-            table = pd.DataFrame(self.rows, columns=list(columns), dtype=object).astype(
-                dict(columns)
-            )
+            table = pd.DataFrame(self.rows, columns=list(columns), dtype=object)
+            table = table.astype(dict(columns))
+        else:
+            table = pd.DataFrame(self.rows)
         write_table(table, self.file, self._settings)
         if self._workspace:
             self._workspace.remove(str(self._workspace.name_of(part)) for part in parts)
@@ -221,7 +240,7 @@ class RowStore:
 
 
 def fingerprint(*parts: Any) -> str:
-    """Return 16 hexadecimal digits that stand for arrays, by their bytes, and other values, by their ``repr``."""
+    """Return 16 hexadecimal digits that stand for values: arrays count by their bytes, others by their ``repr``."""
     digest = hashlib.sha256()
     for part in parts:
         is_array = isinstance(part, np.ndarray)
@@ -230,7 +249,11 @@ def fingerprint(*parts: Any) -> str:
 
 
 def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of a file; InputError where it is damaged or of other settings."""
+    """Return the rows of a file of a `RowStore`, each with its values by column.
+
+    Raises:
+      InputError: the file cannot be read, is damaged, or has another value of one of these ``settings``.
+    """
     remedy = "name another file or folder, or remove this one, and its rows are made again"
     with readable(file, "results", remedy, pa.ArrowException):
         data = file.read_bytes()

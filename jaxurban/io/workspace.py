@@ -37,7 +37,7 @@ JOURNAL_FILE = ".checksums.jsonl"
 LINE_KEYS = ("command", "name", "checksum")
 KEPT_FOLDER = "kept"  # where files go that were in the way of an output
 LONGEST_SETTINGS = 200  # characters of two settings that differ, in an error
-Each = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or who works like it
+Each = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or one on threads
 Sections = dict[str, dict[str, Any]]  # by command: ``settings``, and ``written``, checksums by name
 
 
@@ -72,24 +72,30 @@ class Workspace:
         is_shared: bool = False,
         is_mended: bool = False,
     ) -> Iterator["Workspace"]:
-        """Hold a folder, made if it is not there, for one run; what is written under it in the block is recorded.
+        """Hold a folder for one run, and record what is written under it in the block.
+
+        The folder is made if it is missing, and removed after the block if nothing was written into it.
 
         Args:
           folder: where the run writes.
-          command: that runs.
-          settings: what decides its result, as JSON holds it; the same again goes on, or writes the same again.
-          names: of files that the run will write: refused here if they are not this command's.
-          overwrite: remove what this command wrote there before, if ``is_mended`` only where it is of other settings;
-            what was changed since, or is not its own, stays.
-          is_shared: other commands and the user may have files there; else only a folder that is empty, or this
-            command's with all of its files as they were written, is taken.
-          is_mended: files of these ``names`` may have changed since this command wrote them.
+          command: the command that runs, without ``jaxurban``.
+          settings: what decides the result, as JSON holds it. A run with the settings of the run before goes on with
+            its files, or writes the same again.
+          names: of files under the folder that the run will write; what is at one of them must be this command's.
+          overwrite: remove what this command wrote there before; with ``is_mended`` only if it is of other settings.
+            What was changed since, or is not this command's, stays.
+          is_shared: other commands and the user may have files in the folder. Otherwise it must be empty, or hold
+            files of this command alone, all as they were written.
+          is_mended: the files of ``names`` may have been changed since this command wrote them; what was changed is set
+            aside when it is written again.
 
         Raises:
           InputError: the folder cannot be written to, another run holds it, it is another command's or of other
             settings, or it holds files in the way that this command did not write, or that were changed since.
         """
-        now = json.loads(json.dumps(settings or {}))
+        new_settings = json.loads(
+            json.dumps(settings or {})
+        )  # as they will be read from the record
         is_new = not folder.exists()
         check_writable(folder)
         try:
@@ -97,16 +103,20 @@ class Workspace:
                 sections = _sections(folder)
                 is_first = command not in sections
                 section = sections.setdefault(command, {"settings": {}, "written": {}})
+                # It alters the dictionaries of its section, which `_save` writes.
                 workspace = cls(folder, command, section["settings"], section["written"], is_mended)
+
+                # Files of an earlier run are removed only when all is checked.
                 if not is_shared:
                     workspace._check_alone(sections, is_first)
                 workspace.check_way((folder / name for name in names), is_mended=is_mended)
                 if not is_first:
-                    workspace._replace(now, overwrite)
-                if now:
+                    workspace._replace(new_settings, overwrite)
+                if new_settings:
                     workspace.settings.clear()
-                    workspace.settings.update(now)
+                    workspace.settings.update(new_settings)
                 _save(folder, sections)
+
                 try:
                     with recorded_by(workspace):
                         yield workspace
@@ -123,10 +133,13 @@ class Workspace:
     @classmethod
     @contextmanager
     def shared(cls, folder: Path, command: str, names: Iterable[str] = ()) -> Iterator["Workspace"]:
-        """Record files that are written in the block: as the command's in whose run it is, else as this command's.
+        """Record the files that are written in the block.
+
+        Within the run of another command that holds the folder they are recorded as that command's, and ``command`` and
+        ``names`` do not matter. Otherwise the folder is opened for ``command`` and shared.
 
         Raises:
-          InputError: as of `open`, or something is at these names that is not as it was written.
+          InputError: as of `open`.
         """
         recorder = recorder_of(folder / RECORD_FILE)
         if recorder:
@@ -137,20 +150,32 @@ class Workspace:
 
     @staticmethod
     def settings_of(folder: Path, command: str) -> dict[str, Any]:
-        """Return what decided a command's result in a folder, empty where it has none; InputError as of `recorded`."""
+        """Return the settings that a command last ran with in a folder, empty where there are none.
+
+        Raises:
+          InputError: the record of the folder cannot be read.
+        """
         return _read(folder).get(command, {"settings": {}})["settings"]
 
     @classmethod
     def check(
         cls, folder: Path, command: str, names: Iterable[str] = (), *, is_shared: bool = False
     ) -> None:
-        """Raise InputError where a run that writes files of these names would be refused when it does."""
+        """Raise InputError if `open` would refuse a run that writes files of these names; nothing stays changed."""
         with cls.open(folder, command, names=names, is_shared=is_shared):
             pass
 
     def _check_alone(self, sections: Sections, is_first: bool) -> None:
-        """Raise InputError if the folder holds another command's files, or any others when the first run begins."""
-        others = [name for name in sections if name != self.command]
+        """Raise InputError unless the folder is this command's alone.
+
+        It may hold files that are as this command wrote them; before the first run it must be empty. Later other files
+        may lie there, if no other command wrote them.
+
+        Args:
+          sections: the record of the folder.
+          is_first: whether this command has never run there.
+        """
+        others = [command for command in sections if command != self.command]
         if others:
             raise InputError(
                 f"{str(self.folder)!r} holds what `jaxurban {others[0]}` wrote: {ELSEWHERE}"
@@ -162,37 +187,47 @@ class Workspace:
             )
         self.check_way(self.folder / name for name in self.written)
 
-    def _replace(self, now: Mapping[str, Any], overwrite: bool) -> None:
-        """Remove what a run with other settings wrote, if that is allowed; InputError otherwise."""
-        name = next((name for name in now if now[name] != self.settings.get(name)), None)
-        has_files = any(os.path.lexists(self.folder / each) for each in self.written)
-        if name is not None and not overwrite and has_files:
+    def _replace(self, new_settings: Mapping[str, Any], overwrite: bool) -> None:
+        """Remove what an earlier run wrote, where its settings were others or ``overwrite`` asks for it.
+
+        Raises:
+          InputError: the settings were others, files of the earlier run are there, and ``overwrite`` is False.
+        """
+        differing = [name for name in new_settings if new_settings[name] != self.settings.get(name)]
+        has_files = any(os.path.lexists(self.folder / name) for name in self.written)
+        if differing and has_files and not overwrite:
+            name = differing[0]
             label = name.replace("_", " ")
-            difference = f"its {label} is {self.settings.get(name)}, now {now[name]}"
+            difference = f"its {label} is {self.settings.get(name)}, now {new_settings[name]}"
             if len(difference) > LONGEST_SETTINGS:
                 difference = f"other {label}"
             raise InputError(
                 f"{str(self.folder)!r} holds another run of `jaxurban {self.command}` ({difference}): {ELSEWHERE}, or "
                 "pass --overwrite to replace it"
             )
-        if name is not None or (overwrite and not self.is_mended):
+        if differing or (overwrite and not self.is_mended):
             self.remove_all()
 
     def name_of(self, path: Path) -> str | None:
-        """Return the name of an output under the folder, None of a path elsewhere or of scratch."""
-        name = self._place_of(path)
-        if name is None or any(part.endswith(SCRATCH_SUFFIX) for part in name.parts):
+        """Return the name of an output under the folder; None where a path is elsewhere, or in scratch of a writer."""
+        place = self._place_of(path)
+        if place is None or any(part.endswith(SCRATCH_SUFFIX) for part in place.parts):
             return None
-        return name.as_posix()
+        return place.as_posix()
 
     def _place_of(self, path: Path) -> PurePosixPath | None:
-        """Return where a path is under the folder, None if it is elsewhere."""
-        absolute = os.path.abspath
-        real = os.path.realpath
-        for of_path, of_folder in ((absolute, absolute), (absolute, real), (real, real)):
-            with suppress(ValueError):
-                name = Path(of_path(path.parent), path.name).relative_to(of_folder(self.folder))
-                return PurePosixPath(name.as_posix())
+        """Return where a path is, relative to the folder; None if it is not under it.
+
+        Links above the path, then links above the folder too, are followed only where the paths as they are written
+        have nothing in common. The path itself is not followed: it may be a link in the way of an output.
+        """
+        written = os.path.abspath
+        followed = os.path.realpath
+        pairs = ((written, written), (written, followed), (followed, followed))
+        for form_of_path, form_of_folder in pairs:
+            absolute = Path(form_of_path(path.parent), path.name)
+            with suppress(ValueError):  # it is elsewhere in these forms
+                return PurePosixPath(absolute.relative_to(form_of_folder(self.folder)).as_posix())
         return None
 
     def _obstacle(self, path: Path) -> Path | None:
@@ -200,7 +235,7 @@ class Workspace:
         return _obstacle_in(self.folder, self._place_of(path) or PurePosixPath())
 
     def is_own(self, path: Path) -> bool:
-        """Return whether a path is a file as this command wrote it; a link is not, nor what is behind one."""
+        """Return whether a path is a file as this command wrote it; a link is not, nor a file behind a link."""
         name = self.name_of(path)
         if (
             name not in self.written
@@ -212,29 +247,38 @@ class Workspace:
         return is_as_written(path, [self.written[name]])
 
     def is_changed(self, path: Path) -> bool:
-        """Return whether a path is there that this command wrote, and that is not as it was written."""
-        is_known = self.name_of(path) in self.written and os.path.lexists(path)
-        return is_known and not self.is_own(path) and not self._obstacle(path)
+        """Return whether something is at a path that this command wrote, and it is not as it was written."""
+        is_recorded = self.name_of(path) in self.written and os.path.lexists(path)
+        return is_recorded and not self.is_own(path) and not self._obstacle(path)
 
     def broken(self, paths: Iterable[Path], each: Each = map) -> list[Path]:
-        """Return those outputs of these paths that are missing or not as this command wrote them; all are read."""
+        """Return those of these paths that are missing or not as this command wrote them.
+
+        All files are read; ``each`` calls a function with many paths, as `map` does, or on several threads.
+        """
         paths = list(paths)
-        wholes = zip(paths, each(self.is_own, paths), strict=True)
-        return [path for path, is_whole in wholes if not is_whole]
+        are_own = each(self.is_own, paths)
+        return [path for path, is_own in zip(paths, are_own, strict=True) if not is_own]
 
     def check_way(
         self, paths: Iterable[Path], remedy: str = ELSEWHERE, *, is_mended: bool = False
     ) -> None:
-        """Raise InputError if what is in the way of these paths is not own, nor, if ``is_mended``, own and changed."""
+        """Raise InputError if something that may not be replaced is at one of these paths, or in the way of its folder.
+
+        Args:
+          paths: under the folder, where outputs are to be written.
+          remedy: ends the message, after "move it, or".
+          is_mended: what this command wrote may be replaced even where it was changed since.
+        """
         for path in paths:
             self._check_folders(path, remedy)
-            is_ours = self.is_own(path) or (is_mended and self.is_changed(path))
-            if os.path.lexists(path) and not is_ours:
+            is_replaceable = self.is_own(path) or (is_mended and self.is_changed(path))
+            if os.path.lexists(path) and not is_replaceable:
                 reason = f"it is not as `jaxurban {self.command}` wrote it"
                 raise InputError(f"{str(path)!r} is in the way ({reason}): move it, or {remedy}")
 
     def _check_folders(self, path: Path, remedy: str = ELSEWHERE) -> None:
-        """Raise InputError if a link or a file is in the way of the folders above a path."""
+        """Raise InputError if a link or a file is in the way of a folder above a path; ``remedy`` ends the message."""
         obstacle = self._obstacle(path)
         if obstacle:
             kind = "link" if obstacle.is_symlink() else "file"
@@ -252,10 +296,17 @@ class Workspace:
         self._note([{"scratch": str(self._place_of(scratch))}])
 
     def put(self, scratch: Path, path: Path) -> None:
-        """Record a finished file under its name, and give it that name; one of the user's with just its bytes stays so.
+        """Record a finished file under its name, and give it that name.
+
+        A file of the user's with the same bytes stays the user's and is not recorded.
+
+        Args:
+          scratch: the finished file.
+          path: its name to be, under the folder.
 
         Raises:
-          InputError: something is there that this command did not write, or that was changed since.
+          InputError: something is there that this command did not write, or that was changed since; with `is_mended`
+            what was changed since is set aside.
         """
         name = self.name_of(path)
         checksum = checksum_of(scratch)
@@ -266,31 +317,40 @@ class Workspace:
             if self.is_mended and self.is_changed(path):
                 self.set_aside(path)
             self.check_way([path])
-        self._note([{"name": name, "checksum": checksum}])
+        self._note(
+            [{"name": name, "checksum": checksum}]
+        )  # before, in case of a kill between the two
         os.replace(scratch, path)
         self.written[name] = checksum
 
     def put_folder(self, made: Path, path: Path, checksums: Mapping[str, str], last: str) -> None:
-        """Record the files of a finished folder, and give it its name; own files of an older one go, others stay.
+        """Record the files of a finished folder, and give the folder its name.
+
+        Of an older folder of that name the files that this command wrote go, those that were changed since are set
+        aside, and files of others stay.
 
         Args:
           made: the finished folder.
-          path: its name to be.
+          path: its name to be, under the folder of the workspace.
           checksums: of its files, by their names in it.
-          last: of its files that readers look for first.
+          last: the name of the file that readers look for first: it is removed first, and comes last.
 
         Raises:
           InputError: a file of others is in the way of one of these.
         """
         prefix = self.name_of(path)
-        names = {f"{prefix}/{name}": checksum for name, checksum in checksums.items()}
-        paths = [self.folder / name for name in names]
+        written = {f"{prefix}/{name}": checksum for name, checksum in checksums.items()}
+        paths = [self.folder / name for name in written]
         self.check_way(paths, is_mended=True)
+
+        # Clear the way: own files, then what is left of them, as it was changed.
         older = [name for name in self.written if name.startswith(f"{prefix}/")]
         self.remove([f"{prefix}/{last}", *older])
         for changed in filter(os.path.lexists, paths):
             self.set_aside(changed)
-        self._note([{"name": name, "checksum": checksum} for name, checksum in names.items()])
+
+        # Record before the files come, in case of a kill between the two.
+        self._note([{"name": name, "checksum": checksum} for name, checksum in written.items()])
         path.parent.mkdir(parents=True, exist_ok=True)
         if not os.path.lexists(path):
             made.rename(path)
@@ -298,10 +358,14 @@ class Workspace:
             for name in sorted(checksums, key=lambda name: name == last):
                 (path / name).parent.mkdir(parents=True, exist_ok=True)
                 os.replace(made / name, path / name)
-        self.written.update(names)
+        self.written.update(written)
 
     def set_aside(self, path: Path, name: str | None = None) -> None:
-        """Move what is in the way of an output to `KEPT_FOLDER`, under its own or another name, and report it.
+        """Move what is in the way of an output to `KEPT_FOLDER`, and report it.
+
+        Args:
+          path: under the folder.
+          name: to be, in `KEPT_FOLDER`; left out, the path's own. A number is added where something has that name.
 
         Raises:
           InputError: it cannot be moved there.
@@ -322,12 +386,17 @@ class Workspace:
         )
 
     def remove_all(self) -> None:
-        """Remove all own files; what was changed since, or is not own, stays and is reported."""
+        """Remove all files that are as this command wrote them.
+
+        What else lies in the folder, or in folders that this command wrote into, stays, and a warning names it.
+        """
         folders = {PurePosixPath(name).parent for name in self.written} - {PurePosixPath()}
         self.remove(self.written)
-        names = map(PurePosixPath, _files_under(self.folder))
+        places = map(PurePosixPath, _files_under(self.folder))
         others = [
-            name for name in names if len(name.parts) == 1 or folders.intersection(name.parents)
+            place
+            for place in places
+            if len(place.parts) == 1 or folders.intersection(place.parents)
         ]
         if others:
             stay = f" and {len(others) - 1} more stay" if len(others) > 1 else " stays"
@@ -336,23 +405,31 @@ class Workspace:
             )
 
     def remove(self, names: Iterable[str]) -> None:
-        """Remove those files that are own, and folders that are empty then; forget those that are not there."""
-        listed = list(dict.fromkeys(names))
+        """Remove files by their names under the folder, and folders that are empty then.
+
+        Only files that are as this command wrote them are removed. Every one of these names at which nothing is then
+        goes from the record too.
+        """
+        unique = list(dict.fromkeys(names))
         folders = set[Path]()
-        for path in [self.folder / name for name in listed]:
+        for path in [self.folder / name for name in unique]:
             if self.is_own(path):
                 path.unlink()
                 folders |= {parent for parent in path.parents if self.folder in parent.parents}
-        known = [name for name in listed if name in self.written]
-        missing = [name for name in known if not os.path.lexists(self.folder / name)]
+
+        recorded_names = [name for name in unique if name in self.written]
+        missing = [name for name in recorded_names if not os.path.lexists(self.folder / name)]
         self._note({"name": name, "checksum": None} for name in missing)
         for name in missing:
             del self.written[name]
+
+        # Inner folders first.
         for folder in sorted(folders, key=lambda folder: -len(folder.parts)):
             with suppress(OSError):  # others have files there
                 folder.rmdir()
 
     def _note(self, lines: Iterable[Mapping[str, str | None]]) -> None:
+        """Append lines of this command to the journal: ``scratch``, or ``name`` and ``checksum`` (None: removed)."""
         text = "".join(f"\n{json.dumps({'command': self.command, **line})}" for line in lines)
         with (self.folder / JOURNAL_FILE).open("ab", buffering=0) as file:
             file.write(text.encode())
@@ -377,7 +454,7 @@ def _obstacle_in(folder: Path, name: PurePosixPath) -> Path | None:
 
 
 def _unused(path: Path) -> Path:
-    """Return the path, or the first numbered one at which nothing is."""
+    """Return the path, or where something is there, the first of ``path.2``, ``path.3`` ... at which nothing is."""
     unused = path
     number = 1
     while os.path.lexists(unused):
@@ -400,7 +477,7 @@ def recorded(folder: Path) -> dict[str, set[str]]:
     Raises:
       InputError: the record cannot be read.
     """
-    # The journal first: it is removed when the record has taken its lines.
+    # The journal first, as it is removed when the record has taken its lines: so nothing is missed between the two.
     pairs = [(line["name"], line["checksum"]) for line in _journal(folder) if "name" in line]
     for section in _read(folder).values():
         pairs += section["written"].items()
@@ -412,7 +489,11 @@ def recorded(folder: Path) -> dict[str, set[str]]:
 
 
 def _read(folder: Path) -> Sections:
-    """Return the record of a folder by command, empty without one; InputError where it cannot be read."""
+    """Return the record of a folder by command, without the journal; empty where there is none.
+
+    Raises:
+      InputError: the record cannot be read, is of another version, or names a file that is not under the folder.
+    """
     try:
         sections = read_json(folder / RECORD_FILE)
         if not all(map(_is_section, sections.values())):
@@ -432,6 +513,7 @@ def _read(folder: Path) -> Sections:
 
 
 def _is_section(section: Any) -> bool:
+    """Return whether a value of the record is the section of a command: its settings, and texts of checksums."""
     if not isinstance(section, dict):
         return False
     settings = section.get("settings")
@@ -442,7 +524,14 @@ def _is_section(section: Any) -> bool:
 
 
 def _sections(folder: Path) -> Sections:
-    """Return the record of a folder by command, with what a killed run left in the journal."""
+    """Return the record of a folder by command, after what a killed run left behind is put in order.
+
+    Half-written records are removed, and the lines of the journal go into the record. Only the run that holds the
+    folder may call this.
+
+    Raises:
+      InputError: the record cannot be read.
+    """
     for scrap in folder.glob(f".{RECORD_FILE}.*{SCRATCH_SUFFIX}"):
         remove(scrap)
     sections = _read(folder)
@@ -453,10 +542,12 @@ def _sections(folder: Path) -> Sections:
 
 
 def _recover(folder: Path, sections: Sections) -> None:
-    """Take the lines of the journal into the record, and sweep the scratch that they name.
+    """Take the lines of the journal into ``sections``, which is altered, and remove the scratch that they name.
 
-    Of a name with several checksums one may be of a file that never came: the one that the file has counts.
+    Where a run was killed after it noted a checksum and before the file came, the file still has the checksum before:
+    of several checksums of one file the one that the file has counts, and the last one where it has none of them.
     """
+    # The checksums of each command and name, in the order of the journal; None: it was removed.
     checksums_of: dict[tuple[str, str], list[str | None]] = {}
     for line in _journal(folder):
         if "scratch" in line:
@@ -466,6 +557,7 @@ def _recover(folder: Path, sections: Sections) -> None:
         elif line["command"] in sections:
             key = line["command"], line["name"]
             checksums_of.setdefault(key, []).append(line["checksum"])
+
     for (command, name), checksums in checksums_of.items():
         written = sections[command]["written"]
         possible = {*checksums, written.pop(name, None)} - {None}
@@ -484,10 +576,12 @@ def _recover(folder: Path, sections: Sections) -> None:
 
 
 def _journal(folder: Path) -> Iterator[dict[str, Any]]:
-    """Yield the lines of a journal but for damaged ones, as the last one of a killed run.
+    """Yield the lines of the journal of a folder, each as `_parsed`, without damaged ones; none without a journal.
+
+    The last line of a killed run may be damaged.
 
     Raises:
-      InputError: one of them names what is not under the folder.
+      InputError: a line names a file that is not under the folder.
     """
     journal = folder / JOURNAL_FILE
     if journal.is_symlink() or not journal.is_file():  # no run leaves a link or a pipe
@@ -505,7 +599,10 @@ def _journal(folder: Path) -> Iterator[dict[str, Any]]:
 
 
 def _parsed(text: str) -> dict[str, Any] | None:
-    """Return the values of a line of a journal by their keys, None of a damaged line."""
+    """Return the values of a line of a journal by their keys, None of a damaged line.
+
+    The keys are ``scratch`` alone, or `LINE_KEYS`; all values are texts, but a checksum may be None.
+    """
     try:
         values = json.loads(text)
         keys = ("scratch",) if "scratch" in values else LINE_KEYS
@@ -520,8 +617,11 @@ def _parsed(text: str) -> dict[str, Any] | None:
 
 
 def _save(folder: Path, sections: Sections) -> None:
-    """Write the record, and remove the journal."""
-    sections = {
+    """Write the record, with sorted names, and remove the journal; without any section remove the record too.
+
+    A record that cannot be read now, though it could when the run began, is kept under another name.
+    """
+    ordered = {
         command: {**section, "written": dict(sorted(section["written"].items()))}
         for command, section in sections.items()
     }
@@ -530,12 +630,12 @@ def _save(folder: Path, sections: Sections) -> None:
     try:
         with suppress(OSError):
             stored = read_json(record)
-    except ValueError:  # it could be read when the run began
+    except ValueError:
         aside = _unused(record)
         record.rename(aside)
         LOG.warning(f"{str(record)!r} was changed during the run: it is {str(aside)!r} now")
-    if not sections:
+    if not ordered:
         record.unlink(missing_ok=True)
-    elif sections != stored:
-        write_json(record, sections, indent=2)
+    elif ordered != stored:
+        write_json(record, ordered, indent=2)
     (folder / JOURNAL_FILE).unlink(missing_ok=True)

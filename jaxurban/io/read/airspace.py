@@ -126,19 +126,20 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{str(path)!r} is a folder: name each file of no-fly zones in it")
-    notes: Notes = defaultdict(list)
+    notes: Notes = defaultdict(list)  # filled by the readers
     features = _geozones(path)
     zones = (
         _of_vector_file(path, notes)
         if features is None
         else _of_geozones(features, path.name, notes)
     )
+
     for sentence, names in notes.items():
-        several = list(dict.fromkeys(map(repr, names)))
-        num = len(several)
+        labels = list(dict.fromkeys(map(repr, names)))
+        num = len(labels)
         if num > MOST_NAMED:
-            several[MOST_NAMED:] = ["..."]
-        _warn(f"zones of {path.name!r} that {sentence}: {num} ({', '.join(several)})")
+            labels[MOST_NAMED:] = ["..."]
+        _warn(f"zones of {path.name!r} that {sentence}: {num} ({', '.join(labels)})")
     if not zones:
         raise InputError(
             f"the {ROLE} file {str(path)!r} holds no polygons that restrict flights: give another file"
@@ -151,32 +152,39 @@ def _warn(sentence: str) -> None:
 
 
 def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
-    """Return the zones of a file that GDAL or pyarrow reads."""
+    """Return the zones of a file that GDAL or pyarrow reads, one for each feature that holds polygons.
+
+    Args:
+      path: of the file.
+      notes: gets the names of zones whose outlines are closed otherwise than they are drawn, see `_whole`.
+
+    Warns:
+      IgnoredZoneWarning: features that are not polygons, and properties of heights that are not read.
+
+    Raises:
+      InputError: a file that cannot be read, or a zone with an invalid corner, floor or ceiling.
+    """
     file = path.name
-    zones = list[Zone]()
+    zones: list[Zone] = []
     num_others = 0
     for frame in open_layers(path, ROLE):
+        geometry = frame.geometry.name
         num_others += sum(not _is_all_area(shape) for shape in frame.geometry)
-        # -1 where there is none.
         areas = frame[shapely.get_dimensions(frame.geometry.to_numpy()) == 2]
-        _warn_of_ignored(areas.drop(columns=areas.geometry.name), file)
+        _warn_of_ignored(areas.drop(columns=geometry), file)
+
         for row in areas.to_dict("records"):
-            shape = row.pop(areas.geometry.name)
+            shape = row.pop(geometry)
             facts = {_plain(name): value for name, value in row.items() if not is_blank(value)}
-            name = next(
-                (str(facts[name]).strip() for name in NAME_NAMES if name in facts),
-                f"polygon {len(zones) + 1}",
-            )
+            names = (str(facts[name]).strip() for name in NAME_NAMES if name in facts)
+            name = next(names, f"polygon {len(zones) + 1}")
             if not np.isfinite(shapely.get_coordinates(shape)).all():
                 raise InputError(
                     f"the no-fly zone {name!r} of {file!r} has a corner that is not a number: mend it"
                 )
             whole = _whole(shapely.force_2d(shape), name, notes, is_lonlat=areas.crs.is_geographic)
-            zones.append(
-                Zone(
-                    name, whole, areas.crs.to_wkt(), *_heights(facts, f"{name!r} of {file!r}"), file
-                )
-            )
+            floor_m, ceiling_m = _heights(facts, f"{name!r} of {file!r}")
+            zones.append(Zone(name, whole, areas.crs.to_wkt(), floor_m, ceiling_m, file))
     if zones and num_others:
         _warn(
             f"{num_others} feature(s) of {file!r} are not polygons and close nothing: draw them as polygons"
@@ -185,6 +193,7 @@ def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
 
 
 def _is_all_area(shape: shapely.Geometry | None) -> bool:
+    """Return whether a feature has a geometry, and all parts of it are polygons."""
     return shape is not None and bool(np.all(shapely.get_dimensions(shapely.get_parts(shape)) == 2))
 
 
@@ -194,27 +203,41 @@ def _plain(name: object) -> str:
 
 
 def _heights(facts: Json, label: str) -> tuple[float, float]:
-    """Return floor and ceiling of a polygon by its filled properties, infinite where it has none."""
-    limits_m = []
-    for names in (FLOOR_NAMES, CEILING_NAMES):
-        filled = {name: facts[_plain(name)] for name in names if _plain(name) in facts}
-        what = f"of the no-fly zone {label}"
-        limits_m.append(
-            [finite(f"{name} {what}", filled[name], "metres above ground") for name in filled]
-        )
-    floors, ceilings = limits_m
+    """Return floor and ceiling of a polygon in metres above ground, infinite where it has none.
+
+    Of several floors the lowest counts, of several ceilings the highest. Where a property names another unit or another
+    zero than the ground, both are infinite, and a warning says so.
+
+    Args:
+      facts: its filled properties by plain name.
+      label: its name and file, for messages.
+
+    Raises:
+      InputError: a height that is not a number.
+    """
+
+    def heights_m(names: Sequence[str]) -> list[float]:
+        """Return the heights in the properties of these names that are filled."""
+        return [
+            finite(f"{name} of the no-fly zone {label}", facts[_plain(name)], "metres above ground")
+            for name in names
+            if _plain(name) in facts
+        ]
+
+    floors_m = heights_m(FLOOR_NAMES)
+    ceilings_m = heights_m(CEILING_NAMES)
     units = [str(value) for name, value in facts.items() if UNIT_NAME.search(name)]
-    strange = [unit for unit in units if _plain(unit) not in UNITS_READ]
-    if strange and (floors or ceilings):
+    unread = [unit for unit in units if _plain(unit) not in UNITS_READ]
+    if unread and (floors_m or ceilings_m):
         _warn(
-            f"{label} has heights in {strange[0]!r}, so it is closed at all altitudes: give metres above ground"
+            f"{label} has heights in {unread[0]!r}, so it is closed at all altitudes: give metres above ground"
         )
         return -math.inf, math.inf
-    return min(floors, default=-math.inf), max(ceilings, default=math.inf)
+    return min(floors_m, default=-math.inf), max(ceilings_m, default=math.inf)
 
 
 def _warn_of_ignored(properties: pd.DataFrame, file: str) -> None:
-    """Warn of filled properties that sound like heights and are not read."""
+    """Warn of properties of the zones of a file that sound like heights, are filled in some row and are not read."""
     read = {*map(_plain, FLOOR_NAMES), *map(_plain, CEILING_NAMES)}
     ignored = []
     for column in properties:
@@ -230,7 +253,16 @@ def _warn_of_ignored(properties: pd.DataFrame, file: str) -> None:
 
 
 def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone]:
-    """Return the zones of a file of ED-269 or ED-318."""
+    """Return the zones of a file of ED-269 or ED-318: one for each volume of each feature that restricts flights.
+
+    Args:
+      features: as JSON holds them.
+      file: its name.
+      notes: gets the names of zones that are left out, or closed otherwise than the file may mean.
+
+    Raises:
+      InputError: an outline that cannot be read, or a limit that is not a number.
+    """
     zones = []
     for number, feature in enumerate(features, start=1):
         facts = feature["properties"] if isinstance(feature.get("properties"), dict) else feature
@@ -242,18 +274,19 @@ def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone
         if restriction in ON_APPROVAL:
             notes["need an authorisation or hold on conditions, and are closed"].append(name)
         start, end = _times(facts, name, notes)
+
         label = f"{name!r} of {file!r}"
         try:
             volumes = [
                 (shape["layer"] or {}, _outline(shape)) for shape in _volumes(feature["geometry"])
             ]
         except BROKEN as error:
-            why = "a part is missing, or is of another kind"
-            if isinstance(error, ValueError):
-                why = str(error)
+            is_said = isinstance(error, ValueError)
+            why = str(error) if is_said else "a part is missing, or is of another kind"
             raise InputError(
                 f"the outline of the no-fly zone {label} cannot be read ({why}): mend the file"
             ) from error
+
         for layer, outline in volumes:
             whole = _whole(outline, name, notes, is_lonlat=True)
             floor_m, ceiling_m = _limits(layer, label, name, notes)
@@ -262,7 +295,11 @@ def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone
 
 
 def _geozones(path: Path) -> list[Json] | None:
-    """Return the zones of a file as they are, None where it is no file of ED-269 or ED-318."""
+    """Return the features of a file of ED-269 or ED-318 as JSON holds them, None of any other file.
+
+    Such a file is known by its suffix and by the words that only these formats have; one that cannot be read is left to
+    the reader of vector files.
+    """
     if path.suffix.lower() not in GEOZONE_SUFFIXES:
         return None
     try:
@@ -277,12 +314,14 @@ def _geozones(path: Path) -> list[Json] | None:
 
 
 def _name(facts: Json, number: int) -> str:
-    """Return a zone's name, in ED-318 a list of texts, or its identifier."""
+    """Return a zone's name, else its identifier, else its number in the file.
+
+    In ED-318 the name is a list of objects with texts in several languages, of which the first counts.
+    """
     name = facts.get("name")
     if isinstance(name, list):
-        name = next(
-            (text.get("text") for text in name if isinstance(text, dict) and text.get("text")), None
-        )
+        texts = (item.get("text") for item in name if isinstance(item, dict))
+        name = next(filter(None, texts), None)
     return str(name or facts.get("identifier") or f"zone {number}").strip()
 
 
@@ -295,7 +334,11 @@ def _volumes(geometry: Any) -> list[dict[str, Any]]:
 
 
 def _outline(shape: Json) -> shapely.Geometry:
-    """Return the outline of a volume."""
+    """Return the outline of a volume (see `_volumes`) in longitude and latitude: polygons, or one around a circle.
+
+    Raises:
+      An error of `BROKEN`: a part is missing, is of another kind or is no place on the Earth.
+    """
     kind = str(shape["type"]).lower()
     if kind == "circle":  # of ED-269
         unit_m = METRES[str(shape["layer"]["uomDimensions"]).upper()]
@@ -325,7 +368,17 @@ def _place(corner: Sequence[Any]) -> tuple[float, float]:
 
 
 def _circle(centre: Sequence[Any], radius_m: float) -> shapely.Geometry:
-    """Return a polygon that holds all of a circle: its edges touch one that is a little wider."""
+    """Return a polygon in longitude and latitude that holds all of a circle; its longitudes may pass 180 degrees.
+
+    The edges touch a circle that is wider by `WIDER`, as they are straight in degrees and the Earth is not.
+
+    Args:
+      centre: longitude and latitude in degrees.
+      radius_m: up to `MOST_M`.
+
+    Raises:
+      ValueError: another radius, no place, or a pole too near.
+    """
     lon, lat = _place(centre)
     if not 0 < radius_m <= MOST_M or abs(lat) > 85:
         raise ValueError(
@@ -340,7 +393,17 @@ def _circle(centre: Sequence[Any], radius_m: float) -> shapely.Geometry:
 
 
 def _limits(layer: Json, label: str, name: str, notes: Notes) -> tuple[float, float]:
-    """Return floor and ceiling of a volume in metres above ground, infinite where it has none that can be used."""
+    """Return floor and ceiling of a volume in metres above ground, infinite where it has none that can be used.
+
+    Args:
+      layer: the limits, under the keys of ED-269 or ED-318.
+      label: name and file of the zone, for messages.
+      name: of the zone.
+      notes: gets the name where a limit is not above ground, or in an unknown unit.
+
+    Raises:
+      InputError: a limit above ground that is not a number.
+    """
     unit_m = METRES.get(str(layer.get("uomDimensions", layer.get("uom", ""))).upper())
     limits_m = []
     for end, none_m in (("lower", -math.inf), ("upper", math.inf)):
@@ -352,15 +415,22 @@ def _limits(layer: Json, label: str, name: str, notes: Notes) -> tuple[float, fl
             notes[NO_LIMITS].append(name)
             limits_m.append(none_m)
         else:
-            limits_m.append(
-                finite(f"the {end} limit of the no-fly zone {label}", value, "metres or feet")
-                * unit_m
-            )
-    return limits_m[0], limits_m[1]
+            what = f"the {end} limit of the no-fly zone {label}"
+            limits_m.append(finite(what, value, "metres or feet") * unit_m)
+    floor_m, ceiling_m = limits_m
+    return floor_m, ceiling_m
 
 
 def _times(facts: Json, name: str, notes: Notes) -> tuple[datetime | None, datetime | None]:
-    """Return the first and the last time at which a zone is in force, None where it has none."""
+    """Return the first and the last time at which a zone is in force, None for an end that is open.
+
+    Both are None where a period is permanent, where there is no period, and where a time cannot be read.
+
+    Args:
+      facts: of the zone, under the keys of ED-269 or ED-318.
+      name: of the zone.
+      notes: gets the name where times cannot be read, or periods have days or hours.
+    """
     periods = facts.get("applicability", facts.get("limitedApplicability")) or []
     try:
         permanent = [str(period.get("permanent")).upper() for period in periods]
@@ -379,7 +449,11 @@ def _times(facts: Json, name: str, notes: Notes) -> tuple[datetime | None, datet
 
 
 def _time(text: str | None) -> datetime | None:
-    """Return a date and time with its offset, None without one; ValueError where it is none, or has no offset."""
+    """Return the date and time that a text of ISO 8601 names, None without a text.
+
+    Raises:
+      ValueError: it is no date and time, or has no offset from UTC.
+    """
     if not text:
         return None
     moment = datetime.fromisoformat(text)
@@ -391,12 +465,19 @@ def _time(text: str | None) -> datetime | None:
 def _whole(
     shape: shapely.Geometry, name: str, notes: Notes, *, is_lonlat: bool
 ) -> shapely.Geometry:
-    """Return valid polygons that close all that the outline of a zone may mean; ``notes`` get what was done.
+    """Return valid polygons that close all that the outline of a zone may mean.
 
     A file may mean by an edge from 179.9 to -179.9 degrees what lies between them across the antimeridian, or all the
     rest of the way round: such a zone is closed all around the Earth. An edge that goes all the way round has but one
     meaning.
+
+    Args:
+      shape: the outline.
+      name: of the zone.
+      notes: gets the name where more is closed than the outline draws.
+      is_lonlat: whether coordinates are longitude and latitude in degrees.
     """
+    # Outlines that cross themselves.
     if not shape.is_valid or shape.geom_type not in ("Polygon", "MultiPolygon"):
         polygons = made_valid(shape)
         if not shape.is_valid and not polygons.is_empty:
@@ -404,6 +485,8 @@ def _whole(
                 name
             )
         shape = polygons
+
+    # Edges that may lie across the antimeridian: how many degrees of longitude each edge of an outer ring spans.
     rings = [shapely.get_coordinates(part.exterior)[:, 0] for part in shapely.get_parts(shape)]
     spans = np.concatenate([np.abs(np.diff(lon)) for lon in rings] or [[]])
     if is_lonlat and np.any((spans > TURN / 2) & (spans < TURN)):

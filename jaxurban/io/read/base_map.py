@@ -42,8 +42,17 @@ CLASSES = {  # of the tag `highway`; "_link" counts as what it links
 BESIDE_STREETS = ("sidewalk", "crossing", "parking_aisle", "driveway", "drive-through")
 RAILS = ("rail", "light_rail", "subway", "tram", "narrow_gauge", "monorail", "funicular")
 PLACES = (
-    *("city", "borough", "town", "suburb", "quarter", "neighbourhood", "village", "hamlet"),
-    *("island", "islet", "square"),
+    "city",
+    "borough",
+    "town",
+    "suburb",
+    "quarter",
+    "neighbourhood",
+    "village",
+    "hamlet",
+    "island",
+    "islet",
+    "square",
 )
 TOLERANCE_M = 1.0  # lines are simplified to it
 LEAST_M2 = 50.0  # smaller waters and parks are left out
@@ -52,7 +61,10 @@ LICENCE = "ODbL-1.0"
 
 
 def base_map_source(source: str | Path | None) -> Path | None:
-    """Return the file that has the base map of a source of buildings, None where nothing has one."""
+    """Return the file that has the base map of a source of buildings, None where nothing has one.
+
+    A sample city has a file beside its buildings; files of OpenStreetMap and of base maps are such a file themselves.
+    """
     if source is None:
         return None
     if is_sample(source):
@@ -122,10 +134,12 @@ def land_cover_in(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
 
 
 def _rounded(points: np.ndarray) -> np.ndarray:
+    """Return coordinates in degrees, rounded to `STEP_DEG`."""
     return np.round(points / STEP_DEG) * STEP_DEG
 
 
 def _from_parquet(path: str | Path, crs: str) -> gpd.GeoDataFrame:
+    """Return the features of a file of `write_base_map` in ``crs``, its credit and licence as ``attrs``."""
     import pyarrow.parquet as pq
 
     with readable(path, "a base map", "make the maps again, which writes it"):
@@ -135,7 +149,19 @@ def _from_parquet(path: str | Path, crs: str) -> gpd.GeoDataFrame:
 
 
 def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
-    """Return the features of an OSM file near a box in ``crs``, simplified."""
+    """Return the features of an OSM file near a box, simplified, those of one kind and name as one.
+
+    Args:
+      path: of the file.
+      crs: projected CRS of the box and the result, metres.
+      bounds_m: x_min, y_min, x_max, y_max of the box; features that touch it are returned whole.
+
+    Returns:
+      ``kind``, ``name`` and ``geometry``, in the order of `KINDS`. Areas smaller than `LEAST_M2` are empty.
+
+    Raises:
+      InputError: the file cannot be read.
+    """
     to_wkb = osmium.geom.WKBFactory()
     with readable(
         path, "OpenStreetMap data", "fetch it again", RuntimeError, osmium.InvalidLocationError
@@ -150,6 +176,8 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
                 rows.append((kind, name, to_wkb.create_point(item)))
             elif isinstance(item, osmium.osm.Way) and kind not in ("", "place"):
                 rows += [(kind, name, line.wkb_hex) for line in runs_of(item)]
+
+    # Those near the box, with the sea, joined by kind and name.
     kinds = [kind for kind, _, _ in rows]
     names = [name for _, name, _ in rows]
     shapes = [shape for _, _, shape in rows]
@@ -164,6 +192,8 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
     if not wet.is_empty:
         frame.loc[len(kinds)] = ["water", "", wet]
     frame = frame.dissolve(["kind", "name"], as_index=False)[["kind", "name", "geometry"]]
+
+    # Valid areas and lines in one piece, simplified.
     kind = frame["kind"].to_numpy()
     is_area = np.isin(kind, ("water", "park"))
     is_line = ~np.isin(kind, ("water", "park", "place"))
@@ -172,12 +202,17 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
     shapes[is_line] = shapely.line_merge(shapes[is_line])
     shapes = shapely.simplify(shapes, TOLERANCE_M)
     shapes[is_area & (shapely.area(shapes) < LEAST_M2)] = shapely.Polygon()
-    order = np.argsort([KINDS.index(each) for each in kind], kind="stable")
+
+    order = np.argsort(list(map(KINDS.index, kind)), kind="stable")
     return frame.set_geometry(shapes, crs=crs).iloc[order].reset_index(drop=True)
 
 
 def _kind_of(item: osmium.osm.OSMObject) -> str:
-    """Return the kind of a street, a rail or a place, empty for what is left out."""
+    """Return the kind of a street, a rail or a place by its tags, one of `KINDS`; empty for what is left out.
+
+    Left out are tunnels, areas, tracks beside a railway's own, ways beside streets and on parking grounds, and classes
+    that `CLASSES` lacks.
+    """
     tags = item.tags
     if tags.get("place") in PLACES:
         return "place"

@@ -16,7 +16,7 @@ from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.raster import RASTER_SUFFIXES, read_bands
 from jaxurban.io.read.sampling import pixel_xy
-from jaxurban.io.read.vector import open_frame
+from jaxurban.io.read.vector import POLYGONS, open_frame
 from jaxurban.metrics.population import Population
 from jaxurban.world.blocks import OTHER_DISTRICT, Blocks, Zoning
 from jaxurban.world.grid import Bounds, projected_crs, transformer
@@ -24,8 +24,22 @@ from jaxurban.world.grid import Bounds, projected_crs, transformer
 # Names of the column of total population, the first found wins, case ignored: 2010 SF1 (data.census.gov, American
 # FactFinder), 2020 P1 and DHC, TIGER with counts, GIS joins, and plain tables.
 COUNT_COLUMNS = (
-    *("p001001", "d001", "p1_001n", "p0010001", "pop10", "pop20", "pop100", "u7h001", "h7v001"),
-    *("population", "total_population", "pop_total", "pop", "people", "total", "count"),
+    "p001001",
+    "d001",
+    "p1_001n",
+    "p0010001",
+    "pop10",
+    "pop20",
+    "pop100",
+    "u7h001",
+    "h7v001",
+    "population",
+    "total_population",
+    "pop_total",
+    "pop",
+    "people",
+    "total",
+    "count",
 )
 # Summary level, variant and component, before the digits of the id.
 GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")
@@ -33,7 +47,6 @@ GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")
 MOST_PEOPLE = 1e10  # of a block: more is no count
 COUNT = re.compile(r"\s*(\+?\d[\d,\s]*(?:\.\d*)?(?:[eE]\+?\d{1,2})?)\s*(?:\(.*\))?\s*")
 
-AREAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 SLIVER = 1e-6  # of a pixel's area: what rounding leaves where the borders of two grids coincide
 PAPER_DISTRICTS = tuple(range(101, 113))  # Manhattan's twelve; 164 is Central Park
 
@@ -41,10 +54,10 @@ PAPER_DISTRICTS = tuple(range(101, 113))  # Manhattan's twelve; 164 is Central P
 def read_blocks(
     files: Population, crs: str, bounds_m: Bounds | None = None, region_m: Bounds | None = None
 ) -> tuple[Blocks, ReadIssues]:
-    """Return census blocks with their people and districts in the order of their file, and the read issues met.
+    """Return census blocks with their people and districts in the order of their file, and the read issues by count.
 
     Args:
-      files: what is read, blocks or rasters by day and by night at least.
+      files: what is read: blocks, or rasters of people by day and by night, and whatever else is named.
       crs: projected CRS of the result, in metres.
       bounds_m: keep only blocks that touch this box of ``crs``; left out, all.
       region_m: box of ``crs`` where both rasters, by day and by night, must hold data; left out, that is not checked.
@@ -54,9 +67,12 @@ def read_blocks(
         touches the box.
     """
     issues: Counter[ReadIssue] = Counter()
+
+    # Blocks with their people, of any of three kinds.
     if files.blocks_night is not None and files.blocks_day is not None:
-        rasters = (files.blocks_night, files.blocks_day)
-        frame = _by_night_and_day(*(read_people(path, crs, bounds_m, region_m) for path in rasters))
+        night = read_people(files.blocks_night, crs, bounds_m, region_m)
+        day = read_people(files.blocks_day, crs, bounds_m, region_m)
+        frame = _by_night_and_day(night, day)
     elif Path(str(files.blocks)).suffix.lower() in RASTER_SUFFIXES:
         if files.table is not None:
             raise InputError(
@@ -69,6 +85,8 @@ def read_blocks(
         raise InputError(
             f"blocks {str(files.blocks)!r} has no block that touches the region: check [region] bounds"
         )
+
+    # Their districts.
     polygons = frame.geometry.to_numpy()
     commercial = files.commercial_labels
     district = np.full(len(frame), OTHER_DISTRICT, np.int32)
@@ -79,34 +97,37 @@ def read_blocks(
         )
         district = largest_overlap(polygons, areas, labels)
         issues[ReadIssue.COMMERCIAL_NOT_FOUND] = int((~np.isin(list(commercial), labels)).sum())
+    zoning = zoning_of(district, commercial, labels.tolist())
+
+    # A count that is missing is 0. Without rasters by day and by night there is one count for both.
     counts = frame.filter(["_count", "_day"])
     issues[ReadIssue.BLOCKS_WITHOUT_COUNT] = int(counts.isna().any(axis=1).sum())
     issues[ReadIssue.BLOCKS_WITHOUT_DISTRICT] = int((district == OTHER_DISTRICT).sum())
     people = counts.fillna(0.0).to_numpy(np.float64).T
-    zoning = zoning_of(district, commercial, labels.tolist())
     by_day = people[1] if len(people) > 1 else None
-    return Blocks(
-        polygons, people[0], district, zoning, frame["_id"].to_numpy(object), by_day
-    ), issues
+    ids = frame["_id"].to_numpy(object)
+    return Blocks(polygons, people[0], district, zoning, ids, by_day), issues
 
 
 def _by_night_and_day(night: gpd.GeoDataFrame, day: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    """Return the pixels of two rasters with ``_count`` and ``_day``, NaN where one of them has no data.
+    """Return the pixels of two rasters (see `read_people`) as one table, with people by night and by day.
 
-    Of one grid they are its pixels; of two, the pieces into which the pixels cut each other, with people pro rata by
-    area.
+    Of rasters on one grid they are its pixels. Of two grids they are the pieces into which the pixels cut each other,
+    with the people of a pixel spread evenly over its area.
+
+    Returns:
+      ``geometry``, ``_id``, ``_count`` by night and ``_day``, both float64, NaN where the raster has no data.
     """
-    both = night.merge(day, on="_id", how="outer", suffixes=("", "_day")).rename(
-        columns={"_count_day": "_day"}
-    )
+    # One grid: pixels of the same row and column lie at the same place, to a millimetre.
+    both = night.merge(day, on="_id", how="outer", suffixes=("", "_day"))
+    both = both.rename(columns={"_count_day": "_day"})
     pairs = both.dropna(subset=["geometry", "geometry_day"])
-    if (
-        len(pairs)
-        and shapely.equals_exact(
-            pairs["geometry"].to_numpy(), pairs["geometry_day"].to_numpy(), 1e-3
-        ).all()
-    ):
+    by_night = pairs["geometry"].to_numpy()
+    by_day = pairs["geometry_day"].to_numpy()
+    if len(pairs) and shapely.equals_exact(by_night, by_day, tolerance=1e-3).all():
         return both.assign(geometry=both["geometry"].fillna(both["geometry_day"]))
+
+    # Two grids: people per square metre, by pieces.
     night, day = (frame.assign(_count=frame["_count"] / frame.area) for frame in (night, day))
     both = gpd.overlay(night, day, how="union", keep_geom_type=True)
     both = both[both.area > SLIVER * min(night.area.min(), day.area.min())]
@@ -144,11 +165,13 @@ def read_people(
             f"{str(path)!r} holds {num_bad} pixels of less than 0 people: declare their value as nodata with "
             "`gdal_edit.py -a_nodata VALUE`"
         )
-    row, col = np.nonzero(np.isfinite(raster.values))
+
     # Of each pixel the corners from southwest round, the first once more: [N, 5].
+    row, col = np.nonzero(np.isfinite(raster.values))
     down = row[:, None] + [1, 1, 0, 0, 1]
     right = col[:, None] + [0, 1, 1, 0, 0]
     rings = np.stack(pixel_xy(raster, down, right, crs), axis=-1)
+
     places = zip(row + raster.first_row, col + raster.first_col, strict=True)
     columns = {
         "_id": np.array([f"{row},{col}" for row, col in places], object),
@@ -165,23 +188,37 @@ def read_people(
 def _polygons(
     files: Population, crs: str, bounds_m: Bounds | None, issues: Counter[ReadIssue]
 ) -> gpd.GeoDataFrame:
-    """Return block polygons with ``_id`` and ``_count``, NaN where there is none; ``issues`` gets what was met."""
+    """Return the polygons of blocks, ``geometry`` with ``_id`` and ``_count``, NaN where there is none.
+
+    Args:
+      files: blocks, and a table of their people if they have none themselves.
+      crs: projected CRS of the result.
+      bounds_m: keep only blocks that touch this box of ``crs``; None keeps all.
+      issues: gets how many counts and polygons were missing or unusable.
+
+    Raises:
+      InputError: as of `read_blocks`.
+    """
     path = str(files.blocks)
     field = files.block_field
     frame = _open(path, "blocks", field, "[population] block_field")
     block_id = _ids(frame[field])
     key = _keys(frame[field])
-    if (twice := key.duplicated()).any():
+    is_second = key.duplicated()
+    if is_second.any():
         raise InputError(
-            f"blocks {path!r} has the id {block_id[twice].iloc[0]!r} more than once in {field!r}: "
+            f"blocks {path!r} has the id {block_id[is_second].iloc[0]!r} more than once in {field!r}: "
             "set [population] block_field to the field with one id a block (a 15-digit GEOID for US blocks)"
         )
+
+    # Join the counts, by key.
     if files.table is None:
         counts = _counts_in_blocks(frame.drop(columns=[field, "geometry"]), key, path)
     else:
         counts = _counts_in_table(files.table, key, f"{field!r} of {path!r}")
     issues[ReadIssue.COUNTS_WITHOUT_BLOCK] = int((~counts.index.isin(key)).sum())
     frame = frame.assign(_id=block_id, _count=key.map(counts), _has_row=key.isin(counts.index))
+
     frame, num_lost, num_invalid = clean_polygons(frame, crs, bounds_m)
     num_unreadable = int((frame["_count"].isna() & frame["_has_row"]).sum())
     if num_unreadable == len(frame) > 0:
@@ -196,6 +233,12 @@ def _polygons(
 
 def _open(path: str | Path, role: str, field: str, setting: str) -> gpd.GeoDataFrame:
     """Return the features of a file that must have a field.
+
+    Args:
+      path: of the file.
+      role: what it holds, for messages.
+      field: its name.
+      setting: that names the field, for messages.
 
     Raises:
       InputError: a file that cannot be read, or that has no such field; the message names the nearest one.
@@ -216,21 +259,22 @@ def clean_polygons(
     Args:
       frame: features in any CRS.
       crs: projected CRS in metres.
-      bounds_m: keep, and count, only what is near this box of ``crs``; left out, all.
+      bounds_m: keep only what touches this box of ``crs``, and count only what is near it; left out, all.
     """
     if bounds_m is not None:
         assert frame.crs is not None
-        near = transformer(crs, frame.crs.to_wkt()).transform_bounds(*bounds_m, densify_pts=21)
-        frame = frame.cx[near[0] : near[2], near[1] : near[3]]
+        to_file = transformer(crs, frame.crs.to_wkt())
+        x_min, y_min, x_max, y_max = to_file.transform_bounds(*bounds_m, densify_pts=21)
+        frame = frame.cx[x_min:x_max, y_min:y_max]
     frame = frame.to_crs(projected_crs(crs))
+
+    # Repair what is invalid, and leave out what has no area then.
     polygons = frame.geometry.to_numpy().copy()
     is_invalid = ~shapely.is_valid(polygons) & ~shapely.is_missing(polygons)
     polygons[is_invalid] = shapely.make_valid(polygons[is_invalid], method="structure")
-    for i in np.flatnonzero(
-        shapely.get_type_id(polygons) == shapely.GeometryType.GEOMETRYCOLLECTION
-    ):
-        polygons[i] = polygonal(polygons[i])
-    polygons[~np.isin(shapely.get_type_id(polygons), AREAL)] = None
+    is_mixed = shapely.get_type_id(polygons) == shapely.GeometryType.GEOMETRYCOLLECTION
+    polygons[is_mixed] = [polygonal(shape) for shape in polygons[is_mixed]]
+    polygons[~np.isin(shapely.get_type_id(polygons), POLYGONS)] = None
     is_kept = shapely.area(polygons) > 0
     num_lost = int((~is_kept).sum())
     num_invalid = int(is_invalid.sum())
@@ -242,16 +286,11 @@ def clean_polygons(
 
 def _ids(column: pd.Series) -> pd.Series:
     """Return identifiers as text: numbers without decimals, census GEO_IDs without what stands before the digits."""
-    if (
-        pd.api.types.is_float_dtype(column) and (column.dropna() % 1 == 0).all()
-    ):  # of whole numbers with a gap
+    # Whole numbers with a gap are read as floats.
+    if pd.api.types.is_float_dtype(column) and (column.dropna() % 1 == 0).all():
         column = column.astype("Int64")
-    return (
-        column.astype(str)
-        .str.strip()
-        .str.replace(GEO_ID_PREFIX, "", regex=True)
-        .str.removesuffix(".0")
-    )
+    texts = column.astype(str).str.strip()
+    return texts.str.replace(GEO_ID_PREFIX, "", regex=True).str.removesuffix(".0")
 
 
 def _keys(column: pd.Series) -> pd.Series:
@@ -260,16 +299,17 @@ def _keys(column: pd.Series) -> pd.Series:
 
 
 def _parse_counts(column: pd.Series, key: pd.Series) -> pd.Series:
-    """Return counts of people by key, NaN where unreadable."""
-    number = (
-        column.astype(str)
-        .str.extract(f"^{COUNT.pattern}$")[0]
-        .str.replace(r"[,\s]", "", regex=True)
-    )
-    people = pd.to_numeric(number, errors="coerce").to_numpy(np.float64)
-    return pd.Series(
-        np.where(people <= MOST_PEOPLE, people, np.nan), index=pd.Index(key, name="key")
-    )
+    """Return counts of people, float64 by key, NaN for what is no number as in `COUNT` or above `MOST_PEOPLE`.
+
+    Args:
+      column: ``[N]`` counts as they stand.
+      key: ``[N]`` of their rows, from `_keys`.
+    """
+    written = column.astype(str).str.extract(f"^{COUNT.pattern}$")[0]
+    digits = written.str.replace(r"[,\s]", "", regex=True)
+    people = pd.to_numeric(digits, errors="coerce").to_numpy(np.float64)
+    people = np.where(people <= MOST_PEOPLE, people, np.nan)
+    return pd.Series(people, index=pd.Index(key, name="key"))
 
 
 def _count_column(columns: pd.Index) -> str | None:
@@ -279,7 +319,16 @@ def _count_column(columns: pd.Index) -> str | None:
 
 
 def _counts_in_blocks(fields: pd.DataFrame, key: pd.Series, path: str | Path) -> pd.Series:
-    """Return the counts that the blocks file itself holds, by key."""
+    """Return the counts that the blocks file itself holds, by key.
+
+    Args:
+      fields: ``[N]`` its columns without ids and shapes.
+      key: ``[N]`` of its rows, from `_keys`.
+      path: of the file, for messages.
+
+    Raises:
+      InputError: it has no column of population.
+    """
     column = _count_column(fields.columns)
     if column is None:
         raise InputError(
@@ -290,7 +339,18 @@ def _counts_in_blocks(fields: pd.DataFrame, key: pd.Series, path: str | Path) ->
 
 
 def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd.Series:
-    """Return the counts of a CSV by key; ``wanted`` names the field that they are to join, for messages."""
+    """Return the counts of a CSV table, float64 by key, each key once.
+
+    The column of ids is the one that most rows join by; the column of counts is known by its name.
+
+    Args:
+      path: of the table.
+      block_keys: of the blocks, from `_keys`.
+      wanted: the field of the blocks that the table is to join, for messages.
+
+    Raises:
+      InputError: the table cannot be read, joins no block, has no column of population, or two counts of one block.
+    """
     name = f"[population] table {str(path)!r}"
     # Pandas' parser errors are ValueErrors.
     with readable(path, "CSV", "check the path and the file", what=name):
@@ -302,6 +362,8 @@ def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd
             keep_default_na=False,
             index_col=False,
         )
+
+    # Which column holds the ids, and which the counts.
     num_joined = {str(column): int(_keys(table[column]).isin(block_keys).sum()) for column in table}
     count = _count_column(table.columns)
     others = [column for column in num_joined if column != count]
@@ -318,9 +380,13 @@ def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd
             f"{name} has no column of population that its name makes known: "
             f"name one of {candidates} 'population'"
         )
+
+    # Tables of the census may have a second header row, which is of no block and holds no count.
     is_first_a_block = _keys(table[id_column][:1]).isin(block_keys).any()
     if not COUNT.fullmatch(table[count].iloc[0]) and not is_first_a_block:
-        table = table.iloc[1:]  # the second header row
+        table = table.iloc[1:]
+
+    # A row may stand twice, but not with another count. Of rows that join no block it does not matter.
     counts = _parse_counts(table[count], _keys(table[id_column]))
     counts = counts[~counts.reset_index().duplicated().to_numpy()]
     twice = counts.index[counts.index.duplicated() & counts.index.isin(block_keys)]
@@ -337,17 +403,22 @@ def read_districts(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Return district polygons in ``crs``, their labels (int32), and how many polygons were repaired.
 
-    A label may stand on several polygons.
+    A label may stand on several polygons. Polygons without area are left out.
+
+    Args:
+      path: of the districts.
+      crs: projected CRS of the result.
+      field: that holds the labels.
 
     Raises:
       InputError: an unreadable file, no such field (names the nearest one), or a label that is not a whole number.
     """
     frame = _open(path, "districts", field, "[population] district_field")
     labels = pd.to_numeric(frame[field], errors="coerce").to_numpy(np.float64)
-    unusable = ~((labels % 1 == 0) & (np.abs(labels) < 2**31))  # NaN too
-    if unusable.any():
+    is_unusable = ~((labels % 1 == 0) & (np.abs(labels) < 2**31))  # NaN too
+    if is_unusable.any():
         raise InputError(
-            f"districts {str(path)!r} has the label {frame[field][unusable].iloc[0]} in field {field!r}: "
+            f"districts {str(path)!r} has the label {frame[field][is_unusable].iloc[0]} in field {field!r}: "
             "labels must be whole numbers (set [population] district_field to the field that holds them)"
         )
     frame, _, num_invalid = clean_polygons(frame.assign(**{field: labels.astype(np.int32)}), crs)
@@ -367,18 +438,20 @@ def largest_overlap(polygons: np.ndarray, districts: np.ndarray, labels: np.ndar
     """
     index, candidate = shapely.STRtree(districts).query(polygons, predicate="intersects")
     shapely.prepare(districts)
-    # Most blocks lie wholly within one district: no need to cut them out of its long shoreline.
-    inside = shapely.contains_properly(districts[candidate], polygons[index])
+
+    # The area of each pair. Most blocks lie wholly within one district: no need to cut them out of its long shoreline.
+    is_cut = ~shapely.contains_properly(districts[candidate], polygons[index])
     area_m2 = shapely.area(polygons[index])
-    area_m2[~inside] = shapely.area(
-        shapely.intersection(polygons[index[~inside]], districts[candidate[~inside]])
+    area_m2[is_cut] = shapely.area(
+        shapely.intersection(polygons[index[is_cut]], districts[candidate[is_cut]])
     )
+
     pairs = pd.DataFrame({"index": index, "label": labels[candidate], "area_m2": area_m2})
     pairs = pairs[pairs["area_m2"] > 0].groupby(["index", "label"], as_index=False).sum()
     best = pairs.sort_values(["area_m2", "label"], ascending=[False, True]).drop_duplicates("index")
-    result = np.full(len(polygons), OTHER_DISTRICT, np.int32)
-    result[best["index"].to_numpy()] = best["label"].to_numpy()
-    return result
+    district = np.full(len(polygons), OTHER_DISTRICT, np.int32)
+    district[best["index"].to_numpy()] = best["label"].to_numpy()
+    return district
 
 
 def zoning_of(
@@ -392,11 +465,11 @@ def zoning_of(
     Args:
       district: ``[N]`` labels.
       commercial: labels of commercial districts.
-      labels: every label of the districts file.
+      labels: every label of the districts file, empty without one.
 
     Returns:
-      OTHER for labels on neither list (Central Park is 164, no district is 13); such blocks change by day like
-      residential ones and are counted apart.
+      ``[N]`` uint8. OTHER for labels on neither list (Central Park is 164, no district is 13): such blocks change by
+      day like residential ones and are counted apart.
     """
     twelve = set(PAPER_DISTRICTS).intersection(labels)
     residential = (twelve or set(labels)) - {OTHER_DISTRICT}

@@ -77,16 +77,21 @@ def read_city(
     gps: Gps | None,
 ) -> City:
     """Return the city in a set of files, around a region; arguments, warnings and errors as `City.from_files`."""
+    # What a sample city gives where nothing else is named.
     sample = SAMPLES.get(sample_name(buildings.source) or "", {})
     if bounds is None and sample:
         bounds = sample["region"]["bounds"]
     people = population or Population(**sample.get("population", {}))
     own_gps = Gps(**sample["gps"]) if gps is None and sample else None
+
+    # Names for provenance, paths to read.
     files = {"buildings": buildings.source, "terrain": terrain.source}
     files |= {role: getattr(people, role) for role in FILES}
     buildings = _placed(buildings)
     terrain = _placed(terrain)
     people = _placed(people)
+
+    # The region, and the wider box from which a shadow can reach it: satellites stand no lower than the mask.
     region = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
     if crs is None:
         crs = utm_of(region)
@@ -95,7 +100,9 @@ def read_city(
     rise_m = TALLEST_M if terrain.source is None else TALLEST_M + RELIEF_M
     lowest_deg = max((gps or Gps()).lowest_mask_deg, 0.5)
     reach_m = rise_m / math.tan(math.radians(lowest_deg))
-    wide_m = (box_m[0] - reach_m, box_m[1] - reach_m, box_m[2] + reach_m, box_m[3] + reach_m)
+    x_min, y_min, x_max, y_max = box_m
+    wide_m = (x_min - reach_m, y_min - reach_m, x_max + reach_m, y_max + reach_m)
+
     ground = ground_extent_m = None
     if terrain.source is not None:
         ground = read_raster(terrain.source, crs, wide_m)
@@ -103,6 +110,8 @@ def read_city(
     source = read_buildings(buildings, crs, bounds_m=wide_m, terrain=ground)
     if not buildings.allow_none:
         _check_has_building(buildings, source, region, box_m)
+
+    # People, and what was guessed of all.
     issues = dict(source.read_issues)
     if bounds is None and source.buildings is not None:
         main = main_bounds(source.buildings.polygons, crs, region)
@@ -117,6 +126,7 @@ def read_city(
     if terrain.source is None:
         guesses |= FLAT_GROUND
     warn_of(guesses)
+
     return replace(
         source,
         blocks=blocks,
@@ -134,16 +144,26 @@ def read_city(
 
 
 def _placed(section: Any) -> Any:
-    """Return a section with paths for the files of sample cities that it names."""
-    files = {name: file for name, file in vars(section).items() if name in FILE_FIELDS}
-    paths = {name: located(file) for name, file in files.items() if file is not None}
+    """Return a section of settings with the path of each file that it names, of sample cities too."""
+    paths = {
+        name: located(file)
+        for name, file in vars(section).items()
+        if name in FILE_FIELDS and file is not None
+    }
     return replace(section, **paths)
 
 
 def _check_has_building(
     buildings: settings.Buildings, source: City, bounds: Sequence[float], box_m: Bounds
 ) -> None:
-    """Raise InputError unless a building stands in the region: any outline there, or any cell of a raster."""
+    """Raise InputError unless a building stands in the region: an outline there, or any cell of a raster above 0.
+
+    Args:
+      buildings: the file, for the message.
+      source: what was read from it.
+      bounds: west, south, east, north of the region in degrees, for the message.
+      box_m: x_min, y_min, x_max, y_max of the region in the city's CRS.
+    """
     if source.buildings is not None:
         if shapely.intersects(source.buildings.polygons, shapely.box(*box_m)).any():
             return
@@ -180,6 +200,8 @@ def read_buildings(
     path = Path(file.source)
     is_slabs = file.hanging == SLABS
     read = _reader_of(path)
+
+    # A raster.
     if read is None and is_slabs:
         raise InputError(
             f'[buildings] hanging = "slabs" is for outlines, and {str(path)!r} is a raster, in which nothing '
@@ -187,6 +209,8 @@ def read_buildings(
         )
     if read is None:
         return _read_roofs(path, crs, bounds_m, file.kind, terrain)
+
+    # Outlines.
     if file.kind == "surface":
         raise InputError(
             f'[buildings] kind = "surface" is for rasters, and {str(path)!r} is not one: leave it out'
@@ -220,19 +244,20 @@ def _reader_of(path: Path) -> OutlineReader | None:
 def lonlat_extent(path: str | Path) -> Bounds:
     """Return west, south, east, north in degrees of the box that a file of buildings or a raster covers.
 
-    Of OpenStreetMap it is the box that the file declares, and without one, as of other outlines, that around all
-    outlines: such a file is read whole.
+    Of OpenStreetMap it is the box that the file declares. Where it declares none, and of other outlines, it is the box
+    around all outlines, for which the file is read whole.
 
     Raises:
       InputError: a file that cannot be read, or one without an outline.
     """
-    read = _reader_of(Path(path))
+    file = Path(path)
+    read = _reader_of(file)
     if read is None:
         return raster_extent_m(path, WGS84)
-    box = header_box(path) if Path(path).suffix.lower() in OSM_SUFFIXES else None
+    box = header_box(path) if file.suffix.lower() in OSM_SUFFIXES else None
     if box is not None:
         return box
-    outlines = read(Path(path), None, False)
+    outlines = read(file, None, False)  # all of it, without decks
     if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
         raise InputError(
             f"{str(path)!r} holds no outline that would say where it lies: give bounds"
@@ -263,7 +288,7 @@ def proposed_bounds(
 
 
 def size_m(extent: Sequence[float]) -> tuple[float, float]:
-    """Return the sides of a box in degrees: from west to east in its middle, and from south to north."""
+    """Return the sides in metres of a box in degrees: from west to east in its middle, and from south to north."""
     west, south, east, north = extent
     middle = (south + north) / 2
     east_west_m = GEOD.line_length([west, east], [middle, middle])
@@ -271,7 +296,13 @@ def size_m(extent: Sequence[float]) -> tuple[float, float]:
 
 
 def covers_too_much(path: str | Path, extent: Sequence[float], main: Sequence[float]) -> str:
-    """Return the sentence on bounds that were left out and that most buildings do not need."""
+    """Return the warning that a file whose bounds were left out covers much more than most of its buildings need.
+
+    Args:
+      path: of the file.
+      extent: west, south, east, north in degrees that it covers.
+      main: the same of the box in which most of its buildings stand.
+    """
     east_west_m, north_south_m = size_m(extent)
     return (
         f"bounds are left out and {str(path)!r} covers {east_west_m / 1000:.3g} x {north_south_m / 1000:.3g} km, but "
@@ -282,14 +313,23 @@ def covers_too_much(path: str | Path, extent: Sequence[float], main: Sequence[fl
 def _city_of(
     file: settings.Buildings, outlines: Outlines, crs: str, bounds_m: Bounds | None
 ) -> City:
-    """Return the buildings that outlines make, those that touch ``bounds_m``."""
+    """Return the city of the buildings that outlines make, and of the area where the file knows what stands.
+
+    Args:
+      file: and what to make of it.
+      outlines: from a reader.
+      crs: projected CRS of the city.
+      bounds_m: x_min, y_min, x_max, y_max in ``crs``: keep the buildings whose box touches it, and of the area what is
+        near; None keeps all. Without building and declared box there the area is that of the whole file, empty if only
+        a part of it was read.
+    """
     buildings, boxes_m, issues = to_buildings(file, outlines, crs)
     area = shapely.Polygon() if outlines.is_part else area_of_outlines(buildings.polygons, boxes_m)
     if bounds_m is not None:
         buildings = buildings.take(meets(buildings.boxes_m.T, bounds_m))
         near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
-        kept = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
-        area = area if kept.is_empty else kept
+        near_area = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
+        area = area if near_area.is_empty else near_area
     return City(
         crs,
         area.bounds,
@@ -304,7 +344,18 @@ def _city_of(
 def _read_roofs(
     path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None
 ) -> City:
-    """Return a raster's heights; those below 0 (noise of surface minus terrain) are ground and are counted."""
+    """Return the city of a raster's heights; cells below 0 (noise of surface minus terrain) are ground and are counted.
+
+    Args:
+      path: of the raster.
+      crs: projected CRS of the city.
+      bounds_m: as of `read_buildings`.
+      kind: ``"surface"`` for elevations of roofs and ground, ``"height"`` for heights above ground.
+      terrain: as of `read_buildings`.
+
+    Raises:
+      InputError: as of `read_buildings`.
+    """
     name = repr(str(path))
     raster = read_raster(path, crs, bounds_m)
     if kind == "surface":
@@ -314,9 +365,8 @@ def _read_roofs(
         is_below = raster.values < 0
         roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
         issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
-    check_range(
-        name, raster.values if kind == "height" else roofs.values, (LOWEST_ROOF_M, MAX_HEIGHT_M)
-    )
+    heights = raster if kind == "height" else roofs
+    check_range(name, heights.values, (LOWEST_ROOF_M, MAX_HEIGHT_M))
     area = area_of_raster(roofs, crs)
     return City(crs, area.bounds, roofs=roofs, area=area, read_issues=issues)
 
@@ -327,9 +377,10 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
     A building far off has a box of its own, and does not make the land between known.
 
     Args:
-      polygons: ``[N]`` the outlines.
-      boxes: what the file declares to cover.
+      polygons: ``[N]`` the outlines, in a CRS in metres.
+      boxes: x_min, y_min, x_max, y_max of each box that the file declares to cover.
     """
+    # The declared boxes, with the boxes of outlines on their borders.
     declared = shapely.union_all([shapely.box(*box) for box in boxes])
     is_inside = shapely.covers(declared, polygons)
     is_apart = ~shapely.intersects(declared, polygons)
@@ -338,33 +389,46 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
     bounds = shapely.bounds(polygons[is_apart])
     if not len(bounds):
         return declared
+
+    # The square bin of each other outline by its centre, and the bins that hold any: `bin_of` is each outline's.
     centre = (bounds[:, :2] + bounds[:, 2:]) / 2
     col, row = np.floor(centre / GAP_M).astype(np.int64).T
-    _, first, owner = np.unique(col * 2**32 + row, return_index=True, return_inverse=True)
-    low = np.stack([col[first], row[first]], axis=1) * GAP_M
-    # Grown by a little, so that bins that touch at a corner are joined.
-    grown = shapely.box(*(low - 1.0).T, *(low + GAP_M + 1.0).T)
-    parts = shapely.get_parts(shapely.union_all(grown))
-    part_of_bin = np.empty(len(low), int)
-    centres = shapely.points(low + GAP_M / 2)
-    bins, part = shapely.STRtree(parts).query(centres, predicate="within")
-    part_of_bin[bins] = part
-    by_part = pd.DataFrame(bounds).groupby(part_of_bin[owner])
-    hulls = by_part.agg({0: "min", 1: "min", 2: "max", 3: "max"})
+    key = col * 2**32 + row  # one number for both: rows and columns stay far below 2**31
+    _, first, bin_of = np.unique(key, return_index=True, return_inverse=True)
+    corner = np.stack([col[first], row[first]], axis=1) * GAP_M
+
+    # Settlements: bins that touch, grown by a metre so that those that touch at a corner are joined too.
+    grown = shapely.box(*(corner - 1.0).T, *(corner + GAP_M + 1.0).T)
+    settlements = shapely.get_parts(shapely.union_all(grown))
+    settlement_of = np.empty(len(corner), int)  # of each bin
+    centres = shapely.points(corner + GAP_M / 2)
+    bins, settlement = shapely.STRtree(settlements).query(centres, predicate="within")
+    settlement_of[bins] = settlement
+
+    # The box around all outlines of each settlement.
+    by_settlement = pd.DataFrame(bounds).groupby(settlement_of[bin_of])
+    hulls = by_settlement.agg({0: "min", 1: "min", 2: "max", 3: "max"})
     return shapely.union_all([declared, *shapely.box(*hulls.to_numpy().T)])
 
 
 def area_of_raster(raster: Raster, crs: str) -> shapely.Geometry:
-    """Return the area in ``crs`` where a raster holds data, in blocks."""
+    """Return the area in ``crs`` where a raster holds data.
+
+    A raster with holes is cut into blocks, `BLOCKS_A_SIDE` a side, and those with any data are the area.
+    """
     num_rows, num_cols = raster.values.shape
     is_known = np.isfinite(raster.values)
-    known = shapely.box(0, 0, num_cols, num_rows)
+    known = shapely.box(0, 0, num_cols, num_rows)  # columns and rows
     if not is_known.all():
-        row = np.unique(np.linspace(0, num_rows, BLOCKS_A_SIDE + 1).astype(int))
+        row = np.unique(
+            np.linspace(0, num_rows, BLOCKS_A_SIDE + 1).astype(int)
+        )  # borders of blocks
         col = np.unique(np.linspace(0, num_cols, BLOCKS_A_SIDE + 1).astype(int))
         has_any = np.logical_or.reduceat(is_known, row[:-1], axis=0)
         has_any = np.logical_or.reduceat(has_any, col[:-1], axis=1)
         i, j = np.nonzero(has_any)
         known = shapely.union_all(shapely.box(col[j], row[i], col[j + 1], row[i + 1]))
+
+    # Straight sides of pixels bend in another CRS, so they are cut before.
     area = shapely.segmentize(known, max(num_rows, num_cols) / BLOCKS_A_SIDE)
     return shapely.transform(area, lambda x, y: pixel_xy(raster, y, x, crs), interleaved=False)

@@ -47,7 +47,14 @@ def percent(share: float) -> str:
 
 
 def share_guess(share: float, name: str, sentence: str, least: float = LEAST_SHARE) -> Guesses:
-    """Return the guess on a share of something, which begins its name and its sentence; none up to ``least``."""
+    """Return the guess on a share of something: the share begins its name and its sentence.
+
+    Args:
+      share: 0 to 1.
+      name: of the guess, after "5 % of".
+      sentence: on it, after the same.
+      least: up to this share there is no guess, and the result is empty.
+    """
     if share <= least:
         return {}
     return {f"{percent(share)} of {name}": f"{percent(share)} of {sentence}"}
@@ -63,7 +70,13 @@ def guessed_share(buildings: Footprints, bounds_m: Bounds) -> float:
 def height_guesses(
     buildings: Footprints | None, bounds_m: Bounds, file: settings.Buildings
 ) -> Guesses:
-    """Return what was supposed of the heights of the buildings in a box; nothing of a height raster."""
+    """Return the guess on the heights of the buildings in a box, empty if none or few are guessed.
+
+    Args:
+      buildings: None of a height raster, of which nothing is guessed.
+      bounds_m: x_min, y_min, x_max, y_max of the box in the buildings' CRS.
+      file: the rules by which heights were guessed.
+    """
     if buildings is None:
         return {}
     inside = buildings.take(shapely.intersects(buildings.polygons, shapely.box(*bounds_m)))
@@ -79,7 +92,7 @@ def height_guesses(
 
 
 def census_guesses(issues: ReadIssues, blocks: Blocks, files: Population) -> Guesses:
-    """Return what was supposed of the people in census blocks and of their districts.
+    """Return the guesses on the people in census blocks and on their districts, empty without any.
 
     Args:
       issues: of `read_blocks`.
@@ -99,6 +112,8 @@ def census_guesses(issues: ReadIssues, blocks: Blocks, files: Population) -> Gue
             f"{num_unreadable:,} the count cannot be read, {num_missing - num_unreadable:,} have none): mend the "
             "counts, or write 0 where nobody lives"
         )
+
+    # Districts: an empty list of commercial ones is no guess.
     listed = files.commercial or files.commercial_labels
     is_known = bool(listed) and issues[ReadIssue.COMMERCIAL_NOT_FOUND] < len(listed)
     means_none = files.commercial is not None and not files.commercial
@@ -129,7 +144,7 @@ def is_of_people(name: str) -> bool:
 
 
 def time_guess(time: str) -> Guesses:
-    """Return that a sky stands at its elements' own time."""
+    """Return the guess that a sky stands at its elements' own time, as no time is given."""
     return {
         ELEMENTS_TIME: f"no times are given: satellites stand as at {time}, the middle of their elements' "
         "epochs; set [gps] times for another"
@@ -137,7 +152,13 @@ def time_guess(time: str) -> Guesses:
 
 
 def nominal_guess(systems: Sequence[str], times: Sequence[str], is_papers: bool) -> Guesses:
-    """Return that satellites of systems are nominal; ``is_papers``: at the paper's time, as no other is given."""
+    """Return the guess that the satellites of some systems are nominal.
+
+    Args:
+      systems: names of constellations.
+      times: at which they stand; the guess names the first.
+      is_papers: the time is the paper's, as no other is given.
+    """
     when = times[0]
     if is_papers:
         when += ", the paper's time"

@@ -39,6 +39,7 @@ def _number(text: str) -> float:
 
 
 def _metres(text: str) -> float:
+    """Return the metres that one entry spells, in metres or in feet and inches, NaN where it is unreadable."""
     if match := _METRES.fullmatch(text):
         return _number(match[1])
     if match := _FEET.fullmatch(text):
@@ -52,11 +53,13 @@ def _count(text: str) -> float:
 
 
 def _highest(text: str, parse_one: Callable[[str], float]) -> float:
-    """Return the highest readable value of a list separated by semicolons, NaN without one."""
-    listed = text.strip().lower().translate(_QUOTES).replace("''", '"').split(";")
-    return max(
-        (v for each in listed if not math.isnan(v := parse_one(each.strip()))), default=math.nan
-    )
+    """Return the highest readable value of a list separated by semicolons, NaN without one.
+
+    ``parse_one`` returns the value of one entry, in small letters and with plain quotes, NaN where it is unreadable.
+    """
+    entries = text.strip().lower().translate(_QUOTES).replace("''", '"').split(";")
+    values = [parse_one(entry.strip()) for entry in entries]
+    return max((value for value in values if not math.isnan(value)), default=math.nan)
 
 
 @lru_cache(maxsize=2**16)
@@ -93,9 +96,15 @@ def is_given(column: np.ndarray) -> np.ndarray:
 
 
 def _read_column(column: np.ndarray, parse: Callable[[str], float]) -> np.ndarray:
-    """Return ``[N]`` float64 values of a column of text, numbers and None, NaN where it cannot be read."""
+    """Return ``[N]`` float64 values of a column, NaN where it cannot be read.
+
+    Args:
+      column: ``[N]`` numbers, or objects: texts, numbers and None.
+      parse: returns the number that a text spells.
+    """
 
     def read(value: object) -> float:
+        """Return one value as a number, NaN of any other kind."""
         if isinstance(value, str):
             return parse(value)
         return float(value) if isinstance(value, int | float | np.number | Decimal) else math.nan
@@ -126,13 +135,14 @@ def estimate_heights(
         an empty column.
       polygons, is_part: ``[N]`` as of `Footprints`.
       rules: height of one level, and where nothing usable is given.
-      issues: gets how many values could not be used.
+      issues: gets how many values could not be used, by kind.
     """
     empty = np.full(len(polygons), None, object)
 
     def read(
         name: str, parse: Callable[[str], float], unit_m: float = 1.0
     ) -> tuple[np.ndarray, np.ndarray]:
+        """Return where a tag holds something, and its values in metres."""
         column = tags.get(name, empty)
         return is_given(column), _read_column(column, parse) * unit_m
 
@@ -142,7 +152,7 @@ def estimate_heights(
     given_min, min_height_m = read("min_height", parse_length_m)
     given_min_level, min_level_m = read("min_level", parse_count, rules.level_height_m)
 
-    # Comparisons with NaN are false: what could not be read is not usable.
+    # What is usable. Comparisons with NaN are false: what could not be read is not.
     has_roof, has_min, has_min_level = (
         (value_m >= 0) & (value_m <= MAX_HEIGHT_M)
         for value_m in (roof_m, min_height_m, min_level_m)
@@ -151,11 +161,14 @@ def estimate_heights(
     has_height, has_levels = (
         (value_m > 0) & (value_m <= MAX_HEIGHT_M) for value_m in (height_m, levels_m)
     )
+
+    # What holds something that is not usable.
     num_levels = np.sum(given_levels & ~has_levels) + np.sum(given_roof & ~has_roof)
     num_min = np.sum(given_min & ~has_min) + np.sum(given_min_level & ~has_min_level)
     issues[ReadIssue.HEIGHTS_UNUSABLE] = int(np.sum(given_height & ~has_height))
     issues[ReadIssue.LEVELS_UNUSABLE] = int(num_levels)
     issues[ReadIssue.MIN_HEIGHTS_UNUSABLE] = int(num_min)
+
     origins = [HeightOrigin.HEIGHT, HeightOrigin.LEVELS]
     return Footprints(
         polygons,
@@ -167,7 +180,7 @@ def estimate_heights(
 
 
 def with_decks(buildings: Footprints, is_deck: np.ndarray, layer: np.ndarray) -> Footprints:
-    """Return buildings of which decks hang: from ``min_height`` to ``height`` where both are given.
+    """Return buildings with decks that hang: from ``min_height`` to ``height`` where both are given.
 
     Without ``min_height`` a deck is `DECK_DEPTH_M` deep, below its ``height``; with neither it hangs at
     `LAYER_CLEARANCE_M` a layer (at least one), and its height is a guess.

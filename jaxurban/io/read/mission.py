@@ -60,14 +60,16 @@ def read_mission(
     """Return the mission of a file: its legs, and what of it is not judged.
 
     Args:
-      path: its suffix names the format, of `SUFFIXES`.
-      heights: what heights are above, where the file leaves it open; ``"ellipsoid"`` also of absolute ones in KML.
-      home: longitude, latitude in place of the file's.
-      return_altitude_m: metres above home at which the autopilot returns; it is not known if left out.
+      path: of the file; its suffix, one of `SUFFIXES`, names the format.
+      heights: what heights are above, where the file does not say it; ``"ellipsoid"`` also in place of the geoid that
+        absolute heights in KML are above.
+      home: longitude and latitude in degrees, in place of the file's.
+      return_altitude_m: metres above home at which the autopilot returns; left out, it is not known.
 
     Raises:
-      InputError: no such file, another format, a mission that is damaged, empty or leads nowhere, an invalid place
-        on the Earth, or heights above what nobody says, or above what the file says already.
+      InputError: no such file, another format, a file of more than `MOST_BYTES`, a mission that is damaged, empty or
+        leads nowhere, a place that is not on the Earth, an invalid argument, or heights of which neither the file nor
+        ``heights`` says what they are above, or of which both say it.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -86,8 +88,10 @@ def read_mission(
                 f"home must be longitude and latitude in degrees, got {home}"
             ) from error
         home = (lon, lat)
+    return_m = math.nan
     if return_altitude_m is not None:
-        positive("return_altitude_m", return_altitude_m)
+        return_m = positive("return_altitude_m", return_altitude_m)
+
     with readable(path, "a mission", "save it again in the tool that made it"):
         if path.stat().st_size > MOST_BYTES:
             raise InputError(
@@ -97,7 +101,6 @@ def read_mission(
             raise InputError(
                 f"{path.name!r} says for each item what its height is above: leave heights={heights!r} out"
             )
-        return_m = math.nan if return_altitude_m is None else return_altitude_m
         data = path.read_bytes()
         try:
             if suffix in READERS:

@@ -41,9 +41,12 @@ STILL = frozenset(
     range(2500, 2512),
 )
 FRAMES: dict[int, Datum] = {
-    **dict.fromkeys((0, 5), "geoid"),
-    **dict.fromkeys((3, 6), "home"),
-    **dict.fromkeys((10, 11), "ground"),
+    0: "geoid",
+    5: "geoid",
+    3: "home",
+    6: "home",
+    10: "ground",
+    11: "ground",
 }
 HAS_HEIGHT = (*TAKEOFFS, WAYPOINT, *LOITERS)  # commands that lead to a height
 PLACED = (*HAS_HEIGHT, *LANDINGS)
@@ -92,29 +95,41 @@ class Flight:
     ArduPilot knows of none. It lands at the height that it has, and comes down at the landing's place. It returns at
     the return altitude, or at its own height where that is more. Where a jump leads, it flies straight from the item
     before. After an item that is not understood no place is known until the next one is reached.
+
+    Attributes:
+      legs: in the order flown.
+      not_judged: a sentence for each thing that the legs leave out or may not show as it is flown.
+      speed_m_s: the first speed that an item sets, None without one.
     """
 
     def __init__(
         self, items: Sequence[Item], home: LonLat | None, return_altitude_m: float
     ) -> None:
-        """Fly items from home, where there is one; the return altitude is NaN where it is not known."""
+        """Fly all items.
+
+        Args:
+          items: in the order of the file.
+          home: longitude and latitude in degrees, None where it is not known.
+          return_altitude_m: metres above home, NaN where it is not known.
+        """
         self.legs: list[Leg] = []
         self.not_judged: list[str] = []
         self.speed_m_s: float | None = None
         self._home = home
         self._return_altitude_m = return_altitude_m
         self._has_moved_home = False
-        self._at: Place | None = None  # where the vehicle is; None: not known, since item
-        self._since = 0
+        self._at: Place | None = None  # where the vehicle is, None while that is not known
+        self._since = 0  # number of the item by which its place was lost, 0 before the first one
         self._ground = home and Place(*home, 0.0, "ground")  # that it takes off from
-        self._arrivals: dict[int, Place] = {}
-        self._jumps: list[tuple[int, Place, Item]] = []  # before which leg, whence, and by what
+        self._arrivals: dict[int, Place] = {}  # where an item that has a place leads, by its number
+        # Of each jump: the index of the leg that it comes before, where it begins, and its item.
+        self._jumps: list[tuple[int, Place, Item]] = []
         for item in items:
             self._fly(item)
         self._add_jumps(items)
 
     def _fly(self, item: Item) -> None:
-        """Fly an item, or say why it is not judged."""
+        """Fly an item by its command, or say why it is not judged; commands that move nothing are passed over."""
         command = item.command
         leads_somewhere = command in HAS_HEIGHT or (command in LANDINGS and item.has_coordinates)
         if leads_somewhere and item.datum is None:
@@ -154,38 +169,56 @@ class Flight:
         self.not_judged.append(sentence)
 
     def _pass_over(self, item: Item, what: str) -> None:
-        """Say that an item is not read, after which no place is known."""
+        """Say that an item is not read, by what it is (``"a spline waypoint"``), and forget where the vehicle is."""
         self._say(f"item {item.number} is {what}, which is not read")
         self._lose(item)
 
     def _lose(self, item: Item, ground: Place | None = None) -> None:
-        """Forget where the vehicle is; ``ground`` is where it has landed."""
+        """Forget where the vehicle is after an item.
+
+        ``ground`` is where the vehicle has landed, from which a take-off may follow; None if it has not landed at a
+        known place.
+        """
         self._at = None
         self._since = item.number
         self._ground = ground
 
     def _place_of(self, item: Item) -> Place | None:
-        """Return where an item leads, None where that is where the vehicle is, and this is not known."""
+        """Return where an item leads: to its own place and height, or the vehicle's where the item leaves them out.
+
+        The height is NaN where home was moved and the item counts from it. None where the item has no place, and that
+        of the vehicle is not known.
+        """
         at = self._at
-        lonlat = (item.lon, item.lat) if item.has_place else at and at[:2]
-        if lonlat is None:
+        if item.has_place:
+            lon, lat = item.lon, item.lat
+        elif at:
+            lon, lat = at.lon, at.lat
+        else:
             return None
-        keeps = math.isnan(item.height_m) or (not item.has_place and item.height_m == 0)
-        if at and keeps:
-            return Place(*lonlat, at.height_m, at.datum)
+        keeps_height = math.isnan(item.height_m) or (not item.has_place and item.height_m == 0)
+        if at and keeps_height:
+            return Place(lon, lat, at.height_m, at.datum)
         datum = item.datum or "home"
         is_open = self._has_moved_home and datum == "home"
-        return Place(*lonlat, math.nan if is_open else item.height_m, datum)
+        return Place(lon, lat, math.nan if is_open else item.height_m, datum)
 
     def _fly_to(self, item: Item, place: Place | None = None) -> None:
-        """Fly to a place, that of the item if none is named."""
-        is_own = place is None
+        """Add the straight leg to a place and move the vehicle there.
+
+        Where the vehicle's place is not known, there is no leg but a sentence; the vehicle is at the place then too.
+
+        Args:
+          item: by which it flies.
+          place: where to; left out, where the item leads, to which jumps may lead then.
+        """
+        is_of_item = place is None
         place = place or self._place_of(item)
         if place is None:
             self._say(f"item {item.number} is flown where the vehicle is, which is not known")
             self._lose(item)
             return
-        if is_own and item.has_place:
+        if is_of_item and item.has_place:
             self._arrivals[item.number] = place
         if self._at is None:
             self._begin(item)
@@ -195,7 +228,7 @@ class Flight:
         self._ground = None
 
     def _begin(self, item: Item) -> None:
-        """Say that the way to an item is not judged."""
+        """Say that the way to an item is not judged: the climb from home, or the way from where the place was lost."""
         why = f"no take-off comes before item {item.number}" if self._home else NO_HOME
         if self._since:
             self._say(f"the way from item {self._since} to item {item.number} is not judged")
@@ -203,13 +236,17 @@ class Flight:
             self._say(f"the climb from home is not judged, as {why}")
 
     def _take_off(self, item: Item) -> None:
-        """Climb straight up to the item's height, then fly to its place if it has one."""
+        """Climb straight up to the item's height, then fly to its place if it has one.
+
+        The climb begins where the vehicle is, else on the ground where it stands; where neither is known, it only flies
+        to the item.
+        """
         start = self._at or self._ground
         if start is None:
             self._fly_to(item)
             return
-        here = item._replace(lon=start.lon, lat=start.lat)
-        above = self._place_of(here) or start
+        straight_up = item._replace(lon=start.lon, lat=start.lat)
+        above = self._place_of(straight_up) or start
         self.legs.append(Leg(start, above, "climb", item.number))
         self._at = above
         self._ground = None
@@ -217,19 +254,23 @@ class Flight:
             self._fly_to(item)
 
     def _loiter(self, item: Item) -> None:
-        """Fly to the item and circle there, at the radius that it names."""
+        """Fly to the item and circle there, at the radius that it names; hover where it names none (0 or NaN)."""
         self._fly_to(item)
         if self._at is None:
             return
-        radius_m = abs(item.params[LOITERS[item.command]])
-        if not radius_m > 0:
+        radius_m = abs(item.params[LOITERS[item.command]])  # negative ones circle the other way
+        if not radius_m > 0:  # NaN too
             radius_m = 0.0
             if item.command == LOITER_TURNS:
                 self._say(f"item {item.number} circles at a radius that is the autopilot's own")
         self.legs.append(Leg(self._at, self._at, "loiter", item.number, radius_m))
 
     def _land(self, item: Item) -> None:
-        """Fly over the item's place if it has one, and descend; where the flight goes on from is not known."""
+        """Fly level to above the item's place if it has one, and descend to the ground.
+
+        Where the vehicle's place is not known, nothing is flown. After a landing its place in the air is not known, and
+        a take-off begins on the ground where it has landed.
+        """
         if self._at is None:
             self._begin(item)
             ground = Place(item.lon, item.lat, 0.0, "ground") if item.has_place else None
@@ -242,13 +283,17 @@ class Flight:
         self._lose(item, ground)
 
     def _return(self, item: Item) -> None:
-        """Rise to the return altitude, fly home and land; a sentence says what is not known of it."""
-        if self._home is None or self._at is None:
+        """Rise to the return altitude, fly home and land; a sentence says what is not known of it.
+
+        Without a return altitude the height over home is NaN, and the vehicle flies there without a rise. It never
+        sinks to the return altitude: its own height above home counts where that is more.
+        """
+        at = self._at
+        if self._home is None or at is None:
             why = "where it begins" if self._home else "home"
             self._say(f"the return of item {item.number} is not judged: {why} is not known")
             self._lose(item)
             return
-        at = self._at
         height_m = self._return_altitude_m
         if at.datum == "home" and at.height_m > height_m:
             height_m = at.height_m
@@ -257,18 +302,20 @@ class Flight:
                 f"the return of item {item.number} may be higher than judged: how high it begins "
                 "above home is not known"
             )
-        over = Place(*self._home, height_m, "home")
+
+        over_home = Place(*self._home, height_m, "home")
         ground = Place(*self._home, 0.0, "ground")
-        if height_m == height_m:
-            up = over._replace(lon=at.lon, lat=at.lat)
-            self.legs.append(Leg(at, up, "return", item.number))
-            at = up
-        self.legs.append(Leg(at, over, "return", item.number))
-        self.legs.append(Leg(over, ground, "land", item.number))
+        if not math.isnan(height_m):
+            above = over_home._replace(lon=at.lon, lat=at.lat)
+            self.legs.append(Leg(at, above, "return", item.number))
+            at = above
+        self.legs.append(Leg(at, over_home, "return", item.number))
+        self.legs.append(Leg(over_home, ground, "land", item.number))
         self._lose(item, ground)
 
     def _jump(self, item: Item) -> None:
-        if item.params[1] == 0:  # times
+        """Note a jump that is flown at least once, for `_add_jumps`: its target may come later."""
+        if item.params[1] == 0:  # how often it is flown
             return
         if self._at is None:
             self._say(f"the jump of item {item.number} is not judged: where it begins is not known")
@@ -276,19 +323,24 @@ class Flight:
             self._jumps.append((len(self.legs), self._at, item))
 
     def _add_jumps(self, items: Sequence[Item]) -> None:
-        """Put the legs of jumps among the others, where they are flown."""
-        led_to: dict[float, Item] = {}
-        following = None
+        """Put the legs of jumps among the others, where they are flown.
+
+        A jump to an item that moves nothing leads to the next item that does.
+        """
+        targets: dict[float, Item] = {}  # by the key that jumps name
+        moving = None
         for item in reversed(items):
-            following = following if item.command in STILL else item
-            if following:
-                led_to[item.key] = following
-        for before, start, item in reversed(self._jumps):
-            target = led_to.get(item.params[0])
+            moving = moving if item.command in STILL else item
+            if moving:
+                targets[item.key] = moving
+
+        # From the last one, so that the indices of the legs before it stay.
+        for index, start, item in reversed(self._jumps):
+            target = targets.get(item.params[0])
             end = self._arrivals.get(target.number) if target else None
             if target is None or end is None:
                 self._say(
                     f"the jump of item {item.number} is not judged: no waypoint is read there"
                 )
             elif end != start:
-                self.legs.insert(before, Leg(start, end, "jump", target.number))
+                self.legs.insert(index, Leg(start, end, "jump", target.number))

@@ -31,19 +31,30 @@ Home = tuple[LonLat | None, float | None]  # its place, and its elevation above 
 def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: float) -> Mission:
     """Return the mission of a plan of QGroundControl.
 
+    Args:
+      data: the bytes of the file, JSON.
+      name: of the file, for messages.
+      home: longitude and latitude in degrees in place of the plan's; None takes the plan's.
+      return_altitude_m: metres above home, NaN where it is not known.
+
     Raises:
-      InputError, ValueError: it is none, holds no item, or an item cannot be read.
+      InputError: the plan holds no item, or leads nowhere.
+      ValueError: it is no plan, or an item cannot be read.
     """
     plan = _object(json.loads(data), "it")
     mission = _object(plan.get("mission"), "its mission")
-    listed = mission.get("items")
-    if not isinstance(listed, list):
+    rows = mission.get("items")
+    if not isinstance(rows, list):
         raise ValueError("its items are no list")
-    items = [_item_of_plan(row, number) for number, row in enumerate(listed, 1)]
+    items = [_item_of_plan(row, number) for number, row in enumerate(rows, 1)]
     if mission.get("firmwareType") == ARDUPILOT:
         items = [_without_place(item) for item in items]
+
+    # The plan's home is a list of latitude, longitude and elevation, of which some or all may be missing.
     position = (*(mission.get("plannedHomePosition") or ()), None, None, None)[:3]
-    lat, lon, elevation_m = (number_of("plannedHomePosition", each) for each in position)
+    lat, lon, elevation_m = (number_of("plannedHomePosition", value) for value in position)
+    own_home = _home(lon, lat, elevation_m)
+
     notes = []
     for part, words in BESIDE.items():
         values = (plan.get(part) or {}).values()
@@ -53,72 +64,100 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
     if is_plane:
         notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
     speed_m_s = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
-    own = _home(lon, lat, elevation_m)
-    return _flown(name, items, home, own, return_altitude_m, notes, speed_m_s)
+    return _flown(name, items, home, own_home, return_altitude_m, notes, speed_m_s)
 
 
 def read_waypoints(
     data: bytes, name: str, home: LonLat | None, return_altitude_m: float
 ) -> Mission:
-    """Return the mission of a file of ``QGC WPL 110``, whose row 0 is home if it is a waypoint.
+    """Return the mission of a file of ``QGC WPL 110``.
+
+    Row 0 is home if it is a waypoint, as ArduPilot's ground stations write it: then take-offs have no place. Otherwise
+    it is the first item, and the file names no home.
+
+    Args:
+      data: the bytes of the file, text.
+      name: of the file, for messages.
+      home: longitude and latitude in degrees in place of the file's; None takes the file's.
+      return_altitude_m: metres above home, NaN where it is not known.
 
     Raises:
-      InputError, ValueError: it is none, holds no item, or a row cannot be read.
+      InputError: it is no such file, holds no item, or leads nowhere.
+      ValueError: a row cannot be read.
     """
-    lines = [line.strip() for line in data.decode("utf-8-sig", "replace").splitlines()]
-    rows = [(number, line) for number, line in enumerate(lines, 1) if line[:1] not in ("", "#")]
-    if not rows or rows[0][1] != HEADER:
+    texts = [text.strip() for text in data.decode("utf-8-sig", "replace").splitlines()]
+    lines = {number: text for number, text in enumerate(texts, 1) if text[:1] not in ("", "#")}
+    if next(iter(lines.values()), "") != HEADER:
         raise InputError(
             f"{name!r} does not begin with {HEADER!r}: save the mission again, as .waypoints or .plan"
         )
-    items = [_item_of_row(line.split(), number) for number, line in rows[1:]]
-    own: Home = (None, None)
+    items = [_item_of_row(text.split(), number) for number, text in list(lines.items())[1:]]
+
+    own_home: Home = (None, None)
     if items and items[0].key == 0 and items[0].command in (0, WAYPOINT):
         first = items.pop(0)
-        is_above_geoid = first.datum == "geoid"
-        own = _home(first.lon, first.lat, first.height_m if is_above_geoid else math.nan)
+        elevation_m = first.height_m if first.datum == "geoid" else math.nan
+        own_home = _home(first.lon, first.lat, elevation_m)
         items = [_without_place(item) for item in items]
     numbered = [item._replace(number=number) for number, item in enumerate(items, 1)]
-    return _flown(name, numbered, home, own, return_altitude_m, [], math.nan)
+    return _flown(name, numbered, home, own_home, return_altitude_m, [], speed_m_s=math.nan)
 
 
 def _flown(
     name: str,
     items: Sequence[Item],
     home: LonLat | None,
-    own: Home,
+    own_home: Home,
     return_altitude_m: float,
     notes: Sequence[str],
     speed_m_s: float,
 ) -> Mission:
-    """Return the mission of items, from the home that is given, else from its own.
+    """Return the mission of items.
+
+    Args:
+      name: of the file.
+      items: in the order of the file.
+      home: longitude and latitude in degrees that the user gives; None takes ``own_home``.
+      own_home: the home of the file and its elevation.
+      return_altitude_m: metres above home, NaN where it is not known.
+      notes: sentences on what else of the file is not judged.
+      speed_m_s: that the file plans with where no item sets a speed; NaN or 0 where it has none.
 
     Raises:
-      InputError: there is none, or none that leads anywhere.
+      InputError: there is no item, or none that leads anywhere.
     """
     if not items:
         raise InputError(f"{name!r} holds no items: give a mission that has some")
-    start: Home = (home, None) if home else own
-    flight = Flight(items, start[0], return_altitude_m)
+    start, elevation_m = (home, None) if home else own_home
+    flight = Flight(items, start, return_altitude_m)
     sentences = shortened([*flight.not_judged, *notes])
     if not flight.legs and not sentences:
         raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")
-    first_m_s = flight.speed_m_s or (speed_m_s if speed_m_s > 0 else None)
-    return Mission(name, tuple(flight.legs), *start, sentences, first_m_s)
+    planned_m_s = speed_m_s if speed_m_s > 0 else None
+    first_m_s = flight.speed_m_s or planned_m_s
+    return Mission(name, tuple(flight.legs), start, elevation_m, sentences, first_m_s)
 
 
 def _object(value: Any, what: str) -> dict[str, Any]:
+    """Return a JSON object; ValueError, which begins with ``what``, of any other value."""
     if not isinstance(value, dict):
         raise ValueError(f"{what} is no JSON object")
     return value
 
 
 def _home(lon: float, lat: float, elevation_m: float) -> Home:
-    """Return home and its elevation, None for what is not set: NaN, or 0, which ground stations write instead."""
+    """Return home in degrees and its elevation in metres, None for each that is NaN or 0.
+
+    Ground stations write 0 for what is not set. Without a home there is no elevation either.
+
+    Raises:
+      ValueError: home does not lie on the Earth.
+    """
     check_place("home", lon, lat, elevation_m)
     if math.isnan(lon) or math.isnan(lat) or (lon, lat) == (0, 0):
         return None, None
-    return (lon, lat), elevation_m if abs(elevation_m) > 0 else None
+    has_elevation = abs(elevation_m) > 0  # False of NaN
+    return (lon, lat), elevation_m if has_elevation else None
 
 
 def _without_place(item: Item) -> Item:
@@ -127,10 +166,14 @@ def _without_place(item: Item) -> Item:
 
 
 def _item_of_plan(value: Any, number: int) -> Item:
-    """Return an item of a plan.
+    """Return an item of a plan from its JSON value.
 
-    QGroundControl flies at its ``Altitude``, and other programs at its seventh parameter: both must be the same, but
-    for heights above ground of which QGroundControl calculates those above the geoid, where it knows the terrain.
+    QGroundControl flies at the item's ``Altitude``, and other programs at its seventh parameter, so both must be the
+    same. Only where QGroundControl calculates heights above the geoid from heights above ground do they differ: then
+    the seventh parameter counts, or, where it is null because the terrain is not known, the ``Altitude`` above ground.
+
+    Raises:
+      ValueError: it is no item, or its two heights differ by more than `SAME_M`.
     """
     what = f"item {number}"
     row = _object(value, what)
@@ -138,13 +181,15 @@ def _item_of_plan(value: Any, number: int) -> Item:
     if row.get("type") != "SimpleItem":
         kind = str(row.get("complexItemType"))[:40]
         kind = kind if kind.isidentifier() else "strange item"
-        return Item(number, key, -1, what=f"a {kind} (ComplexItem)")
+        return Item(number, key, command=-1, what=f"a {kind} (ComplexItem)")
+
     params = row.get("params")
     if not isinstance(params, list) or len(params) != 7:
         raise ValueError(f"{what} has no list of seven params")
     values = [number_of(f"a parameter of {what}", param) for param in params]
     command, frame = (whole_of(f"{part} of {what}", row.get(part)) for part in ("command", "frame"))
     item = _item(what, number, key, command, frame, values)
+
     shown_m = number_of(f"Altitude of {what}", row.get("Altitude"))
     if row.get("AltitudeMode") == CALCULATED and item.datum == "geoid":
         is_open = math.isnan(item.height_m)
@@ -163,11 +208,20 @@ def _float(text: str) -> float | str:
 
 
 def _item_of_row(cells: Sequence[str], line: int) -> Item:
-    """Return an item of a row: number, current, frame, command, four parameters, latitude, longitude, height, go on."""
+    """Return the item of a row, whose cells are: key, is it the current one, frame, command, seven values, go on.
+
+    Args:
+      cells: texts, `NUM_COLUMNS` of them; the seven values are as of `_item`.
+      line: number of the row's line in the file, from 1.
+
+    Raises:
+      ValueError: another number of cells, or one that is not a number.
+    """
     what = f"line {line}"
     if len(cells) != NUM_COLUMNS:
         raise ValueError(f"{what} has {len(cells)} values, and not {NUM_COLUMNS}")
     numbers = [number_of(f"a value of {what}", _float(cell)) for cell in cells]
+    # Column 1, whether it is the current item, is not looked at.
     key, frame, command = (whole_of(f"a value of {what}", numbers[column]) for column in (0, 2, 3))
     return _item(what, line, key, command, frame, numbers[4:11])
 
@@ -175,7 +229,17 @@ def _item_of_row(cells: Sequence[str], line: int) -> Item:
 def _item(
     what: str, number: int, key: int, command: int, frame: int, values: Sequence[float]
 ) -> Item:
-    """Return an item of its seven values: four parameters, latitude, longitude and height."""
+    """Return an item of MAVLink.
+
+    Args:
+      what: begins the message of an error.
+      number, key, command: as of `Item`.
+      frame: number of MAVLink's frame; in frames that `FRAMES` lacks the place is not checked, and ``datum`` is None.
+      values: four parameters, latitude and longitude in degrees, and height in metres.
+
+    Raises:
+      ValueError: the place does not lie on the Earth.
+    """
     *params, lat, lon, height_m = values
     datum = FRAMES.get(frame)
     if datum:

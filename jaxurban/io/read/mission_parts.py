@@ -69,8 +69,12 @@ class Mission:
 def number_of(what: str, value: Any) -> float:
     """Return a number of a file, NaN where it is null.
 
+    Args:
+      what: names the number, and begins the message of an error.
+      value: as JSON holds it.
+
     Raises:
-      ValueError: it is infinite, or of another kind, such as a text.
+      ValueError: it is infinite, larger than `MOST`, or no number, such as a text or true.
     """
     if value is None:
         return float("nan")
@@ -84,7 +88,7 @@ def whole_of(what: str, value: Any) -> int:
     """Return a whole number of a file.
 
     Raises:
-      ValueError: it is none.
+      ValueError: it is not whole, or as of `number_of`; ``what`` begins the message.
     """
     number = number_of(what, value)
     if number % 1 != 0:  # NaN too
@@ -93,7 +97,13 @@ def whole_of(what: str, value: Any) -> int:
 
 
 def check_place(what: str, lon: float, lat: float, height_m: float = 0.0) -> None:
-    """Raise ValueError unless a place lies on the Earth, and its height is one that is flown; NaN passes."""
+    """Raise ValueError unless a place lies on the Earth, and its height is one that is flown.
+
+    Args:
+      what: names the place, and begins the message of the error.
+      lon, lat: degrees; NaN passes.
+      height_m: above any datum; NaN passes.
+    """
     if abs(lat) > 90 or abs(lon) > 180:
         raise ValueError(
             f"{what} lies at latitude {lat:g} and longitude {lon:g}, which is no place on the Earth"
@@ -103,8 +113,9 @@ def check_place(what: str, lon: float, lat: float, height_m: float = 0.0) -> Non
 
 
 def shortened(sentences: Sequence[str]) -> tuple[str, ...]:
-    """Return sentences, each once, and how many there are beyond the first `MOST_NAMED`."""
-    each = tuple(dict.fromkeys(sentences))
-    if len(each) <= MOST_NAMED:
-        return each
-    return (*each[:MOST_NAMED], f"{len(each) - MOST_NAMED} more such things are not judged")
+    """Return sentences, each once; of more than `MOST_NAMED` the first of them, and one that counts the others."""
+    distinct = tuple(dict.fromkeys(sentences))
+    num_more = len(distinct) - MOST_NAMED
+    if num_more <= 0:
+        return distinct
+    return (*distinct[:MOST_NAMED], f"{num_more} more such things are not judged")

@@ -115,7 +115,13 @@ def nominal_satellites(
     real ones are held by station keeping: so the constellation stands as the table says at its date
     and never grows old. Within the day SGP4 moves them, which pulls them up to 0.1 degrees (seen from
     the Earth's centre) away by Moon and Sun; over midnight they step by less than 0.01 degrees.
+
+    Args:
+      day: in UTC.
+      timescale: of Skyfield, which knows how UT1 runs.
+      constellation: the published slots.
     """
+    # Days of UT1 since the table's date, and days of UTC since SGP4's origin of time.
     noon = timescale.utc(day.year, day.month, day.day, 12)
     table = timescale.utc(*constellation.table_date.timetuple()[:3])
     elapsed_days = noon.ut1 - table.ut1

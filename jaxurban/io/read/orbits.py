@@ -66,7 +66,7 @@ class Orbits:
 
     @property
     def nominal_systems(self) -> list[str]:
-        """Constellations of which satellites are nominal: those from no file, and those that a file names so."""
+        """Constellations that have nominal satellites, each once: from no file, or named so by a file."""
         systems = []
         for satellite, source in zip(self.satellites, self.sources, strict=True):
             if source == NOMINAL or satellite.name.endswith(MARK):
@@ -108,19 +108,22 @@ def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
 
 
 def middle_epoch(orbits: Orbits) -> str | None:
-    """Return the median of the epochs of the elements from files, to the minute, ISO 8601 UTC; None without a file."""
-    named = zip(orbits.satellites, orbits.sources, strict=True)
-    epochs = sorted(s.epoch.utc_datetime() for s, name in named if name != NOMINAL)
+    """Return the middle one of the epochs of the elements from files, to the minute, ISO 8601 UTC; None without any."""
+    pairs = zip(orbits.satellites, orbits.sources, strict=True)
+    epochs = sorted(
+        satellite.epoch.utc_datetime() for satellite, source in pairs if source != NOMINAL
+    )
     if not epochs:
         return None
     middle = epochs[len(epochs) // 2]
+    # Half a minute more, cut to the minute, is rounded.
     return iso_utc((middle + timedelta(seconds=30)).replace(second=0, microsecond=0))
 
 
 def _check_twice(orbits: Orbits) -> None:
     """Raise InputError where a satellite comes twice, or GPS satellites beside the nominal ones."""
     nominal = orbits.of(NOMINAL)
-    from_files = dict[int, str]()
+    from_files: dict[int, str] = {}  # sources by catalogue number
     for satellite, source in zip(orbits.satellites, orbits.sources, strict=True):
         if source == NOMINAL:
             continue
@@ -138,7 +141,11 @@ def _check_twice(orbits: Orbits) -> None:
 
 
 def _read_file(source: str | Path) -> list[EarthSatellite]:
-    """Return the satellites of one file."""
+    """Return the satellites of one file: of OMM in JSON or CSV, else of two-line elements.
+
+    Raises:
+      InputError: no such file, another kind of file, a cut or damaged element set, or none.
+    """
     path = located(source)
     with readable(path, "whole element sets", REMEDY, csv.Error, what=f"the orbits file {source}"):
         text = path.read_bytes().decode("utf-8-sig").lstrip()
@@ -156,7 +163,11 @@ def _read_file(source: str | Path) -> list[EarthSatellite]:
 
 
 def _from_tles(text: str, source: str | Path) -> list[EarthSatellite]:
-    """Return the satellites of two-line elements."""
+    """Return the satellites of a text of two-line elements, each a line 1 and a line 2, some below a line of a name.
+
+    Raises:
+      InputError: a wrong checksum, or lines that are cut or do not belong together; ``source`` names the file.
+    """
     lines = [line.rstrip() for line in text.splitlines() if line.strip()]
     first = [line for line in lines if line.startswith("1 ")]
     second = [line for line in lines if line.startswith("2 ")]
@@ -185,14 +196,23 @@ def _printable(name: Any) -> str:
 
 
 def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatellite]:
-    """Return the satellites of orbit mean-elements messages."""
+    """Return the satellites of orbit mean-elements messages.
+
+    Args:
+      messages: a dictionary each, by the names of the standard.
+      source: the file, for messages.
+
+    Raises:
+      InputError: a message that is none, lacks an element, has one that is not finite, or counts in another time.
+    """
     satellites = []
     for number, message in enumerate(messages, start=1):
         try:
             if not isinstance(message, dict):
                 raise ValueError("it is no table of names and values")
-            fields = {**message}
+
             # SGP4's reader wants the fraction of a second, which the standard leaves optional.
+            fields = {**message}
             epoch = parse_time(fields["EPOCH"]).replace(tzinfo=None)
             fields["EPOCH"] = epoch.strftime("%Y-%m-%dT%H:%M:%S.%f")
             satellite = EarthSatellite.from_omm(_timescale(), fields)
@@ -231,8 +251,11 @@ def look_angles(
       lon_deg: longitude of the point, WGS 84.
       lat_deg: its latitude.
       height_m: its height above the ellipsoid.
-      convergence_rad: meridian convergence there: azimuths come out clockwise from grid north.
+      convergence_rad: meridian convergence there, by which azimuths are turned: they count clockwise from grid north.
       max_age_days: oldest elements accepted, before or after the time.
+
+    Returns:
+      The sky, with ``[T, S]`` angles in radians of the times and satellites in the order of the arguments.
 
     Warns:
       StaleElementsWarning: elements older than `WARN_AGE_DAYS` at a time.
@@ -244,13 +267,14 @@ def look_angles(
     point = wgs84.latlon(lat_deg, lon_deg, elevation_m=height_m)
     azimuth_rad, elevation_rad, age_days = np.zeros((3, len(utc), len(orbits.satellites)))
     for index, satellites in _satellites_at(orbits, utc):
-        at = _timescale().from_datetimes([utc[i] for i in index])
+        moments = _timescale().from_datetimes([utc[t] for t in index])
         for s, satellite in satellites:
-            elevation, azimuth, _ = (satellite - point).at(at).altaz()
+            elevation, azimuth, _ = (satellite - point).at(moments).altaz()
             elevation_rad[index, s] = elevation.radians
             azimuth_rad[index, s] = azimuth.radians
             if orbits.sources[s] != NOMINAL:
-                age_days[index, s] = np.abs(at.tt - satellite.epoch.tt)
+                age_days[index, s] = np.abs(moments.tt - satellite.epoch.tt)
+
     names = tuple(satellite.name for satellite in orbits.satellites)
     iso = tuple(time.replace(tzinfo=None).isoformat() + "Z" for time in utc)
     _check_age(orbits.sources, iso, names, age_days, max_age_days)
@@ -270,7 +294,7 @@ def look_angles(
 
 
 def matching(satellites: Sequence[str], sky: Sky) -> np.ndarray:
-    """Return ``[N]`` numbers in a sky of satellites that a receiver's log names, `NO_SATELLITE` where it has none.
+    """Return which satellites of a sky a receiver's log names: ``[N]`` indices, `NO_SATELLITE` where the sky has none.
 
     Names of element sets hold the RINEX 3 name (``C19``) or, of GPS, QZSS and SBAS, the PRN. CelesTrak's of Galileo and
     GLONASS hold neither: rename these in the file.
@@ -295,22 +319,25 @@ def matching(satellites: Sequence[str], sky: Sky) -> np.ndarray:
 
 
 def _rinex_name(name: str) -> str:
-    """Return the RINEX 3 name that an element set's name holds, or ``""``."""
+    """Return the RINEX 3 name that an element set's name holds, itself or by a PRN (see `PRN_RANGES`), else ``""``."""
     written = RINEX_NAME.search(name)
     if written:
         return written.group()
-    prn = PRN.search(name)
-    number = int(prn.group(1)) if prn else 0
-    for low, high, letter, less in PRN_RANGES:
-        if low <= number <= high:
-            return f"{letter}{number - less:02d}"
+    match = PRN.search(name)
+    prn = int(match[1]) if match else 0  # 0 is in no range
+    for first, last, letter, offset in PRN_RANGES:
+        if first <= prn <= last:
+            return f"{letter}{prn - offset:02d}"
     return ""
 
 
 def _satellites_at(
     orbits: Orbits, utc: list[datetime]
 ) -> Iterator[tuple[list[int], list[tuple[int, EarthSatellite]]]]:
-    """Yield the times (by index) that one set of elements serves, with its numbered satellites."""
+    """Yield the indices of the times that a set of elements serves, and its satellites by their numbers in the orbits.
+
+    Elements from files serve all times; of nominal satellites each day (UTC) has its own.
+    """
     nominal = orbits.of(NOMINAL)
     numbered = enumerate(orbits.satellites)
     from_files = [(s, satellite) for s, satellite in numbered if s not in nominal]
@@ -320,7 +347,7 @@ def _satellites_at(
         return
     for day in sorted({time.date() for time in utc}):
         of_day = zip(nominal, nominal_satellites(day, _timescale()), strict=True)
-        yield [i for i, time in enumerate(utc) if time.date() == day], list(of_day)
+        yield [t for t, time in enumerate(utc) if time.date() == day], list(of_day)
 
 
 def _check_age(
@@ -330,7 +357,17 @@ def _check_age(
     age_days: np.ndarray,
     max_age_days: float,
 ) -> None:
-    """Warn of stale elements, refuse those older than ``max_age_days``."""
+    """Warn of elements older than `WARN_AGE_DAYS`, refuse those older than ``max_age_days``, by the oldest ones.
+
+    Args:
+      sources, names: of the satellites, ``S`` of each.
+      iso: the times as texts, ``T`` of them.
+      age_days: ``[T, S]`` days between a time and the epoch of the elements, 0 of nominal ones.
+      max_age_days: the oldest ones accepted.
+
+    Raises:
+      InputError: there are older ones.
+    """
     oldest_days = age_days.max(initial=0.0)
     if oldest_days <= min(WARN_AGE_DAYS, max_age_days):
         return

@@ -20,16 +20,17 @@ from jaxurban.world.grid import WGS84, Bounds, transformer
 from jaxurban.world.land_cover import LandCover
 
 TAGS = (  # that say something of buildings, as `COLUMNS` sorts them
-    *(
-        "building",
-        "building:part",
-        "height",
-        "building:levels",
-        "levels",
-        "roof:levels",
-        "min_height",
-    ),
-    *("building:min_level", "location", "layer", "man_made"),
+    "building",
+    "building:part",
+    "height",
+    "building:levels",
+    "levels",
+    "roof:levels",
+    "min_height",
+    "building:min_level",
+    "location",
+    "layer",
+    "man_made",
 )
 OSM_SUFFIXES = (".pbf", ".osm")
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
@@ -71,14 +72,15 @@ def read_osm(path: str | Path, *, has_decks: bool = False) -> Outlines:
 
 
 def _read(path: str | Path, has_decks: bool) -> Outlines:
-    """Return the outlines of an OSM file, see `read_osm`."""
+    """Return the outlines of an OSM file; arguments as of `read_osm`, errors as pyosmium raises them."""
+    # Areas, with their tags and shapes, and what the file has of their ways and relations.
     areas: list[tuple[bool, int]] = []  # of each whether it is a way, and its id
     shapes: list[str | None] = []  # WKB in hexadecimal, None where libosmium gave up
     tags: list[list[str | None]] = []
-    open_ways = set()
-    missing = set()
     ways = set()
-    relations = {}
+    open_ways = set()
+    missing = set()  # ways that lack nodes
+    relations = {}  # the ways of each
     to_wkb = osmium.geom.WKBFactory()
     chosen = HAS_BUILDING_OR_DECK if has_decks else HAS_BUILDING
     for item in open_osm(path).with_areas(chosen).with_filter(chosen):
@@ -98,18 +100,21 @@ def _read(path: str | Path, has_decks: bool) -> Outlines:
         elif isinstance(item, osmium.osm.Relation) and item.tags.get("type") in _AREA_RELATIONS:
             relations[item.id] = _ways_of(item)
 
+    # Areas that libosmium could not assemble, from the lines of their ways.
     polygons = shapely.from_wkb(np.array(shapes, object))
     broken = np.flatnonzero(shapely.is_missing(polygons))
-    lines_of = {}
-    for place in broken:
-        is_way, number = areas[place]
-        lines_of[place] = [number] if is_way else relations[number]
-    lines = _read_lines(path, set().union(*lines_of.values())) if lines_of else {}
-    for place, ids in lines_of.items():
-        known = [lines[number] for number in ids if number in lines]
-        polygons[place] = shapely.build_area(shapely.union_all(known))
-    of_ways = {number for is_way, number in areas if is_way}
-    of_relations = {number for is_way, number in areas if not is_way}
+    ways_of = {}
+    for index in broken:
+        is_way, item_id = areas[index]
+        ways_of[index] = [item_id] if is_way else relations[item_id]
+    lines = _read_lines(path, set().union(*ways_of.values())) if ways_of else {}
+    for index, ids in ways_of.items():
+        known = [lines[way_id] for way_id in ids if way_id in lines]
+        polygons[index] = shapely.build_area(shapely.union_all(known))
+
+    # Ways and relations of which no area came are counted by what is wrong with them.
+    of_ways = {item_id for is_way, item_id in areas if is_way}
+    of_relations = {item_id for is_way, item_id in areas if not is_way}
     columns = np.array(tags, object).reshape(-1, len(TAGS)).T
     box = header_box(path)
     return Outlines(
@@ -129,6 +134,7 @@ def _read(path: str | Path, has_decks: bool) -> Outlines:
 
 
 def _is_building_or_deck(tags: Any) -> bool:
+    """Return whether an object with these tags is a building, a part of one, or the deck of a bridge."""
     return "building" in tags or "building:part" in tags or tags.get("man_made") == DECK
 
 
@@ -142,11 +148,14 @@ def _file(path: str | Path) -> osmium.io.File:
 
 
 def open_osm(path: str | Path) -> osmium.FileProcessor:
-    """Return a processor that knows every node's place when a way comes by, even if the nodes follow the ways."""
+    """Return a processor that knows every node's place when a way comes by, even if the nodes follow the ways.
+
+    In XML, as the Overpass API writes it, they may; its nodes are read before. PBF files are sorted.
+    """
     file = _file(path)
     # Any: the package's own annotation says str.
     locations: Any = osmium.index.create_map("flex_mem")
-    if format_of(path) == "osm":  # so the Overpass API writes XML; PBF is sorted
+    if format_of(path) == "osm":
         with osmium.io.Reader(file, osmium.osm.NODE) as reader:
             osmium.apply(reader, osmium.NodeLocationsForWays(locations))
     return osmium.FileProcessor(file).with_locations(locations)
@@ -157,7 +166,10 @@ def _ways_of(relation: osmium.osm.Relation) -> list[int]:
 
 
 def _read_lines(path: str | Path, ids: set[int]) -> dict[int, shapely.LineString]:
-    """Return the lines of the ways with these ids, in longitude and latitude, without nodes that are missing."""
+    """Return the lines of the ways with these ids, by id, in longitude and latitude, without nodes that are missing.
+
+    A way with less than two nodes has an empty line; one that the file lacks has none.
+    """
     lines = {}
     for way in open_osm(path).with_filter(IdFilter(ids)):
         if isinstance(way, osmium.osm.Way):  # nodes may bear the same numbers
@@ -167,7 +179,11 @@ def _read_lines(path: str | Path, ids: set[int]) -> dict[int, shapely.LineString
 
 
 def header_box(path: str | Path) -> Bounds | None:
-    """Return west, south, east, north of an OSM file by its header, None where the header does not say."""
+    """Return west, south, east, north in degrees of an OSM file by its header, None where the header does not say.
+
+    Raises:
+      InputError: the file cannot be read.
+    """
     with (
         readable(path, "OpenStreetMap data", "fetch it again", RuntimeError),
         osmium.io.Reader(_file(path), osmium.osm.NOTHING) as reader,
@@ -186,14 +202,15 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
       target: the PBF file to write; an old one is replaced.
       box: west, south, east, north in degrees.
     """
-    file = osmium.io.File(str(source), "pbf")
+    file = _file(source)
+
     # The member ways of a building relation need not bear the tag themselves.
     ways_of = {relation.id: _ways_of(relation) for relation in _relations(file)}
     members = set().union(*ways_of.values())
     near = {way.id for way in _ways_in(file, IdFilter(members), box)} if members else set()
-    result = osmium.io.File(str(target), "pbf")
+
     with osmium.BackReferenceWriter(
-        result, ref_src=file, overwrite=True, remove_tags=False
+        _file(target), ref_src=file, overwrite=True, remove_tags=False
     ) as writer:
         for way in _ways_in(file, HAS_BUILDING_OR_DECK, box):
             if _is_building_or_deck(way.tags):
@@ -204,6 +221,7 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
 
 
 def _relations(file: osmium.io.File) -> Iterator[osmium.osm.Relation]:
+    """Yield the relations of buildings and decks in a file."""
     for item in osmium.FileProcessor(file, osmium.osm.RELATION).with_filter(HAS_BUILDING_OR_DECK):
         if isinstance(item, osmium.osm.Relation) and _is_building_or_deck(item.tags):
             yield item
@@ -212,7 +230,7 @@ def _relations(file: osmium.io.File) -> Iterator[osmium.osm.Relation]:
 def _ways_in(
     file: osmium.io.File, chosen: IdFilter | KeyFilter, box: Bounds
 ) -> Iterator[osmium.osm.Way]:
-    """Yield the chosen ways that have a node in a box."""
+    """Yield the ways of a file, sorted with nodes first, that pass a filter and have a node in a box, in degrees."""
     west, south, east, north = box
     processor = osmium.FileProcessor(file, osmium.osm.NODE | osmium.osm.WAY).with_locations()
     for item in processor.with_filter(chosen):
@@ -243,6 +261,7 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     box = shapely.box(*bounds_m)
 
     def joined(kind: str) -> shapely.Geometry:
+        """Return all areas of a kind in the box as one, in ``crs``."""
         shapes = [shapely.from_wkb(shape) for own_kind, _, shape in rows if own_kind == kind]
         whole = shapely.union_all(shapely.make_valid(projected(shapes, crs)))
         return shapely.intersection(whole, box)
@@ -254,7 +273,12 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
 def areas_and_coast(
     path: str | Path,
 ) -> tuple[list[tuple[str, str, str]], list[shapely.LineString]]:
-    """Return kind (``water`` or ``park``), name and hexadecimal WKB of each area, and the lines of the coast."""
+    """Return the waters and parks of an OSM file, and the lines of its coast, in longitude and latitude.
+
+    Returns:
+      A row for each area: its kind (``water`` or ``park``), its name (empty without one) and its hexadecimal WKB; and
+      the runs of the coast's ways, see `runs_of`. Areas that cannot be assembled are left out.
+    """
     rows: list[tuple[str, str, str]] = []
     coast: list[shapely.LineString] = []
     to_wkb = osmium.geom.WKBFactory()
@@ -285,7 +309,10 @@ def has_tag(item: osmium.osm.OSMObject, tags: tuple[tuple[str, str], ...]) -> bo
 
 
 def runs_of(way: osmium.osm.Way) -> list[shapely.LineString]:
-    """Return the segments of a way between nodes that the file lacks."""
+    """Return the lines of a way in longitude and latitude: one, or several between nodes that the file lacks.
+
+    Nodes that stand alone between missing ones are left out.
+    """
     runs: list[list[tuple[float, float]]] = [[]]
     for node in way.nodes:
         if node.location.valid():
@@ -299,39 +326,49 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
     """Return the part of a box on the right of coast lines, which have the land on their left.
 
     Lines that end inside the box, no farther than `GAP_M` from its border, are led on to it: extracts are cut so. A box
-    that no line parts is wet or dry by the side of the nearest line. Warns where the lines have a gap, so that land and
-    sea cannot be distinguished.
+    that no line parts is wet or dry by the side of the nearest line.
+
+    Args:
+      coast: lines in a projected CRS in metres; without any there is no sea.
+      box: in the same CRS.
+
+    Warns:
+      UserWarning: the lines have a gap, so that land and sea cannot be distinguished.
     """
     if not coast:
         return shapely.Polygon()
+
+    # Cut the box along the coast into faces.
     whole = shapely.get_parts(shapely.line_merge(shapely.union_all(coast), directed=True))
     ends = shapely.get_parts(shapely.boundary(whole))  # rings have none
     is_near = shapely.distance(box.exterior, ends) < GAP_M
     near = ends[shapely.contains_properly(box, ends) & is_near]
     bridges = shapely.shortest_line(near, box.exterior)
-    # Into the box's border too, so that polygonize sees one network.
+    # With the box's border, so that `polygonize` sees one network.
     network = shapely.union_all([*shapely.intersection(whole, box), *bridges, box.exterior])
     faces = shapely.get_parts(shapely.polygonize([network]))
     faces = faces[shapely.contains(box, shapely.point_on_surface(faces))]
+
+    # The coast's straight segments that have a length, [N, 2 (x, y), 2 (from, to)], and the direction to their right.
     points = [shapely.get_coordinates(line) for line in coast]
-    segments = np.concatenate([sliding_window_view(each, 2, axis=0) for each in points])
-    # Of [N, 2 (x, y), 2 (from, to)].
-    start = segments[..., 0]
-    end = segments[..., 1]
+    segments = np.concatenate([sliding_window_view(line, 2, axis=0) for line in points])
+    start, end = np.moveaxis(segments, -1, 0)
     is_long = (start != end).any(axis=1)
     start = start[is_long]
     end = end[is_long]
     length_m = np.hypot(*(end - start).T)
     right = (end - start)[:, ::-1] * [1, -1] / length_m[:, None]
+
+    # How much of each face's shore has it on its right, the water's side, and on its left, the land's: a segment counts
+    # for the face that lies half a metre beside its middle.
     tree = shapely.STRtree(faces)
-    # How much of each face's shore has it on the right, and on the left.
     shore_m = np.zeros((2, len(faces)))
-    for row, side in enumerate((1.0, -1.0)):  # half a metre into the water, and into the land
+    for row, side in enumerate((1.0, -1.0)):
         beside = shapely.points((start + end) / 2 + 0.5 * side * right)
         point, face = tree.query(beside, predicate="within")
         np.add.at(shore_m[row], face, length_m[point])
     wet_m, dry_m = shore_m
-    if not shore_m.any():
+    if not shore_m.any():  # no coast in the box
         middle = box.centroid
         lines = shapely.linestrings(np.stack([start, end], axis=1))
         nearest = np.argmin(shapely.distance(lines, middle))

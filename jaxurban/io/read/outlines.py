@@ -90,12 +90,15 @@ class Near(NamedTuple):
     crs: str
 
     def box_in(self, crs: str) -> Bounds | None:
-        """Return the box of the region and `MARGIN_M` around it in another CRS; None where no box holds it."""
+        """Return the box of the region and `MARGIN_M` around it in another CRS.
+
+        None where no box holds it: beyond a projection's reach, or across the antimeridian.
+        """
         x_min, y_min, x_max, y_max = self.bounds_m
         wide_m = x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M
         box = box_between(wide_m, self.crs, crs)
-        # Else it lies across the antimeridian.
-        return box if box is not None and box[0] < box[2] else None
+        is_box = box is not None and box[0] < box[2]  # not across the antimeridian
+        return box if is_box else None
 
 
 def box_between(box: Bounds, crs: str, other: str) -> Bounds | None:
@@ -123,9 +126,13 @@ def extent_of(boxes: np.ndarray) -> Bounds:
 
 
 def near_rows(boxes: np.ndarray, box: Bounds) -> np.ndarray:
-    """Return which features to read, ``[N]`` bool: those that touch a box, and all that touch one of these.
+    """Return which features to read, ``[N]`` bool: all that touch the box around those that touch a box.
 
     So every outline comes with all its parts, and every part with its outline, however large they are.
+
+    Args:
+      boxes: ``[N, 4]`` x_min, y_min, x_max, y_max of the features, NaN where they are empty.
+      box: the same of the region.
     """
     is_near = meets(boxes, box)
     return meets(boxes, extent_of(boxes[is_near])) if is_near.any() else is_near
@@ -138,13 +145,18 @@ def _plain(column: object) -> str:
 
 def is_of_buildings(column: object) -> bool:
     """Return whether a column or a tag says something of buildings by its name."""
-    return _plain(column) == UNDERGROUND_COLUMN or any(
-        _plain(column) in names for names in COLUMNS.values()
-    )
+    name = _plain(column)
+    return name == UNDERGROUND_COLUMN or any(name in names for names in COLUMNS.values())
 
 
 def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return columns, or OpenStreetMap's tags, of ``[N]`` outlines under the names that `Outlines` knows."""
+    """Return columns, or OpenStreetMap's tags, of outlines under the names that `Outlines` knows.
+
+    Of several columns that hold one tag the first that is filled counts, row by row.
+
+    Args:
+      columns: ``[N]`` values by name; columns of other names are left out.
+    """
     values = {_plain(name): column for name, column in columns.items()}
     tags: dict[str, np.ndarray] = {}
     for tag, names in COLUMNS.items():
@@ -153,11 +165,12 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
                 tags[tag] = np.where(is_given(tags[tag]), tags[tag], values[name])
             elif name in values:
                 tags[tag] = values[name]
+
+    # A column of true and false becomes a tag as OpenStreetMap writes it.
     if UNDERGROUND_COLUMN in values:
-        is_below = np.array(
-            [str(value).lower() in ("true", "1") for value in values[UNDERGROUND_COLUMN]], bool
-        )
+        texts = [str(value).lower() for value in values[UNDERGROUND_COLUMN]]
         others = tags.get("location", np.array(None)).astype(object)
+        is_below = np.isin(texts, ("true", "1"))
         tags["location"] = np.where(is_below, ReadIssue.UNDERGROUND, others)
     return tags
 
@@ -165,7 +178,7 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
 def to_buildings(
     file: settings.Buildings, outlines: Outlines, crs: str
 ) -> tuple[Footprints, list[Bounds], ReadIssues]:
-    """Return the buildings that stand, the boxes in ``crs`` that the file declares to cover, and its issues.
+    """Return the buildings that outlines make, the boxes in ``crs`` that the file declares to cover, and read issues.
 
     Left out are ``building=no`` without ``building:part``, and ``location=underground`` or ``layer`` below 0. An
     outline that its own parts cover to at least 90 % gives way to them; one that is tagged ``building:part`` as well is
@@ -174,14 +187,15 @@ def to_buildings(
     under a roof with a height. Where parts hang, an outline stays below those that no part stands under (`_podiums`).
 
     Args:
-      file: and what to make of it; hanging ``"slabs"``: areas of bridges (``man_made=bridge``) that are no buildings
-        are decks (see `with_decks`).
-      outlines: what a reader gave.
+      file: the file of the outlines and what to make of it; with hanging ``"slabs"`` areas of bridges
+        (``man_made=bridge``) that are no buildings are decks (see `with_decks`).
+      outlines: from a reader.
       crs: projected CRS of the buildings.
 
     Raises:
       InputError: no building and no declared box, in a file that was read as a whole.
     """
+    # Which outlines stand, and their valid polygons.
     issues = dict(outlines.issues)
     stands, is_part, is_deck = _stands_as_what(outlines, file.hanging == SLABS, issues)
     index = np.flatnonzero(stands)
@@ -195,12 +209,15 @@ def to_buildings(
             f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
         )
 
+    # Their heights.
     is_part = is_part[index]
     is_deck = is_deck[index]
     tags = {name: column[index] for name, column in outlines.tags.items()}
     buildings = estimate_heights(tags, polygons, is_part, file, issues)
     if is_deck.any():
         buildings = with_decks(buildings, is_deck, _layers(outlines.column("layer")[index]))
+
+    # Outlines and their parts: heights of one for the other, and which outlines the parts replace.
     outline, part, shared = _own_parts(polygons, ~is_part & ~is_deck, is_part)
     buildings = _above_underside(_with_outline_heights(buildings, outline, part, issues), issues)
     is_replaced = _covered_share(polygons, outline, shared) >= REPLACED_SHARE
@@ -230,18 +247,27 @@ def _layers(column: np.ndarray) -> np.ndarray:
 def _stands_as_what(
     outlines: Outlines, has_decks: bool, issues: ReadIssues
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return which outlines are above ground, and which of all are parts, and decks of bridges, ``[N]`` bool each."""
+    """Return which outlines stand, and which of all are parts, and which are decks of bridges, ``[N]`` bool each.
+
+    Args:
+      outlines: with their tags.
+      has_decks: whether areas of bridges that are no buildings are decks; otherwise they are left out.
+      issues: gets how many are no buildings, and how many are underground.
+    """
 
     def is_yes(name: str) -> np.ndarray:
+        """Return where a tag has any value but those that mean no."""
         text = _texts(outlines.column(name))
         return (text != "") & ~np.isin(text.astype(str), _NO)
 
     is_part = is_yes("part")
-    is_building = (is_yes("building") if "building" in outlines.tags else True) | is_part
     is_deck = has_decks & (_texts(outlines.column("man_made")) == DECK)
+    is_building = np.ones(len(is_part), bool)  # all, of files that do not say it
     if "building" in outlines.tags:
+        is_building = is_yes("building") | is_part
         is_deck &= ~is_building
-    is_building = is_building | is_deck
+        is_building |= is_deck
+
     is_below = _texts(outlines.column("location")) == "underground"
     is_below |= _layers(outlines.column("layer")) < 0
     issues[ReadIssue.NOT_BUILDINGS] = int(np.sum(~is_building))
@@ -252,7 +278,14 @@ def _stands_as_what(
 def _project(
     polygons: np.ndarray, source: str, crs: str, issues: ReadIssues
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return valid polygons in ``crs``, repaired where need be, and which of them could be made."""
+    """Return polygons in another CRS, valid and without heights, and which of them could be made, ``[N]`` bool.
+
+    Args:
+      polygons: ``[N]`` of any kind, None where there is none.
+      source: their CRS.
+      crs: projected CRS of the result.
+      issues: gets how many were repaired, were beyond repair, or lie where ``crs`` does not reach.
+    """
     to_city = transformer(source, crs).transform
     if shapely.has_z(polygons).any():
         polygons = shapely.force_2d(polygons)
@@ -260,9 +293,11 @@ def _project(
     is_there = ~shapely.is_missing(polygons) & ~shapely.is_empty(polygons)
     is_finite = np.isfinite(shapely.bounds(polygons)).all(axis=1)
     is_sound = is_there & is_finite
+
     to_repair = np.flatnonzero(is_sound & ~shapely.is_valid(polygons))
     polygons[to_repair] = [polygonal(made) for made in shapely.make_valid(polygons[to_repair])]
     is_sound &= ~shapely.is_empty(polygons)
+
     issues[ReadIssue.OUTSIDE_CRS] = int(np.sum(is_there & ~is_finite))
     num_repaired = int(np.sum(is_sound[to_repair]))
     issues[ReadIssue.POLYGONS_REPAIRED] = issues.get(ReadIssue.POLYGONS_REPAIRED, 0) + num_repaired
@@ -280,7 +315,15 @@ def polygonal(geometry: shapely.Geometry) -> shapely.Geometry:
 def _own_parts(
     polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return every pair of an outline and a part of its own: both indices, and the area that they share as polygons."""
+    """Return every pair of an outline and a part of its own: `BELONGING_SHARE` of the part at least lies inside it.
+
+    Args:
+      polygons: ``[N]`` valid polygons.
+      is_outline, is_part: ``[N]`` bool, which of them are outlines, and which are parts.
+
+    Returns:
+      ``[P]`` indices of the outlines and of the parts, and ``[P]`` geometries, what each pair shares.
+    """
     outlines = np.flatnonzero(is_outline)
     parts = np.flatnonzero(is_part)
     near_outline, near_part = shapely.STRtree(polygons[parts]).query(
@@ -294,22 +337,32 @@ def _own_parts(
 
 
 def _covered_share(polygons: np.ndarray, outline: np.ndarray, shared: np.ndarray) -> np.ndarray:
-    """Return how much of each polygon the union of its own parts covers, ``[N]`` in [0, 1]."""
+    """Return how much of each polygon the union of its own parts covers, ``[N]`` in [0, 1], 0 without a part.
+
+    Args:
+      polygons: ``[N]`` valid polygons.
+      outline, shared: ``[P]`` from `_own_parts`.
+    """
     share = np.zeros(len(polygons))
-    order = np.argsort(outline, kind="stable")
-    owners, starts, numbers = np.unique(outline[order], return_index=True, return_counts=True)
-    for owner, start, number in zip(owners, starts, numbers, strict=True):
-        covered = shared[order[start : start + number]]
-        share[owner] = shapely.area(shapely.union_all(covered)) / shapely.area(polygons[owner])
+    order = np.argsort(outline, kind="stable")  # the pairs of each outline one after the other
+    owners, starts, counts = np.unique(outline[order], return_index=True, return_counts=True)
+    for owner, start, count in zip(owners, starts, counts, strict=True):
+        covered = shapely.union_all(shared[order[start : start + count]])
+        share[owner] = shapely.area(covered) / shapely.area(polygons[owner])
     return share
 
 
 def _podiums(
     buildings: Footprints, outline: np.ndarray, part: np.ndarray, is_replaced: np.ndarray
 ) -> tuple[Footprints, np.ndarray]:
-    """Return buildings whose replaced outlines are podiums where they have one, and which these are, ``[N]`` bool.
+    """Return buildings in which replaced outlines are podiums where they have one, and which these are, ``[N]`` bool.
 
     A podium lies under an outline's own hanging parts where none of its parts stands, up to their lowest floor.
+
+    Args:
+      buildings: ``N`` outlines and parts.
+      outline, part: ``[P]`` indices of outlines and their own parts.
+      is_replaced: ``[N]`` bool, which outlines give way to their parts.
     """
     polygons = buildings.polygons.copy()
     height_m = buildings.height_m.copy()
@@ -318,16 +371,16 @@ def _podiums(
     hangs = buildings.min_height_m > 0
     for owner in np.unique(outline[is_replaced[outline] & hangs[part]]):
         own = part[outline == owner]
-        over = own[hangs[own]]
+        hanging = own[hangs[own]]
         standing = shapely.union_all(polygons[own[~hangs[own]]])
-        bare = shapely.difference(
-            shapely.intersection(polygons[over], buildings.polygons[owner]), standing
-        )
-        over = over[shapely.area(bare) > PODIUM_M2]
-        bare = bare[shapely.area(bare) > PODIUM_M2]
-        lowest = over[np.argmin(buildings.min_height_m[over])] if len(over) else owner
+        below = shapely.intersection(polygons[hanging], buildings.polygons[owner])
+        bare = shapely.difference(below, standing)
+        is_wide = shapely.area(bare) > PODIUM_M2
+        hanging = hanging[is_wide]
+        # Without a part over bare ground the owner itself, which is no higher than itself.
+        lowest = hanging[np.argmin(buildings.min_height_m[hanging])] if len(hanging) else owner
         if buildings.min_height_m[lowest] > buildings.min_height_m[owner]:
-            polygons[owner] = polygonal(shapely.union_all(bare))
+            polygons[owner] = polygonal(shapely.union_all(bare[is_wide]))
             is_podium[owner] = True
             height_m[owner] = buildings.min_height_m[lowest]
             origin[owner] = buildings.origin[lowest]
@@ -337,7 +390,13 @@ def _podiums(
 def _with_outline_heights(
     buildings: Footprints, outline: np.ndarray, part: np.ndarray, issues: ReadIssues
 ) -> Footprints:
-    """Return buildings whose parts without a height have that of their highest outline whose height is known."""
+    """Return buildings in which parts without a height have that of their highest outline whose height is known.
+
+    Args:
+      buildings: ``N`` outlines and parts.
+      outline, part: ``[P]`` indices of outlines and their own parts.
+      issues: gets how many parts were given a height.
+    """
     height_m = buildings.height_m.copy()
     origin = buildings.origin.copy()
     is_default = origin == HeightOrigin.DEFAULT
@@ -345,6 +404,7 @@ def _with_outline_heights(
     takes = (
         is_default[part] & ~is_default[outline] & (height_m[outline] > buildings.min_height_m[part])
     )
+    # From the lowest outline up, so that of several outlines of a part the highest is written last.
     lowest_first = np.flatnonzero(takes)[np.argsort(height_m[outline[takes]], kind="stable")]
     outline = outline[lowest_first]
     part = part[lowest_first]
@@ -355,7 +415,11 @@ def _with_outline_heights(
 
 
 def _above_underside(buildings: Footprints, issues: ReadIssues) -> Footprints:
-    """Return buildings every roof of which is above its underside."""
+    """Return buildings every roof of which is above its underside.
+
+    A roof at or below its underside is raised by the underside's height if it is an estimate, by levels or by default;
+    if its height is known, the underside is set to 0, and ``issues`` gets how many these were.
+    """
     height_m = buildings.height_m
     min_height_m = buildings.min_height_m
     is_wrong = min_height_m >= height_m

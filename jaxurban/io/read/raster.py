@@ -23,10 +23,17 @@ from jaxurban.world.raster import Raster
 
 # By the end of their names, the drivers of GDAL that may open them: others (as of .vrt) read what a file names.
 DRIVERS = {
-    **dict.fromkeys((".tif", ".tiff"), "GTiff"),
-    **dict.fromkeys((".bil", ".flt"), "EHdr"),
-    **dict.fromkeys((".dt0", ".dt1", ".dt2"), "DTED"),
-    **{".asc": "AAIGrid", ".img": "HFA", ".hgt": "SRTMHGT", ".png": "PNG"},
+    ".tif": "GTiff",
+    ".tiff": "GTiff",
+    ".bil": "EHdr",
+    ".flt": "EHdr",
+    ".dt0": "DTED",
+    ".dt1": "DTED",
+    ".dt2": "DTED",
+    ".asc": "AAIGrid",
+    ".img": "HFA",
+    ".hgt": "SRTMHGT",
+    ".png": "PNG",
 }
 RASTER_SUFFIXES = tuple(DRIVERS)
 TIFF_MARKS = b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"  # first bytes
@@ -109,8 +116,9 @@ def read_bands(
     with open_raster(path, holds) as source:
         unit_m = _unit_m(name, source) if are_heights else 1.0
         window = raster_window(name, source, crs, bounds_m)
-        stored = source.read(window=window)
+        stored = source.read(window=window)  # [band, row, column]
         is_empty = source.read_masks(window=window) == 0
+        # Heights stay in float32 where the file has that: twice the precision would take twice the memory.
         kind = np.result_type(stored, 0.0) if are_heights else np.float64
         scale = np.array(source.scales, kind)[:, None, None]
         offset = np.array(source.offsets, kind)[:, None, None]
@@ -131,10 +139,12 @@ def read_bands(
 
 
 def check_range(name: str, values: np.ndarray, range_m: tuple[float, float]) -> None:
-    """Raise InputError if a raster holds values beyond the limits."""
-    if num_bad := int(np.sum((values < range_m[0]) | (values > range_m[1]))):
+    """Raise InputError if a raster holds values below the first or above the second limit, in metres; NaN passes."""
+    low_m, high_m = range_m
+    num_bad = int(np.sum((values < low_m) | (values > high_m)))
+    if num_bad:
         raise InputError(
-            f"{name} holds {num_bad} cells outside {range_m[0]:g} to {range_m[1]:g} m: declare their value as nodata "
+            f"{name} holds {num_bad} cells outside {low_m:g} to {high_m:g} m: declare their value as nodata "
             "with `gdal_edit.py -a_nodata VALUE`, or convert the heights to metres"
         )
 
@@ -150,7 +160,7 @@ def raster_extent_m(path: str | Path, crs: str) -> Bounds:
 
 
 def _extent_of(source: rasterio.DatasetReader, crs: str) -> Bounds:
-    """Return the box in a CRS around an open raster."""
+    """Return x_min, y_min, x_max, y_max in a CRS of the box around an open raster, by its four corners."""
     col = np.array([0, source.width, 0, source.width])
     row = np.array([0, 0, source.height, source.height])
     x, y = transformed(source.transform, col, row)
@@ -161,11 +171,15 @@ def _extent_of(source: rasterio.DatasetReader, crs: str) -> Bounds:
 
 @contextmanager
 def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.DatasetReader]:
-    """Open a raster whose kind is right; every failure of reading it in the block is an InputError.
+    """Open a raster for the block, and make an InputError of every failure of reading it there.
 
     Args:
-      path: of the file.
-      holds: what its values are; several bands are for values of one's own only.
+      path: of the file; its suffix, of `DRIVERS`, says which driver of GDAL may open it.
+      holds: what its values are, for messages; only a file of `OWN_VALUES` may have several bands.
+
+    Raises:
+      InputError: no raster of these formats, several bands, values that are not real numbers, no CRS or no position,
+        pixels without area, a place that is not on the Earth, or a mask beside it that may name other files.
     """
     name = repr(str(path))
     with (
@@ -179,6 +193,7 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
                 f"of rasters {', '.join(DRIVERS)} are read: convert it with `gdal_translate`"
             )
         _check_mask(Path(path))
+
         with rasterio.Env(**OFFLINE), rasterio.open(path, driver=DRIVERS[suffix]) as source:
             if source.count != 1 and holds != OWN_VALUES:
                 raise InputError(
@@ -206,13 +221,17 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
 
 
 def _check_mask(path: Path) -> None:
-    """Raise InputError unless the mask beside a raster, if there is one, is a TIFF: others may name any file."""
-    # That GDAL tries in a folder that it cannot list.
+    """Raise InputError unless the mask beside a raster, if there is one, is a TIFF.
+
+    GDAL opens a file of the raster's name with .msk behind it in any format, and some formats name any other file.
+    """
+    # In a folder that it cannot list GDAL tries these two; otherwise the name counts in small and capital letters.
     names = [f"{path.name}.msk", f"{path.name}.MSK"]
     with suppress(PermissionError):
         names = [name for name in os.listdir(path.parent) if name.lower() == names[0].lower()]
-    for mask in filter(os.path.lexists, (path.with_name(name) for name in names)):
-        if not mask.is_file() or _first_bytes(mask) not in TIFF_MARKS:
+    for mask in map(path.with_name, names):
+        is_tiff = mask.is_file() and _first_bytes(mask) in TIFF_MARKS
+        if os.path.lexists(mask) and not is_tiff:
             raise InputError(
                 f"{str(mask)!r}, the mask of {str(path)!r}, is no GeoTIFF and may name other files: remove it, or "
                 "convert it with `gdal_translate`"
@@ -234,15 +253,20 @@ def _horizontal_crs(source: rasterio.DatasetReader) -> str:
 def _unit_m(name: str, source: rasterio.DatasetReader) -> float:
     """Return the metres in one unit of a file's heights.
 
+    The band may name the unit, and so may the vertical axis of the CRS. Where neither does, heights are metres, unless
+    the CRS is projected in another unit.
+
     Raises:
-      InputError: it is not known.
+      InputError: the unit is not known: an unknown name, two that differ, or none beside a CRS in another unit.
     """
     written = source.units[0]
     axes = pyproj.CRS(source.crs.to_wkt()).axis_info
     units_m = [UNITS_M.get(written.strip().lower(), math.nan)] if written else []
     units_m += [axis.unit_conversion_factor for axis in axes[2:] if axis.direction == "up"]
-    is_in_metres = not source.crs.is_projected or abs(axes[0].unit_conversion_factor - 1.0) < 1e-9
-    if not (np.ptp(units_m) <= 1e-9 if units_m else is_in_metres):
+    is_clear = not source.crs.is_projected or abs(axes[0].unit_conversion_factor - 1.0) < 1e-9
+    if units_m:
+        is_clear = np.ptp(units_m) <= 1e-9  # False of NaN, an unknown name
+    if not is_clear:
         raise InputError(
             f"{name} does not say plainly in which unit its heights are (of its band {written!r}, of its CRS "
             f"{', '.join(axis.unit_name for axis in axes)}): say it with `gdal_edit.py -units m` (or ft, or 'US survey "
@@ -254,19 +278,33 @@ def _unit_m(name: str, source: rasterio.DatasetReader) -> float:
 def raster_window(
     name: str, source: rasterio.DatasetReader, crs: str, bounds_m: Bounds | None
 ) -> Window:
-    """Return the window of pixels that covers ``bounds_m``, cut to the raster."""
+    """Return the window of pixels that covers a box, `_MARGIN_PIXELS` wider on each side and cut to the raster.
+
+    Args:
+      name: of the file, for messages.
+      source: the open raster.
+      crs: projected CRS of the box.
+      bounds_m: x_min, y_min, x_max, y_max of the box; None: the whole raster.
+
+    Raises:
+      InputError: the raster does not reach the box.
+    """
     if bounds_m is None:
         return Window(0, 0, source.width, source.height)
+
+    # The pixels of 22 x 22 places in the box and on its border, as straight sides bend in another CRS.
     x_min, y_min, x_max, y_max = bounds_m
     x_m, y_m = np.meshgrid(np.linspace(x_min, x_max, 22), np.linspace(y_min, y_max, 22))
     x, y = transformer(crs, _horizontal_crs(source)).transform(x_m, y_m)
     col, row = transformed(~source.transform, x, y)
     if np.all(np.isfinite(col) & np.isfinite(row)):
-        first_col, first_row = (max(0, math.floor(v.min()) - _MARGIN_PIXELS) for v in (col, row))
+        first_col = max(0, math.floor(col.min()) - _MARGIN_PIXELS)
+        first_row = max(0, math.floor(row.min()) - _MARGIN_PIXELS)
         end_col = min(source.width, math.ceil(col.max()) + _MARGIN_PIXELS)
         end_row = min(source.height, math.ceil(row.max()) + _MARGIN_PIXELS)
         if first_col < end_col and first_row < end_row:
             return Window(first_col, first_row, end_col - first_col, end_row - first_row)
+
     where = where_it_lies(
         _extent_of(source, WGS84), transformer(crs, WGS84).transform_bounds(*bounds_m)
     )
@@ -280,13 +318,16 @@ def heights_of_surface(
 ) -> tuple[Raster, ReadIssues]:
     """Return the heights of a surface model above the terrain, and how many cells were taken for ground, by issue.
 
-    What stands less than `GROUND_M` above the terrain, or below it, is ground.
+    What stands less than `GROUND_M` above the terrain, or below it, is ground: its height is 0.
 
     Args:
       name: of the file, for messages.
-      surface: elevations.
-      terrain: of the ground, on any grid.
+      surface: elevations of roofs, trees and bare ground, metres.
+      terrain: elevations of the ground, metres, on any grid.
       crs: projected CRS in metres.
+
+    Warns:
+      UserWarning: that trees, bridges and cranes count as buildings.
 
     Raises:
       InputError: no terrain, or surface and terrain do not belong together.
@@ -297,13 +338,13 @@ def heights_of_surface(
         )
     above = heights_above(surface, terrain)
     num_sunken = int(np.sum(above.values < -GROUND_M))
-    num = int(np.isfinite(above.values).sum())
+    num_known = int(np.isfinite(above.values).sum())
     raised = _raised_share(above, crs)
-    if num_sunken > num / 2 or raised > MOST_RAISED:
+    if num_sunken > num_known / 2 or raised > MOST_RAISED:
         raise InputError(
-            f"{name} does not stand on the terrain ({num_sunken / num:.0%} of its cells lie below it, {raised:.0%} of "
-            f"its blocks of {BLOCK_M:g} m are off it all over, streets and yards included): bring both to one vertical "
-            'datum and unit, or leave out [buildings] kind = "surface" if it holds heights above ground'
+            f"{name} does not stand on the terrain ({num_sunken / num_known:.0%} of its cells lie below it, "
+            f"{raised:.0%} of its blocks of {BLOCK_M:g} m are off it all over, streets and yards included): bring both "
+            'to one vertical datum and unit, or leave out [buildings] kind = "surface" if it holds heights above ground'
         )
     warn(
         f"heights are {name} less the terrain: trees, bridges and cranes in it count as buildings, and what is lower "
@@ -327,7 +368,8 @@ def check_is_no_surface(name: str, heights: Raster, crs: str) -> None:
       heights: the raster.
       crs: projected CRS in metres.
     """
-    if (raised := _raised_share(heights, crs)) > MOST_RAISED:
+    raised = _raised_share(heights, crs)
+    if raised > MOST_RAISED:
         raise InputError(
             f"{name} looks like a surface model, elevations and not heights above ground: {raised:.0%} of its blocks "
             f'of {BLOCK_M:g} m with something on them have no ground near 0; set [buildings] kind = "surface" and give '
@@ -344,28 +386,36 @@ def _raised_share(raster: Raster, crs: str) -> float:
 def low_levels(raster: Raster, crs: str) -> np.ndarray:
     """Return the low level of each block of 100 m of a raster on which something stands, ``[N]`` metres.
 
+    It is the value below which `LOW_SHARE` of a block's samples lie. Something stands where the highest sample is at
+    least `RELIEF_M` above it. Blocks with data in less than a quarter of their samples are left out.
+
     Args:
       raster: elevations or heights, metres.
       crs: projected CRS in metres, to measure pixels in.
     """
+    # The size of a block in pixels, by the middle of the raster and the places a pixel below and to the right of it.
     num_rows, num_cols = raster.values.shape
     row = num_rows / 2 + np.array([0, 1, 0])
     col = num_cols / 2 + np.array([0, 0, 1])
     x_m, y_m = pixel_xy(raster, row, col, crs)
     down_m, right_m = np.hypot(x_m[1:] - x_m[0], y_m[1:] - y_m[0])
-    height = max(1, round(BLOCK_M / down_m))  # of a block
+    height = max(1, round(BLOCK_M / down_m))
     width = max(1, round(BLOCK_M / right_m))
+
+    # Blocks [row, column, row within, column within], and of each some `SAMPLES_A_SIDE` rows and columns.
     padded = np.pad(
         raster.values, ((0, -num_rows % height), (0, -num_cols % width)), constant_values=np.nan
     )
     blocks = padded.reshape(len(padded) // height, height, -1, width).swapaxes(1, 2)
     samples = blocks[..., :: -(-height // SAMPLES_A_SIDE), :: -(-width // SAMPLES_A_SIDE)]
-    values = np.sort(samples.reshape(samples.shape[0] * samples.shape[1], -1), axis=1)  # NaN last
-    num = np.isfinite(values).sum(axis=1)
-    is_known = num >= values.shape[1] / 4
+
+    # A block a row, its samples sorted with NaN last.
+    values = np.sort(samples.reshape(samples.shape[0] * samples.shape[1], -1), axis=1)
+    num_finite = np.isfinite(values).sum(axis=1)
+    is_known = num_finite >= values.shape[1] / 4
     values = values[is_known]
-    num = num[is_known]
-    each = np.arange(len(values))
-    low_m = values[each, (LOW_SHARE * num).astype(int)]
-    high_m = values[each, num - 1]
+    num_finite = num_finite[is_known]
+    block = np.arange(len(values))
+    low_m = values[block, (LOW_SHARE * num_finite).astype(int)]
+    high_m = values[block, num_finite - 1]
     return low_m[high_m - low_m >= RELIEF_M]

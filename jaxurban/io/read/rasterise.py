@@ -31,7 +31,10 @@ Margins = tuple[float, float, float, float]  # west, south, east, north, metres
 
 
 def highest_top_m(city: City) -> float:
-    """Return how far the highest roof can stand above the lowest ground, metres."""
+    """Return a bound on how far the highest roof of a city stands above its lowest ground, metres.
+
+    It is the height of the highest roof above its own ground, plus the relief of the terrain.
+    """
     if city.buildings is not None:
         roof_m = float(city.buildings.height_m.max(initial=0.0))
     else:
@@ -52,7 +55,7 @@ def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -
       toward_m: west, south, east, north margins toward the satellites, as far as the data reach.
     """
     x_min, y_min, x_max, y_max = city.known_extent_m
-    reach_m = (
+    reach_m = (  # from the region to the end of the data on each side, negative where the region sticks out
         region.x_min_m - x_min,
         region.y_min_m - y_min,
         x_max - region.x_max_m,
@@ -66,12 +69,12 @@ def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -
 def rasterise(
     city: City, grid: Grid, all_touched: bool = False, has_guessed: bool = False
 ) -> Surface:
-    """Return roofs, terrain and where they are known, in host memory. Every cell depends on its own place alone.
+    """Return the roofs and the terrain of a city on a grid and where they are known, as NumPy arrays, without blocks.
 
-    A cell whose centre lies on the south or the east side of an outline is under its roof, one on the north or the west
-    side is not: what GDAL burns where row 0 is in the south. Into rasters whose row 0 is in the north, as most files
-    are, GDAL burns those on the north side too. ``roof_touched_m`` takes everything that hangs as reaching the ground,
-    always.
+    Every cell depends on its own place alone. A cell whose centre lies on the south or the east side of an outline is
+    under its roof, one on the north or the west side is not: what GDAL burns where row 0 is in the south. Into rasters
+    whose row 0 is in the north, as most files are, GDAL burns cells on the north side too. ``roof_touched_m`` takes
+    everything that hangs as reaching the ground, always.
 
     Args:
       city: with outlines or a height raster.
@@ -79,7 +82,9 @@ def rasterise(
       all_touched: ``roof_m`` is ``roof_touched_m`` too.
       has_guessed: of outlines, whether the height of each cell's roof is guessed becomes ``roof_guessed``.
     """
-    has_data = terrain_m = guessed = slabs = None
+    has_data = terrain_m = guessed = slabs = None  # `has_data` None: everywhere
+
+    # Roofs, by centres and by touch.
     if city.buildings is not None:
         centre_m, touched_m, guessed = _burn_roofs(city.buildings, grid, has_guessed)
         roof_m = touched_m if all_touched else centre_m
@@ -90,6 +95,8 @@ def rasterise(
         has_data = np.isfinite(roof_m)
         roof_m = np.fmax(roof_m, np.float32(0))
         touched_m = np.fmax(touched_m, np.float32(0))
+
+    # The ground.
     if city.terrain is not None:
         terrain_m = resample_raster(city.terrain, grid, "bilinear")
         is_known = np.isfinite(terrain_m)
@@ -97,6 +104,8 @@ def rasterise(
         terrain_m[~is_known] = UNKNOWN_GROUND_M
     if has_data is not None and has_data.all():
         has_data = None
+
+    # What hangs: only what stands has a roof then, and `burn_hanging` raises the roofs that carry it.
     if city.buildings is not None and city.hanging == SLABS:
         standing = city.buildings.take(city.buildings.min_height_m == 0)
         roof_m = _burn_heights(standing, grid)[all_touched]
@@ -114,29 +123,36 @@ def rasterise(
 
 
 def _burn_heights(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Return roofs by centres and by touch, metres, float32."""
-    polygons = buildings.polygons
-    height_m = buildings.height_m
-    return burn(polygons, height_m, grid, 0.0, "float32", boxes_m=buildings.boxes_m)
+    """Return roofs by centres and by touch (see `burn`), ``[Y, X]`` float32 metres each, 0 without a building."""
+    return burn(
+        buildings.polygons, buildings.height_m, grid, 0.0, "float32", boxes_m=buildings.boxes_m
+    )
 
 
 def _burn_roofs(
     buildings: Footprints, grid: Grid, has_guessed: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return roofs by centres and by touch, and with ``has_guessed`` where the height of either is guessed."""
+    """Return roofs by centres and by touch as `_burn_heights`, and where the height of either roof is guessed.
+
+    The last array is ``[Y, X]`` bool, None without ``has_guessed``.
+    """
     if not has_guessed:
         return *_burn_heights(buildings, grid), None
     by_height, centre, touched = _burn_ranks(buildings, grid)
-    # Without a building the rank is -1, the last entry.
+    # By rank; without a building the rank is -1, the last entry.
     roofs_m = np.append(buildings.height_m[by_height], 0.0).astype(np.float32)
     is_guessed = np.append(buildings.is_guessed[by_height], False)
     return roofs_m[centre], roofs_m[touched], is_guessed[touched] | is_guessed[centre]
 
 
 def _burn_ranks(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the buildings from low to high, ``[B]``, and which of them has each cell, by centres and by touch.
+    """Return the buildings from low to high, and the rank in this order of the highest one over each cell.
 
-    Of buildings of one height the last one is the higher one. Without a building the rank is `NO_BUILDING`.
+    Of buildings of one height the last one counts as the higher one.
+
+    Returns:
+      ``[B]`` indices of buildings by rank, and ranks by centres and by touch (see `burn`), ``[Y, X]`` int32 each,
+      `NO_BUILDING` (-1) without a building.
     """
     by_height = np.argsort(buildings.height_m, kind="stable")
     rank = np.empty_like(by_height)
@@ -147,9 +163,15 @@ def _burn_ranks(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarr
 
 
 def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndarray:
-    """Return the index of the building whose roof is the highest in each cell, `NO_BUILDING` without one, int32.
+    """Return the index of the building whose roof is the highest in each cell, ``[Y, X]`` int32.
 
-    `jaxurban.world.surface.roofs_of` makes of it, with the buildings' heights, the roofs that `rasterise` burns.
+    It is `NO_BUILDING` where none stands. With the buildings' heights `jaxurban.world.surface.roofs_of` makes of it the
+    roofs that `rasterise` burns.
+
+    Args:
+      city: with outlines.
+      grid: of the result.
+      all_touched: a roof covers every cell that its outline shares area with, and not only those whose centre it holds.
 
     Raises:
       InputError: a city without outlines, whose roofs are a raster.
@@ -163,26 +185,39 @@ def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndar
 
 
 def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
-    """Return the index of the census block under each cell, `NO_BLOCK` without one; None without blocks.
+    """Return the index of the census block under each cell, `NO_BLOCK` without one; None for a city without blocks.
 
-    Of rasters by day and by night ``[y, x, samples]``, of `PEOPLE_SAMPLES` a side: so maps hold their people to 0.5 %.
+    Returns:
+      ``[Y, X]`` int32 at the cells' centres. Of blocks with counts of their own by day, which are pixels or pieces of
+      them, ``[Y, X, n * n]`` at the centres of ``n`` x ``n`` subcells (`PEOPLE_SAMPLES` a side): so maps hold their
+      people to 0.5 %.
     """
-    if city.blocks is None:
-        return None
     blocks = city.blocks
-    numbers = np.arange(len(blocks))
+    if blocks is None:
+        return None
     n = 1 if blocks.day_count is None else PEOPLE_SAMPLES
-    fine = grid.refined(n)
     index, _ = burn(
-        blocks.polygons, numbers, fine, NO_BLOCK, "int32", boxes_m=blocks.boxes_m, has_touched=False
+        blocks.polygons,
+        np.arange(len(blocks)),
+        grid.refined(n),
+        NO_BLOCK,
+        "int32",
+        boxes_m=blocks.boxes_m,
+        has_touched=False,
     )
     if n == 1:
         return index
+    # From rows and columns of subcells to those of each cell.
     return index.reshape(grid.num_rows, n, -1, n).swapaxes(1, 2).reshape(*grid.shape, n * n)
 
 
 def check_has_data(has_data: Iterable[Any], city: City) -> None:
-    """Raise InputError unless a part of the region has data; stops at the first one."""
+    """Raise InputError unless one of the parts of a region has a cell with data.
+
+    Args:
+      has_data: bool array of each part, None where all of it has data; not read beyond the first part with data.
+      city: what was read, for the message.
+    """
     if not any(part is None or part.any() for part in has_data):
         names = [city.sources[role] for role in ("buildings", "terrain") if role in city.sources]
         box = transformer(city.crs, WGS84).transform_bounds(*city.known_extent_m)
@@ -196,10 +231,14 @@ def check_has_data(has_data: Iterable[Any], city: City) -> None:
 def build_surface(
     city: City, region: Grid, grid: Grid, all_touched: bool = False, has_guessed: bool = False
 ) -> Surface:
-    """Return the city as rasters on ``grid``, of which ``region`` is the part that maps report.
+    """Return the city as rasters on a grid, with blocks, of which a region is the part that maps report.
 
-    A roof covers the cells whose centre lies in its outline (``all_touched``: every cell that it shares area with);
-    ``has_guessed``: with ``roof_guessed``.
+    Args:
+      city: what stands there.
+      region: a part of ``grid``; blocks, ``roof_touched_m`` and ``roof_guessed`` have its shape.
+      grid: of roofs and terrain.
+      all_touched: a roof covers every cell that its outline shares area with, and not only those whose centre it holds.
+      has_guessed: with ``roof_guessed``, where the height of the roof is guessed.
 
     Raises:
       InputError: the terrain or the height raster does not cover any of the region.
@@ -252,7 +291,9 @@ def burn(
     near = np.flatnonzero(meets(boxes, grid.bounds_m))
     if not near.size:
         return centre, touched
-    # Rings on their own come first: `shapely.to_ragged_array` makes a geometry of every ring, in ten times the time.
+
+    # The rings of all parts, those of polygons of one ring first: `shapely.to_ragged_array` makes a geometry of every
+    # ring, in ten times the time.
     is_single = shapely.get_type_id(polygons[near]) == shapely.GeometryType.POLYGON
     is_single &= shapely.get_num_interior_rings(polygons[near]) == 0
     single = near[is_single]
@@ -260,11 +301,13 @@ def burn(
     parts, owner = shapely.get_parts(polygons[others], return_index=True)
     rings, outline = shapely.get_rings(parts, return_index=True)
     lines = np.append(polygons[single], rings)
-    num_of_parts = np.bincount(outline, minlength=len(parts))
+    num_rings = np.bincount(outline, minlength=len(parts))  # of each part
+
+    # Coordinates in cells, where each ring begins in them, where each part begins in the rings, and each part's value.
     burn_outlines(
         shapely.get_coordinates(lines) / grid.resolution_m,
         _starts(shapely.get_num_coordinates(lines)),
-        _starts(np.append(np.ones(len(single), np.int64), num_of_parts)),
+        _starts(np.append(np.ones(len(single), np.int64), num_rings)),
         values[np.append(single, others[owner])].astype(centre.dtype),
         grid.first_row,
         grid.first_col,
@@ -296,12 +339,17 @@ def burn_hanging(
     Args:
       buildings: of which those with an underside above the ground hang.
       grid: where to burn.
-      roof_m: ``[Y, X]`` float32 roofs of those that stand; raised in place.
+      roof_m: ``[Y, X]`` float32 roofs of the buildings that stand; raised in place.
       terrain_m: ``[Y, X]`` elevation of the ground; None for flat ground.
       all_touched: see above.
+
+    Returns:
+      One slab for each subcell that something hangs over, in the order of cells and floors.
     """
     is_near = meets(buildings.boxes_m.T, grid.bounds_m)
     finer = grid.refined(PER_CELL)
+
+    # The subcells under each outline, and its floor and top at each of them; the empty arrays stand for no outline.
     places = [np.empty((2, 0), np.int64)]
     heights = [np.empty((2, 0), np.float32)]
     for i in np.flatnonzero(is_near & (buildings.min_height_m > 0)):
@@ -311,19 +359,27 @@ def burn_hanging(
         places.append(cells + np.array([[window.first_row], [window.first_col]]))
         ends_m = np.array([[buildings.min_height_m[i]], [buildings.height_m[i]]], np.float32)
         heights.append(np.broadcast_to(ends_m, cells.shape))
+
+    # In the order of the cells that they lie in, from the lowest floor up, as `settle` takes them.
     row, col = np.concatenate(places, axis=1)
     floor_m, top_m = np.concatenate(heights, axis=1)
     cell = (row // PER_CELL - grid.first_row) * grid.num_cols + col // PER_CELL - grid.first_col
     order = np.lexsort((floor_m, cell))
     row, col, cell, floor_m, top_m = (values[order] for values in (row, col, cell, floor_m, top_m))
-    is_of_cell = (row % PER_CELL == PER_CELL // 2) & (col % PER_CELL == PER_CELL // 2) | all_touched
+
+    # A cell is under a slab where the slab covers the subcell in its middle (``all_touched``: any of its subcells).
+    is_middle = (row % PER_CELL == PER_CELL // 2) & (col % PER_CELL == PER_CELL // 2)
+    is_of_cell = is_middle | all_touched
     hangs = settle(roof_m.reshape(-1), cell, floor_m, top_m, is_of_cell)
     ground_m = np.zeros(len(cell), np.float32) if terrain_m is None else terrain_m.reshape(-1)[cell]
     return Slabs(row, col, floor_m, top_m, ground_m, is_of_cell).take(hangs)
 
 
 def _window(grid: Grid, box_m: np.ndarray) -> Grid:
-    """Return the part of a grid around a box, which meets it, with a cell more on each side."""
+    """Return the part of a grid around a box, with a cell more on each side as far as the grid reaches.
+
+    The box is x_min, y_min, x_max, y_max in metres in the grid's CRS, and must touch the grid.
+    """
     west, south, east, north = box_m / grid.resolution_m
     first_row = max(math.floor(south) - 1, grid.first_row)
     first_col = max(math.floor(west) - 1, grid.first_col)
@@ -362,7 +418,7 @@ def bands_of(
 def _bands(
     name: str, layer: Layer, region: Grid, altitudes_m: Sequence[float], folder: Path
 ) -> Bands:
-    """Return the bands of one layer, see `bands_of`."""
+    """Return the bands of one layer: one for each flight altitude, or one for all. See `bands_of`."""
     bands: Sequence[Raster | np.ndarray]
     if isinstance(layer.source, str):
         from jaxurban.io.read.raster import read_bands  # GDAL loads for files alone
@@ -378,6 +434,7 @@ def _bands(
         )
     if layer.altitudes_m is None:
         return tuple(bands)
+
     band_at: dict[float, Any] = dict(zip(layer.altitudes_m, bands, strict=True))
     missing_m = [z_m for z_m in altitudes_m if z_m not in band_at]
     if missing_m:
@@ -390,7 +447,16 @@ def _bands(
 
 
 def _bands_of_array(name: str, source: Any, region: Grid) -> list[np.ndarray]:
-    """Return the bands of an array ``[Y, X]`` or ``[A, Y, X]``, float32, NaN where it holds no finite value."""
+    """Return the bands of an array ``[Y, X]`` or ``[A, Y, X]``, each ``[Y, X]`` float32, NaN without a finite value.
+
+    Args:
+      name: of the layer, for messages.
+      source: anything that NumPy makes an array of.
+      region: grid of the maps.
+
+    Raises:
+      InputError: it does not hold real numbers, or has another shape than the maps.
+    """
     array = np.ma.asarray(source)  # what is masked holds no value
     if array.dtype.kind not in "biuf":
         raise InputError(f"layer {name!r} must be an array of real numbers, got {array.dtype}")

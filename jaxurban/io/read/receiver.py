@@ -132,10 +132,12 @@ def read_track(file: str | Path) -> pd.DataFrame:
 
 
 def log_of(table: pd.DataFrame, name: str) -> ReceiverLog:
-    """Return the log that a table holds, see `read_receiver_log`; ``name`` is that of its file."""
+    """Return the log that a table holds; columns and errors as of `read_receiver_log`, ``name`` is that of its file."""
     what = f"the receiver log {name!r}"
     table = renamed(table, OTHER_NAMES)
     has_satellites = SATELLITE in table and CN0 in table
+
+    # Time and place, and one column at least of what was received.
     columns = (UTC, LON, LAT, *WITNESSES, *(OF_SATELLITES if has_satellites else ()))
     known = [column for column in columns if column in table]
     if known[:3] != [UTC, LON, LAT] or len(known) == 3 or table.empty:
@@ -148,6 +150,7 @@ def log_of(table: pd.DataFrame, name: str) -> ReceiverLog:
         raise InputError(
             f"{what} has {len(table):,} rows, more than the {MOST_ROWS:,} that are read: {thin}"
         )
+
     table = checked(table, known, what)
     if has_satellites:
         return ReceiverLog(name, *_by_satellite(table, what))
@@ -163,7 +166,16 @@ def renamed(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
 
 
 def checked(table: pd.DataFrame, columns: Sequence[str], what: str) -> pd.DataFrame:
-    """Return columns of a table as times and numbers; ``what`` begins the sentence that says what is wrong."""
+    """Return columns of a table as times in UTC, numbers in float64, and others as they stand.
+
+    Args:
+      table: with all of the columns.
+      columns: to return, in this order.
+      what: names the table, and begins the message of an error.
+
+    Raises:
+      InputError: a column that is there twice, an invalid time, a number out of `RANGES`, or values of another unit.
+    """
     for column in columns:
         if (table.columns == column).sum() > 1:
             raise InputError(f"{what} has two columns {column}: keep one")
@@ -176,7 +188,15 @@ def checked(table: pd.DataFrame, columns: Sequence[str], what: str) -> pd.DataFr
 
 
 def _by_satellite(table: pd.DataFrame, what: str) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the epochs and the satellites of a table with a row per satellite."""
+    """Return the tables ``epochs`` and ``satellites`` of a `ReceiverLog` from a table with a row per satellite.
+
+    Args:
+      table: as from `checked`.
+      what: names the table, and begins the message of an error.
+
+    Raises:
+      InputError: an azimuth without elevation, an invalid name, two rows of one satellite or two places at one time.
+    """
     if (AZIMUTH in table) != (ELEVATION in table):
         raise InputError(
             f"{what} has one of the columns {AZIMUTH} and {ELEVATION}: give both, or none"
@@ -200,16 +220,29 @@ def _by_satellite(table: pd.DataFrame, what: str) -> tuple[pd.DataFrame, pd.Data
 
 
 def _check_once(table: pd.DataFrame, key: list[str], what: str, twice: str, remedy: str) -> None:
-    """Raise InputError where two rows have one key."""
+    """Raise InputError where two rows have one key.
+
+    Args:
+      table: with a column of times.
+      key: columns that name a row together.
+      what: names the table, and begins the message.
+      twice: what there are two of, for the message.
+      remedy: of what to keep one, and for what.
+    """
     is_second = table.duplicated(key)
     if is_second.any():
         row = table[is_second].iloc[0]
-        of = f" of {row[SATELLITE]}" if SATELLITE in key else ""
-        raise InputError(f"{what} has two {twice}{of} at {row[UTC].isoformat()}: keep one {remedy}")
+        whose = f" of {row[SATELLITE]}" if SATELLITE in key else ""
+        raise InputError(
+            f"{what} has two {twice}{whose} at {row[UTC].isoformat()}: keep one {remedy}"
+        )
 
 
 def _check_units(table: pd.DataFrame, what: str) -> None:
-    """Raise InputError where all values of a column are as small as they are in another unit."""
+    """Raise InputError where all values of a column are as small as they would be in another unit (`OTHER_UNITS`).
+
+    Columns that are all 0 pass. ``what`` begins the message.
+    """
     for bounds, unit, needed in OTHER_UNITS:
         columns = [column for column in bounds if column in table]
         largest = {column: float(table[column].abs().max()) for column in columns}
@@ -226,7 +259,13 @@ def _check_units(table: pd.DataFrame, what: str) -> None:
 def _by_text(
     column: pd.Series, read: Callable[[pd.Series, str], pd.Series], what: str
 ) -> pd.Series:
-    """Return what a column's values are read as, each value once: a log repeats a time for every satellite."""
+    """Return a column as ``read`` reads it from texts or times; each value is read once, as a log repeats many.
+
+    Args:
+      column: ``[N]`` of any kind.
+      read: takes the distinct values and ``what``, and returns what they are read as.
+      what: names the table, for messages.
+    """
     is_compact = isinstance(column.dtype, pd.DatetimeTZDtype | pd.CategoricalDtype)
     numbers, values = pd.factorize(
         column if is_compact else column.astype(str), use_na_sentinel=False
@@ -235,7 +274,7 @@ def _by_text(
 
 
 def _satellites(column: pd.Series, what: str) -> pd.Series:
-    """Return names of satellites as a category."""
+    """Return names of satellites as a category; InputError, which begins with ``what``, of what is no RINEX 3 name."""
     names = column.astype(str).str.strip()
     is_wrong = ~names.str.fullmatch(RINEX_NAME, na=False)
     if is_wrong.any():
@@ -247,7 +286,11 @@ def _satellites(column: pd.Series, what: str) -> pd.Series:
 
 
 def _times(column: pd.Series, what: str) -> pd.Series:
-    """Return times in UTC; text must say its zone, and so must the times of a Parquet file."""
+    """Return times in UTC; text must say its zone, and so must the times of a Parquet file.
+
+    Raises:
+      InputError: a value that is no time, or without a zone; ``what`` begins the message.
+    """
     texts = column.astype(str).str.strip()
     if isinstance(column.dtype, pd.DatetimeTZDtype):
         times = column.dt.tz_convert("UTC")
@@ -265,7 +308,13 @@ def _times(column: pd.Series, what: str) -> pd.Series:
 
 
 def _numbers(column: pd.Series, what: str) -> pd.Series:
-    """Return a column of numbers, NaN where a receiver gave none; no place may lack any, nor all of a witness."""
+    """Return a column of numbers as float64.
+
+    Only columns of `WITNESSES` may lack values, not all of them; these are NaN.
+
+    Raises:
+      InputError: a value that is no number or out of the column's range; ``what`` begins the message.
+    """
     low, high = RANGES[str(column.name)]
     values = pd.to_numeric(column, errors="coerce").astype(float)
     may_lack = column.name in WITNESSES and bool(column.notna().any())

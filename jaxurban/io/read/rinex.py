@@ -82,24 +82,29 @@ def read_rinex(
     """
     messages = Messages(navigation)
     track = read_track(reference, messages.leap_s)
-    observed_s, strengths, heard = _strengths(observations)
-    known_s = messages.seconds_of(track[UTC])
-    away_s, nearest = KDTree(observed_s[:, None]).query(known_s[:, None])
+    observed_s, strengths, letters = _strengths(observations)
+
+    # Pair each observation with the nearest row of the track.
+    track_s = messages.seconds_of(track[UTC])
+    away_s, nearest = KDTree(observed_s[:, None]).query(track_s[:, None])
     pairs = pd.DataFrame({"observation": nearest, "away_s": away_s})
     pairs = pairs[pairs.away_s <= MATCH_S].sort_values("away_s")
     pairs = pairs.drop_duplicates("observation").sort_index()
     if pairs.empty:
-        late_s = known_s.min() - observed_s.min()
+        late_s = track_s.min() - observed_s.min()
         raise InputError(
             f"the reference track and the observations {str(observations)!r} have no epoch in common, within "
             f"{MATCH_S:g} s: the track begins {late_s:+.3f} s after them, and that of the same drive is needed"
         )
     track = track.iloc[pairs.index].reset_index(drop=True)
     track = track.assign(observation=pairs.observation.to_numpy())
+
+    # A row for each satellite above the horizon, of systems whose C/N0 the file has.
     angles = messages.angles(track)
-    is_heard = angles[SATELLITE].str[0].isin(heard)
+    is_heard = angles[SATELLITE].str[0].isin(letters)
     rows = angles[is_heard & (angles[ELEVATION] >= LOWEST_DEG)].join(track, on=EPOCH)
     rows = rows.merge(strengths, "left", ["observation", SATELLITE]).fillna({CN0: 0.0})
+
     left_out = messages.left_out(set(angles[SATELLITE]), set(strengths[SATELLITE]))
     left_out |= dict.fromkeys(
         angles[SATELLITE][~is_heard], "no C/N0 of L1, E1 or B1 in the observations"
@@ -108,7 +113,7 @@ def read_rinex(
 
 
 def read_track(reference: str | Path | pd.DataFrame, leap_s: float) -> pd.DataFrame:
-    """Return the rows ``utc``, ``lon_deg``, ``lat_deg`` and ``height_m`` of a reference track.
+    """Return the columns ``utc``, ``lon_deg``, ``lat_deg`` and ``height_m`` of a reference track.
 
     Its columns are named so, or ``lon``, ``longitude_deg``, ``lat``, ``latitude_deg``, ``ellipsoid_height_m``, and for
     the time ``gps_week`` (not modulo 1024) and ``gps_tow_s``. Capital letters, blanks and brackets do not matter:
@@ -144,10 +149,15 @@ def read_track(reference: str | Path | pd.DataFrame, leap_s: float) -> pd.DataFr
 
 
 class Messages:
-    """The navigation messages of a file: where satellites stand, as they say themselves."""
+    """The navigation messages of a file, by which satellites say themselves where they stand.
+
+    Attributes:
+      name: of the file.
+      leap_s: seconds that GPS time is ahead of UTC, by the file.
+    """
 
     def __init__(self, navigation: str | Path) -> None:
-        """Read a file.
+        """Read a file of navigation messages.
 
         Raises:
           InputError: no RINEX 3 or 4 navigation file, one that is cut, or without leap seconds.
@@ -173,7 +183,7 @@ class Messages:
         self.leap_s = float(self._ephemeris.leap_seconds)
 
     def seconds_of(self, utc: pd.Series) -> np.ndarray:
-        """Return GPS time as seconds since J2000."""
+        """Return times in UTC as seconds of GPS time since J2000, ``[N]`` float64."""
         return ((utc - J2000) / pd.Timedelta(seconds=1)).to_numpy() + self.leap_s
 
     def angles(self, track: pd.DataFrame) -> pd.DataFrame:
@@ -191,6 +201,7 @@ class Messages:
         )
         times_s = self.seconds_of(track[UTC]).tolist()
         names = np.array(sorted({record.satellite for record in self._records}))
+        # Azimuth and elevation by epoch and satellite, NaN without a message.
         angles_deg = np.full((len(track), len(names), 2), np.nan)
         for s, name in enumerate(names.tolist()):
             for epoch, time_s in enumerate(times_s):
@@ -201,19 +212,25 @@ class Messages:
                 except self._sidereon.SolveError:
                     continue
                 angles_deg[epoch, s] = seen.azimuth_deg, seen.elevation_deg
-        epochs, numbers = np.nonzero(np.isfinite(angles_deg[..., 1]))
-        azimuth_deg, elevation_deg = angles_deg[epochs, numbers].T
+
+        epochs, satellites = np.nonzero(np.isfinite(angles_deg[..., 1]))
+        azimuth_deg, elevation_deg = angles_deg[epochs, satellites].T
         columns = {
             EPOCH: epochs,
-            SATELLITE: names[numbers],
+            SATELLITE: names[satellites],
             AZIMUTH: azimuth_deg,
             ELEVATION: elevation_deg,
         }
         return pd.DataFrame(columns)
 
     def left_out(self, placed: set[str], received: set[str]) -> dict[str, str]:
-        """Return the satellites that were received or have messages, but stand nowhere, and the reason of each."""
-        flags: dict[str, set[int]] = {}
+        """Return why satellites that were received or have messages have no place: a reason by name.
+
+        Args:
+          placed: satellites that have a place at some time.
+          received: satellites that were received.
+        """
+        flags: dict[str, set[int]] = {}  # of health, 0 where it is good
         for record in self._records:
             flags.setdefault(record.satellite, set()).add(int(record.sv_health))
         reasons = {}
@@ -226,7 +243,15 @@ class Messages:
 
 
 def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, list[str]]:
-    """Return epochs in GPS seconds since J2000, rows of C/N0, and the letters of the systems that have any."""
+    """Return the epochs and the strengths of signals in a file of observations.
+
+    Returns:
+      ``[N]`` epochs in seconds of GPS time since J2000; a table of ``observation`` (its epoch's number), ``satellite``
+      and ``cn0_dbhz``, the strongest of `BANDS`; and the letters of the systems that have a C/N0.
+
+    Raises:
+      InputError: no RINEX 3 or 4 observation file, one that is cut, not in GPS time, without C/N0 or observations.
+    """
     sidereon = _library()
     data = _text(observations, "O", "observation").encode()
     with _whole(sidereon, observations, "observation"):
@@ -238,6 +263,8 @@ def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, list
         raise InputError(
             f"{what} counts in {scale}, and only GPS time is read: convert it to a file of GPS time"
         )
+
+    # The observables of C/N0 that each system has in its band.
     codes = []
     for system in file.header.systems:
         bands = BANDS.get(system.letter, ("S1",))
@@ -249,28 +276,38 @@ def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, list
             f"{what} has no C/N0 of L1, E1 or B1 (S1C, S2I ...): write it with these observables"
         )
     only = sidereon.ObservationFilter(codes)
-    times: list[float] = []
+    times_s: list[float] = []
     names: list[str] = []
     values: list[np.ndarray] = []
     for number, epoch in enumerate(file.epochs):
-        if epoch.flag >= EVENTS or epoch.epoch is None:
+        time = epoch.epoch
+        if epoch.flag >= EVENTS or time is None:
             continue
-        at = epoch.epoch
-        minute = pd.Timestamp(at.year, at.month, at.day, at.hour, at.minute, tz="UTC")
+        minute = pd.Timestamp(time.year, time.month, time.day, time.hour, time.minute, tz="UTC")
         series = file.observation_values(number, only)
         names += series.satellites
         values.append(series.values)
-        times.append((minute - J2000).total_seconds() + at.second)
-    if not times:
+        times_s.append((minute - J2000).total_seconds() + time.second)  # with its fraction
+    if not times_s:
         raise InputError(f"{what} holds no observation: name another file")
-    observation = np.repeat(np.arange(len(times)), [len(each) for each in values])
+
+    observation = np.repeat(np.arange(len(times_s)), list(map(len, values)))
     rows = pd.DataFrame({"observation": observation, SATELLITE: names, CN0: np.concatenate(values)})
     strongest = rows.dropna().groupby(["observation", SATELLITE], as_index=False).max()
-    return np.array(times), strongest, [system.letter for system, _ in codes]
+    return np.array(times_s), strongest, [system.letter for system, _ in codes]
 
 
 def _text(file: str | Path, letter: str, kind: str) -> str:
-    """Return the text of a RINEX file of a type; comments may be in any encoding."""
+    """Return the text of a RINEX file; comments may be in any encoding.
+
+    Args:
+      file: its path.
+      letter: of its type in the first line, ``"O"`` or ``"N"``.
+      kind: the same in a word, for messages.
+
+    Raises:
+      InputError: it cannot be read, is not of this type in RINEX 3 or 4, or ends within a line.
+    """
     what = f"the {kind} file {str(file)!r}"
     remedy = f"name the receiver's {kind} file as RINEX 3 (RTKLIB's convbin writes both)"
     with readable(file, "text", remedy, what=what):
@@ -286,12 +323,14 @@ def _text(file: str | Path, letter: str, kind: str) -> str:
 
 
 def _whole(sidereon: ModuleType, file: str | Path, kind: str) -> Any:
+    """Return a context in which errors of sidereon become the InputError that a file of this kind is damaged."""
     return readable(
         file, "RINEX", AGAIN, sidereon.SidereonError, what=f"the {kind} file {str(file)!r}"
     )
 
 
 def _library() -> ModuleType:
+    """Return sidereon; InputError where it is not installed."""
     try:
         import sidereon
     except ImportError as error:

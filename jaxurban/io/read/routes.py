@@ -48,6 +48,9 @@ def read_routes(file: str | Path) -> list[Route]:
 
     Segments that jaxurban wrote beside a route, for its report, are left out.
 
+    Warns:
+      SkippedRouteWarning: features that are no lines of finite places, and are left out.
+
     Raises:
       InputError: no such file, no line in it, or an altitude that is not a number.
     """
@@ -55,16 +58,21 @@ def read_routes(file: str | Path) -> list[Route]:
     num_others = 0
     layers = (frame.to_crs("EPSG:4326") for frame in open_layers(file, "routes"))
     features = (row for frame in layers for _, row in frame.iterrows())
-    for number, row in enumerate(features, start=1):
+    for number, row in enumerate(features, start=1):  # through all layers
         is_finite = np.isfinite(shapely.get_coordinates(row.geometry)).all()
         if shapely.get_type_id(row.geometry) not in LINES or not is_finite:
             num_others += 1
             continue
         if not pd.isna(row.get(SEGMENT_PROPERTY)):
             continue
+
+        # Properties of the feature win over the settings of jaxurban's own.
         settings = _settings(row)
         facts = settings | {key: row[key] for key in PROPERTIES if not pd.isna(row.get(key))}
         facts.setdefault("name", row.get("Name"))  # of KML
+        time_of_day = facts.get(TIME_OF_DAY_PROPERTY)
+        time = facts.get(TIME_PROPERTY)
+
         parts = [part for part in shapely.get_parts(row.geometry) if part.length > 0]
         for part_number, part in enumerate(parts, start=1):
             name = str(facts.get("name") or number)
@@ -75,8 +83,9 @@ def read_routes(file: str | Path) -> list[Route]:
                 altitude_m = finite(
                     f"{ALTITUDE_PROPERTY} of route {name!r} of {str(file)!r}", altitude_m, "metres"
                 )
-            times = (facts.get(TIME_OF_DAY_PROPERTY), facts.get(TIME_PROPERTY))
-            routes.append(Route(shapely.get_coordinates(part), name, altitude_m, *times, settings))
+            lonlat = shapely.get_coordinates(part)
+            routes.append(Route(lonlat, name, altitude_m, time_of_day, time, settings))
+
     if not routes:
         raise InputError(
             f"{str(file)!r} holds no line of finite places: give routes as LineString features"
@@ -90,7 +99,10 @@ def read_routes(file: str | Path) -> list[Route]:
 
 
 def _settings(row: Any) -> dict[str, Any]:
-    """Return what jaxurban's own paths keep under ``settings``, an object or its text."""
+    """Return the ``settings`` of a feature, which jaxurban's own paths have as an object or its JSON text.
+
+    They are empty where it has none, or where they cannot be read.
+    """
     settings = row.get("settings")
     if isinstance(settings, str):
         with suppress(ValueError, RecursionError):

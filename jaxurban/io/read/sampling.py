@@ -41,14 +41,14 @@ def resample_raster(raster: Raster, grid: Grid, method: Resampling = "nearest") 
         that overlap the cell: for heights on the cautious side. ``"bilinear"``, between pixel centres: for terrain;
         pixels without data get no weight, and the result is NaN where the pixel that holds the centre has none.
     """
-    # The centre, or the corners, once around the cell.
-    points = (
-        [(-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5)] if method == "max" else [(0.0, 0.0)]
-    )
+    # The cell's centre, or its corners, once around; in cells from the centre, up and to the right.
+    points = [(0.0, 0.0)]
+    if method == "max":
+        points = [(-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5)]
     values = np.full(grid.shape, np.nan, np.float32)
     for start in range(0, grid.num_rows, _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
-        row, col = np.empty((2, len(points), *values[rows].shape))
+        row, col = np.empty((2, len(points), *values[rows].shape))  # of the file
         for i, (up, right) in enumerate(points):
             x_m, y_m = np.meshgrid(
                 grid.x_m + right * grid.resolution_m, grid.y_m[rows] + up * grid.resolution_m
@@ -64,12 +64,12 @@ def resample_raster(raster: Raster, grid: Grid, method: Resampling = "nearest") 
 def values_at(
     raster: Raster, x: np.ndarray, y: np.ndarray, crs: str, method: Resampling
 ) -> np.ndarray:
-    """Return a raster's values at places in ``crs``, in their shape, as `resample_raster` takes those of cells.
+    """Return a raster's values at places, NaN where it has none, as `resample_raster` takes them at cells' centres.
 
     Args:
-      raster: what `read_raster` gave.
-      x, y: of the places.
-      crs: of the places.
+      raster: from `jaxurban.io.read.raster.read_raster`.
+      x, y: coordinates of the places in ``crs``, arrays of one shape, which is that of the result.
+      crs: any that pyproj knows.
       method: ``"nearest"`` or ``"bilinear"``.
     """
     return SAMPLERS[method](raster, *_pixel_at(raster, x, y, crs))
@@ -78,27 +78,33 @@ def values_at(
 def _pixel_at(
     raster: Raster, x: np.ndarray, y: np.ndarray, crs: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the file's rows and columns of places in ``crs``, infinite beyond a projection's reach."""
+    """Return rows and columns, with fractions, of places in ``crs``, counted in the whole file of a raster.
+
+    A pixel's centre is at a half. They are infinite beyond a projection's reach.
+    """
     with np.errstate(invalid="ignore"):
-        place = transformer(crs, raster.crs).transform(x, y)
-        col, row = transformed(~Affine(*raster.transform), *place)
+        x, y = transformer(crs, raster.crs).transform(x, y)
+        col, row = transformed(~Affine(*raster.transform), x, y)
     return row, col
 
 
 def pixel_xy(
     raster: Raster, row: np.ndarray, col: np.ndarray, crs: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the coordinates in ``crs`` of places in a raster, by rows and columns of its values (0.5: a centre)."""
+    """Return the coordinates in ``crs``, x and y, of places in a raster.
+
+    The places are given by rows and columns of its values, arrays of one shape; the first pixel's centre is 0.5, 0.5.
+    """
     x, y = transformed(Affine(*raster.transform), col + raster.first_col, row + raster.first_row)
     return transformer(raster.crs, crs).transform(x, y)
 
 
 def heights_above(surface: Raster, ground: Raster) -> Raster:
-    """Return a surface's height above the ground, on the surface's pixels; NaN where either is not known.
+    """Return a surface's height above the ground on the surface's pixels, float32 metres; NaN where either is unknown.
 
     Args:
-      surface: elevation of roofs, trees and bare ground.
-      ground: elevation of the ground, on any grid and in any CRS; taken between its pixel centres.
+      surface: elevation of roofs, trees and bare ground, metres.
+      ground: elevation of the ground, metres, on any grid and in any CRS; interpolated between its pixel centres.
     """
     num_rows, num_cols = surface.values.shape
     to_pixel = ~Affine(*ground.transform)
@@ -115,25 +121,32 @@ def heights_above(surface: Raster, ground: Raster) -> Raster:
 
 
 def _pixels(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """Return the values of pixels by the file's whole rows and columns, NaN outside the raster (float64)."""
+    """Return the values of pixels, float64, NaN outside the raster.
+
+    The pixels are given by rows and columns of the whole file: whole numbers as floats, in arrays of one shape, as the
+    result. Infinite ones and NaN are outside.
+    """
     row = row - raster.first_row
     col = col - raster.first_col
-    # Written this way round so that a coordinate that PROJ could not transform (infinite) is outside.
-    is_inside = (
-        (row >= 0) & (row < raster.values.shape[0]) & (col >= 0) & (col < raster.values.shape[1])
-    )
+    num_rows, num_cols = raster.values.shape
+    is_inside = (row >= 0) & (row < num_rows) & (col >= 0) & (col < num_cols)
     values = np.full(row.shape, np.nan)
-    values[is_inside] = raster.values[
-        row[is_inside].astype(np.intp), col[is_inside].astype(np.intp)
-    ]
+    pixels = row[is_inside].astype(np.intp), col[is_inside].astype(np.intp)
+    values[is_inside] = raster.values[pixels]
     return values
 
 
 def _nearest(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """Return the highest of the pixels that hold a point: one, or up to four where it lies on their border."""
+    """Return the highest of the pixels that hold each point: one, or up to four where it lies on their border.
+
+    Args:
+      raster: the pixels.
+      row, col: of the points in the whole file, with fractions, arrays of one shape.
+    """
     values = _pixels(raster, np.floor(row), np.floor(col))
     with np.errstate(invalid="ignore"):
         is_tied = (np.abs(row - np.round(row)) < _EDGE) | (np.abs(col - np.round(col)) < _EDGE)
+    # Of a point on a border, or so near to it that rounding may have moved it across, the pixels on all sides.
     for down, right in itertools.product((-_EDGE, _EDGE), repeat=2):
         pixel = _pixels(raster, np.floor(row[is_tied] + down), np.floor(col[is_tied] + right))
         values[is_tied] = np.fmax(values[is_tied], pixel)
@@ -141,20 +154,29 @@ def _nearest(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
 
 
 def _highest(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """Return the highest of all pixels that overlap cells, given the rows and columns of their corners, once around.
+    """Return the highest of all pixels that overlap each cell, ``[Y, X]``, NaN where none has data.
 
-    Two convex shapes are apart where a line along a side of one of them has them on its two sides.
+    The pixels of a box around each cell are gone through, the same place in all boxes at once. Two convex shapes are
+    apart where a line along a side of one of them has them on its two sides: of the pixel's sides the box decides, of
+    the cell's the loop over its corners.
+
+    Args:
+      raster: the pixels.
+      row, col: ``[4, Y, X]`` of the cells' corners, once around, in the whole file, with fractions.
     """
-    low_row, low_col = (np.floor(v.min(axis=0) + _EDGE) for v in (row, col))
-    end_row, end_col = (np.ceil(v.max(axis=0) - _EDGE) for v in (row, col))
-    along_row = np.roll(row, -1, 0) - row
-    along_col = np.roll(col, -1, 0) - col
-    # Which way the corners go around.
-    turn = np.sign(along_col[0] * along_row[1] - along_row[0] * along_col[1])
-    values = np.full(low_row.shape, np.nan)
+    # The box of pixels around each cell, from its first row and column to before its end.
+    low_row, low_col = (np.floor(part.min(axis=0) + _EDGE) for part in (row, col))
+    end_row, end_col = (np.ceil(part.max(axis=0) - _EDGE) for part in (row, col))
     counts = np.stack([end_row - low_row, end_col - low_col]).reshape(2, -1)
     most = np.max(counts, axis=1, where=np.isfinite(counts), initial=0.0)
     num_rows, num_cols = most.astype(int)
+
+    # The cell's sides, from each corner to the next, and whether the corners go round one way (1) or the other (-1).
+    along_row = np.roll(row, -1, 0) - row
+    along_col = np.roll(col, -1, 0) - col
+    turn = np.sign(along_col[0] * along_row[1] - along_row[0] * along_col[1])
+
+    values = np.full(low_row.shape, np.nan)
     for down, right in itertools.product(range(num_rows), range(num_cols)):
         pixel_row = low_row + down
         pixel_col = low_col + right
@@ -162,20 +184,28 @@ def _highest(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
         for side_row, side_col, from_row, from_col in zip(
             along_row, along_col, row, col, strict=True
         ):
+            # How far the pixel's centre is inside of this side, and how far its corners are from the centre; both are
+            # measured across the side and multiplied by its length.
             inward = turn * (
                 side_col * (pixel_row + 0.5 - from_row) - side_row * (pixel_col + 0.5 - from_col)
             )
-            # Of the pixel's corners from its centre.
             reach = (np.abs(side_row) + np.abs(side_col)) / 2
             overlaps &= inward + reach > _EDGE * np.hypot(side_row, side_col)
-        values[overlaps] = np.fmax(
-            values[overlaps], _pixels(raster, pixel_row[overlaps], pixel_col[overlaps])
-        )
+        pixel = _pixels(raster, pixel_row[overlaps], pixel_col[overlaps])
+        values[overlaps] = np.fmax(values[overlaps], pixel)
     return values
 
 
 def _bilinear(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """Return the means of the four pixels around each place, by their areas; NaN where its own pixel has no data."""
+    """Return the means of the four pixels around each place, weighted by how near their centres are.
+
+    Pixels without data have no weight, and the mean is NaN where the pixel that holds the place has none.
+
+    Args:
+      raster: the pixels.
+      row, col: of the places in the whole file, with fractions, arrays of one shape.
+    """
+    # The pixel of the four with the lowest row and column, and how far (0 to 1) the place is from its centre.
     low_row = np.floor(row - 0.5)
     low_col = np.floor(col - 0.5)
     along_row = row - 0.5 - low_row

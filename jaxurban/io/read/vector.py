@@ -51,21 +51,21 @@ REFERRING = (
 HEAD_BYTES = 1 << 16  # GDAL looks at fewer
 ESCAPE = re.compile(rb"\\u00([2-7][0-9a-fA-F])")  # a plain letter of JSON in digits
 LINK = re.compile(rb'"type"\s*:\s*"(link|url)"')  # of a CRS, by the GeoJSON of 2008
-_POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
+POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
 def open_frame(
     path: str | Path, role: str, *, allow_empty: bool = False, near: Near | None = None
 ) -> gpd.GeoDataFrame:
-    """Return the features of a vector file (of a format in `BEGINNINGS`), as they are.
+    """Return the features of a vector file (of a format in `BEGINNINGS`), those without geometry too.
 
-    A ring of too few points becomes an empty place, and no error.
+    A ring of too few points becomes an empty geometry, and no error.
 
     Args:
       path: the file.
       role: what it holds, for messages; the layer of this name is taken where several hold polygons.
       allow_empty: accept a file without a single feature.
-      near: of buildings in GeoPackages and Shapefiles those are left out that are not near this region.
+      near: a region; features of GeoPackages and Shapefiles that are not near it are left out, for buildings only.
 
     Raises:
       InputError: no such file, not a readable vector file, no geometry, no CRS, coordinates beyond the globe though
@@ -93,11 +93,12 @@ def open_layers(path: str | Path, role: str) -> list[gpd.GeoDataFrame]:
 def _read(
     path: str | Path, role: str, *, every_layer: bool = False, near: Near | None = None
 ) -> list[gpd.GeoDataFrame]:
-    """Return the features of the one layer of polygons, or of every layer, checked."""
+    """Return the features of the one layer of polygons, or of every layer, checked; see `open_frame`, `open_layers`."""
     name = f"the {role} file {str(path)!r}"
+    suffix = Path(path).suffix.lower()
     with readable(path, "a vector file", WHOLE, *OF_DAMAGED, what=name):
         _check_format(Path(path))
-        if Path(path).suffix.lower() in PARQUET_SUFFIXES:
+        if suffix in PARQUET_SUFFIXES:
             frames = [_read_parquet(path, for_buildings=role == BUILDINGS)]
         else:
             options: dict[str, Any] = {"on_invalid": "ignore", "fid_as_index": True}
@@ -106,10 +107,12 @@ def _read(
                 layers = [layer for layer, _ in pyogrio.list_layers(path)]
             else:
                 layers = [_polygon_layer(path, role)]
-            if near is not None and Path(path).suffix.lower() in INDEXED_SUFFIXES:
+            if near is not None and suffix in INDEXED_SUFFIXES:
                 options |= _only_near(path, layers[0], near)
             frames = [pyogrio.read_dataframe(path, layer=layer, **options) for layer in layers]
+            # In the order of the file, also where its index gave them in another.
             frames = [frame.sort_index().reset_index(drop=True) for frame in frames]
+
     frames = [frame for frame in frames if isinstance(frame, gpd.GeoDataFrame)]
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
@@ -119,7 +122,10 @@ def _read(
 
 
 def _read_parquet(path: str | Path, *, for_buildings: bool) -> gpd.GeoDataFrame:
-    """Return the features of a GeoParquet file, of buildings with the columns that say something of them alone."""
+    """Return the features of a GeoParquet file, with the facts of its metadata as ``attrs``.
+
+    With ``for_buildings`` only geometries and the columns that say something of buildings are read.
+    """
     import pyarrow.parquet as pq  # imported here: it takes 0.1 s to load, for which other formats need not wait
 
     schema = pq.read_schema(path)
@@ -136,13 +142,18 @@ def _read_parquet(path: str | Path, *, for_buildings: bool) -> gpd.GeoDataFrame:
 
 
 def _check_format(path: Path) -> None:
-    """Raise ValueError unless a file begins as one of its name does (of any format, if its name has no known end).
+    """Check that a file begins as the format of its suffix does, and that it refers to no other file or server.
+
+    A file whose suffix is not in `BEGINNINGS` may be of any of these formats.
 
     Raises:
-      InputError: a folder, or a name of no known end on a file of another format.
+      InputError: a folder, or a file of such another suffix and of none of the formats.
+      ValueError: it does not begin as its suffix says, or refers to others.
     """
     suffix = path.suffix.lower()
-    beginnings = (BEGINNINGS[suffix],) if suffix in BEGINNINGS else tuple(BEGINNINGS.values())
+    beginnings = tuple(BEGINNINGS.values())
+    if suffix in BEGINNINGS:
+        beginnings = (BEGINNINGS[suffix],)
     other = InputError(
         f"{str(path)!r} is of a format that is not read: unpack it, or make a GeoPackage of it with `ogr2ogr`"
     )
@@ -150,13 +161,13 @@ def _check_format(path: Path) -> None:
         raise other
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    if not head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(beginnings):
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()  # without the mark of UTF-8
+    if not text.startswith(beginnings):
         if suffix not in BEGINNINGS:
             raise other
         raise ValueError(f"it does not begin as a {suffix} file does")
-    if any(word in head for word in REFERRING) or (
-        beginnings[0] == b"{" and _links_crs(path.read_bytes())
-    ):
+    may_be_json = beginnings[0] == b"{"
+    if any(word in head for word in REFERRING) or (may_be_json and _links_crs(path.read_bytes())):
         raise ValueError("it refers to other files or servers, which are never opened")
 
 
@@ -195,22 +206,30 @@ def _check(name: str, frame: gpd.GeoDataFrame) -> None:
 
 
 def _only_near(path: str | Path, layer: str, near: Near) -> dict[str, Any]:
-    """Return how pyogrio reads the buildings near a region alone, by the index of the file."""
+    """Return the options by which pyogrio reads the buildings near a region alone, with columns that say something.
+
+    The box is that of all features which touch the region's surroundings, so that with them all is read that touches
+    one of them (see `near_rows`). Without CRS or geometry, or where no box holds the region, there are no options.
+    """
     facts = pyogrio.read_info(path, layer=layer)
     box = near.box_in(facts["crs"]) if facts["crs"] and facts["geometry_type"] else None
     if box is None:
         return {}
     _, sides = pyogrio.read_bounds(path, layer=layer, bbox=box)
-    # With all that touches one of these, see `near_rows`.
-    box = extent_of(sides.T) if sides.size else box
     return {
-        "bbox": box,
+        "bbox": extent_of(sides.T) if sides.size else box,
         "columns": [column for column in facts["fields"] if is_of_buildings(column)],
     }
 
 
 def _polygon_layer(path: str | Path, wanted: str) -> str:
-    """Return the name of the layer of polygons: the only one, the only one of polygons, or ``wanted``."""
+    """Return the name of the layer of polygons in a file.
+
+    It is the only layer, else the only one that may hold polygons, else the one of these that is called ``wanted``.
+
+    Raises:
+      InputError: there is no such layer.
+    """
     layers = {str(layer): str(kind) for layer, kind in pyogrio.list_layers(path)}
     if len(layers) == 1:
         return next(iter(layers))
@@ -249,10 +268,13 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
     box = None if near is None else near.box_in(frame.crs.to_wkt())
     if box is not None:
         frame = frame[near_rows(shapely.bounds(frame.geometry.to_numpy()), box)]
+
+    # Polygons, also those in collections, and places where a geometry is missing.
     shapes = np.array(frame.geometry, object)
     is_mixed = shapely.get_type_id(shapes) == shapely.GeometryType.GEOMETRYCOLLECTION
     shapes[is_mixed] = [polygonal(shape) for shape in shapes[is_mixed]]
-    is_polygon = np.isin(shapely.get_type_id(shapes), _POLYGONS) | shapely.is_missing(shapes)
+    is_polygon = np.isin(shapely.get_type_id(shapes), POLYGONS) | shapely.is_missing(shapes)
+
     names = filter(is_of_buildings, frame)
     columns = {name: _values(frame.loc[is_polygon, name]) for name in names}
     issues = {ReadIssue(name): count for name, count in facts.get("issues", {}).items()}
@@ -269,9 +291,10 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
 
 
 def _scalar(value: Any) -> Any:
-    """Return a property, a list or a table as its JSON text, which is no number."""
+    """Return the value of a property; a list, a table or an array as its JSON text, so that no number is read of it."""
     if not isinstance(value, list | dict | tuple | np.ndarray):
         return value
+    # What JSON cannot hold becomes a list or a text.
     return json.dumps(
         value, default=lambda inner: inner.tolist() if isinstance(inner, np.ndarray) else str(inner)
     )

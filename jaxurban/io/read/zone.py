@@ -47,6 +47,7 @@ class Zone:
     end: datetime | None = None
 
     def __post_init__(self) -> None:
+        """Check the attributes; InputError as of the class."""
         if (
             not isinstance(self.polygon, (shapely.Polygon, shapely.MultiPolygon))
             or self.polygon.is_empty
@@ -66,7 +67,7 @@ class Zone:
 
     @property
     def outline(self) -> str:
-        """What stands for the outline, its CRS and its times: a hash that differs where they do."""
+        """16 hexadecimal digits that stand for the outline, its CRS and its times, and differ where these do."""
         when = f" {self.start} {self.end}" if self.start or self.end else ""
         return hashlib.sha256(
             f"{self.crs} {shapely.to_wkb(self.polygon, hex=True)}{when}".encode()
@@ -84,13 +85,16 @@ class Zone:
         return f"from {low} " + ("up" if np.isinf(self.ceiling_m) else f"to {self.ceiling_m:g} m")
 
     def is_in_force(self, time: datetime) -> bool:
-        """Whether the zone is in force at a time (with its offset) or within `FLIGHT` after it."""
+        """Return whether the zone is in force at a time (with its offset) or within `FLIGHT` after it."""
         return (self.end is None or time <= self.end) and (
             self.start is None or self.start - time <= FLIGHT
         )
 
     def _seen_in(self, box: shapely.Geometry) -> list[shapely.Geometry]:
-        """Return the outline, once more a turn on and a turn back where it or a box reaches across the antimeridian."""
+        """Return the outline; where it or a box reaches across the antimeridian, also a turn (360 degrees) on and back.
+
+        The box is in the CRS of the outline; in a projected CRS there is only the outline.
+        """
         lons = (self.polygon.bounds[0], self.polygon.bounds[2], box.bounds[0], box.bounds[2])
         if (
             max(map(abs, lons)) <= TURN / 2
@@ -100,7 +104,8 @@ class Zone:
         return [affinity.translate(self.polygon, turn) for turn in (-TURN, 0.0, TURN)]
 
     def on(self, grid: Grid) -> shapely.Geometry:
-        """Return the part of the zone near a grid, in the grid's CRS; empty where it is elsewhere."""
+        """Return the part of the zone near a grid, valid polygons in the grid's CRS; empty where it is elsewhere."""
+        # A box around the grid in the zone's CRS, 1 % of its sides wider, and the outline in it.
         to_file = transformer(grid.crs, self.crs)
         west, south, east, north = to_file.transform_bounds(*grid.bounds_m, densify_pts=21)
         east += TURN * (west > east)  # where the grid lies across the antimeridian
@@ -109,6 +114,8 @@ class Zone:
         polygon = polygonal(
             shapely.union_all([shapely.intersection(seen, box) for seen in self._seen_in(box)])
         )
+
+        # Edges are straight in the zone's CRS and bend in the grid's, so they are cut before.
         crs = pyproj.CRS.from_user_input(self.crs)
         unit_m = METRES_PER_DEGREE if crs.is_geographic else crs.axis_info[0].unit_conversion_factor
         project = transformer(self.crs, grid.crs)
@@ -121,8 +128,9 @@ class Zone:
 def touched_cells(polygon: shapely.Geometry, grid: Grid) -> np.ndarray:
     """Return ``[Y, X]`` bool: cells that share at least a point with a polygon in the grid's CRS, borders included.
 
-    Burning leaves out cells that share only a border or a corner: those around what it burns are looked at one by one
-    (GEOS's robust predicates).
+    Burning leaves out cells that share only a border or a corner: the cells around what it burns are looked at one by
+    one (GEOS's robust predicates). It is done on a grid that is wider by a cell on each side, as a polygon beyond the
+    grid may touch its border.
     """
     wider = grid.padded(1, 1, 1, 1)
     closed = burn(np.array([polygon]), np.ones(1), wider, 0.0, "uint8")[1] == 1
