@@ -54,8 +54,8 @@ study = savable(computed.study, BenchmarkResult)
 def tables_of(result: computed.BenchmarkResult) -> dict[str, pd.DataFrame]:
     """Return the tables of a study by name.
 
-    ``complementarity``, of sensors, is among them only where the maps hold the metrics of every cost that sensors
-    decide: those of which 1 is the best.
+    ``complementarity``, which compares GPS with lidar, is among them only where the maps hold every built-in metric of
+    which 1 is the best, as all maps made by jaxurban do.
     """
     table = result.table
     tables = {
@@ -67,8 +67,8 @@ def tables_of(result: computed.BenchmarkResult) -> dict[str, pd.DataFrame]:
         "usage": analysis.usage(table),
         "objectives": analysis.objectives(table),
     }
-    of_sensors = {name for name, metric in METRICS.items() if metric.one_is == "best"}
-    if of_sensors.issubset(result.maps.metrics):
+    names = {name for name, metric in METRICS.items() if metric.one_is == "best"}
+    if names.issubset(result.maps.metrics):
         altitudes_m = sorted(table.altitude_m.unique())
         tables["complementarity"] = complementarity(result.maps, altitudes_m=altitudes_m)
     return tables

@@ -55,9 +55,7 @@ class _Curve(NamedTuple):
     rows: pd.DataFrame
 
 
-def _curves(
-    table: pd.DataFrame, axes: Sequence[Axes], planners: Iterable[str]
-) -> Iterator[_Curve]:
+def _curves(table: pd.DataFrame, axes: Sequence[Axes], planners: Iterable[str]) -> Iterator[_Curve]:
     """Yield what is drawn of each planner at each altitude, the lowest altitude first; panels get their titles.
 
     Args:
