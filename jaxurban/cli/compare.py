@@ -217,7 +217,7 @@ def validate(
 
 
 def _satellite_facts(agreement: "SatelliteAgreement") -> Settings:
-    """Return what the rows of satellites amount to; of the displaced cities the median and the most."""
+    """Return what ``--json`` says of satellites, by name; of displaced cities the median and the largest scores."""
     from jaxurban.io.tables import records_of
 
     displaced = agreement.displaced[["auc", "within"]].agg(["median", "max"])

@@ -71,6 +71,7 @@ def fetch(
     from jaxurban.io.fetch import fetch as fetch_files
     from jaxurban.maps.memory import parse_bytes
 
+    # Other places by the name of what is fetched from them.
     urls = {}
     for text in places:
         name, equals, url = text.partition("=")
@@ -81,6 +82,7 @@ def fetch(
         urls[name.strip()] = url.strip()
     job = FetchJob(bounds, names_in(what), day.date() if day else None, urls, margin_m)
     most_bytes = parse_bytes(max_size, "--max-size")
+
     if is_dry_run:
         requests = [{"source": each.name, "url": each.url} for each in job.requests()]
         record: Settings = {"requests": requests}
