@@ -348,14 +348,7 @@ WEIGHTS = click.option(
     default="",
     help="Weights such as gps=1,risk=2; others keep their values.",
 )
-RULES = grouped(
-    "rules",
-    rules_of,
-    PRESET,
-    COST_MODEL,
-    WEIGHTS,
-    CONSTRAINTS,
-)
+RULES = grouped("rules", rules_of, PRESET, COST_MODEL, WEIGHTS, CONSTRAINTS)
 TIME_OF_DAY = click.option(
     "--time-of-day", help="Time of day of the population map, such as night.  [default: the first]"
 )

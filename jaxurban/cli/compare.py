@@ -36,11 +36,7 @@ if TYPE_CHECKING:
 @OUTPUT
 @RESOLUTION
 @OBSTACLES
-@SHOWN(
-    "--tolerance",
-    default=1e-6,
-    help="Values that differ by no more count as equal.",
-)
+@SHOWN("--tolerance", default=1e-6, help="Values that differ by no more count as equal.")
 @SHOWN(
     "--routes",
     type=COUNT,
@@ -149,10 +145,7 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
     metavar="city|all|M|FILE",
     help="Where buildings are known: what their file covers, everywhere, so many metres around the track, or polygons.",
 )
-@NAMES(
-    "--systems",
-    help="Letters of the satellite systems to take, as G,E.",
-)
+@NAMES("--systems", help="Letters of the satellite systems to take, as G,E.")
 @SHOWN(
     "--displaced",
     "num_displaced",

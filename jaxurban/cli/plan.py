@@ -147,9 +147,7 @@ class RouteFiles(NamedTuple):
     "levels",
     levels_of,
     FLAG(
-        "--volume",
-        "is_volume",
-        help="Let the path climb and descend; --altitude is the start's.",
+        "--volume", "is_volume", help="Let the path climb and descend; --altitude is the start's."
     ),
     OF_VOLUME(
         "--min-altitude", "min_altitude_m", help="With --volume, metres.  [default: the lowest]"
@@ -176,9 +174,7 @@ class RouteFiles(NamedTuple):
     flight_of,
     NUMBER("--speed", "speed_m_s", help="Metres per second, for times.  [default: the vehicle's]"),
     NUMBER(
-        "--power",
-        "power_w",
-        help="Power in flight in watts, for energy.  [default: the vehicle's]",
+        "--power", "power_w", help="Power in flight in watts, for energy.  [default: the vehicle's]"
     ),
     NUMBER(
         "--swath",
@@ -193,16 +189,12 @@ class RouteFiles(NamedTuple):
     help="Write a picture (.png, .pdf or .svg) of heights, metrics and clearance along the route.",
 )
 @FLAG(
-    "--when",
-    "is_when",
-    help="Plan at every time of the maps; -o takes a table, --profile a strip.",
+    "--when", "is_when", help="Plan at every time of the maps; -o takes a table, --profile a strip."
 )
 @grouped(
     "outputs",
     RouteFiles,
-    FILES(
-        help="File to write: .geojson, .kml, .gpx or .plan; repeatable.",
-    ),
+    FILES(help="File to write: .geojson, .kml, .gpx or .plan; repeatable."),
     METRES(
         "--simplify",
         "simplify_m",

@@ -61,12 +61,7 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 @click.command()
 @ROUTE
-@SHOWN(
-    "--samples",
-    "num_samples",
-    default=128,
-    help="Sobol samples; a power of two.",
-)
+@SHOWN("--samples", "num_samples", default=128, help="Sobol samples; a power of two.")
 @NAMES(
     "--pareto",
     "objectives",
@@ -110,11 +105,7 @@ def sensitivity(
     from jaxurban.maps.saving import open_maps
     from jaxurban.paths.plan import cost_map
     from jaxurban.report.buildings import write_buildings
-    from jaxurban.report.sensitivity import (
-        ranges,
-        sensitivity_markdown,
-        sensitivity_outputs,
-    )
+    from jaxurban.report.sensitivity import ranges, sensitivity_markdown, sensitivity_outputs
     from jaxurban.report.sensitivity import sensitivity as study
     from jaxurban.report.write import REPORT_FILE, save
     from jaxurban.studies.weights.study import SensitivitySettings
@@ -183,17 +174,8 @@ def sensitivity(
 @RESOLUTION
 @OBSTACLES
 @RULES
-@SHOWN(
-    "--wrong",
-    default=2.0,
-    help="Factor by which a wrong weight is off, for its regret.",
-)
-@SHOWN(
-    "--samples",
-    "num_samples",
-    default=32,
-    help="Sobol samples of each route; a power of two.",
-)
+@SHOWN("--wrong", default=2.0, help="Factor by which a wrong weight is off, for its regret.")
+@SHOWN("--samples", "num_samples", default=32, help="Sobol samples of each route; a power of two.")
 @click.option(
     "--heights",
     "num_heights",

@@ -58,7 +58,7 @@ NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
 )
 @NUMBER("--resolution", "resolution_m", help="Cell size of the maps, for --by map.")
 @FILES(
-    help="File to write: .csv or .parquet, or a picture (.png, .pdf, .svg) of the sky at a place; repeatable.",
+    help="File to write: .csv or .parquet, or a picture (.png, .pdf, .svg) of the sky at a place; repeatable."
 )
 @JSON_FLAG
 def sky(

@@ -391,11 +391,7 @@ def _class_panel(
 
 @renamed
 def plot_gps_rating(
-    maps: MapsLike,
-    *,
-    altitude_m: Altitudes = None,
-    time: str | None = None,
-    width: Width = "page",
+    maps: MapsLike, *, altitude_m: Altitudes = None, time: str | None = None, width: Width = "page"
 ) -> Figure:
     """Return panels of the paper's GPS rating by altitude; titles give the share of free cells rated good or better.
 
@@ -432,11 +428,7 @@ def plot_gps_rating(
 
 @renamed
 def plot_sensor_choice(
-    maps: MapsLike,
-    *,
-    altitude_m: Altitudes = None,
-    time: str | None = None,
-    width: Width = "page",
+    maps: MapsLike, *, altitude_m: Altitudes = None, time: str | None = None, width: Width = "page"
 ) -> Figure:
     """Return panels of the better sensor by altitude: GPS where m_gps > m_lidar, else lidar.
 

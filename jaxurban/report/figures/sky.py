@@ -11,15 +11,7 @@ from jaxurban.errors import InputError
 from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN
 from jaxurban.paths.sky import SkyAt
 from jaxurban.report.figures.frame import joined, time_said
-from jaxurban.report.figures.style import (
-    INK,
-    MARKERS,
-    SERIES_COLOURS,
-    Width,
-    chart,
-    inches,
-    styled,
-)
+from jaxurban.report.figures.style import INK, MARKERS, SERIES_COLOURS, Width, chart, inches, styled
 
 ROOFS = "#cfcac2"
 SKY, KEY_IN = 0.62, 0.8  # height of the sky by the figure's width; of the legend
