@@ -2,7 +2,6 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import geopandas as gpd
 import jax
@@ -32,7 +31,7 @@ from jaxurban.report.figures.frame import (
 )
 from jaxurban.report.figures.paths import draw_ends
 from jaxurban.report.figures.style import Colours
-from jaxurban.report.write import save
+from jaxurban.report.write import Look, save
 from jaxurban.studies.weights.buildings import building_costs
 from jaxurban.world.grid import Grid
 
@@ -92,7 +91,7 @@ def plot_building_costs(
     per_metre = np.zeros(len(polygons))
     per_metre[table.building] = table.per_metre
     is_near = shapely.intersects(polygons, shapely.box(*near.bounds_m))
-    look: dict[str, Any]
+    look: Look
     if is_near.any():
         look = {"edgecolor": "#555555", "linewidth": 0.25, "aspect": None, "autolim": False}
         look["color"] = list(colours(per_metre[is_near]))

@@ -1,7 +1,7 @@
 """What a check of a mission writes: report.md, findings as a table and as GeoJSON, a map and a profile."""
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
@@ -18,16 +18,16 @@ from jaxurban.report.figures.frame import MapPanel, draw_maps, frame_note
 from jaxurban.report.figures.metrics import roof_layers
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
 from jaxurban.report.figures.style import chart, dress, legend_above, styled
-from jaxurban.report.write import Output, bullets, fill, study_outputs
+from jaxurban.report.write import Figures, Look, Outputs, bullets, fill, study_outputs
 from jaxurban.studies.check_result import MissionCheck
 
-FOUND: dict[str, Any] = {
+FOUND: Look = {
     "color": "#d00000",
     "marker": "x",
     "linestyle": "none",
     "label": "findings, by number",
 }
-MISSION: dict[str, Any] = {
+MISSION: Look = {
     "color": ALTITUDE_COLOUR,
     "marker": ".",
     "markersize": 1.5,
@@ -39,18 +39,18 @@ HEIGHT_IN = 3.4
 HEADS = ["item", "kind", "what", "along_m", "height_m", "lon", "lat"]
 
 
-def check_outputs(result: MissionCheck) -> tuple[dict[str, Output], dict[str, Any]]:
+def check_outputs(result: MissionCheck) -> tuple[Outputs, dict[str, Any]]:
     """Return what a check writes, by file name, and the record that identifies it.
 
     A mission without a step over the maps has no figures.
     """
-    figures: dict[str, Callable[[], Figure]] = {}
+    figures: Figures = {}
     if len(result.flight.steps.leg):
         figures["map"] = partial(plot_mission, result)
         figures["profile"] = partial(plot_flown_heights, result)
     report = check_markdown(result, list(figures))
     record = result.to_dict()
-    outputs: dict[str, Output] = {
+    outputs: Outputs = {
         "findings.geojson": json.dumps(result.to_geojson(), indent=1),
         "check.json": json.dumps(record, indent=1),
     }
@@ -127,7 +127,7 @@ def _number(axes: Axes, rows: pd.Index, x: Iterable[float], y: Iterable[float]) 
       rows: of the table of findings, from 0.
       x, y: place of each mark, in the units of the axes.
     """
-    look: dict[str, Any] = {"color": FOUND["color"], "textcoords": "offset points", "zorder": 6}
+    look: Look = {"color": FOUND["color"], "textcoords": "offset points", "zorder": 6}
     look["bbox"] = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
     for number, right, up in zip(rows + 1, x, y, strict=True):
         axes.annotate(str(number), (right, up), (4, 3), **look)

@@ -1,6 +1,5 @@
 """report.md of a comparison of maps, with its table, difference maps and figures, all on one scale around zero."""
 
-from collections.abc import Callable
 from functools import partial
 from itertools import compress
 from pathlib import Path
@@ -31,7 +30,16 @@ from jaxurban.report.figures.frame import (
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.style import Colours
 from jaxurban.report.results import Result, savable
-from jaxurban.report.write import Output, bullets, fill, framed, listed, study_outputs, table
+from jaxurban.report.write import (
+    Figures,
+    Outputs,
+    bullets,
+    fill,
+    framed,
+    listed,
+    study_outputs,
+    table,
+)
 from jaxurban.studies import map_comparison as computed
 from jaxurban.studies.map_comparison import CLOSED, MASKS, unit_of
 from jaxurban.studies.queries import population_norms
@@ -39,7 +47,7 @@ from jaxurban.studies.queries import population_norms
 SHOWN_SHARE = 0.99  # of the changed cells lie within the colour bar
 
 
-def comparison_figures(result: computed.MapComparison) -> dict[str, Callable[[], Figure]]:
+def comparison_figures(result: computed.MapComparison) -> Figures:
     """Return the functions that draw the layers that changed in any cell, by the layer's name."""
     shares = result.most_changed
     changed = [layer for layer in result.layers if shares[layer] > 0]
@@ -166,7 +174,7 @@ def _note(result: computed.MapComparison, time: str | None) -> str:
     return "\n".join([*lines, joined(*ground_said(result.a))])
 
 
-def comparison_outputs(result: computed.MapComparison) -> tuple[dict[str, Output], dict[str, Any]]:
+def comparison_outputs(result: computed.MapComparison) -> tuple[Outputs, dict[str, Any]]:
     """Return what a comparison writes, by file name, and the facts that identify it.
 
     A folder whose report has other facts is not replaced unless the user asks for it.

@@ -24,7 +24,16 @@ from jaxurban.report.satellites import (
     satellite_tables,
     sentences_of,
 )
-from jaxurban.report.write import Output, bullets, fill, interval, study_outputs, table
+from jaxurban.report.write import (
+    Figures,
+    Look,
+    Outputs,
+    bullets,
+    fill,
+    interval,
+    study_outputs,
+    table,
+)
 from jaxurban.settings import as_tuple
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver import validate as computed
@@ -70,7 +79,7 @@ def plot_scatter(result: computed.ReceiverValidation) -> Figure:
         title = f"within blocks {row[WITHIN]:.2f}, whole track {row[SPEARMAN]:.2f}"
         if name == NUM_VISIBLE:
             medians = known.groupby(np.round(known[name]))[witness].median()
-            look: dict[str, Any] = {"marker": "o", "markersize": 3.5, "linewidth": 1.2}
+            look: Look = {"marker": "o", "markersize": 3.5, "linewidth": 1.2}
             panel.plot(medians.index, medians, color=RECEIVER_COLOUR, **look)
             title += "  ·  line: medians"
 
@@ -102,7 +111,7 @@ def _scale_axis(axis: Axis, set_scale: Callable[[str], None], quantity: str) -> 
 
 def validation_outputs(
     result: computed.ReceiverValidation,
-) -> tuple[dict[str, Output], dict[str, Any]]:
+) -> tuple[Outputs, dict[str, Any]]:
     """Return what a validation writes, by file name, and the facts that identify it.
 
     Among the facts is a hash of the log's rows: two logs may have one name.
@@ -112,7 +121,7 @@ def validation_outputs(
         text += result.log.satellites.to_csv(index=False)
     pieces = result.pieces.assign(utc=result.pieces.utc.map(lambda time: time.isoformat()))
     tables = {"pieces": pieces, "scores": result.scores, "shifts": result.shifts}
-    figures: dict[str, Callable[[], Figure]] = {"scatter": partial(plot_scatter, result)}
+    figures: Figures = {"scatter": partial(plot_scatter, result)}
     if result.satellites is not None:
         tables |= satellite_files(result.satellites)
         figures |= satellite_figures(result, result.satellites)

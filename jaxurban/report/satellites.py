@@ -4,7 +4,7 @@
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -28,7 +28,7 @@ from jaxurban.report.figures.style import (
     letter_all,
     styled,
 )
-from jaxurban.report.write import framed, interval, without_ends
+from jaxurban.report.write import Figures, Look, framed, interval, without_ends
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.agreement import SatelliteAgreement
 from jaxurban.studies.receiver.validate import ReceiverValidation
@@ -94,9 +94,7 @@ def satellite_files(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
     }
 
 
-def satellite_figures(
-    result: ReceiverValidation, of: SatelliteAgreement
-) -> dict[str, Callable[[], Figure]]:
+def satellite_figures(result: ReceiverValidation, of: SatelliteAgreement) -> Figures:
     """Return what draws each figure, by file name."""
     return {
         "track": partial(plot_track, result, of),
@@ -210,7 +208,7 @@ def plot_track(result: ReceiverValidation, of: SatelliteAgreement) -> Figure:
     panel.scatter(
         x_m[~is_known], y_m[~is_known], s=25, marker="x", color=INK, label="nothing judged"
     )
-    look: dict[str, Any] = {"textcoords": "offset points", "arrowprops": {"arrowstyle": "-"}}
+    look: Look = {"textcoords": "offset points", "arrowprops": {"arrowstyle": "-"}}
     for sky in of.skies:
         nearest = np.hypot(epochs.lon_deg - sky.lon_deg, epochs.lat_deg - sky.lat_deg).argmin()
         number = places.index.get_loc(piece[nearest])  # of the piece that holds the nearest epoch
@@ -234,7 +232,7 @@ def plot_margin(of: SatelliteAgreement) -> Figure:
     figure = chart(4.2, "How strongly satellites are heard, by how deep they are hidden", note)
     panel, below = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     edge = len(MARGINS_M) / 2  # the classes are symmetric around a margin of 0
-    look: dict[str, Any] = {"whis": (5, 95), "showfliers": False, "patch_artist": True}
+    look: Look = {"whis": (5, 95), "showfliers": False, "patch_artist": True}
     for k in np.unique(margin_class):
         strength_dbhz = judged.cn0_dbhz[margin_class == k]
         is_heard = strength_dbhz > 0

@@ -12,7 +12,7 @@ from jaxurban.planners.cost import CostModel
 from jaxurban.report.figures.frame import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.results import Result, savable
-from jaxurban.report.write import Output, fill, listed, study_outputs
+from jaxurban.report.write import Outputs, fill, listed, study_outputs
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.weights import study as computed
 from jaxurban.studies.weights.sobol import FEW_SAMPLES, NOISE
@@ -24,7 +24,7 @@ TOP_BUILDINGS = 10
 RANKING = "rank", "per_metre", "height_m", "lon", "lat", "distance_m"
 
 
-def sensitivity_outputs(result: computed.Sensitivity) -> tuple[dict[str, Output], dict[str, Any]]:
+def sensitivity_outputs(result: computed.Sensitivity) -> tuple[Outputs, dict[str, Any]]:
     """Return what a study of one route writes, by file name, and the settings that identify it, as JSON holds them."""
     route = result.route
     settings = {

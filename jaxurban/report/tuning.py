@@ -20,7 +20,7 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import reporting
 from jaxurban.report.figures.tuning import plot_routes, plot_weights
-from jaxurban.report.write import REPORT_FILE, Output, bullets, files_of, fill, save
+from jaxurban.report.write import REPORT_FILE, Outputs, bullets, files_of, fill, save
 from jaxurban.studies.demonstrations import (
     Demonstration,
     compared_routes,
@@ -254,7 +254,7 @@ def outputs_of(
     planned: Sequence[Demonstration],
     texts: Mapping[str, str],
     result: FitComparison | None = None,
-) -> dict[str, Output]:
+) -> Outputs:
     """Return what a fit writes, by file name: tables, pictures, the report and weights.toml.
 
     Args:
@@ -268,7 +268,7 @@ def outputs_of(
     vector, fields = fit.weights.vector(fit.names), dict[str, Any](texts)
     routes = compared_routes(demonstrations, planned)
     tables = {}
-    outputs: dict[str, Output] = {"learning_curve": fit.curve}
+    outputs: Outputs = {"learning_curve": fit.curve}
 
     # What only a fit to routes has, or only one to targets: template, table of weights, and further tables.
     if isinstance(fit, WeightFit):

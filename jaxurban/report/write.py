@@ -24,6 +24,9 @@ SAMPLED = 3  # its colours are chosen from every third row and column
 PICTURES = (".png", ".pdf", ".svg")
 # A text, a table, or what draws a picture or writes a map.
 Output = str | pd.DataFrame | Callable[..., Any]
+Outputs = dict[str, Output]  # by file name
+Figures = dict[str, Callable[[], Figure]]  # functions that draw pictures, by the pictures' names
+Look = dict[str, Any]  # keywords of Matplotlib for the look of what is drawn
 
 
 def files_of(names: Iterable[str]) -> list[str]:
@@ -35,9 +38,7 @@ def files_of(names: Iterable[str]) -> list[str]:
     return files
 
 
-def study_outputs(
-    report: str, tables: Mapping[str, pd.DataFrame], figures: Mapping[str, Callable[[], Figure]]
-) -> dict[str, Output]:
+def study_outputs(report: str, tables: Mapping[str, pd.DataFrame], figures: Figures) -> Outputs:
     """Return the outputs of a study by file name: ``tables/NAME``, ``figures/NAME.png``, and last ``report.md``.
 
     Args:
@@ -45,7 +46,7 @@ def study_outputs(
       tables: by name; one whose name has no end is written in each format.
       figures: functions that draw the pictures, by name.
     """
-    outputs: dict[str, Output] = {f"tables/{name}": frame for name, frame in tables.items()}
+    outputs: Outputs = {f"tables/{name}": frame for name, frame in tables.items()}
     for name, draw in figures.items():
         outputs[f"figures/{name}.png"] = draw
     return outputs | {REPORT_FILE: report}

@@ -41,6 +41,7 @@ from jaxurban.report.figures.style import (
     styled,
     wrapped,
 )
+from jaxurban.report.write import Look
 from jaxurban.world.grid import Grid
 
 MAX_CELLS = 4000  # a side: of larger maps every second, third ... row and column is drawn
@@ -60,7 +61,7 @@ CORNERS = {"lower left": (0, 0), "lower right": (1, 0), "upper left": (0, 1), "u
 NEAR = 0.2
 NORTH = "▲\nN"
 SETTLING = 3  # runs of the layout, after which a figure's height is right to 0.01 inches
-END_LOOK: dict[str, Any] = {
+END_LOOK: Look = {
     "linestyle": "none",
     "markeredgecolor": "black",
     "markerfacecolor": "white",
@@ -236,7 +237,7 @@ def _add_ticks(spot: Axes, size: Size, is_left: bool, is_bottom: bool) -> None:
     for axis in (spot.xaxis, spot.yaxis):
         axis.set_major_locator(MaxNLocator(num_ticks, steps=[1, 2, 5, 10], min_n_ticks=1))
         axis.set_major_formatter(lambda value, _: f"{value / 1000:.7g}")
-    look: dict[str, Any] = {"labelsize": SMALL_PT, "length": 3, "color": FAINT_INK}
+    look: Look = {"labelsize": SMALL_PT, "length": 3, "color": FAINT_INK}
     spot.tick_params(labelleft=is_left, labelbottom=is_bottom, **look)
     if is_left:
         spot.set_ylabel("northing (km)")
@@ -281,7 +282,7 @@ def _add_key(
             name, colour = entry
             entry = Patch(facecolor=colour, label=name, edgecolor=FAINT_INK, linewidth=0.4)
         handles.append(entry)
-    look: dict[str, Any] = {"handles": handles, "handlelength": 1.4}
+    look: Look = {"handles": handles, "handlelength": 1.4}
     if gap is None:
         figure.legend(loc="outside right center", **look)
         return
@@ -388,9 +389,9 @@ def _orient(panel: Axes) -> None:
     name = f"{length_m / 1000:g} km" if length_m >= 1000 else f"{length_m:g} m"
 
     thick_m = 0.006 * (high_m - low_m)
-    look: dict[str, Any] = {"label_top": True, "color": INK, "size_vertical": thick_m, "pad": 0.25}
+    look: Look = {"label_top": True, "color": INK, "size_vertical": thick_m, "pad": 0.25}
     scale = AnchoredSizeBar(panel.transData, length_m, name, "lower left", sep=2, **look)
-    letters: dict[str, Any] = {"color": INK, "ha": "center", "linespacing": 0.9}
+    letters: Look = {"color": INK, "ha": "center", "linespacing": 0.9}
     north = AnchoredText(NORTH, "upper right", prop=letters, pad=0.15)
     for mark in (scale, north):
         mark.borderpad = 0.3

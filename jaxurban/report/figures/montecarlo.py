@@ -1,8 +1,8 @@
 """Pictures of a Monte Carlo benchmark: success, cost, and how GPS complements lidar."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -24,7 +24,7 @@ from jaxurban.report.figures.style import (
     step_up,
     styled,
 )
-from jaxurban.report.write import listed
+from jaxurban.report.write import Figures, Look, listed
 from jaxurban.studies.montecarlo.analysis import range_names, rows_of, weighted_rows
 
 SHARES = Colours(
@@ -84,7 +84,7 @@ def plot_success(success: pd.DataFrame) -> Figure:
     width = BARS_SHARE / len(colours)  # of a bar
     for curve in _curves(success, axes, colours):
         share = curve.rows.set_index("range").share_joined.reindex(ranges)
-        look: dict[str, Any] = {"color": colours[curve.planner], "label": curve.planner}
+        look: Look = {"color": colours[curve.planner], "label": curve.planner}
         curve.panel.bar(x + curve.rank * width, share, width, **look)
         curve.panel.set_xticks(x + (BARS_SHARE - width) / 2, ranges)  # below the middle of the bars
     _show_shares(figure, axes, "joined pairs solved (%)")
@@ -108,7 +108,7 @@ def plot_costs(table: pd.DataFrame) -> Figure:
     for curve in _curves(table, axes, colours):
         # Curves are drawn side by side around their place, so that all are seen where they coincide.
         lane = (len(colours) - 1) / 2 - curve.rank
-        look: dict[str, Any] = {"color": colours[curve.planner], "label": curve.planner}
+        look: Look = {"color": colours[curve.planner], "label": curve.planner}
         look |= {"path_effects": [Beside(lane * CURVES_APART_PT)], "linewidth": 1.4}
         step_up(curve.panel, curve.rows.ratio.to_numpy(), end, **look)
         left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1
@@ -155,7 +155,7 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
         is_free = maps.is_free(row.altitude_m, "centre")
         x, y = (maps.m(name, row.altitude_m)[is_free] for name in names)
         share_of_a_cell = np.full(len(x), 1 / max(len(x), 1))
-        look: dict[str, Any] = {"cmap": SHARES.cmap, "norm": SHARES.norm}
+        look: Look = {"cmap": SHARES.cmap, "norm": SHARES.norm}
         look["cmin"] = 1e-12  # squares without a cell stay white
         panel.hist2d(x, y, bins, weights=share_of_a_cell, **look)
         panel.plot([0, 1], [0, 1], "--", color=FAINT_INK, linewidth=0.8)
@@ -171,7 +171,7 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
 
 def study_figures(
     maps: MetricMaps, table: pd.DataFrame, tables: dict[str, pd.DataFrame]
-) -> dict[str, Callable[[], Figure]]:
+) -> Figures:
     """Return the functions that draw the pictures of a study, by name; a picture without rows is left out.
 
     Args:
@@ -180,7 +180,7 @@ def study_figures(
       tables: of the report, by name; without ``complementarity`` that picture is left out.
     """
     weighted = weighted_rows(table)
-    figures: dict[str, Callable[[], Figure]] = {}
+    figures: Figures = {}
     if len(tables["success"]):
         figures["success"] = partial(plot_success, tables["success"])
     if weighted.has_path.any() and weighted.is_joined.any():

@@ -1,6 +1,6 @@
 """Pictures of paths over the normalised cost, the overview of one region, and all pictures of a region as PNG."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import chain, cycle
 from pathlib import Path
@@ -60,7 +60,7 @@ from jaxurban.report.figures.metrics import (
     roof_layers,
 )
 from jaxurban.report.figures.style import Colours, Width
-from jaxurban.report.write import save
+from jaxurban.report.write import Figures, Look, save
 
 # A family of planners has a hue, its members a dark and a light tone: the colour-blind see both.
 PLANNER_COLOURS = {
@@ -273,7 +273,7 @@ def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]
         if path.status.has_path:
             offset_pt = next(lanes) * APART_PT
             edge = Beside(offset_pt, LINE_PT + 2 * EDGE_PT, "white")
-            look: dict[str, Any] = {"path_effects": [edge, Beside(offset_pt)]}
+            look: Look = {"path_effects": [edge, Beside(offset_pt)]}
             look |= {"color": colour, "linewidth": LINE_PT, "solid_joinstyle": "round"}
             panel.plot(*path.xy_m.T, zorder=4, **look)
     draw_ends(panel, paths)
@@ -480,7 +480,7 @@ def save_figures(maps: MapsLike, paths: Paths, folder: str | Path) -> list[Path]
         return save(folder, outputs)
 
 
-def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figure]]:
+def maps_figures(maps: MetricMaps, paths: Paths) -> Figures:
     """Return the functions that draw the pictures of these maps and paths, by file name without its end.
 
     Args:
@@ -488,7 +488,7 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figur
       paths: one, several or a batch; empty: the cost is drawn instead, a picture per time of day.
     """
     by_day = [name for name, metric in maps.metrics.items() if TIME_OF_DAY in metric.dims]
-    figures: dict[str, Callable[[], Figure]] = {
+    figures: Figures = {
         "overview": lambda: plot_overview(maps, paths),
         "heights": lambda: plot_heights(maps),
         "obstacle": lambda: plot_obstacles(maps),

@@ -1,7 +1,6 @@
 """The profile of a planned route: what it meets, by distance flown."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,7 +27,7 @@ from jaxurban.report.figures.style import (
     show_plain,
     styled,
 )
-from jaxurban.report.write import PICTURES, save
+from jaxurban.report.write import PICTURES, Look, save
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#c51b8a", "#1a1a1a", "#ffd9d4"
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
@@ -86,7 +85,7 @@ def plot_profile(
     for meaning, panel in zip(meanings, of_metrics, strict=True):
         for name, metric in maps.metrics.items():
             if metric.one_is == meaning:
-                look: dict[str, Any] = {"color": metric.colour, "label": metric.label}
+                look: Look = {"color": metric.colour, "label": metric.label}
                 panel.stairs(profile[name], edges_km, baseline=None, linewidth=1.3, **look)
         panel.set(ylim=(-0.03, 1.03), ylabel=f"metric m\n(1 is {meaning})")
     _draw_clearance(clearance, profile, edges_km)
@@ -159,7 +158,7 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
         return
 
     drawn_m = profile[CLEARANCE].where(is_known)
-    look: dict[str, Any] = {"color": CLEARANCE_COLOUR, "label": "distance to obstacles"}
+    look: Look = {"color": CLEARANCE_COLOUR, "label": "distance to obstacles"}
     panel.stairs(drawn_m, edges_km, baseline=None, linewidth=1.3, **look)
     place = int(np.argmin(profile[CLEARANCE]))
     nearest_m, at_km = profile[CLEARANCE].iloc[place], edges_km[place : place + 2].mean()

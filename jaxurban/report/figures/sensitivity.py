@@ -1,8 +1,7 @@
 """Pictures of what weights do to a route: breakpoints along lines, the Pareto front."""
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,14 +35,14 @@ from jaxurban.report.figures.style import (
     show_plain,
     styled,
 )
-from jaxurban.report.write import listed
+from jaxurban.report.write import Figures, Look, listed
 from jaxurban.studies.weights.study import Sensitivity
 
 GIVEN_COLOUR = "#c51b8a"
 ON_ROUTES_COLOUR = "#ffffff"  # of the given weights' route over others of all colours
 
 
-def sensitivity_figures(result: Sensitivity) -> dict[str, Callable[[], Figure]]:
+def sensitivity_figures(result: Sensitivity) -> Figures:
     """Return what draws each figure, by file name."""
     return {
         "switches": lambda: plot_breakpoints(result),
@@ -68,7 +67,7 @@ def plot_breakpoints(result: Sensitivity) -> Figure:
         evenly = (np.geomspace(low, high, 400) - low) / (high - low)
         shares = np.sort(np.append(evenly, line.breakpoints))
         costs = line.cost_at(np.stack([1 - shares, shares], axis=-1))
-        look: dict[str, Any] = {"markersize": 4, "markeredgewidth": 0, "linewidth": 1.1}
+        look: Look = {"markersize": 4, "markeredgewidth": 0, "linewidth": 1.1}
         look["markevery"] = np.isin(shares, line.breakpoints)
         panel.plot(low + shares * (high - low), costs, "o-", color=line_colour(name), **look)
         look = {"linestyle": (0, (3, 2)), "zorder": 1, "label": "given weight"}
@@ -110,7 +109,7 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
         given_weight = result.weights[result.names.index(name)]
         middle = np.sqrt(table["from"] * table["to"]) / given_weight
         widths = np.linspace(3.2, 1.4, len(table))
-        look: dict[str, Any] = {"colors": colours(middle), "linewidths": widths, "zorder": 4}
+        look: Look = {"colors": colours(middle), "linewidths": widths, "zorder": 4}
         routes = LineCollection(result.line_routes[name], capstyle="round", **look)
         panel.add_collection(routes)
         edge = [Stroke(linewidth=2.4, foreground=INK), Normal()]
@@ -133,7 +132,7 @@ def plot_pareto(result: Sensitivity) -> Figure:
     last = np.append(points[:, -1], gradient[-1])
     labels = [_feature_label(result, name) for name in front.objectives]
     colours = Colours("viridis", Normalize(last.min(), last.max()), labels[-1])
-    look: dict[str, Any] = {"norm": colours.norm, "cmap": colours.cmap, "label": "_"}
+    look: Look = {"norm": colours.norm, "cmap": colours.cmap, "label": "_"}
     x, y, *_ = points.T
     panel.scatter(x, y, s=26, c=points[:, -1], edgecolors=FAINT_INK, linewidths=0.4, **look)
 

@@ -3,7 +3,7 @@
 Bars are intervals over pairs of places; a hollow mark has too few pairs for one.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -24,6 +24,7 @@ from jaxurban.report.figures.style import (
     step_up,
     styled,
 )
+from jaxurban.report.write import Figures
 from jaxurban.studies.weights.summary import ALL, pairs_of
 
 NUM_FACTORS = 4  # at which intervals are drawn
@@ -31,9 +32,7 @@ BAR_GAP = 0.018  # between them, as a share of the axis
 DOT_GAP = 0.18  # between dots of two cities, as a share of the distance between two weights
 
 
-def study_figures(
-    tables: Mapping[str, pd.DataFrame], wrong: float
-) -> dict[str, Callable[[], Figure]]:
+def study_figures(tables: Mapping[str, pd.DataFrame], wrong: float) -> Figures:
     """Return what draws each figure, by file name."""
     return {
         "regret": partial(plot_regret, tables["summary"], wrong),

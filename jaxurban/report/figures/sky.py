@@ -12,6 +12,7 @@ from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN
 from jaxurban.paths.sky import SkyAt
 from jaxurban.report.figures.frame import joined, time_said
 from jaxurban.report.figures.style import INK, MARKERS, SERIES_COLOURS, Width, chart, inches, styled
+from jaxurban.report.write import Look
 
 ROOFS = "#cfcac2"
 SKY, KEY_IN = 0.62, 0.8  # height of the sky by the figure's width; of the legend
@@ -91,6 +92,6 @@ def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
     panel.fill_between(around, roof_edge, 90, color=ROOFS, label="buildings")
     is_missing = np.isnan(roof_edge)
     if is_missing.any():
-        look: dict[str, Any] = {"facecolor": "white", "edgecolor": INK, "hatch": "////"}
+        look: Look = {"facecolor": "white", "edgecolor": INK, "hatch": "////"}
         look |= {"linewidth": 0.0, "label": "horizon not known"}
         panel.fill_between(around, 90 - EDGE_DEG, 90, is_missing, **look)

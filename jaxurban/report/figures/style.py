@@ -21,7 +21,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from jaxurban.errors import InputError
-from jaxurban.report.write import DPI
+from jaxurban.report.write import DPI, Look
 
 SMALL_PT, TEXT_PT, HEADING_PT = 7.0, 8.0, 10.0  # of tick labels and notes; of titles
 # One column and two of a journal, by the IEEE Author Center's "Size Requirements for Graphics".
@@ -33,7 +33,7 @@ HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.2, 0.13, 18.0  # of a line of a heading, of
 # Of several series that are no metrics, whose colours these avoid; dark and light ones by turns.
 SERIES_COLOURS = ("#1a1a1a", "#d55e00", "#56b4e9", "#7f7f7f", "#8c510a", "#66c2a5", "#f0c800")
 MARKERS = "osD^vP*X"
-DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
+DOT: Look = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
 LABEL_IN = 1.9  # of a line of the label of an upright colour bar
 BOLD = 1.2  # how much wider bold letters are
 
@@ -206,7 +206,7 @@ def legend_above(panel: Axes, lift: float = 0.0) -> None:
     """
     handles, names = panel.get_legend_handles_labels()
     figure: Any = panel.figure
-    look: dict[str, Any] = {"borderaxespad": 0.3, "columnspacing": 1.2}
+    look: Look = {"borderaxespad": 0.3, "columnspacing": 1.2}
     look["ncols"] = legend_columns(names, figure.get_figwidth())
     panel.legend(handles, names, loc="lower left", bbox_to_anchor=(0, 1 + lift), **look)
 
@@ -338,7 +338,7 @@ def add_colour_bar(
       location: ``"right"`` of the panels, upright, or at their ``"bottom"``.
       cax: axes that the bar fills, lying, in place of a location.
     """
-    place: dict[str, Any] = {"ax": axes, "location": location, "panchor": False}
+    place: Look = {"ax": axes, "location": location, "panchor": False}
     place["aspect"] = 25 if location == "right" else 50  # length of the bar by its width
     if cax is not None:
         place = {"cax": cax, "orientation": "horizontal"}
