@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterable
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,7 +17,7 @@ from jaxurban.report.figures.frame import MapPanel, draw_maps, frame_note
 from jaxurban.report.figures.metrics import roof_layers
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
 from jaxurban.report.figures.style import chart, dress, legend_above, styled
-from jaxurban.report.write import Figures, Look, Outputs, bullets, fill, study_outputs
+from jaxurban.report.write import Figures, Look, Outputs, Written, bullets, fill, study_outputs
 from jaxurban.studies.check_result import MissionCheck
 
 FOUND: Look = {
@@ -39,7 +38,7 @@ HEIGHT_IN = 3.4
 HEADS = ["item", "kind", "what", "along_m", "height_m", "lon", "lat"]
 
 
-def check_outputs(result: MissionCheck) -> tuple[Outputs, dict[str, Any]]:
+def check_outputs(result: MissionCheck) -> Written:
     """Return what a check writes, by file name, and the record that identifies it.
 
     A mission without a step over the maps has no figures.

@@ -32,7 +32,7 @@ from jaxurban.report.figures.style import Colours
 from jaxurban.report.results import Result, savable
 from jaxurban.report.write import (
     Figures,
-    Outputs,
+    Written,
     bullets,
     fill,
     framed,
@@ -174,7 +174,7 @@ def _note(result: computed.MapComparison, time: str | None) -> str:
     return "\n".join([*lines, joined(*ground_said(result.a))])
 
 
-def comparison_outputs(result: computed.MapComparison) -> tuple[Outputs, dict[str, Any]]:
+def comparison_outputs(result: computed.MapComparison) -> Written:
     """Return what a comparison writes, by file name, and the facts that identify it.
 
     A folder whose report has other facts is not replaced unless the user asks for it.

@@ -1,7 +1,6 @@
 """report.md of a Monte Carlo benchmark of planners, with its tables and figures."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import pandas as pd
 
@@ -10,7 +9,7 @@ from jaxurban.paths.rows import CRASHED
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.results import Result, savable
 from jaxurban.report.sensitivity_study import weights_said
-from jaxurban.report.write import Outputs, fill, listed, study_outputs
+from jaxurban.report.write import Written, fill, listed, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo import study as computed
@@ -36,7 +35,7 @@ class BenchmarkResult(computed.BenchmarkResult, Result):
 
     _command = "study"
 
-    def _outputs(self) -> tuple[Outputs, dict[str, Any]]:
+    def _outputs(self) -> Written:
         """Return what is written, by file name: report, tables (CSV) and figures; and no settings.
 
         Settings would guard a folder against other ones; here the rows alone decide what is written.

@@ -27,7 +27,7 @@ from jaxurban.report.satellites import (
 from jaxurban.report.write import (
     Figures,
     Look,
-    Outputs,
+    Written,
     bullets,
     fill,
     interval,
@@ -111,7 +111,7 @@ def _scale_axis(axis: Axis, set_scale: Callable[[str], None], quantity: str) -> 
 
 def validation_outputs(
     result: computed.ReceiverValidation,
-) -> tuple[Outputs, dict[str, Any]]:
+) -> Written:
     """Return what a validation writes, by file name, and the facts that identify it.
 
     Among the facts is a hash of the log's rows: two logs may have one name.

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,7 +11,7 @@ from jaxurban.planners.cost import CostModel
 from jaxurban.report.figures.frame import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.results import Result, savable
-from jaxurban.report.write import Outputs, fill, listed, study_outputs
+from jaxurban.report.write import Written, fill, listed, study_outputs
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.weights import study as computed
 from jaxurban.studies.weights.sobol import FEW_SAMPLES, NOISE
@@ -24,7 +23,7 @@ TOP_BUILDINGS = 10
 RANKING = "rank", "per_metre", "height_m", "lon", "lat", "distance_m"
 
 
-def sensitivity_outputs(result: computed.Sensitivity) -> tuple[Outputs, dict[str, Any]]:
+def sensitivity_outputs(result: computed.Sensitivity) -> Written:
     """Return what a study of one route writes, by file name, and the settings that identify it, as JSON holds them."""
     route = result.route
     settings = {

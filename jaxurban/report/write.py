@@ -25,6 +25,7 @@ PICTURES = (".png", ".pdf", ".svg")
 # A text, a table, or what draws a picture or writes a map.
 Output = str | pd.DataFrame | Callable[..., Any]
 Outputs = dict[str, Output]  # by file name
+Written = tuple[Outputs, dict[str, Any]]  # what a result writes, and the facts that identify it
 Figures = dict[str, Callable[[], Figure]]  # functions that draw pictures, by the pictures' names
 Look = dict[str, Any]  # keywords of Matplotlib for the look of what is drawn
 
