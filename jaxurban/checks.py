@@ -10,6 +10,7 @@ import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -87,25 +88,26 @@ def finite(
     least: float = -math.inf,
     called: str = "finite",
 ) -> float:
-    """Return a number (or the one that a text spells) that must be finite, as a float.
+    """Return a number that must be finite, as a float.
 
     Args:
       name: of the argument.
-      value: the number.
+      value: the number, or a text that spells it; True and False are no numbers.
       unit: for the message; left out, that of the name (`UNITS`).
-      least: what it must be above, and
-      called: what such a number is called.
+      least: the number must be above this one.
+      called: the word of the message for numbers above ``least``, such as ``"positive"``.
 
     Raises:
-      InputError: it is not, or is not a number.
+      InputError: the value is not such a number.
     """
-    number = math.nan
+    number = math.nan  # which is in no range
     if not isinstance(value, bool):
         with suppress(TypeError, ValueError, OverflowError):
             number = float(value)
     if not least < number < math.inf:
         unit = unit_of(name) if unit is None else unit
-        raise InputError(f"{name} must be a {called} number{unit and f' of {unit}'}, got {value!r}")
+        of_unit = f" of {unit}" if unit else ""
+        raise InputError(f"{name} must be a {called} number{of_unit}, got {value!r}")
     return number
 
 
@@ -120,10 +122,10 @@ def positive(name: str, value: Any, unit: str | None = None) -> float:
 
 
 def at_least(name: str, value: Any, least: int = 0) -> int:
-    """Return a whole number that must not be below another, such as a seed.
+    """Return a whole number, such as a seed, that must not be below ``least``, as an int.
 
     Raises:
-      InputError: it is, or is not a whole number.
+      InputError: the value is below it, or is no whole number.
     """
     if not _is_whole(value) or int(value) < least:
         raise InputError(f"{name} must be a whole number from {least} up, got {_shown(value)}")
@@ -131,16 +133,21 @@ def at_least(name: str, value: Any, least: int = 0) -> int:
 
 
 def check_range(name: str, value: Any) -> None:
-    """Raise InputError where a number, or one in a list of them, is beyond what any such number can be.
+    """Raise InputError where a number, or one in a list of them, is larger in size than any sensible one.
 
-    Without end (``inf``) may be what has no unit of length or angle, such as a budget of seconds. NaN passes: the
-    functions refuse it themselves.
+    What has no unit of length or angle, such as a budget of seconds, may be infinite. NaN and values that are no
+    numbers pass: the functions refuse them themselves.
+
+    Args:
+      name: of the argument, whose end is the unit that decides the largest size (`MOST_OF`).
+      value: of any kind.
     """
     most = next((most for end, most in MOST_OF.items() if name.endswith(end)), MOST)
-    for number in value if isinstance(value, list | tuple) else (value,):
+    values = value if isinstance(value, list | tuple) else (value,)
+    for number in values:
         size: Any = abs(number) if isinstance(number, numbers.Real) else 0
-        is_endless = most == MOST and size == math.inf
-        if size > most and not is_endless:
+        may_be_infinite = most == MOST
+        if size > most and not (may_be_infinite and size == math.inf):
             unit = f" ({unit_of(name)})" if unit_of(name) else ""
             raise InputError(
                 f"{name} must be a finite number of at most {most:.0e}{unit}, got {number!r}"
@@ -148,20 +155,24 @@ def check_range(name: str, value: Any) -> None:
 
 
 def typed(public: Public) -> Public:
-    """Return a function or a class that answers an argument of another kind than its annotation names by InputError.
+    """Return a function or a class that raises InputError for an argument of another kind than its annotation names.
 
     Arguments are looked at before anything runs, generously: any real number for a float (NumPy's too), anything with
-    items for a sequence, text for a path; of lists, tuples and dicts each item is looked at.
+    items for a sequence, text for a path; of lists, tuples and dicts each item is looked at. A class comes back as it
+    is, with its ``__init__`` replaced. Errors of JAX's start become InputError with a remedy too.
     """
     function = public.__init__ if inspect.isclass(public) else public
     signature = inspect.signature(function)
     parameters = signature.parameters
     in_order = [name for name, p in parameters.items() if p.kind is not p.KEYWORD_ONLY]
-    call = f": call {public.__name__}({', '.join(in_order)})"
-    further = next((name for name, p in parameters.items() if p.kind is p.VAR_KEYWORD), "")
+    call = f": call {public.__name__}({', '.join(in_order)})"  # ends a message
+    further = next(
+        (name for name, p in parameters.items() if p.kind is p.VAR_KEYWORD), ""
+    )  # **name
 
     @functools.cache
-    def kinds() -> dict[str, list[Kind]]:  # at the first call, when all modules are there
+    def kinds() -> dict[str, list[Kind]]:
+        """Return the kinds of each argument; at the first call, when all modules that hints name are loaded."""
         return {name: _kinds(hint) for name, hint in _hints(checked).items()}
 
     @functools.wraps(function)
@@ -174,10 +185,13 @@ def typed(public: Public) -> Public:
             hint = _home_of(wrong, checked)
             fault = f"there is no argument {wrong!r}{hint}" if wrong else str(error)
             raise InputError(f"{public.__name__}: {fault}") from error
+
+        # Keywords that ``**further`` takes have its kinds.
         for name, value in (values.pop(further, {}) | values).items():
             allowed = kinds().get(name if name in parameters else further, [])
             _check_kind(name, value, allowed, call)
             check_range(name, value)
+
         try:
             return function(*args, **kwargs)
         except (RuntimeError, AssertionError) as error:
@@ -192,14 +206,17 @@ def typed(public: Public) -> Public:
 
 
 class _PublicNames(dict):
-    """The public names of the package, for hints on what their module imports for type checkers alone."""
+    """The public names of the package, for hints that name what their module imports for type checkers alone.
+
+    It finds a name when it is looked up, as importing all of them takes seconds.
+    """
 
     def __missing__(self, name: str) -> Any:
         return find_public(name)
 
 
 def _hints(function: Callable) -> dict[str, Any]:
-    """Return the type hints of the arguments of a function or a class."""
+    """Return the type hints of the arguments of a function or a class, by name; of ``*args`` a sequence of its hint."""
     function = function.__init__ if inspect.isclass(function) else function
     hints = get_type_hints(function, localns=_PublicNames())
     parameters = inspect.signature(function).parameters
@@ -210,7 +227,13 @@ def _hints(function: Callable) -> dict[str, Any]:
 
 
 class _Maker(NamedTuple):
-    """What makes an argument, and the whole call with ``{}`` where its own arguments stand."""
+    """A public function or class that makes an argument of a call, or the function that is called itself.
+
+    Attributes:
+      function: the maker.
+      argument: that it makes; ``""`` for the function that is called.
+      call: text of the call, such as ``"gps=Gps({})"``, with ``{}`` where the maker's own arguments stand.
+    """
 
     function: Callable
     argument: str
@@ -218,27 +241,39 @@ class _Maker(NamedTuple):
 
 
 def _makers_of(hint: Any, argument: str, call: str) -> Iterator[tuple[str, _Maker]]:
-    """Yield the kinds of an argument that have a public maker, in lower case, and the makers."""
+    """Yield the kinds of an argument that have a public maker, in lower case, and the makers.
+
+    Args:
+      hint: of the argument; of a union each kind is looked at.
+      argument: its name.
+      call: text of the call that takes the argument, with ``{}`` where it stands.
+    """
     for kind in map(_name_of, (hint, *get_args(hint))):
-        name = re.split(" or |,", MADE_BY.get(kind, kind))[0]
-        with suppress(KeyError):
+        name = re.split(" or |,", MADE_BY.get(kind, kind))[0]  # the first maker that the text names
+        with suppress(KeyError):  # no public name: the kind has no maker
             maker = find_public(name)
             yield kind.lower(), _Maker(maker, argument, call.format(f"{argument}={name}({{}})"))
 
 
 def _home_of(name: str, function: Callable) -> str:
-    """Return what is meant by an argument that a function does not take: ``" (give gps=Gps(mask_deg=...))"``.
+    """Return the end of a message on an argument that a function does not take: what is meant, or what it takes.
 
-    Beside its own arguments those of their makers are searched, the nearest first; with or without their units, and
-    after the name of what is made (``gps_mask``).
+    Such as ``" (did you mean 'time'?)"``, or ``" (give gps=Gps(mask_deg=...))"`` where it is an argument of what makes
+    an argument. Both are found with or without their units, and after the name of what is made (``gps_mask``).
+
+    Args:
+      name: of the wrong argument.
+      function: that does not take it.
     """
     own = [each for each in inspect.signature(function).parameters if each not in ("self", "cls")]
+
+    # What to write for each spelling, "" for the function's own arguments; those of its makers, and of theirs, follow.
     remedies = dict.fromkeys(own, "")
     makers = [_Maker(function, "", "{}")]
-    for maker in makers:  # it grows meanwhile
+    for maker in makers:  # grows while it is walked through, so that nearer makers come first
         for argument, hint in _hints(maker.function).items():
             remedy = maker.call.format(f"{argument}=...") if maker.argument else ""
-            bare = re.sub("_(m|s|m_s|deg|w)$", "", argument)
+            bare = re.sub("_(m|s|m_s|deg|w)$", "", argument)  # without its unit
             of_made = f"{maker.argument}_{argument}", f"{maker.argument}_{bare}"
             for spelling in (argument, bare, *of_made):
                 remedies.setdefault(spelling, remedy)
@@ -246,6 +281,8 @@ def _home_of(name: str, function: Callable) -> str:
                 if made_by.function not in [each.function for each in makers]:
                     makers.append(made_by)
                     remedies.setdefault(kind, made_by.call.format("..."))
+
+    # The function's own arguments win where one hardly differs, then what a maker takes, then its own ones by far.
     nearest = alike(name, own, MOST_ALIKE) or alike(name, remedies, MOST_ALIKE) or near(name, own)
     if not nearest:
         return f"; it takes {', '.join(own)}"
@@ -254,13 +291,23 @@ def _home_of(name: str, function: Callable) -> str:
 
 
 def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
-    """Raise InputError, with the kinds that are accepted and a remedy, unless the value is of one of them."""
+    """Raise InputError, with the kinds that are accepted and a remedy, unless the value is of one of them.
+
+    Args:
+      name: of the argument.
+      value: of any kind.
+      kinds: that are accepted; none: any.
+      call: remedy for an object of this package in the wrong place: how the function is called.
+    """
     if not kinds or any(kind.holds(value) for kind in kinds):
         return
     names = list(dict.fromkeys(kind.name for kind in kinds))
+
     accepted = _either(names)
     if unit_of(name) and "number" in accepted:
         accepted = f"{accepted} ({unit_of(name)})"
+
+    # The remedy: a text that resembles a choice, the call for an object of ours, a list for a single number.
     choices = [each.strip("'") for each in names if each.startswith("'")]
     remedy = nearest_name(str(value), choices)
     if not remedy and type(value).__module__.startswith(f"{PACKAGE}."):
@@ -271,20 +318,23 @@ def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
 
 
 def _kinds(hint: Any) -> list[Kind]:
-    """Return the kinds that a type hint allows; none: anything goes."""
+    """Return the kinds of value that a type hint allows; none: a value of any kind is allowed."""
     hint = getattr(hint, "array_type", hint)  # of jaxtyping's shapes
     origin = get_origin(hint) or hint
     parts = [part for part in get_args(hint) if part is not Ellipsis]
     if origin in (Union, types.UnionType):
-        kinds = [_kinds(part) for part in parts]
-        return [kind for each in kinds for kind in each] if all(kinds) else []
+        kinds_of_parts = [_kinds(part) for part in parts]
+        if not all(kinds_of_parts):  # one part allows anything
+            return []
+        return list(chain.from_iterable(kinds_of_parts))
     if origin is Literal:
         return [Kind(repr(choice), functools.partial(_is_choice, choice)) for choice in parts]
     if origin is Any or not inspect.isclass(origin):
         return []
     if origin in HOLDERS:
         holder = HOLDERS[origin]
-        return [_kind_of_items(holder, parts[1:] if holder is Mapping else parts)]
+        hints = parts[1:] if holder is Mapping else parts  # of the items; keys are not looked at
+        return [_kind_of_items(holder, hints)]
     if origin in KINDS:
         return [KINDS[origin]]
     name = _name_of(origin)
@@ -294,7 +344,12 @@ def _kinds(hint: Any) -> list[Kind]:
 
 
 def _kind_of_items(holder: Any, hints: list[Any]) -> Kind:
-    """Return the kind of a sequence or a dict by the hints of its items; of several hints, with any items."""
+    """Return the kind of a sequence or a dict with items of some kind.
+
+    Args:
+      holder: `Iterable` for any sequence, `Mapping` for a dict.
+      hints: of the items; with several different ones, or a hint of a tuple, items are not looked at.
+    """
     is_plain = len({*hints}) == 1 and get_origin(hints[0]) is not tuple
     items = _kinds(hints[0]) if is_plain else []
     if not items:
@@ -306,7 +361,15 @@ def _kind_of_items(holder: Any, hints: list[Any]) -> Kind:
 
 
 def _holds(holder: Any, items: list[Kind], value: Any) -> bool:
-    """Whether a value is a sequence or a dict whose items, where it is safe to walk through them, are of some kinds."""
+    """Return whether a value is a sequence or a dict whose items are of some kinds.
+
+    Only items of lists, tuples and dicts are looked at: walking through anything else may use it up.
+
+    Args:
+      holder: `Iterable` or `Mapping`.
+      items: kinds of the items, each of which must be of one of them.
+      value: of any kind.
+    """
     value = (value,) if isinstance(value, str) else value  # one text is often taken for several
     if not KINDS[holder].holds(value):
         return False

@@ -68,19 +68,30 @@ class OtherSettingsWarning(UserWarning):
 
 
 def warn(sentence: str, category: type[Warning] = UserWarning) -> None:
-    """Warn at the line of the user that called jaxurban: the first one outside the package."""
-    frame, stacklevel, package = inspect.currentframe(), 1, __name__.partition(".")[0]
+    """Warn at the line of the user that called jaxurban: the first one outside the package.
+
+    Args:
+      sentence: the warning.
+      category: its class.
+    """
+    package = __name__.partition(".")[0]
+    frame, stacklevel = inspect.currentframe(), 1
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == package:
         frame, stacklevel = frame.f_back, stacklevel + 1
     warnings.warn(sentence, category, stacklevel=stacklevel)
 
 
 def platform_remedy(error: BaseException) -> str:
-    """Return what to do where an error comes from JAX's start on the platforms that are chosen, else an empty text."""
+    """Return what to do about an error of JAX's start on the platforms that the user has chosen (``JAX_PLATFORMS``).
+
+    An empty text comes back for any other error: the variable is not set, or JAX starts with it.
+    """
     chosen = os.environ.get("JAX_PLATFORMS")
     if not chosen:
         return ""
-    if "JAX_PLATFORMS" not in str(error):  # as of CUDA without its plugin
+    if "JAX_PLATFORMS" not in str(
+        error
+    ):  # the message need not name it, as of CUDA without its plugin
         import jax
 
         with suppress(RuntimeError, AssertionError):
@@ -90,9 +101,9 @@ def platform_remedy(error: BaseException) -> str:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return what an error of the system or of a library says, on one line; only the beginning of what is long."""
-    said = getattr(error, "strerror", None) or " ".join(str(error).split())
-    return said if len(said) <= MOST_SAID else f"{said[:MOST_SAID]} ..."
+    """Return what an error of the system or of a library says, on one line, cut after `MOST_SAID` characters."""
+    reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+    return reason if len(reason) <= MOST_SAID else f"{reason[:MOST_SAID]} ..."
 
 
 def check_file(path: str | os.PathLike[str]) -> None:
@@ -105,15 +116,17 @@ def check_file(path: str | os.PathLike[str]) -> None:
 def readable(
     path: str | Path, kind: str, remedy: str, *errors: type[Exception], what: str = ""
 ) -> Iterator[None]:
-    """Turn errors of the block, which reads a file, into an InputError: what it is, the reason and the remedy.
+    """Turn errors of the block, which reads a file, into an InputError that names the file, the reason and the remedy.
 
     Args:
       path: of the file.
-      kind: what it cannot be read as.
-      remedy: ends the sentence.
-      errors: what a damaged file raises, beside OSError, ValueError and RecursionError (brackets in brackets); an
-        InputError passes as it is.
-      what: the file, for the message; its path, if left out.
+      kind: what the file should be read as, for the message.
+      remedy: ends the message.
+      errors: what a damaged file raises, beside OSError, ValueError and RecursionError (brackets in brackets).
+      what: name of the file in the message; left out, its path.
+
+    Raises:
+      InputError: the file is missing, no file, or damaged; one that the block raises passes as it is.
     """
     what = what or repr(str(path))
     caught: tuple[type[Exception], ...] = (OSError, ValueError, RecursionError, *errors)

@@ -61,11 +61,14 @@ def keep_programs() -> Path | None:
     import jax
 
     _listen()
+
+    # Our own folder, unless the user has named one; programs of any compile time, unless the user has said from which.
     own = _own_folder()
     if own and not _folder_in_use() and _is_writable(own):
         jax.config.update("jax_compilation_cache_dir", str(own))
     if LEAST_S not in os.environ:
         jax.config.update(LEAST_S.lower(), 0.0)
+
     if own and own == _folder_in_use():
         pass_over_unreadable()
         _drop_damaged(own)
@@ -78,7 +81,7 @@ def keeps_programs() -> bool:
 
 
 def pass_over_unreadable() -> None:
-    """Let no warning speak of files of our own folder that JAX cannot read or write: it goes on without them."""
+    """Hide warnings on files of our own folder that JAX cannot read or write: it works without them."""
     if keeps_programs() and _folder_in_use() == _own_folder():
         warnings.filterwarnings("ignore", UNREADABLE, UserWarning)
 
@@ -97,7 +100,7 @@ def say_compiling() -> None:
 
 
 def _own_folder() -> Path | None:
-    """Return our own folder for programs of this processor; None without a home."""
+    """Return the folder for programs of this processor, which need not exist yet; None where the user has no home."""
     try:
         caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     except RuntimeError:
@@ -114,7 +117,10 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _processor() -> str:
-    """Return a text that differs between processors of different instructions."""
+    """Return a text that is the same for all processors with the same instructions, and differs for others.
+
+    Linux lists the instructions; elsewhere the name of the processor has to do.
+    """
     try:
         lines = CPUINFO.read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -126,22 +132,22 @@ def _processor() -> str:
 def _drop_damaged(folder: Path) -> None:
     """Remove programs that were not written to their end, or changed since: JAX would never write them again.
 
-    Those that have not changed since the last check are not read again: of 1,600 that takes 0.2 s, and more where homes
-    are on a network.
+    Only programs that were written since the last check, or shortly before it, are read: reading 1,600 of them takes
+    0.2 s, and more where homes are on a network. The time of the empty file `CHECKED` is that of the last check.
     """
-    mark, since_s = folder / CHECKED, 0.0
-    with suppress(OSError):  # the first check, or a full disk
+    mark, since_s = folder / CHECKED, 0.0  # seconds, as times of files are
+    with suppress(OSError):  # there was no check yet, or the disk is full
         since_s = mark.stat().st_mtime - SETTLED_S
     with suppress(OSError):
         mark.touch()  # before the check, so that the next one reads what is written meanwhile
     for file in folder.glob("*-cache"):
-        with suppress(OSError):  # another process has removed it
+        with suppress(OSError):  # another process has removed the file
             if file.stat().st_mtime >= since_s and not _is_whole(file.read_bytes()):
                 file.unlink()
 
 
 def _is_whole(program: bytes) -> bool:
-    """Return whether a compressed file has an end, and a right checksum where zlib wrote it."""
+    """Return whether a compressed program can be unpacked to its end; zlib's files have a checksum too."""
     try:
         if program.startswith(ZSTANDARD):
             from numcodecs.zstd import Zstd
@@ -156,23 +162,31 @@ def _is_whole(program: bytes) -> bool:
 
 @functools.cache
 def _listen() -> None:
-    """Have JAX say when it compiles, for longer than a moment in all, what it has not loaded."""
+    """Listen to JAX from now on, and say in the log once it has compiled for longer than `BRIEF_S` in all.
+
+    JAX reports the end of a program that it compiled and of one that it loaded alike, but each loaded one beforehand:
+    so many ends do not count.
+    """
     from jax import monitoring
 
-    loaded, seconds = 0, 0.0
+    num_loaded = 0  # programs whose end is still to be reported
+    compiled_s = 0.0
 
     def on_event(event: str, **_: str | int) -> None:
-        nonlocal loaded
-        loaded += event == LOADED
+        nonlocal num_loaded
+        if event == LOADED:
+            num_loaded += 1
 
     def on_duration(event: str, duration_secs: float, **_: str | int) -> None:
-        nonlocal loaded, seconds
-        if event == ENDED and loaded:
-            loaded -= 1
-        elif event == ENDED:
-            seconds += duration_secs
-            if seconds > BRIEF_S:
-                say_compiling()
+        nonlocal num_loaded, compiled_s
+        if event != ENDED:
+            return
+        if num_loaded:
+            num_loaded -= 1
+            return
+        compiled_s += duration_secs
+        if compiled_s > BRIEF_S:
+            say_compiling()
 
     monitoring.register_event_listener(on_event)
     monitoring.register_event_duration_secs_listener(on_duration)

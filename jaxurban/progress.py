@@ -34,7 +34,13 @@ class Report:
         self._function = function
 
     def __call__(self, stage: str, done: int = 0, total: int = 0, **counts: object) -> None:
-        """Tell the stage, how much of it is done and of how much (0: not known), and what else was counted.
+        """Report how far a job is.
+
+        Args:
+          stage: that runs.
+          done: how much of it is done.
+          total: how much there is to do; 0: not known.
+          counts: what else was counted, by name.
 
         Raises:
           KeyboardInterrupt: Ctrl-C came where it could not be raised.
@@ -78,7 +84,12 @@ class Stopwatch:
 
 @contextmanager
 def warn_if_slow(planner: str, budget_s: float) -> Iterator[None]:
-    """Warn that a planner is running, and for how long, where the block, its search, lasts `SILENT_S` or longer."""
+    """Log a warning that a planner is still running if the block, which is its search, lasts `SILENT_S` or longer.
+
+    Args:
+      planner: its name.
+      budget_s: seconds that the search may take, compilation excluded; a shorter budget than `SILENT_S` never warns.
+    """
     sentence = (
         "%s is still running: its search may take up to %g s (budget_s), compilation excluded"
     )
@@ -94,15 +105,15 @@ def warn_if_slow(planner: str, budget_s: float) -> Iterator[None]:
 
 @contextmanager
 def reporting(title: str, progress: Progress = True) -> Iterator[Report]:
-    """Yield what a job reports its progress to.
+    """Yield what a job reports its progress to within the block, at whose end a bar is closed.
 
     Args:
       title: of the job.
       progress: True for a bar on stderr or, where that is not a terminal, lines in the log (level INFO) on long stages,
-        with their total and the time that is left; False for nothing; or a function that gets ``stage``, ``done`` and
-        ``total`` (0: not known).
+        with their total and the time that is left; False for nothing; a function that gets ``stage``, ``done`` and
+        ``total`` (0: not known); or the report of a larger job, which is yielded as it is.
     """
-    if isinstance(progress, Report):  # of the job that this one is a part of
+    if isinstance(progress, Report):
         yield progress
     elif progress is not True:
         yield Report(progress or None)
@@ -123,21 +134,21 @@ class _Bar(Report):
         self.bar: Any = None
 
     def show(self, stage: str, done: int, total: int, counts: Mapping[str, object]) -> None:
-        """Draw the bar of a stage, a new one where the stage has changed, with a forecast once it is sound."""
+        """Draw the bar of a stage, a new one where the stage has changed.
+
+        The time that is left stands in it once enough is done for a forecast, unless the total is not known.
+        """
         from tqdm import tqdm
 
         if stage != self.stage:
             self.close()
-            is_terminal = self.is_terminal
             self.stage = stage
-            self.bar = tqdm(
-                desc=f"{self.title}: {stage}",
-                initial=done,
-                file=sys.stderr if is_terminal else _Log(),
-                leave=is_terminal,
-                mininterval=0.1 if is_terminal else EVERY_S,
-                delay=BRIEF_S if is_terminal else EVERY_S,
-            )
+            look: dict[str, Any] = {"file": sys.stderr, "mininterval": 0.1, "delay": BRIEF_S}
+            if not self.is_terminal:
+                look = {"file": _Log(), "mininterval": EVERY_S, "delay": EVERY_S}
+            name = f"{self.title}: {stage}"
+            self.bar = tqdm(desc=name, initial=done, leave=self.is_terminal, **look)
+
         self.bar.total = total or None
         is_early = done < EARLY_SHARE * total and self.bar.format_dict["elapsed"] < EARLY_S
         if not total:
@@ -145,7 +156,8 @@ class _Bar(Report):
         elif is_early:
             self.bar.bar_format = WITHOUT_FORECAST
         else:
-            self.bar.bar_format = None if self.is_terminal else WITH_FORECAST
+            self.bar.bar_format = None if self.is_terminal else WITH_FORECAST  # None: tqdm's own
+
         self.bar.set_postfix(counts, refresh=False)
         self.bar.update(done - self.bar.n)
 

@@ -29,11 +29,12 @@ def public_names(
     """Return a module's ``__getattr__``, ``__dir__`` and ``__all__``, as its stub names them.
 
     Args:
-      package: the module's name.
-      file: its file; the stub lies beside.
+      package: full name of the module.
+      file: its file; the stub lies beside it.
       renamed: public names by their former ones, which still work, and warn (docs/reference/stability.md).
       until: the release in which the former ones go.
     """
+    # The module that each public name is imported from, as lines of the stub say: ``from x import y as y``.
     stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
     homes: dict[str, str | None] = {}
     for line in stub.body:
@@ -41,7 +42,11 @@ def public_names(
             homes |= {alias.name: line.module for alias in line.names}
 
     def fetch(name: str) -> Any:
-        """Return what the package calls by a name, imported at the first call; former names warn."""
+        """Return what the package calls by a name, imported now; former names warn.
+
+        Raises:
+          AttributeError: the module has no such name.
+        """
         if renamed and name in renamed:
             present = renamed[name]
             _warn_renamed(f"{package}.{name}", f"{_public_homes()[present]}.{present}", until)
@@ -51,7 +56,7 @@ def public_names(
             return import_module("importlib.metadata").version(package)
         if home is None:
             raise AttributeError(f"module {package!r} has no attribute {name!r}{_elsewhere(name)}")
-        if home == package:
+        if home == package:  # a module of the package
             return import_module(f"{package}.{name}")
         return getattr(import_module(home), name)
 
@@ -84,10 +89,10 @@ def renamed_arguments(until: str, **renamed: str) -> Callable[[Function], Functi
 
 
 def present_name(kind: str, name: str, renamed: Mapping[str, str], until: str = "2.0") -> str:
-    """Return the name that an option or a key has now, and warn where the one given is a former one.
+    """Return the present name of an option or a key, and warn where the user wrote a former one.
 
     Args:
-      kind: what it is, such as ``"option"``.
+      kind: what has the name, for the warning, such as ``"option"``.
       name: as the user wrote it.
       renamed: present names by former ones.
       until: the release in which the former ones go.
@@ -103,10 +108,11 @@ def _warn_renamed(old: str, new: str, until: str) -> None:
 
 
 def _elsewhere(name: str) -> str:
+    """Return the end of a message on a missing name: public names like it, with their modules; empty without any."""
     known = {} if name.startswith("_") else _public_homes()
     names = near(name, known) or [each for each in known if name.startswith(each)]
-    full_names = [f"{known[each]}.{each}" for each in names]
-    return f" (did you mean {' or '.join(full_names)}?)" if names else ""
+    full_names = " or ".join(f"{known[each]}.{each}" for each in names)
+    return f" (did you mean {full_names}?)" if names else ""
 
 
 def _public_homes() -> dict[str, str]:
@@ -119,10 +125,10 @@ def _public_homes() -> dict[str, str]:
 
 
 def find_public(name: str) -> Any:
-    """Return what has a public name, at the top of the package or in one of its namespaces, or a method of it.
+    """Return the function, class or constant that has a public name, or a method of it (``"Constraints.read"``).
 
     Raises:
-      KeyError: nothing has.
+      KeyError: neither the package nor one of its namespaces has the name.
     """
     name, _, method = name.partition(".")
     thing = getattr(import_module(_public_homes()[name]), name)
@@ -130,21 +136,29 @@ def find_public(name: str) -> Any:
 
 
 def near(name: str, valid: Iterable[str]) -> list[str]:
-    """Return the one of some names that begins with a wrong one, or else is most like it, if one is."""
+    """Return in a list the valid name that a wrong one means: the only one that begins so, else the most like it.
+
+    The list is empty where none is like it (`alike`).
+    """
     names = list(valid)
-    begun = [each for each in names if each.startswith(name)]
-    return begun if len(begun) == 1 else alike(name, names)
+    beginning = [each for each in names if each.startswith(name)]
+    return beginning if len(beginning) == 1 else alike(name, names)
 
 
 def alike(name: str, valid: Iterable[str], least: float = LEAST_ALIKE) -> list[str]:
-    """Return the one of some names that is most like a wrong one, if one is.
+    """Return in a list the valid name that is most like a wrong one; the list is empty where none is like it.
 
-    Case does not count, and the first letters must agree: who mistypes a name seldom mistypes that.
+    Case does not count, and the first letters must agree: people seldom mistype the first letter of a name.
+
+    Args:
+      name: the wrong one.
+      valid: names to choose from.
+      least: share of letters, about, that must be the same in the same order (``difflib``).
     """
-    names = {each.lower(): each for each in valid if each[:1].lower() == name[:1].lower()}
-    return [
-        names[each] for each in difflib.get_close_matches(name.lower(), names, n=1, cutoff=least)
-    ]
+    wrong = name.lower()
+    names = {each.lower(): each for each in valid if each[:1].lower() == wrong[:1]}
+    matches = difflib.get_close_matches(wrong, names, n=1, cutoff=least)
+    return [names[match] for match in matches]
 
 
 class Caution(str):
@@ -209,14 +223,14 @@ class FactsRepr:
 
     def _repr_html_(self) -> str:
         """Return cautions and facts as a table for notebooks."""
-        lines: list[tuple[str, str, str]] = [
+        lines: list[tuple[str, str, str]] = [  # style, name and text of each row
             (LEVEL_STYLES[each.level], each.level, each) for each in self._cautions()
         ]
         lines += [("", name, fact) for name, fact in self.facts.items() if fact]
-        rows = "".join(
-            f'<tr style="{style}"><th>{escape(name)}</th><td style="text-align:left">{escape(text)}</td></tr>'
-            for style, name, text in lines
-        )
+        rows = ""
+        for style, name, text in lines:
+            cells = f'<th>{escape(name)}</th><td style="text-align:left">{escape(text)}</td>'
+            rows += f'<tr style="{style}">{cells}</tr>'
         return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
 
 

@@ -34,10 +34,13 @@ PREFIX = "vehicle_"  # of its entries among the constraints that a path was plan
 
 
 def parse_time(time: str | datetime | np.datetime64) -> datetime:
-    """Return a time in UTC, to the microsecond; without an offset it is taken as UTC.
+    """Return a time in UTC, to the microsecond; a time without an offset is taken as UTC.
+
+    Args:
+      time: an ISO 8601 text, or a time of Python or NumPy.
 
     Raises:
-      InputError: not an ISO 8601 date and time, or one before there were satellites.
+      InputError: it is no such time, or lies outside the years `FIRST_YEAR` to `LAST_YEAR`.
     """
     try:
         if isinstance(time, np.datetime64):
@@ -65,7 +68,7 @@ def not_negative(name: str, value: float) -> float:
     """Return metres that must not be below 0, as a float.
 
     Raises:
-      InputError: they are, or are no finite number.
+      InputError: the value is below 0, or no finite number.
     """
     metres = finite(name, value, "metres")
     if metres < 0:
@@ -277,7 +280,7 @@ class Planning:
     def __post_init__(self) -> None:
         for name in CLEARANCES:
             metres = getattr(self, name)
-            if metres is not None:
+            if metres is not None:  # None: left out
                 not_negative(name, metres)
         positive("reference_length_m", self.reference_length_m)
         if not self.budget_s > 0:
@@ -336,11 +339,13 @@ class Vehicle:
     power_w: float | None = None
 
     def __post_init__(self) -> None:
+        # Numbers become floats: the radius, which may be 0, and the limits, which may be left out.
         object.__setattr__(self, "radius_m", not_negative("radius_m", self.radius_m))
-        for item in fields(self)[1:]:
-            value = getattr(self, item.name)
+        _, *limits = fields(self)
+        for limit in limits:
+            value = getattr(self, limit.name)
             if value is not None:
-                object.__setattr__(self, item.name, positive(item.name, value))
+                object.__setattr__(self, limit.name, positive(limit.name, value))
         if self.max_turn_deg is not None and self.max_turn_deg > FULL_TURN_DEG:
             raise InputError(
                 f"max_turn_deg must be at most {FULL_TURN_DEG:g} degrees, got {self.max_turn_deg:g}"
@@ -381,7 +386,7 @@ class Vehicle:
         return {PREFIX + name: float(value) for name, value in named.items() if value}
 
     def flight_s(self, air_m: np.ndarray, rise_m: np.ndarray, speed_m_s: float) -> np.ndarray:
-        """Return the seconds that straight parts of a route take, ``[M]``.
+        """Return the seconds that straight parts of a route take; without a limit, heights change at any speed.
 
         Args:
           air_m: ``[M]`` their lengths in the air.
@@ -396,5 +401,9 @@ class Vehicle:
           >>> vehicle.flight_s(np.array([100.0, 100.0]), np.array([0.0, 40.0]), 10.0).tolist()
           [10.0, 20.0]
         """
-        climb_m_s, descent_m_s = self.max_climb_m_s or np.inf, self.max_descent_m_s or np.inf
-        return np.maximum(air_m / speed_m_s, np.maximum(rise_m / climb_m_s, -rise_m / descent_m_s))
+        cruise_s = air_m / speed_m_s
+        climb_s = rise_m / (
+            self.max_climb_m_s or np.inf
+        )  # below 0 in a descent, as the other in a climb
+        descent_s = -rise_m / (self.max_descent_m_s or np.inf)
+        return np.maximum(cruise_s, np.maximum(climb_s, descent_s))

@@ -62,9 +62,7 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
     "--sources", type=PATH, help="Folder where the relative paths of the maps' sources begin."
 )
 @RESOLUTION
-@FILES(
-    help="Folder of the report, or a file of findings: .geojson, .csv or .parquet; repeatable.",
-)
+@FILES(help="Folder of the report, or a file of findings: .geojson, .csv or .parquet; repeatable.")
 @OVERWRITE
 @JSON_FLAG
 def check(

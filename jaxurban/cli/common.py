@@ -40,7 +40,13 @@ class RouteRules(TypedDict):
 
 
 class Numbers(click.ParamType):
-    """Numbers with commas between them, ``count`` of them where that is given."""
+    """Numbers with commas between them.
+
+    Args:
+      name: of the type, in the help.
+      example: ends the sentence on other values: ``'x' must be EXAMPLE``.
+      count: how many numbers there must be; 0: any number of them.
+    """
 
     def __init__(self, name: str, example: str, count: int = 0) -> None:
         self.name, self.example, self.count = name, example, count
@@ -48,14 +54,18 @@ class Numbers(click.ParamType):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[float, ...]:
-        """Return the numbers of ``value``."""
+        """Return the numbers in a text; a default that is a tuple already comes back as it is.
+
+        Raises:
+          BadParameter: something that is no number, or another count of numbers.
+        """
         if isinstance(value, tuple):
             return value
         try:
             numbers = tuple(float(part) for part in str(value).split(","))
         except ValueError:
             numbers = ()
-        if len(numbers) != (self.count or len(numbers) or 1):
+        if not numbers or len(numbers) != (self.count or len(numbers)):
             self.fail(f"{value!r} must be {self.example}", param, ctx)
         return numbers
 
@@ -64,7 +74,11 @@ class NamedPath(click.Path):
     """A path; an empty one, as of a variable that is not set, is not the current folder."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path of ``value``."""
+        """Return the path in a text.
+
+        Raises:
+          BadParameter: an empty text, or what `click.Path` refuses.
+        """
         if value == "":
             self.fail(
                 "the name is empty: name a file or a folder (. is the current one)", param, ctx
@@ -76,10 +90,10 @@ PATH = NamedPath(path_type=Path)
 
 
 def together(*parameters: Callable) -> Callable[[Callable], Callable]:
-    """Return what adds options to a command, in this order."""
+    """Return a decorator that adds options and arguments to a command, which lists them in this order."""
 
     def add(command: Callable) -> Callable:
-        for parameter in reversed(parameters):
+        for parameter in reversed(parameters):  # as decorators that stand one over the other
             command = parameter(command)
         return command
 
@@ -95,13 +109,15 @@ def stay_on_cpu() -> None:
 
 
 def use_device(name: str | None) -> None:
-    """Choose what computes in this process, a command's own, and in those that it starts, and say it in the log.
+    """Choose the device that computes in this process and in those that it starts, and name it in the log.
+
+    Only a command may call it, in its own process, before JAX's first use.
 
     Args:
-      name: ``"cpu"``, ``"gpu"``, ``"auto"`` for a GPU where JAX finds one, or None for that without a word.
+      name: ``"cpu"``; ``"gpu"``; ``"auto"``, a GPU where JAX finds one; or None: as ``"auto"``, but nothing is logged.
 
     Raises:
-      InputError: no GPU that JAX can use.
+      InputError: ``"gpu"`` where JAX can use none.
     """
     if name is None:
         return
@@ -120,20 +136,21 @@ def use_device(name: str | None) -> None:
 def grouped(
     argument: str, make: Callable[..., Any], *options: Callable
 ) -> Callable[[Callable], Callable]:
-    """Return what adds options to a command, which gets what they ask for as one argument.
+    """Return a decorator that adds several options to a command, which gets one argument made of their values.
 
     Args:
-      argument: of the command.
-      make: returns its value; its parameters are those of the options.
-      options: the options, in this order.
+      argument: name of the command's argument.
+      make: returns its value; it takes the values of the options, by their names in Python.
+      options: the options, in the order of the help.
     """
     names = inspect.signature(make).parameters
 
     def add(command: Callable) -> Callable:
         @wraps(command)
         def call(**values: Any) -> Any:
-            made = make(**{name: values.pop(name) for name in names})
-            return command(**values, **{argument: made})
+            own_values = {name: values.pop(name) for name in names}
+            values[argument] = make(**own_values)
+            return command(**values)
 
         return together(*options)(call)
 
@@ -157,10 +174,10 @@ class DependentOption(click.Option):
         """Return the value and what is left to parse, as for any option.
 
         Raises:
-          UsageError: it is given, and its owner is not.
+          UsageError: the option is given, and its owner is not.
         """
-        given = {option for each in ctx.command.params if each.name in opts for option in each.opts}
-        if self.name in opts and self.owner not in given:
+        owner = next(param for param in ctx.command.params if self.owner in param.opts)
+        if self.name in opts and owner.name not in opts:
             raise click.UsageError(f"{self.opts[0]} belongs to {self.owner}: add that")
         return super().handle_parse_result(ctx, opts, args)
 
@@ -168,7 +185,17 @@ class DependentOption(click.Option):
 def rules_of(
     weights_text: str, cost_model: "CostKind | None", constraints: "Constraints", preset: "Preset"
 ) -> RouteRules:
-    """Return the rules that the options of `RULES` ask for."""
+    """Return the rules that the options of `RULES` ask for.
+
+    Args:
+      weights_text: such as ``"gps=1,risk=2"``; empty: no weight is named.
+      cost_model: None: that of the scenario.
+      constraints: on the cells of a route.
+      preset: ``"paper"``, or ``""`` for none.
+
+    Raises:
+      InputError: weights that cannot be read.
+    """
     from jaxurban.metrics.weights import Weights
 
     weights = Weights.named_in(weights_text)
@@ -184,6 +211,12 @@ def constraints_of(
     vertical_clearance_m: float | None,
 ) -> "Constraints":
     """Return the constraints that the options of `CONSTRAINTS` ask for.
+
+    Args:
+      no_fly: files of zones that no path enters.
+      require: bounds such as ``"gps>=0.3"``.
+      clearance_m: least distance from buildings; None: that of the scenario.
+      vertical_clearance_m: least height over roofs; None: that of the scenario.
 
     Raises:
       InputError: a file or a bound that cannot be read, or an invalid clearance.
@@ -201,7 +234,14 @@ def density_beneath(
     ground_buffer_m: float | None,
     density_cell_m: float,
 ) -> "Callable[..., OverflownDensity] | None":
-    """Return what computes, of maps and a path, the density beneath a corridor; None without a corridor."""
+    """Return a function of maps and a path that computes the density of people beneath the path's corridor.
+
+    Args:
+      corridor_m: half-width of the corridor; None: there is none, and None comes back.
+      contingency_m: width of the contingency volume on each side.
+      ground_buffer_m: width of the ground risk buffer; None: the flight's height.
+      density_cell_m: side of the cells over which the mean is taken.
+    """
     if corridor_m is None:
         return None
     from jaxurban.paths.ground_risk import overflown_density
@@ -216,10 +256,10 @@ def density_beneath(
 
 
 def workers_of(workers: int | None, cluster: str | None) -> int | str | None:
-    """Return the processes or the address that the options of `WORKERS` name, None where they name neither.
+    """Return the number of processes or the address of a scheduler, whichever is given; None without either.
 
     Raises:
-      InputError: both.
+      InputError: both are given.
     """
     if workers is not None and cluster is not None:
         raise InputError(
@@ -308,14 +348,7 @@ WEIGHTS = click.option(
     default="",
     help="Weights such as gps=1,risk=2; others keep their values.",
 )
-RULES = grouped(
-    "rules",
-    rules_of,
-    PRESET,
-    COST_MODEL,
-    WEIGHTS,
-    CONSTRAINTS,
-)
+RULES = grouped("rules", rules_of, PRESET, COST_MODEL, WEIGHTS, CONSTRAINTS)
 TIME_OF_DAY = click.option(
     "--time-of-day", help="Time of day of the population map, such as night.  [default: the first]"
 )
@@ -400,7 +433,10 @@ NAMES = partial(click.option, default="", callback=_named)
 
 
 def all_cores() -> int:
-    """Return how many processes use this machine: one, which a message says, where Dask's scheduler is missing."""
+    """Return the number of processes that use this whole machine: one per core.
+
+    Where Dask's scheduler is not installed it is 1, and a line of the log says so.
+    """
     from importlib.util import find_spec
 
     from jaxurban.maps.executors import num_cores
@@ -424,7 +460,7 @@ class _OnStderr(logging.Handler):
 
 @contextmanager
 def logged_on_stderr() -> Iterator[None]:
-    """Show the package's log on stderr."""
+    """Show the package's log on stderr within the block; afterwards its level is what it was."""
     handler = _OnStderr()
     level = LOG.level
     LOG.addHandler(handler)
@@ -439,13 +475,18 @@ def logged_on_stderr() -> Iterator[None]:
 def run_study(
     command: str, output: Path, study: Callable[[Report], StudyResult], overwrite: bool
 ) -> StudyResult:
-    """Return what a study gives its progress to and finds, written to a folder that is checked before it runs.
+    """Run a study, write its result to a folder, and return the result.
+
+    The folder is checked first, so that no study runs whose result could not be written.
 
     Args:
-      command: that runs.
+      command: name of the command that runs.
       output: the folder.
-      study: runs it.
+      study: runs the study, and reports its progress to its argument.
       overwrite: replace another run of the command in the folder.
+
+    Raises:
+      InputError: the folder cannot be written to, or holds other files.
     """
     from jaxurban.io.workspace import Workspace
     from jaxurban.report.write import REPORT_FILE
@@ -456,15 +497,15 @@ def run_study(
         report("report")
         result.save(output, overwrite)
     figures = output / "figures"
-    LOG.info(
-        f"{command} finished: read {output / REPORT_FILE}"
-        + f", look at {figures}" * figures.is_dir()
-    )
+    sentence = f"{command} finished: read {output / REPORT_FILE}"
+    if figures.is_dir():
+        sentence += f", look at {figures}"
+    LOG.info(sentence)
     return result
 
 
 def finite_records(tables: "Mapping[str, pd.DataFrame]") -> Settings:
-    """Return the rows of tables as JSON holds them, infinite values as missing ones."""
+    """Return the rows of tables as JSON holds them, by the tables' names; infinite values become missing ones."""
     from jaxurban.io.tables import records_of
 
     return {
@@ -474,11 +515,11 @@ def finite_records(tables: "Mapping[str, pd.DataFrame]") -> Settings:
 
 
 def outcome_of(rows: "pd.DataFrame", no_route: str) -> tuple[dict[Any, int], ExitCode, str]:
-    """Return how many rows of a study end in each status, the exit code, and why that is not `ExitCode.DONE`.
+    """Return how a study ended: its number of rows by status, the exit code, and why that is not `ExitCode.DONE`.
 
     Args:
-      rows: with a ``status``.
-      no_route: what to warn of where none of them has a route.
+      rows: of the study, with a ``status``.
+      no_route: the warning, and the reason, where no row has a route.
     """
     from jaxurban.paths.rows import HAS_PATH
 

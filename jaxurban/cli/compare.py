@@ -36,11 +36,7 @@ if TYPE_CHECKING:
 @OUTPUT
 @RESOLUTION
 @OBSTACLES
-@SHOWN(
-    "--tolerance",
-    default=1e-6,
-    help="Values that differ by no more count as equal.",
-)
+@SHOWN("--tolerance", default=1e-6, help="Values that differ by no more count as equal.")
 @SHOWN(
     "--routes",
     type=COUNT,
@@ -149,10 +145,7 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
     metavar="city|all|M|FILE",
     help="Where buildings are known: what their file covers, everywhere, so many metres around the track, or polygons.",
 )
-@NAMES(
-    "--systems",
-    help="Letters of the satellite systems to take, as G,E.",
-)
+@NAMES("--systems", help="Letters of the satellite systems to take, as G,E.")
 @SHOWN(
     "--displaced",
     "num_displaced",
@@ -217,7 +210,7 @@ def validate(
 
 
 def _satellite_facts(agreement: "SatelliteAgreement") -> Settings:
-    """Return what the rows of satellites amount to; of the displaced cities the median and the most."""
+    """Return what ``--json`` says of satellites, by name; of displaced cities the median and the largest scores."""
     from jaxurban.io.tables import records_of
 
     displaced = agreement.displaced[["auc", "within"]].agg(["median", "max"])

@@ -40,6 +40,7 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
     )
     Workspace.check(folder, "demo", (SCENARIO_FILE, TABLE_FILE), is_shared=True)
     with reporting("demo") as report:
+        # The maps, and a path by every planner of the paper at every altitude.
         run = run_scenario(scenario, folder, progress=report, overwrite=overwrite)
         maps = run.maps[RESOLUTION_M]
         report("paths")
@@ -57,6 +58,8 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
             for altitude_m in maps.altitudes_m
             for planner in PAPER_PLANNERS
         ]
+
+        # A table of the paths, a file for each, and pictures.
         facts = [path.to_dict() for path in paths]
         table = pd.json_normalize(facts)
         table = table[[*COLUMNS, *table.filter(like="metrics.")]]

@@ -48,10 +48,7 @@ from jaxurban.progress import LOG
     help="Fetch one of --what from another place, such as an OSM extract (.osm.pbf); repeatable.",
 )
 @SHOWN("--max-size", default="500MB", help="Largest file accepted (units of 1,024).")
-@FLAG(
-    "--overwrite",
-    help="Move existing files to the folder `kept` and fetch them again.",
-)
+@FLAG("--overwrite", help="Move existing files to the folder `kept` and fetch them again.")
 @FLAG("--dry-run", "is_dry_run", help="List the requests without making them.")
 @JSON_FLAG
 def fetch(
@@ -71,6 +68,7 @@ def fetch(
     from jaxurban.io.fetch import fetch as fetch_files
     from jaxurban.maps.memory import parse_bytes
 
+    # Other places by the name of what is fetched from them.
     urls = {}
     for text in places:
         name, equals, url = text.partition("=")
@@ -81,6 +79,7 @@ def fetch(
         urls[name.strip()] = url.strip()
     job = FetchJob(bounds, names_in(what), day.date() if day else None, urls, margin_m)
     most_bytes = parse_bytes(max_size, "--max-size")
+
     if is_dry_run:
         requests = [{"source": each.name, "url": each.url} for each in job.requests()]
         record: Settings = {"requests": requests}

@@ -30,7 +30,10 @@ def info(path: Path, as_json: bool) -> None:
 
 
 def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
-    """Return what to print of each resolution's maps, and the same as numbers and lists."""
+    """Return what to print of the maps in a folder, by name, and the same as numbers and lists, per resolution.
+
+    Where the folder holds several resolutions each name begins with its own.
+    """
     from jaxurban.io.store import short_number, stored_resolutions
     from jaxurban.maps.saving import open_maps
     from jaxurban.world.grid import WGS84, transformer
@@ -44,9 +47,8 @@ def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
         bounds = transformer(grid.crs, WGS84).transform_bounds(*grid.bounds_m)
         guesses = ", ".join(maps.guesses) or "none"
         prefix = f"{short_number(resolution_m)} m: " if len(resolutions_m) > 1 else ""
-        for name, value in {"bounds": _rounded(bounds), **maps.facts, "guesses": guesses}.items():
-            if value:
-                facts[prefix + name] = value
+        of_maps = {"bounds": _rounded(bounds), **maps.facts, "guesses": guesses}
+        facts |= {prefix + name: value for name, value in of_maps.items() if value}
         numbers.append(
             {
                 "resolution_m": grid.resolution_m,
@@ -67,7 +69,11 @@ def _rounded(bounds: Iterable[float]) -> list[float]:
 
 
 def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
-    """Return what to print of a file of buildings or a raster, and the same as numbers."""
+    """Return what to print of a file of buildings or a raster, by name, and the same as numbers.
+
+    Raises:
+      InputError: a file that cannot be read.
+    """
     from jaxurban.io.city import City
     from jaxurban.io.read.city import lonlat_extent
     from jaxurban.io.read.raster import RASTER_SUFFIXES, read_raster
@@ -82,6 +88,8 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
         range_facts, range_numbers = _range_of(raster.values)
         facts |= {"CRS": raster.crs, "cells": f"{num_rows:,} x {num_cols:,}"} | range_facts
         return facts, {"num_rows": num_rows, "num_cols": num_cols} | range_numbers
+
+    # Buildings: guesses are among the facts, so that their warnings are not needed.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         city = City.from_files(Buildings(file, allow_none=True))
@@ -99,7 +107,11 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
 
 
 def _range_of(values: Any) -> tuple[Settings, Settings]:
-    """Return the lowest and the highest value and the share without one, as words and as numbers."""
+    """Return the range of a raster's heights and the share of cells without one, as texts and as numbers.
+
+    Args:
+      values: ``[Y, X]`` heights in metres; not finite where there is none. Without any height there is no range.
+    """
     import numpy as np
 
     known = values[np.isfinite(values)]

@@ -68,7 +68,10 @@ COMMANDS = (
 
 
 def _keep_and_run(run: Any, *args: Any, **kwargs: Any) -> Any:
-    """Run a command with JAX's programs kept; where an option is wrong, JAX is not even imported."""
+    """Run a command with JAX's programs kept, and return its exit code.
+
+    It is called once options are read: where one is wrong, JAX is not even imported.
+    """
     keep_programs()
     return run(*args, **kwargs)
 
@@ -108,17 +111,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _with_present_options(arguments: Sequence[str]) -> list[str]:
-    """Return arguments in which former spellings of options are the present ones, and warn of each."""
+    """Return arguments in which former names of options are the present ones (``--x`` and ``--x=1``); each warns."""
     renamed = RENAMED_OPTIONS.get(_command_in(arguments).name, {})
     present = []
-    for each in arguments:
-        option, equals, value = each.partition("=")
-        present.append(present_name("option", option, renamed) + equals + value)
+    for argument in arguments:
+        option, *value = argument.split("=", 1)
+        present.append("=".join([present_name("option", option, renamed), *value]))
     return present
 
 
 def _run(arguments: Sequence[str]) -> int:
-    """Run a command line and return its exit code; every error ends in one sentence on stderr, or in JSON."""
+    """Run a command line and return its exit code.
+
+    Every error that a user can cause ends in one sentence on stderr, and with ``--json`` in one object on stdout.
+
+    Raises:
+      Exception: a fault of jaxurban, as it came.
+    """
     stdout = sys.stdout
     arguments = _with_present_options(arguments)
     fail = partial(_fail, arguments)
@@ -127,6 +136,8 @@ def _run(arguments: Sequence[str]) -> int:
         code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
         if sys.stdout is not None:
             sys.stdout.flush()  # what cannot be printed is reported now, not at the interpreter's end
+
+    # What the user has given, or asked for.
     except InputError as error:
         code = fail(str(error))
     except click.exceptions.NoArgsIsHelpError as help_text:
@@ -138,6 +149,8 @@ def _run(arguments: Sequence[str]) -> int:
         )
     except click.ClickException as error:
         code = fail(error.format_message())
+
+    # What the machine cannot do.
     except MemoryError:
         code = fail(NO_MEMORY)
     except (BrokenPipeError, SystemExit) as left:  # the reader of stdout, as `head` does
@@ -149,11 +162,15 @@ def _run(arguments: Sequence[str]) -> int:
     except OSError as error:
         if JSON not in arguments:
             _drop_stdout()
-        where = f" {str(error.filename)!r}" if error.filename else ""
+        where = ", perhaps what is printed"
+        if error.filename:
+            where = f" {str(error.filename)!r}"
         code = fail(
-            f"the system refuses to read or write{where or ', perhaps what is printed'} ({reason_of(error)}): free "
+            f"the system refuses to read or write{where} ({reason_of(error)}): free "
             "space, or mend that, and run the same command again, which goes on"
         )
+
+    # Ctrl-C, and everything else.
     except (KeyboardInterrupt, click.Abort):
         _end_interrupted(arguments)
     except Exception as error:
@@ -183,9 +200,8 @@ def _end_interrupted(arguments: Sequence[str]) -> None:
 def _remedy_in_environment(error: Exception) -> str:
     """Return what to do where an error of a library comes from a variable of the environment, else an empty text."""
     message = str(error)
-    if (
-        "RESOURCE_EXHAUSTED" in message or "can't start new thread" in message
-    ):  # of JAX, and of Python
+    out_of_memory = ("RESOURCE_EXHAUSTED", "can't start new thread")  # of JAX, and of Python
+    if any(words in message for words in out_of_memory):
         return NO_MEMORY
     if "proj.db" in message:
         return "PROJ does not find its database proj.db: unset PROJ_DATA and PROJ_LIB, or point them to its folder"
@@ -216,6 +232,13 @@ def _show_unraisable(unraisable: Any) -> None:
 
 
 def _fail(arguments: Sequence[str], sentence: str, option: str = "") -> ExitCode:
+    """Report an error of the user, in the log and with ``--json`` on stdout too, and return its exit code.
+
+    Args:
+      arguments: of the command line.
+      sentence: that says what is wrong, and the remedy.
+      option: at fault; empty: it is looked for in the sentence.
+    """
     LOG.info(f"error: {sentence}")
     if JSON in arguments:
         try:
@@ -226,7 +249,7 @@ def _fail(arguments: Sequence[str], sentence: str, option: str = "") -> ExitCode
 
 
 def _option_of(error: click.UsageError) -> str:
-    """Return the option or argument that a wrong usage is of, empty where it is of none."""
+    """Return the name of the option or argument that was used wrongly, empty where the error is of none."""
     if isinstance(error, click.NoSuchOption | click.BadOptionUsage):
         return error.option_name
     param = getattr(error, "param", None)
@@ -239,16 +262,19 @@ def _named_in(sentence: str, arguments: Sequence[str]) -> str:
     That is a parameter whose name in Python begins the sentence, a setting of a scenario, or the first option in the
     sentence that the user gave.
     """
-    first = sentence.split(maxsplit=1)[0].rstrip(":")
-    passed = {each.partition("=")[0] for each in arguments}
+    first_word = sentence.split(maxsplit=1)[0].rstrip(":")
+    passed = {argument.partition("=")[0] for argument in arguments}
     for param in _command_in(arguments).params:
         is_passed = isinstance(param, click.Argument) or not passed.isdisjoint(param.opts)
-        if param.name == first and is_passed:
+        if param.name == first_word and is_passed:
             return _name_of(param)
-    setting = re.search(r": (\w+): (\w+) must ", sentence)
+    setting = re.search(
+        r": (\w+): (\w+) must ", sentence
+    )  # as in "file: gps: mask_deg must be ..."
     if setting:
         return f"{setting[1]}.{setting[2]}"
-    return next((each for each in re.findall(r"--[a-z-]+", sentence) if each in passed), "")
+    options = re.findall(r"--[a-z-]+", sentence)
+    return next((option for option in options if option in passed), "")
 
 
 def _command_in(arguments: Sequence[str]) -> click.Command:

@@ -66,6 +66,7 @@ def maps(
     from jaxurban.maps.run import run_scenario
     from jaxurban.maps.scenario import Scenario
 
+    # Processes of this machine compute on the CPU; an address is that of a cluster, which has devices of its own.
     has_processes = isinstance(workers, int)
     if has_processes and device == "gpu":
         raise InputError(
@@ -78,6 +79,8 @@ def maps(
     if engine:
         changes = (*changes, f'region.engine = "{engine}"')
     scenario = Scenario.from_toml(scenario_file, changes)
+
+    # Make the maps. Pictures in the folder that show other maps are removed, and drawn again if that is asked for.
     with reporting("maps") as report:
         run = run_scenario(
             scenario,
@@ -97,6 +100,7 @@ def maps(
                 LOG.info(
                     "the pictures of the former maps are removed; --figures draws those of these maps"
                 )
+
             if figures:
                 from jaxurban.report.figures import save_figures
 

@@ -55,7 +55,18 @@ def levels_of(
     climb_cost: float | None,
     descent_cost: float,
 ) -> "Levels | None":
-    """Return the levels between which a path may climb, None without ``--volume``."""
+    """Return the levels between which a path may climb; None without ``--volume``.
+
+    Args:
+      is_volume: whether ``--volume`` is given.
+      min_altitude_m, max_altitude_m: the lowest and the highest level; None: those of the maps.
+      level_step_m: distance of further levels between the maps' altitudes; None: there are none.
+      climb_cost: cost per metre up; None: the distance weight.
+      descent_cost: cost per metre down.
+
+    Raises:
+      InputError: invalid levels.
+    """
     from jaxurban.maps.levels import Levels
 
     levels = Levels(min_altitude_m, max_altitude_m, level_step_m, climb_cost, descent_cost)
@@ -65,19 +76,21 @@ def levels_of(
 def exposure_of(
     ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]
 ) -> dict[str, float]:
-    """Return the budget of each layer in ``"population<=120"`` and the like.
+    """Return the budget of each layer by name, from texts such as ``"population<=120"``.
 
     Raises:
-      UsageError: another text, or a second budget of a layer.
+      UsageError: a text of another form, or a second budget of a layer.
     """
-    parts = [list(map(str.strip, text.split("<="))) for text in texts]
-    try:
-        exposure = {name: float(most) for name, most in parts}
-    except ValueError as error:
-        raise click.UsageError(
-            "--exposure must read NAME<=NUMBER, as in population<=120"
-        ) from error
-    if len(exposure) < len(parts):
+    exposure: dict[str, float] = {}
+    for text in texts:
+        name, _, most = text.partition("<=")
+        try:
+            exposure[name.strip()] = float(most)
+        except ValueError as error:
+            raise click.UsageError(
+                "--exposure must read NAME<=NUMBER, as in population<=120"
+            ) from error
+    if len(exposure) < len(texts):
         raise click.UsageError("--exposure names a layer twice: give one budget for it")
     return exposure
 
@@ -88,7 +101,14 @@ def flight_of(speed_m_s: float | None, power_w: float | None, swath_m: float | N
 
 
 class RouteFiles(NamedTuple):
-    """The files that a route is written to, and how."""
+    """The files that a route is written to, and how; all but the files is None where the option is left out.
+
+    Attributes:
+      files: in the format that their names end in.
+      simplify_m: how far straight legs may lie from the path.
+      end: how a mission ends.
+      fence_roofs_m: how far from the route roofs get a fence in a mission.
+    """
 
     files: tuple[Path, ...]
     simplify_m: float | None
@@ -127,9 +147,7 @@ class RouteFiles(NamedTuple):
     "levels",
     levels_of,
     FLAG(
-        "--volume",
-        "is_volume",
-        help="Let the path climb and descend; --altitude is the start's.",
+        "--volume", "is_volume", help="Let the path climb and descend; --altitude is the start's."
     ),
     OF_VOLUME(
         "--min-altitude", "min_altitude_m", help="With --volume, metres.  [default: the lowest]"
@@ -156,9 +174,7 @@ class RouteFiles(NamedTuple):
     flight_of,
     NUMBER("--speed", "speed_m_s", help="Metres per second, for times.  [default: the vehicle's]"),
     NUMBER(
-        "--power",
-        "power_w",
-        help="Power in flight in watts, for energy.  [default: the vehicle's]",
+        "--power", "power_w", help="Power in flight in watts, for energy.  [default: the vehicle's]"
     ),
     NUMBER(
         "--swath",
@@ -173,16 +189,12 @@ class RouteFiles(NamedTuple):
     help="Write a picture (.png, .pdf or .svg) of heights, metrics and clearance along the route.",
 )
 @FLAG(
-    "--when",
-    "is_when",
-    help="Plan at every time of the maps; -o takes a table, --profile a strip.",
+    "--when", "is_when", help="Plan at every time of the maps; -o takes a table, --profile a strip."
 )
 @grouped(
     "outputs",
     RouteFiles,
-    FILES(
-        help="File to write: .geojson, .kml, .gpx or .plan; repeatable.",
-    ),
+    FILES(help="File to write: .geojson, .kml, .gpx or .plan; repeatable."),
     METRES(
         "--simplify",
         "simplify_m",
@@ -226,6 +238,7 @@ def plan(
     **search: Any,
 ) -> int:
     """Plan a path over the maps in DIR."""
+    # Options that are not among the arguments are keywords of the search, in ``search``.
     from jaxurban.maps.saving import open_maps
     from jaxurban.paths.explain import explain
     from jaxurban.paths.path import simplify
@@ -233,6 +246,7 @@ def plan(
     from jaxurban.paths.search import PathSearch
     from jaxurban.paths.when import when
 
+    # Refuse what cannot be written before a long search.
     with_report = with_report or bool(flight) or corridor is not None
     _check_files(outputs, is_when)
     if profile is not None:
@@ -241,23 +255,29 @@ def plan(
         check_picture(profile)
     maps = open_maps(folder, resolution_m, obstacles=obstacles)
     which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
+
+    # A route at every time.
     if is_when:
-        is_of_one_route = with_report or search["refine"] or search["exposure"] or any(outputs[1:])
-        if is_of_one_route or levels is not None:
+        _, *how_written = outputs
+        for_one_route = [with_report, search["refine"], search["exposure"], *how_written]
+        if any(for_one_route) or levels is not None:
             raise click.UsageError(NOT_WHEN)
         departures = when(
             maps, [(start, goal)], altitude_m=altitude_m, **which_map, **rules, **search
         )
         return _write_departures(departures, maps, outputs.files, profile, as_json)
+
+    # One route; in a volume its ends have altitudes.
     if levels is not None:
         start = (*start, altitude_m)
         goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
-    # All options that are not named above are keywords of the search.
     path_search = PathSearch.of(maps, levels is not None, **search)
     costs = cost_map(maps, levels or altitude_m, **which_map, **rules)
     planned = costs.planned(start, goal, path_search)
     if outputs.simplify_m:
         planned = simplify(planned, costs, outputs.simplify_m)
+
+    # Its report, files and profile.
     report = None
     if planned.status.has_path and (with_report or profile is not None):
         density = None
@@ -270,6 +290,8 @@ def plan(
     if report is not None and profile is not None:
         save_profile(planned, costs.maps, profile, report)
         LOG.info(f"wrote {profile}")
+
+    # What is printed.
     facts = planned.to_dict()
     if planned.status.has_path:
         facts["cautions"] = planned.cautions
@@ -289,10 +311,14 @@ def plan(
 
 
 def _check_files(outputs: RouteFiles, is_when: bool) -> None:
-    """Check which files are to be written.
+    """Refuse files and options that do not go together.
+
+    Args:
+      outputs: the files, and how they are written.
+      is_when: whether ``--when`` is given, whose files are tables.
 
     Raises:
-      InputError: one of a format that holds no path.
+      InputError: a file of a format that holds no path.
       UsageError: an option of missions without a mission, or ``--when`` with a file that is no table.
     """
     from jaxurban.io.tables import SUFFIXES
@@ -313,7 +339,7 @@ def _check_files(outputs: RouteFiles, is_when: bool) -> None:
 def _with_detours(
     density: "OverflownDensity", planned: "PlannedPath", costs: "CostMap"
 ) -> "OverflownDensity":
-    """Return the density of people beneath a path's corridor with the detours that would lower it."""
+    """Return the density of people beneath a path's corridor, completed by the detours that would lower it."""
     from jaxurban.paths.detours import density_detours
 
     return replace(density, detours=density_detours(planned, costs, density))
@@ -326,7 +352,15 @@ def _write_departures(
     profile: Path | None,
     as_json: bool,
 ) -> int:
-    """Print and write the table of a route at every time, draw the strip, and return the exit code."""
+    """Print and write the table of a route at every time, draw the strip, and return the exit code.
+
+    Args:
+      departures: from `jaxurban.when`.
+      maps: that they were planned on.
+      files: of the table.
+      profile: file of the strip, a picture; None: it is not drawn.
+      as_json: print one JSON object instead of the table.
+    """
     from jaxurban.io.tables import records_of
     from jaxurban.report.figures.when import plot_when
     from jaxurban.report.write import Output, save
@@ -340,11 +374,9 @@ def _write_departures(
     for sentence in departures.cautions:
         LOG.info(sentence)
     facts = {name: fact for name, fact in departures.facts.items() if fact}
-    code = ExitCode.DONE
-    message = ""
+    code, message = ExitCode.DONE, ""
     if departures.best is None:
-        code = ExitCode.NO_PATH
-        message = facts["times without a path"]
+        code, message = ExitCode.NO_PATH, facts["times without a path"]
     if as_json:
         all_facts = {
             "best": departures.best,
@@ -355,7 +387,7 @@ def _write_departures(
         }
         print_json(all_facts, code, message)
     else:
-        table = departures.table.filter(regex="^(?!exposure_)")
+        table = departures.table.filter(regex="^(?!exposure_)")  # all columns but exposures
         print(table.to_string(index=False, float_format="{:,.4g}".format))
         for name, fact in facts.items():
             print(f"{name}: {fact}")
@@ -363,7 +395,11 @@ def _write_departures(
 
 
 def _numbers_of(departures: "Departures") -> Settings:
-    """Return what ``departures.facts`` says in words as numbers."""
+    """Return as numbers what ``departures.facts`` says in words: counts, and where any time has a path also costs.
+
+    Shares are of the best cost: ``worst_above_best_share`` of the dearest time, and ``most_kept_above_share`` of the
+    best time's route at the time at which it is worst.
+    """
     routes, at_each_time = departures.routes, departures.table
     has_changed = routes.groupby("query")["num_changed"].any()
     numbers = {
@@ -388,7 +424,17 @@ def _write(
     report: "RouteReport | None",
     outputs: RouteFiles,
 ) -> None:
-    """Write a path to a file, simplified where it is a file of waypoints and --simplify is left out, and log it."""
+    """Write a path to a file and log it; without a path only a line of the log says that nothing was written.
+
+    Where ``--simplify`` is left out, files of waypoints get a path that is simplified to half a cell.
+
+    Args:
+      file: to write, in the format that its name ends in.
+      planned: the path.
+      costs: that it was planned on.
+      report: from `explain`, for formats that hold its figures.
+      outputs: how it is written.
+    """
     from jaxurban.paths.export.qgc_plan import mission_note
     from jaxurban.paths.export.roof_fences import roof_fences
     from jaxurban.paths.export.write import MISSION, WAYPOINTS, elevation_note, write_path
@@ -400,6 +446,8 @@ def _write(
             sentence = f"{sentence} (an older one is still there)"
         LOG.info(sentence)
         return
+
+    # Simplify; the note on that is what the path's own note has become longer by.
     suffix = file.suffix.lower()
     notes = []
     if suffix in WAYPOINTS and outputs.simplify_m is None:
@@ -407,6 +455,8 @@ def _write(
         planned = simplify(planned, costs, costs.grid.resolution_m / 2)
         note = planned.search.note.removeprefix(former_note).strip()
         notes.append(f"{note} (--simplify 0 keeps every turn)")
+
+    # A mission has an end and maybe fences.
     end = roofs = None
     if suffix == MISSION:
         end = outputs.end
@@ -420,7 +470,11 @@ def _write(
 
 
 def _path_table(facts: Settings) -> str:
-    """Return what is known of a path as lines of a name and a value."""
+    """Return what is known of a path as lines of a name and a value, and last its message.
+
+    Args:
+      facts: of the path, as `PlannedPath.to_dict` has them; without a cost there is no path.
+    """
     rows = {
         "planner": f"{facts['planner']} ({facts['heuristic']}, {facts['backend']})",
         "status": facts["status"],

@@ -11,10 +11,7 @@ from jaxurban.progress import LOG
 @click.command()
 @click.argument("bench", metavar="BENCH", type=PATH)
 @click.argument("submission", metavar="[SUBMISSION]", type=PATH, required=False)
-@FLAG(
-    "--make",
-    help="Make the benchmark in the folder BENCH: maps, queries, bounds, rules.",
-)
+@FLAG("--make", help="Make the benchmark in the folder BENCH: maps, queries, bounds, rules.")
 @click.option(
     "-o",
     "board",

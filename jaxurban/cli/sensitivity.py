@@ -55,17 +55,13 @@ WEIGHT_RANGES = together(
     DEVICE,
     JSON_FLAG,
 )
+DRAWN_ROUTES = 30  # in each folder of maps
 SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 
 @click.command()
 @ROUTE
-@SHOWN(
-    "--samples",
-    "num_samples",
-    default=128,
-    help="Sobol samples; a power of two.",
-)
+@SHOWN("--samples", "num_samples", default=128, help="Sobol samples; a power of two.")
 @NAMES(
     "--pareto",
     "objectives",
@@ -109,11 +105,7 @@ def sensitivity(
     from jaxurban.maps.saving import open_maps
     from jaxurban.paths.plan import cost_map
     from jaxurban.report.buildings import write_buildings
-    from jaxurban.report.sensitivity import (
-        ranges,
-        sensitivity_markdown,
-        sensitivity_outputs,
-    )
+    from jaxurban.report.sensitivity import ranges, sensitivity_markdown, sensitivity_outputs
     from jaxurban.report.sensitivity import sensitivity as study
     from jaxurban.report.write import REPORT_FILE, save
     from jaxurban.studies.weights.study import SensitivitySettings
@@ -121,6 +113,8 @@ def sensitivity(
     if scenario is not None and not buildings:
         raise click.UsageError("--scenario belongs to --buildings: add that")
     settings = SensitivitySettings(**options)  # all other options are its fields
+
+    # Without a route there is nothing to study.
     maps = open_maps(folder, resolution_m, obstacles=obstacles)
     costs = cost_map(
         maps, altitude_m, objective="weighted", time=time, time_of_day=time_of_day, **rules
@@ -134,6 +128,7 @@ def sensitivity(
         return first.status.exit_code
     if first.search.note:
         LOG.info(first.search.note)
+
     result = run_study(
         "sensitivity",
         output,
@@ -142,7 +137,7 @@ def sensitivity(
     )
     if buildings:
         _, settings_of_route = sensitivity_outputs(result)
-        # Another run may have come in between.
+        # The folder is opened again with the same settings: another run may have come in between.
         with Workspace.open(output, "sensitivity", settings_of_route):
             ranking = write_buildings(folder, first, output / "buildings", scenario=scenario)
             save(output, {REPORT_FILE: sensitivity_markdown(result, ranking)})
@@ -179,17 +174,8 @@ def sensitivity(
 @RESOLUTION
 @OBSTACLES
 @RULES
-@SHOWN(
-    "--wrong",
-    default=2.0,
-    help="Factor by which a wrong weight is off, for its regret.",
-)
-@SHOWN(
-    "--samples",
-    "num_samples",
-    default=32,
-    help="Sobol samples of each route; a power of two.",
-)
+@SHOWN("--wrong", default=2.0, help="Factor by which a wrong weight is off, for its regret.")
+@SHOWN("--samples", "num_samples", default=32, help="Sobol samples of each route; a power of two.")
 @click.option(
     "--heights",
     "num_heights",
@@ -236,6 +222,7 @@ def sensitivity_study(
         raise click.UsageError(
             "--queries names the routes: leave out --routes and --altitudes, or --queries"
         )
+    # What belongs to several functions: the scenario of one folder, and weights apart from other rules.
     scenarios = None
     if scenario is not None:
         if len(folders) > 1 or not (options["num_heights"] or options["has_parameters"]):
@@ -243,10 +230,11 @@ def sensitivity_study(
         scenarios = {folders[0].resolve().name: scenario_of(folders[0], scenario.parent)}
     weights = rules.pop("weights")
     settings = SensitivityStudySettings(**options, **rules)  # what is left are its fields
+    routes = num_routes or DRAWN_ROUTES
     result = study(
         [MapsFolder(folder, resolution_m, obstacles) for folder in folders],
         output,
-        num_routes or 30 if queries is None else read_table(queries, "queries"),
+        routes if queries is None else read_table(queries, "queries"),
         altitudes_m=altitudes_m,
         weights=weights,
         settings=settings,
@@ -254,6 +242,7 @@ def sensitivity_study(
         workers=workers or all_cores(),
         overwrite=overwrite,
     )
+
     statuses, code, message = outcome_of(result.rows, NO_ROUTE)
     if "sobol_summary" in result.tables:
         needed = result.tables["sobol_summary"].samples_needed.max()
@@ -264,11 +253,8 @@ def sensitivity_study(
         f"study of sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}"
     )
     if as_json:
-        summaries = {
-            name: records_of(table)
-            for name, table in result.tables.items()
-            if name.endswith("summary")
-        }
+        names = [name for name in result.tables if name.endswith("summary")]
+        summaries = {name: records_of(result.tables[name]) for name in names}
         facts = {"folder": str(output), "statuses": statuses, "tables": summaries}
         print_json(facts, code, message)
     return code

@@ -58,7 +58,7 @@ NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
 )
 @NUMBER("--resolution", "resolution_m", help="Cell size of the maps, for --by map.")
 @FILES(
-    help="File to write: .csv or .parquet, or a picture (.png, .pdf, .svg) of the sky at a place; repeatable.",
+    help="File to write: .csv or .parquet, or a picture (.png, .pdf, .svg) of the sky at a place; repeatable."
 )
 @JSON_FLAG
 def sky(
@@ -75,8 +75,9 @@ def sky(
     """Say which satellites are seen from a place, or along a track, over the maps in DIR, and what hides the others."""
     from jaxurban.paths.sky import sky as sky_at
     from jaxurban.report.figures.sky import plot_sky
-    from jaxurban.report.write import PICTURES, save
+    from jaxurban.report.write import PICTURES, Output, save
 
+    # The sky at a place, or along a track; further options are arguments of both.
     _check_files(files, track)
     result: Any
     if track is not None and place is None:
@@ -89,9 +90,13 @@ def sky(
         tables = {"table": result.table, "dops": result.dops}
     else:
         raise click.UsageError("give either --at, a place, or --track, a file")
+
+    # Files, and what is printed.
     for file in files:
-        is_picture = file.suffix.lower() in PICTURES
-        save(file.parent, {file.name: partial(plot_sky, result) if is_picture else result.table})
+        output: Output = result.table
+        if file.suffix.lower() in PICTURES:
+            output = partial(plot_sky, result)
+        save(file.parent, {file.name: output})
         LOG.info(f"wrote {file}")
     for sentence in result.cautions:
         LOG.info(sentence)
@@ -131,7 +136,19 @@ def _sky_along(
     speed_m_s: float | None,
     **source: Any,
 ) -> "SkyAlong":
-    """Return the sky along the track or the route in a file; ``source`` are further arguments of `sky_along`."""
+    """Return the sky along the track or the route in a file.
+
+    Args:
+      folder: of the maps.
+      track: a table with a time and a place per row, or a file of lines, whose first line is the route.
+      altitude_m: above ground; None: that of the track or the route.
+      times: none for a table; of a route the one of departure, or none for that of the maps.
+      speed_m_s: along a route; None for a table.
+      source: further arguments of `sky_along`.
+
+    Raises:
+      UsageError: a time or a speed for a table, no speed for a route, or several times.
+    """
     from jaxurban.io.read.receiver import ALTITUDE, LAT, LON, UTC, read_track
     from jaxurban.io.read.routes import read_routes
     from jaxurban.io.tables import SUFFIXES
@@ -142,7 +159,7 @@ def _sky_along(
             raise click.UsageError("a table has its own times: leave --time and --speed out")
         table = read_track(track)
         places = list(zip(table[LON], table[LAT], strict=True))
-        altitudes_m: float | list[float] | None = altitude_m
+        altitudes_m: float | list[float] | None = altitude_m  # of all rows, or of each
         if altitude_m is None and ALTITUDE in table:
             altitudes_m = table[ALTITUDE].tolist()
         return sky_along(folder, places, altitudes_m, table[UTC].tolist(), **source)
@@ -150,11 +167,6 @@ def _sky_along(
         raise click.UsageError("a route needs --speed, and one --time, of departure")
     route = read_routes(track)[0]
     places = [(lon, lat) for lon, lat in route.lonlat.tolist()]
-    return sky_along(
-        folder,
-        places,
-        route.altitude_m if altitude_m is None else altitude_m,
-        times[0] if times else None,
-        speed_m_s=speed_m_s,
-        **source,
-    )
+    route_m = route.altitude_m if altitude_m is None else altitude_m
+    departure = times[0] if times else None
+    return sky_along(folder, places, route_m, departure, speed_m_s=speed_m_s, **source)

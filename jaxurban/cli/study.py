@@ -72,6 +72,7 @@ def study(
     from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
     from jaxurban.studies.montecarlo.study import land_cover_of
 
+    # The scenario, with the settings that the options change, and what they say of routes.
     if preset:
         changes = (*changes, f"planning.preset={preset!r}")
     scenario = Scenario.from_toml(scenario_file, changes)
@@ -83,6 +84,8 @@ def study(
     }
     if benchmark_folder is not None:
         check_exportable(**rules)
+
+    # Refuse what cannot be read or written before anything is made; then make the maps.
     workers = workers or all_cores()
     analysis = folder / "analysis"
     Workspace.check(analysis, "study")
@@ -92,6 +95,8 @@ def study(
         run = run_scenario(scenario, folder, report, overwrite)
     for warning in run.record["warnings"]:
         LOG.warning(f"warning: {warning}")
+
+    # Draw instances where no file names them, run all planners on them, and write the report.
     source = MapsFolder(folder, resolution_m or scenario.region.resolution_m[0])
     if instances is None:
         instances = sample_instances(
@@ -114,6 +119,7 @@ def study(
     )
     report_file = result.save(analysis)[-1]
     LOG.info(f"study finished: read {report_file}")
+
     statuses, code, message = outcome_of(result.rows, NO_ROUTE)
     facts: Settings = {
         "folder": str(folder),

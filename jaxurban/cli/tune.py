@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 def fits_of(
     scale: str | None, bootstrap: int | None, hold_out: float | None, by_city: bool
 ) -> Settings:
-    """Return the settings of fits that are given, as of `compare_fits`."""
+    """Return the options of fits that are given, by the names of the arguments of `compare_fits`."""
     fits = {"scale": scale, "bootstrap": bootstrap, "hold_out": hold_out}
     return values_given(fits | {"by_city": by_city or None})
 
@@ -150,12 +150,16 @@ def tune(
         raise click.UsageError(
             "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"
         )
-    no_weights = Weights(**dict.fromkeys(Weights().to_dict(), 0.0))
+    # All options that are not named above are of the routes; a preset that is not given is an empty text.
+    routes["preset"] = routes["preset"] or None
+    pilot_weights = None
+    if pilot is not None:
+        no_weights = Weights(**dict.fromkeys(Weights().to_dict(), 0.0))
+        pilot_weights = Weights.parse(pilot, no_weights)
     settings = TuneSettings(
-        # All options that are not named above are of the routes.
-        routes=values_given(routes | {"preset": routes["preset"] or None}),
+        routes=values_given(routes),
         sample=sample,
-        pilot=None if pilot is None else Weights.parse(pilot, no_weights),
+        pilot=pilot_weights,
         planner=planner,
         targets=wishes,
         fits=fits,
@@ -164,6 +168,7 @@ def tune(
     open_folder = partial(MapsFolder, resolution_m=resolution_m, obstacles=obstacles)
     sources = _sources_of(words, open_folder, has_routes=sample is not None)
     facts = run_tuning(sources, output, settings, overwrite=overwrite)
+
     LOG.info(facts["message"])
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):
         if warning != facts["message"]:
@@ -196,8 +201,8 @@ def _sources_of(
     from jaxurban.studies.study_demonstrations import study_in
 
     sources: dict[MapsFolder, list[Path]] = {}
-    routes: list[Path] = []
-    needs_routes = False
+    routes: list[Path] = []  # of the last folder of maps, which grows
+    needs_routes = False  # whether that folder has no study of its own
     for word in words:
         is_study = (word / ROWS_FILE).is_file() and not (word / ZARR_FOLDER).exists()
         if needs_routes and not routes and study_in(word):

@@ -60,6 +60,7 @@ def view(
     from jaxurban.viewer.viewer import Viewer
 
     def open_viewer() -> Viewer:
+        """Return the viewer of the maps, read again each time: the server calls it where their files have changed."""
         maps = open_maps(folder, resolution_m, obstacles=obstacles)
         viewer = partial(
             Viewer, maps, name=folder.resolve().name, folder=str(folder), preset=preset

@@ -28,20 +28,24 @@ BUCKET = 4  # problems are sorted into buckets of so many cells of optimal lengt
 
 
 def write_map(is_free: np.ndarray, file: Path) -> None:
-    """Write ``[Y, X]`` free cells as a ``.map`` file."""
+    """Write which cells are free, ``[Y, X]`` bool with row 0 in the south, as a ``.map`` file, north first."""
     num_rows, num_cols = is_free.shape
-    cells = np.where(is_free[::-1], FREE, BLOCKED).tolist()
     head = ["type octile", f"height {num_rows}", f"width {num_cols}", "map"]
-    write_whole(file, "\n".join([*head, *map("".join, cells)]) + "\n")
+    rows = ["".join(row) for row in np.where(is_free[::-1], FREE, BLOCKED)]
+    write_whole(file, "\n".join([*head, *rows, ""]))
 
 
 def write_scenarios(
     problems: pd.DataFrame, shape: tuple[int, int], map_name: str, file: Path
 ) -> None:
-    """Write shortest-path queries on a map of a shape (rows, columns) as a ``.scen`` file, short ones first.
+    """Write shortest-path queries on a map as a ``.scen`` file, the shortest path first.
 
-    ``problems``: ``start_row``, ``start_col``, ``goal_row`` and ``goal_col`` from the southwest, and the ``length`` of
-    the shortest path in cell sides.
+    Args:
+      problems: a row per query: ``start_row``, ``start_col``, ``goal_row`` and ``goal_col``, counted from the
+        southwest, and the ``length`` of the shortest path in cell sides.
+      shape: number of rows and of columns of the map.
+      map_name: file name of the map.
+      file: to write.
     """
     num_rows, num_cols = shape
     in_order = problems.sort_values("length", kind="stable")
@@ -104,7 +108,8 @@ def _export(
     settings: Benchmark,
     name: str,
 ) -> dict[str, int]:
-    """Write grids, costs and queries for other planners, and return what was written by kind."""
+    """Write what `export_benchmark` describes into a folder that is open for it; arguments and result are the same."""
+    # A grid per altitude, a file of costs per altitude and time, and the table of all instances.
     num_shortest = 0
     for altitude_m in sorted(instances.altitude_m.unique()):
         file = folder / GRID_FOLDER / f"{name}_{short_number(altitude_m)}m.map"
@@ -119,6 +124,8 @@ def _export(
         "weighted": len(table),
         "proven": int(table.grid_optimum.notna().sum()),
     }
+
+    # The page that describes the format.
     model = CostModel.of(settings.cost_model)
     cost_rule = "plus w_j c_j(Q) summed over j, Q the cell in which the step ends"
     if model.kind == "line":
@@ -164,7 +171,17 @@ def _write_grid(
     file: Path,
     constraints: Constraints,
 ) -> int:
-    """Write the ``.map`` and ``.scen`` of one altitude and return the number of problems."""
+    """Write the ``.map`` and ``.scen`` of one altitude and return the number of problems.
+
+    A problem is an instance whose shortest path on the grid a planner has proven.
+
+    Args:
+      maps: what the benchmark was made on.
+      instances, rows: of a `BenchmarkResult`.
+      altitude_m: of the problems.
+      file: the ``.map``; the ``.scen`` lies beside it.
+      constraints: that close cells.
+    """
     is_proven = (rows.objective == DISTANCE) & _is_optimum(rows)
     proven = rows[is_proven & (rows.altitude_m == altitude_m)].drop_duplicates("instance")
     pairs = instances[instances.altitude_m == altitude_m].merge(
@@ -172,8 +189,8 @@ def _write_grid(
     )
     problems = pd.DataFrame({"length": pairs.length_m / maps.grid.resolution_m})
     for end in ("start", "goal"):
-        places_m = pairs[[f"{end}_x_m", f"{end}_y_m"]].to_numpy().T
-        problems[f"{end}_row"], problems[f"{end}_col"] = maps.grid.cell_of_xy(*places_m)
+        x_m, y_m = pairs[f"{end}_x_m"].to_numpy(), pairs[f"{end}_y_m"].to_numpy()
+        problems[f"{end}_row"], problems[f"{end}_col"] = maps.grid.cell_of_xy(x_m, y_m)
     write_map(constraints.is_free(maps, altitude_m), file)
     write_scenarios(problems, maps.grid.shape, file.name, file.with_name(f"{file.name}.scen"))
     return len(problems)
@@ -182,13 +199,23 @@ def _write_grid(
 def _write_costs(
     maps: MetricMaps, folder: Path, key: tuple[Any, ...], name: str, settings: Benchmark
 ) -> None:
-    """Write layers, weights and free cells of one altitude and time as a compressed NumPy file."""
+    """Write costs and free cells of one altitude, time and time of day as a compressed NumPy file.
+
+    Args:
+      maps: what the benchmark was made on.
+      folder: of the benchmark.
+      key: altitude in metres, time and time of day; NaN where the instances have none.
+      name: of the benchmark, with which the file's name begins.
+      settings: of the benchmark.
+    """
     altitude_m = float(key[0])
     time, time_of_day = (None if pd.isna(part) else str(part) for part in key[1:])
     cost_map = settings.cost_map(maps, altitude_m, time, time_of_day)
-    parts = [name, f"{short_number(altitude_m)}m", *filter(None, [time_of_day])]
+    parts = [name, f"{short_number(altitude_m)}m"]
+    if time_of_day:
+        parts.append(time_of_day)
     if len(maps.times) > 1 and time is not None:
-        parts.append(time.translate({45: None, 58: None}))
+        parts.append(time.replace("-", "").replace(":", ""))
     file = folder / COSTS_FOLDER / f"{'_'.join(parts)}.npz"
     with whole_file(file) as scratch, scratch.open("wb") as stream:
         np.savez_compressed(
@@ -203,12 +230,17 @@ def _write_costs(
 
 
 def _references(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the reference costs of each instance: the grid's optimum, and the cheapest path known."""
-    result = rows[rows.cost.notna() & (rows.objective == WEIGHTED)]
-    best = result.loc[result.groupby(list(KEY)).cost.idxmin(), [*KEY, "cost", "planner"]]
+    """Return the reference costs of each instance with a weighted path: a row per instance, by the columns `KEY`.
+
+    ``best_known`` and ``best_planner``: cost and planner of the cheapest path of all; ``grid_optimum``: the cost of the
+    cheapest path over the grid, NaN where none is proven.
+    """
+    key = list(KEY)
+    weighted = rows[rows.cost.notna() & (rows.objective == WEIGHTED)]
+    best = weighted.loc[weighted.groupby(key).cost.idxmin(), [*key, "cost", "planner"]]
     best = best.rename(columns={"cost": "best_known", "planner": "best_planner"})
-    optimum = result[_is_optimum(result)].groupby(list(KEY)).cost.min().rename("grid_optimum")
-    return best.merge(optimum, on=list(KEY), how="left")
+    optimum = weighted[_is_optimum(weighted)].groupby(key).cost.min().rename("grid_optimum")
+    return best.merge(optimum, on=key, how="left")
 
 
 def _is_optimum(rows: pd.DataFrame) -> pd.Series:

@@ -31,7 +31,7 @@ from jaxurban.report.figures.frame import (
 )
 from jaxurban.report.figures.paths import draw_ends
 from jaxurban.report.figures.style import Colours
-from jaxurban.report.write import save
+from jaxurban.report.write import Look, save
 from jaxurban.studies.weights.buildings import building_costs
 from jaxurban.world.grid import Grid
 
@@ -47,28 +47,30 @@ def plot_building_costs(
     Colours are logarithmic on both sides of zero: red costs, blue helps, white has no effect.
 
     Args:
-      city: whose outlines are drawn.
+      city: whose outlines are drawn; it has buildings.
       planned: the route.
       table: from `jaxurban.studies.weights.buildings.building_costs`.
       grid: the region; what lies beyond it is not drawn.
     """
     assert city.buildings is not None
     settings, polygons = planned.settings, city.buildings.polygons
-    place = (
+    facts = joined(
         f"{planned.altitude_m:g} m above ground",
         time_said(settings["time"]),
-    )
-    cells = (
         f"softness {table.attrs['softness_m']:g} m",
         f"{grid.resolution_m:g} m cells",
         grid.crs,
         place_said(grid),
+        city.attribution,
     )
-    note = f"{joined(*place, *cells, city.attribution)}\n{rules_said(settings)}"
+
+    # The largest cost or gain is the scale's end on both sides; it is linear up to a thousandth of that.
     most = max(float(table.per_metre.abs().max()) if len(table) else 0.0, 1e-12)
     ticks = -most, -most / 100, 0.0, most / 100, most
     norm = SymLogNorm(most / 1000, vmin=-most, vmax=most)
     colours = Colours("RdBu_r", norm, "cost per metre of height", ticks=ticks)
+
+    # The part of the region around the route, in whole cells; the small number is for rounding.
     low = np.maximum(planned.xy_m.min(axis=0) - MARGIN_M, grid.bounds_m[:2])
     high = np.minimum(planned.xy_m.max(axis=0) + MARGIN_M, grid.bounds_m[2:])
     first = np.floor(low / grid.resolution_m + 1e-6).astype(int)
@@ -76,23 +78,26 @@ def plot_building_costs(
     first_col, first_row = first.tolist()
     num_cols, num_rows = (end - first).tolist()
     near = Grid(grid.crs, grid.resolution_m, first_row, first_col, num_rows, num_cols)
+
     panels = [MapPanel(f"{planned.search.planner}, cost {planned.cost:,.1f}")]
     heading = "What one more metre of each building costs the route"
     heading = joined(heading, settings["time_of_day"], by=", ")
+    note = f"{facts}\n{rules_said(settings)}"
     legend: list[LegendEntry] = [("route", ROUTE_COLOUR), *ENDS]
     figure, (panel,) = draw_maps(near, panels, heading, note, legend=legend, colours=colours)
     panel.set_facecolor(LAND_COLOUR)
+
+    # The outlines near the route, those without a row in the table in the colour of no effect; the route over them.
     per_metre = np.zeros(len(polygons))
     per_metre[table.building] = table.per_metre
     is_near = shapely.intersects(polygons, shapely.box(*near.bounds_m))
-    look = {"edgecolor": "#555555", "linewidth": 0.25, "aspect": None, "autolim": False}
+    look: Look
     if is_near.any():
-        gpd.GeoSeries(polygons[is_near]).plot(
-            ax=panel, color=list(colours(per_metre[is_near])), **look
-        )
-    panel.plot(
-        *planned.xy_m.T, color=ROUTE_COLOUR, linewidth=1.5, solid_joinstyle="round", zorder=4
-    )
+        look = {"edgecolor": "#555555", "linewidth": 0.25, "aspect": None, "autolim": False}
+        look["color"] = list(colours(per_metre[is_near]))
+        gpd.GeoSeries(polygons[is_near]).plot(ax=panel, **look)
+    look = {"color": ROUTE_COLOUR, "linewidth": 1.5, "solid_joinstyle": "round"}
+    panel.plot(*planned.xy_m.T, zorder=4, **look)
     draw_ends(panel, [planned])
     return figure
 
@@ -138,7 +143,9 @@ def write_buildings(
       >>> sorted(file.name for file in Path("costs").iterdir())
       ['buildings.csv', 'buildings.parquet', 'buildings.png', 'checksums.json']
     """
-    settings = scenario_of(Path(folder), None if scenario is None else Path(scenario).parent)
+    # The task that made the maps of the route's resolution, from the sources that the maps' record names.
+    sources = None if scenario is None else Path(scenario).parent
+    settings = scenario_of(Path(folder), sources)
     if not softness_m > 0:
         raise InputError(
             f"softness_m must be a positive number of metres such as 2, got {softness_m}"
@@ -155,6 +162,8 @@ def write_buildings(
             "the route was planned on GPS statistics over many epochs, which have no gradient by building: make maps "
             "of one time, and plan on them"
         )
+
+    # Derivatives are computed in float64.
     city, params = task.city, SoftParams(planned.altitude_m, softness_m, dict(task.params.sections))
     time_index, time_of_day = task.sky.times.index(time), planned.settings["time_of_day"] or "day"
     with jax.enable_x64(True):

@@ -1,6 +1,5 @@
 """report.md of a comparison of maps, with its table, difference maps and figures, all on one scale around zero."""
 
-from collections.abc import Callable
 from functools import partial
 from itertools import compress
 from pathlib import Path
@@ -31,7 +30,16 @@ from jaxurban.report.figures.frame import (
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.style import Colours
 from jaxurban.report.results import Result, savable
-from jaxurban.report.write import Output, bullets, fill, framed, listed, study_outputs, table
+from jaxurban.report.write import (
+    Figures,
+    Written,
+    bullets,
+    fill,
+    framed,
+    listed,
+    study_outputs,
+    table,
+)
 from jaxurban.studies import map_comparison as computed
 from jaxurban.studies.map_comparison import CLOSED, MASKS, unit_of
 from jaxurban.studies.queries import population_norms
@@ -39,12 +47,11 @@ from jaxurban.studies.queries import population_norms
 SHOWN_SHARE = 0.99  # of the changed cells lie within the colour bar
 
 
-def comparison_figures(result: computed.MapComparison) -> dict[str, Callable[[], Figure]]:
-    """Return what draws each layer that changed anywhere, by its name."""
-    most = result.most_changed
-    return {
-        layer: partial(plot_difference, result, layer) for layer in result.layers if most[layer] > 0
-    }
+def comparison_figures(result: computed.MapComparison) -> Figures:
+    """Return the functions that draw the layers that changed in any cell, by the layer's name."""
+    shares = result.most_changed
+    changed = [layer for layer in result.layers if shares[layer] > 0]
+    return {layer: partial(plot_difference, result, layer) for layer in changed}
 
 
 def heading_of(result: computed.MapComparison, layer: str) -> str:
@@ -71,24 +78,27 @@ def plot_difference(
     Raises:
       InputError: a layer or a time that is not compared.
     """
+    # The differences of the layer at the time, with their rows of the table, which has one per place in this order.
     places = result.places(one_of("layer", layer, result.layers))
     times = list(dict.fromkeys(place.time for place in places))
     time = times[0] if time is None else one_of("time", time, times)
     is_drawn = [place.time == time for place in places]
     rows = result.table[result.table.layer == layer][is_drawn].itertuples()
     places = list(compress(places, is_drawn))
-    maps = [result.of(layer, **place._asdict()) for place in places]
-    changed = np.concatenate([np.abs(values[np.abs(values) > result.tolerance]) for values in maps])
-    colours = difference_colours(changed, _label(result, layer))
+    differences = [result.of(layer, **place._asdict()) for place in places]
+
+    sizes = np.abs(np.concatenate(differences, axis=None))
+    colours = difference_colours(sizes[sizes > result.tolerance], _label(result, layer))
     panels = []
-    for place, row, values in zip(places, rows, maps, strict=True):
+    for place, row, values in zip(places, rows, differences, strict=True):
         where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
         layers = [
             MapLayer(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours),
             flat_layer(_is_grey(result, layer, place, values), OBSTACLE_COLOUR),
         ]
         panels.append(MapPanel(joined(where, _change_text(row)), layers))
-    legend = [(f"blocked in A {'and' if layer in MASKS else 'or'} B", OBSTACLE_COLOUR)]
+    blocked = "blocked in A and B" if layer in MASKS else "blocked in A or B"
+    legend = [(blocked, OBSTACLE_COLOUR)]
     heading, note = f"{heading_of(result, layer)}, B - A", _note(result, time)
     return draw_maps(result.grid, panels, heading, note, legend=legend, colours=colours)[0]
 
@@ -96,7 +106,16 @@ def plot_difference(
 def _is_grey(
     result: computed.MapComparison, layer: str, place: computed.OneMap, values: np.ndarray
 ) -> np.ndarray:
-    """Return ``[Y, X]`` bool: cells with data that are drawn as blocked, beside differences ``[Y, X]`` of a place."""
+    """Return ``[Y, X]`` bool: the cells that a picture of differences shows as blocked.
+
+    They have data in both maps and no difference; of a mask (`MASKS`) at an altitude they are blocked in both.
+
+    Args:
+      result: the comparison.
+      layer: the layer that is drawn.
+      place: altitude, time and time of day of the picture.
+      values: ``[Y, X]`` the differences there; NaN where one of the maps has no value.
+    """
     is_grey = np.isnan(values)
     if layer in MASKS and place.altitude_m is not None:
         is_free = result.a.is_free(place.altitude_m, None if layer == CLOSED else "centre")
@@ -112,14 +131,20 @@ def _change_text(row: Any) -> str:
 
 
 def difference_colours(changed: np.ndarray, label: str) -> Colours:
-    """Return a scale as far on either side of 0, which holds `SHOWN_SHARE` of changes' sizes."""
+    """Return colours from blue over white at 0 to red, whose ends are equally far from 0.
+
+    Args:
+      changed: ``[N]`` sizes of the changes, from 0 up; the ends hold the share `SHOWN_SHARE` of them, and are -1 and 1
+        where none is finite.
+      label: of the colour bar.
+    """
     finite = changed[np.isfinite(changed)]
     limit = max(1e-12, float(np.quantile(finite, SHOWN_SHARE))) if len(finite) else 1.0
     return Colours("RdBu_r", Normalize(-limit, limit), label, "both", (-limit, 0.0, limit))
 
 
 def _label(result: computed.MapComparison, layer: str) -> str:
-    """Return the label of a difference: layer, unit, which map is the higher one, and what 1 means."""
+    """Return the label of a difference's colour bar: layer, unit, which map is the higher one, and what 1 means."""
     unit = unit_of(result.a, layer)
     in_unit = "" if unit == "1" else f" [{unit}]"
     change = "B - A (red: B is higher)"
@@ -131,7 +156,12 @@ def _label(result: computed.MapComparison, layer: str) -> str:
 
 
 def _note(result: computed.MapComparison, time: str | None) -> str:
-    """Return the name of both, what each guesses, and each one's time where the layer has any."""
+    """Return the lines below a picture of differences: the name of both maps, their times and what they guess.
+
+    Args:
+      result: the comparison.
+      time: A's time of the layer that is drawn; None for a layer without times, whose note names no guesses of the sky.
+    """
     lines = []
     for side, name, maps in zip("AB", result.names, (result.a, result.b), strict=True):
         facts = [f"{side}: {name}"]
@@ -144,8 +174,11 @@ def _note(result: computed.MapComparison, time: str | None) -> str:
     return "\n".join([*lines, joined(*ground_said(result.a))])
 
 
-def comparison_outputs(result: computed.MapComparison) -> tuple[dict[str, Output], dict[str, Any]]:
-    """Return what a comparison writes, by file name, and what it is of."""
+def comparison_outputs(result: computed.MapComparison) -> Written:
+    """Return what a comparison writes, by file name, and the facts that identify it.
+
+    A folder whose report has other facts is not replaced unless the user asks for it.
+    """
     key = {
         "maps": list(result.names),
         "of": [result.a.identity, result.b.identity],
@@ -169,11 +202,14 @@ def comparison_outputs(result: computed.MapComparison) -> tuple[dict[str, Output
 
 
 def _write_difference(result: computed.MapComparison, layer: str, file: Path) -> Path:
-    """Write a layer's differences as a GeoTIFF, a band for each altitude and time."""
+    """Write a layer's differences as a GeoTIFF, a band for each altitude, time and time of day; return the file.
+
+    A layer without any of these has one band, named ``B - A``.
+    """
     bands = {}
     for place in result.places(layer):
-        altitude = "" if place.altitude_m is None else f"{place.altitude_m:g} m"
-        name = " ".join(filter(None, (altitude, place.time, place.time_of_day))) or "B - A"
+        altitude = None if place.altitude_m is None else f"{place.altitude_m:g} m"
+        name = joined(altitude, place.time, place.time_of_day, by=" ") or "B - A"
         bands[name] = result.of(layer, **place._asdict())
     tags = {
         "layer": layer,
@@ -188,6 +224,7 @@ def _write_difference(result: computed.MapComparison, layer: str, file: Path) ->
 
 def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> str:
     """Return the report as Markdown; ``figures`` are the layers whose pictures lie beside it."""
+    # The table of values: the layers that differ, those with times at the first time.
     rows = result.table
     same = [str(layer) for layer, share in result.most_changed.items() if not share > 0]
     is_first = rows.time.isna() | (rows.time == rows.time.dropna().min())
@@ -195,6 +232,7 @@ def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> s
     values = "Not one value differs."
     if len(changed):
         values = framed(changed.where(changed.notna(), ""))
+
     pictures = [f"![{heading_of(result, name)}, B - A](figures/{name}.png)" for name in figures]
     facts = result.a.facts
     left_out = bullets(f"{name}: {why}" for name, why in result.left_out.items())
@@ -213,16 +251,23 @@ def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> s
 
 
 def _settings(result: computed.MapComparison) -> str:
-    """Return what the maps were made by: settings, times that are not the same, and norms of population."""
-    rows = [(f"`{key}`", *pair) for key, pair in (result.settings or {}).items()]
+    """Return the section of a report on what the maps were made with, as Markdown.
+
+    A table of A's and B's settings that differ, GPS times that differ, and what population is divided by where that
+    differs; or a sentence where the settings are not known, or are the same.
+    """
+    rows = [(f"`{key}`", of_a, of_b) for key, (of_a, of_b) in (result.settings or {}).items()]
     for of_a, of_b in result.times.items():
         if of_a != of_b:
             rows.append(("time of GPS", of_a, of_b))
     norms_a, norms_b = population_norms(result.a), population_norms(result.b)
-    for day, norm in norms_a.items() if "population" in result.layers else ():
-        other = norms_b.get(day, norm)
-        if norm != other:
-            rows.append((f"population is divided by, {day}", f"{norm:,.0f}", f"{other:,.0f}"))
+    if "population" not in result.layers:
+        norms_a = {}
+    for day, norm_a in norms_a.items():
+        norm_b = norms_b.get(day, norm_a)
+        if norm_a != norm_b:
+            rows.append((f"population is divided by, {day}", f"{norm_a:,.0f}", f"{norm_b:,.0f}"))
+
     parts = []
     if result.settings is None:
         parts.append(

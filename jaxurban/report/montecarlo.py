@@ -1,15 +1,15 @@
 """report.md of a Monte Carlo benchmark of planners, with its tables and figures."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import pandas as pd
 
+from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.rows import CRASHED
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.results import Result, savable
 from jaxurban.report.sensitivity_study import weights_said
-from jaxurban.report.write import Output, fill, listed, study_outputs
+from jaxurban.report.write import Written, fill, listed, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo import study as computed
@@ -35,8 +35,11 @@ class BenchmarkResult(computed.BenchmarkResult, Result):
 
     _command = "study"
 
-    def _outputs(self) -> tuple[dict[str, Output], dict[str, Any]]:
-        """Return the report, tables (CSV) and figures, by file name; nothing decides them but its rows."""
+    def _outputs(self) -> Written:
+        """Return what is written, by file name: report, tables (CSV) and figures; and no settings.
+
+        Settings would guard a folder against other ones; here the rows alone decide what is written.
+        """
         tables = tables_of(self)
         figures = study_figures(self.maps, self.table, tables)
         report = report_markdown(self, tables, list(figures))
@@ -48,7 +51,11 @@ study = savable(computed.study, BenchmarkResult)
 
 
 def tables_of(result: computed.BenchmarkResult) -> dict[str, pd.DataFrame]:
-    """Return the tables of a study by name; complementarity only where the maps hold gps and lidar."""
+    """Return the tables of a study by name.
+
+    ``complementarity``, which compares GPS with lidar, is among them only where the maps hold every built-in metric of
+    which 1 is the best, as all maps made by jaxurban do.
+    """
     table = result.table
     tables = {
         "choices": analysis.choices(table),
@@ -59,20 +66,26 @@ def tables_of(result: computed.BenchmarkResult) -> dict[str, pd.DataFrame]:
         "usage": analysis.usage(table),
         "objectives": analysis.objectives(table),
     }
-    if {"gps", "lidar"} <= set(result.maps.metrics):
-        tables["complementarity"] = complementarity(
-            result.maps, altitudes_m=sorted(table.altitude_m.unique())
-        )
+    names = {name for name, metric in METRICS.items() if metric.one_is == "best"}
+    if names.issubset(result.maps.metrics):
+        altitudes_m = sorted(table.altitude_m.unique())
+        tables["complementarity"] = complementarity(result.maps, altitudes_m=altitudes_m)
     return tables
 
 
 def report_markdown(
     result: computed.BenchmarkResult, tables: dict[str, pd.DataFrame], figures: Sequence[str] = ()
 ) -> str:
-    """Return the report; ``figures`` are the names of the pictures beside it."""
+    """Return the report as Markdown.
+
+    Args:
+      result: of the study.
+      tables: from `tables_of`.
+      figures: names of the pictures that lie beside the report.
+    """
     table, settings, study = result.table, result.settings, result.settings.study
     pairs = table.drop_duplicates(["instance", "altitude_m"])
-    joined = pairs.groupby("altitude_m").is_joined.mean()
+    share_joined = pairs.groupby("altitude_m").is_joined.mean()
     budget = f"{study.budget_iterations} samples, others to their end"
     if study.budget_iterations is None:
         budget = f"{study.budget_s:g} s a run"
@@ -90,7 +103,7 @@ def report_markdown(
         maps=result.maps,
         weights=weights_said(result.instances),
         constraints=str(settings.constraints) or "none",
-        joined=listed(f"{share:.1%} at {z:g} m" for z, share in joined.items()),
+        joined=listed(f"{share:.1%} at {z:g} m" for z, share in share_joined.items()),
         num_crashed=(table.status == CRASHED).sum(),
         num_odd=table.status.isin(["invalid", "bad-input"]).sum(),
         fewest=FEWEST_GROUPS,
@@ -99,7 +112,7 @@ def report_markdown(
 
 
 def _by_range(success: pd.DataFrame) -> pd.DataFrame:
-    """Return shares by planner and range, a column an altitude."""
+    """Return the shares of joined pairs that were solved: a row per planner and range, a column per altitude."""
     shares = success.pivot(index=["planner", "range"], columns="altitude_m", values="share_joined")
     names = sorted(success.planner.unique()), analysis.range_names(success)
     shares = shares.reindex(pd.MultiIndex.from_product(names, names=shares.index.names))

@@ -24,7 +24,16 @@ from jaxurban.report.satellites import (
     satellite_tables,
     sentences_of,
 )
-from jaxurban.report.write import Output, bullets, fill, interval, study_outputs, table
+from jaxurban.report.write import (
+    Figures,
+    Look,
+    Written,
+    bullets,
+    fill,
+    interval,
+    study_outputs,
+    table,
+)
 from jaxurban.settings import as_tuple
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver import validate as computed
@@ -50,35 +59,34 @@ def name_of(prediction: str) -> str:
 
 @styled
 def plot_scatter(result: computed.ReceiverValidation) -> Figure:
-    """Return the receiver against the prediction that is its own, a point per piece of track, darker where many are."""
+    """Return what the receiver measured against what the maps predict of it: a panel per measurement.
+
+    A point per piece of track; many points on one place are darker. Values that are infinite stand at the edge.
+    """
     rows = result.main.to_dict("records")
     heading = "Receiver against prediction, with rank correlations"
     figure, axes = panels(len(rows), heading, height_in=2.8)
     for panel, row in zip(axes, rows, strict=True):
         witness, name = row["witness"], row["prediction"]
         known = result.pieces.dropna(subset=[witness, name])
-        x, y = known[name], known[witness]
-        x = x.clip(*ends_of(x.to_numpy()))
-        y = y.clip(*ends_of(y.to_numpy()))
+        x = known[name].clip(*ends_of(known[name].to_numpy()))
+        y = known[witness].clip(*ends_of(known[witness].to_numpy()))
         _scale_axis(panel.xaxis, panel.set_xscale, name)
         _scale_axis(panel.yaxis, panel.set_yscale, witness)
         panel.scatter(x, y, s=12, color=MAP_COLOUR, alpha=0.2, linewidths=0)
+
+        # Numbers of satellites have a line of medians.
         title = f"within blocks {row[WITHIN]:.2f}, whole track {row[SPEARMAN]:.2f}"
         if name == NUM_VISIBLE:
             medians = known.groupby(np.round(known[name]))[witness].median()
-            panel.plot(
-                medians.index,
-                medians,
-                color=RECEIVER_COLOUR,
-                marker="o",
-                markersize=3.5,
-                linewidth=1.2,
-            )
+            look: Look = {"marker": "o", "markersize": 3.5, "linewidth": 1.2}
+            panel.plot(medians.index, medians, color=RECEIVER_COLOUR, **look)
             title += "  ·  line: medians"
+
         label = f"maps: {name_of(name)}"
-        num = int(np.isinf(known[name]).sum())
-        if num:
-            label += f" ({num} undetermined, at the right edge)"
+        num_infinite = int(np.isinf(known[name]).sum())
+        if num_infinite:
+            label += f" ({num_infinite} undetermined, at the right edge)"
         panel.set_title(title)
         panel.set_xlabel(label)
         panel.set_ylabel(f"receiver: {LABELS[witness]}")
@@ -87,7 +95,13 @@ def plot_scatter(result: computed.ReceiverValidation) -> Figure:
 
 
 def _scale_axis(axis: Axis, set_scale: Callable[[str], None], quantity: str) -> None:
-    """Give an axis whole numbers for counts, a logarithmic scale for errors and dilutions of precision."""
+    """Give an axis whole numbers for counts, a logarithmic scale for errors and dilutions of precision.
+
+    Args:
+      axis: of a panel.
+      set_scale: method of the panel that sets the scale of this axis by name.
+      quantity: what the axis shows, of the maps or of the receiver.
+    """
     if quantity in COUNTS:
         axis.set_major_locator(MaxNLocator(integer=True))
         return
@@ -97,20 +111,23 @@ def _scale_axis(axis: Axis, set_scale: Callable[[str], None], quantity: str) -> 
 
 def validation_outputs(
     result: computed.ReceiverValidation,
-) -> tuple[dict[str, Output], dict[str, Any]]:
-    """Return what a validation writes, by file name, and what it is of."""
-    logged = (result.log.epochs, result.log.satellites)
-    text = "".join(table.to_csv(index=False) for table in logged if table is not None)
-    rows = hashlib.sha256(text.encode()).hexdigest()  # of two logs of one name
+) -> Written:
+    """Return what a validation writes, by file name, and the facts that identify it.
+
+    Among the facts is a hash of the log's rows: two logs may have one name.
+    """
+    text = result.log.epochs.to_csv(index=False)
+    if result.log.satellites is not None:
+        text += result.log.satellites.to_csv(index=False)
     pieces = result.pieces.assign(utc=result.pieces.utc.map(lambda time: time.isoformat()))
     tables = {"pieces": pieces, "scores": result.scores, "shifts": result.shifts}
-    figures: dict[str, Callable[[], Figure]] = {"scatter": partial(plot_scatter, result)}
+    figures: Figures = {"scatter": partial(plot_scatter, result)}
     if result.satellites is not None:
         tables |= satellite_files(result.satellites)
         figures |= satellite_figures(result, result.satellites)
     key = {
         "log": result.log.name,
-        "rows": rows,
+        "rows": hashlib.sha256(text.encode()).hexdigest(),
         "scenario": result.scenario,
         "settings": result.settings.to_dict(),
     }
@@ -118,13 +135,14 @@ def validation_outputs(
 
 
 def validation_markdown(result: computed.ReceiverValidation) -> str:
-    """Return the report as Markdown."""
+    """Return the report as Markdown; its parts on satellites are left out for a log without rows of them."""
+    # Scores of what each measurement is compared with first of all, and of other quantities of the maps.
     is_main = result.scores.prediction == result.scores.witness.map(MAIN)
     others = result.scores[~is_main]
-    satellites = result.satellites
     tables = {}
     sentences = {}
     verdict = peak = ""
+    satellites = result.satellites
     if satellites is not None:
         tables = satellite_tables(satellites)
         sentences = sentences_of(satellites)
@@ -156,7 +174,7 @@ def _needs_no_orbits(log: ReceiverLog) -> bool:
 
 
 def _facts(result: computed.ReceiverValidation) -> list[tuple[str, str]]:
-    """Return name and text of what the report says of the log and the maps."""
+    """Return the rows of the report's table of facts on the log and the maps: name and text; empty ones left out."""
     summary, settings, scenario = result.summary, result.settings, result.scenario
     counted = ""
     if result.satellites is not None and not result.log.witnesses:
@@ -165,12 +183,13 @@ def _facts(result: computed.ReceiverValidation) -> list[tuple[str, str]]:
     skies = f"{summary['num_skies']} skies, one each {settings.sky_step_s:g} s"
     masks_deg = listed_m(as_tuple(scenario["gps"]["mask_deg"]))
     num_left_out = f"{summary['epochs_left_out']:,}"
+    mean_tracked = summary.get(f"mean_{TRACKED}", math.nan)
     facts = {
         "epochs": f"{summary['epochs']:,}, of which {num_left_out} are left out: in a building or without data",
         "time": f"{summary['first_utc']} to {summary['last_utc']}",
         "track": f"{summary['length_m'] / 1000:.2f} km",
-        f"satellites in view, mean{counted}": _number(summary["mean_num_visible"], 1),
-        f"satellites tracked, mean{counted}": _number(summary.get(f"mean_{TRACKED}", math.nan), 1),
+        f"satellites in view, mean{counted}": _number(summary["mean_num_visible"], digits=1),
+        f"satellites tracked, mean{counted}": _number(mean_tracked, digits=1),
         "maps": f"cells of {summary['resolution_m']:g} m, elevation mask {masks_deg} degrees, "
         f"`oversample` {scenario['region']['oversample']}, antenna {settings.antenna_height_m:g} m above the ground",
         "orbits": "" if _needs_no_orbits(result.log) else f"{orbits}; {skies}",
@@ -185,17 +204,23 @@ def with_interval(row: Mapping[Any, Any], coefficient: str) -> str:
 
 
 def score_table(scores: pd.DataFrame) -> str:
-    """Return rows of scores as a table."""
+    """Return scores as a table in Markdown, a line per row.
+
+    Of each coefficient there are three columns: the value with its interval, what 95 % of all shifts of the maps along
+    the track stay below, and p.
+    """
+    head = ["receiver", "maps", "pieces of", "number"]
+    for name in COEFFICIENTS:
+        head += [HEADS[name], "95 % of shifts below", "p"]
     rows = []
     for row in scores.to_dict("records"):
         cells = [LABELS[row["witness"]], name_of(row["prediction"])]
         cells += [f"{row['piece_m']:g} m", f"{row['num']:,}"]
         for name in COEFFICIENTS:
             cells += [with_interval(row, name), _number(row[f"{name}_shifts_95"])]
-            cells.append(_number(row[f"{name}_p"], 3))
+            cells.append(_number(row[f"{name}_p"], digits=3))
         rows.append(cells)
-    of_each = [head for name in COEFFICIENTS for head in (HEADS[name], "95 % of shifts below", "p")]
-    return table(("receiver", "maps", "pieces of", "number", *of_each), rows)
+    return table(head, rows)
 
 
 def _number(value: float, digits: int = 2) -> str:

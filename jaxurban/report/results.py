@@ -28,7 +28,7 @@ class Result(FactsRepr):
 
     @typed
     def save(self, folder: str | Path, overwrite: bool = False) -> list[Path]:
-        """Write the report, tables (CSV, Parquet), figures (PNG) and maps (GeoTIFF) of a study; return the files.
+        """Write the report, tables (CSV, Parquet), figures (PNG) and maps (GeoTIFF) of a study, and return the files.
 
         Args:
           folder: where to; made if it is not there.
@@ -49,7 +49,12 @@ class Result(FactsRepr):
 def savable(
     study: Callable[Arguments, Any], kind: Callable[..., Saved]
 ) -> Callable[Arguments, Saved]:
-    """Return a study whose result is of a kind that can be saved, and holds the same."""
+    """Return a function that runs a study and returns its result as one that can be saved.
+
+    Args:
+      study: with any arguments.
+      kind: class of the result that can be saved; it takes all attributes of what the study returns.
+    """
 
     @functools.wraps(study)
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Saved:

@@ -93,6 +93,7 @@ def sensitivity_study(
       0  demo  optimal            0.08       0.88        NaN
       1  demo  optimal            0.08        NaN       4.19
     """
+    # Check everything before anything is planned: sources, workers, routes and weights.
     folder = Path(folder)
     sources_by_city = named_sources(sources)
     check_workers(workers, sources_by_city.values())
@@ -103,6 +104,8 @@ def sensitivity_study(
     cities = open_cities(sources_by_city, settings or SensitivityStudySettings(), weights)
     instances = routes_of_cities(cities, routes, altitudes_m)
     check_some_vary(cities, instances)
+
+    # What identifies the study in its folder; with several processes each search has one thread.
     key = cities.settings.to_dict() | {
         "maps": {city: maps.identity for city, maps in cities.maps.items()},
         "order_of_cities": [*cities.maps],
@@ -111,6 +114,7 @@ def sensitivity_study(
     job = cities.settings
     if workers != 1 and job.num_threads is None:
         job = replace(job, num_threads=1)
+
     folders = ROUTES_FOLDER, OnPerturbedMaps.folder, OnOtherParameters.folder
     names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in folders), *FILES]
     with (
@@ -122,6 +126,7 @@ def sensitivity_study(
         rows = run_rows(
             file, job, instances, cities.sources, row_columns, workers=workers, report=report
         )
+        # Rows on perturbed maps and on maps of other parameters, by their folder, and why some are missing.
         changed, skipped = add_changed_rows(folder, cities, instances, scenarios, report)
         report("report")
         result = SensitivityStudy(

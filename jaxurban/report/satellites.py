@@ -4,7 +4,7 @@
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -28,7 +28,7 @@ from jaxurban.report.figures.style import (
     letter_all,
     styled,
 )
-from jaxurban.report.write import framed, interval, without_ends
+from jaxurban.report.write import Figures, Look, framed, interval, without_ends
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.agreement import SatelliteAgreement
 from jaxurban.studies.receiver.validate import ReceiverValidation
@@ -83,7 +83,7 @@ STRENGTH = Colours(
 
 
 def satellite_files(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
-    """Return the tables that are written, by file name."""
+    """Return the tables of an agreement that are written, by file name."""
     return {
         "satellites.parquet": of.rows,
         "satellite_scores": of.scores,
@@ -94,9 +94,7 @@ def satellite_files(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
     }
 
 
-def satellite_figures(
-    result: ReceiverValidation, of: SatelliteAgreement
-) -> dict[str, Callable[[], Figure]]:
+def satellite_figures(result: ReceiverValidation, of: SatelliteAgreement) -> Figures:
     """Return what draws each figure, by file name."""
     return {
         "track": partial(plot_track, result, of),
@@ -107,13 +105,18 @@ def satellite_figures(
 
 
 def satellite_tables(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
-    """Return the tables of the report: scores, displaced cities beside the one in its place, rivals, and by blocks."""
+    """Return the tables of the report by name.
+
+    ``scores`` by kind of rows; ``cities``: scores of the city in its place, and the median and the most of displaced
+    cities; ``rivals``: rules beside that of the maps; ``lengths``: scores by length of the blocks of track.
+    """
+    # Rows of both scores: of the city in its place, and of the displaced cities that could be scored.
     names = ["auc", "within"]
-    null = [
-        of.displaced[names].quantile(share) for share in (0.5, 1.0)
-    ]  # of all that could be scored
-    cities = pd.concat([of.scores.loc[of.scores.which == "all", names], pd.DataFrame(null)])
-    num = f"{of.counts['num_displaced']} of {of.counts['num_asked']} displaced ones that could be scored"
+    in_place = of.scores.loc[of.scores.which == "all", names]
+    displaced = of.displaced[names].quantile([0.5, 1.0])
+    cities = pd.concat([in_place, displaced])
+    counts = of.counts
+    num = f"{counts['num_displaced']} of {counts['num_asked']} displaced ones that could be scored"
     cities.insert(0, "the city", ["in its place", f"{num}, median", "most"])
     scores = of.scores.replace({"which": ROWS})
     tables = {"scores": scores, "cities": cities, "rivals": of.rivals, "lengths": of.block_lengths}
@@ -121,29 +124,39 @@ def satellite_tables(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
 
 
 def peak_text(of: SatelliteAgreement) -> str:
-    """Return where the city fits best, as a table; in words where nothing fits best."""
+    """Return where the city fits the receiver best, as a table; in words where that is not known (NaN)."""
     if not np.isfinite(list(of.peak.values())).all():
         return f"None: that takes {FEWEST_GROUPS} blocks of track, and satellites both hidden and in view."
     return framed(pd.DataFrame([of.peak]).rename(columns=_head))
 
 
 def sentences_of(of: SatelliteAgreement) -> dict[str, str]:
-    """Return what the report says of how this log was judged: of rays, of the signal, and of rows left out."""
-    judged = "Which rays are unknown is decided from place and direction alone, whether or not a roof hides them."
+    """Return what the report says of how this log was judged, by the names of the template's fields.
+
+    ``judging``: which rays are unknown; ``strong``: from which signal on a satellite is strong; ``part``: that only
+    some epochs were used. The first and the last are empty where they do not apply.
+    """
+    judging = part = ""
+    if of.counts["is_guarded"]:
+        judging = "Which rays are unknown is decided from place and direction alone, whether or not a roof hides them."
+    every = of.counts["every"]
+    if every > 1:
+        part = f"All that moves cities or roofs, and the rules, take one of {every} epochs of this long log."
     strong = "the weakest that was received: of most nothing was"
     if of.counts["is_median"]:
         strong = "this log's median"
-    every = of.counts["every"]
-    part = f"All that moves cities or roofs, and the rules, take one of {every} epochs of this long log."
     return {
-        "judging": judged if of.counts["is_guarded"] else "",
+        "judging": judging,
         "strong": f"at {of.strong_dbhz:g} dBHz or more, {strong}",
-        "part": part if every > 1 else "",
+        "part": part,
     }
 
 
 def _with_digits(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of the report, scores and losses with three digits behind the point."""
+    """Return a table of the report, in which a value and its interval (NAME_low, NAME_high) share one column.
+
+    Of scores and losses (`SCORES`) that column holds texts with three digits behind the point.
+    """
     rows = table.to_dict("records")
     columns = without_ends(table)
     texts = table[columns].reset_index(drop=True)
@@ -158,17 +171,24 @@ def score_text(row: Mapping[Any, Any], name: str) -> str:
 
 
 def _three_digits(value: float) -> str:
+    """Return a number with three digits behind the point, never ``-0.000``; nothing for NaN."""
     return "" if math.isnan(value) else f"{value:z.3f}"
 
 
 def _head(column: str) -> str:
+    """Return the head of a column of the report's tables; the ends of an interval keep their suffix."""
     name = column.removesuffix("_low").removesuffix("_high")
     return HEADS.get(name, name) + column.removeprefix(name)
 
 
 @styled
 def plot_track(result: ReceiverValidation, of: SatelliteAgreement) -> Figure:
-    """Return the track, coloured by the share of judged satellites that are in view and strong, or hidden and weak."""
+    """Return the track in pieces of 10 m, coloured by the share of satellites on which maps and receiver agree.
+
+    They agree where a satellite is in view and strong, or hidden and weak. Pieces without a judged satellite are
+    crosses; the places of `plot_skies` are named.
+    """
+    # The mean place of each piece from the southwest, in metres, and the share of its satellites that agree.
     epochs, judged = result.epochs, of.rows[of.rows.is_judged]
     piece = (epochs.along_m // AROUND_M).to_numpy()
     places = epochs[["x_m", "y_m"]].groupby(piece).mean()
@@ -176,6 +196,7 @@ def plot_track(result: ReceiverValidation, of: SatelliteAgreement) -> Figure:
     agrees = (judged.is_seen == judged.is_strong).groupby(piece[judged.epoch]).mean()
     share = agrees.reindex(places.index).to_numpy()
     is_known = np.isfinite(share)
+
     note = f"Agreement: in view and {of.strong_dbhz:g} dBHz or more, or hidden and weaker. By chance it would be half."
     figure = chart(5.2, "Where maps and receiver agree", note)
     panel = figure.subplots()
@@ -187,16 +208,11 @@ def plot_track(result: ReceiverValidation, of: SatelliteAgreement) -> Figure:
     panel.scatter(
         x_m[~is_known], y_m[~is_known], s=25, marker="x", color=INK, label="nothing judged"
     )
+    look: Look = {"textcoords": "offset points", "arrowprops": {"arrowstyle": "-"}}
     for sky in of.skies:
         nearest = np.hypot(epochs.lon_deg - sky.lon_deg, epochs.lat_deg - sky.lat_deg).argmin()
-        k = places.index.get_loc(piece[nearest])
-        panel.annotate(
-            sky.name,
-            (x_m[k], y_m[k]),
-            (14, 14),
-            textcoords="offset points",
-            arrowprops={"arrowstyle": "-"},
-        )
+        number = places.index.get_loc(piece[nearest])  # of the piece that holds the nearest epoch
+        panel.annotate(sky.name, (x_m[number], y_m[number]), (14, 14), **look)
     panel.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
     panel.legend()
     add_colour_bar(figure, [panel], SHARE)
@@ -205,33 +221,30 @@ def plot_track(result: ReceiverValidation, of: SatelliteAgreement) -> Figure:
 
 @styled
 def plot_margin(of: SatelliteAgreement) -> Figure:
-    """Return C/N0 of received satellites, and the share not received, by the margin to the shadow's edge."""
+    """Return C/N0 of received satellites, and the share not received, by the margin to the shadow's edge.
+
+    The margin is the height of the antenna above the edge of the shadow: below 0 a building hides the satellite. Both
+    panels have one column per class of margins (`MARGINS_M`).
+    """
     judged = of.rows[of.rows.is_judged]
-    number = np.digitize(judged.margin_m, MARGINS_M)
+    margin_class = np.digitize(judged.margin_m, MARGINS_M)
     note = "Boxes: the middle half of the received satellites; lines: 5 to 95 %. Above: how many were judged."
     figure = chart(4.2, "How strongly satellites are heard, by how deep they are hidden", note)
     panel, below = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    for k in np.unique(number):
-        strength_dbhz = judged.cn0_dbhz[number == k]
+    edge = len(MARGINS_M) / 2  # the classes are symmetric around a margin of 0
+    look: Look = {"whis": (5, 95), "showfliers": False, "patch_artist": True}
+    for k in np.unique(margin_class):
+        strength_dbhz = judged.cn0_dbhz[margin_class == k]
         is_heard = strength_dbhz > 0
-        colour = HIDDEN if k < len(MARGINS_M) / 2 else SEEN
-        panel.boxplot(
-            strength_dbhz[is_heard],
-            positions=[k],
-            widths=0.7,
-            whis=(5, 95),
-            showfliers=False,
-            patch_artist=True,
-            boxprops={"facecolor": colour},
-            medianprops={"color": "white"},
-        )
-        panel.annotate(
-            f"{len(is_heard):,}", (k, 1.0), xycoords=("data", "axes fraction"), ha="center"
-        )
+        colour = HIDDEN if k < edge else SEEN
+        look |= {"boxprops": {"facecolor": colour}, "medianprops": {"color": "white"}}
+        panel.boxplot(strength_dbhz[is_heard], positions=[k], widths=0.7, **look)
+        num_judged = f"{len(is_heard):,}"
+        panel.annotate(num_judged, (k, 1.0), xycoords=("data", "axes fraction"), ha="center")
         below.bar(k, 1 - is_heard.mean(), color=colour, width=0.7)
     for each in axes:
         dress(each)
-        each.axvline(len(MARGINS_M) / 2, color=INK, linewidth=1.2)
+        each.axvline(edge, color=INK, linewidth=1.2)
     below.set_xticks(np.arange(len(MARGINS_M)) + 0.5, MARGINS_M)
     below.set_xlabel(
         "hidden  ←  height of the antenna above the edge of the shadow (m)  →  in view"
@@ -244,7 +257,10 @@ def plot_margin(of: SatelliteAgreement) -> Figure:
 
 @styled
 def plot_displacement(of: SatelliteAgreement) -> Figure:
-    """Return the AUC of a city that is moved by metres, by hundreds of metres, and of roofs that are scaled."""
+    """Return how well the city fits the receiver where it is moved or its roofs are scaled: three panels of AUC.
+
+    The city moved by metres, as a map of moves; moved by 80 to 450 m, as histograms; and by the factor of all heights.
+    """
     note = (
         "AUC: of two satellites of which the maps hide one, how often the one in view is the stronger.\n"
         "Cross and line: best fit; circle and band: 95 % of the best fits of resampled tracks."
@@ -253,6 +269,8 @@ def plot_displacement(of: SatelliteAgreement) -> Figure:
     field, cities, scales = axes = figure.subplots(1, 3, width_ratios=(1.0, 1.5, 0.8))
     for panel in axes:
         dress(panel)
+
+    # Moved by metres.
     auc = of.field.pivot(index="north_m", columns="east_m", values="auc")
     image = field.pcolormesh(auc.columns, auc.index, auc, cmap="cividis")
     figure.colorbar(image, ax=field, label="AUC", aspect=25)
@@ -265,6 +283,8 @@ def plot_displacement(of: SatelliteAgreement) -> Figure:
         aspect="equal",
         title="moved by metres",
     )
+
+    # Moved by hundreds of metres, and roofs scaled.
     draw_cities(cities, of, {"within": HIDDEN, "auc": SEEN})
     scales.axvspan(of.peak["scale_low"], of.peak["scale_high"], color=ROOFS, alpha=0.5)
     scales.axvline(of.peak["scale"], color=INK)
@@ -275,23 +295,21 @@ def plot_displacement(of: SatelliteAgreement) -> Figure:
 
 
 def draw_cities(panel: Axes, of: SatelliteAgreement, colours: Mapping[str, str]) -> None:
-    """Draw how displaced cities and the one in its place score, by the names of scores and their colours."""
-    (true,) = of.scores[of.scores.which == "all"].to_dict("records")
+    """Draw how displaced cities score, as histograms, and the city in its place, as lines.
+
+    Args:
+      panel: to draw in.
+      of: with the scores.
+      colours: of the scores that are drawn, by their columns (`NAMES`).
+    """
+    (in_place,) = of.scores[of.scores.which == "all"].to_dict("records")
     for name, colour in colours.items():
-        panel.hist(
-            of.displaced[name].dropna(),
-            bins=15,
-            color=colour,
-            alpha=0.6,
-            label=f"displaced, {NAMES[name]}",
-        )
-        panel.axvline(
-            true[name],
-            color=colour,
-            linewidth=2.5,
-            label=f"the city in its place: {true[name]:.2f}",
-        )
-    panel.set_ylim(top=panel.get_ylim()[1] * (1 + 0.3 * len(colours)))
+        label = f"displaced, {NAMES[name]}"
+        panel.hist(of.displaced[name].dropna(), bins=15, color=colour, alpha=0.6, label=label)
+        label = f"the city in its place: {in_place[name]:.2f}"
+        panel.axvline(in_place[name], color=colour, linewidth=2.5, label=label)
+    room = 1 + 0.3 * len(colours)  # above the bars, for the legend
+    panel.set_ylim(top=panel.get_ylim()[1] * room)
     panel.legend(loc="upper left")
     title = f"{of.displaced.auc.notna().sum()} cities, moved by 80 to 450 m"
     panel.set(xlabel="AUC (0.5 by chance, 1 at best)", ylabel="displaced cities", title=title)
@@ -299,7 +317,11 @@ def draw_cities(panel: Axes, of: SatelliteAgreement, colours: Mapping[str, str])
 
 @styled
 def plot_skies(of: SatelliteAgreement) -> Figure:
-    """Return the sky over the places of least and of most agreement: roofs, and satellites by strength."""
+    """Return the sky over the places of least and of most agreement: roofs, and satellites coloured by strength.
+
+    The marker says whether the maps have a satellite in view; it is hollow where the receiver heard nothing, and pale
+    where the satellite is not judged.
+    """
     figure = chart(4.2, "The sky over two places: the zenith in the middle, the horizon at the rim")
     axes = figure.subplots(1, len(of.skies), subplot_kw={"projection": "polar"}, squeeze=False)[0]
     for panel, sky in zip(axes, of.skies, strict=True):
@@ -308,23 +330,26 @@ def plot_skies(of: SatelliteAgreement) -> Figure:
         for is_seen, label, marker, _ in CLASSES:
             rows = sky.satellites[sky.satellites.is_seen == is_seen].sort_values("azimuth_deg")
             colours = STRENGTH(rows.cn0_dbhz.to_numpy())
-            colours[rows.cn0_dbhz == 0] = 1.0
+            colours[rows.cn0_dbhz == 0] = 1.0  # white
+            opacity = np.where(rows.is_judged, 1.0, 0.3) if len(rows) else None  # not of no row
             azimuth_rad, zenith_deg = np.radians(rows.azimuth_deg), 90 - rows.elevation_deg
             panel.scatter(
                 azimuth_rad,
                 zenith_deg,
                 s=50,
-                alpha=np.where(rows.is_judged, 1.0, 0.3) if len(rows) else None,  # not of no row
+                alpha=opacity,
                 marker=marker,
                 c=colours,
                 edgecolors=INK,
                 linewidths=0.7,
                 label=label,
             )
-            places = zip(rows.satellite, azimuth_rad, zenith_deg, strict=True)
-            for k, (name, *place) in enumerate(places):
-                offset = (4, 4) if k % 2 else (4, -9)
-                panel.annotate(name, place, offset, textcoords="offset points", size=6)
+
+            # Names of neighbours stand below and above their marks by turns.
+            names_and_places = zip(rows.satellite, azimuth_rad, zenith_deg, strict=True)
+            for number, (name, *place) in enumerate(names_and_places):
+                offset_pt = (4, 4) if number % 2 else (4, -9)
+                panel.annotate(name, place, offset_pt, textcoords="offset points", size=6)
     letter_all(axes)
     add_colour_bar(figure, axes, STRENGTH)
     legend_below(figure, axes[0])

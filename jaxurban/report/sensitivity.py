@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,7 +11,7 @@ from jaxurban.planners.cost import CostModel
 from jaxurban.report.figures.frame import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.results import Result, savable
-from jaxurban.report.write import Output, fill, listed, study_outputs
+from jaxurban.report.write import Written, fill, listed, study_outputs
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.weights import study as computed
 from jaxurban.studies.weights.sobol import FEW_SAMPLES, NOISE
@@ -24,8 +23,8 @@ TOP_BUILDINGS = 10
 RANKING = "rank", "per_metre", "height_m", "lon", "lat", "distance_m"
 
 
-def sensitivity_outputs(result: computed.Sensitivity) -> tuple[dict[str, Output], dict[str, Any]]:
-    """Return what a study of one route writes, by file name, and what it is of."""
+def sensitivity_outputs(result: computed.Sensitivity) -> Written:
+    """Return what a study of one route writes, by file name, and the settings that identify it, as JSON holds them."""
     route = result.route
     settings = {
         "route": route.settings,
@@ -43,7 +42,10 @@ def sensitivity_markdown(
 ) -> str:
     """Return the report as Markdown; it names figures and tables as `sensitivity_outputs` does.
 
-    ``buildings``: what `jaxurban.report.buildings.write_buildings` wrote beside it.
+    Args:
+      result: of the study.
+      buildings: what `jaxurban.report.buildings.write_buildings` wrote beside it: a row per building, the costliest
+        first, of which the report shows the first `TOP_BUILDINGS`; None: the report has no such table.
     """
     route, settings, tables = result.route, result.route.settings, report_tables(result)
     if buildings is not None:
@@ -73,7 +75,12 @@ def sensitivity_markdown(
 
 
 def report_tables(result: computed.Sensitivity) -> dict[str, pd.DataFrame]:
-    """Return the tables of the report by name."""
+    """Return the tables of the report by name.
+
+    ``outcomes``, ``indices`` and ``changes``: what the route is like, total Sobol shares, and what a larger weight
+    changes, a row per outcome (of ``changes`` per weight); ``costs``: the gradient of the cost; ``ends``: the routes
+    that are best for one objective; ``ranges``: where along each weight the route stays (see `ranges`).
+    """
     values = result.outcomes["value"].groupby("outcome", sort=False).first()
     units = [outcome_unit(str(name)) for name in values.index]
     by_outcome = {
@@ -81,31 +88,42 @@ def report_tables(result: computed.Sensitivity) -> dict[str, pd.DataFrame]:
         "indices": _sobol_shares(result),
         "changes": _changes(result).loc[values.index],
     }
+    tables = {}
     for name, table in by_outcome.items():
-        by_outcome[name] = table.rename(index=outcome_label).rename_axis("outcome")
-    changes = by_outcome["changes"].T.rename_axis(f"{MORE - 1:.0%} more of", axis=0)
+        tables[name] = table.rename(index=outcome_label).rename_axis("outcome")
+    tables["changes"] = tables["changes"].T.rename_axis(f"{MORE - 1:.0%} more of", axis=0)
+    tables["costs"] = result.cost
     points = result.front.points[[*result.front.objectives]]
-    cheapest = [points[name].idxmin() for name in points]
-    tables = by_outcome | {"changes": changes, "costs": result.cost, "ends": points.loc[cheapest]}
+    tables["ends"] = points.loc[points.idxmin().tolist()]
     tables = {name: table.reset_index() for name, table in tables.items()}
-    lines = [
-        {"weight": name, **ranges(result, name), "routes": len(line.cells)}
-        for name, line in result.lines.items()
-    ]
-    return tables | {"ranges": pd.DataFrame(lines)}
+
+    rows = []
+    for name, line in result.lines.items():
+        rows.append({"weight": name, **ranges(result, name), "routes": len(line.cells)})
+    tables["ranges"] = pd.DataFrame(rows)
+    return tables
 
 
 def _changes(result: computed.Sensitivity) -> pd.DataFrame:
-    """Return by which share each outcome changes where a weight is `MORE` times as large; a column per weight."""
+    """Return by what share each outcome changes where a weight is `MORE` times as large, as texts.
+
+    A row per outcome and a column per weight; ``unclear`` where a slope is not clear of 0 (`CLEAR`).
+    """
     slopes = result.outcomes
-    change = slopes["expected_slope"] * np.log(MORE) / slopes["expected"].abs().clip(lower=1e-12)
+    size = slopes["expected"].abs().clip(lower=1e-12)
+    change = (
+        slopes["expected_slope"] * np.log(MORE) / size
+    )  # slopes are by the logarithm of a weight
     is_clear = slopes["expected_slope"].abs() > CLEAR * slopes["expected_slope_se"]
     texts = change.map("{:+.1%}".format).where(is_clear, "unclear")
     return texts.unstack()[[*result.names]]
 
 
 def _sobol_shares(result: computed.Sensitivity) -> pd.DataFrame:
-    """Return the range of each outcome and the total share of each weight with its interval."""
+    """Return the range of each outcome, and the total Sobol share of each varied weight with its interval, as text.
+
+    A row per outcome; a share that is not known is an empty text.
+    """
     sobol = result.sobol
     spread = sobol.groupby("outcome", sort=False)[["lowest", "highest"]].first()
     totals = sobol["total"].map("{:.2f}".format) + sobol["total_ci"].map(" ± {:.2f}".format)
@@ -114,23 +132,31 @@ def _sobol_shares(result: computed.Sensitivity) -> pd.DataFrame:
 
 
 def ranges(result: computed.Sensitivity, name: str) -> dict[str, float]:
-    """Return where, along a weight's range, the route stays the same, and where much the same (see `ALIKE`).
+    """Return where, along a weight's range, the route stays the same, and where much the same.
 
-    ``same_from``, ``same_to``, ``alike_from`` and ``alike_to``, values of the weight, ends of the range included.
+    Args:
+      result: of the study.
+      name: of the weight.
+
+    Returns:
+      Values of the weight: between ``same_from`` and ``same_to`` the cheapest route is the given one; between
+      ``alike_from`` and ``alike_to`` no outcome differs from its by more than the share `ALIKE`.
     """
-    table = result.breakpoints(name)
+    table = result.breakpoints(
+        name
+    )  # a row per route along the range, by the values where it is the cheapest
     outcomes = table[list(outcome_names(result.names))]
-    given = table[table["is_given"]]
-    route = outcomes.loc[given.index].iloc[0]
+    given = table.index[table["is_given"]][0]
+    route = outcomes.loc[given]
     change = (outcomes - route).abs() / route.abs().clip(lower=1e-9)
     is_other = (change > ALIKE).any(axis=1)
-    num_others = (
-        is_other.cumsum()
-    )  # from the first route on: constant over neighbours that are alike
-    alike = table[~is_other & (num_others == num_others[given.index].iloc[0])]
+
+    # The neighbours of the given route up to the next other route: on them the count of others is the same.
+    num_others = is_other.cumsum()
+    alike = table[~is_other & (num_others == num_others[given])]
     return {
-        "same_from": float(given["from"].iloc[0]),
-        "same_to": float(given["to"].iloc[0]),
+        "same_from": float(table.loc[given, "from"]),
+        "same_to": float(table.loc[given, "to"]),
         "alike_from": float(alike["from"].iloc[0]),
         "alike_to": float(alike["to"].iloc[-1]),
     }

@@ -72,7 +72,11 @@ class SensitivityStudy:
 
     @cached_property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """All tables by name: ``routes`` and, where any was found, ``weights``, ``summary`` and the like."""
+        """All tables by name: ``routes``, and those that can be made of them.
+
+        Where any route was found ``weights`` and ``summary``; with Sobol shares ``sobol``, and with routes on other
+        maps ``remade`` and ``parameters``, each beside its summary (``sobol_summary`` and so on).
+        """
         routes = summary.routes_of(self.rows, self.instances)
         result = {"routes": self.rows}
         if routes.empty:
@@ -81,13 +85,12 @@ class SensitivityStudy:
         result["summary"] = summary.summarise(result["weights"], self.settings.wrong)
         shares = summary.shares_table(routes)
         if len(shares):
-            result |= {
-                "sobol": shares,
-                "sobol_summary": summary.summarise_shares(shares, self.settings.num_samples),
-            }
+            result["sobol"] = shares
+            result["sobol_summary"] = summary.summarise_shares(shares, self.settings.num_samples)
         for name, rows in {"remade": self.remade, "parameters": self.parameters}.items():
             if len(rows) and rows.status.isin(HAS_PATH).any():
-                result |= {name: rows, f"{name}_summary": summary.summarise_changed(rows)}
+                result[name] = rows
+                result[f"{name}_summary"] = summary.summarise_changed(rows)
         return result
 
 
@@ -102,6 +105,7 @@ def write_sensitivity_study(result: SensitivityStudy) -> list[Path]:
 def study_markdown(result: SensitivityStudy) -> str:
     """Return the report as Markdown; it names figures and tables as `write_sensitivity_study` does."""
     settings, tables = result.settings, result.tables
+    # Why routes were not found: the most frequent statuses, with their notes and the number of routes.
     lost = result.rows[~result.rows.status.isin(HAS_PATH)].fillna({"note": ""})
     reasons = lost.value_counts(["status", "note"]).head(MOST_REASONS).reset_index(name="routes")
     return fill(
@@ -122,13 +126,12 @@ def study_markdown(result: SensitivityStudy) -> str:
 
 
 def _cities(result: SensitivityStudy) -> pd.DataFrame:
-    """Return a row per city: its maps, its altitudes, and how many of its routes have a path."""
+    """Return a row per city: its maps, its altitudes, how many of its routes have a path, and norms of population."""
     rows = []
     for city, part in result.rows.groupby("city", sort=False):
         maps = result.maps[str(city)]
-        norms = ", ".join(
-            f"{number:,.0f} ({day})" for day, number in population_norms(maps).items()
-        )
+        norms = population_norms(maps).items()
+        norms_by_day = ", ".join(f"{number:,.0f} ({day})" for day, number in norms)
         altitudes = ", ".join(f"{z:g} m" for z in sorted(part.altitude_m.unique()))
         rows.append(
             {
@@ -138,21 +141,25 @@ def _cities(result: SensitivityStudy) -> pd.DataFrame:
                 "pairs of places": part.instance.nunique(),
                 "routes": len(part),
                 "found": part.status.isin(HAS_PATH).sum(),
-                "population is divided by": norms,
+                "population is divided by": norms_by_day,
             }
         )
     return pd.DataFrame(rows)
 
 
 def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
-    """Return the tables of the report by name: of each part of the routes the costliest wrong weight first.
+    """Return the tables of the report by name, made of those of the study; none where no route was found.
 
-    Sobol shares have no number where they are not clear of 0.
+    ``by_all`` (all routes, and each city) and ``where`` (further parts of the routes): statistics of each weight, of
+    each part the costliest wrong weight first. ``sobol``, ``perturbed`` and ``parameters`` where the study has them.
     """
     if "summary" not in tables:
         return {}
-    summary_table = tables["summary"].assign(part=pd.factorize(tables["summary"].value)[0])
-    by_regret = summary_table.sort_values(["part", "regret"], ascending=[True, False])
+    parts, _ = pd.factorize(
+        tables["summary"].value
+    )  # numbers of the parts of the routes, in their order
+    by_regret = tables["summary"].assign(part=parts)
+    by_regret = by_regret.sort_values(["part", "regret"], ascending=[True, False])
     by_regret = by_regret.rename(columns={"value": "of", "weight_name": "weight"})
     is_whole = by_regret.cut.isin([ALL, OVER_CITIES, "city"])
     is_part = by_regret.cut.isin(CUTS) & ~is_whole & (by_regret.weight != "distance")
@@ -162,6 +169,7 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
         "by_all": by_regret.loc[is_whole, columns],
         "where": by_regret.loc[is_part, columns],
     }
+
     if "sobol_summary" in tables:
         result["sobol"] = _total_shares(tables["sobol_summary"])
     if "remade_summary" in tables:
@@ -176,22 +184,28 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
 
 
 def _total_shares(sobol: pd.DataFrame) -> pd.DataFrame:
-    """Return the total Sobol shares of the report, without numbers where they are not clear of 0."""
+    """Return the total Sobol shares for the report: a row per outcome and weight.
+
+    A share and its interval stand only where the share is clear of 0. Where that is unclear ``at most`` is the upper
+    end of the interval; the ``verdict`` also says how many samples would settle it, where that is known.
+    """
     total = sobol[sobol.kind == "total"].copy()
-    share = columns_of("share")
-    remedy = total.samples_needed.map(": about {:.0f} samples should do".format)
+    share = columns_of("share")  # with the ends of its interval
     total["at most"] = total.share_high.where(total.verdict == UNCLEAR).clip(lower=0)
     total[share] = total[share].where(total.verdict == CLEAR)
+    remedy = total.samples_needed.map(": about {:.0f} samples should do".format)
     total["verdict"] += remedy.where(total.samples_needed > 0, "")
     total["outcome"] = total.outcome.map(outcome_label)
     return total[["outcome", "weight_name", *share, "at most", "verdict"]]
 
 
 def weights_said(instances: pd.DataFrame) -> str:
-    """Return the weights that all instances share, or that each has its own."""
-    columns = weight_columns(weighed_metrics(instances.columns))
-    if len(instances[list(columns)].drop_duplicates()) > 1:
+    """Return the weights that all instances share, by name; where they differ, words that say where they stand."""
+    columns = list(weight_columns(weighed_metrics(instances.columns)))
+    weights = instances[columns]
+    if len(weights.drop_duplicates()) > 1:
         return "those of each route (`instances.parquet`)"
+    first = weights.iloc[0].items()
     return ", ".join(
-        f"{name.removeprefix(WEIGHT_PREFIX)} {instances[name].iloc[0]:g}" for name in columns
+        f"{str(name).removeprefix(WEIGHT_PREFIX)} {weight:g}" for name, weight in first
     )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import compress
+from itertools import chain, compress
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import reporting
 from jaxurban.report.figures.tuning import plot_routes, plot_weights
-from jaxurban.report.write import REPORT_FILE, Output, bullets, files_of, fill, save
+from jaxurban.report.write import REPORT_FILE, Outputs, bullets, files_of, fill, save
 from jaxurban.studies.demonstrations import (
     Demonstration,
     compared_routes,
@@ -98,40 +98,40 @@ def run_tuning(
     sources = {
         source: _files_of(source, files, settings.sample) for source, files in sources.items()
     }
-    opened, fits = [source.open() for source in sources], ONE_FIT | dict(settings.fits)
+    opened = [source.open() for source in sources]
     targets = [Target.parse(text) for text in settings.targets]
     with reporting("tune") as report:
+        # The routes of each city; folders of one name and place are one city.
         report("routes")
         cities: dict[str, list[Demonstration]] = {}
         names = _names_of([Path(source.folder).resolve() for source in sources])
         for files, maps, name in zip(sources.values(), opened, names, strict=True):
             cities.setdefault(name, []).extend(_demonstrations(files, maps, settings))
-        demonstrations = [each for of_city in cities.values() for each in of_city]
-        settings_of_fit = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
-        fit: WeightFit | TargetFit
-        result = None
-        # Other fits differ in the state of the fit, which holds its settings.
+        demonstrations = list(chain.from_iterable(cities.values()))
+
+        # Files of another fit are recognised by the state of the fit, which holds its settings.
         pictures = [f"figures/{name}.png" for name in ("weights", *_pictures(demonstrations))]
         outputs = [*TABLES, *pictures, "weights.toml", REPORT_FILE]
-        names = [STATE_FILE, *files_of(outputs)]
-        with Workspace.open(folder, "tune", names=names, overwrite=overwrite):
+        files_written = [STATE_FILE, *files_of(outputs)]
+        with Workspace.open(folder, "tune", names=files_written, overwrite=overwrite):
             report("rounds")
+            fit: WeightFit | TargetFit
+            result = None
+            settings_of_fit = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
             if targets:
-                fit = fit_targets(
-                    [each.query for each in demonstrations], targets, settings=settings_of_fit
-                )
+                queries = [each.query for each in demonstrations]
+                fit = fit_targets(queries, targets, settings=settings_of_fit)
             else:
-                result = compare_fits(cities, **fits, settings=settings_of_fit)
+                options = ONE_FIT | dict(settings.fits)
+                result = compare_fits(cities, **options, settings=settings_of_fit)
                 fit = result.fits[ALL]
                 demonstrations = list(compress(demonstrations, ~result.is_held_out))
+
             report("routes under the fitted weights")
             planned = optimal_demonstrations([each.query for each in demonstrations], fit.weights)
+
             report("figures and report")
-            sampled = f"{settings.sample} instances sampled with seed {settings.fit.seed}"
-            origins = []
-            for source, files in sources.items():
-                routes = ", ".join(map(str, files)) or sampled
-                origins.append(f"`{routes}` over the maps in `{source.folder}`")
+            origins = _origins(sources, settings)
             texts = {"targets": ", ".join(map(str, targets)), "sources": "; ".join(origins)}
             if result is not None and len(result.fits) == 1 and not result.is_held_out.any():
                 result = None  # nothing to compare
@@ -140,8 +140,23 @@ def run_tuning(
     return facts if result is None else facts | {"fits": records_of(result.table)}
 
 
+def _origins(sources: Mapping[MapsFolder, Sequence[Path]], settings: TuneSettings) -> list[str]:
+    """Return for each folder of maps what the report says of its routes: their files, or how they were sampled."""
+    origins = []
+    for source, files in sources.items():
+        routes = f"{settings.sample} instances sampled with seed {settings.fit.seed}"
+        if files:
+            routes = ", ".join(map(str, files))
+        origins.append(f"`{routes}` over the maps in `{source.folder}`")
+    return origins
+
+
 def _names_of(folders: Sequence[Path]) -> list[str]:
-    """Return a name for the city of each folder of maps: the folder's own, with a number where another has it too."""
+    """Return a name for the city of each folder of maps, in their order.
+
+    It is the folder's own name, with a number behind it where another folder before it has that name; one folder that
+    stands several times has one name.
+    """
     names: dict[Path, str] = {}
     for folder in dict.fromkeys(folders):
         number = sum(other.name == folder.name for other in names)
@@ -152,7 +167,16 @@ def _names_of(folders: Sequence[Path]) -> list[str]:
 def _demonstrations(
     files: Sequence[Path], maps: MetricMaps, settings: TuneSettings
 ) -> list[Demonstration]:
-    """Return the routes on the maps of one folder."""
+    """Return the routes on the maps of one folder: those of its files, or the pilot's between sampled places.
+
+    Args:
+      files: of the routes; none where instances are sampled.
+      maps: of the folder.
+      settings: of the fit.
+
+    Raises:
+      InputError: files although instances are sampled, or no pilot who flies these.
+    """
     if settings.sample is None:
         return [each for file in files for each in _read(file, maps, settings)]
     if files:
@@ -163,6 +187,8 @@ def _demonstrations(
         raise InputError(
             "sampled instances have no routes of their own: name the weights of the pilot who flies them"
         )
+
+    # Draw instances at one altitude, or at all of the maps', and take those that some path joins.
     options = settings.routes
     altitude_m = options.get("altitude_m")
     under = {name: options[name] for name in UNDER if name in options}
@@ -186,7 +212,13 @@ def _demonstrations(
 
 
 def _files_of(source: MapsFolder, files: Sequence[Path], sample: int | None) -> Sequence[Path]:
-    """Return the files and folders of routes on the maps of a folder: without any, the study that it holds."""
+    """Return the files and folders of routes on the maps of a folder: without any, the study that it holds.
+
+    Where instances are sampled (``sample`` of them) no routes are needed, and ``files`` comes back as it is.
+
+    Raises:
+      InputError: there is neither a file nor a study, or the folder holds a study and no maps.
+    """
     if files or sample is not None:
         return files
     folder = Path(source.folder)
@@ -204,11 +236,14 @@ def _files_of(source: MapsFolder, files: Sequence[Path], sample: int | None) -> 
 
 
 def _read(file: Path, maps: MetricMaps, settings: TuneSettings) -> list[Demonstration]:
-    """Return the routes of a file of lines, a table of instances or the folder of a study."""
+    """Return the routes of a file of lines, a table of instances or the folder of a study, as demonstrations.
+
+    A fit to targets needs only the routes' ends: without a pilot its routes are planned under the default weights.
+    """
     if not file.is_dir() and file.suffix.lower() not in SUFFIXES:
         return read_demonstrations(file, maps, **settings.routes)
     pilot, planner = settings.pilot, settings.planner
-    if settings.targets and pilot is None:  # only the routes' ends matter
+    if settings.targets and pilot is None:
         pilot, planner = Weights(), None
     return demonstrations_from_study(file, maps, planner=planner, pilot=pilot, **settings.routes)
 
@@ -219,7 +254,7 @@ def outputs_of(
     planned: Sequence[Demonstration],
     texts: Mapping[str, str],
     result: FitComparison | None = None,
-) -> dict[str, Output]:
+) -> Outputs:
     """Return what a fit writes, by file name: tables, pictures, the report and weights.toml.
 
     Args:
@@ -230,11 +265,12 @@ def outputs_of(
     """
     pictures = _pictures(demonstrations)
     first = next(iter(pictures.values()))
-    units = [weight_units(first)[name] for name in fit.names]
     vector, fields = fit.weights.vector(fit.names), dict[str, Any](texts)
     routes = compared_routes(demonstrations, planned)
     tables = {}
-    outputs: dict[str, Output] = {"learning_curve": fit.curve}
+    outputs: Outputs = {"learning_curve": fit.curve}
+
+    # What only a fit to routes has, or only one to targets: template, table of weights, and further tables.
     if isinstance(fit, WeightFit):
         template, noun, weights = "imitation", "demonstration", fit.table.reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
@@ -249,54 +285,57 @@ def outputs_of(
         template, noun = "targets", "given route"
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
         alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")
-        outputs["targets"] = outcomes = fit.outcomes.join(alone).reset_index()
-        tables["outcomes"] = outcomes
-    outputs |= {"weights": weights.assign(unit=units), "examples": routes}
-    for name, one in pictures.items():
-        outputs[f"figures/{name}.png"] = partial(
-            plot_routes, demonstrations, planned, one, vector, noun
-        )
+        tables["outcomes"] = outputs["targets"] = fit.outcomes.join(alone).reset_index()
+
+    # What both have; a picture of the routes on each map.
+    units = weight_units(first)
+    weights = weights.assign(unit=[units[name] for name in fit.names])
+    outputs |= {"weights": weights, "examples": routes}
+    for name, cost_map in pictures.items():
+        draw = partial(plot_routes, demonstrations, planned, cost_map, vector, noun)
+        outputs[f"figures/{name}.png"] = draw
     tables |= {
-        "weights": weights.assign(unit=units),
+        "weights": weights,
         "setting": _setting([*pictures.values()]),
         "means": _means(routes),
     }
+    option, where = weights_option(fit.weights), _where(first)
     report = fill(
         template,
         tables,
-        credits=[one.maps.attribution for one in pictures.values()],
+        credits=[cost_map.maps.attribution for cost_map in pictures.values()],
         fit=fit,
         num=len(routes),
         overlap=routes["overlap"].mean(),
         pictures="\n\n".join(f"![Routes](figures/{name}.png)" for name in pictures),
-        use=fill(
-            "use_weights", unit=first, option=weights_option(fit.weights), where=_where(first)
-        ),
+        use=fill("use_weights", unit=first, option=option, where=where),
         **fields,
     )
     return outputs | {"weights.toml": weights_toml(fit, first), REPORT_FILE: report}
 
 
 def fits_section(result: FitComparison) -> str:
-    """Return the section of a report on several fits."""
-    counts = {
-        "num": len(result.is_bad),
-        "num_held_out": result.is_held_out.sum(),
-        "num_bad": result.is_bad.sum(),
-    }
-    return fill("fits", {"fits": result.table.filter(regex="^(?!w_)")}, **counts)
+    """Return the section of a report on several fits, as Markdown; its table leaves out the weights (``w_``)."""
+    return fill(
+        "fits",
+        {"fits": result.table.filter(regex="^(?!w_)")},
+        num=len(result.is_bad),
+        num_held_out=result.is_held_out.sum(),
+        num_bad=result.is_bad.sum(),
+    )
 
 
 def _pictures(demonstrations: Sequence[Demonstration]) -> dict[str, CostMap]:
-    """Return the maps that routes are drawn on, by the name of the picture."""
-    return {
-        f"routes_{k}": one
-        for k, one in enumerate(maps_of(each.query for each in demonstrations), start=1)
-    }
+    """Return the maps of some routes, each once, by the name of the picture in which their routes are drawn."""
+    cost_maps = maps_of(each.query for each in demonstrations)
+    return {f"routes_{number}": each for number, each in enumerate(cost_maps, start=1)}
 
 
 def _regrets(fit: WeightFit) -> pd.DataFrame:
-    """Return how much more routes cost than the best under the fitted weights, in one row."""
+    """Return statistics of the regrets in one row: by what share a route costs more than the cheapest one.
+
+    Costs are those under the fitted weights; ``explained`` counts routes whose regret is at most `EXPLAINED`.
+    """
     regret = fit.regret
     facts = {
         "explained": (regret <= EXPLAINED).sum(),
@@ -309,19 +348,19 @@ def _regrets(fit: WeightFit) -> pd.DataFrame:
 
 
 def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
-    """Return a row per map: what its routes were planned under."""
-    rows = [
-        {
-            "altitude (m)": one.altitude_m,
-            "time of day": one.time_of_day or "",
-            "time": one.time or "",
-            "cells (m)": one.grid.resolution_m,
-            "cost model": str(one.cost_model),
-            "constraints": str(one.constraints) or "none",
-            "obstacles": one.maps.obstacles,
+    """Return a table of what routes were planned under: a row per map of the cost."""
+    rows = []
+    for cost_map in maps:
+        row = {
+            "altitude (m)": cost_map.altitude_m,
+            "time of day": cost_map.time_of_day or "",
+            "time": cost_map.time or "",
+            "cells (m)": cost_map.grid.resolution_m,
+            "cost model": str(cost_map.cost_model),
+            "constraints": str(cost_map.constraints) or "none",
+            "obstacles": cost_map.maps.obstacles,
         }
-        for one in maps
-    ]
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -340,7 +379,10 @@ def _means(routes: pd.DataFrame) -> pd.DataFrame:
 
 
 def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
-    """Return what ``--json`` says of a fit to routes or to targets."""
+    """Return what ``--json`` says of a fit to routes or to targets, by name.
+
+    ``interval``: ends of the interval of each weight; None where no weight has one.
+    """
     facts = {
         "folder": str(folder),
         "message": fit.sentence,
@@ -351,8 +393,9 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
     }
     if isinstance(fit, WeightFit):
         ends = fit.table[["low", "high"]]
+        has_interval = ends.notna().any(axis=None)
         return facts | {
-            "interval": ends.T.to_dict("list") if ends.notna().any(axis=None) else None,
+            "interval": ends.T.to_dict("list") if has_interval else None,
             "mean_regret": float(fit.regret.mean()),
             "best_mean_regret": fit.best_mean_regret,
             "is_settled": fit.is_settled,
@@ -393,6 +436,7 @@ def weights_toml(fit: WeightFit | TargetFit, cost_map: CostMap) -> str:
 
 
 def _where(cost_map: CostMap) -> str:
+    """Return the end of a sentence on weights: on which cells, or with which reference length, they apply."""
     if cost_map.cost_model.kind == "cell":
         side = f"{cost_map.grid.resolution_m:g} m"
         return f" on cells of {side} (a step costs by the cell, so other sizes need other ones)"

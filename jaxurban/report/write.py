@@ -19,14 +19,19 @@ from jaxurban.io.tables import SUFFIXES, write_table
 
 REPORT_FILE = "report.md"
 DPI = 300  # of images, which the IEEE asks of colour
-NUM_COLOURS, SAMPLED = 256, 3  # of a PNG; every which pixel they are chosen of
+NUM_COLOURS = 256  # of a PNG
+SAMPLED = 3  # its colours are chosen from every third row and column
 PICTURES = (".png", ".pdf", ".svg")
 # A text, a table, or what draws a picture or writes a map.
 Output = str | pd.DataFrame | Callable[..., Any]
+Outputs = dict[str, Output]  # by file name
+Written = tuple[Outputs, dict[str, Any]]  # what a result writes, and the facts that identify it
+Figures = dict[str, Callable[[], Figure]]  # functions that draw pictures, by the pictures' names
+Look = dict[str, Any]  # keywords of Matplotlib for the look of what is drawn
 
 
 def files_of(names: Iterable[str]) -> list[str]:
-    """Return the names of the files that `save` writes for outputs of these names."""
+    """Return the names of the files that `save` writes: of a name without an end, a table, one for each format."""
     files = []
     for name in names:
         suffixes = [""] if Path(name).suffix else reversed(SUFFIXES)
@@ -34,11 +39,15 @@ def files_of(names: Iterable[str]) -> list[str]:
     return files
 
 
-def study_outputs(
-    report: str, tables: Mapping[str, pd.DataFrame], figures: Mapping[str, Callable[[], Figure]]
-) -> dict[str, Output]:
-    """Return the outputs of a study by file name: ``tables/NAME``, ``figures/NAME.png``, and last ``report.md``."""
-    outputs: dict[str, Output] = {f"tables/{name}": frame for name, frame in tables.items()}
+def study_outputs(report: str, tables: Mapping[str, pd.DataFrame], figures: Figures) -> Outputs:
+    """Return the outputs of a study by file name: ``tables/NAME``, ``figures/NAME.png``, and last ``report.md``.
+
+    Args:
+      report: text of ``report.md``.
+      tables: by name; one whose name has no end is written in each format.
+      figures: functions that draw the pictures, by name.
+    """
+    outputs: Outputs = {f"tables/{name}": frame for name, frame in tables.items()}
     for name, draw in figures.items():
         outputs[f"figures/{name}.png"] = draw
     return outputs | {REPORT_FILE: report}
@@ -57,15 +66,15 @@ def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:
     """
     written = []
     for name, output in outputs.items():
-        file = Path(folder) / name
         if isinstance(output, pd.DataFrame):
             written += [write_table(output, Path(folder) / each) for each in files_of([name])]
             continue
+        file = Path(folder) / name
         written.append(file)
         if isinstance(output, str):
             write_whole(file, output)
         elif file.suffix.lower() in PICTURES:
-            with whole_file(file) as scratch:
+            with whole_file(file) as scratch:  # becomes the file once it is whole
                 write_picture(output(), scratch, file.suffix.lower())
         else:
             output(file)
@@ -89,15 +98,14 @@ def write_picture(figure: Figure, file: str | Path, suffix: str = "", dpi: float
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-    few = image.resize((image.width // SAMPLED, image.height // SAMPLED), Image.Resampling.NEAREST)
-    rare_too, plain = (
-        Image.Quantize.MAXCOVERAGE,
-        Image.Dither.NONE,
-    )  # by median cut, lines and legends lose theirs
-    palette = few.quantize(NUM_COLOURS, rare_too, kmeans=1)
-    image.quantize(palette=palette, dither=plain).save(
-        file, format="png", optimize=True, dpi=(dpi, dpi)
-    )
+
+    # Colours are chosen from every third row and column, so that rare ones, as of lines and legends, have theirs too:
+    # by median cut they would lose them.
+    sampled_size = image.width // SAMPLED, image.height // SAMPLED
+    sampled = image.resize(sampled_size, Image.Resampling.NEAREST)
+    palette = sampled.quantize(NUM_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1)
+    few_colours = image.quantize(palette=palette, dither=Image.Dither.NONE)
+    few_colours.save(file, format="png", optimize=True, dpi=(dpi, dpi))
 
 
 def fill(
@@ -115,31 +123,38 @@ def fill(
       template: name of the file.
       tables: what ``{tables[NAME]}`` stands for; a section (from one ## to the next) with a table that is not among
         these, or has no row, is left out.
-      figures: names of those that are drawn: pictures ``figures/NAME.png`` of others are left out; None: none is.
+      figures: names of the pictures that are drawn; the lines of other pictures ``figures/NAME.png`` are left out.
+        None: no line is left out.
       credits: of the data behind the report; named at its end, each once.
       fields: all other fields.
     """
     text = (files("jaxurban.report") / "templates" / f"{template}.md").read_text(encoding="utf-8")
     texts = {name: framed(table) for name, table in (tables or {}).items() if len(table)}
-    parts = re.split(r"\n(?=## )", text)
-    text = "\n".join(
-        part for part in parts if set(re.findall(r"\{tables\[(\w+)\]\}", part)) <= set(texts)
-    )
+
+    # Leave out sections without their tables, and lines of pictures that are not drawn.
+    def is_shown(section: str) -> bool:
+        return texts.keys() >= set(re.findall(r"\{tables\[(\w+)\]\}", section))
+
+    text = "\n".join(filter(is_shown, re.split(r"\n(?=## )", text)))
     if figures is not None:
-        names = "|".join(map(re.escape, figures)) or "-"
-        text = re.sub(
-            rf"^!\[[^\n]*\]\(figures/(?!({names})\.png\))[^\n]*$", "", text, flags=re.MULTILINE
-        )
+        names = "|".join(map(re.escape, figures)) or "-"  # no picture has the name -
+        of_others = rf"^!\[[^\n]*\]\(figures/(?!({names})\.png\))[^\n]*$"
+        text = re.sub(of_others, "", text, flags=re.MULTILINE)
+
+    # Fill the fields, close the gaps that empty ones leave, and name the credits.
     text = re.sub(r"\n{3,}", "\n\n", text.strip().format(tables=texts, **fields)).strip()
-    return f"{text}\n\nData: {credit}\n" if (credit := joined_credits(*credits)) else f"{text}\n"
+    credit = joined_credits(*credits)
+    return f"{text}\n\nData: {credit}\n" if credit else f"{text}\n"
 
 
 def table(head: Iterable[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a table; cells that are not text as `cell` shows them."""
+    """Return a table in Markdown; each row has as many values as the head, which `cell` turns into text."""
     names = [str(name) for name in head]
-    lines = [names, *([cell(value) for value in row] for row in rows)]
-    first, *others = (f"| {' | '.join(line)} |" for line in lines)
-    return "\n".join([first, f"|{'---|' * len(names)}", *others])
+    lines = [f"| {' | '.join(names)} |", f"|{'---|' * len(names)}"]
+    for row in rows:
+        cells = [cell(value) for value in row]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 def framed(frame: pd.DataFrame) -> str:
@@ -157,9 +172,13 @@ def without_ends(frame: pd.DataFrame) -> list[Any]:
 
 
 def interval(row: Mapping[Any, Any], name: Any, text_of: Callable[[Any], str] | None = None) -> str:
-    """Return a value of a table's row, with its interval where it has one: ``0.42 (0.29 to 0.54)``.
+    """Return a value of a table's row as text, with its interval where it has one: ``0.42 (0.29 to 0.54)``.
 
-    ``text_of`` returns the text of a number; left out, `cell`.
+    Args:
+      row: values by the names of columns; the ends of the interval are NAME_low and NAME_high, which are missing or NaN
+        where there is none.
+      name: of the value's column.
+      text_of: returns the text of a number; left out, `cell`.
     """
     text_of = text_of or cell
     text, low = text_of(row[name]), row.get(f"{name}_low", math.nan)

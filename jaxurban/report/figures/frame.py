@@ -41,6 +41,7 @@ from jaxurban.report.figures.style import (
     styled,
     wrapped,
 )
+from jaxurban.report.write import Look
 from jaxurban.world.grid import Grid
 
 MAX_CELLS = 4000  # a side: of larger maps every second, third ... row and column is drawn
@@ -60,7 +61,7 @@ CORNERS = {"lower left": (0, 0), "lower right": (1, 0), "upper left": (0, 1), "u
 NEAR = 0.2
 NORTH = "▲\nN"
 SETTLING = 3  # runs of the layout, after which a figure's height is right to 0.01 inches
-END_LOOK: dict[str, Any] = {
+END_LOOK: Look = {
     "linestyle": "none",
     "markeredgecolor": "black",
     "markerfacecolor": "white",
@@ -138,46 +139,84 @@ def draw_maps(
       colours: of one bar for all panels; left out, each panel whose last layer is none of classes has one below it.
       has_ticks: whether eastings and northings are shown, where no bar is in their place.
       width: of the figure, see `jaxurban.report.figures.style.inches`.
+
+    Returns:
+      The figure, and one axes per panel.
+
+    Raises:
+      InputError: a width that the figure cannot have.
     """
-    bars = [_own_bar(panel) if colours is None else None for panel in panels]
-    has_ticks = has_ticks and not any(bars)
-    foot_in = BAR_IN * any(bars) + LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
-    size = _size(grid, len(panels), inches(width) - NORTHING_IN * has_ticks, foot_in)
+    # How large the panels are, and how much room ticks, feet and colour bars leave them.
+    bars = [_own_bar(panel) for panel in panels]
+    if colours is not None:
+        bars = [None] * len(panels)
+    width_in = inches(width)
+    foot_in = LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
+    if any(bars):
+        has_ticks = False
+        foot_in += BAR_IN
+    if has_ticks:
+        width_in -= NORTHING_IN
+    size = _size(grid, len(panels), width_in, foot_in)
+
+    # The cells of the panels; a low row is added below them where no cell is left for the legend.
     figure = chart(FIRST_IN * size.num_rows, heading, note, width)
+    row_heights = [1.0] * size.num_rows
     is_full = len(panels) == size.num_rows * size.num_cols
-    heights = [1.0] * size.num_rows + [0.01] * (is_full and not size.is_beside)
-    cells = figure.add_gridspec(len(heights), size.num_cols, height_ratios=heights)
+    if is_full and not size.is_beside:
+        row_heights.append(0.01)
+    cells = figure.add_gridspec(len(row_heights), size.num_cols, height_ratios=row_heights)
     axes = [figure.add_subplot(cells[number]) for number in range(len(panels))]
+
     for number, (spot, panel, bar) in enumerate(zip(axes, panels, bars, strict=True)):
         title = letter(number, len(panels)) + panel.title
         _draw_panel(spot, panel._replace(title=title, grid=panel.grid or grid), size)
         if has_ticks:
-            _add_ticks(
-                spot, size, number % size.num_cols == 0, number + size.num_cols >= len(panels)
-            )
+            is_left = number % size.num_cols == 0
+            is_bottom = number + size.num_cols >= len(panels)
+            _add_ticks(spot, size, is_left=is_left, is_bottom=is_bottom)
         if bar is not None:
             _add_bar_below(figure, spot, bar, size)
+
+    # The one colour bar and the legend, and then the figure's height, which depends on them.
     if colours is not None:
         add_colour_bar(figure, axes, colours, "right" if size.is_beside else "bottom")
-    _add_key(figure, legend, None if size.is_beside else cells[len(panels) :], size.cell_in)
+    gap = None if size.is_beside else cells[len(panels) :]
+    _add_key(figure, legend, gap, size.cell_in)
     _settle(figure, axes, size)
     return figure, axes
 
 
 def _size(grid: Grid, num: int, width_in: float, foot_in: float) -> Size:
-    """Return how so many panels stand in a width, with a foot below each, all in inches."""
+    """Return how the panels of a figure stand, and how large they are.
+
+    Panels are as wide as their columns unless they would then be too high together.
+
+    Args:
+      grid: whose proportions every panel has.
+      num: number of panels.
+      width_in: of all columns together, inches.
+      foot_in: height of what stands below each panel, inches.
+    """
     num_cols = min(columns_of(num), int(width_in / MIN_WIDTH_IN))
     num_rows = math.ceil(num / num_cols)
     tall = (grid.y_max_m - grid.y_min_m) / (grid.x_max_m - grid.x_min_m)
     height_in = max(MIN_HEIGHT_IN, MAX_HEIGHT_IN / num_rows - foot_in)
     panel_in = min(width_in / num_cols, height_in / tall)
     is_beside = width_in - num_cols * panel_in > SIDE_IN
-    cell_in = (width_in - SIDE_IN * is_beside) / num_cols
-    return Size(num_rows, num_cols, cell_in, panel_in, tall, is_beside)
+    if is_beside:
+        width_in -= SIDE_IN
+    return Size(num_rows, num_cols, width_in / num_cols, panel_in, tall, is_beside)
 
 
 def _draw_panel(spot: Axes, panel: MapPanel, size: Size) -> None:
-    """Draw a panel that has its own grid, without ticks."""
+    """Draw a map into its axes: title, foot, layers, scale bar and north, without ticks.
+
+    Args:
+      spot: the axes.
+      panel: what to draw; its grid must be set.
+      size: of the panels.
+    """
     grid: Any = panel.grid
     spot.set(xticks=[], yticks=[], facecolor=NO_DATA_COLOUR, gid=MAP)
     spot.set_title(wrapped(panel.title, size.cell_in, TEXT_PT), pad=4)
@@ -190,12 +229,15 @@ def _draw_panel(spot: Axes, panel: MapPanel, size: Size) -> None:
 
 
 def _add_ticks(spot: Axes, size: Size, is_left: bool, is_bottom: bool) -> None:
-    """Add ticks to a panel: eastings where it is at the bottom, northings where it is at the left, both in km."""
+    """Add ticks to a panel: eastings where it is at the bottom, northings where it is at the left, both in km.
+
+    What is written below the panel moves under the label of the eastings.
+    """
     num_ticks = int(np.clip(size.panel_in / TICK_IN, 1, MAX_TICKS))
     for axis in (spot.xaxis, spot.yaxis):
         axis.set_major_locator(MaxNLocator(num_ticks, steps=[1, 2, 5, 10], min_n_ticks=1))
         axis.set_major_formatter(lambda value, _: f"{value / 1000:.7g}")
-    look: dict[str, Any] = {"labelsize": SMALL_PT, "length": 3, "color": FAINT_INK}
+    look: Look = {"labelsize": SMALL_PT, "length": 3, "color": FAINT_INK}
     spot.tick_params(labelleft=is_left, labelbottom=is_bottom, **look)
     if is_left:
         spot.set_ylabel("northing (km)")
@@ -205,10 +247,17 @@ def _add_ticks(spot: Axes, size: Size, is_left: bool, is_bottom: bool) -> None:
 
 
 def _add_bar_below(figure: Figure, spot: Axes, bar: Colours, size: Size) -> None:
-    """Add a colour bar as wide as a panel below it, with two ticks where there is no room for more."""
+    """Add a colour bar as wide as a panel below it, with two ticks where there is no room for more.
+
+    Args:
+      figure: that holds the panel.
+      spot: the panel's axes.
+      bar: the colours, with the bar's label and ticks.
+      size: of the panels.
+    """
     ticks = bar_ticks(bar)
     if size.panel_in < MIN_BAR_IN:
-        ticks = ticks[:: len(ticks) - 1]
+        ticks = [ticks[0], ticks[-1]]
     height_in = size.panel_in * size.tall
     under = spot.inset_axes((0, -BAR_AT_IN / height_in, 1, THICK_IN / height_in))
     label = wrapped(bar.label, size.cell_in)
@@ -218,27 +267,38 @@ def _add_bar_below(figure: Figure, spot: Axes, bar: Colours, size: Size) -> None
 def _add_key(
     figure: Figure, legend: Iterable[LegendEntry], gap: SubplotSpec | None, cell_in: float
 ) -> None:
-    """Add a legend in a gap of the grid of panels, in as many columns as it has room for; beside all without a gap."""
-    edge: dict[str, Any] = {"edgecolor": FAINT_INK, "linewidth": 0.4}
-    handles = [
-        Patch(facecolor=each[1], label=each[0], **edge) if isinstance(each, tuple) else each
-        for each in legend
-    ]
+    """Add a legend to a figure of maps.
+
+    Args:
+      figure: of the maps.
+      legend: the entries, in order; a name with a colour becomes a filled patch.
+      gap: cells of the grid of panels that hold no panel: the legend stands there, in as many columns as fit;
+        None: it stands to the right of all panels.
+      cell_in: width of a cell of that grid, inches.
+    """
+    handles: list[Artist] = []
+    for entry in legend:
+        if isinstance(entry, tuple):
+            name, colour = entry
+            entry = Patch(facecolor=colour, label=name, edgecolor=FAINT_INK, linewidth=0.4)
+        handles.append(entry)
+    look: Look = {"handles": handles, "handlelength": 1.4}
     if gap is None:
-        figure.legend(handles=handles, loc="outside right center", handlelength=1.4)
+        figure.legend(loc="outside right center", **look)
         return
     holder = figure.add_subplot(gap)
     holder.set_axis_off()
-    num_cols = legend_columns(
-        [str(each.get_label()) for each in handles], len(gap.colspan) * cell_in
-    )
-    holder.legend(
-        handles=handles, loc="upper left", ncols=num_cols, borderaxespad=0, handlelength=1.4
-    )
+    names = [str(handle.get_label()) for handle in handles]
+    num_cols = legend_columns(names, len(gap.colspan) * cell_in)
+    holder.legend(loc="upper left", ncols=num_cols, borderaxespad=0, **look)
 
 
 def _settle(figure: Figure, axes: Sequence[Axes], size: Size) -> None:
-    """Give a figure the height that its panels need, which fill their cells until it is known."""
+    """Give a figure the height that its panels need, and then each panel its true proportions.
+
+    The layout decides how high a cell becomes, so the height is corrected by what the cells lack, a few times
+    (`SETTLING`). Until then the panels fill their cells.
+    """
     layout: Any = figure.get_layout_engine()
     for _ in range(SETTLING):
         layout.execute(figure)
@@ -261,31 +321,45 @@ def mark_ends(
 ) -> None:
     """Mark where a route starts (circle) and ends (star), and move scale bar and north to corners without either.
 
-    `ENDS` are their entries in a legend.
+    Args:
+      panel: a map that has its scale bar and its north arrow.
+      start_xy_m: easting and northing of the start.
+      goal_xy_m: easting and northing of the goal.
+      size: of the marks, by those in the legend (`ENDS`).
     """
-    for end, at in zip(ENDS, (start_xy_m, goal_xy_m), strict=True):
+    for end, end_xy_m in zip(ENDS, (start_xy_m, goal_xy_m), strict=True):
         look = END_LOOK | {"marker": end.get_marker(), "markersize": size * end.get_markersize()}
-        panel.plot(*at, zorder=20, clip_on=False, **look)
-    shares = panel.transLimits.transform([[*start_xy_m], [*goal_xy_m]])
-    clear = [
-        loc for loc, corner in CORNERS.items() if (abs(shares - corner) > NEAR).any(axis=1).all()
-    ]
+        panel.plot(*end_xy_m, zorder=20, clip_on=False, **look)
+
+    # A corner is clear of an end that is far from it in one direction at least; two ends leave two corners clear.
+    ends = panel.transLimits.transform([[*start_xy_m], [*goal_xy_m]])  # as shares of the panel
+    clear = []
+    for name, corner in CORNERS.items():
+        is_far = (abs(ends - corner) > NEAR).any(axis=1)
+        if is_far.all():
+            clear.append(name)
     marks = [mark for mark in panel.artists if isinstance(mark, AnchoredOffsetbox)]
-    for mark, loc in zip(marks, (clear[0], clear[-1]), strict=False):
-        mark.loc = AnchoredOffsetbox.codes[loc]
+    for mark, name in zip(marks, (clear[0], clear[-1]), strict=False):
+        mark.loc = AnchoredOffsetbox.codes[name]
 
 
 def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
     """Draw maps into a panel, later ones over earlier ones.
 
     Layers become one image before it is scaled to the page, so that thin streets and small roofs blend
-    into their surroundings instead of flickering in and out.
+    into their surroundings instead of flickering in and out. Where no layer has a colour, the image has that of cells
+    without data.
+
+    Args:
+      panel: to draw into.
+      grid: of the maps.
+      layers: one at least, ``[Y, X]`` each; of more than `MAX_CELLS` a side only every second, third ... is drawn.
     """
     step = math.ceil(max(layers[0].values.shape) / MAX_CELLS)
     image = np.round(255 * np.array(to_rgb(NO_DATA_COLOUR))).astype(np.uint8)
     for values, colours in layers:
         rgba = colours(np.ma.masked_invalid(values[::step, ::step]), bytes=True)
-        image = np.where(rgba[..., 3:] > 0, rgba[..., :3], image)
+        image = np.where(rgba[..., 3:] > 0, rgba[..., :3], image)  # the layer where it is not clear
     rows, cols = image.shape[:2]
     side_m = step * grid.resolution_m
     x_max_m, y_max_m = grid.x_min_m + cols * side_m, grid.y_min_m + rows * side_m
@@ -306,16 +380,18 @@ def flat_layer(is_drawn: np.ndarray, colour: str) -> MapLayer:
 
 
 def _orient(panel: Axes) -> None:
-    """Draw north, and a scale bar of the longest of 1, 2 or 5 x 10^k metres that is short enough."""
+    """Draw a north arrow, and a scale bar of at most 0.3 of the panel's width: 1, 2 or 5 x 10^k metres long."""
     low_m, high_m = panel.get_xlim()
     most_m = 0.3 * (high_m - low_m)
     power_m = 10.0 ** math.floor(math.log10(most_m))
-    length_m = max(factor * power_m for factor in (1, 2, 5) if factor * power_m <= most_m)
+    lengths_m = (power_m, 2 * power_m, 5 * power_m)
+    length_m = max(each_m for each_m in lengths_m if each_m <= most_m)
     name = f"{length_m / 1000:g} km" if length_m >= 1000 else f"{length_m:g} m"
+
     thick_m = 0.006 * (high_m - low_m)
-    look: dict[str, Any] = {"label_top": True, "color": INK, "size_vertical": thick_m, "pad": 0.25}
+    look: Look = {"label_top": True, "color": INK, "size_vertical": thick_m, "pad": 0.25}
     scale = AnchoredSizeBar(panel.transData, length_m, name, "lower left", sep=2, **look)
-    letters: dict[str, Any] = {"color": INK, "ha": "center", "linespacing": 0.9}
+    letters: Look = {"color": INK, "ha": "center", "linespacing": 0.9}
     north = AnchoredText(NORTH, "upper right", prop=letters, pad=0.15)
     for mark in (scale, north):
         mark.borderpad = 0.3
@@ -329,8 +405,12 @@ def frame_note(
 ) -> str:
     """Return the lines below a figure's heading: caveats and guesses, if any; the sky, cells, CRS, place, credit.
 
-    ``has_sky``: the figure shows something of GPS, at a time or, left out, over all times of a series; guesses of the
-    sky and caveats stand only there. ``of``: the map that is shown alone.
+    Args:
+      maps: that the figure shows.
+      time: UTC time of the GPS maps; None: all times of the series.
+      has_sky: whether the figure shows something of GPS; without it neither the sky nor its guesses nor caveats are
+        named.
+      of: name of the map that is shown alone; None: caveats are those of all metrics.
     """
     sky = sky_said(maps, time) if has_sky else ""
     caveats = caveats_said(maps, of) if has_sky else []
@@ -340,29 +420,44 @@ def frame_note(
 
 
 def rules_said(*settings: Mapping[str, Any]) -> str:
-    """Return what routes were planned under, from their settings: cost model, weights, obstacles and clearances."""
+    """Return a line that says what routes were planned under: cost model, weights, obstacles and clearances.
+
+    Where routes differ in one of these, the first `MOST_RULES` are named, and dots stand for others.
+
+    Args:
+      settings: of each route (`PlannedPath.settings`); without any the line is empty.
+    """
     rules: dict[str, list[str]] = {"cost model": [], "weights": [], "obstacles": []}
-    for each in settings:
-        weights = joined(
-            *(f"{name} {weight:g}" for name, weight in each["weights"].items()), by=", "
-        )
-        is_by_distance = each["objective"] == "distance"
-        kept = describe_kept(each["limits"], each["resolution_m"])
-        obstacles = joined(each["obstacles"], *describe_clearances(each["limits"]), kept, by=", ")
-        rules["cost model"].append(each["cost_model"])
-        rules["weights"].append("the distance alone" if is_by_distance else weights)
+    for route in settings:
+        weights = ", ".join(f"{name} {weight:g}" for name, weight in route["weights"].items())
+        if route["objective"] == "distance":
+            weights = "the distance alone"
+        limits = route["limits"]
+        kept = describe_kept(limits, route["resolution_m"])
+        obstacles = joined(route["obstacles"], *describe_clearances(limits), kept, by=", ")
+        rules["cost model"].append(route["cost_model"])
+        rules["weights"].append(weights)
         rules["obstacles"].append(obstacles)
-    lines = []
+    facts = []
     for name, values in rules.items():
-        first, more = list(dict.fromkeys(values))[:MOST_RULES], len(set(values)) > MOST_RULES
-        lines.append(f"{name}: {' or '.join(first)}{' ...' * more}" if first else "")
-    return joined(*lines)
+        different = list(dict.fromkeys(values))
+        fact = " or ".join(different[:MOST_RULES])
+        if len(different) > MOST_RULES:
+            fact += " ..."
+        if fact:
+            facts.append(f"{name}: {fact}")
+    return joined(*facts)
 
 
 def caveats_said(maps: MetricMaps, of: str | None = None) -> list[str]:
-    """Return what a reader must know of a map, or left out of all metrics that these maps hold."""
-    names = [maps.variable(name) for name in ([of] if of else maps.metrics)]
-    caveats = [maps.ds[name].attrs.get(CAVEAT) for name in names if name in maps.ds]
+    """Return what a reader must know of a map, a sentence each.
+
+    Args:
+      maps: that hold it.
+      of: its name; None: all metrics of the maps.
+    """
+    variables = [maps.variable(name) for name in ([of] if of else maps.metrics)]
+    caveats = [maps.ds[name].attrs.get(CAVEAT) for name in variables if name in maps.ds]
     return list(dict.fromkeys(filter(None, caveats)))
 
 
@@ -382,7 +477,7 @@ def ground_said(maps: MetricMaps) -> tuple[str, ...]:
 
 
 def joined(*facts: str | None, by: str = GAP) -> str:
-    """Return facts as one line, without those that are empty."""
+    """Return facts with ``by`` between them, without those that are empty or None."""
     return by.join(filter(None, facts))
 
 
@@ -404,17 +499,27 @@ def availability_threshold(maps: MetricMaps) -> float:
 
 
 def meaning_of(maps: MetricMaps, name: str, said: str = "") -> str:
-    """Return what a value of one means, with these maps' own numbers; ``said`` where they do not say."""
+    """Return what a value of one means on a map, with the maps' own numbers in place of names.
+
+    Args:
+      maps: that hold it, with their settings as attributes.
+      name: of a metric or a variable.
+      said: the meaning where the maps do not give one.
+    """
     attrs = maps.ds.attrs
     variable = maps.variable(name)
     meaning = said
     if variable in maps.ds:
         meaning = str(maps.ds[variable].attrs.get("one_means", said))
+
+    # "the threshold": metres of a metric such as risk, or the m above which a position counts as available.
     threshold_m = attrs.get(f"{variable}_threshold_m")
     if threshold_m is not None:
         meaning = meaning.replace("the threshold", f"{threshold_m:g} m")
     elif variable.endswith("_availability"):
         meaning = meaning.replace("the threshold", f"{availability_threshold(maps):g}")
+
+    # Names of attributes: alert limits in metres, and what population is divided by, by time of day.
     for limit in re.findall(r"\w+_limit_m", meaning):
         meaning = meaning.replace(limit, f"{attrs[limit]:g} m")
     for norm, unit in (("pop_norm_per_km2", " per km²"), ("pop_norm_per_block", "")):
@@ -430,8 +535,15 @@ def time_said(time: str) -> str:
 
 
 def sky_said(maps: MetricMaps, time: str | None) -> str:
-    """Return the time of GPS maps, or the first and last of all of them, and the constellations."""
+    """Return the time of GPS maps and their constellations, on one line.
+
+    Args:
+      maps: that hold GPS; those of a long series have no single time, and all of its times are named.
+      time: UTC, as the maps have it; None: the first and the last of all times.
+    """
     times = maps.times if time is None or maps.default_time is None else (time,)
-    span = f"{len(times)} epochs, {time_said(times[0])} to {time_said(times[-1])}"
+    span = time_said(times[0])
+    if len(times) > 1:
+        span = f"{len(times)} epochs, {span} to {time_said(times[-1])}"
     systems = " and ".join(name.upper() for name in names_in(maps.ds.attrs, "constellations"))
-    return joined(time_said(times[0]) if len(times) == 1 else span, systems, by=", ")
+    return joined(span, systems, by=", ")

@@ -53,7 +53,7 @@ def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tu
 
 
 def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> MapLayer:
-    """Return the obstacle cells at an altitude, also between those of the maps, as they are drawn."""
+    """Return a layer of the obstacle cells at an altitude, which may lie between two altitudes of the maps."""
     if altitude_m in maps.altitudes_m:
         is_blocked = maps.m("obstacle", altitude_m) != 0
     else:
@@ -67,26 +67,27 @@ def line_colour(name: str) -> str:
 
 
 def drawn_variables(maps: MetricMaps) -> dict[str, Variable]:
-    """Return the variable of each map that `plot_metric` draws, by name: the metrics' first, of a series their median.
+    """Return the variables that `plot_metric` draws, by the name that a user gives.
 
-    With several times there is also how often GPS is available, which maps hold of a long series alone.
+    Obstacles and metrics come first, then all other variables of the maps. Of a long series a metric's name stands for
+    its median. With several times there is also how often GPS is available, even where the maps do not hold that.
     """
-    variables = held_variables(maps.ds)
-    drawn = {name: variables.pop(maps.variable(name)) for name in ("obstacle", *maps.metrics)}
-    variables.pop("has_data", None)
-    drawn |= variables
+    others = held_variables(maps.ds)
+    drawn = {name: others.pop(maps.variable(name)) for name in ("obstacle", *maps.metrics)}
+    others.pop("has_data", None)
+    drawn |= others
     if len(maps.times) > 1 and "gps" in drawn:
         drawn.setdefault(AVAILABILITY, derived(METRICS["gps"])["series"][AVAILABILITY])
     return drawn
 
 
 def metric_colours(maps: MetricMaps, name: str, values: np.ndarray | None = None) -> Colours:
-    """Return how a map is drawn, the same in every figure.
+    """Return the colours of a map, the same in every figure.
 
     Args:
       maps: that hold it.
-      name: of `drawn_variables`.
-      values: all of those that the maps hold of it, where they are known.
+      name: one of the names of `drawn_variables`.
+      values: all values of the variable, for a caller that has read them; None: they are read if they are needed.
     """
     variable = drawn_variables(maps)[name]
 
@@ -97,7 +98,13 @@ def metric_colours(maps: MetricMaps, name: str, values: np.ndarray | None = None
 
 
 def bar_label(maps: MetricMaps, name: str, variable: Variable) -> str:
-    """Return what the colour bar of a map says: what it is, or what a value of one means."""
+    """Return the label of the colour bar of a map: what the map shows, or what a value of one means.
+
+    Args:
+      maps: that hold it.
+      name: one of the names of `drawn_variables`.
+      variable: that of this name.
+    """
     meaning = meaning_of(maps, variable.name, variable.one_means)
     if name in maps.metrics:
         label = symbol_of(name) if variable.name == name else f"{symbol_of(name)}, median"
@@ -120,13 +127,13 @@ def colours_of(
     label: str = "",
     attrs: Mapping[str, Any] | None = None,
 ) -> Colours:
-    """Return how values of a variable are drawn.
+    """Return the colours of a variable's values.
 
     Args:
-      variable: says how.
-      read: returns the values, which are read where they decide the range.
+      variable: its classes have a colour each; without classes its scale decides.
+      read: returns the values; it is called only where they decide the ends of the scale.
       label: of the colour bar.
-      attrs: of the maps.
+      attrs: attributes of the maps, which may hold a limit for the scale.
     """
     scale, ticks = variable.scale, None
     if variable.classes:
@@ -135,41 +142,44 @@ def colours_of(
     low, span = scale.range(attrs or {}, lambda: ends_of(read()))
     high = low + span
     if np.issubdtype(variable.dtype, np.integer):
-        ticks = [*range(0, int(high) + 1, int(high) // 5 or 1)]
+        step = int(high) // 5 or 1
+        ticks = [*range(0, int(high) + 1, step)]
     if scale.stretch == "log":
         return Colours(scale.colour_map, LogNorm(high / 1000, high), label, extend="min")
     if scale.stretch == "sqrt":
         return Colours(scale.colour_map, PowerNorm(0.5, low, high), label)
-    return Colours(
-        scale.colour_map,
-        Normalize(low, high),
-        label,
-        "max" if scale.is_better_low else "neither",
-        ticks,
-    )
+    # Where low values are sought, high ones may lie beyond the scale's end.
+    open_end = "max" if scale.is_better_low else "neither"
+    return Colours(scale.colour_map, Normalize(low, high), label, open_end, ticks)
 
 
 def values_of(
     maps: MetricMaps, name: str, altitude_m: float, time: str | None = None
 ) -> np.ndarray:
-    """Return a map ``[y, x]``; the availability of several epochs too, which maps hold of a long series alone."""
+    """Return a map ``[y, x]`` by its name among `drawn_variables`.
+
+    The availability of GPS is computed here from the maps of all times, unless the maps hold it, as of a long series.
+
+    Args:
+      maps: that hold the map.
+      name: of the map.
+      altitude_m: one of the maps' altitudes.
+      time: UTC time of a map that has times; None: the first.
+    """
     if name == AVAILABILITY and name not in maps.ds:
         threshold = availability_threshold(maps)
-        return np.mean(
-            [maps.m("gps", altitude_m, time=each) > threshold for each in maps.times], axis=0
-        )
+        is_good = [maps.m("gps", altitude_m, time=each) > threshold for each in maps.times]
+        return np.mean(is_good, axis=0)
     return maps.m(name, altitude_m, time=time)
 
 
 def free_layer(maps: MetricMaps, name: str, altitude_m: float, time: str | None = None) -> MapLayer:
-    """Return a metric at one altitude as it is drawn: free cells only, DOPs cut at the end of their scale."""
+    """Return a layer of a map at one altitude: free cells only, values cut at the upper end of their scale."""
     colours = metric_colours(maps, name)
-    values = np.minimum(
-        values_of(maps, name, altitude_m, time).astype(np.float32), np.float32(colours.norm.vmax)
-    )
-    return MapLayer(
-        np.where(maps.is_free(altitude_m, "centre"), values, np.float32(np.nan)), colours
-    )
+    values = values_of(maps, name, altitude_m, time).astype(np.float32)
+    values = np.minimum(values, np.float32(colours.norm.vmax))
+    is_free = maps.is_free(altitude_m, "centre")
+    return MapLayer(np.where(is_free, values, np.float32(np.nan)), colours)
 
 
 def altitudes_of(maps: MetricMaps, altitude_m: Altitudes) -> Sequence[float]:
@@ -208,14 +218,18 @@ def plot_metric(
     if name == "obstacle":
         return plot_obstacles(maps, altitude_m=altitude_m, width=width)
     colours, patches = metric_colours(maps, name), obstacle_patches(maps)
+
+    # A panel per altitude; of a map without altitudes, which has no obstacles, a panel per time of day.
     if ALTITUDE in variable.dims:
         time = (time or maps.times[0]) if TIME in variable.dims else None
         panels = [
             _panel(maps, name, variable, f"{z:g} m", z, time)
             for z in altitudes_of(maps, altitude_m)
         ]
-        over = "" if variable.name in maps.ds else f" over {len(maps.times)} epochs"
-        heading = f"{variable.heading}{over}, by altitude above ground"
+        heading = variable.heading
+        if variable.name not in maps.ds:  # computed here, from the maps of all times
+            heading += f" over {len(maps.times)} epochs"
+        heading += ", by altitude above ground"
         has_sky = bool(variable.of) and TIME in maps.metrics[variable.of].dims
         note = frame_note(maps, time, has_sky=has_sky, of=name)
     else:
@@ -228,6 +242,8 @@ def plot_metric(
         ]
         heading, note = variable.heading, frame_note(maps, has_sky=False)
         patches = patches[1:]
+
+    # The legend of classes, whose second one means a value of one, or a colour bar.
     classes = list(variable.classes)
     meaning = meaning_of(maps, name, variable.one_means)
     if classes and meaning:
@@ -260,20 +276,27 @@ def plot_epochs(
         _panel(maps, name, variable, time[5:16].replace("T", " "), z, time) for time in maps.times
     ]
     heading = f"{variable.heading} at each epoch, {z:g} m above ground"
-    note, legend, colours = (
-        frame_note(maps, of=name),
-        obstacle_patches(maps),
-        metric_colours(maps, name),
+    note = frame_note(maps, of=name)
+    legend, colours = obstacle_patches(maps), metric_colours(maps, name)
+    figure, _ = draw_maps(
+        maps.grid, panels, heading, note, legend=legend, colours=colours, width=width
     )
-    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours, width=width)[
-        0
-    ]
+    return figure
 
 
 def _panel(
     maps: MetricMaps, name: str, variable: Variable, what: str, altitude_m: float, time: str | None
 ) -> MapPanel:
-    """Return the panel of a map at an altitude and a time; its title says what, and the mean."""
+    """Return the panel of a map at an altitude and a time: free cells in colours, obstacles over them.
+
+    Args:
+      maps: that hold the map.
+      name: one of the names of `drawn_variables`.
+      variable: that of this name.
+      what: the beginning of the title, such as ``"60 m"``; the mean of the map follows.
+      altitude_m: of the panel.
+      time: UTC time of a map that has times, else None.
+    """
     layers = [free_layer(maps, name, altitude_m, time), obstacle_layer(maps, altitude_m)]
     return MapPanel(f"{what}  ·  {_middle_of(maps, name, variable, altitude_m, time)}", layers)
 
@@ -281,7 +304,11 @@ def _panel(
 def _middle_of(
     maps: MetricMaps, name: str, variable: Variable, altitude_m: float, time: str | None
 ) -> str:
-    """Return the mean over free cells as a text, with a unit; the median of counts and of what may be infinite."""
+    """Return the mean of a map over its free cells as a text, with its unit.
+
+    Of two classes it is the share of the second one; of counts, and of values that may be infinite, the median. The
+    arguments are those of `_panel`.
+    """
     values = values_of(maps, name, altitude_m, time)[maps.is_free(altitude_m, "centre")]
     unit = "" if variable.unit == "1" else f" {variable.unit}"
     if values.size == 0:
@@ -289,11 +316,12 @@ def _middle_of(
     if variable.classes:
         return f"{percent(values.mean(dtype=np.float64))} {variable.classes[1][0]}"
     if np.issubdtype(variable.dtype, np.integer) or not variable.is_averaged:
-        middle = np.quantile(values, 0.5, method="higher")
-        if not np.isfinite(middle):
+        median = np.quantile(values, 0.5, method="higher")
+        if not np.isfinite(median):
             return "undetermined in most free cells"
-        return f"median {middle:.3g}{unit}"
-    return f"mean {values.mean(dtype=np.float64):.{0 if unit else 2}f}{unit}"
+        return f"median {median:.3g}{unit}"
+    num_decimals = 0 if unit else 2
+    return f"mean {values.mean(dtype=np.float64):.{num_decimals}f}{unit}"
 
 
 @renamed
@@ -324,13 +352,16 @@ def plot_obstacles(
 
 
 def percent(share: float) -> str:
-    """Return a share as a percentage, with a decimal near 0 and 1, which it shows only where they are exact."""
+    """Return a share (0 to 1) as a percentage: whole, but with one decimal below 10 % and above 90 %.
+
+    ``0 %`` and ``100 %`` stand only where they are exact; else it says ``< 0.1 %`` or ``> 99.9 %``.
+    """
     if 0 < share < 0.0005:
         return "< 0.1 %"
     if 0.9995 <= share < 1:
         return "> 99.9 %"
-    is_near_an_end = 0 < share < 0.0995 or 0.9005 <= share < 1
-    return f"{100 * share:.{1 if is_near_an_end else 0}f} %"
+    has_decimal = 0 < share < 0.0995 or 0.9005 <= share < 1  # else it would be rounded to 10 or 90
+    return f"{100 * share:.1f} %" if has_decimal else f"{100 * share:.0f} %"
 
 
 def _class_panel(
@@ -341,15 +372,15 @@ def _class_panel(
     last: int,
     title: str,
 ) -> MapPanel:
-    """Return a panel of classes over the free cells of an altitude.
+    """Return a panel of the class of each free cell at an altitude, with obstacles over them.
 
     Args:
-      maps: that they are of.
+      maps: with the altitude.
       altitude_m: of the panel.
-      numbers: ``[Y, X]`` of the classes, from 0.
-      classes: name and colour of each, by its number.
-      last: of those classes whose share of free cells the title gives.
-      title: of the panel; ``{}`` stands for that share.
+      numbers: ``[Y, X]`` class of each cell, from 0.
+      classes: name and colour of each class, in the order of their numbers.
+      last: the title gives the share of free cells whose class is this one or an earlier one; 0 without free cells.
+      title: ``{}`` in it stands for that share, and the altitude before it.
     """
     is_free = maps.is_free(altitude_m, "centre")
     share = float((numbers[is_free] <= last).mean()) if is_free.any() else 0.0
@@ -360,11 +391,7 @@ def _class_panel(
 
 @renamed
 def plot_gps_rating(
-    maps: MapsLike,
-    *,
-    altitude_m: Altitudes = None,
-    time: str | None = None,
-    width: Width = "page",
+    maps: MapsLike, *, altitude_m: Altitudes = None, time: str | None = None, width: Width = "page"
 ) -> Figure:
     """Return panels of the paper's GPS rating by altitude; titles give the share of free cells rated good or better.
 
@@ -379,13 +406,16 @@ def plot_gps_rating(
     """
     maps = as_maps(maps)
     time = time or maps.times[0]
-    steps = matplotlib.colormaps[METRICS["gps"].colour_map](np.linspace(1, 0, len(Rating)))
+
+    # A class per rating, the best first, with its range of GDOP and a colour of the metric.
+    colours = matplotlib.colormaps[METRICS["gps"].colour_map](np.linspace(1, 0, len(Rating)))
     ranges = [f"up to {high:g}" for high in RATING_UPPER_GDOP]
     ranges.append(f"above {RATING_UPPER_GDOP[-1]:g}")
-    names = [
-        f"{item.name.capitalize()}\n(GDOP {dop})" for item, dop in zip(Rating, ranges, strict=True)
-    ]
-    classes = list(zip(names, map(matplotlib.colors.to_hex, steps), strict=True))
+    classes = []
+    for item, dops, colour in zip(Rating, ranges, colours, strict=True):
+        name = f"{item.name.capitalize()}\n(GDOP {dops})"
+        classes.append((name, matplotlib.colors.to_hex(colour)))
+
     panels = []
     for z in altitudes_of(maps, altitude_m):
         numbers = np.asarray(rating(maps.m(RATED, z, time=time))).astype(int)
@@ -398,11 +428,7 @@ def plot_gps_rating(
 
 @renamed
 def plot_sensor_choice(
-    maps: MapsLike,
-    *,
-    altitude_m: Altitudes = None,
-    time: str | None = None,
-    width: Width = "page",
+    maps: MapsLike, *, altitude_m: Altitudes = None, time: str | None = None, width: Width = "page"
 ) -> Figure:
     """Return panels of the better sensor by altitude: GPS where m_gps > m_lidar, else lidar.
 
@@ -450,19 +476,26 @@ def plot_population(maps: MapsLike, *, width: Width = "page") -> Figure:
     cell_km2 = maps.grid.resolution_m**2 / 1e6
     colours = metric_colours(maps, "density")
     panels = []
-    for item in maps.times_of_day:
-        values = maps.m("density", time_of_day=item)
-        title = f"{item}  ·  {np.nansum(values, dtype=np.float64) * cell_km2:,.0f} people"
-        panels.append(MapPanel(title, layers_above_zero(values, colours)))
+    for time_of_day in maps.times_of_day:
+        per_km2 = maps.m("density", time_of_day=time_of_day)
+        num_people = np.nansum(per_km2, dtype=np.float64) * cell_km2
+        title = f"{time_of_day}  ·  {num_people:,.0f} people"
+        panels.append(MapPanel(title, layers_above_zero(per_km2, colours)))
     legend = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
     heading, note = "Population density", frame_note(maps, has_sky=False)
-    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours, width=width)[
-        0
-    ]
+    figure, _ = draw_maps(
+        maps.grid, panels, heading, note, legend=legend, colours=colours, width=width
+    )
+    return figure
 
 
 def layers_above_zero(values: np.ndarray, colours: Colours) -> list[MapLayer]:
-    """Return values as they are drawn where 0 is none of them: people, roofs; such cells in white."""
+    """Return the layers of a map on which 0 means nothing, as of people or roofs: such cells are drawn in white.
+
+    Args:
+      values: ``[Y, X]`` from 0 up, NaN where none is known.
+      colours: of the values above 0.
+    """
     return [
         flat_layer(values == 0, EMPTY_COLOUR),
         MapLayer(np.where(values > 0, values, np.float32(np.nan)), colours),
@@ -485,20 +518,24 @@ def plot_heights(maps: MapsLike, *, width: Width = "page") -> Figure:
       width: see `plot_metric`.
     """
     maps = as_maps(maps)
-    legend: list[LegendEntry] = [("no building", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
-    _, highest_m = ends_of(maps.m("roof"))
+    no_data = obstacle_patches(maps)[1:]  # these pictures show no obstacles
+    legend: list[LegendEntry] = [("no building", EMPTY_COLOUR), *no_data]
+    roof_m = maps.m("roof")
+    _, highest_m = ends_of(roof_m)
     panels = [MapPanel(f"roofs above ground, up to {highest_m:.0f} m", roof_layers(maps))]
+
     if "terrain" in maps.ds:
         terrain_m = maps.m("terrain")
         low_m, high_m = ends_of(terrain_m)
         ground = MapLayer(terrain_m, replace(metric_colours(maps, "terrain", terrain_m), label=""))
         panels.append(MapPanel(f"terrain, {low_m:.0f} to {high_m:.0f} m", [ground]))
+
     if "roof_guessed" in maps.ds:
-        is_roof = maps.m("roof") > 0
+        is_roof = roof_m > 0
         is_guessed = maps.m("roof_guessed") & is_roof
         share = percent(is_guessed.sum() / max(is_roof.sum(), 1))
         layers = [
-            flat_layer(maps.m("roof") == 0, EMPTY_COLOUR),
+            flat_layer(roof_m == 0, EMPTY_COLOUR),
             flat_layer(is_roof, OBSTACLE_COLOUR),
             flat_layer(is_guessed, GUESSED_COLOUR),
         ]

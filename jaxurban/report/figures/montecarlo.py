@@ -1,8 +1,8 @@
 """Pictures of a Monte Carlo benchmark: success, cost, and how GPS complements lidar."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -24,7 +24,7 @@ from jaxurban.report.figures.style import (
     step_up,
     styled,
 )
-from jaxurban.report.write import listed
+from jaxurban.report.write import Figures, Look, listed
 from jaxurban.studies.montecarlo.analysis import range_names, rows_of, weighted_rows
 
 SHARES = Colours(
@@ -35,54 +35,100 @@ SHARES = Colours(
     ticks=(1e-6, 1e-4, 0.01, 0.3),
 )
 CURVES_APART_PT = 1.5
+BARS_SHARE = 0.8  # of the distance between two ranges, which the bars of all planners take
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
 
 
-def _by_altitude(
-    rows: pd.DataFrame, axes: Sequence[Axes], colours: Mapping[str, str]
-) -> Iterator[tuple[Axes, int, str, pd.DataFrame]]:
-    """Yield the rows of each planner at each altitude, with the panel of the altitude, titled, and the rank."""
-    for panel, (altitude_m, of_altitude) in zip(axes, rows.groupby("altitude_m"), strict=True):
+class _Curve(NamedTuple):
+    """What is drawn of one planner at one altitude.
+
+    Attributes:
+      panel: of the altitude.
+      rank: of the planner among all planners, from 0.
+      planner: its name.
+      rows: of the table, those of the planner at the altitude.
+    """
+
+    panel: Axes
+    rank: int
+    planner: str
+    rows: pd.DataFrame
+
+
+def _curves(table: pd.DataFrame, axes: Sequence[Axes], planners: Iterable[str]) -> Iterator[_Curve]:
+    """Yield what is drawn of each planner at each altitude, the lowest altitude first; panels get their titles.
+
+    Args:
+      table: rows with ``altitude_m`` and ``planner``.
+      axes: one panel per altitude.
+      planners: their names, in the order of their ranks.
+    """
+    for panel, (altitude_m, rows) in zip(axes, table.groupby("altitude_m"), strict=True):
         panel.set_title(f"{altitude_m:g} m")
-        for rank, planner in enumerate(colours):
-            yield panel, rank, planner, of_altitude[of_altitude.planner == planner]
+        for rank, planner in enumerate(planners):
+            yield _Curve(panel, rank, planner, rows[rows.planner == planner])
 
 
 @styled
 def plot_success(success: pd.DataFrame) -> Figure:
-    """Return the share of joined pairs that each planner solved, by altitude and range (`analysis.success`)."""
-    colours, ranges = planner_colours(sorted(success.planner.unique())), range_names(success)
+    """Return the share of joined pairs that each planner solved, by range: bars side by side, a panel per altitude.
+
+    Args:
+      success: from `analysis.success`: rows of ``planner``, ``altitude_m``, ``range`` and ``share_joined`` (0 to 1).
+    """
+    colours = planner_colours(sorted(success.planner.unique()))
+    ranges = range_names(success)
     heading = "Share of pairs that some path joins, for which one was found"
     figure, axes = panels(success.altitude_m.nunique(), heading, shares_y=True)
-    for panel, rank, planner, rows in _by_altitude(success, axes, colours):
-        share, width = rows.set_index("range").share_joined.reindex(ranges), 0.8 / len(colours)
-        x, colour = np.arange(len(ranges)), colours[planner]
-        panel.bar(x + rank * width, share, width, color=colour, label=planner)
-        panel.set_xticks(x + (0.8 - width) / 2, ranges)
+    x = np.arange(len(ranges))
+    width = BARS_SHARE / len(colours)  # of a bar
+    for curve in _curves(success, axes, colours):
+        share = curve.rows.set_index("range").share_joined.reindex(ranges)
+        look: Look = {"color": colours[curve.planner], "label": curve.planner}
+        curve.panel.bar(x + curve.rank * width, share, width, **look)
+        curve.panel.set_xticks(x + (BARS_SHARE - width) / 2, ranges)  # below the middle of the bars
     _show_shares(figure, axes, "joined pairs solved (%)")
     return figure
 
 
 @styled
 def plot_costs(table: pd.DataFrame) -> Figure:
-    """Return the share of joined pairs that each planner solved within a ratio of the cheapest path."""
+    """Return the share of joined pairs that each planner solved within a ratio of the cheapest path known.
+
+    A panel per altitude, a rising curve per planner.
+
+    Args:
+      table: rows of the joined pairs, with ``planner``, ``altitude_m`` and ``ratio``: the cost of the planner's path
+        by that of the cheapest one known, from 1 up; NaN where it has no path, which counts as not solved.
+    """
     colours = planner_colours(sorted(table.planner.unique()))
     heading = "Share of pairs solved at so many times the cheapest cost known"
     figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True)
     end = float(np.clip(table.ratio.quantile(0.98), *RATIO_AXIS))
-    for panel, rank, planner, rows in _by_altitude(table, axes, colours):
-        lane = (len(colours) - 1) / 2 - rank  # where curves coincide all are seen
-        look: dict[str, Any] = {"path_effects": [Beside(lane * CURVES_APART_PT)], "linewidth": 1.4}
-        step_up(panel, rows.ratio.to_numpy(), end, color=colours[planner], label=planner, **look)
-        panel.set(xlim=(1 - 0.01 * (end - 1), end), xlabel="cost / cheapest known")
-        panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
-    _show_shares(figure, axes, "joined pairs solved at that ratio (%)", -0.04)
+    for curve in _curves(table, axes, colours):
+        # Curves are drawn side by side around their place, so that all are seen where they coincide.
+        lane = (len(colours) - 1) / 2 - curve.rank
+        look: Look = {"color": colours[curve.planner], "label": curve.planner}
+        look |= {"path_effects": [Beside(lane * CURVES_APART_PT)], "linewidth": 1.4}
+        step_up(curve.panel, curve.rows.ratio.to_numpy(), end, **look)
+        left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1
+        curve.panel.set(xlim=(left, end), xlabel="cost / cheapest known")
+        curve.panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
+    _show_shares(figure, axes, "joined pairs solved at that ratio (%)", lowest=-0.04)
     return figure
 
 
-def _show_shares(figure: Figure, axes: Sequence[Axes], label: str, low: float = 0.0) -> None:
+def _show_shares(figure: Figure, axes: Sequence[Axes], label: str, lowest: float = 0.0) -> None:
+    """Give panels of one vertical scale its label, percent and letters, and the figure a legend.
+
+    Args:
+      figure: that holds the panels.
+      axes: the panels, whose values are shares from 0 to 1.
+      label: of the vertical axis.
+      lowest: where the scale begins; below 0, curves at 0 are seen whole.
+    """
     letter_all(axes, label)
-    axes[0].set_ylim(low, 1.04)
+    axes[0].set_ylim(lowest, 1.04)
     for panel in axes:
         panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
     legend_below(figure, axes[0])
@@ -90,10 +136,15 @@ def _show_shares(figure: Figure, axes: Sequence[Axes], label: str, low: float = 
 
 @styled
 def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
-    """Return how the two metrics of a table share the free cells, by altitude.
+    """Return how two metrics share the free cells: a panel per altitude, with one metric along each axis.
 
-    The squares of a panel are shaded by the share of free cells, on one logarithmic scale; the dashed line parts cells
-    where the first is the better one (below) from those where the second is.
+    The squares of a panel are shaded by their share of the free cells, on one logarithmic scale; the dashed line parts
+    cells where the first metric is the better one (below) from cells where the second is.
+
+    Args:
+      maps: with both metrics.
+      table: a row per altitude, with ``altitude_m``, the ``correlation`` of the two (NaN where it is not defined), and
+        a column of the name of each metric.
     """
     names = [str(name) for name in table if name in maps.metrics]
     labels = [maps.metrics[name].label for name in names]
@@ -103,13 +154,15 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
     for panel, row in zip(axes, rows_of(table), strict=True):
         is_free = maps.is_free(row.altitude_m, "centre")
         x, y = (maps.m(name, row.altitude_m)[is_free] for name in names)
-        of_all = np.full(is_free.sum(), 1 / max(is_free.sum(), 1))
-        look: dict[str, Any] = {"cmap": SHARES.cmap, "norm": SHARES.norm, "cmin": 1e-12}
-        panel.hist2d(x, y, bins, weights=of_all, **look)
+        share_of_a_cell = np.full(len(x), 1 / max(len(x), 1))
+        look: Look = {"cmap": SHARES.cmap, "norm": SHARES.norm}
+        look["cmin"] = 1e-12  # squares without a cell stay white
+        panel.hist2d(x, y, bins, weights=share_of_a_cell, **look)
         panel.plot([0, 1], [0, 1], "--", color=FAINT_INK, linewidth=0.8)
         panel.grid(visible=False)
-        correlation = f", r = {row.correlation:+.2f}" if np.isfinite(row.correlation) else ""
-        title = f"{row.altitude_m:g} m{correlation}"
+        title = f"{row.altitude_m:g} m"
+        if np.isfinite(row.correlation):
+            title += f", r = {row.correlation:+.2f}"
         panel.set(xlim=(0, 1), xlabel=symbol_of(names[0]), title=title)
     letter_all(axes, symbol_of(names[1]))
     add_colour_bar(figure, axes, SHARES)
@@ -118,15 +171,20 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
 
 def study_figures(
     maps: MetricMaps, table: pd.DataFrame, tables: dict[str, pd.DataFrame]
-) -> dict[str, Callable[[], Figure]]:
-    """Return what draws each picture that a study's tables allow, by name."""
+) -> Figures:
+    """Return the functions that draw the pictures of a study, by name; a picture without rows is left out.
+
+    Args:
+      maps: of the study.
+      table: a row per planner, objective, instance and altitude.
+      tables: of the report, by name; without ``complementarity`` that picture is left out.
+    """
     weighted = weighted_rows(table)
-    drawn: dict[str, tuple[Callable[..., Figure], pd.DataFrame]] = {
-        "success": (plot_success, tables["success"]),
-        "costs": (plot_costs, weighted[weighted.is_joined & bool(weighted.has_path.any())]),
-        "complementarity": (
-            partial(plot_complementarity, maps),
-            tables.get("complementarity", pd.DataFrame()),
-        ),
-    }
-    return {name: partial(draw, rows) for name, (draw, rows) in drawn.items() if len(rows)}
+    figures: Figures = {}
+    if len(tables["success"]):
+        figures["success"] = partial(plot_success, tables["success"])
+    if weighted.has_path.any() and weighted.is_joined.any():
+        figures["costs"] = partial(plot_costs, weighted[weighted.is_joined])
+    if len(tables.get("complementarity", ())):
+        figures["complementarity"] = partial(plot_complementarity, maps, tables["complementarity"])
+    return figures

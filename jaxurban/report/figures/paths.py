@@ -1,10 +1,10 @@
 """Pictures of paths over the normalised cost, the overview of one region, and all pictures of a region as PNG."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import chain, cycle
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -60,7 +60,7 @@ from jaxurban.report.figures.metrics import (
     roof_layers,
 )
 from jaxurban.report.figures.style import Colours, Width
-from jaxurban.report.write import save
+from jaxurban.report.write import Figures, Look, save
 
 # A family of planners has a hue, its members a dark and a light tone: the colour-blind see both.
 PLANNER_COLOURS = {
@@ -82,8 +82,27 @@ SMOOTH_PX = 0.3  # by which the corners of a grid path may be cut
 COINCIDE = 0.05  # share of a path's length on which it runs within a cell of another one
 
 Paths = PlannedPath | Sequence[PlannedPath | None]
-# Altitude, time and time of day of the map that a path was planned on.
-Place = tuple[float, str | None, str | None]
+
+
+class Place(NamedTuple):
+    """Which map of the cost a path was planned on; without a time or a time of day the maps have none."""
+
+    altitude_m: float
+    time: str | None
+    time_of_day: str | None
+
+
+class _NamedPath(NamedTuple):
+    """A path and what pictures call it."""
+
+    path: PlannedPath
+    name: str = ""
+
+    @property
+    def place(self) -> Place:
+        """The map of the cost that the path was planned on."""
+        settings = self.path.settings
+        return Place(self.path.altitude_m, settings["time"], settings["time_of_day"])
 
 
 def paths_in(paths: Paths) -> list[PlannedPath]:
@@ -136,39 +155,52 @@ def plot_paths(
     Raises:
       InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
     """
+    # A panel for each place: the altitude, time and time of day of a map that paths were planned on.
     maps, named = as_maps(maps), _named(paths, names)
-    planned = [path for path, _ in named]
+    planned = [each.path for each in named]
     if altitude_m is None:
         altitude_m = sorted({path.altitude_m for path in planned})
     places: list[Place] = []
     for z in altitudes_of(maps, altitude_m):
         places += _places_at(maps, z, planned, time, time_of_day)
-    pairs_at = {place: [pair for pair in named if _place_of(pair[0]) == place] for place in places}
-    _, times, days = (set(each) for each in zip(*places, strict=True))
+    named_at = {place: [each for each in named if each.place == place] for place in places}
+    times = {place.time for place in places}
     has_times = len(times) > 1
-    panels = [_cost_panel(maps, place, pairs, has_times) for place, pairs in pairs_at.items()]
-    drawn = list(chain.from_iterable(pairs_at.values()))
+    panels = [_cost_panel(maps, place, shown, has_times) for place, shown in named_at.items()]
+
+    # What the picture says: heading, note and legend.
+    drawn = list(chain.from_iterable(named_at.values()))
     what = "Cost and paths" if drawn else "Cost"
+    days = {place.time_of_day for place in places}
     day = days.pop() if len(days) == 1 else ""
     heading = joined(f"{what}, by altitude above ground", day, by=", ")
-    facts = joined(
-        frame_note(maps, None if has_times else times.pop()), "below: cost, length" if drawn else ""
-    )
-    note = joined(facts, rules_said(*(path.settings for path, _ in drawn)), by="\n")
-    colours = planner_colours(name for _, name in named)
-    paths_at = [[path for path, _ in pairs] for pairs in pairs_at.values()]
-    entries = path_entries({name: colours[name] for _, name in drawn}, *paths_at)
+    facts = frame_note(maps, None if has_times else times.pop())
+    if drawn:
+        facts = joined(facts, "below: cost, length")
+    note = joined(facts, rules_said(*(each.path.settings for each in drawn)), by="\n")
+    colours = planner_colours(each.name for each in named)
+    paths_at = [[each.path for each in shown] for shown in named_at.values()]
+    entries = path_entries({each.name: colours[each.name] for each in drawn}, *paths_at)
     legend: list[LegendEntry] = [*obstacle_patches(maps, BLOCKED_COLOUR), *entries]
+
     figure, axes = draw_maps(
         maps.grid, panels, heading, note, legend=legend, colours=COST_COLOURS, width=width
     )
-    for panel, pairs in zip(axes, pairs_at.values(), strict=True):
-        draw_paths(panel, [path for path, _ in pairs], [colours[name] for _, name in pairs])
+    for panel, shown in zip(axes, named_at.values(), strict=True):
+        draw_paths(panel, [each.path for each in shown], [colours[each.name] for each in shown])
     return figure
 
 
-def _named(paths: Paths, names: Sequence[str] | None) -> list[tuple[PlannedPath, str]]:
-    """Return paths and what they are called: by their planners where no names are given."""
+def _named(paths: Paths, names: Sequence[str] | None) -> list[_NamedPath]:
+    """Return paths with what they are called.
+
+    Args:
+      paths: one, several or a batch.
+      names: of the paths, in their order; None: each is called by its planner.
+
+    Raises:
+      InputError: something else than paths, or another number of names.
+    """
     planned = paths_in(paths)
     if names is not None and (isinstance(names, str) or len(names) != len(planned)):
         raise InputError(
@@ -176,21 +208,26 @@ def _named(paths: Paths, names: Sequence[str] | None) -> list[tuple[PlannedPath,
         )
     names = names or [path.search.planner for path in planned]
     # A dollar sign begins a formula.
-    return [(path, name.replace("$", r"\$")) for path, name in zip(planned, names, strict=True)]
+    texts = [name.replace("$", r"\$") for name in names]
+    return [_NamedPath(path, text) for path, text in zip(planned, texts, strict=True)]
 
 
 def _cost_panel(
-    maps: MetricMaps, place: Place, pairs: Sequence[tuple[PlannedPath, str]], has_time: bool
+    maps: MetricMaps, place: Place, named: Sequence[_NamedPath], has_time: bool
 ) -> MapPanel:
-    """Return the panel of the costs that named paths were planned on, with its time in the title if asked."""
-    z, time, day = place
-    title = joined(f"{z:g} m", day, time_said(time) if time and has_time else "", by=" · ")
-    foot = "\n".join(outcome_of(path, name) for path, name in pairs)
-    return MapPanel(title, cost_layers(maps, z, time, day), foot)
+    """Return a panel of the normalised cost, below which the outcome of each path stands.
 
-
-def _place_of(path: PlannedPath) -> Place:
-    return path.altitude_m, path.settings["time"], path.settings["time_of_day"]
+    Args:
+      maps: of the cost.
+      place: which map of the cost.
+      named: the paths that were planned on it.
+      has_time: whether the title names the time, if the map has one.
+    """
+    title = joined(f"{place.altitude_m:g} m", place.time_of_day, by=" · ")
+    if place.time and has_time:
+        title = joined(title, time_said(place.time), by=" · ")
+    foot = "\n".join(outcome_of(each.path, each.name) for each in named)
+    return MapPanel(title, cost_layers(maps, *place), foot)
 
 
 def _places_at(
@@ -200,29 +237,45 @@ def _places_at(
     time: str | None = None,
     time_of_day: str | None = None,
 ) -> list[Place]:
-    """Return the maps at an altitude that paths were planned on, else one map."""
-    places = dict.fromkeys(_place_of(path) for path in planned if path.altitude_m == altitude_m)
+    """Return the maps at an altitude that paths were planned on, each once; without such paths one map.
+
+    Args:
+      maps: of the cost.
+      altitude_m: the altitude.
+      planned: paths, at any altitude.
+      time: UTC time of the one map; None: the first of the maps.
+      time_of_day: of the one map; None: the first of the maps.
+    """
+    at_altitude = [path for path in planned if path.altitude_m == altitude_m]
+    places = dict.fromkeys(_NamedPath(path).place for path in at_altitude)
     day = time_of_day or next(iter(maps.times_of_day), None)
-    return list(places) or [(altitude_m, time or maps.default_time, day)]
+    return list(places) or [Place(altitude_m, time or maps.default_time, day)]
 
 
 def cost_layers(
     maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None
 ) -> list[MapLayer]:
-    """Return H_norm and obstacles as they are drawn."""
+    """Return the normalised cost (0: best free cell, 1: worst) and, over it, the obstacles, as layers of a picture."""
     norm = maps.normalised(altitude_m, time=time, time_of_day=time_of_day)
     return [MapLayer(norm, COST_COLOURS), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
 
 
 def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]) -> None:
-    """Draw the paths that were found, each in its colour, and start and goal of the first of them."""
-    drawn = [
-        (path, colour) for path, colour in zip(paths, colours, strict=True) if path.status.has_path
-    ]
-    for (path, colour), lane in zip(drawn, lanes_in(paths), strict=True):
-        beside = [Beside(lane * APART_PT, LINE_PT + 2 * EDGE_PT, "white"), Beside(lane * APART_PT)]
-        look: dict[str, Any] = {"solid_joinstyle": "round", "path_effects": beside}
-        panel.plot(*path.xy_m.T, color=colour, zorder=4, linewidth=LINE_PT, **look)
+    """Draw the paths that reach their goal, and start and goal of the first of them.
+
+    Args:
+      panel: a map.
+      paths: the paths of the panel; those without a route are left out.
+      colours: one for each path.
+    """
+    lanes = iter(lanes_in(paths))
+    for path, colour in zip(paths, colours, strict=True):
+        if path.status.has_path:
+            offset_pt = next(lanes) * APART_PT
+            edge = Beside(offset_pt, LINE_PT + 2 * EDGE_PT, "white")
+            look: Look = {"path_effects": [edge, Beside(offset_pt)]}
+            look |= {"color": colour, "linewidth": LINE_PT, "solid_joinstyle": "round"}
+            panel.plot(*path.xy_m.T, zorder=4, **look)
     draw_ends(panel, paths)
 
 
@@ -234,18 +287,26 @@ def lanes_in(paths: Sequence[PlannedPath]) -> list[float]:
 
 
 def lanes_of(lines_m: Sequence[np.ndarray], near_m: float) -> list[float]:
-    """Return how many lanes to the left of its true place each line is drawn: none that runs alone is moved.
+    """Return how many lanes to the left of its true place each line is drawn: a line that runs alone is not moved.
 
-    Lines that run within a distance of each other for `COINCIDE` of the length of one of them, and those that do so
-    with them, are spread evenly around their place.
+    Two lines belong to one group if they run near each other for more than the share `COINCIDE` of the length of one
+    of them, or are joined by other lines that do. The lines of a group are spread evenly around their true place.
+
+    Args:
+      lines_m: ``[N, 2]`` easting and northing of the points of each line, in metres.
+      near_m: how far from each other lines run that count as near.
+
+    Returns:
+      The lane of each line: a whole number, or half of an odd one where a group is even; below 0 to the right.
     """
-    shapes = [shapely.LineString(line) for line in lines_m]
-    wide = [shape.buffer(near_m) for shape in shapes]
-    shared = np.array(
-        [[shape.intersection(other).length / shape.length for other in wide] for shape in shapes]
-    )
-    groups = connected_components(shared > COINCIDE)[1] if shapes else np.zeros(0, int)
-    lanes = np.zeros(len(shapes))
+    if not lines_m:
+        return []
+    lines = np.array([shapely.LineString(line_m) for line_m in lines_m])
+    strips = [line.buffer(near_m) for line in lines]
+    inside = shapely.intersection(lines[:, None], strips)  # of each line, by row, in each strip
+    shared = shapely.length(inside) / shapely.length(lines)[:, None]
+    _, groups = connected_components(shared > COINCIDE)
+    lanes = np.zeros(len(lines))
     for group in np.unique(groups):
         (members,) = np.nonzero(groups == group)
         lanes[members] = np.arange(len(members)) - (len(members) - 1) / 2
@@ -253,7 +314,13 @@ def lanes_of(lines_m: Sequence[np.ndarray], near_m: float) -> list[float]:
 
 
 class Beside(AbstractPathEffect):
-    """Draws a line so many points to the left of where it runs, with another width and colour if these are given."""
+    """Draws a line to the left of where it runs, with another width and colour if these are given.
+
+    Args:
+      offset_pt: how far to the left, in points (1/72 inch); below 0 to the right.
+      width_pt: width of the line; 0: as it is.
+      colour: of the line; ``""``: as it is.
+    """
 
     def __init__(self, offset_pt: float, width_pt: float = 0.0, colour: str = "") -> None:
         super().__init__()
@@ -267,27 +334,38 @@ class Beside(AbstractPathEffect):
         affine: Transform,
         rgbFace: Any = None,
     ) -> None:
-        """Draw the line of a path (Matplotlib calls it)."""
+        """Draw the line of a path, beside its place: Matplotlib calls it, and names its arguments.
+
+        Args:
+          renderer: draws on the page.
+          gc: look of the line, which is not changed.
+          tpath: the line, in coordinates of its own.
+          affine: turns these into pixels.
+          rgbFace: not used, as a line has no face.
+        """
         look = renderer.new_gc()
         look.copy_properties(gc)
         if self.width_pt:
             look.set_linewidth(self.width_pt)
         if self.colour:
             look.set_foreground(self.colour)
+
         (points,) = affine.transform_path(tpath).to_polygons(closed_only=False)
-        line, offset_px = shapely.LineString(points), renderer.points_to_pixels(self.offset_pt)
-        corners: dict[str, Any] = {"join_style": "mitre", "mitre_limit": 2.0}
-        moved = line.simplify(SMOOTH_PX).offset_curve(offset_px, **corners)
+        line = shapely.LineString(points).simplify(SMOOTH_PX)
+        offset_px = renderer.points_to_pixels(self.offset_pt)
+        moved = line.offset_curve(offset_px, join_style="mitre", mitre_limit=2.0)
         for part in shapely.get_parts(moved):
             renderer.draw_path(look, Outline(shapely.get_coordinates(part)), IdentityTransform())
         look.restore()
 
 
 def path_entries(colours: Mapping[str, str], *paths_at: Sequence[PlannedPath]) -> list[Line2D]:
-    """Return the legend's entries of the names that paths are drawn under, of their ends, and of lanes.
+    """Return the entries of a legend: the names of paths, their ends, and that some are drawn side by side.
+
+    The latter two are left out where no panel shows such paths.
 
     Args:
-      colours: by name.
+      colours: of the paths, by their names.
       paths_at: the paths of each panel.
     """
     lines = [
@@ -340,31 +418,36 @@ def plot_overview(
     Raises:
       InputError: an altitude that these maps do not hold, or another number of names than paths.
     """
-    maps, every = as_maps(maps), _named(paths, names)
-    planned = [path for path, _ in every]
+    # The first place at the altitude that paths were planned on, and the paths with a route there.
+    maps, named = as_maps(maps), _named(paths, names)
+    planned = [each.path for each in named]
     z = altitude_m
     if z is None:
         z = min((path.altitude_m for path in planned), default=maps.altitudes_m[0])
-    place, *_ = _places_at(maps, z, planned)
-    _, time, time_of_day = place
-    named = [pair for pair in every if _place_of(pair[0]) == place and pair[0].status.has_path]
-    drawn = [path for path, _ in named]
+    place = _places_at(maps, z, planned)[0]
+    time, time_of_day = place.time, place.time_of_day
+    named = [each for each in named if each.place == place and each.path.status.has_path]
+    drawn = [each.path for each in named]
+
+    # A panel per metric: of one such as population a variable whose zero is drawn in white, else m over free cells.
     panels = [MapPanel("Roof height (m)", roof_layers(maps))]
-    blank = [AUXILIARY_VARIABLES["roof"].scale.zero]
+    blank = [AUXILIARY_VARIABLES["roof"].scale.zero]  # what white stands for
     for name, metric in maps.metrics.items():
-        apart = [each for each in metric.variables.values() if each.scale.zero]
-        for each in apart:
-            values = maps.m(each.name, time_of_day=time_of_day)
-            layers = layers_above_zero(values, metric_colours(maps, each.name))
+        with_zero = [each for each in metric.variables.values() if each.scale.zero]
+        for variable in with_zero:
+            values = maps.m(variable.name, time_of_day=time_of_day)
+            layers = layers_above_zero(values, metric_colours(maps, variable.name))
             panels.append(MapPanel(joined(metric.label, time_of_day), layers))
-            blank.append(each.scale.zero)
-        if not apart:
+            blank.append(variable.scale.zero)
+        if not with_zero:
             layers = [obstacle_layer(maps, z, BLOCKED_COLOUR), free_layer(maps, name, z, time=time)]
             panels.append(MapPanel(metric.label, layers))
+
     what = " and paths" if drawn else ""
-    costs = cost_layers(maps, z, time, time_of_day)[::-1]
-    panels.append(MapPanel(joined(f"Cost{what}", time_of_day), costs))
-    colours = planner_colours(name for _, name in named)
+    cost, obstacles = cost_layers(maps, z, time, time_of_day)
+    # The last layer of a panel has the colour bar: that of the cost, as obstacles have none of their own.
+    panels.append(MapPanel(joined(f"Cost{what}", time_of_day), [obstacles, cost]))
+    colours = planner_colours(each.name for each in named)
     legend: list[LegendEntry] = [(",\n".join(blank), EMPTY_COLOUR)]
     legend += [*obstacle_patches(maps, BLOCKED_COLOUR), *path_entries(colours, drawn)]
     rules = rules_said(*(path.settings for path in drawn))
@@ -373,7 +456,7 @@ def plot_overview(
     figure, axes = draw_maps(
         maps.grid, panels, heading, note, legend=legend, has_ticks=False, width=width
     )
-    draw_paths(axes[-1], drawn, [colours[name] for _, name in named])
+    draw_paths(axes[-1], drawn, [colours[each.name] for each in named])
     return figure
 
 
@@ -397,33 +480,42 @@ def save_figures(maps: MapsLike, paths: Paths, folder: str | Path) -> list[Path]
         return save(folder, outputs)
 
 
-def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figure]]:
-    """Return what draws each picture of these maps and paths, by file name."""
+def maps_figures(maps: MetricMaps, paths: Paths) -> Figures:
+    """Return the functions that draw the pictures of these maps and paths, by file name without its end.
+
+    Args:
+      maps: whose metrics are drawn.
+      paths: one, several or a batch; empty: the cost is drawn instead, a picture per time of day.
+    """
     by_day = [name for name, metric in maps.metrics.items() if TIME_OF_DAY in metric.dims]
-    figures: dict[str, Callable[[], Figure]] = {
+    figures: Figures = {
         "overview": lambda: plot_overview(maps, paths),
         "heights": lambda: plot_heights(maps),
         "obstacle": lambda: plot_obstacles(maps),
         **{name: partial(plot_metric, maps, name) for name in maps.metrics if name not in by_day},
         "sensor_choice": lambda: plot_sensor_choice(maps),
     }
+
+    # The cost, with the paths over it.
     if paths_in(paths):
         figures["paths"] = lambda: plot_paths(maps, paths)
     else:
         for time_of_day in maps.times_of_day or (None,):
             name = "cost" if len(maps.times_of_day) < 2 else f"cost_{time_of_day}"
             figures[name] = partial(plot_paths, maps, (), time_of_day=time_of_day)
+
+    # Statistics of a series, all variables of metrics made on request, and each time of several.
     on_request = {name for name, metric in maps.metrics.items() if metric.section in ON_REQUEST}
     for name, variable in drawn_variables(maps).items():
-        is_of_series = (
-            name.endswith(("_availability", "_p05")) and maps.variable(variable.of) != variable.of
-        )
-        if name == AVAILABILITY or is_of_series or variable.of in on_request:
+        has_statistics = maps.variable(variable.of) != variable.of  # such as a median instead of m
+        is_statistic = has_statistics and name.endswith(("_availability", "_p05"))
+        if name == AVAILABILITY or is_statistic or variable.of in on_request:
             figures[name] = partial(plot_metric, maps, name)
     if len(maps.times) > 1 and maps.default_time is not None:
         for name, metric in maps.metrics.items():
             if TIME in metric.dims and name not in on_request:
                 figures[f"{name}_epochs"] = partial(plot_epochs, maps, name)
+
     if RATED in maps.ds:  # statistics over a long series hold none
         figures["gps_rating"] = lambda: plot_gps_rating(maps)
     for name in by_day:

@@ -1,7 +1,6 @@
 """The profile of a planned route: what it meets, by distance flown."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,7 +27,7 @@ from jaxurban.report.figures.style import (
     show_plain,
     styled,
 )
-from jaxurban.report.write import PICTURES, save
+from jaxurban.report.write import PICTURES, Look, save
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#c51b8a", "#1a1a1a", "#ffd9d4"
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
@@ -48,7 +47,7 @@ def plot_profile(
 ) -> Figure:
     """Return altitude and roofs beneath, metrics, and the clearance along a route, one above the other.
 
-    Metrics of which 1 is the best and those of which 1 is the worst have a panel each.
+    Metrics of which 1 is the best are in one panel, and those of which 1 is the worst in another.
 
     Segments without a position fix are shaded, roofs of guessed height coloured. The numbers on top
     are the report's segments.
@@ -64,43 +63,52 @@ def plot_profile(
     """
     maps = as_maps(maps)
     report = report or explain(planned, maps)
-    profile = report.profile
+    profile = report.profile  # a row per cell along the route
+
+    # The figure: what its heading says, and its panels.
     edges_km = np.append(profile["from_m"], profile["to_m"].iloc[-1]) / 1000
     low_m, high_m = float(planned.z_m.min()), float(planned.z_m.max())
     altitude = f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m"
     facts = planned.search.planner, f"{planned.length_m / 1000:.2f} km", f"{altitude} above ground"
     day, cost = planned.settings["time_of_day"], f"cost {planned.cost:,.1f}"
     summary = joined(*facts, day, cost, by=", ")
-    kinds = list(dict.fromkeys(metric.one_is for metric in maps.metrics.values()))
-    height_in = HEIGHT_IN + SECOND_IN * (len(kinds) - 1)
+    meanings = list(dict.fromkeys(metric.one_is for metric in maps.metrics.values()))
+    height_in = HEIGHT_IN + SECOND_IN * (len(meanings) - 1)
     note = frame_note(maps, planned.settings["time"])
     figure = chart(height_in, f"Route profile: {summary}", note, width)
-    axes = figure.subplots(
-        2 + len(kinds), 1, sharex=True, height_ratios=(1, *(1.1, 0.7)[: len(kinds)], 1)
-    )
-    _draw_heights(axes[0], planned, profile, edges_km)
-    for kind, panel in zip(kinds, axes[1:], strict=False):
+    ratios = (1, *(1.1, 0.7)[: len(meanings)], 1)
+    axes = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
+    heights, *of_metrics, clearance = axes
+
+    # What each panel is for.
+    _draw_heights(heights, planned, profile, edges_km)
+    for meaning, panel in zip(meanings, of_metrics, strict=True):
         for name, metric in maps.metrics.items():
-            if metric.one_is == kind:
-                look: dict[str, Any] = {"color": metric.colour, "label": metric.label}
+            if metric.one_is == meaning:
+                look: Look = {"color": metric.colour, "label": metric.label}
                 panel.stairs(profile[name], edges_km, baseline=None, linewidth=1.3, **look)
-        panel.set(ylim=(-0.03, 1.03), ylabel=f"metric m\n(1 is {kind})")
-    _draw_clearance(axes[-1], profile, edges_km)
-    axes[-1].set_xlabel("distance flown (km)")
-    axes[-1].set_xlim(edges_km[0], max(edges_km[-1], edges_km[0] + 1e-3))
+        panel.set(ylim=(-0.03, 1.03), ylabel=f"metric m\n(1 is {meaning})")
+    _draw_clearance(clearance, profile, edges_km)
+    clearance.set_xlabel("distance flown (km)")
+    clearance.set_xlim(edges_km[0], max(edges_km[-1], edges_km[0] + 1e-3))
+
+    # What all panels share: stretches without a fix, which one legend names once, and the ends of segments.
     for place, panel in enumerate(axes):
         panel.set_ylabel(letter(place, len(axes)) + panel.get_ylabel())
         look = {"color": NO_FIX_COLOUR, "linewidth": NO_FIX_PT, "zorder": 0}
         for number, (from_m, to_m) in enumerate(without_fix(profile)):
-            label = "no fix" if panel is axes[1] and not number else "_"
+            is_named = place == 1 and number == 0
+            label = "no fix" if is_named else "_"
             panel.axvspan(from_m / 1000, to_m / 1000, label=label, **look)
         for cut_m in report.segments["from_m"].iloc[1:]:
             panel.axvline(cut_m / 1000, color=FAINT_INK, linewidth=0.4, linestyle=":", zorder=0)
         dress(panel)
         if panel.get_legend_handles_labels()[0]:
-            legend_above(panel, LIFT if panel is axes[0] else 0.0)
+            legend_above(panel, LIFT if panel is heights else 0.0)
     figure.align_ylabels(axes)
-    above = axes[0].secondary_xaxis("top")  # the numbers of the report's segments
+
+    # The numbers of the report's segments, over the first panel.
+    above = heights.secondary_xaxis("top")
     middles_km = (report.segments["from_m"] + report.segments["to_m"]).astype(float) / 2000
     above.set_xticks(middles_km, [str(number) for number in middles_km.index])
     above.tick_params(length=0, labelsize=SMALL_PT, labelcolor=FAINT_INK)
@@ -112,6 +120,14 @@ def plot_profile(
 def _draw_heights(
     panel: Axes, planned: PlannedPath, profile: pd.DataFrame, edges_km: np.ndarray
 ) -> None:
+    """Draw the flight altitude and the roofs beneath, those of guessed height in another colour.
+
+    Args:
+      panel: to draw in.
+      planned: the route.
+      profile: a row per cell along the route.
+      edges_km: ``[N + 1]`` distance flown at the ends of the rows.
+    """
     panel.stairs(profile["roof_m"], edges_km, fill=True, color=BUILT_COLOUR, label="roofs beneath")
     if GUESSED in profile and profile[GUESSED].any():
         guessed_m = profile["roof_m"].where(profile[GUESSED], 0.0)
@@ -126,6 +142,13 @@ def _draw_heights(
 
 
 def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) -> None:
+    """Draw the distance to obstacles, with a mark where it is the least; in words where there is no obstacle.
+
+    Args:
+      panel: to draw in.
+      profile: a row per cell along the route; its distance is infinite where the route is above every obstacle.
+      edges_km: ``[N + 1]`` distance flown at the ends of the rows.
+    """
     panel.set(ylabel=f"distance (m),\nlogarithmic\nabove {LINEAR_UP_TO_M:g} m")
     is_known = np.isfinite(profile[CLEARANCE])
     if not is_known.any():
@@ -133,8 +156,9 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
         panel.text(0.5, 0.5, label, transform=panel.transAxes, ha="center", size=TEXT_PT)
         panel.set_yticks([])
         return
-    drawn_m = profile[CLEARANCE].where(is_known)  # none where the route is above every obstacle
-    look: dict[str, Any] = {"color": CLEARANCE_COLOUR, "label": "distance to obstacles"}
+
+    drawn_m = profile[CLEARANCE].where(is_known)
+    look: Look = {"color": CLEARANCE_COLOUR, "label": "distance to obstacles"}
     panel.stairs(drawn_m, edges_km, baseline=None, linewidth=1.3, **look)
     place = int(np.argmin(profile[CLEARANCE]))
     nearest_m, at_km = profile[CLEARANCE].iloc[place], edges_km[place : place + 2].mean()
@@ -142,12 +166,12 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
     panel.plot(at_km, nearest_m, "v", color=CLEARANCE_COLOUR, label=label, zorder=10, clip_on=False)
     if not is_known.all():
         panel.plot([], [], linestyle="none", label="gaps: above every obstacle")
+
     top_m = 1.15 * max(drawn_m.max(), 2 * LINEAR_UP_TO_M)
     panel.set_yscale("symlog", linthresh=LINEAR_UP_TO_M)
     panel.set_ylim(0, top_m)
-    panel.yaxis.set_major_locator(
-        FixedLocator([tick for tick in CLEARANCE_TICKS_M if tick <= top_m])
-    )
+    ticks_m = [tick_m for tick_m in CLEARANCE_TICKS_M if tick_m <= top_m]
+    panel.yaxis.set_major_locator(FixedLocator(ticks_m))
     panel.yaxis.set_minor_locator(NullLocator())
     show_plain(panel.yaxis)
 

@@ -1,8 +1,7 @@
 """Pictures of what weights do to a route: breakpoints along lines, the Pareto front."""
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,14 +35,14 @@ from jaxurban.report.figures.style import (
     show_plain,
     styled,
 )
-from jaxurban.report.write import listed
+from jaxurban.report.write import Figures, Look, listed
 from jaxurban.studies.weights.study import Sensitivity
 
 GIVEN_COLOUR = "#c51b8a"
 ON_ROUTES_COLOUR = "#ffffff"  # of the given weights' route over others of all colours
 
 
-def sensitivity_figures(result: Sensitivity) -> dict[str, Callable[[], Figure]]:
+def sensitivity_figures(result: Sensitivity) -> Figures:
     """Return what draws each figure, by file name."""
     return {
         "switches": lambda: plot_breakpoints(result),
@@ -54,52 +53,63 @@ def sensitivity_figures(result: Sensitivity) -> dict[str, Callable[[], Figure]]:
 
 @styled
 def plot_breakpoints(result: Sensitivity) -> Figure:
-    """Return the cheapest cost along the range of each weight, a dot where the route changes."""
-    figure, axes = panels(
-        len(result.lines), "Cheapest cost along the range of each weight", shares_y=True
-    )
-    for panel, name in zip(axes, result.lines, strict=True):
-        line, column = result.lines[name], result.names.index(name)
-        ends = line.corners[:, column]
-        evenly = (np.geomspace(ends[0], ends[1], 400) - ends[0]) / np.ptp(ends)
+    """Return the cheapest cost along the range of each weight, the others as given, with a dot where the route changes.
+
+    A panel per varied weight; a dashed line is the given weight.
+    """
+    heading = "Cheapest cost along the range of each weight"
+    figure, axes = panels(len(result.lines), heading, shares_y=True)
+    for panel, (name, line) in zip(axes, result.lines.items(), strict=True):
+        column = result.names.index(name)
+        low, high = line.corners[:, column]
+
+        # Shares of the way from the low to the high end: even on the logarithmic axis, and those of breakpoints.
+        evenly = (np.geomspace(low, high, 400) - low) / (high - low)
         shares = np.sort(np.append(evenly, line.breakpoints))
         costs = line.cost_at(np.stack([1 - shares, shares], axis=-1))
-        values = ends[0] + shares * (ends[1] - ends[0])
-        look: dict[str, Any] = {"markersize": 4, "markeredgewidth": 0, "linewidth": 1.1}
+        look: Look = {"markersize": 4, "markeredgewidth": 0, "linewidth": 1.1}
         look["markevery"] = np.isin(shares, line.breakpoints)
-        panel.plot(values, costs, "o-", color=line_colour(name), **look)
+        panel.plot(low + shares * (high - low), costs, "o-", color=line_colour(name), **look)
         look = {"linestyle": (0, (3, 2)), "zorder": 1, "label": "given weight"}
         panel.axvline(result.weights[column], color=INK, linewidth=0.9, **look)
+
         panel.set_xscale("log")
         panel.xaxis.set_major_locator(LogLocator(numticks=6))
         panel.xaxis.set_minor_locator(NullLocator())
         for axis in (panel.xaxis, panel.yaxis):
             show_plain(axis)
         title = f"{name}, breakpoints: {len(line.breakpoints)}"
-        panel.set(xlim=ends, xlabel=f"weight of {name}", title=title)
+        panel.set(xlim=(low, high), xlabel=f"weight of {name}", title=title)
     legend_below(figure, axes[0])
     letter_all(axes, "cheapest cost")
     return figure
 
 
 def plot_breakpoint_routes(result: Sensitivity) -> Figure:
-    """Return a map for each weight with the routes along its range, coloured by where they are the cheapest."""
-    titles = [f"{name}, routes: {len(result.lines[name].cells)}" for name in result.lines]
+    """Return a map for each varied weight with the routes along its range, coloured by where they are the cheapest.
+
+    A route has the colour of the geometric middle of the values at which it is the cheapest, as a multiple of the given
+    weight; later routes are thinner, so that earlier ones are seen below them. The route under the given weights is
+    dashed.
+    """
+    titles = [f"{name}, routes: {len(line.cells)}" for name, line in result.lines.items()]
     low, high = result.settings.factors
-    powers = range(*(math.ceil(math.log10(factor) - 1e-9) for factor in (low, 10 * high)))
-    ticks = [10.0**power for power in powers]
-    colours = Colours(
-        "viridis", LogNorm(low, high), "weight, as a multiple of the given one", ticks=ticks
-    )
+
+    # A tick at each power of ten in the range; the small number is for what rounding does to a logarithm.
+    first, last = math.ceil(math.log10(low) - 1e-9), math.ceil(math.log10(10 * high) - 1e-9) - 1
+    ticks = [10.0**power for power in range(first, last + 1)]
+    label = "weight, as a multiple of the given one"
+    colours = Colours("viridis", LogNorm(low, high), label, ticks=ticks)
     legend = [("given weights\n(dashed)", ON_ROUTES_COLOUR)]
-    figure, axes = _maps(
-        result, titles, "Cheapest routes along the range of each weight", legend, colours
-    )
+    heading = "Cheapest routes along the range of each weight"
+    figure, axes = _maps(result, titles, heading, legend, colours)
+
     for panel, name in zip(axes, result.lines, strict=True):
-        table = result.breakpoints(name)
-        middle = np.sqrt(table["from"] * table["to"]) / result.weights[result.names.index(name)]
+        table = result.breakpoints(name)  # a row per route
+        given_weight = result.weights[result.names.index(name)]
+        middle = np.sqrt(table["from"] * table["to"]) / given_weight
         widths = np.linspace(3.2, 1.4, len(table))
-        look: dict[str, Any] = {"colors": colours(middle), "linewidths": widths, "zorder": 4}
+        look: Look = {"colors": colours(middle), "linewidths": widths, "zorder": 4}
         routes = LineCollection(result.line_routes[name], capstyle="round", **look)
         panel.add_collection(routes)
         edge = [Stroke(linewidth=2.4, foreground=INK), Normal()]
@@ -110,7 +120,10 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
 
 @styled
 def plot_pareto(result: Sensitivity) -> Figure:
-    """Return the supported Pareto points of two or three features; the last is the colour."""
+    """Return the best trade-offs between two or three features of routes, a point per route (supported Pareto points).
+
+    The first two features are the axes, and the last one is the colour; a star is the route under the given weights.
+    """
     front = result.front
     figure = chart(4.0, f"Best trade-offs between {listed(front.objectives)}")
     panel = figure.subplots()
@@ -119,9 +132,11 @@ def plot_pareto(result: Sensitivity) -> Figure:
     last = np.append(points[:, -1], gradient[-1])
     labels = [_feature_label(result, name) for name in front.objectives]
     colours = Colours("viridis", Normalize(last.min(), last.max()), labels[-1])
-    look: dict[str, Any] = {"norm": colours.norm, "cmap": colours.cmap, "label": "_"}
+    look: Look = {"norm": colours.norm, "cmap": colours.cmap, "label": "_"}
     x, y, *_ = points.T
     panel.scatter(x, y, s=26, c=points[:, -1], edgecolors=FAINT_INK, linewidths=0.4, **look)
+
+    # The gradient of the cost with respect to the weights is the features of the route under the given weights.
     look |= {"marker": "*", "edgecolors": GIVEN_COLOUR, "label": "given weights"}
     panel.scatter(gradient[0], gradient[1], s=220, c=gradient[-1:], **look)
     if len(labels) == 3:
@@ -134,6 +149,7 @@ def plot_pareto(result: Sensitivity) -> Figure:
 
 
 def _feature_label(result: Sensitivity, name: str) -> str:
+    """Return the label of an axis for the distance or a metric's cost c along a route, with its unit."""
     if name == "distance":
         return "distance (m)"
     settings, unit = result.route.settings, "sum of c over steps"
@@ -149,7 +165,15 @@ def _maps(
     legend: Sequence[LegendEntry],
     colours: Colours | None = None,
 ) -> tuple[Figure, list[Axes]]:
-    """Return maps of the normalised cost with the route's ends, on which routes are drawn."""
+    """Return equal maps of the normalised cost with the route's ends, for routes to be drawn over, and their axes.
+
+    Args:
+      result: whose maps and route they show.
+      titles: one for each map.
+      heading: of the figure; the time of day is added.
+      legend: entries beside those of obstacles and ends.
+      colours: of one bar for all maps; None: no bar but those of the cost.
+    """
     settings, z = result.route.settings, result.route.altitude_m
     layers = cost_layers(result.maps, z, settings["time"], settings["time_of_day"])
     heading = joined(heading, settings["time_of_day"], by=", ")

@@ -11,15 +11,8 @@ from jaxurban.errors import InputError
 from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN
 from jaxurban.paths.sky import SkyAt
 from jaxurban.report.figures.frame import joined, time_said
-from jaxurban.report.figures.style import (
-    INK,
-    MARKERS,
-    SERIES_COLOURS,
-    Width,
-    chart,
-    inches,
-    styled,
-)
+from jaxurban.report.figures.style import INK, MARKERS, SERIES_COLOURS, Width, chart, inches, styled
+from jaxurban.report.write import Look
 
 ROOFS = "#cfcac2"
 SKY, KEY_IN = 0.62, 0.8  # height of the sky by the figure's width; of the legend
@@ -35,6 +28,8 @@ MARKS = {SEEN: "", HIDDEN: " ✕", UNKNOWN: " ?"}  # behind a satellite's name
 @styled
 def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Figure:
     """Return the sky over a place at a time: north up, the zenith in the middle, the horizon filled.
+
+    Each satellite system has a marker and a colour, and each state (seen, hidden, unknown) a look of the marker.
 
     Args:
       of: from `jaxurban.sky`.
@@ -57,21 +52,25 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
     figure = chart(SKY * inches(width) + KEY_IN, heading, "\n".join(note), width)
     panel: Any = figure.add_subplot(projection="polar")
     draw_horizon(panel, of.horizon_deg)
+
     now = of.table[of.table["time"] == time]
-    systems = list(dict.fromkeys(now["system"]))
-    for (k, system), (state, look) in product(enumerate(systems), LOOKS.items()):
+    systems = enumerate(dict.fromkeys(now["system"]))
+    for (number, system), (state, state_look) in product(systems, LOOKS.items()):
         rows = now[(now["system"] == system) & (now["state"] == state)]
         if rows.empty:
             continue
-        x, y = np.radians(rows["azimuth_deg"]), 90 - rows["elevation_deg"]
-        shape = {"marker": MARKERS[k % len(MARKERS)], "edgecolors": INK, "s": 55, "zorder": 5}
-        colour = {"facecolors": SERIES_COLOURS[k % len(SERIES_COLOURS)]}
+        azimuth_rad, zenith_deg = np.radians(rows["azimuth_deg"]), 90 - rows["elevation_deg"]
+        look = {"edgecolors": INK, "s": 55, "zorder": 5}
+        look["marker"] = MARKERS[number % len(MARKERS)]
+        look["facecolors"] = SERIES_COLOURS[number % len(SERIES_COLOURS)]
         label = f"{system.upper()}, {state}{MARKS[state]}"
-        panel.scatter(x, y, label=label, **(colour | shape | look))
-        for name, x_at, y_at in zip(rows["satellite"], x, y, strict=True):
+        panel.scatter(azimuth_rad, zenith_deg, label=label, **(look | state_look))
+
+        # Names in short, those of every other system below their marks: "05" of "GPS BIIF-9 (PRN 05)".
+        offset_pt = (5, -9) if number % 2 else (5, 4)
+        for name, *place in zip(rows["satellite"], azimuth_rad, zenith_deg, strict=True):
             short = name.removesuffix(" (nominal)").split()[-1].strip("()") + MARKS[state]
-            offset = (5, -9 if k % 2 else 4)
-            panel.annotate(short, (x_at, y_at), offset, textcoords="offset points", size=7)
+            panel.annotate(short, place, offset_pt, textcoords="offset points", size=7)
     panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=2)
     return figure
 
@@ -88,9 +87,11 @@ def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
     panel.set_rlim(0, 90)
     panel.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
     panel.set_yticks([30, 60], ["", ""])
-    around, rim = np.radians(np.arange(361)), 90 - np.append(horizon_deg, horizon_deg[0])
-    panel.fill_between(around, rim, 90, color=ROOFS, label="buildings")
-    if (is_missing := np.isnan(rim)).any():
-        look: dict[str, Any] = {"facecolor": "white", "edgecolor": INK, "hatch": "////"}
+    around = np.radians(np.arange(361))  # once around, the first degree again at the end
+    roof_edge = 90 - np.append(horizon_deg, horizon_deg[0])
+    panel.fill_between(around, roof_edge, 90, color=ROOFS, label="buildings")
+    is_missing = np.isnan(roof_edge)
+    if is_missing.any():
+        look: Look = {"facecolor": "white", "edgecolor": INK, "hatch": "////"}
         look |= {"linewidth": 0.0, "label": "horizon not known"}
         panel.fill_between(around, 90 - EDGE_DEG, 90, is_missing, **look)

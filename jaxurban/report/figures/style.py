@@ -21,7 +21,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from jaxurban.errors import InputError
-from jaxurban.report.write import DPI
+from jaxurban.report.write import DPI, Look
 
 SMALL_PT, TEXT_PT, HEADING_PT = 7.0, 8.0, 10.0  # of tick labels and notes; of titles
 # One column and two of a journal, by the IEEE Author Center's "Size Requirements for Graphics".
@@ -33,7 +33,7 @@ HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.2, 0.13, 18.0  # of a line of a heading, of
 # Of several series that are no metrics, whose colours these avoid; dark and light ones by turns.
 SERIES_COLOURS = ("#1a1a1a", "#d55e00", "#56b4e9", "#7f7f7f", "#8c510a", "#66c2a5", "#f0c800")
 MARKERS = "osD^vP*X"
-DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
+DOT: Look = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
 LABEL_IN = 1.9  # of a line of the label of an upright colour bar
 BOLD = 1.2  # how much wider bold letters are
 
@@ -68,6 +68,7 @@ LEGEND_COLUMNS = 6
 ENTRY_IN = 0.45  # of a legend's entry, beside its letters
 WIDE = 5.0  # an axis whose ends differ by this factor has ticks at 1, 2 and 5 of each decade
 EDGE_IN, TITLE_IN = 0.1, 0.8
+FEWEST_LETTERS = 8  # of a broken line, however narrow its place is
 
 
 class Picture(Figure):
@@ -75,20 +76,26 @@ class Picture(Figure):
 
     @printed
     def savefig(self, fname: Any, **options: Any) -> None:
-        """Write the figure, in the format that the file's name ends in; the same bytes each time."""
-        kind = str(options.get("format") or Path(str(fname)).suffix[1:]).lower()
-        undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(kind)
-        super().savefig(fname, **{"metadata": undated, **options})
+        """Write the figure, with the same bytes each time: PDF and SVG without their date.
+
+        Args:
+          fname: the file; its name's end is the format, unless ``format`` is among the options.
+          **options: as of Matplotlib's method.
+        """
+        file_format = str(options.get("format") or Path(str(fname)).suffix[1:]).lower()
+        undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+        options.setdefault("metadata", undated.get(file_format))
+        super().savefig(fname, **options)
 
 
 def inches(width: Width) -> float:
     """Return the width of a figure in inches.
 
     Args:
-      width: ``"column"`` or ``"page"`` (`WIDTHS_MM`), or millimetres.
+      width: ``"column"`` or ``"page"`` of a journal (88.9 or 182 mm), or millimetres.
 
     Raises:
-      InputError: another name, or too few millimetres for text that can be read.
+      InputError: another name, or fewer than 60 millimetres, on which no text can be read.
     """
     width_mm = WIDTHS_MM.get(width) if isinstance(width, str) else width
     if width_mm is None or not LEAST_MM <= width_mm < math.inf:
@@ -100,29 +107,30 @@ def inches(width: Width) -> float:
 
 
 def wrapped(text: str, width_in: float, size_pt: float = SMALL_PT) -> str:
-    """Return lines broken so that they fit into a width."""
-    most = max(8, int((width_in - EDGE_IN) * LETTERS_PER_IN * SMALL_PT / size_pt))
-    return "\n".join(textwrap.fill(line, most) for line in text.splitlines())
+    """Return a text whose lines are broken so that they fit into a width in inches, written in letters of a size."""
+    letters_per_in = LETTERS_PER_IN * SMALL_PT / size_pt
+    num_letters = max(FEWEST_LETTERS, int((width_in - EDGE_IN) * letters_per_in))
+    return "\n".join(textwrap.fill(line, num_letters) for line in text.splitlines())
 
 
 def chart(height_in: float, heading: str, note: str = "", width: Width = "page") -> Picture:
-    """Return an empty figure with a heading above and a note beneath so many inches, all laid out by matplotlib.
+    """Return an empty figure with a heading above and a note below, whose parts Matplotlib's layout places.
 
     Args:
-      height_in: between heading and note.
-      heading: its first lines, bold.
-      note: the lines beneath.
+      height_in: inches between heading and note; the figure is higher by both.
+      heading: its first lines, bold; broken where they are too long.
+      note: the lines below, broken likewise; without any text nothing is written there.
       width: ``"column"``, ``"page"``, or millimetres.
 
     Raises:
-      InputError: a width that is none.
+      InputError: an invalid width (see `inches`).
     """
     width_in = inches(width)
     head, foot = wrapped(heading, width_in, BOLD * HEADING_PT), wrapped(note, width_in)
     height_in += HEAD_IN * len(head.splitlines()) + LINE_IN * len(foot.splitlines())
     layout = ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.06)
     figure = Picture(figsize=(width_in, height_in), layout=layout, facecolor="white")
-    look = {"x": EDGE_IN / width_in, "ha": "left"}
+    look = {"x": EDGE_IN / width_in, "ha": "left"}  # x is a share of the figure's width
     figure.suptitle(head, size=HEADING_PT, weight="bold", color=INK, **look)
     if foot:
         figure.supxlabel(foot, size=SMALL_PT, color=FAINT_INK, **look)
@@ -137,12 +145,12 @@ def columns_of(num: int) -> int:
 def panels(
     num: int, heading: str, *, height_in: float = 2.0, shares_y: bool = False
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with so many panels of equal size.
+    """Return a figure with several panels of equal size, and the axes of the panels in reading order.
 
     Args:
-      num: of panels.
+      num: number of panels, one at least.
       heading: see `chart`.
-      height_in: of a panel, about.
+      height_in: height of a panel in inches, about: the layout decides.
       shares_y: whether the panels have one scale, labelled at the left of each row.
     """
     num_cols = columns_of(num)
@@ -162,7 +170,12 @@ def letter(number: int, num: int) -> str:
 
 
 def letter_all(axes: Sequence[Axes], label: str = "") -> None:
-    """Put letters before the titles of panels, break those that are too long, and label the first panel of each row."""
+    """Put letters before the titles of panels, break titles that are too long, and label the first panel of each row.
+
+    Args:
+      axes: the panels of a figure, in reading order; their titles are set.
+      label: of the vertical axis; without one, the labels stay as they are.
+    """
     for number, panel in enumerate(axes):
         grid: Any = panel.get_gridspec()
         room_in = grid.figure.get_figwidth() / grid.ncols
@@ -185,16 +198,21 @@ def legend_columns(names: Sequence[str], width_in: float) -> int:
 
 
 def legend_above(panel: Axes, lift: float = 0.0) -> None:
-    """Write the legend of a panel above it, higher by a share of its height, in as many columns as have room."""
+    """Write the legend of a panel above it, in as many columns as the figure's width has room for.
+
+    Args:
+      panel: whose labelled lines and areas the legend names.
+      lift: how far above the panel the legend begins, as a share of the panel's height.
+    """
     handles, names = panel.get_legend_handles_labels()
     figure: Any = panel.figure
-    look: dict[str, Any] = {"borderaxespad": 0.3, "columnspacing": 1.2}
+    look: Look = {"borderaxespad": 0.3, "columnspacing": 1.2}
     look["ncols"] = legend_columns(names, figure.get_figwidth())
     panel.legend(handles, names, loc="lower left", bbox_to_anchor=(0, 1 + lift), **look)
 
 
 def legend_below(figure: Figure, panel: Axes) -> None:
-    """Write the legend of a panel at the foot of its figure."""
+    """Write the legend of a panel at the foot of its figure, in at most `LEGEND_COLUMNS` columns."""
     handles, names = panel.get_legend_handles_labels()
     num_cols = min(LEGEND_COLUMNS, len(names))
     legend = figure.legend(handles, names, loc="outside lower center", ncols=num_cols)
@@ -204,7 +222,14 @@ def legend_below(figure: Figure, panel: Axes) -> None:
 
 
 def step_up(panel: Axes, values: np.ndarray, end: float, **look: Any) -> None:
-    """Draw the share of values that are at most so large, from 1 to an end; those that are NaN never are."""
+    """Draw how the share of values that are at most x grows with x, as steps from x = 1 to x = ``end``.
+
+    Args:
+      panel: to draw in.
+      values: ``[N]`` from 1 up; NaN counts as larger than every x.
+      end: the largest x.
+      look: of the line, as Matplotlib's keywords.
+    """
     reached = np.sort(values[values < end])
     share = np.arange(len(reached) + 1) / max(1, len(values))
     panel.step([1.0, *reached, end], [*share, share[-1]], where="post", **look)
@@ -213,15 +238,26 @@ def step_up(panel: Axes, values: np.ndarray, end: float, **look: Any) -> None:
 def dots(
     panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, look: Mapping[str, Any]
 ) -> None:
-    """Draw a statistic of a table's rows with its intervals at ``x``; hollow where there is none."""
-    values, low, high = (rows[f"{name}{end}"].to_numpy(np.float64) for end in ("", "_low", "_high"))
-    is_known, label = np.isfinite(low), look.get("label")
-    for which, face in ((is_known, look["color"]), (~is_known & np.isfinite(values), "white")):
-        if which.any():
-            ends = np.nan_to_num(np.stack([values - low, high - values])[:, which]).clip(min=0)
+    """Draw a statistic of a table's rows as dots with their intervals as bars; dots without an interval are hollow.
+
+    Args:
+      panel: to draw in.
+      x: ``[N]`` place of each row.
+      rows: ``N`` rows with the columns NAME, NAME_low and NAME_high; NaN where a value or an interval is not known.
+      name: of the statistic.
+      look: of the dots, as Matplotlib's keywords: a ``color``, and maybe a ``label`` for the legend.
+    """
+    values = rows[name].to_numpy(np.float64)
+    below = values - rows[f"{name}_low"].to_numpy(np.float64)
+    above = rows[f"{name}_high"].to_numpy(np.float64) - values
+    bars = np.nan_to_num([below, above]).clip(min=0)
+    has_bar = np.isfinite(below)
+    label = look.get("label")
+    for is_drawn, face in ((has_bar, look["color"]), (~has_bar & np.isfinite(values), "white")):
+        if is_drawn.any():
             look_here = {**DOT, **look, "label": label, "markerfacecolor": face}
-            panel.errorbar(x[which], values[which], yerr=ends, **look_here)
-            label = None
+            panel.errorbar(x[is_drawn], values[is_drawn], yerr=bars[:, is_drawn], **look_here)
+            label = None  # the legend names a series once
 
 
 def show_plain(axis: Axis) -> None:
@@ -233,9 +269,8 @@ def show_plain(axis: Axis) -> None:
 def show_plain_log(axis: Axis) -> None:
     """Label a logarithmic axis with plain numbers: 1, 2 and 5 of each decade, or round numbers where it is short."""
     low, high = axis.get_view_interval()
-    axis.set_major_locator(
-        LogLocator(subs=(1.0, 2.0, 5.0)) if high > WIDE * low else MaxNLocator(4)
-    )
+    is_wide = high > WIDE * low
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if is_wide else MaxNLocator(4))
     show_plain(axis)
 
 
@@ -274,11 +309,14 @@ def tick_label(value: float, _: float = 0.0) -> str:
 
 
 def bar_ticks(colours: Colours) -> list[float]:
-    """Return where a colour bar has ticks: its own, else both ends and values between them at equal distances."""
+    """Return where a colour bar has ticks, as values: its own, else at equal distances on the bar.
+
+    Those at the ends are exact; on a scale that is not linear those between are rounded to one digit.
+    """
     if colours.ticks is not None:
         return list(colours.ticks)
-    num = 4 if isinstance(colours.norm, LogNorm) else 5
-    ticks = np.asarray(colours.norm.inverse(np.linspace(0, 1, num))).tolist()
+    num_ticks = 4 if isinstance(colours.norm, LogNorm) else 5
+    ticks = np.asarray(colours.norm.inverse(np.linspace(0, 1, num_ticks))).tolist()
     if type(colours.norm) is not Normalize:  # round numbers between the ends
         ticks[1:-1] = [float(f"{tick:.0e}") for tick in ticks[1:-1]]
     return ticks
@@ -291,9 +329,17 @@ def add_colour_bar(
     location: str = "right",
     cax: Axes | None = None,
 ) -> None:
-    """Add a colour bar beside (``right``) or below (``bottom``) panels, or in axes of its own, lying."""
-    place: dict[str, Any] = {"ax": axes, "location": location, "panchor": False}
-    place["aspect"] = 25 if location == "right" else 50
+    """Add a colour bar to a figure.
+
+    Args:
+      figure: that holds the panels.
+      axes: the panels that the bar is of.
+      colours: what it shows, and its label and ticks.
+      location: ``"right"`` of the panels, upright, or at their ``"bottom"``.
+      cax: axes that the bar fills, lying, in place of a location.
+    """
+    place: Look = {"ax": axes, "location": location, "panchor": False}
+    place["aspect"] = 25 if location == "right" else 50  # length of the bar by its width
     if cax is not None:
         place = {"cax": cax, "orientation": "horizontal"}
     bar = figure.colorbar(
@@ -303,9 +349,9 @@ def add_colour_bar(
         format=FuncFormatter(tick_label),
         **place,
     )
-    is_long = cax is None and location == "bottom"
-    label = wrapped(colours.label, figure.get_figwidth() if is_long else LABEL_IN)
-    bar.set_label(label)
+    has_page_width = cax is None and location == "bottom"
+    label_in = figure.get_figwidth() if has_page_width else LABEL_IN
+    bar.set_label(wrapped(colours.label, label_in))
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
     bar.outline.set(linewidth=0.4)
     bar.ax.minorticks_off()

@@ -32,7 +32,10 @@ PALE = 1.6  # the scale goes on so far beyond the map's costs, so that routes st
 
 @styled
 def plot_weights(fit: WeightFit) -> Figure:
-    """Return each fitted weight with its interval; one that cannot be identified has neither."""
+    """Return each fitted weight as a dot with its interval, on a logarithmic scale.
+
+    A weight of 0, or one that the routes do not identify, has no dot; a dot without an interval is hollow.
+    """
     table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
     table = table.where(table.weight > 0)
     figure, (panel,) = panels(1, "Fitted weights and their intervals", height_in=2.5)
@@ -62,44 +65,43 @@ def plot_routes(
       given: what the demonstrations are called: a fit to targets takes only their ends.
     """
     grid, maps = cost_map.grid, cost_map.maps
-    both = [
-        pair
-        for pair in zip(demonstrations, planned, strict=True)
-        if pair[0].query.cost_map is cost_map
-    ]
     title = joined(f"{cost_map.altitude_m:g} m above ground", cost_map.time_of_day)
     fitted = dict(zip(("distance", *cost_map.names), weights.tolist(), strict=True))
-    note = f"{frame_note(maps, cost_map.time)}\n{rules_said(map_settings(cost_map) | {'weights': fitted})}"
+    settings = map_settings(cost_map) | {"weights": fitted}
+    note = f"{frame_note(maps, cost_map.time)}\n{rules_said(settings)}"
+
+    # The cost of each cell under the weights; its colours end at 99 % of the free cells, and further pale ones follow.
     cost = np.tensordot(weights[1:], cost_map.costs, axes=1)
     free = cost[cost_map.is_free]
     least, most = float(free.min()), float(np.percentile(free, 99))
     norm = Normalize(least, least + max(PALE * (most - least), 1e-12))
     colours = Colours("gray_r", norm, "cost of a cell\nunder the weights", extend="max")
     closed = flat_layer(~cost_map.is_free & maps.ds["has_data"].values, BLOCKED_COLOUR)
-    shown_maps = [
-        MapPanel(title, [MapLayer(np.where(cost_map.is_free, cost, np.nan), colours), closed])
-    ]
-    lines = (given, DEMONSTRATION_COLOUR), ("fitted weights", PLANNED_COLOUR)
+    shown = MapLayer(np.where(cost_map.is_free, cost, np.nan), colours)
+    panels_of = [MapPanel(title, [shown, closed])]
     legend: list[LegendEntry] = [
-        *lines,
+        (given, DEMONSTRATION_COLOUR),
+        ("fitted weights", PLANNED_COLOUR),
         ("closed to paths", BLOCKED_COLOUR),
         *obstacle_patches(maps)[1:],
         *ENDS,
         BESIDE,
     ]
     heading = f"{given.capitalize()}s and routes under the fitted weights"
-    figure, (panel,) = draw_maps(grid, shown_maps, heading, note, legend=legend, colours=colours)
+    figure, (panel,) = draw_maps(grid, panels_of, heading, note, legend=legend, colours=colours)
+
+    # Each pair of routes, side by side where both coincide; their points are metres from the southwest corner.
     southwest_m = grid.bounds_m[:2]
-    for demonstration, route in both:
-        drawn = demonstration.points_m + southwest_m, route.points_m + southwest_m
-        lanes = lanes_of(drawn, grid.resolution_m)
-        for line, lane, colour in zip(
-            drawn, lanes, (DEMONSTRATION_COLOUR, PLANNED_COLOUR), strict=True
-        ):
+    colours_of = (DEMONSTRATION_COLOUR, PLANNED_COLOUR)
+    for demonstration, route in zip(demonstrations, planned, strict=True):
+        query = demonstration.query
+        if query.cost_map is not cost_map:
+            continue
+        lines_m = demonstration.points_m + southwest_m, route.points_m + southwest_m
+        lanes = lanes_of(lines_m, grid.resolution_m)
+        for line_m, lane, colour in zip(lines_m, lanes, colours_of, strict=True):
             beside = [Beside(lane * APART_PT)]
-            panel.plot(*line.T, color=colour, linewidth=1.6, zorder=4, path_effects=beside)
-        start, goal = (
-            grid.xy_of_cell(*cell) for cell in (demonstration.query.start, demonstration.query.goal)
-        )
-        mark_ends(panel, start, goal, size=0.68)
+            panel.plot(*line_m.T, color=colour, linewidth=1.6, zorder=4, path_effects=beside)
+        ends_m = grid.xy_of_cell(*query.start), grid.xy_of_cell(*query.goal)
+        mark_ends(panel, *ends_m, size=0.68)
     return figure

@@ -26,37 +26,48 @@ LEAST_TOP = 10.0, 50.0  # of the scales, percent and metres, so that a small eff
 def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") -> Figure:
     """Return the cost above the best time and the length without a fix by time, a line for each time of day.
 
-    At hollow marks a route differs from the best time's. A line has a gap where a route has no path.
+    At hollow marks a route differs from the best time's. A line has a gap where a route has no path. With one time
+    alone, times of day are along the axis instead.
 
     Args:
       departures: from `jaxurban.when`.
       maps: that it was planned on, or their folder.
       width: see `plot_metric`.
     """
-    table, facts = departures.table.fillna({"time": "", "time_of_day": ""}), departures.facts
-    by, of = ("time", "time_of_day") if table["time"].nunique() > 1 else ("time_of_day", "time")
-    labels = [name[11:16] if by == "time" else name for name in table[by].unique()]
-    table["x"] = table[by].factorize()[0]
-    facts_line = joined(*(f"{name}: {fact}" for name, fact in facts.items() if fact))
-    note = f"{facts_line}\n{frame_note(as_maps(maps))}"
+    table = departures.table.fillna({"time": "", "time_of_day": ""})
+    along, series = (
+        "time_of_day",
+        "time",
+    )  # columns: along the axis, and of which each value has a line
+    axis_label = "time of day"
+    labels = table[along].unique().tolist()
+    if table["time"].nunique() > 1:
+        along, series = series, along
+        axis_label = f"UTC, from {table['time'].iloc[0][:10]}"
+        labels = [time[11:16] for time in table["time"].unique()]  # hours and minutes
+    table["x"] = table[along].factorize()[0]
+
+    facts = [f"{name}: {fact}" for name, fact in departures.facts.items() if fact]
+    note = f"{joined(*facts)}\n{frame_note(as_maps(maps))}"
     figure = chart(HEIGHT_IN, "When to fly", note, width)
     cost, no_fix = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    for colour, (name, part) in zip(SERIES_COLOURS, table.groupby(of, sort=False), strict=False):
-        above, changed = 100 * part["above_best"], part["num_changed"] > 0
-        cost.plot(part["x"], above, "o-", color=colour, label=name or "the best time's route")
-        cost.plot(part["x"][changed], above[changed], "o", color=colour, markerfacecolor="white")
-        if "no_fix_m" in part:
-            no_fix.plot(part["x"], part["no_fix_m"], color=colour)
+    lines = table.groupby(series, sort=False)
+    for colour, (name, line) in zip(SERIES_COLOURS, lines, strict=False):
+        above, changed = 100 * line["above_best"], line["num_changed"] > 0
+        cost.plot(line["x"], above, "o-", color=colour, label=name or "the best time's route")
+        cost.plot(line["x"][changed], above[changed], "o", color=colour, markerfacecolor="white")
+        if "no_fix_m" in line:
+            no_fix.plot(line["x"], line["no_fix_m"], color=colour)
     cost.plot([], [], "ok", markerfacecolor="white", label="a route differs from the best time's")
     legend_above(cost)
-    for number, (panel, label) in enumerate(
-        zip(axes, ("cost above best (%)", "no fix (m)"), strict=True)
-    ):
+
+    for number, label in enumerate(("cost above best (%)", "no fix (m)")):
+        panel = axes[number]
         top = max(LEAST_TOP[number], panel.get_ylim()[1])
         panel.set(ylabel=letter(number, 2) + label, ylim=(-FOOT * top, top))
         dress(panel)
     figure.align_ylabels(axes)
-    every = math.ceil(len(labels) / MOST_TICKS)
-    no_fix.set_xticks(range(0, len(labels), every), labels[::every])
-    no_fix.set_xlabel(f"UTC, from {table['time'].iloc[0][:10]}" if by == "time" else "time of day")
+    step = math.ceil(len(labels) / MOST_TICKS)
+    no_fix.set_xticks(range(0, len(labels), step), labels[::step])
+    no_fix.set_xlabel(axis_label)
     return figure
