@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.rows import CRASHED
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.results import Result, savable
@@ -53,8 +52,7 @@ study = savable(computed.study, BenchmarkResult)
 def tables_of(result: computed.BenchmarkResult) -> dict[str, pd.DataFrame]:
     """Return the tables of a study by name.
 
-    ``complementarity``, which compares GPS with lidar, is among them only where the maps hold every built-in metric of
-    which 1 is the best, as all maps made by jaxurban do.
+    ``complementarity``, which compares GPS with lidar, is among them only where the maps hold both.
     """
     table = result.table
     tables = {
@@ -66,8 +64,7 @@ def tables_of(result: computed.BenchmarkResult) -> dict[str, pd.DataFrame]:
         "usage": analysis.usage(table),
         "objectives": analysis.objectives(table),
     }
-    names = {name for name, metric in METRICS.items() if metric.one_is == "best"}
-    if names.issubset(result.maps.metrics):
+    if set(analysis.SENSORS) <= set(result.maps.metrics):
         altitudes_m = sorted(table.altitude_m.unique())
         tables["complementarity"] = complementarity(result.maps, altitudes_m=altitudes_m)
     return tables

@@ -24,6 +24,7 @@ CHEAPER = 1e-3  # log of the ratio of two costs from which one is cheaper: 0.1 %
 OFTEN = 0.8  # least share of joined pairs solved for a planner's metrics to be compared
 NEAR_SHARE = 0.9  # least share of joined pairs near the best for a planner to be called near it
 RELIABLE = 0.95  # least share of joined pairs solved for a planner to be advised
+SENSORS = ("gps", "lidar")  # the metrics of two sensors that may complement each other
 GOOD = 0.5  # a sensor serves where its m is at least this
 TILE_M = 500.0  # cells nearer than this are much alike, so whole tiles are drawn
 FEWEST = 0.005  # share of cells where GPS is poor, below which nothing is said about them

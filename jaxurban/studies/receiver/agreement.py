@@ -477,6 +477,6 @@ def verdict_of(
         )
     return (
         f"What this receiver hears {where} is predicted better from the margin to the shadow's edge and the elevation "
-        f"than from the elevation and the street's direction: {gained}; C/N0 separates seen from hidden satellites with "
-        f"{auc}, and displaced cities reach at most {most:.2f}."
+        f"than from the elevation and the street's direction: {gained}; C/N0 separates seen from hidden satellites "
+        f"with {auc}, and displaced cities reach at most {most:.2f}."
     )
