@@ -262,7 +262,9 @@ def _fault_modes(prior, p_unmonitored):
             is_enough = p_left <= p_unmonitored and p_pair[pair] < p_mode[num_modes - 1] * SAME
             if is_enough or p_pair[pair] == 0:
                 break
-            modes[num_modes], p_mode[num_modes] = pairs[pair], p_pair[pair]
+            modes[num_modes, 0] = pairs[pair, 0]
+            modes[num_modes, 1] = pairs[pair, 1]
+            p_mode[num_modes] = p_pair[pair]
             p_left -= p_pair[pair]
             num_modes += 1
     return modes[:num_modes], p_mode[:num_modes], p_left

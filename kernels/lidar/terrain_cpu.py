@@ -79,21 +79,18 @@ def count_on_terrain_on_host(
 
             around_m = ground_m, rise_m, own_m, highest_m
             for count, heights_m in zip(tile, beams_m, strict=True):
-                _count(count, *around_m, heights_m, looks, first_ray, rays, num_azimuths)
+                count[:] = _count(*around_m, heights_m, looks, first_ray, rays, num_azimuths)
     return counts
 
 
 @compiled()
-def _count(
-    counts, ground_m, rise_m, own_m, highest_m, heights_m, looks, first_ray, rays, num_azimuths
-):
-    """Count the scan positions that return to the receivers of a tile at one altitude, and fill ``counts`` with them.
+def _count(ground_m, rise_m, own_m, highest_m, heights_m, looks, first_ray, rays, num_azimuths):
+    """Return how many scan positions return to the receivers of a tile at one altitude, ``[r, c]`` int32.
 
     A ray's state is the number of its lowest beams that have ended, or `RETURNED`. Looks are in order of steps, so each
     ray looks at its cells from near to far.
 
     Args:
-      counts: ``[r, c]`` int32, the result.
       ground_m: ``[P, h, w]`` ground elevation around the tile.
       rise_m: ``[P, h, w]`` how far roofs rise above it, -inf where there is none.
       own_m: ``[r, c]`` the receivers' own ground.
@@ -131,7 +128,8 @@ def _count(
 
         # How many beams are not above the roof, and not above the ground, for each receiver: beams ascend, so the
         # first group that is above both ends the loop. A roof's number decides no more once it is above ``most``.
-        num_met[:], num_landed[:] = np.uint8(least), np.uint8(least)
+        num_met.fill(np.uint8(least))
+        num_landed.fill(np.uint8(least))
         for b in range(least, heights_m.shape[1] - AT_ONCE, AT_ONCE):
             meets = b <= most and heights_m[n, b] <= top
             lands = heights_m[n, b] <= ground
@@ -165,7 +163,7 @@ def _count(
         state = states[k]
         for i in range(len(state)):
             returned[i] += np.int32(1) if state[i] == RETURNED else np.int32(0)
-    counts[:] = returned.reshape(own_m.shape)
+    return returned.reshape(own_m.shape)
 
 
 @compiled()
