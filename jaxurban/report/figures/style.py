@@ -26,7 +26,8 @@ from jaxurban.report.write import DPI, Look
 SMALL_PT, TEXT_PT, HEADING_PT = 7.0, 8.0, 10.0  # of tick labels and notes; of titles
 # One column and two of a journal, by the IEEE Author Center's "Size Requirements for Graphics".
 WIDTHS_MM = {"column": 88.9, "page": 182.0}
-LEAST_MM, MM_PER_IN = 60.0, 25.4
+LEAST_MM, MOST_MM = 60.0, 1000.0  # the narrowest on which text can be read, and a poster
+MM_PER_IN = 25.4
 Width = Literal["column", "page"] | float
 INK, FAINT_INK = "#1a1a1a", "#555555"
 HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.2, 0.13, 18.0  # of a line of a heading, of SMALL_PT
@@ -95,13 +96,13 @@ def inches(width: Width) -> float:
       width: ``"column"`` or ``"page"`` of a journal (88.9 or 182 mm), or millimetres.
 
     Raises:
-      InputError: another name, or fewer than 60 millimetres, on which no text can be read.
+      InputError: another name, fewer than 60 millimetres, on which no text can be read, or more than 1,000.
     """
     width_mm = WIDTHS_MM.get(width) if isinstance(width, str) else width
-    if width_mm is None or not LEAST_MM <= width_mm < math.inf:
+    if width_mm is None or not LEAST_MM <= width_mm <= MOST_MM:
         names = " or ".join(f"{name!r} ({each:g} mm)" for name, each in WIDTHS_MM.items())
         raise InputError(
-            f"width must be {names}, or at least {LEAST_MM:g} millimetres, got {width!r}"
+            f"width must be {names}, or from {LEAST_MM:g} to {MOST_MM:g} millimetres, got {width!r}"
         )
     return width_mm / MM_PER_IN
 
