@@ -65,6 +65,7 @@ def counted(code: str, **environment: object) -> tuple[str, int, int, str]:
     return result, loaded, compiled, said
 
 
+@pytest.mark.slow
 def test_damaged_programs_are_compiled_anew_and_written_again_without_a_word(tmp_path):
     line, cache = f"{programs.SENTENCE}\n", {"XDG_CACHE_HOME": tmp_path}
     result, loaded, num, said = counted(COMPUTE, **cache)

@@ -54,6 +54,7 @@ def expected(maps: ju.MetricMaps, name: str, **at: int) -> np.ndarray:
     return maps.ds[name].isel(at).values.astype(np.float64)[..., ::-1, :]
 
 
+@pytest.mark.slow
 def test_what_is_read_back_has_the_bits_of_what_was_held(maps, folder):
     found = ju.open_maps(folder).ds.load()
     xr.testing.assert_identical(found, maps.ds)

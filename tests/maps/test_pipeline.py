@@ -399,6 +399,7 @@ def test_the_gradient_of_a_path_agrees_with_finite_differences_in_everything(sof
     check_gradient(value_and_gradient, inputs)
 
 
+@pytest.mark.slow
 def test_the_gradient_of_the_path_is_that_of_replanned_costs(soft):
     problem = problem_of(soft)
     _, (by_height, by_params, _) = cost_and_slopes(

@@ -116,6 +116,7 @@ def court_problems():
     return [free, free.between((20, 3), (3, 20))]
 
 
+@pytest.mark.slow
 def test_queries_together_give_the_paths_of_each_alone_and_begin_as_numba_does():
     problems = [
         *queries_on_one_map(),

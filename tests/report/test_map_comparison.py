@@ -55,6 +55,7 @@ def test_the_folder_holds_report_tables_maps_and_figures(found, saved):
     assert f"| population is divided by, {a.times_of_day[0]} | `50,000` | `123` |" in report
 
 
+@pytest.mark.slow
 def test_difference_maps_open_elsewhere_north_up_with_band_names(found, saved):
     with rasterio.open(saved / "difference/risk_10m.tif") as file:
         assert file.descriptions == ("20 m", "60 m")

@@ -314,6 +314,7 @@ def test_the_route_stays_the_same_inside_its_range_and_changes_outside(crossed, 
                 assert np.allclose(*sums, rtol=1e-9) == is_same
 
 
+@pytest.mark.slow
 def test_it_shows_what_each_weight_does_its_report_every_file_and_its_figures_their_whole_text(
     found, tmp_path
 ):
