@@ -69,7 +69,7 @@ class _Retry(Retry):
         wait_s = super().get_retry_after(response)
         if wait_s is not None and wait_s > MOST_WAIT_S:
             raise InputError(
-                f"the server is busy and asks to come again in {wait_s:.0f} s: run the same command then"
+                f"the server is busy and asks you to try again in {wait_s:.0f} s: run the same command then"
             )
         return wait_s
 

@@ -62,7 +62,7 @@ def region_guesses(
             share,
             BEYOND_DATA,
             f"the visibility results at {altitude_m:g} m are of rays that leave the data below the highest roof and "
-            "count as clear there, so GPS may look better than it is: give buildings farther around",
+            "count as clear there, so GPS may look better than it is: give the buildings of a wider area",
         )
     else:
         guesses.pop(NOMINAL_SKY, None)

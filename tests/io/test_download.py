@@ -30,7 +30,7 @@ def in_an_hour() -> str:
     return format_datetime(datetime.now(UTC) + timedelta(hours=1), usegmt=True)
 
 
-LATER = r"busy and asks to come again in 3[56]\d\d s"
+LATER = r"busy and asks you to try again in 3[56]\d\d s"
 
 
 def get(url, *, fresh_s=0.0, num_tries=4):
