@@ -43,7 +43,9 @@ def html_page(data: str = "", title: str = "jaxurban") -> str:
       data: all answers as JSON, for a page that has no server; "" for a page that asks its server.
       title: the title of the window, as plain text.
     """
-    answers = data.replace("<", "\\u003c")  # so that no text within it ends the element that holds it
+    answers = data.replace(
+        "<", "\\u003c"
+    )  # so that no text within it ends the element that holds it
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width">\n<link rel="icon" href="data:,">\n'
