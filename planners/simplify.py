@@ -54,9 +54,10 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
     problem.checked_cost(path.points_m)
     begin_s = time.perf_counter()
 
-    # Part by part, each without its first point, which ends the part before.
+    # Simplify part by part, and put parts together, each without its first point, which ends the part before. Parts
+    # that change the level stay.
     parts = [path.points_m[:1]]
-    num_near = 0
+    num_near = 0  # legs that pass nearer than `CLEAR_M`
     for level, first, last in level_parts(problem, path.points_m):
         points_m = path.points_m[first : last + 1]
         if level is not None:
@@ -71,7 +72,7 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
             )
             num_near += int(np.sum(~are_clear(is_free, xy, CLEAR_M / problem.resolution_m)))
             xy_m = xy * problem.resolution_m
-            xy_m[[0, -1]] = points_m[[0, -1], :2]
+            xy_m[[0, -1]] = points_m[[0, -1], :2]  # the ends to the last bit
             altitude_m = np.repeat(points_m[:1, 2:], len(xy_m), axis=0)
             points_m = np.column_stack([xy_m, altitude_m])
         parts.append(points_m[1:])

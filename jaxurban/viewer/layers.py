@@ -81,7 +81,9 @@ class DrawnLayer:
 
         `H_NORM` at no altitude is that of the lowest one.
         """
-        maps, name = self.maps, self.cost_of.name if self.cost_of else self.name
+        maps, name = self.maps, self.name
+        if self.cost_of:
+            name = self.cost_of.name
         if name == POSITION_ERROR:
             return RANGE_ERROR_M * maps.m("hdop", at.altitude_m, time=at.time)
         if name == H_NORM:
@@ -183,7 +185,7 @@ def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "")
       marked on the bar, [] for classes. ``flat`` are the colours (`_packed`) of a cell in an obstacle, of a cell
       without a value, and of the value 0, None where 0 has no colour of its own. ``html`` is the legend.
     """
-    has_data = layer.maps.ds["has_data"].values
+    maps = layer.maps
     zero = ""  # what the value 0 is called where it has a colour of its own
     if difference_label:
         is_changed = np.isfinite(values) & (values != 0)
@@ -199,9 +201,9 @@ def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "")
         patches.append((zero, EMPTY_COLOUR))
     if layer.is_hidden:
         patches.append(("obstacle", layer.blocked))
-    if FIX in layer.maps.ds:
+    if FIX in maps.ds:
         patches.append(NO_FIX_PATCH)
-    if np.isnan(values).any() or not has_data.all():
+    if np.isnan(values).any() or not maps.ds["has_data"].values.all():
         patches.append(NO_DATA_PATCH)
 
     # Classes are patches too and have no bar; a bar has `BAR_COLOURS` colours, each that of its middle.

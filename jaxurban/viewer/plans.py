@@ -182,7 +182,7 @@ class Plans:
             one_of("weight", name, ("distance", *self.maps.metrics))
 
         # Weights that the page does not say stay. The key holds all else that a cost map depends on.
-        weights = Weights.of({**self.weights.to_dict(), **query.weights})
+        weights = Weights.of(self.weights.to_dict() | query.weights)
         key = (
             at,
             query.cost_model,

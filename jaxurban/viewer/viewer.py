@@ -470,9 +470,8 @@ class Viewer:
             words = _words(layer)
             if not words["told"]:
                 continue
-            value = math.nan
-            if not (is_inside and layer.is_hidden):
-                value = self._value_in(layer, cell)
+            is_hidden = is_inside and layer.is_hidden
+            value = math.nan if is_hidden else self._value_in(layer, cell)
             rows.append({"name": name, "value": _number(value), **words})
             if name == "density":
                 words |= {"told": "People in the cell", "unit": ""}
@@ -498,7 +497,7 @@ class Viewer:
         array = self.maps.ds[variable]
         row = cell.row // BLOCK * BLOCK
         col = cell.col // BLOCK * BLOCK
-        part: dict[str, Any] = dict(zip((ALTITUDE, TIME, TIME_OF_DAY), cell.at, strict=True))
+        part: dict[str, Any] = dict(zip(self.axes, cell.at, strict=True))
         part |= {"y": slice(row, row + BLOCK), "x": slice(col, col + BLOCK)}
         # The array may lack some of these dimensions.
         key = "block", layer.name, at, row, col
