@@ -310,8 +310,7 @@ def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
       points_m: ``[N, 3]`` x, y, altitude, which is one of the levels.
     """
     nodes = _nodes_of(problem, points_m)
-    num_levels, num_rows, num_cols = problem.is_free.shape
-    if (nodes < 0).any() or (nodes >= (num_levels, num_rows, num_cols)).any():
+    if (nodes < 0).any() or (nodes >= problem.is_free.shape).any():
         return False
 
     # Legs on one level.

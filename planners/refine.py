@@ -89,12 +89,12 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
     # The path itself, where no cheaper one came of it.
     begin_s -= path.elapsed_s  # so that the search's time counts too
     if not best_cost < cost_before * CHEAPER:
-        note = " ".join(filter(None, (path.note, "Refinement found nothing cheaper.")))
+        note = f"{path.note} Refinement found nothing cheaper.".lstrip()
         return replace(path, elapsed_s=time.perf_counter() - begin_s, note=note)
 
     # Else the new path, whose bound holds for paths of every kind, as a grid planner's own bound does not.
     note = f"Refinement lowered what the search minimises by {1 - best_cost / cost_before:.2%}."
-    ran = path.ran | {"graph": EVERY_PATH, "note": " ".join(filter(None, (path.note, note)))}
+    ran = path.ran | {"graph": EVERY_PATH, "note": f"{path.note} {note}".lstrip()}
     is_spent = is_spent or path.status is Status.BUDGET_FEASIBLE
     status = Status.BUDGET_FEASIBLE if is_spent else Status.FEASIBLE
     lower_bound = make_bounds("plus", problem, is_reachable).from_start_to_goal()

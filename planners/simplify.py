@@ -86,12 +86,11 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
     elif status is Status.OPTIMAL:
         status = Status.FEASIBLE
 
-    notes = [path.note]
+    note = path.note
     if num_near:
-        notes.append(
-            f"{num_near} of its legs pass nearer than {100 * CLEAR_M:g} cm to a closed cell, as the planned path does."
-        )
-    ran = path.ran | {"note": " ".join(filter(None, notes))}
+        near = f"{num_near} of its legs pass nearer than {100 * CLEAR_M:g} cm to a closed cell"
+        note = f"{note} {near}, as the planned path does.".lstrip()
+    ran = path.ran | {"note": note}
     return Path.of(problem, points_m, status, path.lower_bound, begin_s - path.elapsed_s, **ran)
 
 

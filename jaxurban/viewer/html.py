@@ -43,9 +43,8 @@ def html_page(data: str = "", title: str = "jaxurban") -> str:
       data: all answers as JSON, for a page that has no server; "" for a page that asks its server.
       title: the title of the window, as plain text.
     """
-    answers = data.replace(
-        "<", "\\u003c"
-    )  # so that no text within it ends the element that holds it
+    # No text within it ends the element that holds it.
+    answers = data.replace("<", "\\u003c")
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width">\n<link rel="icon" href="data:,">\n'
@@ -138,8 +137,11 @@ def _page(viewer: Viewer, maps: list[View], stride: int, most_bytes: int) -> byt
     # What the page asks for first; it plans no routes.
     scene = viewer.scene(Request()) | {"strides": [stride], "can_plan": False, "key": ""}
     outlines = base64.b64encode(viewer.answer("outlines", {}).body).decode()
-    answers: dict[str, Any] = {_key("scene", {}): scene, _key("base", {}): viewer.base(Request())}
-    answers[_key("outlines", {})] = outlines
+    answers: dict[str, Any] = {
+        _key("scene", {}): scene,
+        _key("base", {}): viewer.base(Request()),
+        _key("outlines", {}): outlines,
+    }
 
     # Legend and tiles of each map; stop once they alone are too large.
     num_bytes = len(outlines)

@@ -71,15 +71,16 @@ class DrawnLayer:
         values = np.asarray(self._read(at), np.float32)
         if not self.is_hidden or at.altitude_m is None:
             return values
+
         values = np.where(self.maps.is_free(at.altitude_m, "centre"), values, NOTHING)
         is_blocked = (self.maps.m("obstacle", at.altitude_m) != 0) & self.maps.ds["has_data"].values
         np.copyto(values, OBSTACLE, where=is_blocked)
         return values
 
     def _read(self, at: OneMap) -> np.ndarray:
-        """Return the values ``[Y, X]`` without regard to obstacles: a map's, a cost's, or computed from maps.
+        """Return the values ``[Y, X]`` without regard to obstacles: a map's, a metric's cost, or computed from maps.
 
-        `H_NORM` at no altitude is that of the lowest one.
+        The sum of costs, `H_NORM`, is that of the lowest altitude where none is asked for.
         """
         maps, name = self.maps, self.name
         if self.cost_of:
@@ -89,6 +90,7 @@ class DrawnLayer:
         if name == H_NORM:
             altitude_m = maps.altitudes_m[0] if at.altitude_m is None else at.altitude_m
             return maps.normalised(altitude_m, time=at.time, time_of_day=at.time_of_day)
+
         # A map, or what is computed from several maps at an altitude.
         if maps.variable(name) not in maps.ds and at.altitude_m is not None:
             values = values_of(maps, name, at.altitude_m, at.time)
@@ -220,11 +222,11 @@ def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "")
         ticks = bar_ticks(scale)
     return {
         "flat": [_packed(layer.blocked), _packed(NO_DATA_PATCH[1]), zero_pixel],
-        # As fine as a float32.
+        # Digits enough for a float32.
         "edges": [float(f"{edge:.9g}") for edge in np.asarray(edges, float)],
         "colours": base64.b64encode(colours.tobytes()).decode("ascii"),
         "ticks": ticks,
-        # Of every eighth colour the page makes the bar.
+        # Every eighth colour is enough for the bar's gradient.
         "html": legend(plain_label(scale.label), colours[::8, :3], _marks(scale, ticks), patches),
     }
 

@@ -131,7 +131,8 @@ def legend(
     bar = ",".join(f"rgb({r},{g},{b})" for r, g, b in colours.tolist())
     ticks = list(ticks)
 
-    # Texts stand in the middle below their ticks, but the first and the last one within the bar.
+    # Texts stand in the middle below their ticks, but the first and the last one within the bar. (Without ticks these
+    # two shifts have no text.)
     shifts = ["0", *["-50%"] * (len(ticks) - 2), "-100%"]
     marks = "".join(
         f'<span style="left:{100 * place:.2f}%;transform:translateX({shift})">{escape(text)}</span>'

@@ -95,7 +95,8 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         self._give(self._page)
 
-    do_HEAD = do_GET  # `_send` leaves the page out
+    def do_HEAD(self) -> None:
+        self._give(self._page)
 
     def do_POST(self) -> None:
         self._give(self._answer)

@@ -79,7 +79,7 @@ def lonlat_fit(grid: Grid) -> dict[str, np.ndarray]:
     powers = np.array([(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
     line = np.linspace(-1, 1, NUM_FITTED)
     uv = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    low_m, high_m = np.array([[grid.x_min_m, grid.y_min_m], [grid.x_max_m, grid.y_max_m]])
+    low_m, high_m = np.reshape(grid.bounds_m, (2, 2))  # x and y at the southwest and northeast
     x_m, y_m = ((low_m + high_m) / 2 + uv * (high_m - low_m) / 2).T
     lonlat = np.stack(grid.lonlat_of_xy(x_m, y_m), axis=-1)
 

@@ -548,7 +548,7 @@ class Viewer:
             "cost_by_layer": dict(planned.cost_by_layer),
             "button": markup.route_button(query.planner, PLANNER_LINES[query.planner], text, notes),
             "html": markup.costs(planned.cost_by_layer, self._labels, self._colours),
-            "message": " ".join(filter(None, (planned.search.sentence, planned.search.note))),
+            "message": planned.message,
             "command": self.plans.command(query, at),
         }
 
@@ -572,8 +572,8 @@ class Viewer:
         lines = {
             name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()
         }
-        drawing = markup.profile(table, lines, without_fix(table))
-        rules = sentences([("note", rules_said(planned.settings))])
+        profile = markup.profile(table, lines, without_fix(table))
+        profile += sentences([("note", rules_said(planned.settings))])
 
         # The table of totals.
         rows = []
@@ -593,7 +593,7 @@ class Viewer:
         return {
             "cautions": sentences((caution.level, caution) for caution in report.cautions),
             "totals": markup.rows(rows),
-            "profile": drawing + rules,
+            "profile": profile,
             "to_share": np.round(table["to_m"].to_numpy() / length_m, 5),
             "xy": self._on_page(table[["lon", "lat"]].to_numpy()),
             "report-text": escape(report.table()),

@@ -455,15 +455,10 @@ def _cast_along_columns(
         phase=block.phase[::-1],
         last=block.last[::-1],
     )
-
-    def with_corners(col_m: Array, end: int) -> Array:
-        """Return a column of the ring, ``[T]``, between its corners, the first (0) or last (-1) cells of the rows."""
-        return jnp.concatenate([ring.south[end, None], col_m, ring.north[end, None]])
-
     # Rows have the corners of a ring, columns do not.
     turned_ring = Ring(
-        south=with_corners(ring.west, 0),
-        north=with_corners(ring.east, -1),
+        south=jnp.concatenate([ring.south[:1], ring.west, ring.north[:1]]),
+        north=jnp.concatenate([ring.south[-1:], ring.east, ring.north[-1:]]),
         west=ring.south[1:-1],
         east=ring.north[1:-1],
     )

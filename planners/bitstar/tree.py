@@ -198,7 +198,7 @@ class Tree(NamedTuple):
         tree = self.taken(np.argsort(graph.bucket_of(self.xy) + squares_before, kind="stable"))
 
         is_tree = np.isfinite(tree.g)
-        num_tree = int(np.count_nonzero(is_tree))
+        num_tree = np.count_nonzero(is_tree)
         bucket = graph.bucket_of(tree.xy)
         squares = np.arange(graph.num + 1)
 
