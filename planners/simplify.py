@@ -143,11 +143,18 @@ def farthest(before: np.ndarray, after: np.ndarray) -> float:
 
 
 def _divided(xy: np.ndarray, is_far: np.ndarray) -> np.ndarray:
-    """Return the points with others along the legs that are not clear, `PART` apart."""
-    parts = [
-        xy[k : k + 1] if is_far[k] else subdivided(xy[k : k + 2], PART)[0][:-1]
-        for k in range(len(is_far))
-    ]
+    """Return the points ``[N, 2]`` with others between them, `PART` apart, along each leg that is not clear.
+
+    Args:
+      xy: the points, in cell sides.
+      is_far: ``[N - 1]`` whether each leg is clear.
+    """
+    parts = []
+    for k in range(len(is_far)):
+        part = xy[k : k + 2]
+        if not is_far[k]:
+            part, _ = subdivided(part, PART)
+        parts.append(part[:-1])
     return np.concatenate([*parts, xy[-1:]])
 
 

@@ -53,13 +53,14 @@ class Plans:
         self._reports = Kept(NUM_ROUTES, _count_one)
 
     def route(self, query: Plan, at: OneMap) -> PlannedPath:
-        """Return the route of a query at an altitude, time and time of day (``at``, of the query's flight).
+        """Return the route of a query; ``at`` are the altitude, time and time of day of its flight.
 
         Raises:
           InputError: as for `jaxurban.plan`.
         """
 
         def make() -> PlannedPath:
+            """Return the route, planned now."""
             return self._cost_map(query, at).plan(
                 query.start,
                 query.goal,
@@ -78,10 +79,10 @@ class Plans:
           InputError: there is no route.
         """
         planned = self.route(query, at)
-        report = self._reports.get(query.model_dump_json(), lambda: self._explained(planned, query))
+        report = self._reports.get(query.model_dump_json(), lambda: self._explain(planned, query))
         return report, planned
 
-    def _explained(self, planned: PlannedPath, query: Plan) -> RouteReport:
+    def _explain(self, planned: PlannedPath, query: Plan) -> RouteReport:
         """Return the report of a route, flown at the speed and with the power of the query."""
         maps = self.maps.with_obstacles(query.obstacles)
         return explain(planned, maps, speed_m_s=query.speed_m_s, power_w=query.power_w)
@@ -92,8 +93,8 @@ class Plans:
         A format of waypoints gets the `mission`. Where speed or power are given, the file has the report of the flight.
 
         Args:
-          query, at: of the route.
-          suffix: of the file, which names its format.
+          query, at: the query of the route, as in `route`.
+          suffix: ends the file's name, and names its format.
 
         Raises:
           InputError: there is no such format, or no route.
@@ -105,7 +106,7 @@ class Plans:
         if not planned.status.has_path:
             raise InputError(f"there is no route to save: {planned.status.sentence}")
         has_flight = query.speed_m_s is not None or query.power_w is not None
-        report = self._explained(planned, query) if has_flight else None
+        report = self._explain(planned, query) if has_flight else None
         return file_format.encode([("", planned)], report)
 
     def mission(self, query: Plan, at: OneMap) -> PlannedPath:
@@ -191,9 +192,9 @@ class Plans:
             query.vertical_clearance_m,
             query.zones,
         )
-        return self._cost_maps.get(key, lambda: self._made(query, at)).with_weights(weights)
+        return self._cost_maps.get(key, lambda: self._new_cost_map(query, at)).with_weights(weights)
 
-    def _made(self, query: Plan, at: OneMap) -> CostMap:
+    def _new_cost_map(self, query: Plan, at: OneMap) -> CostMap:
         """Return a cost map for a query, made from the maps; the query's weights are not in it yet.
 
         Raises:
@@ -232,7 +233,7 @@ class Plans:
         if not query.zones:
             return limits
 
-        # Zones go through a file, as the command reads them from one.
+        # Zones go through a file, as the command reads them from one; what is no JSON is refused before.
         try:
             json.loads(query.zones)
         except (ValueError, RecursionError) as error:
@@ -244,7 +245,7 @@ class Plans:
 
 
 def _count_one(_: object) -> int:
-    """Return the size of whatever is kept by number."""
+    """Return the size of a thing of which a number is kept, whatever its bytes: 1."""
     return 1
 
 

@@ -103,6 +103,7 @@ class Viewer:
     Attributes:
       key: a text that no other viewer has; a page with another viewer's key gets no answers.
       kept: arrays that were drawn or looked at last.
+      shared, other_layers: what both maps hold, and the layers of the other maps; only with other maps.
     """
 
     def __init__(
@@ -127,7 +128,7 @@ class Viewer:
         if against is not None:
             self.names = name, against_name
             others = against.with_obstacles(self.maps.obstacles)
-            self.shared = MapComparison(self.names, *shared_part(self.maps, others), {})
+            self.shared = MapComparison(self.names, *shared_part(self.maps, others), left_out={})
             self.other_layers = layers_of(self.shared.b)
 
         self.kept = Kept()
@@ -158,9 +159,11 @@ class Viewer:
           RemadeError: the maps were made again.
         """
         self.check_current()
-        kind, make = self._answers[one_of("the request", name, self._answers)]
-        made = make(parse(kind, params))
-        return Answer(BYTES, made) if isinstance(made, bytes) else Answer(JSON, as_json(made))
+        request_type, answer_to = self._answers[one_of("the request", name, self._answers)]
+        result = answer_to(parse(request_type, params))
+        if isinstance(result, bytes):
+            return Answer(BYTES, result)
+        return Answer(JSON, as_json(result))
 
     def check_current(self, key: str = "") -> None:
         """Check that maps and page are the ones that this viewer opened and answers; "" is the key of no page.
@@ -347,14 +350,16 @@ class Viewer:
           InputError: an unknown layer, a number beyond its list, layers of different units, or no other maps.
         """
         values = self._values(view)
-        if view.minus is None:
+        minus = view.minus
+        if minus is None:
             return values
-        if unit_of(self._layer(view.minus)[0]) != unit_of(self.layers[view.layer]):
+        subtracted, _ = self._layer(minus)
+        if unit_of(subtracted) != unit_of(self.layers[view.layer]):
             raise InputError(
-                f"{view.layer} and {view.minus.layer} have different units, so they have no difference: choose "
+                f"{view.layer} and {minus.layer} have different units, so they have no difference: choose "
                 "two layers of one unit"
             )
-        others = self._others(view.minus) if view.minus.is_other else self._values(view.minus)
+        others = self._others(minus) if minus.is_other else self._values(minus)
         return self.kept.get(view.model_dump_json(), lambda: difference(values, others))
 
     def _values(self, view: OneView) -> np.ndarray:
