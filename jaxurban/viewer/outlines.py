@@ -14,7 +14,7 @@ MOST_CORNERS = 400_000  # that are sent, of the largest buildings first
 
 
 def outlines_of(maps: MetricMaps, buildings: Footprints | None) -> bytes:
-    """Return the outlines of the largest buildings, with `MOST_CORNERS` corners at most, as `packed` numbers.
+    """Return the outlines of buildings as `packed` numbers, of the largest ones where all have over `MOST_CORNERS`.
 
     The number of rings, R, comes first. Then come three rows of R numbers: how many corners each ring has, its height
     in metres above the ground, and 1 where that height is guessed, else 0. Last come two rows with a number for each
@@ -44,7 +44,7 @@ def outlines_of(maps: MetricMaps, buildings: Footprints | None) -> bytes:
     rings, of_part = shapely.get_rings(parts, return_index=True)
     building = chosen[of_polygon[of_part]]
 
-    # Steps between corners.
+    # Steps between corners, the first one from 0, 0.
     corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
     corners = np.round((shapely.get_coordinates(rings) - corner_m) / STEP_M)
     steps = np.diff(corners, axis=0, prepend=0)
@@ -77,6 +77,7 @@ def _from_roofs(maps: MetricMaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     polygons = shapely.transform(polygons, lambda cells: corner_m + grid.resolution_m * cells)
     polygon_kind = np.array([number for _, number in traced], dtype=int)
 
-    highest_m = np.zeros(2 * len(maps.altitudes_m) + 2)  # by kind
+    # The highest roof of each kind.
+    highest_m = np.zeros(2 * len(maps.altitudes_m) + 2)
     np.maximum.at(highest_m, kind, roof_m)
     return polygons, highest_m[polygon_kind], polygon_kind % 2 == 1

@@ -68,7 +68,7 @@ def _picture(sky: SkyAt, colours: dict[str, str]) -> str:
 
     Args:
       sky: the sky, with the elevation of its horizon in each whole degree of azimuth, NaN where it is not known.
-      colours: by system of satellites.
+      colours: a colour of CSS for each system of satellites, by its name.
     """
     # The open sky, white, on a disk of buildings; rings stand at elevations of 60 and 30 degrees and at the border.
     horizon_deg = np.nan_to_num(sky.horizon_deg)
@@ -113,7 +113,7 @@ def _picture(sky: SkyAt, colours: dict[str, str]) -> str:
 
 
 def _short(row: pd.Series) -> str:
-    """Return the end of a satellite's name, such as G07 or PRN of "GPS BIIR-2  (PRN 13)": its last word."""
+    """Return the last word of a satellite's name, without brackets, such as 13 of "GPS BIIR-2 (PRN 13)"."""
     return row["satellite"].removesuffix(" (nominal)").split()[-1].strip("()")
 
 
