@@ -150,14 +150,14 @@ def _page(viewer: Viewer, maps: list[View], stride: int, most_bytes: int) -> byt
         params = view.model_dump(mode="json", exclude_none=True)
         answers[_key("legend", params)] = viewer.legend(view)
         for row, col in product(range(num_rows), range(num_cols)):
-            of_tile = params | {"stride": stride, "row": row, "col": col}
-            tile = base64.b64encode(viewer.answer("tile", of_tile).body).decode()
-            answers[_key("tile", of_tile)] = tile
+            tile_params = params | {"stride": stride, "row": row, "col": col}
+            tile = base64.b64encode(viewer.answer("tile", tile_params).body).decode()
+            answers[_key("tile", tile_params)] = tile
             num_bytes += len(tile)
         if num_bytes > most_bytes:
             return None
 
-    # The rest adds a little.
+    # With all else the page may still be too large.
     page = html_page(as_json(answers).decode(), viewer.name).encode()
     return page if len(page) <= most_bytes else None
 

@@ -1,6 +1,7 @@
 """The sky over a place as the page shows it: a round picture, and a row for each satellite."""
 
 from html import escape
+from itertools import cycle
 
 import numpy as np
 import pandas as pd
@@ -23,7 +24,7 @@ def sky_html(sky: SkyAt) -> str:
 
     # A colour for each system of satellites, from the first again where there are more systems than colours.
     systems = list(dict.fromkeys(sky.table["system"]))
-    colours = dict(zip(systems, np.resize(SERIES_COLOURS, len(systems)).tolist(), strict=True))
+    colours = dict(zip(systems, cycle(SERIES_COLOURS), strict=False))
 
     facts = {
         "Satellites": ", ".join(f"{num} {state}" for state, num in counts.items()),
