@@ -145,6 +145,9 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
       satellites: from `geometry`.
       weights: ``[S, ...]`` 1 for a satellite that is seen, 0 for one that is not, or between; ``...`` are any axes of
         cells.
+
+    Returns:
+      The DOPs, each ``[...]``.
     """
 
     def over(per_satellite: Array | np.ndarray) -> Array:
@@ -166,7 +169,7 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
 
     # Take the weighted mean of each clock's satellites off the rows.
     weighed = weights * over(satellites.weights)
-    sums = by_clock(jnp.ones_like(satellites.weights), weighed)
+    sums = by_clock(jnp.ones_like(satellites.weights), weighed)  # [C, ...] of the weights
     is_seen = sums > LEAST_CLOCK
     divisors = jnp.where(is_seen, sums, 1.0)
     means = [
@@ -204,6 +207,7 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
         roots = jnp.sqrt(jnp.where(is_determined, squared, 1.0))
         return jnp.where(is_determined, roots, jnp.inf)[0]
 
+    # Variances of the position along east, north and up, and of each clock.
     east, north, up = (variance(list(row)) for row in jnp.asarray(satellites.basis))
     # Mean direction of each clock's satellites under the weights: that of all of them, plus the mean of their rows.
     toward = [over(mean) + seen for mean, seen in zip(satellites.means.T, means, strict=True)]
@@ -215,6 +219,7 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
         share = jnp.where(
             is_seen, _smooth_step(by_clock(jnp.ones_like(satellites.weights), weights)), 0.0
         )
+    # What the clocks before leave of 1.
     left = jnp.cumprod(jnp.concatenate([jnp.ones_like(share[:1]), 1 - share[:-1]]), axis=0)
     clock = total(left * share * of_clocks)
     position = east + north + up

@@ -227,21 +227,24 @@ def _fault_modes(prior, p_unmonitored):
       ``[K, 2]`` numbers of each mode's events, the second one `NO_EVENT` for a single event; ``[K]`` its prior; what is
       left.
     """
-    # The elementary symmetric sums: of_order[k] is the sum of the products of every k priors.
-    num = len(prior)
-    of_order = np.zeros(num + 1)
-    of_order[0] = 1.0
-    for event in range(num):
+    # The elementary symmetric sums: p_of_order[k] is the sum of the products of every k priors. Each event adds to all
+    # orders from the highest down, so that it is in no product twice.
+    num_events = len(prior)
+    p_of_order = np.zeros(num_events + 1)
+    p_of_order[0] = 1.0
+    for event in range(num_events):
         for order in range(event + 1, 0, -1):
-            of_order[order] += of_order[order - 1] * prior[event]
+            p_of_order[order] += p_of_order[order - 1] * prior[event]
 
     # Pairs are needed only where single events leave too much.
-    p_left = of_order[2:].sum()
-    num_pairs = num * (num - 1) // 2 if p_left > p_unmonitored else 0
-    modes = np.full((num + num_pairs, 2), NO_EVENT)
-    p_mode = np.empty(num + num_pairs)
+    p_left = p_of_order[2:].sum()
+    num_pairs = num_events * (num_events - 1) // 2 if p_left > p_unmonitored else 0
+
+    # Single events.
+    modes = np.full((num_events + num_pairs, 2), NO_EVENT)
+    p_mode = np.empty(num_events + num_pairs)
     num_modes = 0
-    for event in range(num):
+    for event in range(num_events):
         if prior[event] > 0:
             modes[num_modes, 0] = event
             p_mode[num_modes] = prior[event]
@@ -251,13 +254,14 @@ def _fault_modes(prior, p_unmonitored):
     if num_pairs:
         pairs = np.empty((num_pairs, 2), np.int64)
         p_pair = np.empty(num_pairs)
-        place = 0
-        for event in range(num):
-            for other_event in range(event + 1, num):
-                pairs[place, 0] = event
-                pairs[place, 1] = other_event
-                p_pair[place] = prior[event] * prior[other_event]
-                place += 1
+        pair = 0
+        for event in range(num_events):
+            for other_event in range(event + 1, num_events):
+                pairs[pair, 0] = event
+                pairs[pair, 1] = other_event
+                p_pair[pair] = prior[event] * prior[other_event]
+                pair += 1
+        # Pairs of equal priors stay in their order, and are taken all or none.
         for pair in np.argsort(-p_pair, kind="mergesort"):
             is_enough = p_left <= p_unmonitored and p_pair[pair] < p_mode[num_modes - 1] * SAME
             if is_enough or p_pair[pair] == 0:

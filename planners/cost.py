@@ -300,18 +300,17 @@ def _nodes_in(problem: "Problem", cut: Crossings) -> Index:
 
 
 def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
-    """Return whether a path through a volume is valid.
+    """Return whether a path through a volume is valid; one that leaves the map is not.
 
     Each leg on one level must be a free way there. Each step that changes the level must be one that the search may
-    take: it leads to a neighbour, and its horizontal part is allowed on both of its levels.
+    take: it leads from a free cell to a neighbour that is free, and its horizontal part is allowed on both levels.
 
     Args:
-      problem: of a volume.
-      points_m: ``[N, 3]`` x, y, altitude.
+      problem: a query in a volume.
+      points_m: ``[N, 3]`` x, y, altitude, which is one of the levels.
     """
     nodes = _nodes_of(problem, points_m)
-    num_levels, num_rows, num_cols = problem.is_free.shape
-    if (nodes < 0).any() or (nodes >= (num_levels, num_rows, num_cols)).any():
+    if (nodes < 0).any() or (nodes >= problem.is_free.shape).any():
         return False
 
     # Legs on one level.
@@ -322,43 +321,49 @@ def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
         if level is not None and not _is_way(problem, problem.is_free[level], way):
             return False
 
-    # Ends of steps that change the level, or the only point: neighbours, and free.
-    is_node = np.append(is_climb, len(nodes) == 1) | np.append(False, is_climb)
-    if (
-        np.abs(steps[is_climb]).max(initial=0) > 1
-        or not problem.is_free[tuple(nodes[is_node].T)].all()
-    ):
+    # Ends of steps that change the level (a path of one point counts as one) are neighbours, and free.
+    begins_climb = np.append(is_climb, len(nodes) == 1)
+    ends_climb = np.append(False, is_climb)
+    is_free = problem.is_free[tuple(nodes[begins_climb | ends_climb].T)]
+    if np.abs(steps[is_climb]).max(initial=0) > 1 or not is_free.all():
         return False
 
-    # The bit of the horizontal part of each step, 0 straight up or down, must be set on both levels.
-    bit = (steps[is_climb, None, 1:] == np.array(STEPS)).all(axis=2) @ (1 << np.arange(len(STEPS)))
-    (level, row, col), to_level = nodes[:-1][is_climb].T, nodes[1:, 0][is_climb]
-    return bool(
-        np.all(problem.moves[level, row, col] & problem.moves[to_level, row, col] & bit == bit)
-    )
+    # The bit of the horizontal part of each such step, 0 straight up or down, is set on both levels.
+    is_step = (steps[is_climb, None, 1:] == np.array(STEPS)).all(axis=2)
+    bit = is_step @ (1 << np.arange(len(STEPS)))
+    level, row, col = nodes[:-1][is_climb].T
+    to_level = nodes[1:, 0][is_climb]
+    moves = problem.moves[level, row, col] & problem.moves[to_level, row, col]
+    return bool(np.all(moves & bit == bit))
 
 
 def level_parts(problem: "Problem", points_m: np.ndarray) -> list[tuple[int | None, int, int]]:
     """Return the parts of a path in order, each as its level, the number of its first point and that of its last.
 
-    The level of a part that climbs or descends is None. On one altitude the path is one part of level 0; a path of one
+    A part is as many legs on one level as follow each other, or as many that climb or descend, whose level is None. It
+    begins at the point where the part before ends. On one altitude the path is one part of level 0; a path of one
     point in a volume has no part.
 
     Args:
       problem: the query.
-      points_m: ``[N, 2]``, in a volume ``[N, 3]``.
+      points_m: ``[N, 2]``, in a volume ``[N, 3]`` with the altitude, which is one of the levels.
     """
-    last = len(points_m) - 1
+    last_point = len(points_m) - 1
     if problem.levels_m is None:
-        return [(0, 0, last)]
+        return [(0, 0, last_point)]
+    if not last_point:
+        return []
+
     # Cut where legs on a level and legs that climb or descend follow each other.
     is_level = np.diff(points_m[:, 2]) == 0  # of each leg
-    cuts = [0, *(np.flatnonzero(is_level[1:] != is_level[:-1]) + 1).tolist(), last]
-    level = np.searchsorted(problem.levels_m, points_m[:, 2])
-    if not last:
-        return []
-    # A part's first leg says whether all of them lie on a level.
-    return [(int(level[a]) if is_level[a] else None, a, b) for a, b in pairwise(cuts)]
+    changes = np.flatnonzero(is_level[1:] != is_level[:-1]) + 1
+    levels = np.searchsorted(problem.levels_m, points_m[:, 2]).tolist()
+    parts = []
+    for first, last in pairwise([0, *changes.tolist(), last_point]):
+        # A part's first leg says whether all of them lie on a level.
+        level = levels[first] if is_level[first] else None
+        parts.append((level, first, last))
+    return parts
 
 
 def sample_segment(start_m: np.ndarray, end_m: np.ndarray, step_m: float) -> np.ndarray:

@@ -56,8 +56,9 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
     check_line_model(problem, "refinement")
     if not path.status.has_path:
         return path
-    before = problem.checked_cost(path.points_m)  # the cost
+    cost_before = problem.checked_cost(path.points_m)
 
+    # The map, of which only what the start is joined to counts, and the waypoints in cell sides.
     begin_s = time.perf_counter()
     end_s = begin_s + budget_s
     islands = problem.islands
@@ -68,8 +69,8 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
         path.points_m / problem.resolution_m, np.array(problem.is_free.shape[::-1]) * INSIDE
     )
 
-    # Level by level, the cheapest so far is subdivided, moved and shortcut.
-    best = before
+    # Level by level, the cheapest path so far is subdivided, moved (in place) and shortcut.
+    best_cost = cost_before
     points_m = path.points_m
     is_spent = False
     for spacing in SPACINGS:
@@ -77,24 +78,25 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
         _move(cost_grid, moved, end_s)
         moved = shortened(cost_grid, moved)
         moved_m = moved * problem.resolution_m
-        moved_m[[0, -1]] = path.points_m[[0, -1]]
+        moved_m[[0, -1]] = path.points_m[[0, -1]]  # the ends to the last bit
         cost = problem.cost_of(moved_m)
-        if cost < best:
-            xy, points_m, best = moved, moved_m, cost
+        if cost < best_cost:
+            xy, points_m, best_cost = moved, moved_m, cost
         is_spent = time.perf_counter() >= end_s
         if is_spent:
             break
 
+    # The path itself, where no cheaper one came of it.
     begin_s -= path.elapsed_s  # so that the search's time counts too
-    if not best < before * CHEAPER:
-        note = " ".join(filter(None, (path.note, "Refinement found nothing cheaper.")))
+    if not best_cost < cost_before * CHEAPER:
+        note = f"{path.note} Refinement found nothing cheaper.".lstrip()
         return replace(path, elapsed_s=time.perf_counter() - begin_s, note=note)
 
-    note = f"Refinement lowered what the search minimises by {1 - best / before:.2%}."
-    ran = path.ran | {"graph": EVERY_PATH, "note": " ".join(filter(None, (path.note, note)))}
+    # Else the new path, whose bound holds for paths of every kind, as a grid planner's own bound does not.
+    note = f"Refinement lowered what the search minimises by {1 - best_cost / cost_before:.2%}."
+    ran = path.ran | {"graph": EVERY_PATH, "note": f"{path.note} {note}".lstrip()}
     is_spent = is_spent or path.status is Status.BUDGET_FEASIBLE
     status = Status.BUDGET_FEASIBLE if is_spent else Status.FEASIBLE
-    # A grid planner's own bound holds for grid paths only.
     lower_bound = make_bounds("plus", problem, is_reachable).from_start_to_goal()
     return Path.of(problem, points_m, status, lower_bound, begin_s, **ran)
 

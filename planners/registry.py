@@ -171,11 +171,13 @@ def solve_many(
       InputError: an unknown planner, heuristic or backend, a planner or heuristic that ``"jax"`` does not
         have, or a wrong number of threads.
     """
+    # These raise the errors.
     find_planner(planner, heuristic)
     one_of("backend", backend, get_args(Backend))
     if num_threads is not None:
         at_least("num_threads", num_threads, 1)
 
+    # Sampling planners in JAX: batch by batch, with the same seed for all.
     only = range(len(problems)) if only is None else only
     if backend == "jax" and planner in SAMPLING_PLANNERS:
         some = [problems[index] for index in only]
@@ -188,23 +190,28 @@ def solve_many(
         )
         return ((only[k], path) for k, path in paths)
 
+    # All else is chosen now, from all problems, and run as the iterator goes on.
     runs_in_jax = _runs_in_jax(backend, planner, heuristic, len(problems))
     num_threads = num_threads or _num_processors()
     heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
     run = partial(_in_threads, problems, num_threads=num_threads)
 
     def outcomes() -> Generator[Outcome]:
-        """Yield queries that share a goal first, then all others by heuristic, or together in JAX."""
+        """Yield the outcomes: first of queries that share a goal, then of all others by heuristic, or together in JAX.
+
+        The fields that queries share are made before these queries run, and kept in the cache of their map.
+        """
+        # Queries that share a goal. Under "exact" by name each query makes its goal's field itself, in its thread.
         shared = []
-        # Under "exact" by name each query makes its goal's field itself, in its thread.
         if heuristic != "exact":
             shared = [k for k in only if heuristics[k] == "exact"]
         for same_goal in _by_map_and_goal(problems, shared):
-            # Made here and kept with the map, so that the searches only walk down on it.
+            # This fills the cache with the goal's field, on which the searches only walk down.
             cost_to_go(problems[same_goal[0]])
             walk = partial(find_planner(planner, "exact"), budget_s=budget_s, seed=seed)
             yield from run(same_goal, walk)
 
+        # All others together in JAX.
         alone = sorted(set(only) - set(shared))
         if runs_in_jax:
             together = [problems[k] for k in alone]
@@ -212,7 +219,7 @@ def solve_many(
                 yield alone[k], path
             return
 
-        # One problem of each map that needs landmarks, which all of the map's queries share.
+        # Or by heuristic. Landmarks are made first, from one problem of each map that needs them, into the map's cache.
         with_landmarks = {
             problems[k].cache: problems[k] for k in alone if heuristics[k] == "landmarks"
         }

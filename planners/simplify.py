@@ -54,9 +54,10 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
     problem.checked_cost(path.points_m)
     begin_s = time.perf_counter()
 
-    # Part by part, each without its first point, which ends the part before.
+    # Simplify part by part, and put parts together, each without its first point, which ends the part before. Parts
+    # that change the level stay.
     parts = [path.points_m[:1]]
-    num_near = 0
+    num_near = 0  # legs that pass nearer than `CLEAR_M`
     for level, first, last in level_parts(problem, path.points_m):
         points_m = path.points_m[first : last + 1]
         if level is not None:
@@ -71,7 +72,7 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
             )
             num_near += int(np.sum(~are_clear(is_free, xy, CLEAR_M / problem.resolution_m)))
             xy_m = xy * problem.resolution_m
-            xy_m[[0, -1]] = points_m[[0, -1], :2]
+            xy_m[[0, -1]] = points_m[[0, -1], :2]  # the ends to the last bit
             altitude_m = np.repeat(points_m[:1, 2:], len(xy_m), axis=0)
             points_m = np.column_stack([xy_m, altitude_m])
         parts.append(points_m[1:])
@@ -85,12 +86,11 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
     elif status is Status.OPTIMAL:
         status = Status.FEASIBLE
 
-    notes = [path.note]
+    note = path.note
     if num_near:
-        notes.append(
-            f"{num_near} of its legs pass nearer than {100 * CLEAR_M:g} cm to a closed cell, as the planned path does."
-        )
-    ran = path.ran | {"note": " ".join(filter(None, notes))}
+        near = f"{num_near} of its legs pass nearer than {100 * CLEAR_M:g} cm to a closed cell"
+        note = f"{note} {near}, as the planned path does.".lstrip()
+    ran = path.ran | {"note": note}
     return Path.of(problem, points_m, status, path.lower_bound, begin_s - path.elapsed_s, **ran)
 
 
@@ -143,11 +143,18 @@ def farthest(before: np.ndarray, after: np.ndarray) -> float:
 
 
 def _divided(xy: np.ndarray, is_far: np.ndarray) -> np.ndarray:
-    """Return the points with others along the legs that are not clear, `PART` apart."""
-    parts = [
-        xy[k : k + 1] if is_far[k] else subdivided(xy[k : k + 2], PART)[0][:-1]
-        for k in range(len(is_far))
-    ]
+    """Return the points ``[N, 2]`` with others between them, `PART` apart, along each leg that is not clear.
+
+    Args:
+      xy: the points, in cell sides.
+      is_far: ``[N - 1]`` whether each leg is clear.
+    """
+    parts = []
+    for k in range(len(is_far)):
+        part = xy[k : k + 2]
+        if not is_far[k]:
+            part, _ = subdivided(part, PART)
+        parts.append(part[:-1])
     return np.concatenate([*parts, xy[-1:]])
 
 

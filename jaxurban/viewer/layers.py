@@ -20,14 +20,13 @@ from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.markup import legend
 
 H_NORM, COST_OF, POSITION_ERROR = "h_norm", "cost:", "position_error"
+BAR_COLOURS = 256  # steps of the bar of a layer without classes
 RANGE_ERROR_M = 5.0  # of a satellite's range, standard deviation, a round figure: the position's is HDOP times it
 ERROR_LABEL = f"Horizontal position error in metres, low is good: HDOP x {RANGE_ERROR_M:g} m"
 ERROR_COLOURS = Colours("viridis_r", Normalize(0, 50), ERROR_LABEL, extend="max")
 NO_FIX_PATCH = ("no fix", "repeating-linear-gradient(135deg,#d01824 0 2px,transparent 2px 4px)")
-OBSTACLE, NOTHING = (
-    np.float32(-np.inf),
-    np.float32(np.nan),
-)  # how values travel: a cell in an obstacle; one not drawn
+# How values travel of a cell in an obstacle, and of a cell that is not drawn.
+OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)
 
 
 @dataclass(frozen=True)
@@ -35,11 +34,11 @@ class DrawnLayer:
     """A layer of maps that can be drawn.
 
     Attributes:
-      maps: that it is of.
-      name: as requests name it.
-      variable: what it is.
-      group: of the list that it stands in.
-      cost_of: the metric whose cost it is, if it is one's.
+      maps: the maps.
+      name: the layer's name in requests.
+      variable: its heading, unit, classes and dimensions.
+      group: heading of the list in which the page offers it.
+      cost_of: the metric whose cost the layer is; None for a layer that is no cost of one metric.
     """
 
     maps: MetricMaps
@@ -50,7 +49,7 @@ class DrawnLayer:
 
     @property
     def dims(self) -> tuple[str, ...]:
-        """Of ``altitude``, ``time`` and ``time_of_day``, those that it varies with."""
+        """Which of ``altitude``, ``time`` and ``time_of_day`` it varies with."""
         return self.variable.dims
 
     @property
@@ -64,23 +63,35 @@ class DrawnLayer:
         return BLOCKED_COLOUR if self.name == H_NORM else OBSTACLE_COLOUR
 
     def values(self, at: OneMap) -> np.ndarray:
-        """Return ``[Y, X]`` float32; at an altitude `OBSTACLE` and `NOTHING` stand where there is no value."""
+        """Return the values ``[Y, X]`` float32 at an altitude, time and time of day.
+
+        In a layer without values inside obstacles, a cell that is not free at the altitude is `OBSTACLE` where
+        the obstacle is in the maps, and `NOTHING` where they have no data.
+        """
         values = np.asarray(self._read(at), np.float32)
         if not self.is_hidden or at.altitude_m is None:
             return values
+
         values = np.where(self.maps.is_free(at.altitude_m, "centre"), values, NOTHING)
         is_blocked = (self.maps.m("obstacle", at.altitude_m) != 0) & self.maps.ds["has_data"].values
         np.copyto(values, OBSTACLE, where=is_blocked)
         return values
 
     def _read(self, at: OneMap) -> np.ndarray:
-        """Return the values that a layer shows, ``[Y, X]``: a map's, a cost's, or what is computed from maps."""
-        maps, name = self.maps, self.cost_of.name if self.cost_of else self.name
+        """Return the values ``[Y, X]`` without regard to obstacles: a map's, a metric's cost, or computed from maps.
+
+        The sum of costs, `H_NORM`, is that of the lowest altitude where none is asked for.
+        """
+        maps, name = self.maps, self.name
+        if self.cost_of:
+            name = self.cost_of.name
         if name == POSITION_ERROR:
             return RANGE_ERROR_M * maps.m("hdop", at.altitude_m, time=at.time)
         if name == H_NORM:
             altitude_m = maps.altitudes_m[0] if at.altitude_m is None else at.altitude_m
             return maps.normalised(altitude_m, time=at.time, time_of_day=at.time_of_day)
+
+        # A map, or what is computed from several maps at an altitude.
         if maps.variable(name) not in maps.ds and at.altitude_m is not None:
             values = values_of(maps, name, at.altitude_m, at.time)
         else:
@@ -88,7 +99,10 @@ class DrawnLayer:
         return np.asarray(self.cost_of.cost(values)) if self.cost_of else values
 
     def colours(self, values: np.ndarray) -> Colours:
-        """Return how these values are drawn."""
+        """Return the colour map, scale and label by which values ``[Y, X]`` of this layer are drawn.
+
+        A layer that varies with nothing has a scale of its own values; all maps of another layer share one scale.
+        """
         if self.name == H_NORM:
             return COST_COLOURS
         if self.name == POSITION_ERROR:
@@ -96,6 +110,8 @@ class DrawnLayer:
         metric = self.cost_of
         if metric is None:
             return metric_colours(self.maps, self.name, None if self.dims else values)
+
+        # A cost has the metric's colours, so that the same cell looks alike in both.
         label = f"c_{metric.name}, cost before its weight (0: best, 1: worst)"
         colour_map = metric.colour_map
         if metric.cost is not high_is_bad:
@@ -104,22 +120,31 @@ class DrawnLayer:
 
 
 def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
-    """Return every layer of these maps that can be drawn, by name, those that are looked at most first."""
+    """Return every layer of these maps that can be drawn, by name.
+
+    The order is that of the page's list: metrics, costs, satellites, the ground, all else.
+    """
     variables = drawn_variables(maps)
     layers: dict[str, DrawnLayer] = {}
 
     def add(name: str, variable: Variable, group: str, cost_of: Metric | None = None) -> None:
+        """Add a layer behind the others."""
         layers[name] = DrawnLayer(maps, name, variable, group, cost_of)
 
+    # Metrics, and their costs together, which vary with all that a metric varies with.
     metric_dims = [ALTITUDE]
     for name in maps.metrics:
         add(name, variables[name], "Metrics")
         metric_dims += variables[name].dims
     total = Variable(H_NORM, "all costs together, H_norm", dims=tuple(dict.fromkeys(metric_dims)))
     add(H_NORM, total, "Costs")
+
+    # The cost of each metric.
     for name, metric in maps.metrics.items():
         cost = Variable(f"{COST_OF}{name}", f"cost of {metric.label}", dims=variables[name].dims)
         add(cost.name, cost, "Costs", metric)
+
+    # What the page computes from HDOP, then the variables that are no metric.
     if "hdop" in variables:
         dims = variables["hdop"].dims
         error = Variable(POSITION_ERROR, "horizontal position error", dims=dims, unit="m")
@@ -132,16 +157,17 @@ def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
 
 
 def _group(maps: MetricMaps, variable: Variable) -> str:
-    """Return the list that a variable stands in, beside metrics and costs."""
+    """Return the heading of the list in which a variable stands that is neither a metric nor a cost."""
     if variable.of and TIME in maps.metrics[variable.of].dims:
         return "Satellites"
     return "Further maps" if ALTITUDE in variable.dims and variable.name != "obstacle" else "Ground"
 
 
 def difference(values: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return ``[Y, X]`` values less others: `OBSTACLE` where either is, `NOTHING` where one has no finite value.
+    """Return values less others, both ``[Y, X]`` float32 as they travel.
 
-    Where both are infinite, as dilutions of precision without a fix, the difference is 0.
+    It is `OBSTACLE` where either of them is, and `NOTHING` where it is not finite. Where both are infinite, as
+    dilutions of precision without a fix, the difference is 0.
     """
     with np.errstate(invalid="ignore"):
         change = np.where(values == others, np.float32(0), values - others)
@@ -151,24 +177,29 @@ def difference(values: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "") -> dict[str, Any]:
-    """Return how values become colours on the page, as JSON holds it.
+    """Return how values ``[Y, X]`` of a layer become colours on the page, as JSON holds it.
 
     With a ``difference_label`` the values are differences, drawn on a scale as far on either side of 0.
 
-    ``edges`` has one number more than there are ``colours`` (base64; red, green, blue and 255): colour k is drawn from
-    edge k up to edge k + 1, the first and the last one beyond them too. ``flat`` are the colours of cells in obstacles,
-    of those without a value, and of a value of 0, where that is drawn apart; ``html`` is the legend.
+    Returns:
+      ``edges``, ``[N + 1]`` values, and ``colours``, ``[N, 4]`` bytes (red, green, blue and 255) in base64: colour k is
+      drawn from edge k up to edge k + 1, the first and the last one beyond them too. ``ticks`` are the values that are
+      marked on the bar, [] for classes. ``flat`` are the colours (`_packed`) of a cell in an obstacle, of a cell
+      without a value, and of the value 0, None where 0 has no colour of its own. ``html`` is the legend.
     """
     maps = layer.maps
+    zero = ""  # what the value 0 is called where it has a colour of its own
     if difference_label:
         is_changed = np.isfinite(values) & (values != 0)
-        scale, zero = difference_colours(np.abs(values[is_changed]), difference_label), ""
+        scale = difference_colours(np.abs(values[is_changed]), difference_label)
     else:
-        scale, zero = layer.colours(values), layer.variable.scale.zero
-    flat = [_packed(layer.blocked), _packed(NO_DATA_PATCH[1]), None]
+        scale = layer.colours(values)
+        zero = layer.variable.scale.zero
+
+    # Flat colours: of pixels, and of the patches of the legend.
+    zero_pixel = _packed(EMPTY_COLOUR) if zero else None
     patches = []
     if zero:
-        flat[2] = _packed(EMPTY_COLOUR)
         patches.append((zero, EMPTY_COLOUR))
     if layer.is_hidden:
         patches.append(("obstacle", layer.blocked))
@@ -176,29 +207,42 @@ def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "")
         patches.append(NO_FIX_PATCH)
     if np.isnan(values).any() or not maps.ds["has_data"].values.all():
         patches.append(NO_DATA_PATCH)
-    if isinstance(scale.norm, BoundaryNorm):  # classes, and no bar
-        edges, ticks, marks = scale.norm.boundaries, [], []
+
+    # Classes are patches too and have no bar; a bar has `BAR_COLOURS` colours, each that of its middle.
+    ticks: list[float] = []
+    if isinstance(scale.norm, BoundaryNorm):
+        edges = scale.norm.boundaries
         colours = scale.cmap(np.arange(len(edges) - 1), bytes=True)  # type: ignore[operator]
         patches = [*layer.variable.classes, *patches]
     else:
-        steps = np.linspace(0, 1, 257)
+        steps = np.linspace(0, 1, BAR_COLOURS + 1)
         edges = scale.norm.inverse(steps)
-        colours = scale(np.asarray(scale.norm.inverse((steps[:-1] + steps[1:]) / 2)), bytes=True)
+        middles = scale.norm.inverse((steps[:-1] + steps[1:]) / 2)
+        colours = scale(np.asarray(middles), bytes=True)
         ticks = bar_ticks(scale)
-        texts = [tick_label(value) for value in ticks]
-        if scale.extend in ("min", "both"):
-            texts[0] = f"≤ {texts[0]}"
-        if scale.extend in ("max", "both"):
-            texts[-1] = f"≥ {texts[-1]}"
-        marks = [(float(scale.norm(value)), text) for value, text in zip(ticks, texts, strict=True)]
     return {
-        "flat": flat,
-        # As fine as a float32.
+        "flat": [_packed(layer.blocked), _packed(NO_DATA_PATCH[1]), zero_pixel],
+        # Digits enough for a float32.
         "edges": [float(f"{edge:.9g}") for edge in np.asarray(edges, float)],
         "colours": base64.b64encode(colours.tobytes()).decode("ascii"),
         "ticks": ticks,
-        "html": legend(plain_label(scale.label), colours[::8, :3], marks, patches),
+        # Every eighth colour is enough for the bar's gradient.
+        "html": legend(plain_label(scale.label), colours[::8, :3], _marks(scale, ticks), patches),
     }
+
+
+def _marks(scale: Colours, ticks: list[float]) -> list[tuple[float, str]]:
+    """Return where each tick stands along the bar, from 0 to 1, and its text; [] without ticks.
+
+    Where the end of the bar stands for all values beyond it too, its tick says so by ≤ or ≥.
+    """
+    texts = [tick_label(value) for value in ticks]
+    if ticks and scale.extend in ("min", "both"):
+        texts[0] = f"≤ {texts[0]}"
+    if ticks and scale.extend in ("max", "both"):
+        texts[-1] = f"≥ {texts[-1]}"
+    places = [float(scale.norm(value)) for value in ticks]
+    return list(zip(places, texts, strict=True))
 
 
 def _packed(colour: str) -> int:

@@ -33,14 +33,14 @@ class Plans:
 
     Args:
       maps: the maps.
-      folder: that they lie in; empty for maps in memory.
+      folder: where the maps are; "" for maps in memory.
       weights: where the sliders start; left out, those of the scenario, else `Weights()`.
       preset: as in `jaxurban.cost_map`.
 
     Attributes:
-      maps: under the preset's rule of obstacles.
-      cost_model: its kind is where the page starts, all else of it stays.
-      limits: their clearance is where the page starts, all else of them stays.
+      maps: the maps under the preset's rule of obstacles.
+      cost_model: of its settings the page chooses the kind, which is where it starts, and leaves the others.
+      limits: of these the page chooses clearances and zones, and leaves the others; it starts at their clearances.
     """
 
     def __init__(
@@ -53,13 +53,14 @@ class Plans:
         self._reports = Kept(NUM_ROUTES, _count_one)
 
     def route(self, query: Plan, at: OneMap) -> PlannedPath:
-        """Return the route that is asked for.
+        """Return the route of a query; ``at`` are the altitude, time and time of day of its flight.
 
         Raises:
           InputError: as for `jaxurban.plan`.
         """
 
         def make() -> PlannedPath:
+            """Return the route, planned now."""
             return self._cost_map(query, at).plan(
                 query.start,
                 query.goal,
@@ -68,28 +69,35 @@ class Plans:
                 snap=query.snap,
             )
 
-        # Without its cost map, which is large.
+        # The route is kept, but not its cost map, which is large.
         return self._routes.get(_route_key(query), make)
 
     def report(self, query: Plan, at: OneMap) -> tuple[RouteReport, PlannedPath]:
-        """Return a route explained, with what its pilot should know, and the route.
+        """Return the report of a query's route, with all that its pilot should know, and the route.
 
         Raises:
           InputError: there is no route.
         """
         planned = self.route(query, at)
-        report = self._reports.get(query.model_dump_json(), lambda: self._explained(planned, query))
+        report = self._reports.get(query.model_dump_json(), lambda: self._explain(planned, query))
         return report, planned
 
-    def _explained(self, planned: PlannedPath, query: Plan) -> RouteReport:
+    def _explain(self, planned: PlannedPath, query: Plan) -> RouteReport:
+        """Return the report of a route, flown at the speed and with the power of the query."""
         maps = self.maps.with_obstacles(query.obstacles)
         return explain(planned, maps, speed_m_s=query.speed_m_s, power_w=query.power_w)
 
     def file(self, query: Plan, at: OneMap, suffix: str) -> bytes:
-        """Return a route as ``jaxurban plan -o`` writes it; as waypoints, simplified by half a cell.
+        """Return a route as the bytes of a file, as ``jaxurban plan -o`` writes it.
+
+        A format of waypoints gets the `mission`. Where speed or power are given, the file has the report of the flight.
+
+        Args:
+          query, at: the query of the route, as in `route`.
+          suffix: ends the file's name, and names its format.
 
         Raises:
-          InputError: no such format, or there is no route.
+          InputError: there is no such format, or no route.
         """
         file_format = FORMATS[one_of("format", suffix, FORMATS)]
         planned = self.route(query, at)
@@ -98,7 +106,7 @@ class Plans:
         if not planned.status.has_path:
             raise InputError(f"there is no route to save: {planned.status.sentence}")
         has_flight = query.speed_m_s is not None or query.power_w is not None
-        report = self._explained(planned, query) if has_flight else None
+        report = self._explain(planned, query) if has_flight else None
         return file_format.encode([("", planned)], report)
 
     def mission(self, query: Plan, at: OneMap) -> PlannedPath:
@@ -115,59 +123,67 @@ class Plans:
         )
 
     def moved(self, query: Plan, at: OneMap) -> list[str]:
-        """Return how far each end of a route was moved and out of what; nothing of an end that was free."""
-        start_m, goal_m = self.route(query, at).snap_distance_m
-        costs, sentences = self._cost_map(query, at), []
-        for name, place, moved_m in (
-            ("start", query.start, start_m),
-            ("goal", query.goal, goal_m),
-        ):
-            _, cell = costs.cell_of(name, place)
+        """Return a sentence for each end of a route that was moved: how far, and what closed the cell where it was."""
+        moves_m = self.route(query, at).snap_distance_m
+        costs = self._cost_map(query, at)
+        ends = {"start": query.start, "goal": query.goal}
+        sentences = []
+        for (name, lonlat), moved_m in zip(ends.items(), moves_m, strict=True):
+            _, cell = costs.cell_of(name, lonlat)
             if not costs.is_free[cell]:
                 sentences.append(f"{name} moved {moved_m:.0f} m: it was {costs.why_closed(cell)}")
         return sentences
 
     def command(self, query: Plan, at: OneMap) -> str:
-        """Return the command that gives the same route, coordinate for coordinate; empty for maps in memory.
+        """Return the command that gives the same route, coordinate for coordinate; "" for maps in memory.
 
         (Of a planner that stops when its time is over, `SAMPLING_BUDGET_S`, another run may come further.)
         """
         if not self.folder:
             return ""
+
+        # The value of each option, None for one that is left out; the text of a number gives the same number again.
         values = {
-            "--resolution": repr(self.maps.grid.resolution_m),
-            "--start": ",".join(map(repr, query.start)),
-            "--goal": ",".join(map(repr, query.goal)),
-            "--altitude": repr(at.altitude_m),
+            "--resolution": self.maps.grid.resolution_m,
+            "--start": ",".join(map(str, query.start)),
+            "--goal": ",".join(map(str, query.goal)),
+            "--altitude": at.altitude_m,
             "--time": at.time,
             "--time-of-day": at.time_of_day,
-            "--weights": ",".join(f"{name}={value!r}" for name, value in query.weights.items()),
+            "--weights": ",".join(f"{name}={value}" for name, value in query.weights.items()),
             "--planner": query.planner,
             "--objective": "weighted",
-            "--budget": repr(_budget_s(query.planner)),
-            "--seed": "0",
+            "--budget": _budget_s(query.planner),
+            "--seed": 0,
             "--cost-model": query.cost_model,
             "--obstacles": query.obstacles,
-            "--clearance": repr(query.clearance_m),
-            "--vertical-clearance": repr(self._over_roofs_m(query)),
+            "--clearance": query.clearance_m,
+            "--vertical-clearance": self._over_roofs_m(query),
             "--no-fly": ZONES_FILE if query.zones else None,
-            "--speed": _written(query.speed_m_s),
-            "--power": _written(query.power_w),
+            "--speed": query.speed_m_s,
+            "--power": query.power_w,
         }
         words = ["jaxurban", "plan", self.folder]
         for option, value in values.items():
             if value is not None:
-                words += [option, value]
+                words += [option, str(value)]
         if query.snap:
             words.append("--snap")
         return shlex.join(words)
 
     def _cost_map(self, query: Plan, at: OneMap) -> CostMap:
-        """Return the cost map of a query; what does not depend on the weights is made once."""
+        """Return the cost map of a query; what does not depend on the weights is kept for the next query.
+
+        Raises:
+          InputError: as for `jaxurban.plan`, an unknown planner or weight before a cost map is made.
+        """
+        # These two raise the errors.
         find_planner(query.planner)
         for name in query.weights:
             one_of("weight", name, ("distance", *self.maps.metrics))
-        weights = Weights.of({**self.weights.to_dict(), **query.weights})
+
+        # Weights that the page does not say stay. The key holds all else that a cost map depends on.
+        weights = Weights.of(self.weights.to_dict() | query.weights)
         key = (
             at,
             query.cost_model,
@@ -176,10 +192,14 @@ class Plans:
             query.vertical_clearance_m,
             query.zones,
         )
-        return self._cost_maps.get(key, lambda: self._made(query, at)).with_weights(weights)
+        return self._cost_maps.get(key, lambda: self._new_cost_map(query, at)).with_weights(weights)
 
-    def _made(self, query: Plan, at: OneMap) -> CostMap:
-        """Return the cost map that a plan of the page asks for."""
+    def _new_cost_map(self, query: Plan, at: OneMap) -> CostMap:
+        """Return a cost map for a query, made from the maps; the query's weights are not in it yet.
+
+        Raises:
+          InputError: the maps hold no altitudes, or as for `jaxurban.plan`.
+        """
         settings = self.cost_model.settings | {"cost_model": query.cost_model}
         if at.altitude_m is None:
             raise InputError("these maps hold no altitude to plan at")
@@ -194,19 +214,26 @@ class Plans:
         )
 
     def _over_roofs_m(self, query: Plan) -> float | None:
+        """Return the vertical clearance of a query, the scenario's if the query has none; None without either."""
         if query.vertical_clearance_m is None:
             return self.limits.vertical_clearance_m
         return query.vertical_clearance_m
 
     def _constraints(self, query: Plan) -> Constraints:
-        """Return what closes cells: drawn zones are read from a file as those of the command are."""
-        kept = replace(
+        """Return what closes cells to a query: the scenario's limits with the query's clearances and drawn zones.
+
+        Raises:
+          InputError: the zones are no GeoJSON of polygons.
+        """
+        limits = replace(
             self.limits,
             clearance_m=query.clearance_m,
             vertical_clearance_m=self._over_roofs_m(query),
         )
         if not query.zones:
-            return kept
+            return limits
+
+        # Zones go through a file, as the command reads them from one; what is no JSON is refused before.
         try:
             json.loads(query.zones)
         except (ValueError, RecursionError) as error:
@@ -214,22 +241,19 @@ class Plans:
         with tempfile.TemporaryDirectory() as folder:
             file = FilePath(folder) / ZONES_FILE
             file.write_text(query.zones, encoding="utf-8")
-            return replace(kept, zones=Constraints.read(file).zones)
+            return replace(limits, zones=Constraints.read(file).zones)
 
 
 def _count_one(_: object) -> int:
-    """Return the size of whatever is kept by number."""
+    """Return the size of a thing of which a number is kept, whatever its bytes: 1."""
     return 1
 
 
-def _written(value: float | None) -> str | None:
-    return None if value is None else repr(value)
-
-
 def _route_key(query: Plan) -> str:
-    """Return what two queries of one route share: how fast it is flown does not change it."""
+    """Return a text that is the same for all queries of one route, which speed and power do not change."""
     return query.model_dump_json(exclude={"speed_m_s", "power_w"})
 
 
 def _budget_s(planner: str) -> float:
+    """Return the seconds that a planner may take."""
     return SAMPLING_BUDGET_S if planner.startswith("bitstar") else DEFAULTS.budget_s

@@ -96,10 +96,14 @@ class Save(Plan):
 
 
 def parse(kind: type[Request], params: Any) -> Any:
-    """Return the parameters of a request.
+    """Return the parameters of a request, checked and as an instance of its kind.
+
+    Args:
+      kind: the class of the request.
+      params: what the page sent, any value of JSON.
 
     Raises:
-      InputError: they are not those of its kind.
+      InputError: they are not parameters of its kind; the sentence says where the first fault is.
     """
     try:
         return kind.model_validate(params)

@@ -26,6 +26,8 @@ LOG = logging.getLogger("jaxurban")
 
 
 class _RefusedError(Exception):
+    """A request that is refused with a status of HTTP, and why in a sentence."""
+
     def __init__(self, status: HTTPStatus, sentence: str) -> None:
         super().__init__(sentence)
         self.status = status
@@ -35,23 +37,23 @@ class ViewerServer(ThreadingHTTPServer):
     """Serves one viewer.
 
     Args:
-      viewer: what answers.
-      again: returns another viewer once the maps of this one were made again, for the page that is loaded then.
-      port: 0 for any that is free.
+      viewer: answers the requests.
+      port: number of the port; 0 for any that is free.
+      again: returns a new viewer, for the page that is loaded once the maps were made again; None: there is none.
 
     Raises:
       InputError: the port is taken, or cannot be listened at.
     """
 
     daemon_threads = True
-    request_queue_size = (
-        1024  # of connections that wait to be taken; more at once are reset by the system
-    )
+    # How many connections may wait to be taken; more at once are reset by the system.
+    request_queue_size = 1024
 
     def __init__(
         self, viewer: Viewer, port: int = 0, again: Callable[[], Viewer] | None = None
     ) -> None:
-        self.viewer, self.again, self._lock = viewer, again, Lock()
+        self.viewer, self.again = viewer, again
+        self._lock = Lock()  # while another viewer is made
         self.page = html_page()
         try:
             super().__init__((HOST, port), _Handler)
@@ -62,7 +64,7 @@ class ViewerServer(ThreadingHTTPServer):
         self.hosts = {f"{name}:{self.server_port}" for name in (HOST, "localhost")}
 
     def renew(self) -> None:
-        """Take another viewer if the maps were made again."""
+        """Replace the viewer by a new one if its maps were made again."""
         with self._lock:
             try:
                 self.viewer.check_current()
@@ -80,12 +82,13 @@ class ViewerServer(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
+    """Answers one connection; Python's server calls ``do_GET`` and its like, and reads the attributes below."""
+
     server: ViewerServer
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "jaxurban", ""
-    disable_nagle_algorithm = (
-        True  # else an answer waits 40 ms for the browser to acknowledge its head
-    )
+    # Else an answer waits 40 ms for the browser to acknowledge its head.
+    disable_nagle_algorithm = True
     wbufsize = -1
     timeout = PATIENCE_S
 
@@ -99,13 +102,24 @@ class _Handler(BaseHTTPRequestHandler):
         self._give(self._answer)
 
     def _page(self) -> Answer:
+        """Return the page, from now on of the latest maps.
+
+        Raises:
+          _RefusedError: another path is asked for.
+        """
         if self.path != "/":
             raise _RefusedError(HTTPStatus.NOT_FOUND, "there is one page here, /")
         self.server.renew()
         return Answer("text/html; charset=utf-8", self.server.page.encode())
 
     def _answer(self) -> Answer:
-        """Return the answer to a POST, which names what it asks for in the path and the rest in JSON."""
+        """Return the answer to a POST of ``/ask/NAME?KEY``, whose body has the parameters as JSON.
+
+        Raises:
+          _RefusedError: it is no such request.
+          RemadeError: the maps were made again since the viewer with this key opened them.
+          InputError: as for `Viewer.answer`.
+        """
         path, _, key = self.path.partition("?")
         if not path.startswith(ASK):
             raise _RefusedError(HTTPStatus.NOT_FOUND, f"requests go to {ASK}NAME")
@@ -121,7 +135,11 @@ class _Handler(BaseHTTPRequestHandler):
         return viewer.answer(path.removeprefix(ASK)[:40], params)
 
     def _body(self) -> bytes:
-        """Return the bytes of a request that says how many they are, and is not too large."""
+        """Return the body of a request.
+
+        Raises:
+          _RefusedError: the request does not say how long its body is, or it is longer than `MOST_BODY`.
+        """
         length = self.headers.get("Content-Length", "")
         if "Transfer-Encoding" in self.headers or not length.isdecimal():
             raise _RefusedError(HTTPStatus.LENGTH_REQUIRED, "give the length of the request")
@@ -132,6 +150,11 @@ class _Handler(BaseHTTPRequestHandler):
         return self.rfile.read(int(length))
 
     def _check_sender(self) -> None:
+        """Refuse a request that names another host than this one, or comes from a page of another origin.
+
+        Raises:
+          _RefusedError: it is one of these.
+        """
         hosts = self.server.hosts
         if self.headers.get_all("Host") not in [[host] for host in hosts]:
             raise _RefusedError(HTTPStatus.FORBIDDEN, "this server answers to its own name alone")
@@ -140,7 +163,10 @@ class _Handler(BaseHTTPRequestHandler):
             raise _RefusedError(HTTPStatus.FORBIDDEN, "this server answers its own page alone")
 
     def _give(self, make: Any) -> None:
-        """Send what is made, or in one sentence why it is not."""
+        """Send the answer that ``make`` returns, or in one sentence why there is none; nothing to a browser that left.
+
+        No error leaves it: an unexpected one is logged, and the browser is told no more than that.
+        """
         try:
             self._check_sender()
             status, answer = HTTPStatus.OK, make()
@@ -163,30 +189,42 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(status, answer)
 
     def _send(self, status: HTTPStatus, answer: Answer) -> None:
-        """Send an answer with the headers that keep the page to itself; text compressed where the browser takes it."""
+        """Send an answer, with the headers that keep other pages and caches out of it.
+
+        Text is compressed where the browser takes that. A HEAD gets the headers alone.
+        """
+        body = answer.body
+        # A request that was refused early may have no headers.
+        is_text = status == HTTPStatus.OK and answer.kind != BYTES
+        is_compressed = is_text and "gzip" in self.headers.get("Accept-Encoding", "")
+        if is_compressed:
+            body = gzip.compress(body, LEVEL)
+
         headers = {
             "Content-Type": answer.kind,
-            "Content-Length": str(len(answer.body)),
+            "Content-Length": str(len(body)),
             "X-Content-Type-Options": "nosniff",
             "Cache-Control": "no-store",
             "Referrer-Policy": "no-referrer",
             "Content-Security-Policy": policy_of("'self'"),
         }
-        is_text = status == HTTPStatus.OK and answer.kind != BYTES
-        if is_text and "gzip" in self.headers.get("Accept-Encoding", ""):
-            answer = answer._replace(body=gzip.compress(answer.body, LEVEL))
-            headers |= {"Content-Encoding": "gzip", "Content-Length": str(len(answer.body))}
-        self.send_response(status)
+        if is_compressed:
+            headers["Content-Encoding"] = "gzip"
         if self.close_connection:
             headers["Connection"] = "close"
+
+        self.send_response(status)
         for name, value in headers.items():
             self.send_header(name, value)
         self.end_headers()
         if self.command != "HEAD":
-            self.wfile.write(answer.body)
+            self.wfile.write(body)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Refuse what is no proper request, in a sentence."""
+        """Refuse what is no request of HTTP, in a sentence; Python's server calls this and leaves the rest out.
+
+        The fault is the sender's, so a status of the server's faults (500 and above) becomes one of the sender's.
+        """
         self.close_connection = True
         status = HTTPStatus(code)
         if status == HTTPStatus.NOT_IMPLEMENTED:
@@ -200,4 +238,5 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _sentence(text: object) -> Answer:
+    """Return a text, or an error's text, as an answer."""
     return Answer("text/plain; charset=utf-8", str(text).encode("utf-8", "replace"))

@@ -1,6 +1,7 @@
 """The sky over a place as the page shows it: a round picture, and a row for each satellite."""
 
 from html import escape
+from itertools import cycle
 
 import numpy as np
 import pandas as pd
@@ -17,11 +18,14 @@ DIRECTIONS = {"N": 0, "E": 90, "S": 180, "W": 270}
 
 
 def sky_html(sky: SkyAt) -> str:
-    """Return the sky at a place and one time as HTML."""
+    """Return the sky at a place and one time as HTML: picture, key, facts, a line for each satellite, and cautions."""
     dops = sky.dops.iloc[0]
     counts = {state: int((sky.table["state"] == state).sum()) for state in MARKS}
+
+    # A colour for each system of satellites, from the first again where there are more systems than colours.
     systems = list(dict.fromkeys(sky.table["system"]))
-    colours = dict(zip(systems, np.resize(SERIES_COLOURS, len(systems)).tolist(), strict=True))
+    colours = dict(zip(systems, cycle(SERIES_COLOURS), strict=False))
+
     facts = {
         "Satellites": ", ".join(f"{num} {state}" for state, num in counts.items()),
         "GDOP, HDOP, VDOP": ", ".join(number(dops[name]) for name in ("gdop", "hdop", "vdop")),
@@ -37,7 +41,14 @@ def sky_html(sky: SkyAt) -> str:
 
 
 def _listed(table: pd.DataFrame) -> str:
-    """Return a line for each satellite, the highest first: its state, and the roof that hides it."""
+    """Return a line of text for each satellite, the highest first, below a line of headings.
+
+    A line has the satellite, its elevation, its state, the height of the roof that hides it ("ground" where the ground
+    hides it, "" where nothing does or no roof is known), and how far that roof is away.
+
+    Args:
+      table: a row for each satellite, as `SkyAt.table`.
+    """
     lines = [("", "up", "state", "roof", "away")]
     for _, row in table.sort_values("elevation_deg", ascending=False).iterrows():
         roof_m, away_m = row["roof_height_m"], row["roof_distance_m"]
@@ -54,9 +65,14 @@ def _listed(table: pd.DataFrame) -> str:
 
 
 def _picture(sky: SkyAt, colours: dict[str, str]) -> str:
-    """Return the picture as SVG: north up, buildings around the rim, satellites by system and state."""
+    """Return the picture as SVG: north up, buildings around the rim, satellites by system and state.
+
+    Args:
+      sky: the sky, with the elevation of its horizon in each whole degree of azimuth, NaN where it is not known.
+      colours: a colour of CSS for each system of satellites, by its name.
+    """
+    # The open sky, white, on a disk of buildings; rings stand at elevations of 60 and 30 degrees and at the border.
     horizon_deg = np.nan_to_num(sky.horizon_deg)
-    is_unknown = np.isnan(sky.horizon_deg)
     top = _places(np.arange(ROUND), horizon_deg)
     outline = " ".join(f"{x:.1f},{y:.1f}" for x, y in top)
     parts = [
@@ -64,14 +80,22 @@ def _picture(sky: SkyAt, colours: dict[str, str]) -> str:
         f'<polygon points="{outline}" fill="#fff"/>',
         *(f'<circle r="{ring}" fill="none" stroke="#9a948a"/>' for ring in (30, 60, RADIUS)),
     ]
-    rim = (_places(np.flatnonzero(is_unknown), np.array(up_deg)) for up_deg in (0.0, EDGE_DEG))
-    for (x, y), (x2, y2) in zip(*rim, strict=True):
+
+    # A stripe at the rim for each degree in which the horizon is not known.
+    unknown_deg = np.flatnonzero(np.isnan(sky.horizon_deg))
+    outer = _places(unknown_deg, np.array(0.0))
+    inner = _places(unknown_deg, np.array(EDGE_DEG))
+    for (x, y), (x2, y2) in zip(outer, inner, strict=True):
         parts.append(f'<path d="M{x:.1f} {y:.1f}L{x2:.1f} {y2:.1f}" stroke="{INK}"/>')
+
+    # The directions, around the rim.
     for name, azimuth_deg in DIRECTIONS.items():
         x, y = _places(np.array([azimuth_deg]), np.array([-RIM / 2]))[0]
         parts.append(f'<text x="{x:.1f}" y="{y + 3:.1f}" text-anchor="middle">{name}</text>')
-    at = _places(sky.table["azimuth_deg"].to_numpy(), sky.table["elevation_deg"].to_numpy())
-    for (x, y), (_, row) in zip(at, sky.table.iterrows(), strict=True):
+
+    # The satellites: filled where seen, dashed where that is not known.
+    places = _places(sky.table["azimuth_deg"].to_numpy(), sky.table["elevation_deg"].to_numpy())
+    for (x, y), (_, row) in zip(places, sky.table.iterrows(), strict=True):
         colour = colours[row["system"]]
         fill = colour if row["state"] == SEEN else "#fff"
         dash = ' stroke-dasharray="2"' if row["state"] == UNKNOWN else ""
@@ -81,19 +105,25 @@ def _picture(sky: SkyAt, colours: dict[str, str]) -> str:
             f'stroke-width="1.5"{dash}><title>{title}</title></circle>'
             f'<text x="{x + 5:.1f}" y="{y - 3:.1f}">{escape(_short(row))}</text>'
         )
+
     side = RADIUS + RIM
-    box = f"{-side} {-side} {2 * side} {2 * side}"
+    box = f"{-side} {-side} {2 * side} {2 * side}"  # around the zenith, which is at 0, 0
     label = f"Sky over {sky.facts['place']}: {sky.facts['satellites']}"
     head = f'class="jv-sky" font-size="8" viewBox="{box}" role="img" aria-label="{escape(label)}"'
     return f"<svg {head}>{''.join(parts)}</svg>"
 
 
 def _short(row: pd.Series) -> str:
-    """Return the end of a satellite's name."""
+    """Return the last word of a satellite's name, without brackets, such as 13 of "GPS BIIR-2 (PRN 13)"."""
     return row["satellite"].removesuffix(" (nominal)").split()[-1].strip("()")
 
 
 def _places(azimuth_deg: np.ndarray, elevation_deg: np.ndarray) -> np.ndarray:
-    """Return ``[N, 2]`` x to the right and y down of directions in the picture."""
+    """Return where directions are in the picture: ``[N, 2]`` x to the right and y down, from the zenith.
+
+    Args:
+      azimuth_deg: ``[N]`` from north to east.
+      elevation_deg: ``[N]``, or one for all; below 0 beyond the rim.
+    """
     radius, turn_rad = RADIUS - elevation_deg, np.radians(azimuth_deg)
     return np.stack([radius * np.sin(turn_rad), -radius * np.cos(turn_rad)], axis=-1)

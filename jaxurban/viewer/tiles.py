@@ -35,18 +35,19 @@ def middles(size: int, stride: int) -> np.ndarray:
 
 
 def tile_bytes(values: np.ndarray, stride: int, row: int, col: int) -> bytes:
-    """Return a tile of a layer ``[Y, X]`` float32, rows from the south: its bytes by significance, deflated.
+    """Return a tile of a layer as `packed` numbers: up to `TILE` rows, from the south, of as many cells.
 
-    The four bytes of a number lie apart, all first ones, all second ones, and so on (little-endian), which deflates to
-    two thirds.
+    Args:
+      values: ``[Y, X]`` the layer.
+      stride: the tile has every n-th cell of the layer.
+      row, col: number of the tile, from 0 in the southwest.
 
     Raises:
-      InputError: no such tile.
+      InputError: there is no such stride or tile.
     """
-    if stride not in strides_of(values.shape):
-        raise InputError(
-            f"stride must be one of {', '.join(map(str, strides_of(values.shape)))}, got {stride}"
-        )
+    strides = strides_of(values.shape)
+    if stride not in strides:
+        raise InputError(f"stride must be one of {', '.join(map(str, strides))}, got {stride}")
     num_rows, num_cols = values.shape
     rows = middles(num_rows, stride)[row * TILE :][:TILE]
     cols = middles(num_cols, stride)[col * TILE :][:TILE]
@@ -58,33 +59,42 @@ def tile_bytes(values: np.ndarray, stride: int, row: int, col: int) -> bytes:
 
 
 def packed(values: np.ndarray) -> bytes:
-    """Return numbers as bytes by significance, deflated, see `tile_bytes`."""
+    """Return numbers as the deflated bytes of float32, little-endian.
+
+    The four bytes of a number lie apart, all first ones, all second ones, and so on, which deflates to two thirds.
+    """
     numbers = np.ascontiguousarray(values, "<f4")
     return zlib.compress(numbers.view(np.uint8).reshape(-1, 4).T.tobytes(), LEVEL)
 
 
 def lonlat_fit(grid: Grid) -> dict[str, np.ndarray]:
-    """Return longitude and latitude as polynomials of u and v, which run from -1 to 1 from border to border.
+    """Return the longitude and the latitude of places on a grid as polynomials, fitted by least squares.
 
-    ``powers`` are ``[P, 2]`` of u and v of each term, ``lon`` and ``lat`` ``[P]`` its coefficients, degrees.
+    They are polynomials of u and v, which go from -1 at the west and south border to 1 at the east and north border.
+
+    Returns:
+      ``powers``, ``[P, 2]`` of u and v in each term; ``lon`` and ``lat``, ``[P]`` its coefficients in degrees.
     """
+    # All terms up to `DEGREE`, and the places that they are fitted to.
     powers = np.array([(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
     line = np.linspace(-1, 1, NUM_FITTED)
     uv = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    low_m, high_m = np.array([[grid.x_min_m, grid.y_min_m], [grid.x_max_m, grid.y_max_m]])
+    low_m, high_m = np.reshape(grid.bounds_m, (2, 2))  # x and y at the southwest and northeast
     x_m, y_m = ((low_m + high_m) / 2 + uv * (high_m - low_m) / 2).T
     lonlat = np.stack(grid.lonlat_of_xy(x_m, y_m), axis=-1)
+
+    # The value of each term at each place, and the coefficients of the terms.
     terms = np.prod(uv[:, None] ** powers, axis=-1)
     lon, lat = np.linalg.lstsq(terms, lonlat, rcond=None)[0].T
     return {"powers": powers, "lon": lon, "lat": lat}
 
 
 class Kept:
-    """What was made, the latest used ones up to a sum of sizes; several threads may ask.
+    """Things that were made, of which those used last are kept, up to a sum of their sizes. Threads may share it.
 
     Attributes:
-      most: what all of them may take; the one asked for last is always kept.
-      size_of: returns what one of them takes; left out, the bytes of an array.
+      most: the largest sum of sizes; the thing that was asked for last is kept even if it is larger.
+      size_of: returns the size of one thing; left out, the bytes of an array.
     """
 
     def __init__(
@@ -95,7 +105,10 @@ class Kept:
         self._lock = Lock()
 
     def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """Return what is kept under a key, made by ``make`` if it is not here; no two are made at once."""
+        """Return what is kept under a key; what is not kept is made by ``make``, while other threads wait.
+
+        What was not used for the longest time is forgotten where all is too much.
+        """
         with self._lock:
             if key not in self._held:
                 self._held[key] = make()
@@ -106,5 +119,5 @@ class Kept:
 
     @property
     def size(self) -> int:
-        """How much is kept."""
+        """Sum of the sizes of what is kept."""
         return sum(map(self.size_of, self._held.values()))

@@ -37,14 +37,7 @@ from jaxurban.settings import Preset, Vehicle
 from jaxurban.studies.map_comparison import MapComparison, OneMap, shared_part
 from jaxurban.viewer import markup
 from jaxurban.viewer.base import base_of
-from jaxurban.viewer.layers import (
-    H_NORM,
-    NOTHING,
-    DrawnLayer,
-    difference,
-    layers_of,
-    legend_of,
-)
+from jaxurban.viewer.layers import H_NORM, NOTHING, DrawnLayer, difference, layers_of, legend_of
 from jaxurban.viewer.markup import number, options, sentences
 from jaxurban.viewer.outlines import STEP_M, outlines_of
 from jaxurban.viewer.plans import Plans
@@ -88,7 +81,7 @@ VEHICLE = {  # of `Vehicle.to_dict`, as the page shows it; of climb, descent and
 
 
 class Answer(NamedTuple):
-    """What a request gives."""
+    """What a request gives: its media type, such as `JSON`, and its bytes."""
 
     kind: str
     body: bytes
@@ -98,17 +91,19 @@ class Viewer:
     """Maps, and the answers to what the page asks.
 
     Args:
-      maps: that are looked at and planned on.
-      name: what they are called.
-      folder, weights, preset: of `Plans`.
-      against: other maps of the place, whose layers can be subtracted on the cells that both hold.
-      against_name: what these are called.
+      maps: the maps that are looked at and planned on.
+      name: what the page calls the maps.
+      folder, weights, preset: as for `Plans`.
+      against: other maps of the place, whose layers can be subtracted on the cells that both hold; None: no others.
+      against_name: what the page calls the other maps.
 
     Raises:
-      InputError: as of `Plans`, or as of `shared_part` for the other maps.
+      InputError: as for `Plans`, or as for `shared_part` with the other maps.
 
     Attributes:
-      key: of this viewer alone: a page that has another's answers asks for no more of them here.
+      key: a text that no other viewer has; a page with another viewer's key gets no answers.
+      kept: arrays that were drawn or looked at last.
+      shared, other_layers: what both maps hold, and the layers of the other maps; only with other maps.
     """
 
     def __init__(
@@ -122,17 +117,23 @@ class Viewer:
         against: MetricMaps | None = None,
         against_name: str = "the other maps",
     ) -> None:
+        # The maps, under the preset's rule of obstacles.
         self.plans = Plans(maps, folder, weights, preset)
         self.maps, self.name = self.plans.maps, name
         self.layers = layers_of(self.maps)
+
+        # The other maps, under the same rule, cut to what both hold.
         self.names: tuple[str, ...] = (name,)
         self.against = against
         if against is not None:
             self.names = name, against_name
             others = against.with_obstacles(self.maps.obstacles)
-            self.shared = MapComparison(self.names, *shared_part(self.maps, others), {})
+            self.shared = MapComparison(self.names, *shared_part(self.maps, others), left_out={})
             self.other_layers = layers_of(self.shared.b)
-        self.kept, self.key = Kept(), uuid4().hex
+
+        self.kept = Kept()
+        self.key = uuid4().hex
+        # By the name of a request: the class of its parameters, and what answers it.
         self._answers: dict[str, tuple[type[Request], Callable[[Any], Any]]] = {
             "scene": (Request, self.scene),
             "base": (Request, self.base),
@@ -147,21 +148,30 @@ class Viewer:
         }
 
     def answer(self, name: Any, params: Any) -> Answer:
-        """Return what a request gives: JSON, or the bytes of a tile or a file.
+        """Return what a request gives: JSON, or the bytes of a tile, of outlines or of a file.
+
+        Args:
+          name: of the request, as in the page's script; any value of JSON.
+          params: its parameters, any value of JSON; they are checked here.
 
         Raises:
-          InputError: no such request, or parameters that it does not take.
+          InputError: there is no such request, or it does not take these parameters.
           RemadeError: the maps were made again.
         """
         self.check_current()
-        kind, make = self._answers[one_of("the request", name, self._answers)]
-        made = make(parse(kind, params))
-        return Answer(BYTES, made) if isinstance(made, bytes) else Answer(JSON, as_json(made))
+        request_type, answer_to = self._answers[one_of("the request", name, self._answers)]
+        result = answer_to(parse(request_type, params))
+        if isinstance(result, bytes):
+            return Answer(BYTES, result)
+        return Answer(JSON, as_json(result))
 
     def check_current(self, key: str = "") -> None:
-        """Raise RemadeError if the maps were written again since they were opened, or a page has another viewer's key.
+        """Check that maps and page are the ones that this viewer opened and answers; "" is the key of no page.
 
-        What is kept of them would be drawn beside what is read now.
+        Otherwise values that were kept of the maps before would be drawn beside values that are read now.
+
+        Raises:
+          RemadeError: the maps were written again since they were opened, or the page has another viewer's key.
         """
         if key not in ("", self.key):
             raise RemadeError(
@@ -172,7 +182,11 @@ class Viewer:
                 maps.ds.encoding[OPENED].check()
 
     def scene(self, _: Request) -> dict[str, Any]:
-        """Return what the page must know before it asks for anything else; ``html`` fills its places by name."""
+        """Return what the page must know before it asks for anything else.
+
+        ``fields`` are the values at which its controls start, "" for an empty one; ``html`` is put in its places, by
+        their names.
+        """
         grid = self.maps.grid
         north_deg = math.degrees(grid.convergence_rad(*grid.centre_lonlat))
         vehicle = self.plans.limits.vehicle or Vehicle()
@@ -217,21 +231,32 @@ class Viewer:
     def outlines(self, _: Request) -> bytes:
         """Return the outlines of all buildings (`outlines_of`): exact ones where the city can be read again."""
         try:
-            buildings = self._sight.city.buildings
+            buildings = self._sight.city.buildings  # reads the city
         except (JaxurbanError, OSError) as error:
             LOG.info(f"buildings are outlined by the cells of the maps: {error}")
             buildings = None
         return outlines_of(self.maps, buildings)
 
     def _texts(self, north_deg: float) -> dict[str, str]:
-        """Return the texts and lists of the page by the names of their places."""
-        grid, maps, layers = self.maps.grid, self.maps, self.layers
+        """Return the texts and lists of the page as HTML, by the names of their places.
+
+        Args:
+          north_deg: how far true north is west of the grid's north; below 0 it is east.
+        """
+        # What is said of the maps.
+        maps, grid = self.maps, self.maps.grid
         cells = f"{grid.num_rows:,} × {grid.num_cols:,} cells of {grid.resolution_m:g} m"
-        summaries = {name: entry.summary for name, entry in PLANNERS.items()}
-        first = next((name for name in ("gps", H_NORM) if name in layers), next(iter(layers)))
-        north = f"true north {abs(north_deg):.2f}° {'west' if north_deg > 0 else 'east'} of the grid's north"
+        side = "west" if north_deg > 0 else "east"
+        north = f"true north {abs(north_deg):.2f}° {side} of the grid's north"
         guessed = guesses_said(maps, has_sky=True)
-        headings = [(name, each.variable.heading, each.group) for name, each in layers.items()]
+
+        # Lists to choose from; those of the map that is subtracted are the same. `H_NORM` is a layer of all maps.
+        first = "gps" if "gps" in self.layers else H_NORM
+        first_subtracted = first if self._begins_with_difference else ""
+        headings = [
+            (name, layer.variable.heading, layer.group) for name, layer in self.layers.items()
+        ]
+        summaries = {name: entry.summary for name, entry in PLANNERS.items()}
         lists = {
             "altitude": options([f"{z_m:g} m" for z_m in maps.altitudes_m]),
             "time_of_day": options(maps.times_of_day),
@@ -251,14 +276,14 @@ class Viewer:
             **{f"minus-{name}": text for name, text in lists.items()},
             "layer": markup.layer_options(headings, first),
             "minus-layer": '<option value="">nothing</option>'
-            + markup.layer_options(headings, first if self._begins_with_difference else ""),
+            + markup.layer_options(headings, first_subtracted),
             "minus-is_other": options(self.names, -1) if len(self.names) > 1 else "",
             "north": f'<path d="M0-12 5 8 0 4-5 8Z" transform="rotate({-north_deg:.2f})"/>',
         }
 
     @property
     def _begins_with_difference(self) -> bool:
-        """Whether there are other maps of the same altitudes and times, so that what is shown first has its like."""
+        """Whether the page first shows a difference: there are other maps, of the same altitudes and times."""
         if self.against is None:
             return False
         maps, others = self.maps, self.against
@@ -267,28 +292,37 @@ class Viewer:
 
     @cached_property
     def axes(self) -> dict[str, tuple]:
-        """The altitudes, times and times of day that maps are chosen by; no times of a series with statistics."""
+        """The altitudes, times and times of day by which maps are chosen, each () where the maps hold none.
+
+        A series with statistics over its times has no times here.
+        """
         maps = self.maps
         times = maps.times if maps.default_time is not None else ()
         return {ALTITUDE: maps.altitudes_m, TIME: times, TIME_OF_DAY: maps.times_of_day}
 
     @cached_property
     def _labels(self) -> dict[str, str]:
+        """The label of each weight: of the distance and of the metrics."""
         return {"distance": "Distance"} | {
             name: metric.label for name, metric in self.maps.metrics.items()
         }
 
     @cached_property
     def _colours(self) -> dict[str, str]:
+        """The colour of each weight in lists and lines."""
         return {name: line_colour(name) for name in self._labels}
 
     def place(
         self, at: tuple[int, int, int], dims: tuple[str, ...] = (ALTITUDE, TIME, TIME_OF_DAY)
     ) -> OneMap:
-        """Return altitude, time and time of day by their numbers, those of the dims alone.
+        """Return the altitude, time and time of day that a request names by their numbers in `axes`.
+
+        Args:
+          at: the three numbers, from 0.
+          dims: which of the three count; the others are None, and so is one of which the maps hold no values.
 
         Raises:
-          InputError: a number beyond the list.
+          InputError: a number beyond its list.
         """
         chosen: list[Any] = []
         for (dim, values), index in zip(self.axes.items(), at, strict=True):
@@ -313,40 +347,54 @@ class Viewer:
         """Return the values ``[Y, X]`` of a map, or its `difference` from another one, as they travel.
 
         Raises:
-          InputError: an unknown layer or place, or layers of different units.
+          InputError: an unknown layer, a number beyond its list, layers of different units, or no other maps.
         """
         values = self._values(view)
-        if view.minus is None:
+        minus = view.minus
+        if minus is None:
             return values
-        if unit_of(self._layer(view.minus)[0]) != unit_of(self.layers[view.layer]):
+        subtracted, _ = self._layer(minus)
+        if unit_of(subtracted) != unit_of(self.layers[view.layer]):
             raise InputError(
-                f"{view.layer} and {view.minus.layer} have different units, so they have no difference: choose "
+                f"{view.layer} and {minus.layer} have different units, so they have no difference: choose "
                 "two layers of one unit"
             )
-        others = self._others(view.minus) if view.minus.is_other else self._values(view.minus)
+        others = self._others(minus) if minus.is_other else self._values(minus)
         return self.kept.get(view.model_dump_json(), lambda: difference(values, others))
 
     def _values(self, view: OneView) -> np.ndarray:
+        """Return the values ``[Y, X]`` of a map of these maps, without a difference."""
         layer, at = self._layer(view)
         return self.kept.get((view.layer, at), lambda: layer.values(at))
 
     def _layer(self, view: OneView) -> tuple[DrawnLayer, OneMap]:
-        """Return a layer of these maps, and which map of it."""
+        """Return a layer of these maps, and the altitude, time and time of day at which it is looked at.
+
+        Raises:
+          InputError: an unknown layer, or a number beyond its list.
+        """
         layer = self.layers[one_of("layer", view.layer, self.layers)]
         return layer, self.place(view.at, layer.dims)
 
     def _others(self, view: Subtrahend) -> np.ndarray:
-        """Return values of the other maps on these maps' cells ``[Y, X]``, `NOTHING` where the others have none."""
+        """Return values of the other maps on these maps' cells ``[Y, X]``, `NOTHING` on cells that they do not hold.
+
+        Raises:
+          InputError: there are no other maps, an unknown layer, or a number beyond its list.
+        """
         if self.against is None:
             raise InputError(
                 "there are no other maps to subtract: name them with against= (--against)"
             )
         layer = self.other_layers[one_of("layer", view.layer, self.other_layers)]
+
+        # The same altitude and time of day, and the time of the other maps that stands for this one.
         _, at = self._layer(view)
         if at.time is not None:
             at = at._replace(time=self.shared.times.get(at.time, at.time))
 
         def make() -> np.ndarray:
+            """Return the values put where the shared cells are among these maps' cells."""
             values = np.full(self.maps.grid.shape, NOTHING)
             values[self.shared.grid.window_in(self.maps.grid)] = layer.values(at)
             return values
@@ -354,22 +402,30 @@ class Viewer:
         return self.kept.get((self.names[1:], view.layer, at), make)
 
     def legend(self, view: View) -> dict[str, Any]:
-        """Return how these values become colours (`legend_of`)."""
+        """Return how the values of a view become colours (`legend_of`).
+
+        Raises:
+          InputError: as for `values`.
+        """
         values = self.values(view)  # refuses an unknown layer
         label = self._difference_label(view, view.minus) if view.minus else ""
         return legend_of(self.layers[view.layer], values, label)
 
     def _difference_label(self, view: View, minus: Subtrahend) -> str:
-        """Return what is subtracted from what, in which unit."""
+        """Return the label of a difference: which map is subtracted from which, in which unit."""
         unit = unit_of(self.layers[view.layer])
-        names = [self._said(view, self.names[0]), self._said(minus, self.names[minus.is_other])]
-        label = f"{names[0]} minus {names[1]}"
+        # The other maps are number 1.
+        subtracted = self._said(minus, self.names[minus.is_other])
+        label = f"{self._said(view, self.names[0])} minus {subtracted}"
         if unit:
             label = f"{label}, {unit}"
         return f"{label} (red: the first is higher)"
 
     def _said(self, view: OneView, name: str) -> str:
-        """Return a layer, its altitude, time and time of day, and, of several maps, which ones in words."""
+        """Return in words what a view shows: layer, altitude, time and time of day.
+
+        A single time of the maps is not said. ``name`` is what its maps are called, said only beside other maps.
+        """
         layer, at = self._layer(view)
         words = [layer.variable.heading]
         if at.altitude_m is not None:
@@ -383,62 +439,92 @@ class Viewer:
         return " ".join(words)
 
     def tile(self, tile: Tile) -> bytes:
-        """Return a tile of what is drawn (`tile_bytes`)."""
+        """Return a tile of the values of a view (`tile_bytes`).
+
+        Raises:
+          InputError: as for `values`, or no such tile.
+        """
         return tile_bytes(self.values(tile), tile.stride, tile.row, tile.col)
 
     def values_at(self, cell: Cell) -> list[dict[str, Any]]:
-        """Return the value of every layer in a cell: name, value (None for none) and its words (`_words`)."""
+        """Return what the list under the pointer shows of a cell, in its order.
+
+        A row has the name, the value (None where there is none) and `_words` of a layer. The value of the cell's view,
+        a difference, comes first, if there is one. Below the density of people comes their number in the cell.
+
+        Raises:
+          InputError: a cell outside the maps, a number beyond its list, or as for `values`.
+        """
         grid = self.maps.grid
         if not (cell.row < grid.num_rows and cell.col < grid.num_cols):
             raise InputError(
                 f"the cell {cell.row}, {cell.col} is outside: there are {grid.num_rows} x {grid.num_cols}"
             )
         is_inside = self._value_in(self.layers["obstacle"], cell) != 0
-        values = []
+
+        # The difference.
+        rows: list[dict[str, Any]] = []
         if cell.view is not None:
-            unit = unit_of(self._layer(cell.view)[0])
+            layer, _ = self._layer(cell.view)
             value = float(self.values(cell.view)[cell.row, cell.col])
-            words = {"told": "Difference", "classes": [], "unit": unit}
-            values.append({"name": "difference", "value": _number(value), **words})
+            words = {"told": "Difference", "classes": [], "unit": unit_of(layer)}
+            rows.append({"name": "difference", "value": _number(value), **words})
+
+        # The layers; those that are hidden inside obstacles have no value there.
         for name, layer in self.layers.items():
             words = _words(layer)
             if not words["told"]:
                 continue
-            value = math.nan if is_inside and layer.is_hidden else self._value_in(layer, cell)
-            values.append({"name": name, "value": _number(value), **words})
+            is_hidden = is_inside and layer.is_hidden
+            value = math.nan if is_hidden else self._value_in(layer, cell)
+            rows.append({"name": name, "value": _number(value), **words})
             if name == "density":
                 words |= {"told": "People in the cell", "unit": ""}
-                people = value * grid.resolution_m**2 / 1e6
-                values.append({"name": "people", "value": _number(people), **words})
-        return values
+                people = value * grid.resolution_m**2 / 1e6  # of people per km²
+                rows.append({"name": "people", "value": _number(people), **words})
+        return rows
 
     def _value_in(self, layer: DrawnLayer, cell: Cell) -> float:
-        """Return a layer's value in a cell; of maps on disk a block around it is read and kept."""
+        """Return a layer's value in a cell, NaN where it has none; of maps on disk a block around it is read and kept.
+
+        Raises:
+          InputError: a number beyond its list.
+        """
         at = self.place(cell.at, layer.dims)
+
+        # What is computed from maps is computed as a whole.
         variable = self.maps.variable(layer.name)
         if variable not in self.maps.ds:
             value = self.values(View(layer=layer.name, at=cell.at))[cell.row, cell.col]
             return float(value) if np.isfinite(value) else math.nan
+
+        # The block that holds the cell, by the southwest corner's row and column.
         array = self.maps.ds[variable]
-        row, col = cell.row // BLOCK * BLOCK, cell.col // BLOCK * BLOCK
-        part: dict[str, Any] = dict(zip((ALTITUDE, TIME, TIME_OF_DAY), cell.at, strict=True))
+        row = cell.row // BLOCK * BLOCK
+        col = cell.col // BLOCK * BLOCK
+        part: dict[str, Any] = dict(zip(self.axes, cell.at, strict=True))
         part |= {"y": slice(row, row + BLOCK), "x": slice(col, col + BLOCK)}
+        # The array may lack some of these dimensions.
         key = "block", layer.name, at, row, col
         block = self.kept.get(key, lambda: array.isel(part, missing_dims="ignore").values)
         return float(block[cell.row - row, cell.col - col])
 
     @cached_property
     def _sight(self) -> Sight:
-        """The city of the maps, read again when its outlines or a sky are asked for first."""
+        """The city of the maps, read again when its outlines or a sky are asked for first.
+
+        Raises:
+          InputError: maps in memory, or whose files are gone.
+        """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # the page shows what the maps guess
             return Sight.of(self.maps, None, None, None)
 
     def sky(self, query: Sky) -> str:
-        """Return the sky over a place (`sky_html`).
+        """Return the sky over a place as HTML (`sky_html`).
 
         Raises:
-          InputError: maps in memory, or whose files are gone; without altitudes or times; a place far away.
+          InputError: maps in memory, or whose files are gone, or without altitudes or times; a place far away.
         """
         at = self.place(query.at)
         if at.altitude_m is None:
@@ -446,53 +532,74 @@ class Viewer:
         return sky_html(sky_from(self._sight, query.place, at.altitude_m, time=at.time))
 
     def plan(self, query: Plan) -> dict[str, Any]:
-        """Return a route: its points, cost and message, and the command that gives the same."""
+        """Return what the page shows of a route: its points, its costs, how its search ended, and its command.
+
+        Without a path there are no points, and ``message`` says why.
+
+        Raises:
+          InputError: as for `Plans.route`.
+        """
         at = self.flight(query)
         planned = self.plans.route(query, at)
-        has_path, text = planned.status.has_path, "no path"
-        if has_path:
+        text = "no path"
+        if planned.status.has_path:
             text = f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km"
         notes = [status_said(planned), *self.plans.moved(query, at)]
         return {
             "planner": query.planner,
-            "has_path": has_path,
+            "has_path": planned.status.has_path,
             "xy_m": planned.xy_m,
             "cost": _number(planned.cost),
             "cost_by_layer": dict(planned.cost_by_layer),
             "button": markup.route_button(query.planner, PLANNER_LINES[query.planner], text, notes),
             "html": markup.costs(planned.cost_by_layer, self._labels, self._colours),
-            "message": " ".join(filter(None, (planned.search.sentence, planned.search.note))),
+            "message": planned.message,
             "command": self.plans.command(query, at),
         }
 
     def report(self, query: Plan) -> dict[str, Any]:
-        """Return what a route meets: cautions, totals, the profile and where its crossings lie, its report as text.
+        """Return what the page shows of the report of a route; texts are HTML.
 
-        ``mission`` are the points of files of waypoints, and ``saved`` their number, their cost and least clearance.
+        Returns:
+          ``cautions``, ``totals``, ``profile`` and ``report-text``, the whole report; ``xy``, ``[N, 2]`` where its
+          crossings of cells lie, and ``to_share``, ``[N]`` at which share of the route each ends; ``mission``,
+          ``[W, 2]`` the waypoints of its files; ``saved``, in words, their number, cost and least clearance.
+
+        Raises:
+          InputError: there is no route.
         """
         at = self.flight(query)
         report, planned = self.plans.report(query, at)
         mission = self.plans.mission(query, at)
         table, totals = report.profile, report.totals
+
+        # The profile, with a line for each metric.
         lines = {
             name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()
         }
-        drawing = markup.profile(table, lines, without_fix(table))
+        profile = markup.profile(table, lines, without_fix(table))
+        profile += sentences([("note", rules_said(planned.settings))])
+
+        # The table of totals.
         rows = []
         for name, (label, unit) in TOTALS.items():
             if name in totals:
                 rows.append((label, f"{number(totals[name])} {unit}"))
         rows += _flight_rows(report, planned)
+
+        # The waypoints, and how they differ from the route.
         lonlat = waypoints(mission).lonlat
         saved = [f"{len(lonlat)} waypoints, cost {number(mission.cost)}"]
         if planned.cost > 0:
             saved.append(f"{mission.cost / planned.cost - 1:+.1%}")
         saved += self._least_clearance(mission, totals[CLEARANCE])
+
+        length_m = max(planned.length_m, 1e-9)  # a route of no length has one crossing, to 0 m
         return {
-            "cautions": sentences((each.level, each) for each in report.cautions),
+            "cautions": sentences((caution.level, caution) for caution in report.cautions),
             "totals": markup.rows(rows),
-            "profile": drawing + sentences([("note", rules_said(planned.settings))]),
-            "to_share": np.round(table["to_m"].to_numpy() / max(planned.length_m, 1e-9), 5),
+            "profile": profile,
+            "to_share": np.round(table["to_m"].to_numpy() / length_m, 5),
             "xy": self._on_page(table[["lon", "lat"]].to_numpy()),
             "report-text": escape(report.table()),
             "mission": self._on_page(lonlat),
@@ -500,48 +607,69 @@ class Viewer:
         }
 
     def _least_clearance(self, mission: PlannedPath, route_m: float) -> list[str]:
-        """Return the least clearance of a mission as HTML, beside the route's where that is more; [] without one."""
+        """Return the least clearance of a mission in words, as HTML in the colour of its caution.
+
+        The clearance of its route, ``route_m``, is said beside it where it is more. Without buildings (no finite
+        clearance) there is nothing: [].
+        """
         least_m = float(cautious_profile(mission, self.maps)[CLEARANCE].min())
         if not math.isfinite(least_m):
             return []
         text = f"least clearance {number(least_m)} m"
         if least_m < route_m and number(least_m) != number(route_m):
             text = f"{text}, the route {number(route_m)} m"
-        level = next(each.level for each in mission.cautions if each.startswith("Buildings"))
+
+        # The caution that says how near buildings are; every route past buildings has one.
+        level = next(
+            caution.level for caution in mission.cautions if caution.startswith("Buildings")
+        )
         return [f'<b class="jv-{level}">{text}</b>']
 
     def _on_page(self, lonlat: np.ndarray) -> np.ndarray:
-        """Return places ``[N, 2]`` in metres from the maps' southwest corner."""
+        """Return places ``[N, 2]``, given by longitude and latitude, as x and y in metres from the southwest corner."""
         grid = self.maps.grid
         x_m, y_m = grid.xy_of_lonlat(*lonlat.T)
         return np.round(np.stack([x_m - grid.x_min_m, y_m - grid.y_min_m], axis=-1), 1)
 
     def save(self, query: Save) -> bytes:
-        """Return a route as a file."""
+        """Return a route as the bytes of a file (`Plans.file`).
+
+        Raises:
+          InputError: there is no such format, or no route.
+        """
         route = Plan(**query.model_dump(exclude={"format"}))
         return self.plans.file(route, self.flight(query), query.format)
 
 
 def _flight_rows(report: RouteReport, planned: PlannedPath) -> list[tuple[str, str]]:
-    """Return the time and the energy of a route, and what flies it, as far as they are known."""
-    totals, settings, rows = report.totals, report.settings, []
+    """Return rows of a table, label and text: time and energy of a route, and its vehicle, as far as they are known."""
+    totals, settings = report.totals, report.settings
+    rows = []
     if "time_s" in totals:
         minutes, seconds = divmod(round(totals["time_s"]), SECONDS_PER_MINUTE)
-        rows.append(("Time", f"{minutes} min {seconds} s" if minutes else f"{seconds} s"))
+        time = f"{seconds} s"
+        if minutes:
+            time = f"{minutes} min {time}"
+        rows.append(("Time", time))
     if "energy_wh" in totals:
         rows.append(("Energy", f"{number(totals['energy_wh'])} Wh"))
+
+    # The vehicle that the route was planned for, at the speed and power of its report.
     vehicle = replace(
         Vehicle.of(planned.settings), speed_m_s=settings["speed_m_s"], power_w=settings["power_w"]
     )
-    known = vehicle.to_dict()
+    facts = vehicle.to_dict()
     for name, (label, unit) in VEHICLE.items():
-        if name in known:
-            rows.append((label, f"{number(known[name])} {unit}"))
+        if name in facts:
+            rows.append((label, f"{number(facts[name])} {unit}"))
     return rows
 
 
 def status_said(planned: PlannedPath) -> str:
-    """Return how a planner ended, among which paths, and how far above the cheapest of them its path is at most."""
+    """Return in words how a planner's search ended: its status, the paths that it searched, and its gap.
+
+    The gap, how far the path may be above the cheapest of these, is left out for an optimal path or if it is not known.
+    """
     search, has_path = planned.search, planned.status.has_path
     text = planned.status.value
     if has_path and search.graph:
@@ -552,12 +680,16 @@ def status_said(planned: PlannedPath) -> str:
 
 
 def unit_of(layer: DrawnLayer) -> str:
-    """Return the unit of a layer's values as people read it; "" for m, for counts and for dilutions of precision."""
+    """Return the unit of a layer's values as people read it; "" for values without a unit."""
     return {"1": "", "km-2": "per km²"}.get(layer.variable.unit, layer.variable.unit)
 
 
 def _words(layer: DrawnLayer) -> dict[str, Any]:
-    """Return what a layer is told as in the list of values of a cell ("" where it is not in it), classes and unit."""
+    """Return the words for a layer in the list of the values of a cell.
+
+    ``told`` is its label there, "" for a layer that is not in the list, as costs are not but their sum; ``classes`` are
+    the names of its classes; ``unit`` is its unit.
+    """
     variable = layer.variable
     label = variable.symbol or variable.heading
     if layer.group == "Costs" and layer.name != H_NORM:
@@ -567,11 +699,16 @@ def _words(layer: DrawnLayer) -> dict[str, Any]:
 
 
 def as_json(value: Any) -> bytes:
-    """Return a value as JSON; arrays are lists."""
+    """Return a value as JSON in UTF-8; arrays become lists.
+
+    Raises:
+      ValueError: a number is not finite.
+    """
     return json.dumps(
         value, allow_nan=False, separators=(",", ":"), default=lambda array: array.tolist()
     ).encode()
 
 
 def _number(value: float) -> float | None:
+    """Return a number as JSON holds it: None for one that is not finite."""
     return float(value) if math.isfinite(value) else None

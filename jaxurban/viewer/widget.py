@@ -23,7 +23,7 @@ def view(
     preset: Preset = "",
     against: MapsLike | None = None,
 ) -> Any:
-    """Return a widget to look at maps and plan on them, which a notebook shows where it is the last line of a cell.
+    """Return a widget to look at maps and plan on them. A notebook shows it where it is the last line of a cell.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder; routes are planned as their scenario's ``[planning]`` and
@@ -50,7 +50,7 @@ def view(
 
 
 def widget_of(viewer: Viewer) -> "AnyWidget":
-    """Return the widget of a viewer.
+    """Return the widget of a viewer: the page, whose requests the viewer answers.
 
     Raises:
       InputError: anywidget is not installed.
@@ -70,13 +70,22 @@ def widget_of(viewer: Viewer) -> "AnyWidget":
         _css = part("style")
         markup = Unicode(part("markup")).tag(sync=True)
 
-    made = ViewerWidget()
-    made.on_msg(lambda widget, message, _: widget.send(*reply_to(viewer, message)))
-    return made
+    page = ViewerWidget()
+    page.on_msg(lambda widget, message, _: widget.send(*reply_to(viewer, message)))
+    return page
 
 
 def reply_to(viewer: Viewer, message: Any) -> tuple[dict[str, Any], list[bytes]]:
-    """Return the reply to a message of the page, and its buffers: its ``id`` with ``json``, bytes or ``error``."""
+    """Return the reply to a message of the page, and the buffers that go with it.
+
+    Args:
+      viewer: answers the request.
+      message: ``id``, ``name`` of the request and its ``parameters``; any other value gets an error.
+
+    Returns:
+      The message's ``id`` and the answer as ``json``, or an ``error`` sentence, with no buffers; for an answer in bytes
+      the ``id`` alone, with the bytes as the one buffer.
+    """
     if not isinstance(message, dict):
         return {"error": "a request is an object"}, []
     reply: dict[str, Any] = {"id": message.get("id")}

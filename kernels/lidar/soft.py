@@ -257,7 +257,11 @@ def _returns(
     row, col = jnp.indices((rows, cols), jnp.int32, sparse=True)
 
     def of_azimuth(start):
-        """Return the soft returns ``[Y, X]`` of one azimuth, whose ray begins its steps at ``start`` ``[N, 2]``."""
+        """Return the soft returns ``[Y, X]`` of one azimuth, each from 0 to 1.
+
+        Args:
+          start: ``[N, 2]`` row and column, with the halo, of the cell at which step n looks from the first receiver.
+        """
 
         def look(state, n):
             """Keep the larger clearance of step n and of the steps before, and the number of its step."""
@@ -266,8 +270,11 @@ def _returns(
             step_m = lax.dynamic_slice(clearance_m, corner, (1, rows, cols))[0]
             return (jnp.maximum(step_m, best_m), jnp.where(step_m > best_m, n, best_n)), None
 
+        # The step with the largest clearance decides.
         nothing = jnp.full((rows, cols), -jnp.inf, roof_m.dtype), jnp.zeros((rows, cols), jnp.int32)
         (best_m, n), _ = lax.scan(look, nothing, jnp.arange(steps, dtype=jnp.int32), unroll=unroll)
+
+        # Its clearance again, with a gradient.
         cell = row + start[n, 0], col + start[n, 1]  # that the deciding step looked at
         deciding = _Deciding(n, beam[(n, *cell)], *cell, best_m)
         return soft_step(_clearance(roof_m, scan, deciding), softness_m)
@@ -309,19 +316,27 @@ def _returns_of_cell(at: ScansAt, receiver: tuple[jax.Array, jax.Array], at_once
       at_once: how many azimuths are taken together.
     """
     (altitude_m, cell), steps = receiver, at.offsets.shape[1]
-    level = all_margins(at.scan._replace(altitude_m=altitude_m), steps)  # [N, B]
+    level_margins = all_margins(at.scan._replace(altitude_m=altitude_m), steps)
 
     def of_azimuth(offset):
-        """Return the soft return of one azimuth, whose steps look at offsets ``[N, 2]``."""
-        row, col = (cell[None] + offset + steps - 1).T  # with the halo of steps - 1 cells
-        margins = level
+        """Return the soft return of one azimuth, from 0 to 1, whose N steps look at offsets ``[N, 2]`` from the cell.
+
+        The fields of margins are ``[N, B]``, by step and beam, and heights in them are above the ground below the step.
+        """
+        # Rows and columns of the cells that the steps look at, in arrays with a halo of steps - 1 cells.
+        row, col = (cell[None] + offset + steps - 1).T
+        margins = level_margins
         if at.terrain_m is not None:
+            # Above ground that rises from step 0 on, beams are lower by as much.
             rise_m = at.terrain_m[row, col] - at.terrain_m[row[0], col[0]]
-            above_m = level.lowest_m - rise_m[:, None]
+            above_m = level_margins.lowest_m - rise_m[:, None]
             behind_m = jnp.full_like(above_m[:1], altitude_m)
             # The least height above the cells of the steps before; at step 0 the receiver's own.
             passed_m = jnp.concatenate([behind_m, lax.cummin(above_m)[:-1]])
-            margins = level._replace(lowest_m=above_m, in_air_m=jnp.minimum(altitude_m, passed_m))
+            margins = level_margins._replace(
+                lowest_m=above_m, in_air_m=jnp.minimum(altitude_m, passed_m)
+            )
+        # The best of all steps and beams returns.
         return soft_step(_least(at.roof_m[row, col][:, None], margins).max(), at.softness_m)
 
     nothing = jnp.zeros((), at.roof_m.dtype)

@@ -232,7 +232,7 @@ def segment_costs(
         last_state = jnp.where(
             length > DIAGONAL_SIDES, jnp.ceil(length * (1 - TOUCH_CELLS)) - 1, 0.0
         )
-        # What `next_cut` takes, by axis.
+        # All that `next_cut` takes, for each axis.
         x, y = zip(border, step, start, along, num_cuts, strict=True)
         step_x, step_y = step
 
@@ -256,6 +256,8 @@ def segment_costs(
             num_x, num_y, behind, total = walk
             next_x, next_y = next_cut(num_x, x), next_cut(num_y, y)
             ahead = jnp.minimum(jnp.minimum(next_x, next_y), length)
+
+            # How much of the segment counts in this part's cell: its length under `line`, its states under `cell`.
             if is_line:
                 share = ahead - behind
             else:
@@ -282,13 +284,10 @@ def segment_costs(
             num_y += (is_corner | (next_y < next_x)).astype(jnp.int32)
             return num_x, num_y, ahead, jnp.where(is_pinched, jnp.inf, total)
 
+        # From cut to cut, and once more after the last cut for the part that leads to the end.
         none = jnp.zeros_like(num_cuts[0])
-        # Once more after the last cut, for the part that leads to the end.
-        total = go_on(
-            lax.while_loop(
-                is_under_way, go_on, (none, none, jnp.zeros_like(length), per_side * length)
-            )
-        )[3]
+        begin = none, none, jnp.zeros_like(length), per_side * length
+        *_, total = go_on(lax.while_loop(is_under_way, go_on, begin))
         return jnp.where(length > 0, total if is_line else total + cost_at(*last), 0.0)
 
     return jax.vmap(cost)(start, end)

@@ -276,8 +276,8 @@ def _add_printed_layer(layer, goal_row, goal_col, first_index, field):
 
     Rows are visited from the goal's row away, first to the north and then to the south; in each, columns from the
     goal's column away, first to the east and then to the west. So the box between node and goal grows by a row or a
-    column at a time, and its minima and sums are carried on. The goal's own row and column count in the first of both
-    passes only.
+    column at a time, and its minima and sums are carried on. The goal's own row and column come in both passes, and
+    count in the first one only.
 
     Args:
       layer: ``[Y, X]`` weighted costs.
@@ -289,35 +289,42 @@ def _add_printed_layer(layer, goal_row, goal_col, first_index, field):
     box_min = np.empty(num_cols)  # minimum over the box's rows, by column
     # Sum over the box's rows of their minimum between the goal's column and each column.
     row_sum = np.empty(num_cols)
-    for step in (1, -1):
-        # The box's low side is the goal's when the node lies north (east), else the node's own.
-        skips_goal_row = (step == 1) == (first_index == 1)
+    for row_step in (1, -1):
+        # The line left out is the box's low or high side, by `first_index`. The low side is the goal's when the node
+        # lies north (east) of it, else the node's own.
+        skips_goal_row = (row_step == 1) == (first_index == 1)
         box_min[:] = np.inf
         row_sum[:] = 0.0
         row = goal_row
         while 0 <= row < num_rows:
-            for side in (1, -1):
-                skips_goal_col = (side == 1) == (first_index == 1)
-                line_min = np.inf
-                col_sum = 0.0
+            is_new_row = row_step == 1 or row != goal_row
+            for col_step in (1, -1):
+                skips_goal_col = (col_step == 1) == (first_index == 1)
+                line_min = np.inf  # minimum of this row from the goal's column on
+                col_sum = 0.0  # sum of the minima over the box's columns so far
                 col = goal_col
                 while 0 <= col < num_cols:
+                    is_new_col = col_step == 1 or col != goal_col
                     value = layer[row, col]
                     if value < box_min[col]:
                         box_min[col] = value
                     if value < line_min:
                         line_min = value
-                    # What is skipped is the goal's line; else the node's own line is left for the nodes beyond.
+
+                    # The sums for this node. Where the goal's line is left out, its own line counts; else its own line
+                    # is left out, and counts only for the nodes beyond.
                     row_total = row_sum[col]
                     if skips_goal_row and row != goal_row:
                         row_total += line_min
                     col_total = col_sum
                     if skips_goal_col and col != goal_col:
                         col_total += box_min[col]
-                    if (side == 1 or col != goal_col) and (step == 1 or row != goal_row):
+                    if is_new_col and is_new_row:
                         field[row, col] += max(row_total, col_total)
-                    if side == 1 or col != goal_col:
+
+                    # Carry the sums on: by column to the next row, and to the next column.
+                    if is_new_col:
                         row_sum[col] = row_total if skips_goal_row else row_total + line_min
                     col_sum = col_total if skips_goal_col else col_total + box_min[col]
-                    col += side
-            row += step
+                    col += col_step
+            row += row_step

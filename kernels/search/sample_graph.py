@@ -171,12 +171,13 @@ def _squares(samples: Samples, shape: tuple[int, ...]) -> tuple[Array, Array]:
       samples: the nodes.
       shape: rows and columns of the map.
     """
-    longest = float(max(shape))
+    longest = float(max(shape))  # of the map's sides, in cell sides
     side = jnp.clip(samples.radius, longest / MOST_SQUARES, longest)
     num_cols = (longest / side).astype(jnp.int64) + 3  # one begun, and the frame's two
-    col, row = (jnp.floor(samples.xy / side[:, None]).astype(jnp.int64) + 1).T
+    col, row = (jnp.floor(samples.xy / side[:, None]).astype(jnp.int64) + 1).T  # 0 is the frame
     square = samples.query.astype(jnp.int64) * SQUARES_OF_A_QUERY + row * num_cols + col
-    return jnp.where(samples.query == NO_QUERY, jnp.iinfo(jnp.int64).max, square), num_cols
+    behind_all = jnp.iinfo(jnp.int64).max
+    return jnp.where(samples.query == NO_QUERY, behind_all, square), num_cols
 
 
 def neighbours(
@@ -226,10 +227,11 @@ def neighbours(
         edges, num_of_node, first = carry
 
         def here(values: Array) -> Array:
-            """Return the values of these nodes, as a column ``[T, 1, ...]``."""
+            """Return the values of these nodes, ``[T, 1]`` or ``[T, 1, 3]``, which broadcast over slots."""
             return lax.dynamic_slice_in_dim(values, first, sizes.nodes_together)[:, None]
 
-        # The candidate in each slot: the south row of squares first, then the middle one, then the north.
+        # The candidate in each slot: the south row of squares first, then the middle one, then the north. Columns of
+        # `last` and `start`, ``[T, 3]``, are these three.
         last = here(ends)[:, 0]
         start = here(begin)[:, 0]
         start_of_slot = jnp.where(slot < last[:, 1:2], start[:, 1:2], start[:, 2:])
@@ -261,7 +263,8 @@ def neighbours(
             reach + here(samples.to_goal) < here(samples.incumbent)
         )
 
-        # Write the edges kept one after the other; `place` is where each goes in the list.
+        # Write the edges kept one after the other. The edges of a node end before `behind` in the list, and begin as
+        # many places before; `place` is where each edge goes, by how many are kept before it in its row.
         num_here = jnp.sum(is_edge, axis=1, dtype=jnp.int32)
         behind = edges.num + jnp.cumsum(num_here)
         place = (behind - num_here)[:, None] + jnp.cumsum(is_edge, axis=1, dtype=jnp.int32) - 1

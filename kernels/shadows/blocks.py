@@ -444,22 +444,26 @@ def _cast_along_columns(
 ) -> tuple[Array, Array, Array]:
     """Return what `_cast_along_rows` does, for a source beyond the last column (the first, if not ``toward_last``).
 
-    The block is turned: its columns become rows, and so does the ring, whose corners move from rows to columns.
+    The block and its ring are turned, so that columns become rows. Arguments and results are those of
+    `_cast_along_rows`, of the block as it was before.
     """
+    # Lines toward the east or west may see other roofs.
     roofs = block.roofs
     top_m = roofs.top_m if roofs.turned_m is None else roofs.turned_m
     turned = block._replace(
-        roofs=Roofs(top_m.T, None, roofs.entry_steps),
+        roofs=roofs._replace(top_m=top_m.T, turned_m=None),
         phase=block.phase[::-1],
         last=block.last[::-1],
     )
-    west_m, east_m = (
-        jnp.concatenate([ring.south[end, None], col_m, ring.north[end, None]])
-        for end, col_m in ((0, ring.west), (-1, ring.east))
+    # Rows have the corners of a ring, columns do not.
+    turned_ring = Ring(
+        south=jnp.concatenate([ring.south[:1], ring.west, ring.north[:1]]),
+        north=jnp.concatenate([ring.south[-1:], ring.east, ring.north[-1:]]),
+        west=ring.south[1:-1],
+        east=ring.north[1:-1],
     )
-    beside = Ring(west_m, east_m, ring.south[1:-1], ring.north[1:-1])
     received_m, col_m, row_m = _cast_along_rows(
-        turned, line, beside, every=every, toward_last=toward_last
+        turned, line, turned_ring, every=every, toward_last=toward_last
     )
     return received_m.T, row_m, col_m
 

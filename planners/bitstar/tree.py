@@ -187,29 +187,32 @@ class Tree(NamedTuple):
         return cut.taken(np.flatnonzero(is_kept))
 
     def ready(self, graph: BatchGraph) -> Self:
-        """Return the tree sorted for a search of its graph, with the arrays that only a search needs."""
-        # Tree nodes first, then samples, each by square.
-        order = np.argsort(
-            graph.bucket_of(self.xy) + np.where(np.isfinite(self.g), 0, graph.num), kind="stable"
-        )
-        tree = self.taken(order)
+        """Return the tree sorted for a search of its graph, with the arrays that only a search needs.
+
+        Nodes of the tree, whose ``g`` is finite, come first, and then samples, either by their squares in the graph.
+        The arrays are those from ``best`` on (see `Tree`): the costs before the search, the states before it, and where
+        to look for the nodes near a node and for its children beyond the radius.
+        """
+        # Sort; samples count as if they lay in squares beyond the last one.
+        squares_before = np.where(np.isfinite(self.g), 0, graph.num)
+        tree = self.taken(np.argsort(graph.bucket_of(self.xy) + squares_before, kind="stable"))
 
         is_tree = np.isfinite(tree.g)
-        num_tree = int(np.count_nonzero(is_tree))
+        num_tree = np.count_nonzero(is_tree)
         bucket = graph.bucket_of(tree.xy)
         squares = np.arange(graph.num + 1)
 
         # Edges of the tree that are longer than the radius, by their children, sorted by parent.
-        has_parent = np.flatnonzero(tree.parent != NO_PARENT)
-        length = np.hypot(*(tree.xy[has_parent] - tree.xy[tree.parent[has_parent]]).T)
-        long_child = has_parent[length > graph.radius]
-        long_child = long_child[np.argsort(tree.parent[long_child], kind="stable")]
+        child = np.flatnonzero(tree.parent != NO_PARENT)
+        length = np.hypot(*(tree.xy[child] - tree.xy[tree.parent[child]]).T)
+        far_child = child[length > graph.radius]
+        long_child = far_child[np.argsort(tree.parent[far_child], kind="stable")]
         return tree._replace(
             best=tree.g.copy(),
             state=np.where(is_tree, OLD, SAMPLE).astype(np.uint8),
             tree_begin=np.searchsorted(bucket[:num_tree], squares),
             sample_begin=np.searchsorted(bucket[num_tree:], squares) + num_tree,
-            long_begin=np.searchsorted(tree.parent[long_child], np.arange(len(order) + 1)),
+            long_begin=np.searchsorted(tree.parent[long_child], np.arange(len(bucket) + 1)),
             long_child=long_child.astype(np.int32),
         )
 
