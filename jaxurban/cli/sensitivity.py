@@ -137,6 +137,7 @@ def sensitivity(
     )
     if buildings:
         _, settings_of_route = sensitivity_outputs(result)
+
         # The folder is opened again with the same settings: another run may have come in between.
         with Workspace.open(output, "sensitivity", settings_of_route):
             ranking = write_buildings(folder, first, output / "buildings", scenario=scenario)
@@ -222,6 +223,7 @@ def sensitivity_study(
         raise click.UsageError(
             "--queries names the routes: leave out --routes and --altitudes, or --queries"
         )
+
     # What belongs to several functions: the scenario of one folder, and weights apart from other rules.
     scenarios = None
     if scenario is not None:

@@ -150,6 +150,7 @@ def tune(
         raise click.UsageError(
             "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"
         )
+
     # All options that are not named above are of the routes; a preset that is not given is an empty text.
     routes["preset"] = routes["preset"] or None
     pilot_weights = None

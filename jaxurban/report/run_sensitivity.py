@@ -126,6 +126,7 @@ def sensitivity_study(
         rows = run_rows(
             file, job, instances, cities.sources, row_columns, workers=workers, report=report
         )
+
         # Rows on perturbed maps and on maps of other parameters, by their folder, and why some are missing.
         changed, skipped = add_changed_rows(folder, cities, instances, scenarios, report)
         report("report")

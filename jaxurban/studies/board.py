@@ -251,6 +251,7 @@ def score(
     table = table.reindex(columns=[*KEYS, *CLAIMED]).rename(columns={"query": "row"})
     queries = queries[queries["track"].isin(table["track"])]
     routes = queries.merge(table, "left", ["track", "row"], indicator="outcome")
+
     # How each route is judged on its city's map.
     cities = {city: f"{city}.npz" for city in routes["city"].unique()}
     _check_files(folder, cities.values(), digests)
@@ -394,6 +395,7 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
     size_m = np.array(problem.is_free.shape[::-1]) * side_m
     if (points_m < 0).any() or (points_m > size_m).any():
         return "leaves the map", np.inf
+
     # Outside of "any-angle" a line runs straight or diagonally from centre to centre, and rounding is undone.
     if row["track"] != "any-angle":
         cells = points_m // side_m
@@ -404,6 +406,7 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
             return "off the grid", np.inf
         points_m = centres_m
         problem = replace(problem, leg_margin_m=NEAR_M * side_m)  # keeps diagonals from corners
+
     # What the planners' own judge counts along it.
     sums = problem.features(points_m)
     if not sums.is_valid:

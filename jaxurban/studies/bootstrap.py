@@ -78,6 +78,7 @@ class Clusters:
             self._group[is_inside] = num_before + group
             num_before += len(members)
             drawn = draws_of(len(members), [seed, city])
+
             # One group less is drawn than there are: without this factor a city would weigh less than its groups do.
             draws.append(drawn * (len(members) / drawn[0].sum()))
         self._draws = np.hstack(draws)  # [NUM_DRAWS, G] how often each draw holds each group

@@ -122,6 +122,7 @@ def check(
     if vertical_clearance_m is not None:
         limits = replace(limits, vertical_clearance_m=vertical_clearance_m)
     _, _, limits = rules_on(maps, None, limits, "")
+
     # Zones that are in force at one of the times count as if they always were. Without a time all zones count, and the
     # maps' first time stands for None.
     flights = [parse_time(text) for text in named_times]

@@ -383,12 +383,14 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
         raise InputError(
             "it leaves the maps: clip it to their region, or make maps of a larger one"
         )
+
     # A grid path is moved to the exact centres of its cells: decimals lost in a file must not make a diagonal step
     # graze a third cell. Another line is redrawn.
     filled = _filled(local)
     route = _Followed(np.floor(filled) + 0.5, within_cells=0.0)
     if not _is_grid_path(cost_map, filled):
         route = _redrawn(cost_map, points, local)
+
     # Rows and columns of the ends; points are x and y.
     start, goal = map(tuple, np.floor(route.centres[[0, -1], ::-1]).astype(int).tolist())
     if start == goal:
@@ -430,6 +432,7 @@ def _redrawn(cost_map: CostMap, xy_m: np.ndarray, local: np.ndarray) -> _Followe
             "it starts or ends inside an obstacle or in a closed cell, and no free cell is within "
             f"{MAX_SNAP_M:g} m of it: move that end there"
         ) from error
+
     # The line between the ends that planners take; a cell is row and column, a point x and y.
     line = local.copy()
     for index, end in zip((0, -1), ends, strict=True):
@@ -483,6 +486,7 @@ def _follow(cost_map: CostMap, local: np.ndarray) -> _Followed:
     """
     corners = shapely.get_coordinates(shapely.LineString(local).simplify(0.5))
     cells = [tuple(cell) for cell in np.floor(corners[:, ::-1]).astype(int).tolist()]
+
     # A corner inside an obstacle is skipped, and the legs before and after it become one that bends there.
     free_corners = [number for number, cell in enumerate(cells) if cost_map.is_free[cell]]
     centres = [np.array(cells[0][::-1]) + 0.5]

@@ -353,6 +353,7 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
         raise InputError(
             f"the maps share no altitude: A holds {of_a} m and B {of_b} m; add one of A's to B's scenario"
         )
+
     # Layers by name with their dimensions; one that varies with the time of day needs one in common.
     days = [day for day in a.times_of_day if day in b.times_of_day]
     layers = {}
@@ -396,6 +397,7 @@ def _part(
     indices: dict[str, Any] = {"y": rows, "x": cols}
     for dim in values.keys() & set(ds.dims):
         indices[dim] = [values[dim].index(value) for value in shared[dim]]
+
     # Attributes that hold one number for each time of day are cut with it.
     attrs = dict(ds.attrs, crs=grid.crs)
     for norm in NORMS:

@@ -64,8 +64,10 @@ class RoutePool:
         self.num_plans = 0
         self._store = store
         self._workers = workers or os.cpu_count() or 1
+
         # Of each query its different routes [2, K], by their rounded features.
         self._routes: list[dict[tuple[str, ...], np.ndarray]] = [{} for _ in self.queries]
+
         # [2, K] of every route that was searched, by the number of its query and the hash of its points.
         self._sums: dict[tuple[int, bytes], np.ndarray] = {}
         for query, route in enumerate(known):

@@ -240,6 +240,7 @@ def _source(
         raise InputError(
             f"planner is one of a study's, and this is a table of instances: leave {planner!r} out"
         )
+
     # Without weights nothing says which routes are the cheapest.
     table = table.assign(**pilot_columns)
     has_weights = not table.filter(regex=f"^{WEIGHT_PREFIX}").empty
@@ -248,6 +249,7 @@ def _source(
             f"{name!r} has no weights under which its routes are the cheapest: give a column for each (w_distance, "
             "w_gps ...), or the weights of a pilot who flies all of them (--pilot, pilot=)"
         )
+
     # Instances have a number and a CRS of their own; queries are places in degrees.
     if "instance" in table or "crs" in table:
         instances = checked_instances(table, f"the instances file {name!r}")

@@ -148,6 +148,7 @@ def colours_of(
         return Colours(scale.colour_map, LogNorm(high / 1000, high), label, extend="min")
     if scale.stretch == "sqrt":
         return Colours(scale.colour_map, PowerNorm(0.5, low, high), label)
+
     # Where low values are sought, high ones may lie beyond the scale's end.
     open_end = "max" if scale.is_better_low else "neither"
     return Colours(scale.colour_map, Normalize(low, high), label, open_end, ticks)

@@ -207,6 +207,7 @@ def _named(paths: Paths, names: Sequence[str] | None) -> list[_NamedPath]:
             f"names must be a list of {len(planned)}, one for each path, got {names!r}"
         )
     names = names or [path.search.planner for path in planned]
+
     # A dollar sign begins a formula.
     texts = [name.replace("$", r"\$") for name in names]
     return [_NamedPath(path, text) for path, text in zip(planned, texts, strict=True)]
@@ -445,6 +446,7 @@ def plot_overview(
 
     what = " and paths" if drawn else ""
     cost, obstacles = cost_layers(maps, z, time, time_of_day)
+
     # The last layer of a panel has the colour bar: that of the cost, as obstacles have none of their own.
     panels.append(MapPanel(joined(f"Cost{what}", time_of_day), [obstacles, cost]))
     colours = planner_colours(each.name for each in named)

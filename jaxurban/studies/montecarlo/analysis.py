@@ -53,6 +53,7 @@ def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
     is_refuted = (table.status == Status.NO_PATH.value).groupby(pairs).transform("any")
     is_bad = (table.status == BAD_INPUT).groupby(pairs).transform("all")
     table["is_joined"] = (is_reached | ~is_refuted) & ~is_bad
+
     # The best path has the ratio 1 even if it costs nothing, where there is nothing to divide by.
     best = table.cost.groupby(pairs).transform("min")
     ratio = table.cost / best.where(best > 0)

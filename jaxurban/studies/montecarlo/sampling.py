@@ -142,6 +142,7 @@ def sample_instances(
         )
     for altitude_m in altitudes_m:
         maps.check_altitude(altitude_m)
+
     # A row per pair of places. Its generator draws place, times and weights in this order, so that no option changes
     # what the others draw.
     is_free = np.logical_and.reduce([_always_free(maps, z_m, constraints) for z_m in altitudes_m])
@@ -216,6 +217,7 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
     rows = []
     for number, query in enumerate(queries):
         row: dict[str, Any] = {"instance": number, "altitude_m": query.altitude_m, "crs": grid.crs}
+
         # Both ends; a place that is not in metres is longitude and latitude.
         try:
             if query.error:
@@ -291,9 +293,11 @@ class _Places:
         """
         self.grid = maps.grid
         strata = np.where(is_free, strata_of(maps, cover), NO_STRATUM).ravel()
+
         # Flat numbers of the free cells of each stratum, and the strata that have any.
         self.cells = [np.flatnonzero(strata == number) for number in range(len(STRATA))]
         present = [number for number, cells in enumerate(self.cells) if len(cells)]
+
         # Each kind is the stratum of the start, that of the goal and a range.
         self.kinds = list(itertools.product(present, present, RANGES))
         self.seed = seed
@@ -400,9 +404,11 @@ def with_connection(
         first = part.iloc[0]
         times = {name: None if pd.isna(first[name]) else str(first[name]) for name in TIMES}
         is_free = constraints.is_free(maps, float(first.altitude_m), **times)
+
         # Islands of free cells, numbered from 1: a path joins two cells if they are in one. Where a diagonal step needs
         # both orthogonal neighbours free, it leads nowhere that orthogonal steps do not.
         islands, _ = label(is_free, np.ones((3, 3)) if model.joins_corners else None)
+
         # The island of each end, 0 outside the maps and in cells that are not free.
         island = {}
         for end in ("start", "goal"):
@@ -436,6 +442,7 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
     is_high = share_around(roof_m >= HIGH_RISE_M, near) >= BUILT_SHARE
     is_built = share_around(roof_m > 0, near) >= BUILT_SHARE
     is_wide = share_around(roof_m > 0, far) == 0
+
     # The first of these that holds, and the land cover over all of them.
     numbers = [STRATA.index(name) for name in ("high-rise", "low-rise", "wide-open")]
     strata = np.select([is_high, is_built, is_wide], numbers, STRATA.index("open")).astype(np.int8)
@@ -517,6 +524,7 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
         raise InputError(
             f"{name} holds instance {number:g} at {altitude_m:g} m twice: renumber them"
         )
+
     # Columns that may be missing.
     for column in OPTIONAL:
         texts = table.get(column, pd.Series(index=table.index)).astype(object)
@@ -554,6 +562,7 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
             raise InputError(
                 f"the instances ask for {name} {lost[0]}, and these maps hold {', '.join(texts) or 'none'}"
             )
+
     # Weights of metrics that nobody knows, and metrics without a weight.
     for name in weighed_metrics(instances.columns):
         one_of("a weight of the instances", name, dict.fromkeys((*METRICS, *maps.metrics)))

@@ -130,6 +130,7 @@ def study(
     model = CostModel.of(job.cost_model)
     constraints = job.constraints
     source = opened if isinstance(source, MetricMaps) else source.at(opened)
+
     # The instances: those of a table, as these maps connect them, or sampled ones.
     if isinstance(instances, pd.DataFrame):
         instances = checked_instances(instances, "instances")
@@ -255,6 +256,7 @@ def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
         raise InputError(
             f"{str(folder)!r} holds a study whose instances are lost ({error}): {remedy}"
         ) from error
+
     # None of them may be missing now.
     now = instances.set_index(list(KEY))
     lost = before.index.difference(now.index)
@@ -265,6 +267,7 @@ def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
             f"are left out now (instance {number} at {altitude_m:g} m is the first), and a study can be made longer "
             f"but not shorter: {remedy}"
         )
+
     # None may have another value in a column that planners depend on.
     columns = query_columns(instances.columns)
     before = before.reindex(columns=columns)

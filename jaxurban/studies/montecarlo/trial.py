@@ -219,6 +219,7 @@ def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -
     }
     if not result.status.has_path:
         return facts
+
     # What the path adds up, under the benchmark's cost model and the other one.
     features = {kind: cost_map.shortest.features(result.points_m, kind) for kind in COST_KINDS}
     of_path = features[cost_map.cost_model.kind]

@@ -251,6 +251,7 @@ def agreement_of(
     is_taken = (rows.epoch % every == 0).to_numpy()
     is_moved = is_taken & (rows.is_known.to_numpy() | (not is_guarded))
     displaced = Displaced.of(settings.num_displaced, settings.seed, int(is_moved.sum()))
+
     # How far away a roof of the largest scale can still be within a margin of the lowest ray.
     reach_m = (max(rise_m * SCALES[-1], 0.0) + FARTHEST_MARGIN_M) / np.tan(rays.elevation_rad.min())
 
@@ -285,6 +286,7 @@ def agreement_of(
     if not median_dbhz > 0:
         strong_dbhz = float(judged.cn0_dbhz[judged.cn0_dbhz > 0].min())
     rows["is_strong"] = rows.cn0_dbhz >= strong_dbhz
+
     # The scores of the city, of displaced ones, and of rules that predict from less or more than the margin.
     report("scores")
     scores = score_table(rows, settings.seed)
@@ -377,6 +379,7 @@ def _rows_of(
             f"the receiver log {log.name!r} has no satellite above the mask of {mask_deg:g} degrees{systems}: lower "
             "[gps] mask_deg, or see whether elevation_deg is in degrees"
         )
+
     # One turn from true to grid north serves all of the track.
     rows["block"] = (track.along_m[rows.epoch] // settings.sky_block_m).astype(int)
     centre = float(log.epochs[LON].median()), float(log.epochs[LAT].median())
@@ -454,6 +457,7 @@ def verdict_of(
         return f"The track is too short for a verdict: {where} there is no interval (it takes {FEWEST_GROUPS} blocks)."
     if not np.isfinite([gain.gain_low, score.auc_low]).all():
         return f"There is no verdict: {where} too few rows are hidden, or too few in view, for an interval."
+
     # First whether the maps predict better, then whether the city's place is the best one.
     gained = f"the gain in log-loss is {gain.gain:.3f} (95 % interval {gain.gain_low:.3f} to {gain.gain_high:.3f})"
     auc = f"an AUC of {score.auc:.2f} ({score.auc_low:.2f} to {score.auc_high:.2f})"

@@ -147,6 +147,7 @@ def task_at(
         "population": Population(),
         "layers": {},
     }
+
     # One resolution makes one task. Its cells are the grid's, which nests with all of the scenario's resolutions.
     (task,) = tasks_of(scenario.model_copy(update=update))
     return replace(task, region=grid)

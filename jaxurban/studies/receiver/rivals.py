@@ -35,6 +35,7 @@ def features_of(
       off_street_rad: ``[R]`` angle between the satellite's azimuth and the street's direction.
     """
     sky = [elevation_rad, elevation_rad**2]
+
     # The elevation in the plane across the street, in which the walls of the street hide satellites.
     across_rad = np.arctan2(np.tan(elevation_rad), np.abs(np.sin(off_street_rad)))
     chance = ReceptionCurve.measured_in_tokyo().chance(jnp.asarray(margin_m))

@@ -95,6 +95,7 @@ def score_table(rows: pd.DataFrame, seed: int) -> pd.DataFrame:
         satellite = chosen.satellite.cat.codes.to_numpy()
         is_seen = chosen.is_seen.to_numpy()
         block, weights = drawn_blocks(chosen.block.to_numpy(), seed)
+
         # Satellites that are seen at one time and hidden at another have two values.
         num_values = chosen.groupby("satellite", observed=True).is_seen.nunique()
         row = {"which": which, "rows": len(chosen), "share": len(chosen) / len(rows)}

@@ -156,6 +156,7 @@ def validate(
             guesses = dict(task.sky.guesses)
         else:
             city = load_city(scenario)
+
         # Satellite by satellite, if the log has them.
         if logged.satellites is not None:
             if lacks_angles:
@@ -164,6 +165,7 @@ def validate(
             satellites = agreement_of(
                 logged, track, city, known, grid, scenario.gps.mask_deg, settings, report
             )
+
         # Epoch by epoch: what the maps predict, or satellites counted from their rows where the log counts nothing.
         counts = dict[str, np.ndarray]()
         if satellites is None or needs_counts:
@@ -400,6 +402,7 @@ def tables(
                     "prediction": prediction,
                     "piece_m": piece_m,
                 }
+
                 # Both coefficients with the maps' values in their place, and at every shift along the track.
                 receiver, maps, blocks = compared(pieces, witness, prediction)
                 at_shifts = {
@@ -411,6 +414,7 @@ def tables(
                     # Shifts of more than half the track count as shifts back.
                     shift = np.fft.ifftshift(np.arange(num) - num // 2)  # 0, 1, ..., -2, -1
                     shifts.append(pd.DataFrame({**row, "shift": shift, **at_shifts}))
+
                 # The score, without its shifts: the interval, and how many shifts do as well.
                 interval = within_blocks(receiver, maps, blocks)
                 row |= {"num": num, "within_low": interval.low, "within_high": interval.high}

@@ -93,6 +93,7 @@ def compare_fits(
     at_least("bootstrap", bootstrap)
     if not 0 <= hold_out <= MOST_HELD_OUT:
         raise InputError(f"hold_out must be a share from 0 to {MOST_HELD_OUT:g}, got {hold_out}")
+
     # All routes in one row, with the city of each, and the number of its pair of ends, whose routes stay together.
     demonstrations = list(itertools.chain.from_iterable(cities.values()))
     queries = [each.query for each in demonstrations]
@@ -114,12 +115,14 @@ def compare_fits(
             bootstrap=bootstrap,
             settings=settings if name == ALL else without_file,
         )
+
     # The regret [N, F] of every route under each of F fits, against the cheapest route by search.
     vectors = np.array([fit.vector for fit in fits.values()])
     cheapest = pool_of_fit(without_file, queries).cheapest(vectors)[0]  # [N, F, K]
     demo = np.array([demonstration.features for demonstration in demonstrations])
     regret = (demo @ vectors.T) / np.einsum("nfk,fk->nf", cheapest, vectors) - 1
     is_bad = trust_of(regret[:, 0], usual_regret(regret[~is_held_out, 0])) < DISTRUSTED
+
     # Each fit is judged by the same routes: held out, and not bad under the first fit.
     is_judged = is_held_out & ~is_bad
     clusters = Clusters(group[is_judged], city[is_judged], settings.seed)

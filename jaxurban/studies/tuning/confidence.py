@@ -108,6 +108,7 @@ def near_optimal_range(
     query, route = np.nonzero(route_costs <= FAR * cost[:, None])
     slack = np.diag(-cost)[query]
     rows = np.hstack([demo[query] - routes[query, route], slack])
+
     # The last row: the slacks' mean, weighted by trust, is at most the allowed regret of the mean demonstration.
     centre = demo.mean(axis=0) / (demo.mean(axis=0) @ weights)
     bound = np.concatenate([-(regret + tolerance) * centre, share * cost])
@@ -185,6 +186,7 @@ def indistinct_weights(
     cheapest = np.take_along_axis(routes, cost.argmin(axis=1)[:, None, None], axis=1)
     more = ((routes - cheapest) / unit)[competes]
     covariance = (more.T @ more / max(len(more), 1))[np.ix_(is_fitted, is_fitted)]
+
     # Weights of features in which competing routes do not differ.
     variances = np.diag(covariance)
     is_seen = variances > UNSEEN * max(float(np.max(variances)), 1e-300)

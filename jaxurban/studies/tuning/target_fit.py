@@ -219,6 +219,7 @@ def fit_targets(
     shortest = pool.cheapest(np.eye(len(names))[:1])[:, :, 0]
     units = feature_units(queries, shortest[0])
     first = 1 / units if weights is None else np.maximum(weights, 1e-6)
+
     # All targets together; where some are missed, each of several alone, then pairs.
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         search = _Search(

@@ -216,6 +216,7 @@ def fit_weights(
         regret = fit.searched_regret(fit.log_weights)
         best = fit.least_mean_regret(float(regret.mean()))
         draws, interval = _refitted(fit, demonstrations, scale, bootstrap)
+
     # What the fit says, and what it cannot say.
     table = _weight_table(fit, scale, interval)
     unidentified = [_constant_sentence(name, name in left_out) for name in constant]
@@ -328,6 +329,7 @@ class _Fit:
         num_known = self.pool.num_routes
         expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.routes[0]), axis=-1)
         searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
+
         # First the loss, which leads from anywhere; then the mean regret, with patience that falls from round to round.
         task = self.task(NUM_NOISE, noise, rng)
         objective = fenchel_young_loss
@@ -422,6 +424,7 @@ def _refitted(
     draws = np.array([_scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, num)
     if not bootstrap:
         return draws, np.full((2, num), np.nan)
+
     # Weights that explain the demonstrations as well: they sum to 1, or the distance alone is 1.
     sides = np.ones(num) if scale == "simplex" else np.eye(num)[0]
     least = np.array([demonstration.least_features for demonstration in demonstrations])

@@ -160,6 +160,7 @@ def routes_of_cities(
         _check_cities(routes, cities.maps)
         if altitudes_m is not None:
             raise InputError("altitudes_m is of sampled routes: a table of routes names its own")
+
     # The routes of each city: those of the table, or sampled ones.
     parts = []
     for number, (city, maps) in enumerate(cities.maps.items()):

@@ -186,6 +186,7 @@ def route_facts(
     facts |= {name: float(value) for name, value in outcomes_of(integrals, query.names).items()}
     for name, share in zip(query.names, weights * features / cost, strict=True):
         facts[f"elasticity:{name}"] = float(share)
+
     # How it changes with each weight that varies; the draws of each route have a seed of their own.
     pool = RoutePool([query], workers=settings.num_threads)
     facts |= _changes(pool, weights, varied, settings, cost)
@@ -225,6 +226,7 @@ def _changes(
     """
     columns = list(varied.values())
     nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
+
     # [varied, 2, K] the weights with each that varies too small, then too large, and the regrets [varied, 2].
     wrong = np.tile(weights, (len(columns), 2, 1))
     for number, column in enumerate(columns):

@@ -84,6 +84,7 @@ class Sensitivity(FactsRepr):
           [False, True, False]
         """
         line = self.lines[one_of("name", name, self.lines)]
+
         # Values of the weight at both ends of the line and at the breakpoints between, from the shares of the second
         # corner there. The given weight lies between two of them.
         column = self.names.index(name)
@@ -227,6 +228,7 @@ def sensitivity(
         features, integrals = pool.cheapest(weights[None])[:, :, 0]
         cost = cost_gradient(names, weights, features)
         outcomes = outcome_slopes(pool, weights, integrals, seed=settings.seed)
+
         # What the settings leave out: the objectives are distance and the metrics with the largest shares of the cost.
         shares = cost["elasticity"][[name for name in columns if name != "distance"]]
         largest = shares.sort_values(ascending=False, kind="stable").index[:2]
@@ -260,6 +262,7 @@ def sensitivity(
             max_plans=settings.max_plans,
             on_plans=partial(report, "Pareto front"),
         )
+
         # A route to draw for each cell of each line.
         report("routes")
         return Sensitivity(
