@@ -166,9 +166,8 @@ def typed(public: Public) -> Public:
     parameters = signature.parameters
     in_order = [name for name, p in parameters.items() if p.kind is not p.KEYWORD_ONLY]
     call = f": call {public.__name__}({', '.join(in_order)})"  # ends a message
-    further = next(
-        (name for name, p in parameters.items() if p.kind is p.VAR_KEYWORD), ""
-    )  # **name
+    # The name of the parameter ``**name`` that takes further keywords, "" where there is none.
+    further = next((name for name, p in parameters.items() if p.kind is p.VAR_KEYWORD), "")
 
     @functools.cache
     def kinds() -> dict[str, list[Kind]]:

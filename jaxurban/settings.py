@@ -402,8 +402,7 @@ class Vehicle:
           [10.0, 20.0]
         """
         cruise_s = air_m / speed_m_s
-        climb_s = rise_m / (
-            self.max_climb_m_s or np.inf
-        )  # below 0 in a descent, as the other in a climb
+        # The seconds of a climb are below 0 in a descent, and those of a descent in a climb.
+        climb_s = rise_m / (self.max_climb_m_s or np.inf)
         descent_s = -rise_m / (self.max_descent_m_s or np.inf)
         return np.maximum(cruise_s, np.maximum(climb_s, descent_s))

@@ -268,9 +268,9 @@ def _named_in(sentence: str, arguments: Sequence[str]) -> str:
         is_passed = isinstance(param, click.Argument) or not passed.isdisjoint(param.opts)
         if param.name == first_word and is_passed:
             return _name_of(param)
-    setting = re.search(
-        r": (\w+): (\w+) must ", sentence
-    )  # as in "file: gps: mask_deg must be ..."
+
+    # A setting, as in "file: gps: mask_deg must be ...", or else an option that the user gave.
+    setting = re.search(r": (\w+): (\w+) must ", sentence)
     if setting:
         return f"{setting[1]}.{setting[2]}"
     options = re.findall(r"--[a-z-]+", sentence)

@@ -111,9 +111,8 @@ def _changes(result: computed.Sensitivity) -> pd.DataFrame:
     """
     slopes = result.outcomes
     size = slopes["expected"].abs().clip(lower=1e-12)
-    change = (
-        slopes["expected_slope"] * np.log(MORE) / size
-    )  # slopes are by the logarithm of a weight
+    # Slopes are by the logarithm of a weight.
+    change = slopes["expected_slope"] * np.log(MORE) / size
     is_clear = slopes["expected_slope"].abs() > CLEAR * slopes["expected_slope_se"]
     texts = change.map("{:+.1%}".format).where(is_clear, "unclear")
     return texts.unstack()[[*result.names]]
@@ -142,9 +141,8 @@ def ranges(result: computed.Sensitivity, name: str) -> dict[str, float]:
       Values of the weight: between ``same_from`` and ``same_to`` the cheapest route is the given one; between
       ``alike_from`` and ``alike_to`` no outcome differs from its by more than the share `ALIKE`.
     """
-    table = result.breakpoints(
-        name
-    )  # a row per route along the range, by the values where it is the cheapest
+    # A row for each route along the range, with the values between which it is the cheapest.
+    table = result.breakpoints(name)
     outcomes = table[list(outcome_names(result.names))]
     given = table.index[table["is_given"]][0]
     route = outcomes.loc[given]

@@ -156,9 +156,9 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     """
     if "summary" not in tables:
         return {}
-    parts, _ = pd.factorize(
-        tables["summary"].value
-    )  # numbers of the parts of the routes, in their order
+
+    # The statistics, in the order of the parts of the routes, and in each part by falling regret.
+    parts, _ = pd.factorize(tables["summary"].value)
     by_regret = tables["summary"].assign(part=parts)
     by_regret = by_regret.sort_values(["part", "regret"], ascending=[True, False])
     by_regret = by_regret.rename(columns={"value": "of", "weight_name": "weight"})

@@ -360,11 +360,15 @@ def unpacked(file: Path) -> tuple[Problem, list[str]]:
 
 
 def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple[str, float]:
-    """Return the outcome of a query, and the cost of its route; inf where the route is missing or no valid one.
+    """Return the outcome of a query and the cost of its route.
+
+    The outcome is `VALID`, `MISSING`, or a few words on the first fault of the route; with a fault the cost is inf.
 
     Args:
-      problem, names: of the city's map (`unpacked`).
-      row: the query, the ``route`` that answers it, and as ``outcome`` whether there is one, as `DataFrame.merge` says.
+      problem: the city's map, without a query (`unpacked`).
+      names: ``[K]`` the map's weights.
+      row: the query; the ``route`` that answers it, a text; and ``outcome``, the indicator of `DataFrame.merge`, which
+        is ``"left_only"`` where nothing answers it.
 
     Raises:
       InputError: invalid weights, in the track ``weights``.
@@ -380,15 +384,17 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
         route = astar_plus(problem.with_weights(weights.vector(names)))
         return VALID, problem.cost_of(route.points_m)
 
-    # The line itself: its points, in metres from the southwest corner, its ends, and whether it stays on the map.
+    # Whether the route is a line: its points [N, 2] are in metres from the map's southwest corner.
     side_m = problem.resolution_m
     ends_m = np.array([row[end] for end in ENDS]).reshape(2, 2)
-    with np.errstate(invalid="ignore"):  # of NaN
+    with np.errstate(invalid="ignore"):  # a route may hold NaN
         line = shapely.from_wkt(str(row["route"]), on_invalid="ignore")
     points_m = shapely.get_coordinates(line)
     is_line = isinstance(line, shapely.LineString) and len(points_m)
     if not is_line or not np.isfinite(points_m).all():
         return "no line", np.inf
+
+    # Whether it joins the ends of the query and stays on the map.
     if np.abs(points_m[[0, -1]] - ends_m).max() > NEAR_M:
         return "wrong ends", np.inf
     points_m[[0, -1]] = ends_m
@@ -396,7 +402,8 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
     if (points_m < 0).any() or (points_m > size_m).any():
         return "leaves the map", np.inf
 
-    # Outside of "any-angle" a line runs straight or diagonally from centre to centre, and rounding is undone.
+    # In all tracks but "any-angle" a line runs straight or diagonally from centre to centre of cells. Its points are
+    # moved to the very centres, which undoes their rounding.
     if row["track"] != "any-angle":
         cells = points_m // side_m
         centres_m = (cells + 0.5) * side_m
@@ -407,7 +414,7 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
         points_m = centres_m
         problem = replace(problem, leg_margin_m=NEAR_M * side_m)  # keeps diagonals from corners
 
-    # What the planners' own judge counts along it.
+    # Whether it keeps free cells and its budget, and what it costs, as the planners themselves count it.
     sums = problem.features(points_m)
     if not sums.is_valid:
         return "not free", sums.cost(problem.weights)

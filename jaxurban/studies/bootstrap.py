@@ -67,9 +67,8 @@ class Clusters:
         groups = np.asarray(groups)
         names = np.zeros(len(groups)) if cities is None else np.asarray(cities, str)
         self._city, present = pd.factorize(names)  # [N] number of each value's city
-        self._group = np.zeros(
-            len(groups), int
-        )  # [N] number of each value's group, over all cities
+        # [N] number of each value's group, counted over all cities.
+        self._group = np.zeros(len(groups), int)
         draws = [np.empty((NUM_DRAWS, 0))]
         num_before = 0
         for city in range(len(present)):

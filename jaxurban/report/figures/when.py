@@ -35,10 +35,8 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
       width: see `plot_metric`.
     """
     table = departures.table.fillna({"time": "", "time_of_day": ""})
-    along, series = (
-        "time_of_day",
-        "time",
-    )  # columns: along the axis, and of which each value has a line
+    # Columns: the first is along the axis, and each value of the second has a line.
+    along, series = "time_of_day", "time"
     axis_label = "time of day"
     labels = table[along].unique().tolist()
     if table["time"].nunique() > 1:

@@ -449,9 +449,8 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
     if cover is not None:
         for name, shape in (("park", cover.park), ("water", cover.water)):
             parts = shapely.get_parts(shape)
-            covered, _ = burn(
-                parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8"
-            )  # 1 inside, else 0
+            # 1 inside the parts, else 0.
+            covered, _ = burn(parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8")
             strata[covered == 1] = STRATA.index(name)
     strata[~maps.ds["has_data"].values] = NO_STRATUM
     return strata

@@ -90,16 +90,17 @@ def near_optimal_range(
     Args:
       weights: ``[F]`` of the fit, of features in the task's units.
       task: its routes and trust, with the least that the demonstrations may add up as ``demo``.
-      scale: ``[F]`` a with a . W = 1 for the W that are compared.
-      tolerance: of mean regret.
+      scale: ``[F]``: only weights W with scale . W = 1 are compared.
+      tolerance: by how much the mean regret may exceed that of the fit; 0.01: by 1 % of the cheapest costs.
     """
-    demo, routes, trust = (np.asarray(part) for part in (task.demo, task.routes, task.trust))
+    # [Q, F] features of the demonstrations, [Q, R, F] of the known routes, and [Q] the trust.
+    demo, routes, trust = map(np.asarray, (task.demo, task.routes, task.trust))
     num_queries, num_weights = demo.shape
+
+    # [Q] the cost of each demonstration, and what a unit of cost above the cheapest route adds to the mean regret.
     weights = weights / (scale @ weights)
     cost = demo @ weights
-    share = (
-        trust / trust.sum() / cost
-    )  # of the mean regret, for each unit of cost above the cheapest
+    share = trust / trust.sum() / cost
     route_costs = routes @ weights
     regret = float(np.sum(share * np.maximum(cost - np.min(route_costs, axis=1), 0.0)))
 

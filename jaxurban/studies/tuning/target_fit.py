@@ -332,19 +332,24 @@ class _Search:
         best ends of the descents, and searches around the best weights so far. It ends after the settings' rounds, when
         no target is missed, when three rounds better nothing, or when the time is over.
         """
-        # What is asked of each target, and numbers that are random but the same for all sets of targets.
+        # [T] of each target 1 for at least, -1 for at most and 0 where it does not count, and its bound.
         senses = {">=": 1.0, "<=": -1.0}
         signs = [senses[each.sense] if each in active else 0.0 for each in self.targets]
         sign = jnp.array(signs)
         bound = jnp.array([target.value for target in self.targets])
+
+        # Random numbers, the same for all sets of targets. Candidates spread ever less around the best weights, and
+        # probes ever more: a standard deviation of the log weights for each of them, [C, 1] and [P, 1].
         rng = np.random.default_rng(self.settings.seed)
         num_weights = len(self.log_start)
         noises = jnp.asarray(draw_pairs(self.settings.seed, NUM_NOISE, num_weights))
         spread = FAR_SPREAD * np.geomspace(1.0, NEAR_SPREAD / FAR_SPREAD, NUM_CANDIDATES)[:, None]
         widths = np.geomspace(*PROBE_NOISE, NUM_PROBES)[:, None]
-        nothing = np.full(len(self.targets), np.inf)
+
+        # Before the first round nothing is reached, and every target is missed by inf.
+        unreached = np.full(len(self.targets), np.inf)
         rows: list[dict] = []
-        best = _Best(self.log_start, nothing, nothing, rows)
+        best = _Best(self.log_start, unreached, unreached, rows)
 
         for number in range(self.settings.max_rounds):
             # Candidates, judged over the known routes, and descents from the best of them.
@@ -355,7 +360,7 @@ class _Search:
             starts = self._least(candidates, NUM_STARTS, aim)
             descended = _descend(jnp.asarray(starts), noises, aim, self.pool.names, self.targets)
 
-            # The best by planned routes; sums are features and integrals [2, Q, K] of them.
+            # The best of the weights by routes that are planned under them, with features and integrals [2, Q, K].
             for log_weights in self._least(np.concatenate([descended, starts]), NUM_TRIED, aim):
                 sums = self.pool.cheapest(np.exp(log_weights)[None])[:, :, 0]
                 reached = self.outcomes(np.concatenate(sums, axis=-1))
@@ -371,6 +376,9 @@ class _Search:
             }
             rows.append(row | dict(zip(map(str, self.targets), best.reached.tolist(), strict=True)))
             self.report("rounds", number + 1, loss=f"{row['loss']:.3g}", searches=row["num_plans"])
+
+            # The end: all targets are reached, `PATIENCE` rounds have not lowered the loss, or the time is over. Else
+            # routes are planned around the best weights, which the next round judges by.
             is_stuck = number >= PATIENCE and rows[-1]["loss"] >= rows[-1 - PATIENCE]["loss"]
             if not np.any(best.missed) or is_stuck or time.perf_counter() > self.end_s:
                 break
@@ -441,9 +449,8 @@ def outcome_values(
             value = jnp.mean(length_m / shortest_m) - 1
         elif target.outcome == "people":
             column = num + list(names).index("population")
-            people = jnp.maximum(
-                jnp.sum(shortest[:, column]), 1e-9
-            )  # the shortest routes may pass none
+            # The shortest routes may pass no people: nothing is divided by 0.
+            people = jnp.maximum(jnp.sum(shortest[:, column]), 1e-9)
             value = jnp.sum(sums[:, column]) / people
         else:
             column = num + list(names).index(target.outcome.removeprefix(MEAN))

@@ -186,7 +186,7 @@ def fit_weights(
     constant = constant_layers(queries)
     left_out = _left_out(constant, queries)
     is_fitted = np.array([name not in left_out for name in names])
-    demo = np.array([demonstration.features for demonstration in demonstrations])
+    demo = np.array([demonstration.features for demonstration in demonstrations])  # [Q, K]
 
     # What is fitted over: the routes found so far, beginning with the demonstrations themselves.
     noise_rounds = min(settings.max_rounds, NOISE_ROUNDS)
@@ -198,10 +198,11 @@ def fit_weights(
         noise_rounds=noise_rounds,
         demonstrations=fingerprint(demo),
     )
-    unit = np.where(is_fitted, feature_units(queries, demo), 1.0)
+    unit = np.where(is_fitted, feature_units(queries, demo), 1.0)  # [K] of features in the fit
     fit = _Fit(pool, demo, unit, is_fitted, settings.seed)
 
-    # Rounds of searches, until one betters no known route or the budget ends; then intervals.
+    # Rounds of searches, each a row of the curve, until one betters no known route or the budget ends. Then the regret
+    # [Q] of each demonstration, the least mean regret of any weights, and refits for the intervals.
     least_rounds = min(settings.max_rounds, TRUST_ROUNDS + DOUBT_ROUNDS + 1)
     rows = []
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
@@ -325,12 +326,14 @@ class _Fit:
         probes[:, 0] = 1.0
         probed = self.weights * probes
 
-        # The cheapest costs [Q, 1 + NUM_PROBES] among the known routes, and by search: the gap is what was not known.
+        # [Q, 1 + NUM_PROBES] the cheapest costs among the routes known so far, and by search. Where a search finds a
+        # cheaper route, its cost is below the expected one; the largest such gap says how much was not known.
         num_known = self.pool.num_routes
         expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.routes[0]), axis=-1)
         searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
 
-        # First the loss, which leads from anywhere; then the mean regret, with patience that falls from round to round.
+        # What is minimised: in the first rounds the loss, which leads from anywhere; then the mean regret, in which
+        # demonstrations that are far costlier than most count less, and the less the later the round.
         task = self.task(NUM_NOISE, noise, rng)
         objective = fenchel_young_loss
         if number >= TRUST_ROUNDS:
@@ -339,13 +342,13 @@ class _Fit:
             regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), task))
             self.trust = redescending_trust(regret, patience)
             task = task._replace(trust=jnp.asarray(self.trust))
-        ended, reached = descend(jnp.asarray(self.log_weights), task, objective, STEPS)
-        self.log_weights = np.asarray(ended)
+        log_weights, loss = descend(jnp.asarray(self.log_weights), task, objective, STEPS)
+        self.log_weights = np.asarray(log_weights)
         return {
             "round": number + 1,
             "noise": noise,
-            "loss": float(reached),
-            "mean_regret": float(np.mean(np.asarray(regrets(weights_of(ended), task)))),
+            "loss": float(loss),
+            "mean_regret": float(np.mean(np.asarray(regrets(weights_of(log_weights), task)))),
             "worst_gap": float(np.max(expected / searched - 1)),
             "new_routes": self.pool.num_routes - num_known,
             "num_plans": self.pool.num_plans,
@@ -387,9 +390,8 @@ class _Fit:
         """
         lowest = self.log_weights
         for _ in range(REGRET_ROUNDS):
-            task = self.task(
-                2, LAST_NOISE, np.random.default_rng(self.seed)
-            )  # its noise plays no part
+            # The noise plays no part in the regret; two noises are the fewest.
+            task = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
             task = task._replace(trust=jnp.ones(len(self.demo)))
             ended, expected = descend(jnp.asarray(lowest), task, mean_regret, STEPS)
             lowest = np.asarray(ended)
