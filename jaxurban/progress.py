@@ -172,6 +172,7 @@ class _Log(io.StringIO):
     """A file whose lines go to the log."""
 
     def write(self, text: str) -> int:
-        if line := text.strip():
+        line = text.strip()
+        if line:
             LOG.info(line)
         return len(text)

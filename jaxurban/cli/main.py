@@ -125,6 +125,9 @@ def _run(arguments: Sequence[str]) -> int:
 
     Every error that a user can cause ends in one sentence on stderr, and with ``--json`` in one object on stdout.
 
+    Args:
+      arguments: the words of the command line after the program's name.
+
     Raises:
       Exception: a fault of jaxurban, as it came.
     """
@@ -153,9 +156,10 @@ def _run(arguments: Sequence[str]) -> int:
     # What the machine cannot do.
     except MemoryError:
         code = fail(NO_MEMORY)
-    except (BrokenPipeError, SystemExit) as left:  # the reader of stdout, as `head` does
-        # Where click notices first, it puts an object of its own in stdout's place and exits.
-        if isinstance(left, SystemExit) and sys.stdout is stdout:
+    except (BrokenPipeError, SystemExit) as end:
+        # The reader of stdout has left, as `head` does. Where click notices it first, click puts an object of its own
+        # in the place of stdout and exits; with the former stdout an exit has another cause.
+        if isinstance(end, SystemExit) and sys.stdout is stdout:
             raise
         _drop_stdout()
         code = 0
@@ -174,7 +178,7 @@ def _run(arguments: Sequence[str]) -> int:
     except (KeyboardInterrupt, click.Abort):
         _end_interrupted(arguments)
     except Exception as error:
-        # In the midst of an import, Ctrl-C comes as what the import makes of it.
+        # In the midst of an import, Ctrl-C comes as an error of the import.
         if interrupted.is_set():
             _end_interrupted(arguments)
         remedy = _remedy_in_environment(error)

@@ -80,7 +80,7 @@ def maps(
         changes = (*changes, f'region.engine = "{engine}"')
     scenario = Scenario.from_toml(scenario_file, changes)
 
-    # Make the maps. Pictures in the folder that show other maps are removed, and drawn again if that is asked for.
+    # Make the maps.
     with reporting("maps") as report:
         run = run_scenario(
             scenario,
@@ -91,6 +91,9 @@ def maps(
             workers=workers,
             memory_bytes=None if memory is None else parse_bytes(memory),
         )
+
+        # The pictures in the folder belong to the maps whose settings are kept with them. Those of other maps are
+        # removed, and pictures of these maps are drawn if they are asked for.
         with Workspace.open(output, "maps --figures", is_shared=True) as pictures:
             settings = Workspace.settings_of(output, "maps")
             are_of_these_maps = pictures.settings == settings

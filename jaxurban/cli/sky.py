@@ -154,6 +154,7 @@ def _sky_along(
     from jaxurban.io.tables import SUFFIXES
     from jaxurban.paths.sky_along import sky_along
 
+    # A table has a time and a place in each row, and maybe an altitude.
     if track.suffix.lower() in SUFFIXES:
         if times or speed_m_s is not None:
             raise click.UsageError("a table has its own times: leave --time and --speed out")
@@ -163,6 +164,8 @@ def _sky_along(
         if altitude_m is None and ALTITUDE in table:
             altitudes_m = table[ALTITUDE].tolist()
         return sky_along(folder, places, altitudes_m, table[UTC].tolist(), **source)
+
+    # A route is flown at a speed from the time of departure on.
     if speed_m_s is None or len(times) > 1:
         raise click.UsageError("a route needs --speed, and one --time, of departure")
     route = read_routes(track)[0]

@@ -64,13 +64,14 @@ def plot_building_costs(
         city.attribution,
     )
 
-    # The largest cost or gain is the scale's end on both sides; it is linear up to a thousandth of that.
+    # The scale of colours ends at the largest cost or gain on both sides, and is linear up to a thousandth of that.
     most = max(float(table.per_metre.abs().max()) if len(table) else 0.0, 1e-12)
     ticks = -most, -most / 100, 0.0, most / 100, most
     norm = SymLogNorm(most / 1000, vmin=-most, vmax=most)
     colours = Colours("RdBu_r", norm, "cost per metre of height", ticks=ticks)
 
-    # The part of the region around the route, in whole cells; the small number is for rounding.
+    # The part of the region around the route, as a grid: its corners in metres become columns and rows. The small number
+    # keeps a corner on the edge of a cell from rounding into the next one.
     low = np.maximum(planned.xy_m.min(axis=0) - MARGIN_M, grid.bounds_m[:2])
     high = np.minimum(planned.xy_m.max(axis=0) + MARGIN_M, grid.bounds_m[2:])
     first = np.floor(low / grid.resolution_m + 1e-6).astype(int)
@@ -79,6 +80,7 @@ def plot_building_costs(
     num_cols, num_rows = (end - first).tolist()
     near = Grid(grid.crs, grid.resolution_m, first_row, first_col, num_rows, num_cols)
 
+    # The map with its heading, note and legend.
     panels = [MapPanel(f"{planned.search.planner}, cost {planned.cost:,.1f}")]
     heading = "What one more metre of each building costs the route"
     heading = joined(heading, settings["time_of_day"], by=", ")
@@ -163,9 +165,11 @@ def write_buildings(
             "of one time, and plan on them"
         )
 
-    # Derivatives are computed in float64.
-    city, params = task.city, SoftParams(planned.altitude_m, softness_m, dict(task.params.sections))
-    time_index, time_of_day = task.sky.times.index(time), planned.settings["time_of_day"] or "day"
+    # The soft maps, at the time and time of day of the route, and the derivatives, which are computed in float64.
+    city = task.city
+    params = SoftParams(planned.altitude_m, softness_m, dict(task.params.sections))
+    time_index = task.sky.times.index(time)
+    time_of_day = planned.settings["time_of_day"] or "day"
     with jax.enable_x64(True):
         soft = soften(task, time_index=time_index, time_of_day=time_of_day, dtype=np.float64)
         table = building_costs(city, soft, planned, params)

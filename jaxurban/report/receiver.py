@@ -174,11 +174,21 @@ def _needs_no_orbits(log: ReceiverLog) -> bool:
 
 
 def _facts(result: computed.ReceiverValidation) -> list[tuple[str, str]]:
-    """Return the rows of the report's table of facts on the log and the maps: name and text; empty ones left out."""
+    """Return the facts on the log and the maps, the rows of a table of the report: name and text.
+
+    The orbits are left out where none were needed.
+
+    Args:
+      result: of the comparison; its summary has numbers of the track, and its scenario the settings of the maps.
+    """
     summary, settings, scenario = result.summary, result.settings, result.scenario
+
+    # In a log without counts of its own, satellites are counted from the rows that are judged.
     counted = ""
     if result.satellites is not None and not result.log.witnesses:
         counted = " (of rows that are judged)"
+
+    # The texts of the facts.
     orbits = ", ".join(f"`{name}`" for name in scenario["gps"]["orbits"])
     skies = f"{summary['num_skies']} skies, one each {settings.sky_step_s:g} s"
     masks_deg = listed_m(as_tuple(scenario["gps"]["mask_deg"]))

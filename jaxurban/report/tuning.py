@@ -89,6 +89,7 @@ def run_tuning(
       InputError: routes or maps that cannot be read or do not go together, a wrong setting, or a folder that holds
         another fit or other files, or cannot be written to.
     """
+    # The arguments: an output folder, a pilot who prefers something, routes for each folder of maps, and targets.
     if folder.exists() and not folder.is_dir():
         raise InputError(f"cannot write to the output folder {str(folder)!r}: it is a file")
     if settings.pilot is not None and not any(settings.pilot.to_dict().values()):
@@ -98,22 +99,24 @@ def run_tuning(
     sources = {
         source: _files_of(source, files, settings.sample) for source, files in sources.items()
     }
-    opened = [source.open() for source in sources]
+    maps_of_sources = [source.open() for source in sources]
     targets = [Target.parse(text) for text in settings.targets]
     with reporting("tune") as report:
-        # The routes of each city; folders of one name and place are one city.
+        # The demonstrations of each city; a folder of maps that stands several times is one city.
         report("routes")
         cities: dict[str, list[Demonstration]] = {}
         names = _names_of([Path(source.folder).resolve() for source in sources])
-        for files, maps, name in zip(sources.values(), opened, names, strict=True):
+        for files, maps, name in zip(sources.values(), maps_of_sources, names, strict=True):
             cities.setdefault(name, []).extend(_demonstrations(files, maps, settings))
         demonstrations = list(chain.from_iterable(cities.values()))
 
-        # Files of another fit are recognised by the state of the fit, which holds its settings.
+        # The output folder, with the files that a fit writes there. Those of another fit are recognised by the state
+        # file, which holds the settings of its fit.
         pictures = [f"figures/{name}.png" for name in ("weights", *_pictures(demonstrations))]
         outputs = [*TABLES, *pictures, "weights.toml", REPORT_FILE]
         files_written = [STATE_FILE, *files_of(outputs)]
         with Workspace.open(folder, "tune", names=files_written, overwrite=overwrite):
+            # The fit, to targets or to routes. Fits to routes leave those out that are held out from them.
             report("rounds")
             fit: WeightFit | TargetFit
             result = None
@@ -258,19 +261,22 @@ def outputs_of(
     """Return what a fit writes, by file name: tables, pictures, the report and weights.toml.
 
     Args:
-      fit: of the weights.
-      demonstrations, planned: the routes as given, and those under the weights.
+      fit: the fit of the weights, to routes or to targets.
+      demonstrations: ``N`` routes as they are given; at least one.
+      planned: ``N`` routes between the same ends under the fitted weights.
       texts: for the report: ``sources`` of the routes, and ``targets``.
-      result: further fits, which the fit is compared with, and routes that were held out.
+      result: further fits, which the fit is compared with, and routes that were held out; None: there are none.
     """
+    # The maps by the names of their pictures, the weights [K], a table of the routes, and fields of the report.
     pictures = _pictures(demonstrations)
     first = next(iter(pictures.values()))
-    vector, fields = fit.weights.vector(fit.names), dict[str, Any](texts)
+    vector = fit.weights.vector(fit.names)
+    fields = dict[str, Any](texts)
     routes = compared_routes(demonstrations, planned)
     tables = {}
     outputs: Outputs = {"learning_curve": fit.curve}
 
-    # What only a fit to routes has, or only one to targets: template, table of weights, and further tables.
+    # What depends on the kind of the fit: the template of its report, its table of weights, and further tables.
     if isinstance(fit, WeightFit):
         template, noun, weights = "imitation", "demonstration", fit.table.reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
@@ -287,13 +293,15 @@ def outputs_of(
         alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")
         tables["outcomes"] = outputs["targets"] = fit.outcomes.join(alone).reset_index()
 
-    # What both have; a picture of the routes on each map.
+    # What every fit has: tables of its weights and of its routes, and a picture of the routes on each map.
     units = weight_units(first)
     weights = weights.assign(unit=[units[name] for name in fit.names])
     outputs |= {"weights": weights, "examples": routes}
     for name, cost_map in pictures.items():
         draw = partial(plot_routes, demonstrations, planned, cost_map, vector, noun)
         outputs[f"figures/{name}.png"] = draw
+
+    # The report.
     tables |= {
         "weights": weights,
         "setting": _setting([*pictures.values()]),

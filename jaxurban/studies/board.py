@@ -412,7 +412,9 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
         if np.abs(points_m - centres_m).max() > NEAR_M or not is_straight.all():
             return "off the grid", np.inf
         points_m = centres_m
-        problem = replace(problem, leg_margin_m=NEAR_M * side_m)  # keeps diagonals from corners
+
+        # The margin keeps diagonals from passing between two closed cells that touch at a corner.
+        problem = replace(problem, leg_margin_m=NEAR_M * side_m)
 
     # Whether it keeps free cells and its budget, and what it costs, as the planners themselves count it.
     sums = problem.features(points_m)

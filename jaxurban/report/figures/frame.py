@@ -159,7 +159,7 @@ def draw_maps(
         width_in -= NORTHING_IN
     size = _size(grid, len(panels), width_in, foot_in)
 
-    # The cells of the panels; a low row is added below them where no cell is left for the legend.
+    # The cells of the panels, in rows. Where no cell is left for the legend, a low row is added below them.
     figure = chart(FIRST_IN * size.num_rows, heading, note, width)
     row_heights = [1.0] * size.num_rows
     is_full = len(panels) == size.num_rows * size.num_cols
@@ -168,6 +168,7 @@ def draw_maps(
     cells = figure.add_gridspec(len(row_heights), size.num_cols, height_ratios=row_heights)
     axes = [figure.add_subplot(cells[number]) for number in range(len(panels))]
 
+    # Each panel with its title, and its ticks or the bar below it.
     for number, (spot, panel, bar) in enumerate(zip(axes, panels, bars, strict=True)):
         title = letter(number, len(panels)) + panel.title
         _draw_panel(spot, panel._replace(title=title, grid=panel.grid or grid), size)
@@ -438,6 +439,8 @@ def rules_said(*settings: Mapping[str, Any]) -> str:
         rules["cost model"].append(route["cost_model"])
         rules["weights"].append(weights)
         rules["obstacles"].append(obstacles)
+
+    # A fact for each rule, with the different values of the routes.
     facts = []
     for name, values in rules.items():
         different = list(dict.fromkeys(values))

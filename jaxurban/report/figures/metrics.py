@@ -220,7 +220,7 @@ def plot_metric(
         return plot_obstacles(maps, altitude_m=altitude_m, width=width)
     colours, patches = metric_colours(maps, name), obstacle_patches(maps)
 
-    # A panel per altitude; of a map without altitudes, which has no obstacles, a panel per time of day.
+    # A map with altitudes has a panel for each of them, in which its mean stands.
     if ALTITUDE in variable.dims:
         time = (time or maps.times[0]) if TIME in variable.dims else None
         panels = [
@@ -233,6 +233,8 @@ def plot_metric(
         heading += ", by altitude above ground"
         has_sky = bool(variable.of) and TIME in maps.metrics[variable.of].dims
         note = frame_note(maps, time, has_sky=has_sky, of=name)
+
+    # A map without altitudes has no obstacles, and a panel for each time of day if it varies with that.
     else:
         times_of_day: Sequence[str | None] = (None,)
         if TIME_OF_DAY in variable.dims:
@@ -242,7 +244,7 @@ def plot_metric(
             for day in times_of_day
         ]
         heading, note = variable.heading, frame_note(maps, has_sky=False)
-        patches = patches[1:]
+        patches = patches[1:]  # all but obstacles
 
     # The legend of classes, whose second one means a value of one, or a colour bar.
     classes = list(variable.classes)

@@ -168,16 +168,20 @@ def plot_paths(
     has_times = len(times) > 1
     panels = [_cost_panel(maps, place, shown, has_times) for place, shown in named_at.items()]
 
-    # What the picture says: heading, note and legend.
+    # The heading, which names the time of day if all panels have one.
     drawn = list(chain.from_iterable(named_at.values()))
     what = "Cost and paths" if drawn else "Cost"
     days = {place.time_of_day for place in places}
     day = days.pop() if len(days) == 1 else ""
     heading = joined(f"{what}, by altitude above ground", day, by=", ")
+
+    # The note: sky and maps, what stands below the panels, and the rules of the routes.
     facts = frame_note(maps, None if has_times else times.pop())
     if drawn:
         facts = joined(facts, "below: cost, length")
     note = joined(facts, rules_said(*(each.path.settings for each in drawn)), by="\n")
+
+    # The legend: obstacles, and each path that is drawn in its colour.
     colours = planner_colours(each.name for each in named)
     paths_at = [[each.path for each in shown] for shown in named_at.values()]
     entries = path_entries({each.name: colours[each.name] for each in drawn}, *paths_at)
@@ -302,10 +306,14 @@ def lanes_of(lines_m: Sequence[np.ndarray], near_m: float) -> list[float]:
     """
     if not lines_m:
         return []
+
+    # [N, N] the share of the length of each line, by row, that lies in the strip around each line, by column.
     lines = np.array([shapely.LineString(line_m) for line_m in lines_m])
     strips = [line.buffer(near_m) for line in lines]
-    inside = shapely.intersection(lines[:, None], strips)  # of each line, by row, in each strip
+    inside = shapely.intersection(lines[:, None], strips)
     shared = shapely.length(inside) / shapely.length(lines)[:, None]
+
+    # The lanes of each group: their mean is 0.
     _, groups = connected_components(shared > COINCIDE)
     lanes = np.zeros(len(lines))
     for group in np.unique(groups):
@@ -489,6 +497,7 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> Figures:
       maps: whose metrics are drawn.
       paths: one, several or a batch; empty: the cost is drawn instead, a picture per time of day.
     """
+    # The maps; metrics that vary with the time of day are left for the picture of people.
     by_day = [name for name, metric in maps.metrics.items() if TIME_OF_DAY in metric.dims]
     figures: Figures = {
         "overview": lambda: plot_overview(maps, paths),
@@ -498,7 +507,7 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> Figures:
         "sensor_choice": lambda: plot_sensor_choice(maps),
     }
 
-    # The cost, with the paths over it.
+    # The cost: with the paths over it, or alone at each time of day.
     if paths_in(paths):
         figures["paths"] = lambda: plot_paths(maps, paths)
     else:
@@ -506,13 +515,15 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> Figures:
             name = "cost" if len(maps.times_of_day) < 2 else f"cost_{time_of_day}"
             figures[name] = partial(plot_paths, maps, (), time_of_day=time_of_day)
 
-    # Statistics of a series, all variables of metrics made on request, and each time of several.
+    # Further variables: statistics of a long series, and all those of metrics that are made on request only.
     on_request = {name for name, metric in maps.metrics.items() if metric.section in ON_REQUEST}
     for name, variable in drawn_variables(maps).items():
         has_statistics = maps.variable(variable.of) != variable.of  # such as a median instead of m
         is_statistic = has_statistics and name.endswith(("_availability", "_p05"))
         if name == AVAILABILITY or is_statistic or variable.of in on_request:
             figures[name] = partial(plot_metric, maps, name)
+
+    # Metrics that vary with time, at each of several times; the GPS rating; and people.
     if len(maps.times) > 1 and maps.default_time is not None:
         for name, metric in maps.metrics.items():
             if TIME in metric.dims and name not in on_request:

@@ -497,7 +497,8 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
     table = table.reset_index(drop=True)
     weights = weight_columns(weighed_metrics(table.columns))
     needed = ("instance", "altitude_m", "crs", *PLACES, *weights)
-    if lost := [column for column in needed if column not in table]:
+    lost = [column for column in needed if column not in table]
+    if lost:
         raise InputError(f"{name} lacks the column {lost[0]!r}: it needs {', '.join(needed)}")
     if table.empty:
         raise InputError(f"{name} holds no row: give at least one instance")
@@ -565,7 +566,8 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
     # Weights of metrics that nobody knows, and metrics without a weight.
     for name in weighed_metrics(instances.columns):
         one_of("a weight of the instances", name, dict.fromkeys((*METRICS, *maps.metrics)))
-    if lost := [column for column in weight_columns(maps.metrics) if column not in instances]:
+    lost = [column for column in weight_columns(maps.metrics) if column not in instances]
+    if lost:
         raise InputError(
             f"the instances have no weight {lost[0]!r} for a metric of these maps: add it, 0 for none"
         )

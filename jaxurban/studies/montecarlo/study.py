@@ -113,7 +113,7 @@ def study(
       2         1  astar-dist  distance  optimal
       3         1  astar-plus  weighted  optimal
     """
-    # The rules of all runs: arguments, then the settings, then the maps' scenario.
+    # The rules of all runs: an argument comes before the settings, and these before the maps' scenario.
     folder = Path(folder)
     chosen = settings or Study()
     if isinstance(instances, int):
@@ -124,6 +124,8 @@ def study(
         constraints=constraints or Constraints(),
         preset=preset,
     )
+
+    # The maps under these rules, and the source from which each worker opens them.
     source = maps if isinstance(maps, MetricMaps | MapsFolder) else MapsFolder(maps)
     check_workers(workers, [source])
     opened, job = job.under(source if isinstance(source, MetricMaps) else source.open())
@@ -162,7 +164,7 @@ def study(
         write_table(instances, folder / INSTANCES_FILE)
         columns = row_columns(instances.columns)
         with reporting("study", progress) as report:
-            sources = {None: source}
+            sources = {None: source}  # None: one source for all instances, as they name no city
             rows = run_rows(
                 folder / ROWS_FILE,
                 job,

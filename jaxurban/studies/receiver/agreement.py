@@ -240,22 +240,23 @@ def agreement_of(
     Raises:
       InputError: fewer than `FEWEST_ROWS` rows that can be judged.
     """
-    # The rows with their rays, and whether each ray stays above known ground until it is above all roofs.
+    # The rows of the log, a ray for each, and whether the ray stays above known ground until it is above all roofs.
     rows, rays = _rows_of(log, track, grid, mask_deg, settings)
     rise_m = highest_top_m(city) - settings.antenna_height_m
     rows["is_known"] = rays.stays_within(known, rise_m)
 
-    # Every n-th epoch of a long log meets displaced cities, unless its rays are unknown; rivals every n-th as well.
+    # [R] bool of the rows: of a long log only every n-th epoch is taken for rivals and displaced cities, and for
+    # displaced cities only rows with known rays, unless buildings are known everywhere and nothing is guarded.
     is_guarded = settings.known != EVERYWHERE
     every = max(1, len(rows) // MOST_MOVED)
     is_taken = (rows.epoch % every == 0).to_numpy()
     is_moved = is_taken & (rows.is_known.to_numpy() | (not is_guarded))
     displaced = Displaced.of(settings.num_displaced, settings.seed, int(is_moved.sum()))
 
-    # How far away a roof of the largest scale can still be within a margin of the lowest ray.
+    # How far away from a place a roof, at the largest scale, can still come within the margin of the lowest ray.
     reach_m = (max(rise_m * SCALES[-1], 0.0) + FARTHEST_MARGIN_M) / np.tan(rays.elevation_rad.min())
 
-    # Leg by leg, since the ground around all of the track may not fit into memory.
+    # The columns are filled leg by leg, since the ground around the whole track may not fit into memory.
     rows["margin_m"] = np.nan
     rows["is_inside"] = False
     for leg in legs(track.x_m, track.y_m, grid.resolution_m):
@@ -269,28 +270,33 @@ def agreement_of(
         rows.loc[of_leg, "is_inside"] = ground.is_inside(leg_rays)
         rows.loc[of_leg, "margin_m"] = ground.margins_m(leg_rays)
 
-        # The same rays in displaced cities and under other roofs; columns count the moved rows.
+        # The same rays in displaced cities and under other roofs, where each moved row has a column of its own.
         moved = of_leg[is_moved[of_leg]]
         column = (np.cumsum(is_moved) - 1)[moved]
         guard = known if is_guarded else None
         displaced.fill(column, ground, rays.take(moved), guard, rise_m, report)
 
-    # Which rows are judged, and which of them are strong: at least the median of these, if that is received at all.
+    # Which rows are judged: those whose ray is known, unless nothing is guarded, and whose place is in no building.
     rows["is_seen"] = rows.margin_m >= 0
     rows.loc[rows.is_inside, "margin_m"] = np.nan
     is_open = rows.is_known | (not is_guarded)
     rows["is_judged"] = is_open & ~rows.is_inside
     _check_judged(rows, log.name, mask_deg)
+
+    # Which rows are strong: from the median of the judged ones on, or from the weakest received one if that is 0.
     judged = rows[rows.is_judged]
     median_dbhz = strong_dbhz = float(judged.cn0_dbhz.median())
     if not median_dbhz > 0:
         strong_dbhz = float(judged.cn0_dbhz[judged.cn0_dbhz > 0].min())
     rows["is_strong"] = rows.cn0_dbhz >= strong_dbhz
 
-    # The scores of the city, of displaced ones, and of rules that predict from less or more than the margin.
+    # The scores of the city and of displaced ones.
     report("scores")
     scores = score_table(rows, settings.seed)
     of_displaced = displaced.tables(rows[is_moved], settings.seed)
+
+    # The rivals: rules that predict from less or more than the margin, such as from the angle between the ray and the
+    # street along which the receiver moves.
     chosen = rows[is_taken & rows.is_judged]
     rays_chosen = rays.take(chosen.index.to_numpy())
     street_rad = headings_rad(track.x_m, track.y_m)[chosen.epoch]
@@ -301,6 +307,7 @@ def agreement_of(
     block = chosen.block.to_numpy()
     rivals = compared_rules(rules, is_strong, block, settings.seed)
     num_blocks = int(chosen.block.nunique())
+
     return SatelliteAgreement(
         rows=rows,
         scores=scores,

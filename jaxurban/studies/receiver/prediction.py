@@ -69,7 +69,8 @@ class ReceiverSettings:
             positive("known", self.known, "metres")
         at_least("num_displaced", self.num_displaced, 1)
         at_least("seed", self.seed)
-        if unknown := [letter for letter in self.systems if letter not in SYSTEMS]:
+        unknown = [letter for letter in self.systems if letter not in SYSTEMS]
+        if unknown:
             raise InputError(
                 f"systems must be letters of {', '.join(SYSTEMS)} (as RINEX has them), got {unknown[0]!r}"
             )

@@ -146,7 +146,8 @@ def validate(
     satellites = None
     guesses = dict[str, str]()
     with reporting("validate", progress) as report:
-        # The city, with its sky only where counts are predicted or the log lacks the satellites' directions.
+        # The city. The task of its maps, which holds the sky too, is made only if it is needed: where counts are
+        # predicted, or where the log lacks the directions of its satellites.
         report("read")
         lacks_angles = logged.satellites is not None and AZIMUTH not in logged.satellites
         needs_counts = logged.satellites is None or bool(logged.witnesses)
@@ -157,7 +158,7 @@ def validate(
         else:
             city = load_city(scenario)
 
-        # Satellite by satellite, if the log has them.
+        # How the city agrees with each satellite, if the log has a row for each.
         if logged.satellites is not None:
             if lacks_angles:
                 logged = with_directions(logged, track, task.sky, grid)
@@ -166,7 +167,8 @@ def validate(
                 logged, track, city, known, grid, scenario.gps.mask_deg, settings, report
             )
 
-        # Epoch by epoch: what the maps predict, or satellites counted from their rows where the log counts nothing.
+        # The columns of the epochs: what the maps predict, or, where the log counts nothing, satellites in view and
+        # received ones, counted from the rows of the agreement.
         counts = dict[str, np.ndarray]()
         if satellites is None or needs_counts:
             predicted = predict(task, track, report)

@@ -91,7 +91,7 @@ def near_optimal_range(
       weights: ``[F]`` of the fit, of features in the task's units.
       task: its routes and trust, with the least that the demonstrations may add up as ``demo``.
       scale: ``[F]``: only weights W with scale . W = 1 are compared.
-      tolerance: by how much the mean regret may exceed that of the fit; 0.01: by 1 % of the cheapest costs.
+      tolerance: by how much the mean regret may exceed that of the fit; regrets are shares of costs.
     """
     # [Q, F] features of the demonstrations, [Q, R, F] of the known routes, and [Q] the trust.
     demo, routes, trust = map(np.asarray, (task.demo, task.routes, task.trust))
