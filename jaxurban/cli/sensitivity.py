@@ -135,10 +135,11 @@ def sensitivity(
         lambda report: study(costs, start, goal, snap=snap, settings=settings, progress=report),
         overwrite,
     )
+
+    # The ranking of buildings, and the report again, which then holds it. The folder is opened with the settings of
+    # this study, as another run may have come in between.
     if buildings:
         _, settings_of_route = sensitivity_outputs(result)
-
-        # The folder is opened again with the same settings: another run may have come in between.
         with Workspace.open(output, "sensitivity", settings_of_route):
             ranking = write_buildings(folder, first, output / "buildings", scenario=scenario)
             save(output, {REPORT_FILE: sensitivity_markdown(result, ranking)})

@@ -70,8 +70,8 @@ def plot_building_costs(
     norm = SymLogNorm(most / 1000, vmin=-most, vmax=most)
     colours = Colours("RdBu_r", norm, "cost per metre of height", ticks=ticks)
 
-    # The part of the region around the route, as a grid: its corners in metres become columns and rows. The small number
-    # keeps a corner on the edge of a cell from rounding into the next one.
+    # The part of the region around the route, as a grid: its corners in metres become columns and rows. The small
+    # number keeps a corner on the edge of a cell from rounding into the next one.
     low = np.maximum(planned.xy_m.min(axis=0) - MARGIN_M, grid.bounds_m[:2])
     high = np.minimum(planned.xy_m.max(axis=0) + MARGIN_M, grid.bounds_m[2:])
     first = np.floor(low / grid.resolution_m + 1e-6).astype(int)

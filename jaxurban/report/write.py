@@ -133,6 +133,7 @@ def fill(
 
     # Leave out sections without their tables, and lines of pictures that are not drawn.
     def is_shown(section: str) -> bool:
+        """Return whether the report has all tables that a section of the template names."""
         return texts.keys() >= set(re.findall(r"\{tables\[(\w+)\]\}", section))
 
     text = "\n".join(filter(is_shown, re.split(r"\n(?=## )", text)))

@@ -519,15 +519,15 @@ def _follow_leg(cost_map: CostMap, leg: shapely.LineString, start: Cell, goal: C
 def _shortest_within(
     cost_map: CostMap, leg: shapely.LineString, width: float, start: Cell, goal: Cell
 ) -> np.ndarray | None:
-    """Return ``[N, 2]`` the shortest grid path along a leg, x and y of its centres; None where there is none.
+    """Return ``[N, 2]`` the shortest grid path along a leg, x and y of the centres of its cells; None if there is none.
+
+    All lengths are in cell sides, and places are counted from the map's southwest corner.
 
     Args:
       cost_map: whose free cells, cost model and margin of legs the path keeps.
       leg: part of the line.
       width: how far from the leg the centres of the path's cells may lie.
       start, goal: cells of the map, row and column.
-
-    All lengths are in cell sides, from the map's southwest corner.
     """
     # The part of the map that can lie in the corridor, and its free cells that do.
     west, south, east, north = np.floor(leg.bounds).astype(int)
@@ -541,7 +541,7 @@ def _shortest_within(
     if not is_free[start] or not is_free[goal]:
         return None
 
-    # Cells are the unit of length, and a layer that costs nothing leaves the distance alone.
+    # The unit of length is the side of a cell. The one layer costs nothing, so that only the distance counts.
     problem = Problem(
         costs=np.zeros((1, *is_free.shape)),
         is_free=is_free,

@@ -130,22 +130,24 @@ class MapComparison(FactsRepr):
           >>> change.shape, round(float(np.nanmean(change)), 2)
           ((30, 30), -0.13)
         """
-        # The altitude: the first one if left out, and none where the layer does not vary with it.
+        # The altitude: the first one if it is left out, and None where the layer does not vary with altitude.
         first_m = self.places(one_of("layer", layer, self.layers))[0].altitude_m
         z_m = first_m if None in (first_m, altitude_m) else altitude_m
 
-        # Cells with a number in both; masks, and layers without altitudes, have one wherever there are data.
+        # [Y, X] cells with a number in both maps. Masks and layers without altitudes have one wherever there are data,
+        # and other layers in the cells that are free by their centres.
         if z_m is None or layer in MASKS:
             is_known = self.a.ds["has_data"].values & self.b.ds["has_data"].values
         else:
             is_known = self.a.is_free(z_m, "centre") & self.b.is_free(z_m, "centre")
 
-        # A time is A's, beside which B may have another one.
+        # The two maps. The time is one of A's, and B's map beside it may have another time.
         time_of_b = None if time is None else self.times.get(iso_utc(time), time)
         a = _values(self.a, layer, OneMap(z_m, time, time_of_day))
         b = _values(self.b, layer, OneMap(z_m, time_of_b, time_of_day))
         with np.errstate(invalid="ignore"):
-            change = np.where(a == b, np.float32(0), b - a)  # two infinite values too
+            # Two infinite values differ by 0, and not by NaN.
+            change = np.where(a == b, np.float32(0), b - a)
         return np.where(is_known, change, np.float32(np.nan))
 
     @property
@@ -221,6 +223,8 @@ def compare(
     a, name_a, settings_a = _side(maps_a, "A")
     b, name_b, settings_b = _side(maps_b, "B")
     part_a, part_b = shared_part(a, b.with_obstacles(b.rule or a.obstacles))
+
+    # The settings that differ, where both maps name theirs.
     settings = None
     if settings_a is not None and settings_b is not None:
         settings = differing(settings_a, settings_b)
@@ -232,6 +236,7 @@ def compare(
         settings=settings,
         tolerance=tolerance,
     )
+
     rows = []
     with reporting("compare", progress) as report:
         # A row per map of each layer.

@@ -438,7 +438,8 @@ def plot_overview(
     named = [each for each in named if each.place == place and each.path.status.has_path]
     drawn = [each.path for each in named]
 
-    # A panel per metric: of one such as population a variable whose zero is drawn in white, else m over free cells.
+    # A panel for each metric: of metrics such as population the variable whose zero is drawn in white, of others m in
+    # the free cells.
     panels = [MapPanel("Roof height (m)", roof_layers(maps))]
     blank = [AUXILIARY_VARIABLES["roof"].scale.zero]  # what white stands for
     for name, metric in maps.metrics.items():
@@ -452,11 +453,12 @@ def plot_overview(
             layers = [obstacle_layer(maps, z, BLOCKED_COLOUR), free_layer(maps, name, z, time=time)]
             panels.append(MapPanel(metric.label, layers))
 
+    # The cost. It is the last layer of its panel, which has the colour bar, as obstacles have none of their own.
     what = " and paths" if drawn else ""
     cost, obstacles = cost_layers(maps, z, time, time_of_day)
-
-    # The last layer of a panel has the colour bar: that of the cost, as obstacles have none of their own.
     panels.append(MapPanel(joined(f"Cost{what}", time_of_day), [obstacles, cost]))
+
+    # Legend, note and heading of the picture, and the paths over the last panel.
     colours = planner_colours(each.name for each in named)
     legend: list[LegendEntry] = [(",\n".join(blank), EMPTY_COLOUR)]
     legend += [*obstacle_patches(maps, BLOCKED_COLOUR), *path_entries(colours, drawn)]

@@ -91,7 +91,7 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
     end = max(varied.nearest.max(), 1.01)
     names = list(varied.weight_name.unique())
 
-    # In the middle of each of `NUM_FACTORS` equal parts of the axis, which is logarithmic.
+    # Bars stand in the middle of each of `NUM_FACTORS` equal parts of the axis, which is logarithmic.
     middles = np.geomspace(1.0, end, 2 * NUM_FACTORS + 1)[1::2]
     for panel, altitude_m in zip(axes, altitudes, strict=True):
         at_altitude = varied[varied.altitude_m == altitude_m]
@@ -99,7 +99,8 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
             colour, look = line_colour(str(name)), {"label": name, "linewidth": 1.3}
             step_up(panel, rows.nearest.to_numpy(), end, color=colour, **look)
 
-            # Intervals of the share at a few factors, moved so that those of different weights stand side by side.
+            # Intervals of the share at these factors. Each weight has a lane of its own, to the left or to the right of
+            # the middle, so that bars of different weights stand side by side.
             pairs = pairs_of(rows)
             lane = names.index(name) - (len(names) - 1) / 2
             factors = middles * end ** (lane * BAR_GAP)

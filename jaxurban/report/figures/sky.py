@@ -39,6 +39,7 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
     Raises:
       InputError: no such time.
     """
+    # The figure with its heading and note.
     time = of.times[0] if time is None else time
     if time not in of.times:
         raise InputError(f"time must be one of {', '.join(of.times)}, got {time!r}")
@@ -53,6 +54,7 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
     panel: Any = figure.add_subplot(projection="polar")
     draw_horizon(panel, of.horizon_deg)
 
+    # The satellites at that time: a marker and a colour for each system, a look for each state.
     now = of.table[of.table["time"] == time]
     systems = enumerate(dict.fromkeys(now["system"]))
     for (number, system), (state, state_look) in product(systems, LOOKS.items()):

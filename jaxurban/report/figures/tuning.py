@@ -64,13 +64,15 @@ def plot_routes(
       weights: ``[K]`` distance and the map's metrics.
       given: what the demonstrations are called: a fit to targets takes only their ends.
     """
+    # What the picture says of the map and of the weights.
     grid, maps = cost_map.grid, cost_map.maps
     title = joined(f"{cost_map.altitude_m:g} m above ground", cost_map.time_of_day)
     fitted = dict(zip(("distance", *cost_map.names), weights.tolist(), strict=True))
     settings = map_settings(cost_map) | {"weights": fitted}
     note = f"{frame_note(maps, cost_map.time)}\n{rules_said(settings)}"
 
-    # The cost of each cell under the weights; its colours end at 99 % of the free cells, and further pale ones follow.
+    # [Y, X] the cost of each cell under the weights. The scale goes on beyond the costs of 99 % of the free cells, by
+    # the factor `PALE`, so that routes stand out from pale cells.
     cost = np.tensordot(weights[1:], cost_map.costs, axes=1)
     free = cost[cost_map.is_free]
     least, most = float(free.min()), float(np.percentile(free, 99))
@@ -90,7 +92,8 @@ def plot_routes(
     heading = f"{given.capitalize()}s and routes under the fitted weights"
     figure, (panel,) = draw_maps(grid, panels_of, heading, note, legend=legend, colours=colours)
 
-    # Each pair of routes, side by side where both coincide; their points are metres from the southwest corner.
+    # A demonstration and the route between its ends, side by side where both coincide. Their points are in metres from
+    # the southwest corner of the map.
     southwest_m = grid.bounds_m[:2]
     colours_of = (DEMONSTRATION_COLOUR, PLANNED_COLOUR)
     for demonstration, route in zip(demonstrations, planned, strict=True):

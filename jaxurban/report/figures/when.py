@@ -45,6 +45,7 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
         labels = [time[11:16] for time in table["time"].unique()]  # hours and minutes
     table["x"] = table[along].factorize()[0]
 
+    # A line of the cost for each value, and one of the length without a fix where the maps hold GPS.
     facts = [f"{name}: {fact}" for name, fact in departures.facts.items() if fact]
     note = f"{joined(*facts)}\n{frame_note(as_maps(maps))}"
     figure = chart(HEIGHT_IN, "When to fly", note, width)
@@ -59,6 +60,7 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
     cost.plot([], [], "ok", markerfacecolor="white", label="a route differs from the best time's")
     legend_above(cost)
 
+    # The scales: they reach as far as `LEAST_TOP`, so that a small effect looks small, and begin a little below 0.
     for number, label in enumerate(("cost above best (%)", "no fix (m)")):
         panel = axes[number]
         top = max(LEAST_TOP[number], panel.get_ylim()[1])

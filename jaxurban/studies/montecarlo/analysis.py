@@ -185,6 +185,8 @@ def paired(table: pd.DataFrame) -> pd.DataFrame:
     cost = cost.reindex(columns=sorted(rows.planner.unique()))
     is_solved = cost.notna()
     seconds = rows.pivot(index=list(KEY), columns="planner", values="elapsed_s")
+
+    # A row for each two planners; ratios are over the pairs that both solved at a cost above 0.
     result = []
     for first, second in itertools.combinations(cost.columns, 2):
         both = cost[(cost[first] > 0) & (cost[second] > 0)]
@@ -332,6 +334,7 @@ def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.Dat
     tile = np.searchsorted(free_tiles, tile)
     draws = draws_of(len(free_tiles))
 
+    # The statistics of the free cells at each altitude.
     result = []
     for altitude_m in sorted(altitudes_m):
         is_free = maps.is_free(altitude_m, "centre")
@@ -339,7 +342,8 @@ def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.Dat
         lidar = maps.m("lidar", altitude_m)[is_free].astype(np.float64)
         row = {"altitude_m": altitude_m, **_sensors(gps, lidar)}
 
-        # [tiles, 6] the sums that a correlation takes, of which those of the drawn tiles are added up.
+        # [tiles, 6] the sums over each tile from which a correlation is computed, after those of all tiles, or of the
+        # tiles of each draw, are added up.
         parts = np.ones_like(gps), gps, lidar, gps**2, lidar**2, gps * lidar
         of_tiles = [np.bincount(tile[is_free], part, len(free_tiles)) for part in parts]
         sums = np.stack(of_tiles, axis=1)

@@ -487,13 +487,13 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
     `OPTIONAL` is filled with None, and ``distance_m`` is computed. The table itself is left as it was.
 
     Args:
-      table: from a person.
-      name: of the table, for messages.
+      table: instances that a user made or changed.
+      name: what messages call the table, such as its file.
 
     Raises:
-      InputError: it lacks a column, holds no row, a value that is none of its column's, or an instance twice.
+      InputError: the table lacks a column, holds no row, a value that its column cannot have, or an instance twice.
     """
-    # The columns that there must be.
+    # The columns that a table must have.
     table = table.reset_index(drop=True)
     weights = weight_columns(weighed_metrics(table.columns))
     needed = ("instance", "altitude_m", "crs", *PLACES, *weights)
@@ -503,7 +503,7 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
     if table.empty:
         raise InputError(f"{name} holds no row: give at least one instance")
 
-    # Their numbers, texts among them parsed; what is none becomes NaN and is refused.
+    # The numbers in them, of which texts are parsed. What is no number becomes NaN, which no column accepts.
     for column in ("instance", "altitude_m", *PLACES, *weights):
         values = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
         is_valid = np.isfinite(values)
@@ -525,7 +525,7 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
             f"{name} holds instance {number:g} at {altitude_m:g} m twice: renumber them"
         )
 
-    # Columns that may be missing.
+    # Columns that may be missing: texts, with None where there is none, and the straight distance.
     for column in OPTIONAL:
         texts = table.get(column, pd.Series(index=table.index)).astype(object)
         table[column] = texts.where(texts.notna(), None)

@@ -220,7 +220,7 @@ def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -
     if not result.status.has_path:
         return facts
 
-    # What the path adds up, under the benchmark's cost model and the other one.
+    # What the path adds up under each cost model; the benchmark's own decides whether it is valid.
     features = {kind: cost_map.shortest.features(result.points_m, kind) for kind in COST_KINDS}
     of_path = features[cost_map.cost_model.kind]
     if not of_path.is_valid:
@@ -228,6 +228,8 @@ def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -
             "status": INVALID,
             "note": "The planner's path crosses an obstacle or leaves the map.",
         }
+
+    # What it costs, and how long it is beside the straight line.
     straight_m = float(np.hypot(*(result.points_m[-1] - result.points_m[0])))
     length_m = float(of_path.phi[0])
     facts |= {f"cost_{kind}": features[kind].cost(weights) for kind in COST_KINDS}

@@ -128,6 +128,7 @@ def task_at(
       grid: of the maps, whose resolution counts alone.
       antenna_height_m: of the receiver above the ground.
     """
+    # The parts of the scenario that change: one resolution and one height, the times of the sky, and what is left out.
     region = replace(
         scenario.region, resolution_m=(grid.resolution_m,), altitudes_m=(antenna_height_m,)
     )

@@ -202,7 +202,7 @@ def fit_targets(
       wish
       detour <= 0.2     0.2       0.0    True
     """
-    # What is searched for, and where from: equal shares of the shortest routes' cost unless the caller names weights.
+    # The targets, and the pool of routes that are searched.
     begin_s = time.perf_counter()
     settings = settings or FitSettings()
     names = check_alike(queries)
@@ -216,11 +216,14 @@ def fit_targets(
         max_rounds=settings.max_rounds,
         start=None if weights is None else weights.tolist(),
     )
+
+    # [2, Q, K] features and integrals of the shortest routes, and the weights to begin with: those of the caller, or
+    # weights under which each layer has an equal share of the cost of the shortest routes.
     shortest = pool.cheapest(np.eye(len(names))[:1])[:, :, 0]
     units = feature_units(queries, shortest[0])
     first = 1 / units if weights is None else np.maximum(weights, 1e-6)
 
-    # All targets together; where some are missed, each of several alone, then pairs.
+    # All targets together. Where some are missed, each of several targets alone, and then pairs of them.
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         search = _Search(
             pool,

@@ -416,7 +416,7 @@ def _refitted(
       scale: of the weights, ``"simplex"`` or ``"distance"``.
       bootstrap: how many fits; with 0 the intervals are NaN.
     """
-    # Fits to demonstrations that are drawn again, cities first.
+    # [B, K] the weights of fits to demonstrations that are drawn again, cities first.
     rng = np.random.default_rng([IN_BOOTSTRAP, 0, fit.seed])
     num = len(fit.unit)
     maps = [id(demonstration.query.cost_map.maps) for demonstration in demonstrations]
@@ -427,7 +427,7 @@ def _refitted(
     if not bootstrap:
         return draws, np.full((2, num), np.nan)
 
-    # Weights that explain the demonstrations as well: they sum to 1, or the distance alone is 1.
+    # The range of weights that explain the demonstrations as well, among those with the sum 1 or the distance weight 1.
     sides = np.ones(num) if scale == "simplex" else np.eye(num)[0]
     least = np.array([demonstration.least_features for demonstration in demonstrations])
     low, high = fit.near_optimal_range(sides, least)

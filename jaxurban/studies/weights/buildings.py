@@ -57,6 +57,8 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
             f"the route was planned by {time_of_day} and the soft city is of {soft.time_of_day}: give soft_city "
             f"time_of_day={time_of_day!r}"
         )
+
+    # The cells of the route, whose points are now in metres from the region's southwest corner.
     points_m = planned.xy_m - region.bounds_m[:2]
     model = CostModel.from_settings(planned.settings)
     return path_visits(points_m, region.shape, region.resolution_m, model)
