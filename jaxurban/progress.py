@@ -140,6 +140,7 @@ class _Bar(Report):
         """
         from tqdm import tqdm
 
+        # A new bar where the stage has changed.
         if stage != self.stage:
             self.close()
             self.stage = stage
@@ -149,6 +150,7 @@ class _Bar(Report):
             name = f"{self.title}: {stage}"
             self.bar = tqdm(desc=name, initial=done, leave=self.is_terminal, **look)
 
+        # Whether the total and a forecast of the time that is left stand in it.
         self.bar.total = total or None
         is_early = done < EARLY_SHARE * total and self.bar.format_dict["elapsed"] < EARLY_S
         if not total:

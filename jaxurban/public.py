@@ -77,6 +77,7 @@ def renamed_arguments(until: str, **renamed: str) -> Callable[[Function], Functi
 
         @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> Any:
+            """Call the function with present names in place of former ones."""
             for old, new in renamed.items():
                 # With both, the function refuses the former one as unknown.
                 if old in kwargs and new not in kwargs:

@@ -82,20 +82,22 @@ for command in COMMANDS:
 
 
 def _set_up_libraries() -> None:
-    """Say in the environment, which they read when they are first imported, how libraries work under commands.
+    """Set how Python and libraries work under commands; libraries read the environment when they are first imported.
 
-    Python looks for cycles of objects seldom, and not once more at the end: of millions of outlines it finds none, in a
-    tenth of the time of a run.
-    JAX takes a GPU's memory as needed.
+    What the user has set for GDAL and JAX stays.
     """
-    # Of workers that are killed asyncio would say what Dask made of it.
+    # When workers are killed, asyncio would log what Dask makes of it.
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)
+
+    # Python looks for cycles of objects seldom, and not at its end: among millions of outlines there are none, and the
+    # search would take a tenth of the time of a run.
     gc.set_threshold(10_000, 10, 10)
     atexit.register(gc.freeze)
-    os.environ["MPLBACKEND"] = "agg"  # pictures go to files, whatever is set for windows
-    # MiB; its own way takes a twentieth of the machine's.
+
+    # Pictures go to files, whatever is set for windows. GDAL's cache has 64 MiB instead of a twentieth of the memory,
+    # and JAX takes the memory of a GPU as it needs it, instead of three quarters at once.
+    os.environ["MPLBACKEND"] = "agg"
     os.environ.setdefault("GDAL_CACHEMAX", "64")
-    # JAX's own way takes three quarters at once.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
@@ -202,7 +204,10 @@ def _end_interrupted(arguments: Sequence[str]) -> None:
 
 
 def _remedy_in_environment(error: Exception) -> str:
-    """Return what to do where an error of a library comes from a variable of the environment, else an empty text."""
+    """Return the remedy for an error of a library that memory or a variable of the environment causes.
+
+    An empty text comes back where neither is the cause.
+    """
     message = str(error)
     out_of_memory = ("RESOURCE_EXHAUSTED", "can't start new thread")  # of JAX, and of Python
     if any(words in message for words in out_of_memory):
@@ -239,9 +244,9 @@ def _fail(arguments: Sequence[str], sentence: str, option: str = "") -> ExitCode
     """Report an error of the user, in the log and with ``--json`` on stdout too, and return its exit code.
 
     Args:
-      arguments: of the command line.
-      sentence: that says what is wrong, and the remedy.
-      option: at fault; empty: it is looked for in the sentence.
+      arguments: the words of the command line.
+      sentence: what is wrong, and the remedy.
+      option: the option at fault; empty: it is looked for in the sentence.
     """
     LOG.info(f"error: {sentence}")
     if JSON in arguments:
@@ -266,6 +271,7 @@ def _named_in(sentence: str, arguments: Sequence[str]) -> str:
     That is a parameter whose name in Python begins the sentence, a setting of a scenario, or the first option in the
     sentence that the user gave.
     """
+    # A parameter that the user gave, by the first word of the sentence.
     first_word = sentence.split(maxsplit=1)[0].rstrip(":")
     passed = {argument.partition("=")[0] for argument in arguments}
     for param in _command_in(arguments).params:

@@ -138,6 +138,7 @@ def usage(table: pd.DataFrame) -> pd.DataFrame:
     Args:
       table: from `joined`.
     """
+    # The planners that solve most joined pairs, and the instances and altitudes at which all of their runs have a path.
     solved = weighted_rows(table[table.is_joined]).groupby("planner").has_path.mean()
     table = table[table.planner.isin(solved.index[solved >= OFTEN])]
     num_runs = len(table[["planner", "objective"]].drop_duplicates())
@@ -221,6 +222,7 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
     Args:
       table: from `joined`.
     """
+    # The planners that ran under both objectives, and the pairs of places that they solved under both, by altitude.
     result = []
     both_ways = set(table[table.objective == DISTANCE].planner) & set(weighted_rows(table).planner)
     for planner in sorted(both_ways):
@@ -297,13 +299,15 @@ def _choice(pairs: pd.DataFrame) -> dict[str, Any]:
         near=("is_near", "mean"),
         median_s=("elapsed_s", "median"),
     )
-    facts = facts.sort_values("median_s")  # `idxmin` takes the first of equals
+
+    # The fastest planner comes first, as `idxmin` takes the first of equal ones.
+    facts = facts.sort_values("median_s")
     reliable = facts[facts.share >= RELIABLE]
     near = facts[facts.near >= NEAR_SHARE]
     return {
         "joined_pairs": int(facts.pairs.max()),
         "reliable": ", ".join(sorted(reliable.index)) or "none",
-        # Rounded, so that equal costs that were added up in another order are equal.
+        # Rounded, so that equal costs stay equal where they were added up in another order.
         "cheapest": reliable.ratio.round(9).idxmin() if len(reliable) else "none",
         "cheapest_ratio": reliable.ratio.min(),
         "fastest_near_best": near.median_s.idxmin() if len(near) else "none",
@@ -360,6 +364,8 @@ def _sensors(gps: np.ndarray, lidar: np.ndarray) -> dict[str, float]:
       gps, lidar: ``[N]`` m of both in the free cells of an altitude.
     """
     gps_serves, lidar_serves = gps >= GOOD, lidar >= GOOD
+
+    # The mean of m_lidar where GPS is poor and where it is good; NaN where GPS is nearly never poor, or always.
     in_poor = in_good = np.nan
     if FEWEST <= (~gps_serves).mean() < 1:
         in_poor = lidar[~gps_serves].mean()

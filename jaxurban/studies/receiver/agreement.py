@@ -139,6 +139,7 @@ class SatelliteAgreement(FactsRepr):
     @property
     def known_cautions(self) -> list[Caution]:
         """Which rows were not judged, and which satellites were left out."""
+        # Rows whose rays or places are not judged.
         counts = self.counts
         sentences = []
         if counts["unknown"]:
@@ -152,6 +153,8 @@ class SatelliteAgreement(FactsRepr):
             sentences.append(
                 f"{counts['inside']:,} rows are not judged: their places lie in buildings."
             )
+
+        # A best fit that may lie beyond the search, and satellites of which the log says too little.
         if self._is_at_edge:
             sentences.append(
                 "The city fits best at the edge of the search (40 m, heights times 0.8 or 1.2): see whether places, "
@@ -196,7 +199,8 @@ def headings_rad(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     Args:
       x_m, y_m: ``[N]`` easting and northing of each epoch.
     """
-    # Anchors are epochs at least `STILL_M` apart; each epoch takes the place along the track of its last anchor.
+    # Anchors are epochs whose places are at least `STILL_M` apart. Every epoch takes the distance along the track of the
+    # last anchor before it, so that it does not move while the receiver stands.
     places = np.column_stack([x_m, y_m])
     anchors = [0]
     anchor_of_epoch = np.zeros(len(places), int)

@@ -315,6 +315,7 @@ def within_blocks(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> Interval:
     value = spearman(a, b, blocks)
     if not abs(value) < 1:
         return Interval(value, np.nan, np.nan)
+
     # Where all else agrees wholly without some block, the scale is infinite and there is no interval.
     with np.errstate(divide="ignore", invalid="ignore"):
         half = half_width(np.arctanh(without_each_block(a, b, blocks)))
@@ -347,6 +348,8 @@ def pieces_of(epochs: pd.DataFrame, piece_m: float, block_m: float) -> pd.DataFr
     frame = epochs.assign(piece=(epochs.along_m // piece_m).astype(np.int64))
     grouped = frame[frame[NUM_VISIBLE].notna()].groupby("piece")
     medians = grouped.median(numeric_only=True)
+
+    # The columns before the medians.
     medians.insert(0, "block", (medians.index * piece_m // block_m).astype(np.int64))
     medians.insert(1, UTC, grouped[UTC].quantile(0.5, interpolation="nearest"))
     medians.insert(2, "epochs", grouped.size())

@@ -154,7 +154,7 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     rows = []
     for cut, value, part in cuts_of(weights):
         for name, of_weight in part.groupby("weight_name", sort=False):
-            # The draws of each row, by its cut and value.
+            # The groups that the bootstrap draws, for each row that is made of this part, by its cut and value.
             draws = {(cut, value): pairs_of(of_weight)}
             if cut == ALL and of_weight.city.nunique() >= FEWEST_GROUPS:
                 draws[OVER_CITIES, OVER_CITIES] = Clusters(of_weight.city)
@@ -188,6 +188,8 @@ def shares_table(routes: pd.DataFrame) -> pd.DataFrame:
     Args:
       routes: from `routes_of`, which hold the shares side by side, as ``"first:gps:length_m"``.
     """
+    # A table without rows stands first, for routes without shares. Each column ``first:NAME:OUTCOME`` then gives the
+    # rows of a weight and an outcome.
     parts = [pd.DataFrame(columns=[*ROUTE_KEY, "outcome", "weight_name", *OF_SHARE])]
     for column in map(str, routes.filter(regex="^first:")):
         _, name, outcome = column.split(":")
@@ -261,6 +263,7 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
     Args:
       changed: rows of routes on other maps, of either kind.
     """
+    # The rows of each kind of change; those of perturbed heights are of one kind, without a name.
     changed = changed[changed.status.isin(HAS_PATH)].assign(**{ALL: ALL})
     kinds = [name for name in ("parameter", "factor") if name in changed]
     by_kind = changed.groupby(kinds, sort=False) if kinds else [((), changed)]
