@@ -68,6 +68,8 @@ def plot_scatter(result: computed.ReceiverValidation) -> Figure:
     figure, axes = panels(len(rows), heading, height_in=2.8)
     for panel, row in zip(axes, rows, strict=True):
         witness, name = row["witness"], row["prediction"]
+
+        # The pieces in which both are known; an infinite value becomes the largest finite one.
         known = result.pieces.dropna(subset=[witness, name])
         x = known[name].clip(*ends_of(known[name].to_numpy()))
         y = known[witness].clip(*ends_of(known[witness].to_numpy()))
@@ -116,9 +118,12 @@ def validation_outputs(
 
     Among the facts is a hash of the log's rows: two logs may have one name.
     """
+    # The rows of the log as one text, of which the key has a hash.
     text = result.log.epochs.to_csv(index=False)
     if result.log.satellites is not None:
         text += result.log.satellites.to_csv(index=False)
+
+    # Tables, with times as texts, and figures.
     pieces = result.pieces.assign(utc=result.pieces.utc.map(lambda time: time.isoformat()))
     tables = {"pieces": pieces, "scores": result.scores, "shifts": result.shifts}
     figures: Figures = {"scatter": partial(plot_scatter, result)}

@@ -81,6 +81,7 @@ def report_tables(result: computed.Sensitivity) -> dict[str, pd.DataFrame]:
     changes, a row per outcome (of ``changes`` per weight); ``costs``: the gradient of the cost; ``ends``: the routes
     that are best for one objective; ``ranges``: where along each weight the route stays (see `ranges`).
     """
+    # Tables with a row per outcome, by the labels of the outcomes.
     values = result.outcomes["value"].groupby("outcome", sort=False).first()
     units = [outcome_unit(str(name)) for name in values.index]
     by_outcome = {
@@ -91,6 +92,8 @@ def report_tables(result: computed.Sensitivity) -> dict[str, pd.DataFrame]:
     tables = {}
     for name, table in by_outcome.items():
         tables[name] = table.rename(index=outcome_label).rename_axis("outcome")
+
+    # Tables with a row per weight, or per objective of the Pareto front.
     tables["changes"] = tables["changes"].T.rename_axis(f"{MORE - 1:.0%} more of", axis=0)
     tables["costs"] = result.cost
     points = result.front.points[[*result.front.objectives]]

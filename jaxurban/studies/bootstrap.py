@@ -69,6 +69,8 @@ class Clusters:
         self._city, present = pd.factorize(names)  # [N] number of each value's city
         # [N] number of each value's group, counted over all cities.
         self._group = np.zeros(len(groups), int)
+
+        # City after city: the numbers of its groups, which follow those of earlier cities, and draws of them.
         draws = [np.empty((NUM_DRAWS, 0))]
         num_before = 0
         for city in range(len(present)):
@@ -133,6 +135,8 @@ class Clusters:
         known = values[is_known]
         if not len(known):
             return Interval(np.nan, np.nan, np.nan)
+
+        # The statistic; a share that is wholly 0 or 1 has an interval without draws.
         num_groups = self.groups_of(is_known)
         value = known.mean()
         if statistic == "median":

@@ -359,6 +359,7 @@ class Beside(AbstractPathEffect):
         if self.colour:
             look.set_foreground(self.colour)
 
+        # The line in pixels, without small corners, which would become large ones beside their place.
         (points,) = affine.transform_path(tpath).to_polygons(closed_only=False)
         line = shapely.LineString(points).simplify(SMOOTH_PX)
         offset_px = renderer.points_to_pixels(self.offset_pt)
@@ -389,7 +390,12 @@ def path_entries(colours: Mapping[str, str], *paths_at: Sequence[PlannedPath]) -
 
 
 def outcome_of(path: PlannedPath, name: str) -> str:
-    """Return a path's cost and length, or its status."""
+    """Return a line of text: a path's name, with its cost and its length in km, or with its status without a route.
+
+    Args:
+      path: the path.
+      name: what pictures call it.
+    """
     if not path.status.has_path:
         return f"{shortened(name)}: {path.status.value}"
     cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"

@@ -199,8 +199,8 @@ def headings_rad(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     Args:
       x_m, y_m: ``[N]`` easting and northing of each epoch.
     """
-    # Anchors are epochs whose places are at least `STILL_M` apart. Every epoch takes the distance along the track of the
-    # last anchor before it, so that it does not move while the receiver stands.
+    # Anchors are epochs whose places are at least `STILL_M` apart. An epoch has the distance along the track of its
+    # last anchor, which does not change while the receiver stands.
     places = np.column_stack([x_m, y_m])
     anchors = [0]
     anchor_of_epoch = np.zeros(len(places), int)

@@ -157,7 +157,9 @@ def split(city: np.ndarray, group: np.ndarray, share: float, seed: int) -> np.nd
     rng = np.random.default_rng([SPLIT, seed])
     for name in dict.fromkeys(city.tolist()):
         groups = rng.permutation(np.unique(group[city == name]))
-        num = max(1, round(share * len(groups))) if share > 0 else 0
+        num = 0
+        if share > 0:
+            num = max(1, round(share * len(groups)))
         if num >= len(groups):
             raise InputError(
                 f"the routes of {name!r} join {len(groups)} pair(s) of ends, too few to hold some out: give more "

@@ -157,6 +157,8 @@ def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray
     num_steps = demo[:, 0].mean() / queries[0].cost_map.grid.resolution_m
     if queries[0].cost_map.cost_model.kind == "line":
         num_steps = demo[:, 0].mean() / queries[0].cost_map.cost_model.reference_length_m
+
+    # The usual features of a random walk: the mean cost of the free cells, over all maps, at each step.
     free_costs = [cost_map.costs[:, cost_map.is_free] for cost_map in maps_of(queries)]
     means = [costs.astype(np.float64).mean(axis=1) for costs in free_costs]
     usual = np.mean(means, axis=0) * num_steps
@@ -179,7 +181,8 @@ def indistinct_weights(
       weights: ``[K]`` W, of features in their own units.
       is_fitted: ``[K]`` bool: the weights that are judged.
     """
-    # [K', K'] the covariance C of the judged weights.
+    # [Q, R] which routes compete, and [K', K'] the covariance C of what they have more than the cheapest, for the K'
+    # weights that are judged.
     routes = pool.routes[0]
     names = np.array(pool.names)[is_fitted]
     cost = np.where(routes[..., 0] < NOT_A_ROUTE, routes @ weights, np.inf)
@@ -198,7 +201,8 @@ def indistinct_weights(
     if is_seen.sum() < 2:
         return sentences
 
-    # Mixtures of the others: eigenvectors of C with next to no variance, and the weights with much part in them.
+    # Mixtures of the others that change nothing: eigenvectors of C with next to no variance. A sentence names the
+    # weights that have much part in them.
     values, directions = np.linalg.eigh(covariance[np.ix_(is_seen, is_seen)])
     unseen = directions[:, values <= UNSEEN * values[-1]]
     num = unseen.shape[1]

@@ -271,6 +271,8 @@ def _wanted(targets: Sequence[Target | str], names: Sequence[str]) -> tuple[Targ
     """
     if not targets:
         raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
+
+    # The outcomes that routes on these maps have; each target must name one of them.
     outcomes = ["detour", "length_m", *(MEAN + name for name in names[1:])]
     if "population" in names:
         outcomes.insert(2, "people")
@@ -396,6 +398,7 @@ class _Search:
           best: of all targets together; of two targets it is the only pair's.
           alone: of each target when it was the only one, in their order.
         """
+        # Each pair of targets that are met alone is tried together.
         reachable = [index for index, result in enumerate(alone) if result.missed[index] <= MET]
         conflicts = []
         for pair in itertools.combinations(reachable, 2):
@@ -533,6 +536,7 @@ def _outcome_table(
       results: of the search that counts for each target, in their order; its own entry of each is taken.
       at_shortest: ``[N]`` the outcomes of the shortest routes.
     """
+    # The diagonal has of each search its own target.
     table = pd.DataFrame(
         {
             "wished": [target.value for target in targets],

@@ -499,7 +499,7 @@ def _verdict(regret: np.ndarray, trust: np.ndarray, best: float, metric_share: f
     followed = "these metrics"
     if metric_share <= NEGLIGIBLE:
         followed = "distance alone and none of these metrics"
-    percent = round(max(0.0, 100 * best), 4)
+    percent = round(max(0.0, 100 * best), 4)  # rounding may bring it below 0
     share = f"at best they cost {percent:.3g} % more than the cheapest ones between their ends, on average"
     if best <= OPTIMAL_REGRET:
         return f"These routes follow {followed}: {share}."
