@@ -70,6 +70,11 @@ def nearest_name(name: str, valid: Iterable[str]) -> str:
 def one_of(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:
     """Return a value that must be one of some choices.
 
+    Args:
+      name: what messages call the value.
+      value: as the user gave it.
+      choices: what it may be.
+
     Raises:
       InputError: it is none of them (lists them, and names the nearest one).
     """
@@ -123,6 +128,11 @@ def positive(name: str, value: Any, unit: str | None = None) -> float:
 
 def at_least(name: str, value: Any, least: int = 0) -> int:
     """Return a whole number, such as a seed, that must not be below ``least``, as an int.
+
+    Args:
+      name: what messages call the number.
+      value: as the user gave it.
+      least: the smallest number that is accepted.
 
     Raises:
       InputError: the value is below it, or is no whole number.

@@ -137,6 +137,10 @@ class _Bar(Report):
         """Draw the bar of a stage, a new one where the stage has changed.
 
         The time that is left stands in it once enough is done for a forecast, unless the total is not known.
+
+        Args:
+          stage, done, total: as in `Report.__call__`.
+          counts: what else was counted, by name; it stands at the end of the bar.
         """
         from tqdm import tqdm
 

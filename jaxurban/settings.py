@@ -278,6 +278,7 @@ class Planning:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        """Check the numbers; `typed` has checked the names."""
         for name in CLEARANCES:
             metres = getattr(self, name)
             if metres is not None:  # None: left out
@@ -339,7 +340,8 @@ class Vehicle:
     power_w: float | None = None
 
     def __post_init__(self) -> None:
-        # Numbers become floats: the radius, which may be 0, and the limits, which may be left out.
+        """Check the numbers, and make them floats."""
+        # The radius, which may be 0, and the limits, which may be left out.
         object.__setattr__(self, "radius_m", not_negative("radius_m", self.radius_m))
         _, *limits = fields(self)
         for limit in limits:

@@ -78,6 +78,10 @@ def exposure_of(
 ) -> dict[str, float]:
     """Return the budget of each layer by name, from texts such as ``"population<=120"``.
 
+    Args:
+      ctx, param: of the option, as click gives them; not used.
+      texts: one for each layer.
+
     Raises:
       UsageError: a text of another form, or a second budget of a layer.
     """

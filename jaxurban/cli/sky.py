@@ -116,7 +116,12 @@ def sky(
 
 
 def _check_files(files: tuple[Path, ...], track: Path | None) -> None:
-    """Raise UsageError for a file that cannot be written, or is the track that is read."""
+    """Raise UsageError for a file that cannot be written, or is the track that is read.
+
+    Args:
+      files: to write: tables, and of the sky at a place pictures too.
+      track: that the sky is wanted along; None: it is wanted at a place.
+    """
     from jaxurban.io.tables import SUFFIXES
     from jaxurban.report.write import PICTURES
 

@@ -205,12 +205,20 @@ def _write_difference(result: computed.MapComparison, layer: str, file: Path) ->
     """Write a layer's differences as a GeoTIFF, a band for each altitude, time and time of day; return the file.
 
     A layer without any of these has one band, named ``B - A``.
+
+    Args:
+      result: the comparison.
+      layer: one of its layers.
+      file: the GeoTIFF.
     """
+    # The differences ``[Y, X]`` of each band, by its name.
     bands = {}
     for place in result.places(layer):
         altitude = None if place.altitude_m is None else f"{place.altitude_m:g} m"
         name = joined(altitude, place.time, place.time_of_day, by=" ") or "B - A"
         bands[name] = result.of(layer, **place._asdict())
+
+    # What the file says of itself.
     tags = {
         "layer": layer,
         "difference": "B - A",
@@ -224,7 +232,7 @@ def _write_difference(result: computed.MapComparison, layer: str, file: Path) ->
 
 def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> str:
     """Return the report as Markdown; ``figures`` are the layers whose pictures lie beside it."""
-    # The table of values: the layers that differ, those with times at the first time.
+    # The table of values: a row for each map of the layers that differ, at the first time of those that have times.
     rows = result.table
     same = [str(layer) for layer, share in result.most_changed.items() if not share > 0]
     is_first = rows.time.isna() | (rows.time == rows.time.dropna().min())
@@ -256,16 +264,15 @@ def _settings(result: computed.MapComparison) -> str:
     A table of A's and B's settings that differ, GPS times that differ, and what population is divided by where that
     differs; or a sentence where the settings are not known, or are the same.
     """
+    # Rows of a name, A's value and B's value: settings, times of GPS, and what population is divided by.
     rows = [(f"`{key}`", of_a, of_b) for key, (of_a, of_b) in (result.settings or {}).items()]
     for of_a, of_b in result.times.items():
         if of_a != of_b:
             rows.append(("time of GPS", of_a, of_b))
     norms_a, norms_b = population_norms(result.a), population_norms(result.b)
-    if "population" not in result.layers:
-        norms_a = {}
     for day, norm_a in norms_a.items():
-        norm_b = norms_b.get(day, norm_a)
-        if norm_a != norm_b:
+        norm_b = norms_b.get(day, norm_a)  # the same where B does not hold this time of day
+        if "population" in result.layers and norm_a != norm_b:
             rows.append((f"population is divided by, {day}", f"{norm_a:,.0f}", f"{norm_b:,.0f}"))
 
     parts = []

@@ -217,7 +217,11 @@ def _demonstrations(
 def _files_of(source: MapsFolder, files: Sequence[Path], sample: int | None) -> Sequence[Path]:
     """Return the files and folders of routes on the maps of a folder: without any, the study that it holds.
 
-    Where instances are sampled (``sample`` of them) no routes are needed, and ``files`` comes back as it is.
+    Args:
+      source: the folder of maps.
+      files: that the user named.
+      sample: number of instances that are sampled, so that no routes are needed and ``files`` comes back; None: routes
+        are needed.
 
     Raises:
       InputError: there is neither a file nor a study, or the folder holds a study and no maps.
@@ -242,6 +246,14 @@ def _read(file: Path, maps: MetricMaps, settings: TuneSettings) -> list[Demonstr
     """Return the routes of a file of lines, a table of instances or the folder of a study, as demonstrations.
 
     A fit to targets needs only the routes' ends: without a pilot its routes are planned under the default weights.
+
+    Args:
+      file: a file of lines or a table, or the folder of a study.
+      maps: that the routes lie on.
+      settings: of the fit, with the pilot, the planner and further arguments for the readers.
+
+    Raises:
+      InputError: routes that cannot be read, or that are of no use on these maps.
     """
     if not file.is_dir() and file.suffix.lower() not in SUFFIXES:
         return read_demonstrations(file, maps, **settings.routes)

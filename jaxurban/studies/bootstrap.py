@@ -111,12 +111,18 @@ class Clusters:
         """Return ``[NUM_DRAWS]`` the statistic of the values ``[N]`` in each draw.
 
         Values that are NaN do not count. The statistic of a draw that holds no other value is NaN. A share is a mean.
+
+        Args:
+          values: ``[N]`` in the order of the groups.
+          statistic: ``"mean"``, ``"share"`` or ``"median"``.
         """
         is_known = ~np.isnan(values)
         known = values[is_known]
         columns = self._column[is_known]
         if statistic == "median":
             return median_of(known, self._draws[:, columns])
+
+        # A mean: the sum of the values in each group, and their number, as often as each draw holds the group.
         num = self._draws.shape[1]
         total = self._draws @ np.bincount(columns, minlength=num)
         sums = self._draws @ np.bincount(columns, known, num)
@@ -129,6 +135,10 @@ class Clusters:
         of values is the lower one of the two in the middle. A share of values that are all 0, or all 1, is the same in
         every draw, which says nothing about its interval. There the interval ends at the share under which all groups
         would be alike once in twenty times.
+
+        Args:
+          values: ``[N]`` in the order of the groups.
+          statistic: ``"mean"``, ``"share"`` (a mean of zeros and ones) or ``"median"``.
         """
         values = np.asarray(values, np.float64)
         is_known = ~np.isnan(values)

@@ -511,6 +511,11 @@ def _follow(cost_map: CostMap, local: np.ndarray) -> _Followed:
 def _follow_leg(cost_map: CostMap, leg: shapely.LineString, start: Cell, goal: Cell) -> _Followed:
     """Return the shortest grid path between two cells in the narrowest corridor around a leg that holds one.
 
+    Args:
+      cost_map: whose free cells the path uses.
+      leg: part of a line, in cell sides from the southwest corner.
+      start, goal: the cells at its ends, row and column.
+
     Raises:
       InputError: no corridor holds one.
     """

@@ -342,7 +342,7 @@ def _statistics(values: np.ndarray, tolerance: float) -> dict[str, Any]:
 
 
 def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
-    """Return two sets of maps cut to what both hold: cell (y, x), altitude and n-th time mean the same in both.
+    """Return two sets of maps, each cut to what both hold: the same cells, altitudes, times of day and layers.
 
     Times are the ones that both hold; where each holds a single time, these two form a pair even if they differ.
     Layers are kept if both have them along the same dimensions.
@@ -359,7 +359,8 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
             f"the maps share no altitude: A holds {of_a} m and B {of_b} m; add one of A's to B's scenario"
         )
 
-    # Layers by name with their dimensions; one that varies with the time of day needs one in common.
+    # The dimensions of each layer that both hold, by its name. A layer that varies with the time of day needs one that
+    # both hold.
     days = [day for day in a.times_of_day if day in b.times_of_day]
     layers = {}
     for name, array in a.ds.data_vars.items():
@@ -392,6 +393,7 @@ def _part(
       layers: names of the variables to keep.
       shared: by dimension the values to keep, which the maps hold.
     """
+    # The layers, and the place of each value to keep along its dimension.
     ds = maps.ds.drop_vars([name for name in maps.ds.data_vars if name not in layers])
     rows, cols = grid.window_in(replace(maps.grid, crs=grid.crs))
     values: dict[str, Sequence[Any]] = {

@@ -141,9 +141,13 @@ class RoutePool:
         return np.moveaxis(sums.reshape(num_queries, num_weights, 2, -1), 2, 0)
 
     def _sums_of(self, query: int, points_m: np.ndarray) -> np.ndarray:
-        """Return `RouteQuery.sums` ``[2, K]`` of a route ``[N, 2]`` of a query, by its number.
+        """Return ``[2, K]`` features and integrals of a route of a query (see `RouteQuery.sums`).
 
         Each route is added up once, as many weights have the same cheapest route.
+
+        Args:
+          query: its number.
+          points_m: ``[N, 2]`` the route, in metres from the map's southwest corner.
         """
         key = (query, hashlib.blake2b(points_m.tobytes(), digest_size=16).digest())
         if key not in self._sums:

@@ -363,6 +363,8 @@ def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.nda
     """
     if "status" in row and row["status"] not in HAS_PATH:
         raise InputError(f"{planner} found no path")
+
+    # The search of the study again: the same seed and as many samples, if the planner draws any.
     start, goal, weights = located(cost_map, row)
     options = {}
     if draws_samples(planner):
@@ -372,6 +374,8 @@ def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.nda
     result = search(problem, budget_s=math.inf, seed=job.seed_of(row["instance"]), **options)
     if not result.status.has_path:
         raise InputError("no path joins their ends")
+
+    # A route that costs otherwise than its row says is another one. A row that says no cost agrees with any.
     cost = cost_map.shortest.features(result.points_m, cost_map.cost_model.kind).cost(weights)
     if not math.isclose(cost, row.get("cost", cost), rel_tol=SAME_COST):
         raise InputError(

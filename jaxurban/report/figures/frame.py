@@ -233,6 +233,12 @@ def _add_ticks(spot: Axes, size: Size, is_left: bool, is_bottom: bool) -> None:
     """Add ticks to a panel: eastings where it is at the bottom, northings where it is at the left, both in km.
 
     What is written below the panel moves under the label of the eastings.
+
+    Args:
+      spot: the panel's axes, in metres.
+      size: of the panels, which decides how many ticks there are.
+      is_left: whether the panel is the first of its row.
+      is_bottom: whether no panel stands below it.
     """
     num_ticks = int(np.clip(size.panel_in / TICK_IN, 1, MAX_TICKS))
     for axis in (spot.xaxis, spot.yaxis):

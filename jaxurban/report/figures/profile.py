@@ -197,6 +197,10 @@ def save_profile(
 ) -> None:
     """Write the profile of a route (`plot_profile`) as PNG, PDF or SVG; the file appears whole or not at all.
 
+    Args:
+      planned, maps, report: as in `plot_profile`.
+      file: to write, in the format that its name ends in.
+
     Raises:
       InputError: there is no path, the maps are others, or the file cannot be written.
     """

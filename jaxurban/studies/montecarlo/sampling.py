@@ -185,6 +185,7 @@ def sample_joined(maps: MapsLike, num: int, **options: Any) -> pd.DataFrame:
     Raises:
       InputError: as there, or no path joins most pairs.
     """
+    # Twice as many are drawn each time, until enough of them are joined. More draws leave the first ones as they were.
     num_drawn = num
     for _ in range(NUM_DOUBLINGS):
         table = sample_instances(maps, num_drawn, **options)
@@ -246,7 +247,13 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
 
 
 def _end_facts(grid: Grid, end: str, x_m: float, y_m: float) -> dict[str, object]:
-    """Return the columns of one end of an instance, ``"start"`` or ``"goal"``: its place in metres and in degrees."""
+    """Return the columns of one end of an instance: its place in metres and in degrees.
+
+    Args:
+      grid: of the maps, in whose CRS the metres are.
+      end: ``"start"`` or ``"goal"``, with which the names of the columns begin.
+      x_m, y_m: easting and northing of the end.
+    """
     lon, lat = grid.lonlat_of_xy(x_m, y_m)
     return {
         f"{end}_x_m": x_m,
@@ -313,6 +320,7 @@ class _Places:
 
         The kinds are shuffled again each time all of them were drawn.
         """
+        # How many times all kinds were dealt before, and the place of this one in its shuffled order.
         turn, place = divmod(self.num_dealt, len(self.kinds))
         self.num_dealt += 1
         order = np.random.default_rng([self.seed, 0, turn]).permutation(len(self.kinds))
@@ -395,9 +403,11 @@ def with_connection(
       maps, constraints: decide which cells are free.
       model: decides whether a diagonal step may pass between two closed cells.
     """
+    # Instances with the same free cells go together: those of one altitude, and with bounds of one time too, since only
+    # bounds close other cells at other times.
     joined = pd.Series(None, index=instances.index, dtype=object)
     keys = ["altitude_m"]
-    if constraints.bounds:  # which alone close other cells at other times
+    if constraints.bounds:
         keys += TIMES
     for _, part in instances.groupby(keys, dropna=False):
         # The free cells at the altitude and times that the part shares.
@@ -459,7 +469,11 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
 def share_around(mask: np.ndarray, half: int) -> np.ndarray:
     """Return ``[Y, X]`` the share of set cells of a mask in the square around each cell.
 
-    A square reaches ``half`` cells to each side; at the edges only its part inside the mask counts.
+    At the edges only the part of a square inside the mask counts.
+
+    Args:
+      mask: ``[Y, X]`` bool.
+      half: a square reaches so many cells to each side.
     """
     side = 2 * half + 1
 
@@ -563,7 +577,7 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
                 f"the instances ask for {name} {lost[0]}, and these maps hold {', '.join(texts) or 'none'}"
             )
 
-    # Weights of metrics that nobody knows, and metrics without a weight.
+    # Weights of unknown metrics, and metrics without a weight.
     for name in weighed_metrics(instances.columns):
         one_of("a weight of the instances", name, dict.fromkeys((*METRICS, *maps.metrics)))
     lost = [column for column in weight_columns(maps.metrics) if column not in instances]

@@ -217,6 +217,10 @@ def _read(
 ) -> ReceiverLog:
     """Return the log that the arguments of `validate` name: a table, a file, RINEX files, or a sample city's own log.
 
+    Args:
+      scenario: its sample city, if it has one, gives the log that is left out.
+      log, navigation, reference: as in `validate`.
+
     Raises:
       InputError: only some of the three files of a log in RINEX are named, there is no log, or it cannot be read.
     """
@@ -225,6 +229,8 @@ def _read(
         raise InputError(
             "a log in RINEX needs three files, log, navigation and reference: name all of them"
         )
+
+    # The log itself: a table, or a file, whose name shows observations in RINEX.
     source = log_of(scenario.buildings.source) if log is None else log
     if source is None:
         raise InputError(

@@ -361,7 +361,12 @@ class OnOtherParameters(OnPerturbedMaps):
     def tasks(
         cls, task: MapTask, settings: SensitivityStudySettings
     ) -> Iterator[MapTask | InputError]:
-        """Yield the task of each change, or why there is none."""
+        """Yield the task of each change, or the error that says why there is none.
+
+        Args:
+          task: that made the maps as they are.
+          settings: of the study.
+        """
         for parameter, factor in cls.changes(task, settings):
             try:
                 yield with_parameter(plain_task(task), parameter, factor)
