@@ -117,7 +117,8 @@ def _range_of(values: Any) -> tuple[Settings, Settings]:
     known = values[np.isfinite(values)]
     if not known.size:
         return {"values": "none"}, {"missing_share": 1.0}
-    lowest_m, highest_m = float(known.min()), float(known.max())
+    lowest_m = float(known.min())
+    highest_m = float(known.max())
     missing_share = 1 - known.size / values.size
     numbers = {"lowest_m": lowest_m, "highest_m": highest_m, "missing_share": missing_share}
     range_text = f"{lowest_m:g} to {highest_m:g} m"

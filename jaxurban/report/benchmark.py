@@ -189,7 +189,8 @@ def _write_grid(
     )
     problems = pd.DataFrame({"length": pairs.length_m / maps.grid.resolution_m})
     for end in ("start", "goal"):
-        x_m, y_m = pairs[f"{end}_x_m"].to_numpy(), pairs[f"{end}_y_m"].to_numpy()
+        x_m = pairs[f"{end}_x_m"].to_numpy()
+        y_m = pairs[f"{end}_y_m"].to_numpy()
         problems[f"{end}_row"], problems[f"{end}_col"] = maps.grid.cell_of_xy(x_m, y_m)
     write_map(constraints.is_free(maps, altitude_m), file)
     write_scenarios(problems, maps.grid.shape, file.name, file.with_name(f"{file.name}.scen"))

@@ -99,7 +99,8 @@ def plot_difference(
         panels.append(MapPanel(joined(where, _change_text(row)), layers))
     blocked = "blocked in A and B" if layer in MASKS else "blocked in A or B"
     legend = [(blocked, OBSTACLE_COLOUR)]
-    heading, note = f"{heading_of(result, layer)}, B - A", _note(result, time)
+    heading = f"{heading_of(result, layer)}, B - A"
+    note = _note(result, time)
     return draw_maps(result.grid, panels, heading, note, legend=legend, colours=colours)[0]
 
 
@@ -269,7 +270,8 @@ def _settings(result: computed.MapComparison) -> str:
     for of_a, of_b in result.times.items():
         if of_a != of_b:
             rows.append(("time of GPS", of_a, of_b))
-    norms_a, norms_b = population_norms(result.a), population_norms(result.b)
+    norms_a = population_norms(result.a)
+    norms_b = population_norms(result.b)
     for day, norm_a in norms_a.items():
         norm_b = norms_b.get(day, norm_a)  # the same where B does not hold this time of day
         if "population" in result.layers and norm_a != norm_b:

@@ -332,7 +332,8 @@ def plot_skies(of: SatelliteAgreement) -> Figure:
             colours = STRENGTH(rows.cn0_dbhz.to_numpy())
             colours[rows.cn0_dbhz == 0] = 1.0  # white
             opacity = np.where(rows.is_judged, 1.0, 0.3) if len(rows) else None  # not of no row
-            azimuth_rad, zenith_deg = np.radians(rows.azimuth_deg), 90 - rows.elevation_deg
+            azimuth_rad = np.radians(rows.azimuth_deg)
+            zenith_deg = 90 - rows.elevation_deg
             panel.scatter(
                 azimuth_rad,
                 zenith_deg,

@@ -47,7 +47,9 @@ def sensitivity_markdown(
       buildings: what `jaxurban.report.buildings.write_buildings` wrote beside it: a row per building, the costliest
         first, of which the report shows the first `TOP_BUILDINGS`; None: the report has no such table.
     """
-    route, settings, tables = result.route, result.route.settings, report_tables(result)
+    route = result.route
+    settings = result.route.settings
+    tables = report_tables(result)
     if buildings is not None:
         ranking = buildings.head(TOP_BUILDINGS).rename_axis("rank").reset_index()[[*RANKING]]
         tables["ranking"] = ranking.round({"lon": 5, "lat": 5}).astype({"lon": str, "lat": str})

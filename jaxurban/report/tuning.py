@@ -290,7 +290,9 @@ def outputs_of(
 
     # What depends on the kind of the fit: the template of its report, its table of weights, and further tables.
     if isinstance(fit, WeightFit):
-        template, noun, weights = "imitation", "demonstration", fit.table.reset_index()
+        template = "imitation"
+        noun = "demonstration"
+        weights = fit.table.reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["figures/weights.png"] = lambda: plot_weights(fit)
         tables["regrets"] = _regrets(fit)
@@ -319,7 +321,8 @@ def outputs_of(
         "setting": _setting([*pictures.values()]),
         "means": _means(routes),
     }
-    option, where = weights_option(fit.weights), _where(first)
+    option = weights_option(fit.weights)
+    where = _where(first)
     report = fill(
         template,
         tables,

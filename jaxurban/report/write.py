@@ -182,7 +182,8 @@ def interval(row: Mapping[Any, Any], name: Any, text_of: Callable[[Any], str] | 
       text_of: returns the text of a number; left out, `cell`.
     """
     text_of = text_of or cell
-    text, low = text_of(row[name]), row.get(f"{name}_low", math.nan)
+    text = text_of(row[name])
+    low = row.get(f"{name}_low", math.nan)
     if not np.isfinite(low):
         return text
     return f"{text} ({text_of(low)} to {text_of(row[f'{name}_high'])})"

@@ -309,7 +309,8 @@ def _settle(figure: Figure, axes: Sequence[Axes], size: Size) -> None:
     layout: Any = figure.get_layout_engine()
     for _ in range(SETTLING):
         layout.execute(figure)
-        cell, height_in = axes[0].get_position(), figure.get_figheight()
+        cell = axes[0].get_position()
+        height_in = figure.get_figheight()
         panel_in = min(size.panel_in, cell.width * figure.get_figwidth())
         lack_in = panel_in * size.tall - cell.height * height_in
         figure.set_figheight(height_in + size.num_rows * lack_in)

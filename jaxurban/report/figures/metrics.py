@@ -218,7 +218,8 @@ def plot_metric(
     variable = variables[one_of("a map to draw from these maps", name, variables)]
     if name == "obstacle":
         return plot_obstacles(maps, altitude_m=altitude_m, width=width)
-    colours, patches = metric_colours(maps, name), obstacle_patches(maps)
+    colours = metric_colours(maps, name)
+    patches = obstacle_patches(maps)
 
     # A map with altitudes has a panel for each of them, in which its mean stands.
     if ALTITUDE in variable.dims:
@@ -243,7 +244,8 @@ def plot_metric(
             MapPanel(day or "", [MapLayer(maps.m(name, time_of_day=day), colours)])
             for day in times_of_day
         ]
-        heading, note = variable.heading, frame_note(maps, has_sky=False)
+        heading = variable.heading
+        note = frame_note(maps, has_sky=False)
         patches = patches[1:]  # all but obstacles
 
     # The legend of classes, whose second one means a value of one, or a colour bar.
@@ -280,7 +282,8 @@ def plot_epochs(
     ]
     heading = f"{variable.heading} at each epoch, {z:g} m above ground"
     note = frame_note(maps, of=name)
-    legend, colours = obstacle_patches(maps), metric_colours(maps, name)
+    legend = obstacle_patches(maps)
+    colours = metric_colours(maps, name)
     figure, _ = draw_maps(
         maps.grid, panels, heading, note, legend=legend, colours=colours, width=width
     )
@@ -350,7 +353,8 @@ def plot_obstacles(
         layers = [flat_layer(has_data, FREE_COLOUR), obstacle_layer(maps, z, BUILT_COLOUR)]
         panels.append(MapPanel(f"{z:g} m  ·  {share}", layers))
     legend = [("free", FREE_COLOUR), *obstacle_patches(maps, BUILT_COLOUR)]
-    heading, note = "Obstacles, by altitude above ground", frame_note(maps, has_sky=False)
+    heading = "Obstacles, by altitude above ground"
+    note = frame_note(maps, has_sky=False)
     return draw_maps(maps.grid, panels, heading, note, legend=legend, width=width)[0]
 
 
@@ -423,7 +427,8 @@ def plot_gps_rating(
     for z in altitudes_of(maps, altitude_m):
         numbers = np.asarray(rating(maps.m(RATED, z, time=time))).astype(int)
         panels.append(_class_panel(maps, z, numbers, classes, Rating.GOOD, "{} good or better"))
-    heading, legend = "GPS rating, by altitude above ground", [*classes, *obstacle_patches(maps)]
+    heading = "GPS rating, by altitude above ground"
+    legend = [*classes, *obstacle_patches(maps)]
     return draw_maps(
         maps.grid, panels, heading, frame_note(maps, time), legend=legend, width=width
     )[0]
@@ -485,7 +490,8 @@ def plot_population(maps: MapsLike, *, width: Width = "page") -> Figure:
         title = f"{time_of_day}  ·  {num_people:,.0f} people"
         panels.append(MapPanel(title, layers_above_zero(per_km2, colours)))
     legend = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
-    heading, note = "Population density", frame_note(maps, has_sky=False)
+    heading = "Population density"
+    note = frame_note(maps, has_sky=False)
     figure, _ = draw_maps(
         maps.grid, panels, heading, note, legend=legend, colours=colours, width=width
     )

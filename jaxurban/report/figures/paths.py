@@ -156,7 +156,8 @@ def plot_paths(
       InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
     """
     # A panel for each place: the altitude, time and time of day of a map that paths were planned on.
-    maps, named = as_maps(maps), _named(paths, names)
+    maps = as_maps(maps)
+    named = _named(paths, names)
     planned = [each.path for each in named]
     if altitude_m is None:
         altitude_m = sorted({path.altitude_m for path in planned})
@@ -434,7 +435,8 @@ def plot_overview(
       InputError: an altitude that these maps do not hold, or another number of names than paths.
     """
     # The first place at the altitude that paths were planned on, and the paths with a route there.
-    maps, named = as_maps(maps), _named(paths, names)
+    maps = as_maps(maps)
+    named = _named(paths, names)
     planned = [each.path for each in named]
     z = altitude_m
     if z is None:

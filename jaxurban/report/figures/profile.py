@@ -67,7 +67,8 @@ def plot_profile(
 
     # The heading: planner, length, altitude, time of day and cost of the route.
     edges_km = np.append(profile["from_m"], profile["to_m"].iloc[-1]) / 1000
-    low_m, high_m = float(planned.z_m.min()), float(planned.z_m.max())
+    low_m = float(planned.z_m.min())
+    high_m = float(planned.z_m.max())
     altitude = f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m"
     facts = planned.search.planner, f"{planned.length_m / 1000:.2f} km", f"{altitude} above ground"
     day, cost = planned.settings["time_of_day"], f"cost {planned.cost:,.1f}"
@@ -168,7 +169,8 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
 
     # A mark in the middle of the cell with the least distance.
     place = int(np.argmin(profile[CLEARANCE]))
-    nearest_m, at_km = profile[CLEARANCE].iloc[place], edges_km[place : place + 2].mean()
+    nearest_m = profile[CLEARANCE].iloc[place]
+    at_km = edges_km[place : place + 2].mean()
     label = f"least: {nearest_m:.3g} m"
     panel.plot(at_km, nearest_m, "v", color=CLEARANCE_COLOUR, label=label, zorder=10, clip_on=False)
     if not is_known.all():

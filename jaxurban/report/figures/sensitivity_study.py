@@ -96,7 +96,8 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
     for panel, altitude_m in zip(axes, altitudes, strict=True):
         at_altitude = varied[varied.altitude_m == altitude_m]
         for name, rows in at_altitude.groupby("weight_name", sort=False):
-            colour, look = line_colour(str(name)), {"label": name, "linewidth": 1.3}
+            colour = line_colour(str(name))
+            look = {"label": name, "linewidth": 1.3}
             step_up(panel, rows.nearest.to_numpy(), end, color=colour, **look)
 
             # Intervals of the share at these factors. Each weight has a lane of its own, to the left or to the right of

@@ -61,7 +61,8 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
         rows = now[(now["system"] == system) & (now["state"] == state)]
         if rows.empty:
             continue
-        azimuth_rad, zenith_deg = np.radians(rows["azimuth_deg"]), 90 - rows["elevation_deg"]
+        azimuth_rad = np.radians(rows["azimuth_deg"])
+        zenith_deg = 90 - rows["elevation_deg"]
         look = {"edgecolors": INK, "s": 55, "zorder": 5}
         look["marker"] = MARKERS[number % len(MARKERS)]
         look["facecolors"] = SERIES_COLOURS[number % len(SERIES_COLOURS)]

@@ -75,7 +75,8 @@ def plot_routes(
     # the factor `PALE`, so that routes stand out from pale cells.
     cost = np.tensordot(weights[1:], cost_map.costs, axes=1)
     free = cost[cost_map.is_free]
-    least, most = float(free.min()), float(np.percentile(free, 99))
+    least = float(free.min())
+    most = float(np.percentile(free, 99))
     norm = Normalize(least, least + max(PALE * (most - least), 1e-12))
     colours = Colours("gray_r", norm, "cost of a cell\nunder the weights", extend="max")
     closed = flat_layer(~cost_map.is_free & maps.ds["has_data"].values, BLOCKED_COLOUR)

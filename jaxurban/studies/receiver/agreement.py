@@ -126,7 +126,8 @@ class SatelliteAgreement(FactsRepr):
     def facts(self) -> dict[str, str]:
         """The verdict, and how seen and hidden satellites are separated."""
         judged = f"{self.counts['judged']:,} of {self.counts['rows']:,} rows judged"
-        auc, within = self._interval("auc"), self._interval("within")
+        auc = self._interval("auc")
+        within = self._interval("within")
         return {"verdict": self.verdict, "AUC": f"{auc}, within satellites {within}, {judged}"}
 
     def _interval(self, name: str) -> str:
@@ -288,10 +289,10 @@ def agreement_of(
     _check_judged(rows, log.name, mask_deg)
 
     # Which rows are strong: from the median of the judged ones on, or from the weakest received one if that is 0.
-    judged = rows[rows.is_judged]
-    median_dbhz = strong_dbhz = float(judged.cn0_dbhz.median())
+    judged_dbhz = rows.cn0_dbhz[rows.is_judged]
+    median_dbhz = strong_dbhz = float(judged_dbhz.median())
     if not median_dbhz > 0:
-        strong_dbhz = float(judged.cn0_dbhz[judged.cn0_dbhz > 0].min())
+        strong_dbhz = float(judged_dbhz[judged_dbhz > 0].min())
     rows["is_strong"] = rows.cn0_dbhz >= strong_dbhz
 
     # The scores of the city and of displaced ones.
@@ -436,7 +437,8 @@ def _skies(
         of_epoch = rows[rows.epoch == epoch]
         place = rays.take(of_epoch.index.to_numpy()[:1])
         fix = log.epochs.iloc[epoch]
-        lon, lat = float(fix[LON]), float(fix[LAT])
+        lon = float(fix[LON])
+        lat = float(fix[LAT])
 
         # Its horizon, turned from grid north to true north by whole degrees.
         ground = Ground.around(city, box_of(grid, place, around_m=0.0), reach_m, antenna_m)

@@ -42,7 +42,8 @@ def aucs(
         return num_rows.reshape(num_blocks, num_levels)
 
     # A seen row wins against the hidden rows below its level, and half against those at it.
-    wins, pairs = np.zeros(len(weights)), np.zeros(len(weights))
+    wins = np.zeros(len(weights))
+    pairs = np.zeros(len(weights))
     if group is None:
         group = np.zeros(len(level))
     for number in np.unique(group):

@@ -287,7 +287,8 @@ def _products(a: np.ndarray, b: np.ndarray, blocks: np.ndarray | None) -> np.nda
         means = np.bincount(number, ranks) / np.bincount(number)
         return ranks - means[number]
 
-    of_a, of_b = centred(a), centred(b)
+    of_a = centred(a)
+    of_b = centred(b)
     products = of_a * of_a, of_a * of_b, of_b * of_b
     return np.array([np.bincount(number, product) for product in products])
 

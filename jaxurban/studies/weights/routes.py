@@ -393,8 +393,10 @@ def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> di
     # Both routes on both maps: own and moved on the nominal map, kept and best on the other one.
     on_nominal = nominal.cost_map.problem.features
     on_other = other.cost_map.problem.features
-    own, moved = on_nominal(nominal_m), on_nominal(other_m)
-    kept, best = on_other(nominal_m), on_other(other_m)
+    own = on_nominal(nominal_m)
+    moved = on_nominal(other_m)
+    kept = on_other(nominal_m)
+    best = on_other(other_m)
     is_same = moved.is_valid and np.allclose(moved.phi, own.phi, rtol=SAME_SUMS, atol=SAME_SUMS)
     return {
         "status": paths[0].status.value,
