@@ -380,9 +380,11 @@ def _write_departures(
 
     # What is printed: without a path at any time the exit code says so.
     facts = {name: fact for name, fact in departures.facts.items() if fact}
-    code, message = ExitCode.DONE, ""
+    code = ExitCode.DONE
+    message = ""
     if departures.best is None:
-        code, message = ExitCode.NO_PATH, facts["times without a path"]
+        code = ExitCode.NO_PATH
+        message = facts["times without a path"]
     if as_json:
         all_facts = {
             "best": departures.best,
@@ -406,7 +408,8 @@ def _numbers_of(departures: "Departures") -> Settings:
     Shares are of the best cost: ``worst_above_best_share`` of the dearest time, and ``most_kept_above_share`` of the
     best time's route at the time at which it is worst.
     """
-    routes, at_each_time = departures.routes, departures.table
+    routes = departures.routes
+    at_each_time = departures.table
     has_changed = routes.groupby("query")["num_changed"].any()
     numbers = {
         "num_times": len(at_each_time),

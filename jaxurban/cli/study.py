@@ -76,7 +76,8 @@ def study(
     if preset:
         changes = (*changes, f"planning.preset={preset!r}")
     scenario = Scenario.from_toml(scenario_file, changes)
-    planning, settings = scenario.planning, scenario.study
+    planning = scenario.planning
+    settings = scenario.study
     kind = settings.cost_model or planning.rules.cost_model
     rules: Settings = {
         "cost_model": CostModel.from_settings(vars(planning) | {"cost_model": kind}),

@@ -53,7 +53,8 @@ def plot_building_costs(
       grid: the region; what lies beyond it is not drawn.
     """
     assert city.buildings is not None
-    settings, polygons = planned.settings, city.buildings.polygons
+    settings = planned.settings
+    polygons = city.buildings.polygons
     facts = joined(
         f"{planned.altitude_m:g} m above ground",
         time_said(settings["time"]),
@@ -152,7 +153,8 @@ def write_buildings(
         raise InputError(
             f"softness_m must be a positive number of metres such as 2, got {softness_m}"
         )
-    resolution_m, time = planned.settings["resolution_m"], planned.settings["time"]
+    resolution_m = planned.settings["resolution_m"]
+    time = planned.settings["time"]
     tasks = {task.region.resolution_m: task for task in tasks_of(settings)}
     if resolution_m not in tasks:
         raise InputError(

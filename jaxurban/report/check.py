@@ -77,7 +77,8 @@ def check_markdown(result: MissionCheck, figures: list[str]) -> str:
 @styled
 def plot_mission(result: MissionCheck) -> Figure:
     """Return the mission over the roofs, as far as the maps hold it, and its findings."""
-    steps, grid = result.flight.steps, result.maps.grid
+    steps = result.flight.steps
+    grid = result.maps.grid
     panel = MapPanel(f"Roof height (m), {result.flight.mission.name}", roof_layers(result.maps))
     legend = [Line2D([], [], **MISSION), Line2D([], [], **FOUND)]
     note = frame_note(result.maps)

@@ -81,7 +81,9 @@ def report_markdown(
       figures: names of the pictures that lie beside the report.
     """
     # The share of pairs of places that some path joins, by altitude, and the budget of a run in words.
-    table, settings, study = result.table, result.settings, result.settings.study
+    table = result.table
+    settings = result.settings
+    study = result.settings.study
     pairs = table.drop_duplicates(["instance", "altitude_m"])
     share_joined = pairs.groupby("altitude_m").is_joined.mean()
     budget = f"{study.budget_iterations} samples, others to their end"

@@ -67,7 +67,8 @@ def plot_scatter(result: computed.ReceiverValidation) -> Figure:
     heading = "Receiver against prediction, with rank correlations"
     figure, axes = panels(len(rows), heading, height_in=2.8)
     for panel, row in zip(axes, rows, strict=True):
-        witness, name = row["witness"], row["prediction"]
+        witness = row["witness"]
+        name = row["prediction"]
 
         # The pieces in which both are known; an infinite value becomes the largest finite one.
         known = result.pieces.dropna(subset=[witness, name])
@@ -186,7 +187,9 @@ def _facts(result: computed.ReceiverValidation) -> list[tuple[str, str]]:
     Args:
       result: of the comparison; its summary has numbers of the track, and its scenario the settings of the maps.
     """
-    summary, settings, scenario = result.summary, result.settings, result.scenario
+    summary = result.summary
+    settings = result.settings
+    scenario = result.scenario
 
     # In a log without counts of its own, satellites are counted from the rows that are judged.
     counted = ""

@@ -189,7 +189,8 @@ def plot_track(result: ReceiverValidation, of: SatelliteAgreement) -> Figure:
     crosses; the places of `plot_skies` are named.
     """
     # The mean place of each piece from the southwest, in metres, and the share of its satellites that agree.
-    epochs, judged = result.epochs, of.rows[of.rows.is_judged]
+    epochs = result.epochs
+    judged = of.rows[of.rows.is_judged]
     piece = (epochs.along_m // AROUND_M).to_numpy()
     places = epochs[["x_m", "y_m"]].groupby(piece).mean()
     x_m, y_m = (places - places.min()).to_numpy().T

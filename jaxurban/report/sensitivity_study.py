@@ -104,7 +104,8 @@ def write_sensitivity_study(result: SensitivityStudy) -> list[Path]:
 
 def study_markdown(result: SensitivityStudy) -> str:
     """Return the report as Markdown; it names figures and tables as `write_sensitivity_study` does."""
-    settings, tables = result.settings, result.tables
+    settings = result.settings
+    tables = result.tables
 
     # Why routes were not found: the most frequent statuses, with their notes and the number of routes.
     lost = result.rows[~result.rows.status.isin(HAS_PATH)].fillna({"note": ""})

@@ -257,9 +257,11 @@ def _read(file: Path, maps: MetricMaps, settings: TuneSettings) -> list[Demonstr
     """
     if not file.is_dir() and file.suffix.lower() not in SUFFIXES:
         return read_demonstrations(file, maps, **settings.routes)
-    pilot, planner = settings.pilot, settings.planner
+    pilot = settings.pilot
+    planner = settings.planner
     if settings.targets and pilot is None:
-        pilot, planner = Weights(), None
+        pilot = Weights()
+        planner = None
     return demonstrations_from_study(file, maps, planner=planner, pilot=pilot, **settings.routes)
 
 

@@ -94,7 +94,8 @@ def compared_routes(
                     "goal_x_m": goal_x_m,
                     "goal_y_m": goal_y_m,
                 }
-                path, best = paths[planned_on][pair], paths[judged_on][pair]
+                path = paths[planned_on][pair]
+                best = paths[judged_on][pair]
                 rows.append(row | _judged(cost_maps[judged_on], path, best))
     report("routes", len(a.altitudes_m), len(a.altitudes_m))
     return pd.DataFrame(rows)

@@ -370,7 +370,8 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
             layers[name] = dims
 
     # Times need to pair only where a layer varies with them.
-    times_a, times_b = a.times, b.times
+    times_a = a.times
+    times_b = b.times
     if any(TIME in dims for dims in layers.values()):
         pairs = _paired(a, b)
         times_a = tuple(pairs)

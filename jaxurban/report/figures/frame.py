@@ -370,7 +370,8 @@ def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
         image = np.where(rgba[..., 3:] > 0, rgba[..., :3], image)  # the layer where it is not clear
     rows, cols = image.shape[:2]
     side_m = step * grid.resolution_m
-    x_max_m, y_max_m = grid.x_min_m + cols * side_m, grid.y_min_m + rows * side_m
+    x_max_m = grid.x_min_m + cols * side_m
+    y_max_m = grid.y_min_m + rows * side_m
     extent = (grid.x_min_m, x_max_m, grid.y_min_m, y_max_m)
     panel.imshow(image, extent=extent, origin="lower", interpolation="auto", aspect="auto")
 

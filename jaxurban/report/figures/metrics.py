@@ -135,7 +135,8 @@ def colours_of(
       label: of the colour bar.
       attrs: attributes of the maps, which may hold a limit for the scale.
     """
-    scale, ticks = variable.scale, None
+    scale = variable.scale
+    ticks = None
     if variable.classes:
         colours = ListedColormap([colour for _, colour in variable.classes])
         return Colours(colours, BoundaryNorm([-0.5, 0.5, 1.5], 2), label, ticks=())
@@ -345,7 +346,8 @@ def plot_obstacles(
       InputError: an altitude that these maps do not hold.
     """
     maps = as_maps(maps)
-    has_data, panels = maps.ds["has_data"].values, []
+    has_data = maps.ds["has_data"].values
+    panels = []
     for z in altitudes_of(maps, altitude_m):
         share = "no data"
         if has_data.any():

@@ -442,7 +442,8 @@ def plot_overview(
     if z is None:
         z = min((path.altitude_m for path in planned), default=maps.altitudes_m[0])
     place = _places_at(maps, z, planned)[0]
-    time, time_of_day = place.time, place.time_of_day
+    time = place.time
+    time_of_day = place.time_of_day
     named = [each for each in named if each.place == place and each.path.status.has_path]
     drawn = [each.path for each in named]
 

@@ -71,7 +71,8 @@ def plot_profile(
     high_m = float(planned.z_m.max())
     altitude = f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m"
     facts = planned.search.planner, f"{planned.length_m / 1000:.2f} km", f"{altitude} above ground"
-    day, cost = planned.settings["time_of_day"], f"cost {planned.cost:,.1f}"
+    day = planned.settings["time_of_day"]
+    cost = f"cost {planned.cost:,.1f}"
     summary = joined(*facts, day, cost, by=", ")
 
     # The panels: heights, the metrics of which 1 is the best or the worst, one panel each, and the clearance.

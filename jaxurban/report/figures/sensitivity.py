@@ -184,7 +184,8 @@ def _maps(
       legend: entries beside those of obstacles and ends.
       colours: of one bar for all maps; None: no bar but those of the cost.
     """
-    settings, z = result.route.settings, result.route.altitude_m
+    settings = result.route.settings
+    z = result.route.altitude_m
     layers = cost_layers(result.maps, z, settings["time"], settings["time_of_day"])
     heading = joined(heading, settings["time_of_day"], by=", ")
     facts = joined(f"{z:g} m above ground", "grey: normalised cost, black: lowest")

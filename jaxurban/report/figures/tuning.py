@@ -65,7 +65,8 @@ def plot_routes(
       given: what the demonstrations are called: a fit to targets takes only their ends.
     """
     # What the picture says of the map and of the weights.
-    grid, maps = cost_map.grid, cost_map.maps
+    grid = cost_map.grid
+    maps = cost_map.maps
     title = joined(f"{cost_map.altitude_m:g} m above ground", cost_map.time_of_day)
     fitted = dict(zip(("distance", *cost_map.names), weights.tolist(), strict=True))
     settings = map_settings(cost_map) | {"weights": fitted}

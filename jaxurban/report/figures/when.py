@@ -52,7 +52,8 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
     cost, no_fix = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     lines = table.groupby(series, sort=False)
     for colour, (name, line) in zip(SERIES_COLOURS, lines, strict=False):
-        above, changed = 100 * line["above_best"], line["num_changed"] > 0
+        above = 100 * line["above_best"]
+        changed = line["num_changed"] > 0
         cost.plot(line["x"], above, "o-", color=colour, label=name or "the best time's route")
         cost.plot(line["x"][changed], above[changed], "o", color=colour, markerfacecolor="white")
         if "no_fix_m" in line:

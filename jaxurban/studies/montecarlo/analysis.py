@@ -248,7 +248,8 @@ def _changes(pairs: pd.DataFrame) -> dict[str, float]:
     clusters = Clusters(pairs.index.get_level_values("instance"))
     columns: dict[str, float] = {}
     for name in pairs.columns.unique(0):
-        shortest, cheapest = pairs[name, DISTANCE], pairs[name, WEIGHTED]
+        shortest = pairs[name, DISTANCE]
+        cheapest = pairs[name, WEIGHTED]
         is_ratio = name in ("cost", "length_m")
         change = np.log(shortest / cheapest) if is_ratio else shortest - cheapest
         if not np.isfinite(change).all():

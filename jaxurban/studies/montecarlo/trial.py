@@ -155,7 +155,8 @@ def free_cell(grid: Grid, is_free: np.ndarray, instance: Row, end: str) -> Cell:
     Raises:
       InputError: it is outside the grid, or not free.
     """
-    x_m, y_m = instance[f"{end}_x_m"], instance[f"{end}_y_m"]
+    x_m = instance[f"{end}_x_m"]
+    y_m = instance[f"{end}_y_m"]
     row, col = map(int, grid.cell_of_xy(x_m, y_m))
     if not is_free[row, col]:
         raise InputError(

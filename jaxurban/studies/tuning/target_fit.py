@@ -446,7 +446,8 @@ def outcome_values(
     """
     # Integrals begin after K features, with the length; then one for each metric.
     num = len(names)
-    length_m, shortest_m = sums[:, num], shortest[:, num]
+    length_m = sums[:, num]
+    shortest_m = shortest[:, num]
     values = []
     for target in targets:
         if target.outcome == "length_m":
