@@ -182,6 +182,7 @@ def _write_grid(
       file: the ``.map``; the ``.scen`` lies beside it.
       constraints: that close cells.
     """
+    # The instances whose shortest path is proven, with the rows and columns of their ends.
     is_proven = (rows.objective == DISTANCE) & _is_optimum(rows)
     proven = rows[is_proven & (rows.altitude_m == altitude_m)].drop_duplicates("instance")
     pairs = instances[instances.altitude_m == altitude_m].merge(

@@ -90,7 +90,7 @@ def plot_building_costs(
     figure, (panel,) = draw_maps(near, panels, heading, note, legend=legend, colours=colours)
     panel.set_facecolor(LAND_COLOUR)
 
-    # The outlines near the route, those without a row in the table in the colour of no effect; the route over them.
+    # The outlines near the route, in the colour of no effect where the table has no row, and the route over them.
     per_metre = np.zeros(len(polygons))
     per_metre[table.building] = table.per_metre
     is_near = shapely.intersects(polygons, shapely.box(*near.bounds_m))

@@ -141,8 +141,8 @@ def validation_outputs(
 
 
 def validation_markdown(result: computed.ReceiverValidation) -> str:
-    """Return the report as Markdown; its parts on satellites are left out for a log without rows of them."""
-    # Scores of what each measurement is compared with first of all, and of other quantities of the maps.
+    """Return the report as Markdown; its parts on satellites are empty for a log without a row per satellite."""
+    # Scores of each measurement with its own prediction, and with other quantities of the maps.
     is_main = result.scores.prediction == result.scores.witness.map(MAIN)
     others = result.scores[~is_main]
     tables = {}

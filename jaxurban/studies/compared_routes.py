@@ -140,7 +140,8 @@ def _judged(cost_map: CostMap, path: Path, best: Path) -> dict[str, Any]:
     if features.is_valid:
         cost = features.cost(cost_map.problem.weights)
 
-    # NaN is not less than any cost, so a closed path gets the regret NaN, or inf where the best costs nothing.
+    # A path that costs the same as the best one has the regret 0. The cost NaN of a closed path is not less than any
+    # cost, so the regret is NaN, or inf where the best path costs nothing.
     regret = 0.0
     if not cost <= best.cost * SAME_COST:
         regret = cost / best.cost - 1 if best.cost > 0 else np.inf

@@ -323,6 +323,7 @@ def _statistics(values: np.ndarray, tolerance: float) -> dict[str, Any]:
       values: ``[N]`` in the layer's unit, none NaN.
       tolerance: a difference of at most this, in the same unit, is no change.
     """
+    # The finite differences; a single NaN in their place makes all statistics of them NaN.
     numbers = values[np.isfinite(values)].astype(np.float64)
     if not len(numbers):
         numbers = np.array([np.nan])

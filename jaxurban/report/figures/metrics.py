@@ -135,11 +135,14 @@ def colours_of(
       label: of the colour bar.
       attrs: attributes of the maps, which may hold a limit for the scale.
     """
+    # Classes have a colour each, in place of a scale.
     scale = variable.scale
     ticks = None
     if variable.classes:
         colours = ListedColormap([colour for _, colour in variable.classes])
         return Colours(colours, BoundaryNorm([-0.5, 0.5, 1.5], 2), label, ticks=())
+
+    # The ends of the scale, with ticks at whole numbers for counts, and how it is stretched.
     low, span = scale.range(attrs or {}, lambda: ends_of(read()))
     high = low + span
     if np.issubdtype(variable.dtype, np.integer):

@@ -90,7 +90,9 @@ def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
     panel.set_rlim(0, 90)
     panel.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
     panel.set_yticks([30, 60], ["", ""])
-    around = np.radians(np.arange(361))  # once around, the first degree again at the end
+
+    # The roofs, once around the sky: the first degree stands again at the end.
+    around = np.radians(np.arange(361))
     roof_edge = 90 - np.append(horizon_deg, horizon_deg[0])
     panel.fill_between(around, roof_edge, 90, color=ROOFS, label="buildings")
     is_missing = np.isnan(roof_edge)

@@ -344,6 +344,7 @@ def add_colour_bar(
       location: ``"right"`` of the panels, upright, or at their ``"bottom"``.
       cax: axes that the bar fills, lying, in place of a location.
     """
+    # Where the bar stands: beside all panels, or in axes of its own.
     place: Look = {"ax": axes, "location": location, "panchor": False}
     place["aspect"] = 25 if location == "right" else 50  # length of the bar by its width
     if cax is not None:
@@ -355,6 +356,8 @@ def add_colour_bar(
         format=FuncFormatter(tick_label),
         **place,
     )
+
+    # The label, which has the whole width of the figure below panels.
     has_page_width = cax is None and location == "bottom"
     label_in = figure.get_figwidth() if has_page_width else LABEL_IN
     bar.set_label(wrapped(colours.label, label_in))

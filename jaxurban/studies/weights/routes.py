@@ -319,14 +319,19 @@ class OnPerturbedMaps(RouteJob):
 
     @classmethod
     def changes(cls, task: MapTask, settings: SensitivityStudySettings) -> list[Run]:
-        """Return all changes of the maps of a task."""
+        """Return all changes of the maps of a task: the number of each draw of heights."""
         return [(draw,) for draw in range(settings.num_heights)]
 
     @classmethod
     def tasks(
         cls, task: MapTask, settings: SensitivityStudySettings
     ) -> Iterator[MapTask | InputError]:
-        """Yield the task of each change, or why there is none."""
+        """Yield the task of each change: that of a city whose heights are drawn again.
+
+        Args:
+          task: that made the maps as they are.
+          settings: of the study, with the number of draws and the seed.
+        """
         std_m = task.params.heights.height_std_m
         for city in perturbed_cities(task.city, std_m, settings.num_heights, settings.seed):
             yield replace(plain_task(task), city=city)
@@ -336,7 +341,13 @@ class OnPerturbedMaps(RouteJob):
         return super().cost_map(self.nominal, *at), super().cost_map(maps, *at)
 
     def facts(self, cost_maps: Any, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
-        """Return how the routes differ."""
+        """Return how the route of an instance differs between the maps as they are and the other maps, as one row.
+
+        Args:
+          cost_maps: of the maps as they are, and of the other ones.
+          instance: ends and weights.
+          runs: not used, as there is one run.
+        """
         (nominal, weights), (other, _) = (query_of(each, instance) for each in cost_maps)
         return [_compared(nominal, other, weights)]
 
@@ -354,7 +365,7 @@ class OnOtherParameters(OnPerturbedMaps):
 
     @classmethod
     def changes(cls, task: MapTask, settings: SensitivityStudySettings) -> list[Run]:
-        """Return all changes of the maps of a task."""
+        """Return all changes of the maps of a task: each parameter with each factor."""
         return [*product(parameters_of(task), PARAMETER_FACTORS)]
 
     @classmethod

@@ -37,7 +37,12 @@ SHARES_OF_ROUTES = ("is_other", "is_closed", "nominal_is_closed")
 
 
 def routes_of(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of routes that were found, with what describes each (`DESCRIBED`)."""
+    """Return the rows of routes that were found, beside the columns of their instances that describe them.
+
+    Args:
+      rows: of the study, a row per route.
+      instances: of the study, with the columns `DESCRIBED`.
+    """
     wanted = [*ROUTE_KEY, *DESCRIBED]
     table = rows[rows.status.isin(HAS_PATH)].merge(
         instances[wanted], on=list(ROUTE_KEY), validate="many_to_one"
@@ -56,7 +61,8 @@ def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.Data
       routes: from `routes_of`.
       factors: the range in which breakpoints were looked for, below and above 1.
     """
-    # Rows hold the numbers of a weight side by side, as "below:gps"; a metric that a city's maps lack has none.
+    # A row for each route and weight, from columns such as "below:gps" that stand side by side. A metric that the maps
+    # of a city lack has no number there, and no row here.
     varied = routes["vary"].str.split(",")
     parts = []
     for column in map(str, routes.filter(regex="^elasticity:")):
@@ -69,7 +75,7 @@ def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.Data
     table = pd.concat(parts, ignore_index=True)
     table = table[table.elasticity.notna()]
 
-    # What is nearer, above or below; `np.fmin` passes over NaN.
+    # The nearer one of the factors above and below; `np.fmin` passes over NaN, where the route does not change.
     limit = min(factors[1], 1 / factors[0])
     nearest = table.above.combine(1 / table.below, np.fmin).clip(upper=limit).fillna(limit)
     regret = table[["regret_low", "regret_high"]].max(axis=1)
