@@ -234,7 +234,10 @@ class _PublicNames(dict):
 
 
 def _hints(function: Callable) -> dict[str, Any]:
-    """Return the type hints of the arguments of a function or a class, by name; of ``*args`` a sequence of its hint."""
+    """Return the type hints of the arguments of a function or a class, by name.
+
+    The hint of ``*args`` becomes a sequence of what it names.
+    """
     function = function.__init__ if inspect.isclass(function) else function
     hints = get_type_hints(function, localns=_PublicNames())
     parameters = inspect.signature(function).parameters
@@ -380,6 +383,7 @@ def _kind_of_items(holder: Any, hints: list[Any]) -> Kind:
       holder: `Iterable` for any sequence, `Mapping` for a dict.
       hints: of the items; with several different ones, or a hint of a tuple, items are not looked at.
     """
+    # Items are looked at only if one hint, not of a tuple, says what all of them are.
     is_plain = len({*hints}) == 1 and get_origin(hints[0]) is not tuple
     items = _kinds(hints[0]) if is_plain else []
     if not items:

@@ -24,9 +24,8 @@ CLEARANCES = ("clearance_m", "vertical_clearance_m")
 NOMINAL = "nominal"  # GPS satellites without a file of elements
 FIRST_YEAR, LAST_YEAR = 1980, 2200  # GPS time begins in 1980; xarray's nanoseconds end in 2262
 MOST_SAMPLES = 1000
-MAX_HEIGHT_M = (
-    1000.0  # the tallest building stands at 828 m: more is a slip of the keyboard or of the unit
-)
+# The tallest building stands at 828 m: more is a slip of the keyboard or of the unit.
+MAX_HEIGHT_M = 1000.0
 Hanging = Literal["to_ground", "slabs"]
 TO_GROUND, SLABS = get_args(Hanging)
 FULL_TURN_DEG = 180.0
@@ -42,6 +41,7 @@ def parse_time(time: str | datetime | np.datetime64) -> datetime:
     Raises:
       InputError: it is no such time, or lies outside the years `FIRST_YEAR` to `LAST_YEAR`.
     """
+    # Python's time; ValueError comes from a text of another form, and OverflowError from an offset at an end of time.
     try:
         if isinstance(time, np.datetime64):
             time = str(time.astype("datetime64[us]"))

@@ -107,10 +107,12 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
 
 
 def _range_of(values: Any) -> tuple[Settings, Settings]:
-    """Return the range of a raster's heights and the share of cells without one, as texts and as numbers.
+    """Return two dictionaries on the heights of a raster: texts to print, and the same as numbers.
+
+    They hold the range of the heights and the share of cells without a height.
 
     Args:
-      values: ``[Y, X]`` heights in metres; not finite where there is none. Without any height there is no range.
+      values: ``[Y, X]`` heights in metres, not finite in cells without one. Without any height there is no range.
     """
     import numpy as np
 

@@ -148,13 +148,16 @@ def ranges(result: computed.Sensitivity, name: str) -> dict[str, float]:
     """
     # A row for each route along the range, with the values between which it is the cheapest.
     table = result.breakpoints(name)
+
+    # Which routes differ from the given one in any outcome.
     outcomes = table[list(outcome_names(result.names))]
     given = table.index[table["is_given"]][0]
     route = outcomes.loc[given]
     change = (outcomes - route).abs() / route.abs().clip(lower=1e-9)
     is_other = (change > ALIKE).any(axis=1)
 
-    # The neighbours of the given route up to the next other route: on them the count of others is the same.
+    # The routes around the given one, as far as the next one that is not alike on either side. There the number of such
+    # routes so far is the same as at the given route.
     num_others = is_other.cumsum()
     alike = table[~is_other & (num_others == num_others[given])]
     return {

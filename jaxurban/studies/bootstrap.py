@@ -192,7 +192,13 @@ def draws_of(num_groups: int, seed: int | Sequence[int] = 0) -> np.ndarray:
 
 
 def median_of(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return ``[B]`` medians of ``[N]`` values (the lower of two in the middle), each counted ``[B, N]`` times."""
+    """Return ``[B]`` medians of values under several counts; of an even number the lower one of the two in the middle.
+
+    Args:
+      values: ``[N]``.
+      counts: ``[B, N]`` how often each value counts; where all are 0 the median is NaN.
+    """
+    # The first value in rising order up to which half of the counts lie.
     order = np.argsort(values)
     passed = np.cumsum(counts[:, order], axis=-1)
     half_passed = passed * 2 >= passed[:, -1:] * (1 - SAME_COUNT)

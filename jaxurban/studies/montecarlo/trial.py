@@ -166,21 +166,26 @@ def free_cell(grid: Grid, is_free: np.ndarray, instance: Row, end: str) -> Cell:
 
 
 def located(cost_map: CostMap, instance: Row) -> tuple[Cell, Cell, np.ndarray]:
-    """Return the start, the goal and the weights ``[K]`` of an instance.
+    """Return the start, the goal (cells, row and column) and the weights ``[K]`` of an instance.
+
+    Args:
+      cost_map: with the free cells, and the names of the weights.
+      instance: its ends in metres, and a weight ``w_NAME`` for each name.
 
     Raises:
-      InputError: a place that is not a free cell.
+      InputError: an end that is not a free cell.
     """
-    start, goal = (
-        free_cell(cost_map.grid, cost_map.is_free, instance, end) for end in ("start", "goal")
-    )
+    start = free_cell(cost_map.grid, cost_map.is_free, instance, "start")
+    goal = free_cell(cost_map.grid, cost_map.is_free, instance, "goal")
     return start, goal, np.array([float(instance[f"w_{name}"]) for name in cost_map.weight_names])
 
 
 def limited(planner: str, study: Study) -> Callable[..., Path]:
     """Return a planner that takes a problem, under the budget of a study.
 
-    The budget is in seconds, or in samples where the study says so: then planners that draw none have no limit.
+    Args:
+      planner: its name.
+      study: its budget is in seconds, or in samples: then a planner that draws no samples has no limit.
     """
     search: Callable[..., Path] = find_planner(planner)
     if study.budget_iterations is None:
@@ -206,14 +211,17 @@ def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -
       weights: ``[K]`` of the instance; a run with the objective ``"distance"`` is judged by them too.
       planner: its name.
     """
-    # How the run ended.
+    # How the run ended; a planner that draws samples has their number in each entry of its history.
+    num_samples = None
+    if draws_samples(planner) and result.history:
+        _, num_samples, _ = result.history[-1]
     facts = {
         "status": result.status.value,
         "lower_bound": result.lower_bound,
         "elapsed_s": result.elapsed_s,
         "setup_s": result.setup_s,
         "num_expanded": int(result.num_expanded),
-        "num_samples": result.history[-1][1] if draws_samples(planner) and result.history else None,
+        "num_samples": num_samples,
         "heuristic": result.heuristic,
         "backend": result.backend,
         "note": result.note,

@@ -469,6 +469,8 @@ def outcome_values(
 def _missed(values: AnyArray, bound: AnyArray, sign: AnyArray) -> Array:
     """Return ``[N]`` by which share of its bound each outcome misses its target, 0 where the target is met.
 
+    A bound whose size is below 0.001 counts as that, so that nothing is divided by 0.
+
     Args:
       values: ``[N]`` outcomes.
       bound, sign: ``[N]`` as in `_Aim`; a target with the sign 0 counts as met.
