@@ -96,18 +96,20 @@ def run_tuning(
         raise InputError(
             "every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)"
         )
-    sources = {
+    files_by_source = {
         source: _files_of(source, files, settings.sample) for source, files in sources.items()
     }
     maps_of_sources = [source.open() for source in sources]
     targets = [Target.parse(text) for text in settings.targets]
+
     with reporting("tune") as report:
         # The demonstrations of each city; a folder of maps that stands several times is one city.
         report("routes")
         cities: dict[str, list[Demonstration]] = {}
         names = _names_of([Path(source.folder).resolve() for source in sources])
-        for files, maps, name in zip(sources.values(), maps_of_sources, names, strict=True):
-            cities.setdefault(name, []).extend(_demonstrations(files, maps, settings))
+        for source, maps, name in zip(sources, maps_of_sources, names, strict=True):
+            routes = _demonstrations(files_by_source[source], maps, settings)
+            cities.setdefault(name, []).extend(routes)
         demonstrations = list(chain.from_iterable(cities.values()))
 
         # The output folder, with the files that a fit writes there. Those of another fit are recognised by the state
@@ -130,14 +132,15 @@ def run_tuning(
                 fit = result.fits[ALL]
                 demonstrations = list(compress(demonstrations, ~result.is_held_out))
 
+            # The routes under the fitted weights, and all files. A single fit to all routes is compared with nothing.
             report("routes under the fitted weights")
             planned = optimal_demonstrations([each.query for each in demonstrations], fit.weights)
 
             report("figures and report")
-            origins = _origins(sources, settings)
+            origins = _origins(files_by_source, settings)
             texts = {"targets": ", ".join(map(str, targets)), "sources": "; ".join(origins)}
             if result is not None and len(result.fits) == 1 and not result.is_held_out.any():
-                result = None  # nothing to compare
+                result = None
             save(folder, outputs_of(fit, demonstrations, planned, texts, result))
     facts = _facts(fit, folder)
     return facts if result is None else facts | {"fits": records_of(result.table)}
@@ -304,7 +307,8 @@ def outputs_of(
             outputs["fits"] = result.table
             fields["fits"] = fits_section(result)
     else:
-        template, noun = "targets", "given route"
+        template = "targets"
+        noun = "given route"
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
         alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")
         tables["outcomes"] = outputs["targets"] = fit.outcomes.join(alone).reset_index()

@@ -336,6 +336,9 @@ class _Search:
         Each round judges many weights over the known routes, descends from the best of them, plans routes under the
         best ends of the descents, and searches around the best weights so far. It ends after the settings' rounds, when
         no target is missed, when three rounds better nothing, or when the time is over.
+
+        Args:
+          active: the targets that count.
         """
         # [T] of each target 1 for at least, -1 for at most and 0 where it does not count, and its bound.
         senses = {">=": 1.0, "<=": -1.0}
