@@ -226,7 +226,7 @@ def score(
       InputError: a bundle that was changed; a file that is no table, lacks a column, holds no row, answers what is not
         asked, or a query twice; invalid weights; a folder that holds no board, or was changed.
     """
-    # The submission, and the bundle as it was made.
+    # The submission.
     folder = Path(folder)
     method = method or Path(submission).stem
     table = read_table(submission, "submission")
@@ -235,6 +235,9 @@ def score(
             raise InputError(
                 f"{str(submission)!r} has no column {name!r}: a submission has {', '.join(KEYS)}"
             )
+
+    # The bundle's checksums, by file name, and its queries, which must be as it was made. In the track "weights" a
+    # submission names a city instead of a query.
     sums = folder / CHECKSUMS
     digests = dict[str, str]()
     with readable(sums, "checksums of a benchmark", f"make one by jaxurban score {folder} --make"):
@@ -244,7 +247,7 @@ def score(
     _check_files(folder, [QUERIES, *digests], digests)
     queries = read_table(folder / QUERIES, "queries")
     is_weights = queries["track"] == "weights"
-    queries["row"] = queries["city"].where(is_weights, queries["query"])  # as submissions name it
+    queries["row"] = queries["city"].where(is_weights, queries["query"])
     _check_answers(submission, table, queries)
 
     # Every query of the tracks that are entered, beside its answer if there is one.
@@ -252,7 +255,7 @@ def score(
     queries = queries[queries["track"].isin(table["track"])]
     routes = queries.merge(table, "left", ["track", "row"], indicator="outcome")
 
-    # How each route is judged on its city's map.
+    # The outcome and the cost of each route, judged on its city's map, beside what the submission claims.
     cities = {city: f"{city}.npz" for city in routes["city"].unique()}
     _check_files(folder, cities.values(), digests)
     city_problems = {city: unpacked(folder / name) for city, name in cities.items()}
@@ -263,11 +266,12 @@ def score(
     routes["over_best"] = routes["cost"] / routes["best"] - 1
     routes = routes.assign(**claims)
 
-    # A line for each track and city.
+    # A line for each track and city; the bundle is named by the beginning of a hash of its checksums.
+    bundle = digest_of(sums)[:12]
     rows = []
     for (track, city), part in routes.groupby(["track", "city"], sort=False):
-        keys = method, digest_of(sums)[:12], track, city
-        rows.append(dict(zip(LINE, keys, strict=True)) | _summary(part))
+        line = {"method": method, "bundle": bundle, "track": track, "city": city}
+        rows.append(line | _summary(part))
     lines = pd.DataFrame(rows)
     if board is not None:
         _enter(lines, Path(board))
@@ -282,6 +286,7 @@ def _check_answers(submission: str | Path, table: pd.DataFrame, queries: pd.Data
       table: the submission's rows, with ``track`` and ``query``.
       queries: the bundle's, with ``track`` and ``row``, the name that the ``query`` of a submission must have.
     """
+    # Pairs of a track and a query: those that are answered, and those that are asked.
     answers = pd.MultiIndex.from_frame(table[["track", "query"]])
     asked = pd.MultiIndex.from_frame(queries[["track", "row"]])
     wrong = answers[~answers.isin(asked) | answers.duplicated()]

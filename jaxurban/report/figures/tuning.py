@@ -36,6 +36,7 @@ def plot_weights(fit: WeightFit) -> Figure:
 
     A weight of 0, or one that the routes do not identify, has no dot; a dot without an interval is hollow.
     """
+    # A row per weight, with the ends of its interval named as `dots` expects them; NaN where there is no dot.
     table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
     table = table.where(table.weight > 0)
     figure, (panel,) = panels(1, "Fitted weights and their intervals", height_in=2.5)

@@ -364,6 +364,7 @@ class _Places:
         """
         low_m, high_m = np.multiply(range_shares, _diagonal_m(self.grid))
         for _ in range(NUM_TRIES):
+            # Cells are flat numbers: row times the number of columns, plus column.
             row, col = np.divmod(rng.choice(self.cells[start_stratum]), self.grid.num_cols)
             goals = rng.choice(self.cells[goal_stratum], NUM_GOALS)
             rows, cols = np.divmod(goals, self.grid.num_cols)
@@ -371,9 +372,8 @@ class _Places:
             fits = np.flatnonzero((away_m >= low_m) & (away_m < high_m))
             if len(fits):
                 first = fits[0]
-                ends = self._end("start", (row, col)) | self._end(
-                    "goal", (rows[first], cols[first])
-                )
+                goal = rows[first], cols[first]
+                ends = self._end("start", (row, col)) | self._end("goal", goal)
                 return ends | {"distance_m": float(away_m[first])}
         return None
 
@@ -445,7 +445,7 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
       maps: their roofs count.
       cover: water and parks in the maps' CRS; left out, neither is known.
     """
-    # Half the sides of the squares, in cells.
+    # Half the sides of the two squares, in cells, and what the roofs in them say of each cell.
     roof_m = maps.m("roof")
     near = max(1, round(NEAR_M / maps.grid.resolution_m))
     far = max(1, round(FAR_M / maps.grid.resolution_m))
@@ -453,12 +453,13 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
     is_built = share_around(roof_m > 0, near) >= BUILT_SHARE
     is_wide = share_around(roof_m > 0, far) == 0
 
-    # The first of these that holds, and the land cover over all of them.
+    # The first of these strata whose condition holds, and the land cover over them, parks first.
     numbers = [STRATA.index(name) for name in ("high-rise", "low-rise", "wide-open")]
     strata = np.select([is_high, is_built, is_wide], numbers, STRATA.index("open")).astype(np.int8)
     if cover is not None:
         for name, shape in (("park", cover.park), ("water", cover.water)):
             parts = shapely.get_parts(shape)
+
             # 1 inside the parts, else 0.
             covered, _ = burn(parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8")
             strata[covered == 1] = STRATA.index(name)
@@ -588,7 +589,14 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
 
 
 def _check_all(is_valid: np.ndarray, column: pd.Series, kind: str, name: str) -> None:
-    """Raise InputError for the first invalid value ``[N]`` of a column, if there is any."""
+    """Raise InputError for the first invalid value of a column, if there is any.
+
+    Args:
+      is_valid: ``[N]`` bool.
+      column: ``[N]`` the values.
+      kind: what a valid value is, for the message.
+      name: of the table, for the message.
+    """
     if not is_valid.all():
         row = int(np.argmin(is_valid))
         value = column.iloc[row]
