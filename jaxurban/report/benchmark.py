@@ -108,8 +108,12 @@ def _export(
     settings: Benchmark,
     name: str,
 ) -> dict[str, int]:
-    """Write what `export_benchmark` describes into a folder that is open for it; arguments and result are the same."""
-    # A grid per altitude, a file of costs per altitude and time, and the table of all instances.
+    """Write a public benchmark into a folder that is open for it, and return its numbers of problems by kind.
+
+    Args:
+      maps, instances, rows, folder, settings, name: as in `export_benchmark`.
+    """
+    # A grid for each altitude, a file of costs for each altitude and time, and the table of all instances.
     num_shortest = 0
     for altitude_m in sorted(instances.altitude_m.unique()):
         file = folder / GRID_FOLDER / f"{name}_{short_number(altitude_m)}m.map"

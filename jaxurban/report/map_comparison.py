@@ -87,8 +87,11 @@ def plot_difference(
     places = list(compress(places, is_drawn))
     differences = [result.of(layer, **place._asdict()) for place in places]
 
+    # One scale for all panels, by the sizes of the changes.
     sizes = np.abs(np.concatenate(differences, axis=None))
     colours = difference_colours(sizes[sizes > result.tolerance], _label(result, layer))
+
+    # A panel for each map: the differences, cut off at the ends of the scale, and blocked cells over them.
     panels = []
     for place, row, values in zip(places, rows, differences, strict=True):
         where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
@@ -97,6 +100,8 @@ def plot_difference(
             flat_layer(_is_grey(result, layer, place, values), OBSTACLE_COLOUR),
         ]
         panels.append(MapPanel(joined(where, _change_text(row)), layers))
+
+    # What the picture says.
     blocked = "blocked in A and B" if layer in MASKS else "blocked in A or B"
     legend = [(blocked, OBSTACLE_COLOUR)]
     heading = f"{heading_of(result, layer)}, B - A"

@@ -130,11 +130,14 @@ def _judged(cost_map: CostMap, path: Path, best: Path) -> dict[str, Any]:
       path: planned on its own map; without points all `NUMBERS` are NaN.
       best: the cheapest path of the other map between the same ends.
     """
+    # Whether both paths were found.
     facts: dict[str, Any] = {"status": path.status.value, "best_there": np.nan}
     if best.status.has_path:
         facts["best_there"] = best.cost
     if not path.status.has_path:
         return facts | dict.fromkeys(NUMBERS, np.nan)
+
+    # What the path costs on the other map.
     features = cost_map.problem.features(path.points_m)
     cost = np.nan  # where the path is closed
     if features.is_valid:

@@ -286,7 +286,7 @@ def _cost_maps(
     Raises:
       InputError: an invalid cost model in the settings, or routes that name different ones.
     """
-    # The rules of the maps, which arguments come before.
+    # The rules of the cost maps: an argument comes before the rules of the maps' scenario.
     if cost_model is None:
         cost_model = _common_model(planned)
     rules = RouteRules(
@@ -294,7 +294,7 @@ def _cost_maps(
     )
     maps, rules = rules.under(maps)
 
-    # A route that does not name a rule counts as planned under the same one.
+    # Whether each route was planned under these rules; for a rule that it does not name it was.
     rules_now = rules.rules()
     now = _describe_rules(rules_now)
     for name, settings in planned:

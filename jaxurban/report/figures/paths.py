@@ -274,6 +274,7 @@ def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]
       paths: the paths of the panel; those without a route are left out.
       colours: one for each path.
     """
+    # Lanes are of the paths with a route only. Each path is drawn twice: as a white edge, and over that in its colour.
     lanes = iter(lanes_in(paths))
     for path, colour in zip(paths, colours, strict=True):
         if path.status.has_path:

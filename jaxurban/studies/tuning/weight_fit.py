@@ -470,7 +470,12 @@ def _metric_share(table: pd.DataFrame) -> float:
 
 
 def _constant_sentence(name: str, is_left_out: bool) -> str:
-    """Return a sentence on the weight of a layer that is constant, and on what the fit did with it."""
+    """Return a sentence on the weight of a layer that is constant, and on what the fit did with it.
+
+    Args:
+      name: of the layer.
+      is_left_out: whether the fit left its weight at 0.
+    """
     outcome = "stands for the steps that diagonals save under the cost model 'cell'"
     if is_left_out:
         outcome = "is left at 0"
