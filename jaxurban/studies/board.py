@@ -270,8 +270,8 @@ def score(
     bundle = digest_of(sums)[:12]
     rows = []
     for (track, city), part in routes.groupby(["track", "city"], sort=False):
-        line = {"method": method, "bundle": bundle, "track": track, "city": city}
-        rows.append(line | _summary(part))
+        keys = {"method": method, "bundle": bundle, "track": track, "city": city}
+        rows.append(keys | _summary(part))
     lines = pd.DataFrame(rows)
     if board is not None:
         _enter(lines, Path(board))
