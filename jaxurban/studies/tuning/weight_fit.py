@@ -198,7 +198,7 @@ def fit_weights(
         noise_rounds=noise_rounds,
         demonstrations=fingerprint(demo),
     )
-    unit = np.where(is_fitted, feature_units(queries, demo), 1.0)  # [K] of features in the fit
+    unit = np.where(is_fitted, feature_units(queries, demo), 1.0)  # [K] of each feature
     fit = _Fit(pool, demo, unit, is_fitted, settings.seed)
 
     # Rounds of searches, each a row of the curve, until one betters no known route or the budget ends. Then the regret
