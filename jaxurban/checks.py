@@ -70,6 +70,11 @@ def nearest_name(name: str, valid: Iterable[str]) -> str:
 def one_of(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:
     """Return a value that must be one of some choices.
 
+    Args:
+      name: what messages call the value.
+      value: as the user gave it.
+      choices: what it may be.
+
     Raises:
       InputError: it is none of them (lists them, and names the nearest one).
     """
@@ -124,6 +129,11 @@ def positive(name: str, value: Any, unit: str | None = None) -> float:
 def at_least(name: str, value: Any, least: int = 0) -> int:
     """Return a whole number, such as a seed, that must not be below ``least``, as an int.
 
+    Args:
+      name: what messages call the number.
+      value: as the user gave it.
+      least: the smallest number that is accepted.
+
     Raises:
       InputError: the value is below it, or is no whole number.
     """
@@ -142,6 +152,7 @@ def check_range(name: str, value: Any) -> None:
       name: of the argument, whose end is the unit that decides the largest size (`MOST_OF`).
       value: of any kind.
     """
+    # The largest size, by the unit that the name ends in; without such a unit a number may be infinite.
     most = next((most for end, most in MOST_OF.items() if name.endswith(end)), MOST)
     values = value if isinstance(value, list | tuple) else (value,)
     for number in values:
@@ -158,17 +169,23 @@ def typed(public: Public) -> Public:
     """Return a function or a class that raises InputError for an argument of another kind than its annotation names.
 
     Arguments are looked at before anything runs, generously: any real number for a float (NumPy's too), anything with
-    items for a sequence, text for a path; of lists, tuples and dicts each item is looked at. A class comes back as it
-    is, with its ``__init__`` replaced. Errors of JAX's start become InputError with a remedy too.
+    items for a sequence, text for a path; of lists, tuples and dicts each item is looked at. Errors of JAX's start
+    become InputError with a remedy too.
+
+    Args:
+      public: the function, or the class, whose ``__init__`` is replaced.
+
+    Returns:
+      The checked function; or the same class.
     """
+    # The function that is called, and the names of its parameters.
     function = public.__init__ if inspect.isclass(public) else public
     signature = inspect.signature(function)
     parameters = signature.parameters
     in_order = [name for name, p in parameters.items() if p.kind is not p.KEYWORD_ONLY]
     call = f": call {public.__name__}({', '.join(in_order)})"  # ends a message
-    further = next(
-        (name for name, p in parameters.items() if p.kind is p.VAR_KEYWORD), ""
-    )  # **name
+    # The name of the parameter ``**name`` that takes further keywords, "" where there is none.
+    further = next((name for name, p in parameters.items() if p.kind is p.VAR_KEYWORD), "")
 
     @functools.cache
     def kinds() -> dict[str, list[Kind]]:
@@ -186,7 +203,7 @@ def typed(public: Public) -> Public:
             fault = f"there is no argument {wrong!r}{hint}" if wrong else str(error)
             raise InputError(f"{public.__name__}: {fault}") from error
 
-        # Keywords that ``**further`` takes have its kinds.
+        # Each value against the kinds of its argument; a keyword that ``**further`` takes has the kinds of that.
         for name, value in (values.pop(further, {}) | values).items():
             allowed = kinds().get(name if name in parameters else further, [])
             _check_kind(name, value, allowed, call)
@@ -195,7 +212,8 @@ def typed(public: Public) -> Public:
         try:
             return function(*args, **kwargs)
         except (RuntimeError, AssertionError) as error:
-            if remedy := platform_remedy(error):
+            remedy = platform_remedy(error)  # "" for an error that is not of JAX's start
+            if remedy:
                 raise InputError(remedy) from error
             raise
 
@@ -216,7 +234,10 @@ class _PublicNames(dict):
 
 
 def _hints(function: Callable) -> dict[str, Any]:
-    """Return the type hints of the arguments of a function or a class, by name; of ``*args`` a sequence of its hint."""
+    """Return the type hints of the arguments of a function or a class, by name.
+
+    The hint of ``*args`` becomes a sequence of what it names.
+    """
     function = function.__init__ if inspect.isclass(function) else function
     hints = get_type_hints(function, localns=_PublicNames())
     parameters = inspect.signature(function).parameters
@@ -262,15 +283,16 @@ def _home_of(name: str, function: Callable) -> str:
     an argument. Both are found with or without their units, and after the name of what is made (``gps_mask``).
 
     Args:
-      name: of the wrong argument.
-      function: that does not take it.
+      name: the wrong argument.
+      function: the function or class that does not take it.
     """
     own = [each for each in inspect.signature(function).parameters if each not in ("self", "cls")]
 
-    # What to write for each spelling, "" for the function's own arguments; those of its makers, and of theirs, follow.
+    # The remedy for each spelling of an argument: "" for the function's own arguments, else the call of a maker with
+    # the argument in it. The list of makers grows while it is walked through, so that nearer makers come first.
     remedies = dict.fromkeys(own, "")
     makers = [_Maker(function, "", "{}")]
-    for maker in makers:  # grows while it is walked through, so that nearer makers come first
+    for maker in makers:
         for argument, hint in _hints(maker.function).items():
             remedy = maker.call.format(f"{argument}=...") if maker.argument else ""
             bare = re.sub("_(m|s|m_s|deg|w)$", "", argument)  # without its unit
@@ -282,7 +304,8 @@ def _home_of(name: str, function: Callable) -> str:
                     makers.append(made_by)
                     remedies.setdefault(kind, made_by.call.format("..."))
 
-    # The function's own arguments win where one hardly differs, then what a maker takes, then its own ones by far.
+    # An own argument that hardly differs from the name comes first, then one of a maker that hardly differs, and last
+    # an own argument that merely resembles it.
     nearest = alike(name, own, MOST_ALIKE) or alike(name, remedies, MOST_ALIKE) or near(name, own)
     if not nearest:
         return f"; it takes {', '.join(own)}"
@@ -301,8 +324,9 @@ def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
     """
     if not kinds or any(kind.holds(value) for kind in kinds):
         return
-    names = list(dict.fromkeys(kind.name for kind in kinds))
 
+    # What is accepted, each kind once, with the unit of numbers.
+    names = list(dict.fromkeys(kind.name for kind in kinds))
     accepted = _either(names)
     if unit_of(name) and "number" in accepted:
         accepted = f"{accepted} ({unit_of(name)})"
@@ -318,22 +342,31 @@ def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
 
 
 def _kinds(hint: Any) -> list[Kind]:
-    """Return the kinds of value that a type hint allows; none: a value of any kind is allowed."""
-    hint = getattr(hint, "array_type", hint)  # of jaxtyping's shapes
+    """Return the kinds of value that a type hint allows; an empty list: a value of any kind is allowed.
+
+    Args:
+      hint: a type hint, with no names left to resolve (`get_type_hints`).
+    """
+    # Of ``list[int]`` the origin is ``list`` and the part ``int``; a hint of a shape counts as its kind of array.
+    hint = getattr(hint, "array_type", hint)
     origin = get_origin(hint) or hint
     parts = [part for part in get_args(hint) if part is not Ellipsis]
+
+    # A union allows what its parts allow, and a literal its choices.
     if origin in (Union, types.UnionType):
         kinds_of_parts = [_kinds(part) for part in parts]
-        if not all(kinds_of_parts):  # one part allows anything
+        if not all(kinds_of_parts):  # an empty list: one part allows anything
             return []
         return list(chain.from_iterable(kinds_of_parts))
     if origin is Literal:
         return [Kind(repr(choice), functools.partial(_is_choice, choice)) for choice in parts]
     if origin is Any or not inspect.isclass(origin):
         return []
+
+    # A class: a holder of items, of which keys are not looked at; one with a kind of its own; or any other.
     if origin in HOLDERS:
         holder = HOLDERS[origin]
-        hints = parts[1:] if holder is Mapping else parts  # of the items; keys are not looked at
+        hints = parts[1:] if holder is Mapping else parts
         return [_kind_of_items(holder, hints)]
     if origin in KINDS:
         return [KINDS[origin]]
@@ -350,11 +383,14 @@ def _kind_of_items(holder: Any, hints: list[Any]) -> Kind:
       holder: `Iterable` for any sequence, `Mapping` for a dict.
       hints: of the items; with several different ones, or a hint of a tuple, items are not looked at.
     """
+    # Items are looked at only if one hint, not of a tuple, says what all of them are.
     is_plain = len({*hints}) == 1 and get_origin(hints[0]) is not tuple
     items = _kinds(hints[0]) if is_plain else []
     if not items:
         return KINDS[holder]
     names = [item.name for item in items if item.name != "None"]
+
+    # The name in messages, such as "a sequence of numbers": the first noun of each kind becomes its plural.
     plurals = [re.sub("^a ([a-z ]+?)(?= of |$)", r"\1s", name) for name in names]
     name = f"{KINDS[holder].name} of {' or '.join(plurals)}"
     return Kind(name, functools.partial(_holds, holder, items))

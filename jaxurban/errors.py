@@ -74,10 +74,13 @@ def warn(sentence: str, category: type[Warning] = UserWarning) -> None:
       sentence: the warning.
       category: its class.
     """
+    # The number of frames of the package above this one, and so the level at which Python is to warn.
     package = __name__.partition(".")[0]
-    frame, stacklevel = inspect.currentframe(), 1
+    frame = inspect.currentframe()
+    stacklevel = 1
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == package:
-        frame, stacklevel = frame.f_back, stacklevel + 1
+        frame = frame.f_back
+        stacklevel += 1
     warnings.warn(sentence, category, stacklevel=stacklevel)
 
 
@@ -89,9 +92,9 @@ def platform_remedy(error: BaseException) -> str:
     chosen = os.environ.get("JAX_PLATFORMS")
     if not chosen:
         return ""
-    if "JAX_PLATFORMS" not in str(
-        error
-    ):  # the message need not name it, as of CUDA without its plugin
+
+    # An error need not name the variable, as that of CUDA without its plugin: then JAX is started to see if it works.
+    if "JAX_PLATFORMS" not in str(error):
         import jax
 
         with suppress(RuntimeError, AssertionError):

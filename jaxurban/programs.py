@@ -125,6 +125,8 @@ def _processor() -> str:
         lines = CPUINFO.read_text(encoding="utf-8").splitlines()
     except OSError:
         return f"{platform.machine()} {platform.processor()}"
+
+    # One line for each feature, however many cores list it.
     features = {line for line in lines if line.partition("\t")[0] in FEATURES}
     return "\n".join([platform.machine(), *sorted(features)])
 
@@ -135,11 +137,15 @@ def _drop_damaged(folder: Path) -> None:
     Only programs that were written since the last check, or shortly before it, are read: reading 1,600 of them takes
     0.2 s, and more where homes are on a network. The time of the empty file `CHECKED` is that of the last check.
     """
-    mark, since_s = folder / CHECKED, 0.0  # seconds, as times of files are
+    # The time of the last check, in seconds since 1970, as times of files are; 0 where there was none.
+    mark = folder / CHECKED
+    since_s = 0.0
     with suppress(OSError):  # there was no check yet, or the disk is full
         since_s = mark.stat().st_mtime - SETTLED_S
     with suppress(OSError):
         mark.touch()  # before the check, so that the next one reads what is written meanwhile
+
+    # The programs since then.
     for file in folder.glob("*-cache"):
         with suppress(OSError):  # another process has removed the file
             if file.stat().st_mtime >= since_s and not _is_whole(file.read_bytes()):
@@ -164,8 +170,8 @@ def _is_whole(program: bytes) -> bool:
 def _listen() -> None:
     """Listen to JAX from now on, and say in the log once it has compiled for longer than `BRIEF_S` in all.
 
-    JAX reports the end of a program that it compiled and of one that it loaded alike, but each loaded one beforehand:
-    so many ends do not count.
+    JAX reports the end of a program alike, whether it compiled or loaded the program. Before the end of a loaded one it
+    also reports the loading, so the next end after a loading does not count.
     """
     from jax import monitoring
 
@@ -173,11 +179,13 @@ def _listen() -> None:
     compiled_s = 0.0
 
     def on_event(event: str, **_: str | int) -> None:
+        """Count a program that JAX loaded."""
         nonlocal num_loaded
         if event == LOADED:
             num_loaded += 1
 
     def on_duration(event: str, duration_secs: float, **_: str | int) -> None:
+        """Add the seconds of a program that JAX compiled, and say so once they are more than `BRIEF_S` in all."""
         nonlocal num_loaded, compiled_s
         if event != ENDED:
             return

@@ -137,9 +137,14 @@ class _Bar(Report):
         """Draw the bar of a stage, a new one where the stage has changed.
 
         The time that is left stands in it once enough is done for a forecast, unless the total is not known.
+
+        Args:
+          stage, done, total: as in `Report.__call__`.
+          counts: what else was counted, by name; it stands at the end of the bar.
         """
         from tqdm import tqdm
 
+        # A new bar where the stage has changed.
         if stage != self.stage:
             self.close()
             self.stage = stage
@@ -149,6 +154,7 @@ class _Bar(Report):
             name = f"{self.title}: {stage}"
             self.bar = tqdm(desc=name, initial=done, leave=self.is_terminal, **look)
 
+        # Whether the total and a forecast of the time that is left stand in it.
         self.bar.total = total or None
         is_early = done < EARLY_SHARE * total and self.bar.format_dict["elapsed"] < EARLY_S
         if not total:
@@ -172,6 +178,7 @@ class _Log(io.StringIO):
     """A file whose lines go to the log."""
 
     def write(self, text: str) -> int:
-        if line := text.strip():
+        line = text.strip()
+        if line:
             LOG.info(line)
         return len(text)

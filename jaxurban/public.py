@@ -34,7 +34,7 @@ def public_names(
       renamed: public names by their former ones, which still work, and warn (docs/reference/stability.md).
       until: the release in which the former ones go.
     """
-    # The module that each public name is imported from, as lines of the stub say: ``from x import y as y``.
+    # The home of each public name: the module that it is imported from. The stub has lines ``from x import y as y``.
     stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
     homes: dict[str, str | None] = {}
     for line in stub.body:
@@ -47,6 +47,7 @@ def public_names(
         Raises:
           AttributeError: the module has no such name.
         """
+        # A former name.
         if renamed and name in renamed:
             present = renamed[name]
             _warn_renamed(f"{package}.{name}", f"{_public_homes()[present]}.{present}", until)
@@ -76,6 +77,7 @@ def renamed_arguments(until: str, **renamed: str) -> Callable[[Function], Functi
 
         @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> Any:
+            """Call the function with present names in place of former ones."""
             for old, new in renamed.items():
                 # With both, the function refuses the former one as unknown.
                 if old in kwargs and new not in kwargs:

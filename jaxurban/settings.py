@@ -24,9 +24,8 @@ CLEARANCES = ("clearance_m", "vertical_clearance_m")
 NOMINAL = "nominal"  # GPS satellites without a file of elements
 FIRST_YEAR, LAST_YEAR = 1980, 2200  # GPS time begins in 1980; xarray's nanoseconds end in 2262
 MOST_SAMPLES = 1000
-MAX_HEIGHT_M = (
-    1000.0  # the tallest building stands at 828 m: more is a slip of the keyboard or of the unit
-)
+# The tallest building stands at 828 m: more is a slip of the keyboard or of the unit.
+MAX_HEIGHT_M = 1000.0
 Hanging = Literal["to_ground", "slabs"]
 TO_GROUND, SLABS = get_args(Hanging)
 FULL_TURN_DEG = 180.0
@@ -42,6 +41,7 @@ def parse_time(time: str | datetime | np.datetime64) -> datetime:
     Raises:
       InputError: it is no such time, or lies outside the years `FIRST_YEAR` to `LAST_YEAR`.
     """
+    # Python's time; ValueError comes from a text of another form, and OverflowError from an offset at an end of time.
     try:
         if isinstance(time, np.datetime64):
             time = str(time.astype("datetime64[us]"))
@@ -278,6 +278,7 @@ class Planning:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        """Check the numbers; `typed` has checked the names."""
         for name in CLEARANCES:
             metres = getattr(self, name)
             if metres is not None:  # None: left out
@@ -339,7 +340,8 @@ class Vehicle:
     power_w: float | None = None
 
     def __post_init__(self) -> None:
-        # Numbers become floats: the radius, which may be 0, and the limits, which may be left out.
+        """Check the numbers, and make them floats."""
+        # The radius, which may be 0, and the limits, which may be left out.
         object.__setattr__(self, "radius_m", not_negative("radius_m", self.radius_m))
         _, *limits = fields(self)
         for limit in limits:
@@ -402,8 +404,7 @@ class Vehicle:
           [10.0, 20.0]
         """
         cruise_s = air_m / speed_m_s
-        climb_s = rise_m / (
-            self.max_climb_m_s or np.inf
-        )  # below 0 in a descent, as the other in a climb
+        # The seconds of a climb are below 0 in a descent, and those of a descent in a climb.
+        climb_s = rise_m / (self.max_climb_m_s or np.inf)
         descent_s = -rise_m / (self.max_descent_m_s or np.inf)
         return np.maximum(cruise_s, np.maximum(climb_s, descent_s))

@@ -96,10 +96,14 @@ def check(
         weights=Weights.named_in(weights_text),
         **options,  # all other options are its arguments
     )
+
+    # The people beneath the corridor, if one is asked for and the mission has a leg over the maps.
     density = None
     line_m = result.flight.line_m
     if corridor is not None and len(line_m) > 1:
         density = corridor(maps, line_m, time_of_day=time_of_day)
+
+    # Files, and what is printed.
     for output in files:
         for file in result.save(output, overwrite):
             LOG.info(f"wrote {file}")

@@ -54,7 +54,11 @@ class Numbers(click.ParamType):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[float, ...]:
-        """Return the numbers in a text; a default that is a tuple already comes back as it is.
+        """Return the numbers in a text.
+
+        Args:
+          value: the text; a default, which is a tuple of numbers already, comes back unchanged.
+          param, ctx: of the option, for the error.
 
         Raises:
           BadParameter: something that is no number, or another count of numbers.
@@ -172,6 +176,11 @@ class DependentOption(click.Option):
         self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
     ) -> tuple[Any, list[str]]:
         """Return the value and what is left to parse, as for any option.
+
+        Args:
+          ctx: of the command, whose parameters include the owner.
+          opts: values of the options that are given, by their names in Python.
+          args: what is left to parse.
 
         Raises:
           UsageError: the option is given, and its owner is not.

@@ -64,6 +64,7 @@ def compare(
 
     maps_a = MapsFolder(folder_a, resolution_m, obstacles)
     maps_b = MapsFolder(folder_b, resolution_m, obstacles)
+
     # All options that are not named above are arguments of the comparison.
     result = run_study(
         "compare",

@@ -35,6 +35,7 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
     from jaxurban.report.figures import save_figures
     from jaxurban.report.write import save
 
+    # The folder is checked before maps and paths are made.
     scenario = Scenario.from_dict(
         {"region": {"resolution_m": RESOLUTION_M}, "buildings": {"source": CITY}}
     )

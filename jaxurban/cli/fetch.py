@@ -68,7 +68,7 @@ def fetch(
     from jaxurban.io.fetch import fetch as fetch_files
     from jaxurban.maps.memory import parse_bytes
 
-    # Other places by the name of what is fetched from them.
+    # The addresses of other places, by the name of what is fetched from there.
     urls = {}
     for text in places:
         name, equals, url = text.partition("=")
@@ -80,6 +80,7 @@ def fetch(
     job = FetchJob(bounds, names_in(what), day.date() if day else None, urls, margin_m)
     most_bytes = parse_bytes(max_size, "--max-size")
 
+    # List the requests, or make them.
     if is_dry_run:
         requests = [{"source": each.name, "url": each.url} for each in job.requests()]
         record: Settings = {"requests": requests}

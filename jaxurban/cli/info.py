@@ -107,17 +107,20 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
 
 
 def _range_of(values: Any) -> tuple[Settings, Settings]:
-    """Return the range of a raster's heights and the share of cells without one, as texts and as numbers.
+    """Return two dictionaries on the heights of a raster: texts to print, and the same as numbers.
+
+    They hold the range of the heights and the share of cells without a height.
 
     Args:
-      values: ``[Y, X]`` heights in metres; not finite where there is none. Without any height there is no range.
+      values: ``[Y, X]`` heights in metres, not finite in cells without one. Without any height there is no range.
     """
     import numpy as np
 
     known = values[np.isfinite(values)]
     if not known.size:
         return {"values": "none"}, {"missing_share": 1.0}
-    lowest_m, highest_m = float(known.min()), float(known.max())
+    lowest_m = float(known.min())
+    highest_m = float(known.max())
     missing_share = 1 - known.size / values.size
     numbers = {"lowest_m": lowest_m, "highest_m": highest_m, "missing_share": missing_share}
     range_text = f"{lowest_m:g} to {highest_m:g} m"

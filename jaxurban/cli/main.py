@@ -82,20 +82,22 @@ for command in COMMANDS:
 
 
 def _set_up_libraries() -> None:
-    """Say in the environment, which they read when they are first imported, how libraries work under commands.
+    """Set how Python and libraries work under commands; libraries read the environment when they are first imported.
 
-    Python looks for cycles of objects seldom, and not once more at the end: of millions of outlines it finds none, in a
-    tenth of the time of a run.
-    JAX takes a GPU's memory as needed.
+    What the user has set for GDAL and JAX stays.
     """
-    # Of workers that are killed asyncio would say what Dask made of it.
+    # When workers are killed, asyncio would log what Dask makes of it.
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)
+
+    # Python looks for cycles of objects seldom, and not at its end: among millions of outlines there are none, and the
+    # search would take a tenth of the time of a run.
     gc.set_threshold(10_000, 10, 10)
     atexit.register(gc.freeze)
-    os.environ["MPLBACKEND"] = "agg"  # pictures go to files, whatever is set for windows
-    # MiB; its own way takes a twentieth of the machine's.
+
+    # Pictures go to files, whatever is set for windows. GDAL's cache has 64 MiB instead of a twentieth of the memory,
+    # and JAX takes the memory of a GPU as it needs it, instead of three quarters at once.
+    os.environ["MPLBACKEND"] = "agg"
     os.environ.setdefault("GDAL_CACHEMAX", "64")
-    # JAX's own way takes three quarters at once.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
@@ -125,6 +127,9 @@ def _run(arguments: Sequence[str]) -> int:
 
     Every error that a user can cause ends in one sentence on stderr, and with ``--json`` in one object on stdout.
 
+    Args:
+      arguments: the words of the command line after the program's name.
+
     Raises:
       Exception: a fault of jaxurban, as it came.
     """
@@ -153,9 +158,10 @@ def _run(arguments: Sequence[str]) -> int:
     # What the machine cannot do.
     except MemoryError:
         code = fail(NO_MEMORY)
-    except (BrokenPipeError, SystemExit) as left:  # the reader of stdout, as `head` does
-        # Where click notices first, it puts an object of its own in stdout's place and exits.
-        if isinstance(left, SystemExit) and sys.stdout is stdout:
+    except (BrokenPipeError, SystemExit) as end:
+        # The reader of stdout has left, as `head` does. Where click notices it first, click puts an object of its own
+        # in the place of stdout and exits; with the former stdout an exit has another cause.
+        if isinstance(end, SystemExit) and sys.stdout is stdout:
             raise
         _drop_stdout()
         code = 0
@@ -174,7 +180,7 @@ def _run(arguments: Sequence[str]) -> int:
     except (KeyboardInterrupt, click.Abort):
         _end_interrupted(arguments)
     except Exception as error:
-        # In the midst of an import, Ctrl-C comes as what the import makes of it.
+        # In the midst of an import, Ctrl-C comes as an error of the import.
         if interrupted.is_set():
             _end_interrupted(arguments)
         remedy = _remedy_in_environment(error)
@@ -198,7 +204,10 @@ def _end_interrupted(arguments: Sequence[str]) -> None:
 
 
 def _remedy_in_environment(error: Exception) -> str:
-    """Return what to do where an error of a library comes from a variable of the environment, else an empty text."""
+    """Return the remedy for an error of a library that memory or a variable of the environment causes.
+
+    An empty text comes back where neither is the cause.
+    """
     message = str(error)
     out_of_memory = ("RESOURCE_EXHAUSTED", "can't start new thread")  # of JAX, and of Python
     if any(words in message for words in out_of_memory):
@@ -235,9 +244,9 @@ def _fail(arguments: Sequence[str], sentence: str, option: str = "") -> ExitCode
     """Report an error of the user, in the log and with ``--json`` on stdout too, and return its exit code.
 
     Args:
-      arguments: of the command line.
-      sentence: that says what is wrong, and the remedy.
-      option: at fault; empty: it is looked for in the sentence.
+      arguments: the words of the command line.
+      sentence: what is wrong, and the remedy.
+      option: the option at fault; empty: it is looked for in the sentence.
     """
     LOG.info(f"error: {sentence}")
     if JSON in arguments:
@@ -262,15 +271,16 @@ def _named_in(sentence: str, arguments: Sequence[str]) -> str:
     That is a parameter whose name in Python begins the sentence, a setting of a scenario, or the first option in the
     sentence that the user gave.
     """
+    # A parameter that the user gave, by the first word of the sentence.
     first_word = sentence.split(maxsplit=1)[0].rstrip(":")
     passed = {argument.partition("=")[0] for argument in arguments}
     for param in _command_in(arguments).params:
         is_passed = isinstance(param, click.Argument) or not passed.isdisjoint(param.opts)
         if param.name == first_word and is_passed:
             return _name_of(param)
-    setting = re.search(
-        r": (\w+): (\w+) must ", sentence
-    )  # as in "file: gps: mask_deg must be ..."
+
+    # A setting, as in "file: gps: mask_deg must be ...", or else an option that the user gave.
+    setting = re.search(r": (\w+): (\w+) must ", sentence)
     if setting:
         return f"{setting[1]}.{setting[2]}"
     options = re.findall(r"--[a-z-]+", sentence)

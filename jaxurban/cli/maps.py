@@ -1,6 +1,7 @@
 """jaxurban maps."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,12 +15,16 @@ from jaxurban.cli.common import (
     OVERWRITE,
     PATH,
     WORKERS,
+    Settings,
     print_json,
     stay_on_cpu,
     use_device,
 )
 from jaxurban.errors import InputError
 from jaxurban.progress import LOG, reporting
+
+if TYPE_CHECKING:
+    from jaxurban.io.workspace import Workspace
 
 
 @click.command()
@@ -80,7 +85,7 @@ def maps(
         changes = (*changes, f'region.engine = "{engine}"')
     scenario = Scenario.from_toml(scenario_file, changes)
 
-    # Make the maps. Pictures in the folder that show other maps are removed, and drawn again if that is asked for.
+    # Make the maps.
     with reporting("maps") as report:
         run = run_scenario(
             scenario,
@@ -91,16 +96,10 @@ def maps(
             workers=workers,
             memory_bytes=None if memory is None else parse_bytes(memory),
         )
-        with Workspace.open(output, "maps --figures", is_shared=True) as pictures:
-            settings = Workspace.settings_of(output, "maps")
-            are_of_these_maps = pictures.settings == settings
-            pictures.settings.update(settings)
-            if pictures.written and not are_of_these_maps:
-                pictures.remove(list(pictures.written))
-                LOG.info(
-                    "the pictures of the former maps are removed; --figures draws those of these maps"
-                )
 
+        # Pictures of other maps are removed, and pictures of these maps are drawn if they are asked for.
+        with Workspace.open(output, "maps --figures", is_shared=True) as pictures:
+            _keep_pictures(pictures, Workspace.settings_of(output, "maps"))
             if figures:
                 from jaxurban.report.figures import save_figures
 
@@ -113,3 +112,17 @@ def maps(
     if as_json:
         print_json(run.record)
     return 0
+
+
+def _keep_pictures(pictures: "Workspace", settings: Settings) -> None:
+    """Remove the pictures of a folder where they show other maps, and keep the settings of these maps with them.
+
+    Args:
+      pictures: the folder, opened for pictures; its settings are those of the maps that they show, and change.
+      settings: of these maps.
+    """
+    are_of_these_maps = pictures.settings == settings
+    pictures.settings.update(settings)
+    if pictures.written and not are_of_these_maps:
+        pictures.remove(list(pictures.written))
+        LOG.info("the pictures of the former maps are removed; --figures draws those of these maps")

@@ -78,6 +78,10 @@ def exposure_of(
 ) -> dict[str, float]:
     """Return the budget of each layer by name, from texts such as ``"population<=120"``.
 
+    Args:
+      ctx, param: of the option, as click gives them; not used.
+      texts: one for each layer.
+
     Raises:
       UsageError: a text of another form, or a second budget of a layer.
     """
@@ -238,7 +242,7 @@ def plan(
     **search: Any,
 ) -> int:
     """Plan a path over the maps in DIR."""
-    # Options that are not among the arguments are keywords of the search, in ``search``.
+    # ``search`` holds all further options; they are keywords of the search.
     from jaxurban.maps.saving import open_maps
     from jaxurban.paths.explain import explain
     from jaxurban.paths.path import simplify
@@ -256,9 +260,9 @@ def plan(
     maps = open_maps(folder, resolution_m, obstacles=obstacles)
     which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
 
-    # A route at every time.
+    # A route at every time of the maps: options that are of one route alone are refused.
     if is_when:
-        _, *how_written = outputs
+        how_written = outputs._replace(files=())
         for_one_route = [with_report, search["refine"], search["exposure"], *how_written]
         if any(for_one_route) or levels is not None:
             raise click.UsageError(NOT_WHEN)
@@ -267,7 +271,7 @@ def plan(
         )
         return _write_departures(departures, maps, outputs.files, profile, as_json)
 
-    # One route; in a volume its ends have altitudes.
+    # One route. In a volume its ends are longitude, latitude and altitude.
     if levels is not None:
         start = (*start, altitude_m)
         goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
@@ -277,7 +281,7 @@ def plan(
     if outputs.simplify_m:
         planned = simplify(planned, costs, outputs.simplify_m)
 
-    # Its report, files and profile.
+    # Its report, which the profile needs too, its files and its profile.
     report = None
     if planned.status.has_path and (with_report or profile is not None):
         density = None
@@ -291,7 +295,7 @@ def plan(
         save_profile(planned, costs.maps, profile, report)
         LOG.info(f"wrote {profile}")
 
-    # What is printed.
+    # What is printed: one JSON object, or the facts and the report as tables.
     facts = planned.to_dict()
     if planned.status.has_path:
         facts["cautions"] = planned.cautions
@@ -330,7 +334,7 @@ def _check_files(outputs: RouteFiles, is_when: bool) -> None:
             raise click.UsageError(NOT_WHEN)
     else:
         for file in outputs.files:
-            encoder_of(file)
+            encoder_of(file)  # raises where the format holds no path
     for option, value in (("--end", outputs.end), ("--fence-roofs", outputs.fence_roofs_m)):
         if value is not None and MISSION not in suffixes:
             raise click.UsageError(f"{option} is of a mission: add -o FILE.plan")
@@ -373,10 +377,14 @@ def _write_departures(
         LOG.info(f"wrote {file}")
     for sentence in departures.cautions:
         LOG.info(sentence)
+
+    # What is printed: without a path at any time the exit code says so.
     facts = {name: fact for name, fact in departures.facts.items() if fact}
-    code, message = ExitCode.DONE, ""
+    code = ExitCode.DONE
+    message = ""
     if departures.best is None:
-        code, message = ExitCode.NO_PATH, facts["times without a path"]
+        code = ExitCode.NO_PATH
+        message = facts["times without a path"]
     if as_json:
         all_facts = {
             "best": departures.best,
@@ -400,7 +408,8 @@ def _numbers_of(departures: "Departures") -> Settings:
     Shares are of the best cost: ``worst_above_best_share`` of the dearest time, and ``most_kept_above_share`` of the
     best time's route at the time at which it is worst.
     """
-    routes, at_each_time = departures.routes, departures.table
+    routes = departures.routes
+    at_each_time = departures.table
     has_changed = routes.groupby("query")["num_changed"].any()
     numbers = {
         "num_times": len(at_each_time),
@@ -486,18 +495,23 @@ def _path_table(facts: Settings) -> str:
             if facts["graph"]:
                 rows["above the best"] += f" (best of: {facts['graph']})"
         rows["length"] = f"{facts['length_m']:.1f} m"
+
+        # How far the start and the goal were moved to free cells, and a row for each layer and metric.
         moves = [f"{name} {moved_m:.1f} m" for name, moved_m in facts["snap_distance_m"].items()]
         rows["moved to cells"] = ", ".join(moves)
-        for label, values in (
-            ("cost of ", facts["cost_by_layer"]),
-            ("exposure to ", facts["exposure_by_layer"]),
-            ("mean m_", facts["metrics"]),
-        ):
+        by_label = {
+            "cost of ": facts["cost_by_layer"],
+            "exposure to ": facts["exposure_by_layer"],
+            "mean m_": facts["metrics"],
+        }
+        for label, values in by_label.items():
             rows |= {f"{label}{name}": f"{value:.3f}" for name, value in values.items()}
     rows["expansions"] = f"{facts['num_expanded']}"
     rows["search time"] = f"{facts['elapsed_s']:.3f} s"
     if facts["setup_s"] >= 1:
         rows["search time"] += f", after {facts['setup_s']:.1f} s of compiling"
+
+    # Values begin in one column, a space behind the longest name.
     width = max(LEAST_NAME_WIDTH, *(len(name) + 1 for name in rows))
     return "\n".join(
         [*(f"{name:<{width}}{value}" for name, value in rows.items()), facts["message"]]

@@ -34,6 +34,7 @@ def score(
     """
     from jaxurban.studies import board as benchmark
 
+    # Either the benchmark is made, or a submission is scored.
     if make == (submission is not None):
         raise click.UsageError("give either SUBMISSION, a file of routes, or --make")
     if submission is None:

@@ -114,7 +114,7 @@ def sensitivity(
         raise click.UsageError("--scenario belongs to --buildings: add that")
     settings = SensitivitySettings(**options)  # all other options are its fields
 
-    # Without a route there is nothing to study.
+    # The maps and the route; without a route there is nothing to study.
     maps = open_maps(folder, resolution_m, obstacles=obstacles)
     costs = cost_map(
         maps, altitude_m, objective="weighted", time=time, time_of_day=time_of_day, **rules
@@ -135,9 +135,11 @@ def sensitivity(
         lambda report: study(costs, start, goal, snap=snap, settings=settings, progress=report),
         overwrite,
     )
+
+    # The ranking of buildings, and the report again, which then holds it. The folder is opened with the settings of
+    # this study, as another run may have come in between.
     if buildings:
         _, settings_of_route = sensitivity_outputs(result)
-        # The folder is opened again with the same settings: another run may have come in between.
         with Workspace.open(output, "sensitivity", settings_of_route):
             ranking = write_buildings(folder, first, output / "buildings", scenario=scenario)
             save(output, {REPORT_FILE: sensitivity_markdown(result, ranking)})
@@ -222,14 +224,17 @@ def sensitivity_study(
         raise click.UsageError(
             "--queries names the routes: leave out --routes and --altitudes, or --queries"
         )
-    # What belongs to several functions: the scenario of one folder, and weights apart from other rules.
+
+    # The scenario of the one folder, which goes by the name of its city.
     scenarios = None
     if scenario is not None:
         if len(folders) > 1 or not (options["num_heights"] or options["has_parameters"]):
             raise click.UsageError("--scenario belongs to --heights or --parameters of one DIR")
         scenarios = {folders[0].resolve().name: scenario_of(folders[0], scenario.parent)}
+
+    # All further options and rules are fields of the settings, but for the weights, which belong to the routes.
     weights = rules.pop("weights")
-    settings = SensitivityStudySettings(**options, **rules)  # what is left are its fields
+    settings = SensitivityStudySettings(**options, **rules)
     routes = num_routes or DRAWN_ROUTES
     result = study(
         [MapsFolder(folder, resolution_m, obstacles) for folder in folders],
@@ -243,6 +248,7 @@ def sensitivity_study(
         overwrite=overwrite,
     )
 
+    # What is printed: warnings, where the report is, and with --json the summaries.
     statuses, code, message = outcome_of(result.rows, NO_ROUTE)
     if "sobol_summary" in result.tables:
         needed = result.tables["sobol_summary"].samples_needed.max()

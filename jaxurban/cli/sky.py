@@ -116,7 +116,12 @@ def sky(
 
 
 def _check_files(files: tuple[Path, ...], track: Path | None) -> None:
-    """Raise UsageError for a file that cannot be written, or is the track that is read."""
+    """Raise UsageError for a file that cannot be written, or is the track that is read.
+
+    Args:
+      files: to write: tables, and of the sky at a place pictures too.
+      track: that the sky is wanted along; None: it is wanted at a place.
+    """
     from jaxurban.io.tables import SUFFIXES
     from jaxurban.report.write import PICTURES
 
@@ -154,6 +159,7 @@ def _sky_along(
     from jaxurban.io.tables import SUFFIXES
     from jaxurban.paths.sky_along import sky_along
 
+    # A table has a time and a place in each row, and maybe an altitude.
     if track.suffix.lower() in SUFFIXES:
         if times or speed_m_s is not None:
             raise click.UsageError("a table has its own times: leave --time and --speed out")
@@ -163,6 +169,8 @@ def _sky_along(
         if altitude_m is None and ALTITUDE in table:
             altitudes_m = table[ALTITUDE].tolist()
         return sky_along(folder, places, altitudes_m, table[UTC].tolist(), **source)
+
+    # A route is flown at a speed from the time of departure on.
     if speed_m_s is None or len(times) > 1:
         raise click.UsageError("a route needs --speed, and one --time, of departure")
     route = read_routes(track)[0]

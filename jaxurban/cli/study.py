@@ -72,11 +72,12 @@ def study(
     from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
     from jaxurban.studies.montecarlo.study import land_cover_of
 
-    # The scenario, with the settings that the options change, and what they say of routes.
+    # The scenario, with the settings that options change, and the rules of routes, which all later steps share.
     if preset:
         changes = (*changes, f"planning.preset={preset!r}")
     scenario = Scenario.from_toml(scenario_file, changes)
-    planning, settings = scenario.planning, scenario.study
+    planning = scenario.planning
+    settings = scenario.study
     kind = settings.cost_model or planning.rules.cost_model
     rules: Settings = {
         "cost_model": CostModel.from_settings(vars(planning) | {"cost_model": kind}),
@@ -85,7 +86,7 @@ def study(
     if benchmark_folder is not None:
         check_exportable(**rules)
 
-    # Refuse what cannot be read or written before anything is made; then make the maps.
+    # What cannot be read or written is refused before anything is made. Then the maps are made.
     workers = workers or all_cores()
     analysis = folder / "analysis"
     Workspace.check(analysis, "study")
@@ -120,6 +121,7 @@ def study(
     report_file = result.save(analysis)[-1]
     LOG.info(f"study finished: read {report_file}")
 
+    # What is printed with --json, and the public benchmark if it is asked for.
     statuses, code, message = outcome_of(result.rows, NO_ROUTE)
     facts: Settings = {
         "folder": str(folder),

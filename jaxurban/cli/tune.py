@@ -150,7 +150,9 @@ def tune(
         raise click.UsageError(
             "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"
         )
-    # All options that are not named above are of the routes; a preset that is not given is an empty text.
+
+    # What decides the fit: ``routes`` holds all further options, which are of the routes. A preset that is not given is
+    # an empty text, and weights that the pilot does not name are 0.
     routes["preset"] = routes["preset"] or None
     pilot_weights = None
     if pilot is not None:
@@ -169,6 +171,7 @@ def tune(
     sources = _sources_of(words, open_folder, has_routes=sample is not None)
     facts = run_tuning(sources, output, settings, overwrite=overwrite)
 
+    # What is printed: the message, warnings that it does not hold, and the weights.
     LOG.info(facts["message"])
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):
         if warning != facts["message"]:
@@ -192,21 +195,25 @@ def _sources_of(
     routes yet. A study that comes first lies beside its maps.
 
     Args:
-      words: as the user gives them.
-      maps_folder: returns the maps of a folder.
+      words: names of folders and files, as the user gives them.
+      maps_folder: returns the maps of a folder, not opened yet.
       has_routes: whether routes are drawn, so that none need be read.
     """
     from jaxurban.io.store import ZARR_FOLDER
     from jaxurban.io.tables import ROWS_FILE
     from jaxurban.studies.study_demonstrations import study_in
 
+    # ``routes`` is the list of the last folder of maps, and ``needs_routes`` says whether it has no study of its own.
     sources: dict[MapsFolder, list[Path]] = {}
-    routes: list[Path] = []  # of the last folder of maps, which grows
-    needs_routes = False  # whether that folder has no study of its own
+    routes: list[Path] = []
+    needs_routes = False
     for word in words:
+        # A study beside or after its maps.
         is_study = (word / ROWS_FILE).is_file() and not (word / ZARR_FOLDER).exists()
         if needs_routes and not routes and study_in(word):
             is_study = True
+
+        # The first word and every folder of maps begin a new list; all else joins the last one.
         if not sources or (word.is_dir() and not is_study):
             folder = word.parent if is_study else word
             routes = sources.setdefault(maps_folder(folder), [])

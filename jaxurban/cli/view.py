@@ -70,6 +70,7 @@ def view(
         others = open_maps(against, maps.grid.resolution_m)
         return viewer(against=others, against_name=str(against))
 
+    # One page as a file, or a server until Ctrl-C.
     viewer = open_viewer()
     if export is not None:
         num_bytes = write_page(viewer, export, int(size_mib * 2**20))

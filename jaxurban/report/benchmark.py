@@ -108,8 +108,12 @@ def _export(
     settings: Benchmark,
     name: str,
 ) -> dict[str, int]:
-    """Write what `export_benchmark` describes into a folder that is open for it; arguments and result are the same."""
-    # A grid per altitude, a file of costs per altitude and time, and the table of all instances.
+    """Write a public benchmark into a folder that is open for it, and return its numbers of problems by kind.
+
+    Args:
+      maps, instances, rows, folder, settings, name: as in `export_benchmark`.
+    """
+    # A grid for each altitude, a file of costs for each altitude and time, and the table of all instances.
     num_shortest = 0
     for altitude_m in sorted(instances.altitude_m.unique()):
         file = folder / GRID_FOLDER / f"{name}_{short_number(altitude_m)}m.map"
@@ -182,6 +186,7 @@ def _write_grid(
       file: the ``.map``; the ``.scen`` lies beside it.
       constraints: that close cells.
     """
+    # The instances whose shortest path is proven, with the rows and columns of their ends.
     is_proven = (rows.objective == DISTANCE) & _is_optimum(rows)
     proven = rows[is_proven & (rows.altitude_m == altitude_m)].drop_duplicates("instance")
     pairs = instances[instances.altitude_m == altitude_m].merge(
@@ -189,7 +194,8 @@ def _write_grid(
     )
     problems = pd.DataFrame({"length": pairs.length_m / maps.grid.resolution_m})
     for end in ("start", "goal"):
-        x_m, y_m = pairs[f"{end}_x_m"].to_numpy(), pairs[f"{end}_y_m"].to_numpy()
+        x_m = pairs[f"{end}_x_m"].to_numpy()
+        y_m = pairs[f"{end}_y_m"].to_numpy()
         problems[f"{end}_row"], problems[f"{end}_col"] = maps.grid.cell_of_xy(x_m, y_m)
     write_map(constraints.is_free(maps, altitude_m), file)
     write_scenarios(problems, maps.grid.shape, file.name, file.with_name(f"{file.name}.scen"))

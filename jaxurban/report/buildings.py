@@ -53,7 +53,8 @@ def plot_building_costs(
       grid: the region; what lies beyond it is not drawn.
     """
     assert city.buildings is not None
-    settings, polygons = planned.settings, city.buildings.polygons
+    settings = planned.settings
+    polygons = city.buildings.polygons
     facts = joined(
         f"{planned.altitude_m:g} m above ground",
         time_said(settings["time"]),
@@ -64,13 +65,14 @@ def plot_building_costs(
         city.attribution,
     )
 
-    # The largest cost or gain is the scale's end on both sides; it is linear up to a thousandth of that.
+    # The scale of colours ends at the largest cost or gain on both sides, and is linear up to a thousandth of that.
     most = max(float(table.per_metre.abs().max()) if len(table) else 0.0, 1e-12)
     ticks = -most, -most / 100, 0.0, most / 100, most
     norm = SymLogNorm(most / 1000, vmin=-most, vmax=most)
     colours = Colours("RdBu_r", norm, "cost per metre of height", ticks=ticks)
 
-    # The part of the region around the route, in whole cells; the small number is for rounding.
+    # The part of the region around the route, as a grid: its corners in metres become columns and rows. The small
+    # number keeps a corner on the edge of a cell from rounding into the next one.
     low = np.maximum(planned.xy_m.min(axis=0) - MARGIN_M, grid.bounds_m[:2])
     high = np.minimum(planned.xy_m.max(axis=0) + MARGIN_M, grid.bounds_m[2:])
     first = np.floor(low / grid.resolution_m + 1e-6).astype(int)
@@ -79,6 +81,7 @@ def plot_building_costs(
     num_cols, num_rows = (end - first).tolist()
     near = Grid(grid.crs, grid.resolution_m, first_row, first_col, num_rows, num_cols)
 
+    # The map with its heading, note and legend.
     panels = [MapPanel(f"{planned.search.planner}, cost {planned.cost:,.1f}")]
     heading = "What one more metre of each building costs the route"
     heading = joined(heading, settings["time_of_day"], by=", ")
@@ -87,7 +90,7 @@ def plot_building_costs(
     figure, (panel,) = draw_maps(near, panels, heading, note, legend=legend, colours=colours)
     panel.set_facecolor(LAND_COLOUR)
 
-    # The outlines near the route, those without a row in the table in the colour of no effect; the route over them.
+    # The outlines near the route, in the colour of no effect where the table has no row, and the route over them.
     per_metre = np.zeros(len(polygons))
     per_metre[table.building] = table.per_metre
     is_near = shapely.intersects(polygons, shapely.box(*near.bounds_m))
@@ -150,7 +153,8 @@ def write_buildings(
         raise InputError(
             f"softness_m must be a positive number of metres such as 2, got {softness_m}"
         )
-    resolution_m, time = planned.settings["resolution_m"], planned.settings["time"]
+    resolution_m = planned.settings["resolution_m"]
+    time = planned.settings["time"]
     tasks = {task.region.resolution_m: task for task in tasks_of(settings)}
     if resolution_m not in tasks:
         raise InputError(
@@ -163,9 +167,11 @@ def write_buildings(
             "of one time, and plan on them"
         )
 
-    # Derivatives are computed in float64.
-    city, params = task.city, SoftParams(planned.altitude_m, softness_m, dict(task.params.sections))
-    time_index, time_of_day = task.sky.times.index(time), planned.settings["time_of_day"] or "day"
+    # The soft maps, at the time and time of day of the route, and the derivatives, which are computed in float64.
+    city = task.city
+    params = SoftParams(planned.altitude_m, softness_m, dict(task.params.sections))
+    time_index = task.sky.times.index(time)
+    time_of_day = planned.settings["time_of_day"] or "day"
     with jax.enable_x64(True):
         soft = soften(task, time_index=time_index, time_of_day=time_of_day, dtype=np.float64)
         table = building_costs(city, soft, planned, params)

@@ -77,7 +77,8 @@ def check_markdown(result: MissionCheck, figures: list[str]) -> str:
 @styled
 def plot_mission(result: MissionCheck) -> Figure:
     """Return the mission over the roofs, as far as the maps hold it, and its findings."""
-    steps, grid = result.flight.steps, result.maps.grid
+    steps = result.flight.steps
+    grid = result.maps.grid
     panel = MapPanel(f"Roof height (m), {result.flight.mission.name}", roof_layers(result.maps))
     legend = [Line2D([], [], **MISSION), Line2D([], [], **FOUND)]
     note = frame_note(result.maps)
@@ -103,9 +104,8 @@ def plot_flown_heights(result: MissionCheck) -> Figure:
     axes = figure.subplots()
     if TOUCHED in result.maps.ds:
         roof_m = result.maps.m(TOUCHED)[tuple(steps.cell.T)].astype(float)
-        is_before_gap = (
-            np.diff(along_m) > GAP_M
-        )  # the mission leaves the maps, where no roof is known
+        # In a gap between steps the mission has left the maps, where no roof is known.
+        is_before_gap = np.diff(along_m) > GAP_M
         roof_m[:-1][is_before_gap] = np.nan
         axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
     axes.plot(along_m, steps.z_m[:, 0], **MISSION)

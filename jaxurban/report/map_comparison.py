@@ -87,8 +87,11 @@ def plot_difference(
     places = list(compress(places, is_drawn))
     differences = [result.of(layer, **place._asdict()) for place in places]
 
+    # One scale for all panels, by the sizes of the changes.
     sizes = np.abs(np.concatenate(differences, axis=None))
     colours = difference_colours(sizes[sizes > result.tolerance], _label(result, layer))
+
+    # A panel for each map: the differences, cut off at the ends of the scale, and blocked cells over them.
     panels = []
     for place, row, values in zip(places, rows, differences, strict=True):
         where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
@@ -97,9 +100,12 @@ def plot_difference(
             flat_layer(_is_grey(result, layer, place, values), OBSTACLE_COLOUR),
         ]
         panels.append(MapPanel(joined(where, _change_text(row)), layers))
+
+    # What the picture says.
     blocked = "blocked in A and B" if layer in MASKS else "blocked in A or B"
     legend = [(blocked, OBSTACLE_COLOUR)]
-    heading, note = f"{heading_of(result, layer)}, B - A", _note(result, time)
+    heading = f"{heading_of(result, layer)}, B - A"
+    note = _note(result, time)
     return draw_maps(result.grid, panels, heading, note, legend=legend, colours=colours)[0]
 
 
@@ -205,12 +211,20 @@ def _write_difference(result: computed.MapComparison, layer: str, file: Path) ->
     """Write a layer's differences as a GeoTIFF, a band for each altitude, time and time of day; return the file.
 
     A layer without any of these has one band, named ``B - A``.
+
+    Args:
+      result: the comparison.
+      layer: one of its layers.
+      file: the GeoTIFF.
     """
+    # The differences ``[Y, X]`` of each band, by its name.
     bands = {}
     for place in result.places(layer):
         altitude = None if place.altitude_m is None else f"{place.altitude_m:g} m"
         name = joined(altitude, place.time, place.time_of_day, by=" ") or "B - A"
         bands[name] = result.of(layer, **place._asdict())
+
+    # What the file says of itself.
     tags = {
         "layer": layer,
         "difference": "B - A",
@@ -224,7 +238,7 @@ def _write_difference(result: computed.MapComparison, layer: str, file: Path) ->
 
 def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> str:
     """Return the report as Markdown; ``figures`` are the layers whose pictures lie beside it."""
-    # The table of values: the layers that differ, those with times at the first time.
+    # The table of values: a row for each map of the layers that differ, at the first time of those that have times.
     rows = result.table
     same = [str(layer) for layer, share in result.most_changed.items() if not share > 0]
     is_first = rows.time.isna() | (rows.time == rows.time.dropna().min())
@@ -256,16 +270,16 @@ def _settings(result: computed.MapComparison) -> str:
     A table of A's and B's settings that differ, GPS times that differ, and what population is divided by where that
     differs; or a sentence where the settings are not known, or are the same.
     """
+    # Rows of a name, A's value and B's value: settings, times of GPS, and what population is divided by.
     rows = [(f"`{key}`", of_a, of_b) for key, (of_a, of_b) in (result.settings or {}).items()]
     for of_a, of_b in result.times.items():
         if of_a != of_b:
             rows.append(("time of GPS", of_a, of_b))
-    norms_a, norms_b = population_norms(result.a), population_norms(result.b)
-    if "population" not in result.layers:
-        norms_a = {}
+    norms_a = population_norms(result.a)
+    norms_b = population_norms(result.b)
     for day, norm_a in norms_a.items():
-        norm_b = norms_b.get(day, norm_a)
-        if norm_a != norm_b:
+        norm_b = norms_b.get(day, norm_a)  # the same where B does not hold this time of day
+        if "population" in result.layers and norm_a != norm_b:
             rows.append((f"population is divided by, {day}", f"{norm_a:,.0f}", f"{norm_b:,.0f}"))
 
     parts = []

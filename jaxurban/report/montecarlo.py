@@ -80,7 +80,10 @@ def report_markdown(
       tables: from `tables_of`.
       figures: names of the pictures that lie beside the report.
     """
-    table, settings, study = result.table, result.settings, result.settings.study
+    # The share of pairs of places that some path joins, by altitude, and the budget of a run in words.
+    table = result.table
+    settings = result.settings
+    study = result.settings.study
     pairs = table.drop_duplicates(["instance", "altitude_m"])
     share_joined = pairs.groupby("altitude_m").is_joined.mean()
     budget = f"{study.budget_iterations} samples, others to their end"

@@ -67,7 +67,10 @@ def plot_scatter(result: computed.ReceiverValidation) -> Figure:
     heading = "Receiver against prediction, with rank correlations"
     figure, axes = panels(len(rows), heading, height_in=2.8)
     for panel, row in zip(axes, rows, strict=True):
-        witness, name = row["witness"], row["prediction"]
+        witness = row["witness"]
+        name = row["prediction"]
+
+        # The pieces in which both are known; an infinite value becomes the largest finite one.
         known = result.pieces.dropna(subset=[witness, name])
         x = known[name].clip(*ends_of(known[name].to_numpy()))
         y = known[witness].clip(*ends_of(known[witness].to_numpy()))
@@ -116,9 +119,12 @@ def validation_outputs(
 
     Among the facts is a hash of the log's rows: two logs may have one name.
     """
+    # The rows of the log as one text, of which the key has a hash.
     text = result.log.epochs.to_csv(index=False)
     if result.log.satellites is not None:
         text += result.log.satellites.to_csv(index=False)
+
+    # Tables, with times as texts, and figures.
     pieces = result.pieces.assign(utc=result.pieces.utc.map(lambda time: time.isoformat()))
     tables = {"pieces": pieces, "scores": result.scores, "shifts": result.shifts}
     figures: Figures = {"scatter": partial(plot_scatter, result)}
@@ -135,8 +141,8 @@ def validation_outputs(
 
 
 def validation_markdown(result: computed.ReceiverValidation) -> str:
-    """Return the report as Markdown; its parts on satellites are left out for a log without rows of them."""
-    # Scores of what each measurement is compared with first of all, and of other quantities of the maps.
+    """Return the report as Markdown; its parts on satellites are empty for a log without a row per satellite."""
+    # Scores of each measurement with its own prediction, and with other quantities of the maps.
     is_main = result.scores.prediction == result.scores.witness.map(MAIN)
     others = result.scores[~is_main]
     tables = {}
@@ -174,11 +180,23 @@ def _needs_no_orbits(log: ReceiverLog) -> bool:
 
 
 def _facts(result: computed.ReceiverValidation) -> list[tuple[str, str]]:
-    """Return the rows of the report's table of facts on the log and the maps: name and text; empty ones left out."""
-    summary, settings, scenario = result.summary, result.settings, result.scenario
+    """Return the facts on the log and the maps, the rows of a table of the report: name and text.
+
+    The orbits are left out where none were needed.
+
+    Args:
+      result: of the comparison; its summary has numbers of the track, and its scenario the settings of the maps.
+    """
+    summary = result.summary
+    settings = result.settings
+    scenario = result.scenario
+
+    # In a log without counts of its own, satellites are counted from the rows that are judged.
     counted = ""
     if result.satellites is not None and not result.log.witnesses:
         counted = " (of rows that are judged)"
+
+    # The texts of the facts.
     orbits = ", ".join(f"`{name}`" for name in scenario["gps"]["orbits"])
     skies = f"{summary['num_skies']} skies, one each {settings.sky_step_s:g} s"
     masks_deg = listed_m(as_tuple(scenario["gps"]["mask_deg"]))

@@ -58,6 +58,7 @@ def savable(
 
     @functools.wraps(study)
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Saved:
+        """Run the study, and return its attributes as an object of the other class."""
         return kind(**vars(study(*args, **kwargs)))
 
     return run

@@ -105,7 +105,7 @@ def sensitivity_study(
     instances = routes_of_cities(cities, routes, altitudes_m)
     check_some_vary(cities, instances)
 
-    # What identifies the study in its folder; with several processes each search has one thread.
+    # What identifies the study in its folder. With several processes each search has one thread.
     key = cities.settings.to_dict() | {
         "maps": {city: maps.identity for city, maps in cities.maps.items()},
         "order_of_cities": [*cities.maps],
@@ -115,6 +115,7 @@ def sensitivity_study(
     if workers != 1 and job.num_threads is None:
         job = replace(job, num_threads=1)
 
+    # The files that the study may write into its folder, and the rows of all routes.
     folders = ROUTES_FOLDER, OnPerturbedMaps.folder, OnOtherParameters.folder
     names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in folders), *FILES]
     with (
@@ -126,7 +127,8 @@ def sensitivity_study(
         rows = run_rows(
             file, job, instances, cities.sources, row_columns, workers=workers, report=report
         )
-        # Rows on perturbed maps and on maps of other parameters, by their folder, and why some are missing.
+
+        # The rows on perturbed maps and on maps of other parameters, by their subfolder, and why some are missing.
         changed, skipped = add_changed_rows(folder, cities, instances, scenarios, report)
         report("report")
         result = SensitivityStudy(

@@ -189,7 +189,8 @@ def plot_track(result: ReceiverValidation, of: SatelliteAgreement) -> Figure:
     crosses; the places of `plot_skies` are named.
     """
     # The mean place of each piece from the southwest, in metres, and the share of its satellites that agree.
-    epochs, judged = result.epochs, of.rows[of.rows.is_judged]
+    epochs = result.epochs
+    judged = of.rows[of.rows.is_judged]
     piece = (epochs.along_m // AROUND_M).to_numpy()
     places = epochs[["x_m", "y_m"]].groupby(piece).mean()
     x_m, y_m = (places - places.min()).to_numpy().T
@@ -197,6 +198,7 @@ def plot_track(result: ReceiverValidation, of: SatelliteAgreement) -> Figure:
     share = agrees.reindex(places.index).to_numpy()
     is_known = np.isfinite(share)
 
+    # The track as a line, known pieces as coloured dots over it, and the others as crosses.
     note = f"Agreement: in view and {of.strong_dbhz:g} dBHz or more, or hidden and weaker. By chance it would be half."
     figure = chart(5.2, "Where maps and receiver agree", note)
     panel = figure.subplots()
@@ -208,10 +210,12 @@ def plot_track(result: ReceiverValidation, of: SatelliteAgreement) -> Figure:
     panel.scatter(
         x_m[~is_known], y_m[~is_known], s=25, marker="x", color=INK, label="nothing judged"
     )
+
+    # The names of the places, at the piece that holds the nearest epoch.
     look: Look = {"textcoords": "offset points", "arrowprops": {"arrowstyle": "-"}}
     for sky in of.skies:
         nearest = np.hypot(epochs.lon_deg - sky.lon_deg, epochs.lat_deg - sky.lat_deg).argmin()
-        number = places.index.get_loc(piece[nearest])  # of the piece that holds the nearest epoch
+        number = places.index.get_loc(piece[nearest])
         panel.annotate(sky.name, (x_m[number], y_m[number]), (14, 14), **look)
     panel.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
     panel.legend()
@@ -226,6 +230,7 @@ def plot_margin(of: SatelliteAgreement) -> Figure:
     The margin is the height of the antenna above the edge of the shadow: below 0 a building hides the satellite. Both
     panels have one column per class of margins (`MARGINS_M`).
     """
+    # [R] the class of each judged row: the number of edges (`MARGINS_M`) at or below its margin.
     judged = of.rows[of.rows.is_judged]
     margin_class = np.digitize(judged.margin_m, MARGINS_M)
     note = "Boxes: the middle half of the received satellites; lines: 5 to 95 %. Above: how many were judged."
@@ -242,6 +247,8 @@ def plot_margin(of: SatelliteAgreement) -> Figure:
         num_judged = f"{len(is_heard):,}"
         panel.annotate(num_judged, (k, 1.0), xycoords=("data", "axes fraction"), ha="center")
         below.bar(k, 1 - is_heard.mean(), color=colour, width=0.7)
+
+    # What both panels share: a line between hidden and in view, and the edges of the classes.
     for each in axes:
         dress(each)
         each.axvline(edge, color=INK, linewidth=1.2)
@@ -270,7 +277,7 @@ def plot_displacement(of: SatelliteAgreement) -> Figure:
     for panel in axes:
         dress(panel)
 
-    # Moved by metres.
+    # Moved by metres: a map of the AUC by the move, with the best move and the circle around it.
     auc = of.field.pivot(index="north_m", columns="east_m", values="auc")
     image = field.pcolormesh(auc.columns, auc.index, auc, cmap="cividis")
     figure.colorbar(image, ax=field, label="AUC", aspect=25)
@@ -322,17 +329,21 @@ def plot_skies(of: SatelliteAgreement) -> Figure:
     The marker says whether the maps have a satellite in view; it is hollow where the receiver heard nothing, and pale
     where the satellite is not judged.
     """
+    # A polar panel for each place, with its roofs.
     figure = chart(4.2, "The sky over two places: the zenith in the middle, the horizon at the rim")
     axes = figure.subplots(1, len(of.skies), subplot_kw={"projection": "polar"}, squeeze=False)[0]
     for panel, sky in zip(axes, of.skies, strict=True):
         draw_horizon(panel, sky.horizon_deg)
         panel.set_title(f"{sky.name}, {sky.utc[11:19]} UTC")
+
+        # Satellites that are hidden and such that are in view, each class with its marker.
         for is_seen, label, marker, _ in CLASSES:
             rows = sky.satellites[sky.satellites.is_seen == is_seen].sort_values("azimuth_deg")
             colours = STRENGTH(rows.cn0_dbhz.to_numpy())
             colours[rows.cn0_dbhz == 0] = 1.0  # white
             opacity = np.where(rows.is_judged, 1.0, 0.3) if len(rows) else None  # not of no row
-            azimuth_rad, zenith_deg = np.radians(rows.azimuth_deg), 90 - rows.elevation_deg
+            azimuth_rad = np.radians(rows.azimuth_deg)
+            zenith_deg = 90 - rows.elevation_deg
             panel.scatter(
                 azimuth_rad,
                 zenith_deg,

@@ -47,7 +47,9 @@ def sensitivity_markdown(
       buildings: what `jaxurban.report.buildings.write_buildings` wrote beside it: a row per building, the costliest
         first, of which the report shows the first `TOP_BUILDINGS`; None: the report has no such table.
     """
-    route, settings, tables = result.route, result.route.settings, report_tables(result)
+    route = result.route
+    settings = result.route.settings
+    tables = report_tables(result)
     if buildings is not None:
         ranking = buildings.head(TOP_BUILDINGS).rename_axis("rank").reset_index()[[*RANKING]]
         tables["ranking"] = ranking.round({"lon": 5, "lat": 5}).astype({"lon": str, "lat": str})
@@ -81,6 +83,7 @@ def report_tables(result: computed.Sensitivity) -> dict[str, pd.DataFrame]:
     changes, a row per outcome (of ``changes`` per weight); ``costs``: the gradient of the cost; ``ends``: the routes
     that are best for one objective; ``ranges``: where along each weight the route stays (see `ranges`).
     """
+    # Tables with a row per outcome, by the labels of the outcomes.
     values = result.outcomes["value"].groupby("outcome", sort=False).first()
     units = [outcome_unit(str(name)) for name in values.index]
     by_outcome = {
@@ -91,6 +94,8 @@ def report_tables(result: computed.Sensitivity) -> dict[str, pd.DataFrame]:
     tables = {}
     for name, table in by_outcome.items():
         tables[name] = table.rename(index=outcome_label).rename_axis("outcome")
+
+    # Tables with a row per weight, or per objective of the Pareto front.
     tables["changes"] = tables["changes"].T.rename_axis(f"{MORE - 1:.0%} more of", axis=0)
     tables["costs"] = result.cost
     points = result.front.points[[*result.front.objectives]]
@@ -111,9 +116,8 @@ def _changes(result: computed.Sensitivity) -> pd.DataFrame:
     """
     slopes = result.outcomes
     size = slopes["expected"].abs().clip(lower=1e-12)
-    change = (
-        slopes["expected_slope"] * np.log(MORE) / size
-    )  # slopes are by the logarithm of a weight
+    # Slopes are by the logarithm of a weight.
+    change = slopes["expected_slope"] * np.log(MORE) / size
     is_clear = slopes["expected_slope"].abs() > CLEAR * slopes["expected_slope_se"]
     texts = change.map("{:+.1%}".format).where(is_clear, "unclear")
     return texts.unstack()[[*result.names]]
@@ -142,16 +146,18 @@ def ranges(result: computed.Sensitivity, name: str) -> dict[str, float]:
       Values of the weight: between ``same_from`` and ``same_to`` the cheapest route is the given one; between
       ``alike_from`` and ``alike_to`` no outcome differs from its by more than the share `ALIKE`.
     """
-    table = result.breakpoints(
-        name
-    )  # a row per route along the range, by the values where it is the cheapest
+    # A row for each route along the range, with the values between which it is the cheapest.
+    table = result.breakpoints(name)
+
+    # Which routes differ from the given one in any outcome.
     outcomes = table[list(outcome_names(result.names))]
     given = table.index[table["is_given"]][0]
     route = outcomes.loc[given]
     change = (outcomes - route).abs() / route.abs().clip(lower=1e-9)
     is_other = (change > ALIKE).any(axis=1)
 
-    # The neighbours of the given route up to the next other route: on them the count of others is the same.
+    # The routes around the given one, as far as the next one that is not alike on either side. There the number of such
+    # routes so far is the same as at the given route.
     num_others = is_other.cumsum()
     alike = table[~is_other & (num_others == num_others[given])]
     return {

@@ -104,7 +104,9 @@ def write_sensitivity_study(result: SensitivityStudy) -> list[Path]:
 
 def study_markdown(result: SensitivityStudy) -> str:
     """Return the report as Markdown; it names figures and tables as `write_sensitivity_study` does."""
-    settings, tables = result.settings, result.tables
+    settings = result.settings
+    tables = result.tables
+
     # Why routes were not found: the most frequent statuses, with their notes and the number of routes.
     lost = result.rows[~result.rows.status.isin(HAS_PATH)].fillna({"note": ""})
     reasons = lost.value_counts(["status", "note"]).head(MOST_REASONS).reset_index(name="routes")
@@ -155,9 +157,9 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     """
     if "summary" not in tables:
         return {}
-    parts, _ = pd.factorize(
-        tables["summary"].value
-    )  # numbers of the parts of the routes, in their order
+
+    # The statistics, in the order of the parts of the routes, and in each part by falling regret.
+    parts, _ = pd.factorize(tables["summary"].value)
     by_regret = tables["summary"].assign(part=parts)
     by_regret = by_regret.sort_values(["part", "regret"], ascending=[True, False])
     by_regret = by_regret.rename(columns={"value": "of", "weight_name": "weight"})

@@ -89,31 +89,36 @@ def run_tuning(
       InputError: routes or maps that cannot be read or do not go together, a wrong setting, or a folder that holds
         another fit or other files, or cannot be written to.
     """
+    # The arguments: an output folder, a pilot who prefers something, routes for each folder of maps, and targets.
     if folder.exists() and not folder.is_dir():
         raise InputError(f"cannot write to the output folder {str(folder)!r}: it is a file")
     if settings.pilot is not None and not any(settings.pilot.to_dict().values()):
         raise InputError(
             "every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)"
         )
-    sources = {
+    files_by_source = {
         source: _files_of(source, files, settings.sample) for source, files in sources.items()
     }
-    opened = [source.open() for source in sources]
+    maps_of_sources = [source.open() for source in sources]
     targets = [Target.parse(text) for text in settings.targets]
+
     with reporting("tune") as report:
-        # The routes of each city; folders of one name and place are one city.
+        # The demonstrations of each city; a folder of maps that stands several times is one city.
         report("routes")
         cities: dict[str, list[Demonstration]] = {}
         names = _names_of([Path(source.folder).resolve() for source in sources])
-        for files, maps, name in zip(sources.values(), opened, names, strict=True):
-            cities.setdefault(name, []).extend(_demonstrations(files, maps, settings))
+        for source, maps, name in zip(sources, maps_of_sources, names, strict=True):
+            routes = _demonstrations(files_by_source[source], maps, settings)
+            cities.setdefault(name, []).extend(routes)
         demonstrations = list(chain.from_iterable(cities.values()))
 
-        # Files of another fit are recognised by the state of the fit, which holds its settings.
+        # The output folder, with the files that a fit writes there. Those of another fit are recognised by the state
+        # file, which holds the settings of its fit.
         pictures = [f"figures/{name}.png" for name in ("weights", *_pictures(demonstrations))]
         outputs = [*TABLES, *pictures, "weights.toml", REPORT_FILE]
         files_written = [STATE_FILE, *files_of(outputs)]
         with Workspace.open(folder, "tune", names=files_written, overwrite=overwrite):
+            # The fit, to targets or to routes. Fits to routes leave those out that are held out from them.
             report("rounds")
             fit: WeightFit | TargetFit
             result = None
@@ -127,14 +132,15 @@ def run_tuning(
                 fit = result.fits[ALL]
                 demonstrations = list(compress(demonstrations, ~result.is_held_out))
 
+            # The routes under the fitted weights, and all files. A single fit to all routes is compared with nothing.
             report("routes under the fitted weights")
             planned = optimal_demonstrations([each.query for each in demonstrations], fit.weights)
 
             report("figures and report")
-            origins = _origins(sources, settings)
+            origins = _origins(files_by_source, settings)
             texts = {"targets": ", ".join(map(str, targets)), "sources": "; ".join(origins)}
             if result is not None and len(result.fits) == 1 and not result.is_held_out.any():
-                result = None  # nothing to compare
+                result = None
             save(folder, outputs_of(fit, demonstrations, planned, texts, result))
     facts = _facts(fit, folder)
     return facts if result is None else facts | {"fits": records_of(result.table)}
@@ -214,7 +220,11 @@ def _demonstrations(
 def _files_of(source: MapsFolder, files: Sequence[Path], sample: int | None) -> Sequence[Path]:
     """Return the files and folders of routes on the maps of a folder: without any, the study that it holds.
 
-    Where instances are sampled (``sample`` of them) no routes are needed, and ``files`` comes back as it is.
+    Args:
+      source: the folder of maps.
+      files: that the user named.
+      sample: number of instances that are sampled, so that no routes are needed and ``files`` comes back; None: routes
+        are needed.
 
     Raises:
       InputError: there is neither a file nor a study, or the folder holds a study and no maps.
@@ -239,12 +249,22 @@ def _read(file: Path, maps: MetricMaps, settings: TuneSettings) -> list[Demonstr
     """Return the routes of a file of lines, a table of instances or the folder of a study, as demonstrations.
 
     A fit to targets needs only the routes' ends: without a pilot its routes are planned under the default weights.
+
+    Args:
+      file: a file of lines or a table, or the folder of a study.
+      maps: that the routes lie on.
+      settings: of the fit, with the pilot, the planner and further arguments for the readers.
+
+    Raises:
+      InputError: routes that cannot be read, or that are of no use on these maps.
     """
     if not file.is_dir() and file.suffix.lower() not in SUFFIXES:
         return read_demonstrations(file, maps, **settings.routes)
-    pilot, planner = settings.pilot, settings.planner
+    pilot = settings.pilot
+    planner = settings.planner
     if settings.targets and pilot is None:
-        pilot, planner = Weights(), None
+        pilot = Weights()
+        planner = None
     return demonstrations_from_study(file, maps, planner=planner, pilot=pilot, **settings.routes)
 
 
@@ -258,21 +278,26 @@ def outputs_of(
     """Return what a fit writes, by file name: tables, pictures, the report and weights.toml.
 
     Args:
-      fit: of the weights.
-      demonstrations, planned: the routes as given, and those under the weights.
+      fit: the fit of the weights, to routes or to targets.
+      demonstrations: ``N`` routes as they are given; at least one.
+      planned: ``N`` routes between the same ends under the fitted weights.
       texts: for the report: ``sources`` of the routes, and ``targets``.
-      result: further fits, which the fit is compared with, and routes that were held out.
+      result: further fits, which the fit is compared with, and routes that were held out; None: there are none.
     """
+    # The maps by the names of their pictures, the weights [K], a table of the routes, and fields of the report.
     pictures = _pictures(demonstrations)
     first = next(iter(pictures.values()))
-    vector, fields = fit.weights.vector(fit.names), dict[str, Any](texts)
+    vector = fit.weights.vector(fit.names)
+    fields = dict[str, Any](texts)
     routes = compared_routes(demonstrations, planned)
     tables = {}
     outputs: Outputs = {"learning_curve": fit.curve}
 
-    # What only a fit to routes has, or only one to targets: template, table of weights, and further tables.
+    # What depends on the kind of the fit: the template of its report, its table of weights, and further tables.
     if isinstance(fit, WeightFit):
-        template, noun, weights = "imitation", "demonstration", fit.table.reset_index()
+        template = "imitation"
+        noun = "demonstration"
+        weights = fit.table.reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["figures/weights.png"] = lambda: plot_weights(fit)
         tables["regrets"] = _regrets(fit)
@@ -282,24 +307,28 @@ def outputs_of(
             outputs["fits"] = result.table
             fields["fits"] = fits_section(result)
     else:
-        template, noun = "targets", "given route"
+        template = "targets"
+        noun = "given route"
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
         alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")
         tables["outcomes"] = outputs["targets"] = fit.outcomes.join(alone).reset_index()
 
-    # What both have; a picture of the routes on each map.
+    # What every fit has: tables of its weights and of its routes, and a picture of the routes on each map.
     units = weight_units(first)
     weights = weights.assign(unit=[units[name] for name in fit.names])
     outputs |= {"weights": weights, "examples": routes}
     for name, cost_map in pictures.items():
         draw = partial(plot_routes, demonstrations, planned, cost_map, vector, noun)
         outputs[f"figures/{name}.png"] = draw
+
+    # The report.
     tables |= {
         "weights": weights,
         "setting": _setting([*pictures.values()]),
         "means": _means(routes),
     }
-    option, where = weights_option(fit.weights), _where(first)
+    option = weights_option(fit.weights)
+    where = _where(first)
     report = fill(
         template,
         tables,

@@ -133,6 +133,7 @@ def fill(
 
     # Leave out sections without their tables, and lines of pictures that are not drawn.
     def is_shown(section: str) -> bool:
+        """Return whether the report has all tables that a section of the template names."""
         return texts.keys() >= set(re.findall(r"\{tables\[(\w+)\]\}", section))
 
     text = "\n".join(filter(is_shown, re.split(r"\n(?=## )", text)))
@@ -181,7 +182,8 @@ def interval(row: Mapping[Any, Any], name: Any, text_of: Callable[[Any], str] | 
       text_of: returns the text of a number; left out, `cell`.
     """
     text_of = text_of or cell
-    text, low = text_of(row[name]), row.get(f"{name}_low", math.nan)
+    text = text_of(row[name])
+    low = row.get(f"{name}_low", math.nan)
     if not np.isfinite(low):
         return text
     return f"{text} ({text_of(low)} to {text_of(row[f'{name}_high'])})"

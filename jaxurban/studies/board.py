@@ -226,7 +226,7 @@ def score(
       InputError: a bundle that was changed; a file that is no table, lacks a column, holds no row, answers what is not
         asked, or a query twice; invalid weights; a folder that holds no board, or was changed.
     """
-    # The submission, and the bundle as it was made.
+    # The submission.
     folder = Path(folder)
     method = method or Path(submission).stem
     table = read_table(submission, "submission")
@@ -235,6 +235,9 @@ def score(
             raise InputError(
                 f"{str(submission)!r} has no column {name!r}: a submission has {', '.join(KEYS)}"
             )
+
+    # The bundle's checksums, by file name, and its queries, which must be as it was made. In the track "weights" a
+    # submission names a city instead of a query.
     sums = folder / CHECKSUMS
     digests = dict[str, str]()
     with readable(sums, "checksums of a benchmark", f"make one by jaxurban score {folder} --make"):
@@ -244,14 +247,15 @@ def score(
     _check_files(folder, [QUERIES, *digests], digests)
     queries = read_table(folder / QUERIES, "queries")
     is_weights = queries["track"] == "weights"
-    queries["row"] = queries["city"].where(is_weights, queries["query"])  # as submissions name it
+    queries["row"] = queries["city"].where(is_weights, queries["query"])
     _check_answers(submission, table, queries)
 
     # Every query of the tracks that are entered, beside its answer if there is one.
     table = table.reindex(columns=[*KEYS, *CLAIMED]).rename(columns={"query": "row"})
     queries = queries[queries["track"].isin(table["track"])]
     routes = queries.merge(table, "left", ["track", "row"], indicator="outcome")
-    # How each route is judged on its city's map.
+
+    # The outcome and the cost of each route, judged on its city's map, beside what the submission claims.
     cities = {city: f"{city}.npz" for city in routes["city"].unique()}
     _check_files(folder, cities.values(), digests)
     city_problems = {city: unpacked(folder / name) for city, name in cities.items()}
@@ -262,11 +266,12 @@ def score(
     routes["over_best"] = routes["cost"] / routes["best"] - 1
     routes = routes.assign(**claims)
 
-    # A line for each track and city.
+    # A line for each track and city; the bundle is named by the beginning of a hash of its checksums.
+    bundle = digest_of(sums)[:12]
     rows = []
     for (track, city), part in routes.groupby(["track", "city"], sort=False):
-        keys = method, digest_of(sums)[:12], track, city
-        rows.append(dict(zip(LINE, keys, strict=True)) | _summary(part))
+        keys = {"method": method, "bundle": bundle, "track": track, "city": city}
+        rows.append(keys | _summary(part))
     lines = pd.DataFrame(rows)
     if board is not None:
         _enter(lines, Path(board))
@@ -281,6 +286,7 @@ def _check_answers(submission: str | Path, table: pd.DataFrame, queries: pd.Data
       table: the submission's rows, with ``track`` and ``query``.
       queries: the bundle's, with ``track`` and ``row``, the name that the ``query`` of a submission must have.
     """
+    # Pairs of a track and a query: those that are answered, and those that are asked.
     answers = pd.MultiIndex.from_frame(table[["track", "query"]])
     asked = pd.MultiIndex.from_frame(queries[["track", "row"]])
     wrong = answers[~answers.isin(asked) | answers.duplicated()]
@@ -359,11 +365,15 @@ def unpacked(file: Path) -> tuple[Problem, list[str]]:
 
 
 def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple[str, float]:
-    """Return the outcome of a query, and the cost of its route; inf where the route is missing or no valid one.
+    """Return the outcome of a query and the cost of its route.
+
+    The outcome is `VALID`, `MISSING`, or a few words on the first fault of the route; with a fault the cost is inf.
 
     Args:
-      problem, names: of the city's map (`unpacked`).
-      row: the query, the ``route`` that answers it, and as ``outcome`` whether there is one, as `DataFrame.merge` says.
+      problem: the city's map, without a query (`unpacked`).
+      names: ``[K]`` the map's weights.
+      row: the query; the ``route`` that answers it, a text; and ``outcome``, the indicator of `DataFrame.merge`, which
+        is ``"left_only"`` where nothing answers it.
 
     Raises:
       InputError: invalid weights, in the track ``weights``.
@@ -379,32 +389,36 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
         route = astar_plus(problem.with_weights(weights.vector(names)))
         return VALID, problem.cost_of(route.points_m)
 
-    # The line itself: its points, in metres from the southwest corner, its ends, and whether it stays on the map.
+    # Whether the route is a line: its points [N, 2] are in metres from the map's southwest corner.
     side_m = problem.resolution_m
     ends_m = np.array([row[end] for end in ENDS]).reshape(2, 2)
-    with np.errstate(invalid="ignore"):  # of NaN
+    with np.errstate(invalid="ignore"):  # a route may hold NaN
         line = shapely.from_wkt(str(row["route"]), on_invalid="ignore")
     points_m = shapely.get_coordinates(line)
     is_line = isinstance(line, shapely.LineString) and len(points_m)
     if not is_line or not np.isfinite(points_m).all():
         return "no line", np.inf
+
+    # Whether it joins the ends of the query and stays on the map.
     if np.abs(points_m[[0, -1]] - ends_m).max() > NEAR_M:
         return "wrong ends", np.inf
     points_m[[0, -1]] = ends_m
     size_m = np.array(problem.is_free.shape[::-1]) * side_m
     if (points_m < 0).any() or (points_m > size_m).any():
         return "leaves the map", np.inf
-    # Outside of "any-angle" a line runs straight or diagonally from centre to centre, and rounding is undone.
+
+    # In all tracks but "any-angle" a line runs straight or diagonally from centre to centre of cells. Its points are
+    # moved to the very centres, which undoes their rounding.
     if row["track"] != "any-angle":
-        cells = points_m // side_m
-        centres_m = (cells + 0.5) * side_m
-        legs = np.abs(np.diff(cells, axis=0))
-        is_straight = (legs.min(axis=1) == 0) | (legs[:, 0] == legs[:, 1])
-        if np.abs(points_m - centres_m).max() > NEAR_M or not is_straight.all():
+        centres_m = _on_grid(points_m, side_m)
+        if centres_m is None:
             return "off the grid", np.inf
         points_m = centres_m
-        problem = replace(problem, leg_margin_m=NEAR_M * side_m)  # keeps diagonals from corners
-    # What the planners' own judge counts along it.
+
+        # The margin keeps diagonals from passing between two closed cells that touch at a corner.
+        problem = replace(problem, leg_margin_m=NEAR_M * side_m)
+
+    # Whether it keeps free cells and its budget, and what it costs, as the planners themselves count it.
     sums = problem.features(points_m)
     if not sums.is_valid:
         return "not free", sums.cost(problem.weights)
@@ -413,6 +427,25 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
         if exposure > row["budget"] * (1 + SAME):
             return "over budget", np.inf
     return VALID, sums.cost(problem.weights)
+
+
+def _on_grid(points_m: np.ndarray, side_m: float) -> np.ndarray | None:
+    """Return ``[N, 2]`` the centres of the cells in which the points of a line lie; None for a line off the grid.
+
+    A line is on the grid if each point lies within `NEAR_M` of a centre, and each leg runs along a row, a column or a
+    diagonal of cells.
+
+    Args:
+      points_m: ``[N, 2]`` metres from the map's southwest corner.
+      side_m: side of a cell.
+    """
+    cells = points_m // side_m
+    centres_m = (cells + 0.5) * side_m
+    legs = np.abs(np.diff(cells, axis=0))
+    is_straight = (legs.min(axis=1) == 0) | (legs[:, 0] == legs[:, 1])
+    if np.abs(points_m - centres_m).max() > NEAR_M or not is_straight.all():
+        return None
+    return centres_m
 
 
 def _summary(routes: pd.DataFrame) -> dict[str, Any]:

@@ -67,9 +67,10 @@ class Clusters:
         groups = np.asarray(groups)
         names = np.zeros(len(groups)) if cities is None else np.asarray(cities, str)
         self._city, present = pd.factorize(names)  # [N] number of each value's city
-        self._group = np.zeros(
-            len(groups), int
-        )  # [N] number of each value's group, over all cities
+        # [N] number of each value's group, counted over all cities.
+        self._group = np.zeros(len(groups), int)
+
+        # City after city: the numbers of its groups, which follow those of earlier cities, and draws of them.
         draws = [np.empty((NUM_DRAWS, 0))]
         num_before = 0
         for city in range(len(present)):
@@ -78,6 +79,7 @@ class Clusters:
             self._group[is_inside] = num_before + group
             num_before += len(members)
             drawn = draws_of(len(members), [seed, city])
+
             # One group less is drawn than there are: without this factor a city would weigh less than its groups do.
             draws.append(drawn * (len(members) / drawn[0].sum()))
         self._draws = np.hstack(draws)  # [NUM_DRAWS, G] how often each draw holds each group
@@ -109,12 +111,18 @@ class Clusters:
         """Return ``[NUM_DRAWS]`` the statistic of the values ``[N]`` in each draw.
 
         Values that are NaN do not count. The statistic of a draw that holds no other value is NaN. A share is a mean.
+
+        Args:
+          values: ``[N]`` in the order of the groups.
+          statistic: ``"mean"``, ``"share"`` or ``"median"``.
         """
         is_known = ~np.isnan(values)
         known = values[is_known]
         columns = self._column[is_known]
         if statistic == "median":
             return median_of(known, self._draws[:, columns])
+
+        # A mean: the sum of the values in each group, and their number, as often as each draw holds the group.
         num = self._draws.shape[1]
         total = self._draws @ np.bincount(columns, minlength=num)
         sums = self._draws @ np.bincount(columns, known, num)
@@ -127,12 +135,18 @@ class Clusters:
         of values is the lower one of the two in the middle. A share of values that are all 0, or all 1, is the same in
         every draw, which says nothing about its interval. There the interval ends at the share under which all groups
         would be alike once in twenty times.
+
+        Args:
+          values: ``[N]`` in the order of the groups.
+          statistic: ``"mean"``, ``"share"`` (a mean of zeros and ones) or ``"median"``.
         """
         values = np.asarray(values, np.float64)
         is_known = ~np.isnan(values)
         known = values[is_known]
         if not len(known):
             return Interval(np.nan, np.nan, np.nan)
+
+        # The statistic; a share that is wholly 0 or 1 has an interval without draws.
         num_groups = self.groups_of(is_known)
         value = known.mean()
         if statistic == "median":
@@ -178,7 +192,13 @@ def draws_of(num_groups: int, seed: int | Sequence[int] = 0) -> np.ndarray:
 
 
 def median_of(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return ``[B]`` medians of ``[N]`` values (the lower of two in the middle), each counted ``[B, N]`` times."""
+    """Return ``[B]`` medians of values under several counts; of an even number the lower one of the two in the middle.
+
+    Args:
+      values: ``[N]``.
+      counts: ``[B, N]`` how often each value counts; where all are 0 the median is NaN.
+    """
+    # The first value in rising order up to which half of the counts lie.
     order = np.argsort(values)
     passed = np.cumsum(counts[:, order], axis=-1)
     half_passed = passed * 2 >= passed[:, -1:] * (1 - SAME_COUNT)

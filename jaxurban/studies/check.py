@@ -97,7 +97,7 @@ def check(
       >>> result.findings[["kind", "item", "building_m"]].round(1).to_dict("records")
       [{'kind': 'building', 'item': 7, 'building_m': 7.8}]
     """
-    # The arguments, and the mission.
+    # The arguments, the mission as it was read, and the times of the flight: None stands for the maps' first time.
     maps = as_maps(maps)
     for name, most in (("max_no_fix_m", max_no_fix_m), ("max_people", max_people)):
         if most is not None:
@@ -114,7 +114,8 @@ def check(
     named_times = () if time is None else as_tuple(time)
     times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
 
-    # Constraints: those of the argument or of the maps' scenario, the zones of files, and the clearances named here.
+    # Constraints: those of the argument, with the zones of files and the clearances that are named here. What is open
+    # then is as in the maps' scenario.
     limits = constraints or Constraints()
     limits = replace(limits, zones=(*limits.zones, *Constraints.read(no_fly).zones))
     if clearance_m is not None:
@@ -122,15 +123,15 @@ def check(
     if vertical_clearance_m is not None:
         limits = replace(limits, vertical_clearance_m=vertical_clearance_m)
     _, _, limits = rules_on(maps, None, limits, "")
-    # Zones that are in force at one of the times count as if they always were. Without a time all zones count, and the
-    # maps' first time stands for None.
+
+    # A zone that is in force at one of the times counts as if it were always in force. Without times every zone counts.
     flights = [parse_time(text) for text in named_times]
     zones = [zone for zone in limits.zones if not flights or any(map(zone.is_in_force, flights))]
     figures = {"num_zones": len(limits.zones), "num_zones_in_force": len(zones)}
     lasting = tuple(replace(zone, start=None, end=None) for zone in zones)
     limits = replace(limits, zones=lasting)
 
-    # What the mission meets, and the figures along it.
+    # What is found along the mission, which parts of it are unknown, and the figures; limits are on figures.
     city, outlines = _city_of(maps, sources)
     known = shapely.box(*maps.grid.bounds_m) if city is None else city.known_ground
     flight = flight_of(mission, maps, geoid_m)
@@ -140,7 +141,9 @@ def check(
     figures |= figures_of(flight, maps, times, time_of_day, swath_m)
     figures |= costs_of(flight, maps, weights, limits, times[0], time_of_day)
     exceeded, open_limits = _limits(figures, max_no_fix_m, max_people)
-    findings = pd.concat([table for table in (findings, exceeded) if len(table)] or [findings])
+    # Empty tables are left out, since their columns would change the types of the others.
+    tables = [table for table in (findings, exceeded) if len(table)]
+    findings = pd.concat(tables or [findings])
 
     # Sentences on what cannot be judged.
     not_judged = [f"{text[:1].upper()}{text[1:]}." for text in mission.not_judged]

@@ -94,7 +94,8 @@ def compared_routes(
                     "goal_x_m": goal_x_m,
                     "goal_y_m": goal_y_m,
                 }
-                path, best = paths[planned_on][pair], paths[judged_on][pair]
+                path = paths[planned_on][pair]
+                best = paths[judged_on][pair]
                 rows.append(row | _judged(cost_maps[judged_on], path, best))
     report("routes", len(a.altitudes_m), len(a.altitudes_m))
     return pd.DataFrame(rows)
@@ -129,17 +130,21 @@ def _judged(cost_map: CostMap, path: Path, best: Path) -> dict[str, Any]:
       path: planned on its own map; without points all `NUMBERS` are NaN.
       best: the cheapest path of the other map between the same ends.
     """
+    # Whether both paths were found.
     facts: dict[str, Any] = {"status": path.status.value, "best_there": np.nan}
     if best.status.has_path:
         facts["best_there"] = best.cost
     if not path.status.has_path:
         return facts | dict.fromkeys(NUMBERS, np.nan)
+
+    # What the path costs on the other map.
     features = cost_map.problem.features(path.points_m)
     cost = np.nan  # where the path is closed
     if features.is_valid:
         cost = features.cost(cost_map.problem.weights)
 
-    # NaN is not less than any cost, so a closed path gets the regret NaN, or inf where the best costs nothing.
+    # A path that costs the same as the best one has the regret 0. The cost NaN of a closed path is not less than any
+    # cost, so the regret is NaN, or inf where the best path costs nothing.
     regret = 0.0
     if not cost <= best.cost * SAME_COST:
         regret = cost / best.cost - 1 if best.cost > 0 else np.inf

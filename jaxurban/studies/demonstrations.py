@@ -286,7 +286,7 @@ def _cost_maps(
     Raises:
       InputError: an invalid cost model in the settings, or routes that name different ones.
     """
-    # The rules of the maps, which arguments come before.
+    # The rules of the cost maps: an argument comes before the rules of the maps' scenario.
     if cost_model is None:
         cost_model = _common_model(planned)
     rules = RouteRules(
@@ -294,7 +294,7 @@ def _cost_maps(
     )
     maps, rules = rules.under(maps)
 
-    # A route that does not name a rule counts as planned under the same one.
+    # Whether each route was planned under these rules; for a rule that it does not name it was.
     rules_now = rules.rules()
     now = _describe_rules(rules_now)
     for name, settings in planned:
@@ -372,24 +372,27 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
       InputError: fewer than two points, points that are not finite, or a route that leaves the maps, ends where
         it starts or too far inside an obstacle, or cannot be followed through free cells.
     """
+    # The points of the route, and the same in cell sides from the southwest corner of the maps.
     grid = cost_map.grid
     points = np.asarray(xy_m, np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
         raise InputError(
             f"a route must be [N, 2] finite metres with N >= 2, got shape {points.shape}"
         )
-    local = (points - grid.bounds_m[:2]) / grid.resolution_m  # in cell sides
+    local = (points - grid.bounds_m[:2]) / grid.resolution_m
     if np.any(local < 0) or np.any(local >= (grid.num_cols, grid.num_rows)):
         raise InputError(
             "it leaves the maps: clip it to their region, or make maps of a larger one"
         )
-    # A grid path is moved to the exact centres of its cells: decimals lost in a file must not make a diagonal step
-    # graze a third cell. Another line is redrawn.
+
+    # A grid path is moved to the exact centres of its cells, since a diagonal step must not graze a third cell because
+    # a file has lost decimals. Any other line is redrawn.
     filled = _filled(local)
     route = _Followed(np.floor(filled) + 0.5, within_cells=0.0)
     if not _is_grid_path(cost_map, filled):
         route = _redrawn(cost_map, points, local)
-    # Rows and columns of the ends; points are x and y.
+
+    # The cells of the ends as row and column, while points are x and y.
     start, goal = map(tuple, np.floor(route.centres[[0, -1], ::-1]).astype(int).tolist())
     if start == goal:
         raise InputError("it starts and ends in one cell: leave it out, or cut it in two")
@@ -430,11 +433,14 @@ def _redrawn(cost_map: CostMap, xy_m: np.ndarray, local: np.ndarray) -> _Followe
             "it starts or ends inside an obstacle or in a closed cell, and no free cell is within "
             f"{MAX_SNAP_M:g} m of it: move that end there"
         ) from error
-    # The line between the ends that planners take; a cell is row and column, a point x and y.
+
+    # An end that was moved is now the centre of its cell; a cell is row and column, a point x and y.
     line = local.copy()
     for index, end in zip((0, -1), ends, strict=True):
         if end.is_snapped:
             line[index] = np.array(end.cell[::-1]) + 0.5
+
+    # The grid path along the line, and what had to be done.
     route = _follow(cost_map, line)
     notes = [snap_note(*ends).removesuffix(".")]
     if route.within_cells > CORRIDORS_CELLS[0]:
@@ -455,6 +461,8 @@ def _filled(local: np.ndarray) -> np.ndarray:
     is_along = (steps == 0) | (np.abs(steps) == sizes[:, None])
     if not is_along.all() or not sizes.all():
         return local
+
+    # Of each run its points but the last one, from which the next run begins.
     runs = []
     for point, step, size in zip(local, steps, sizes.astype(int), strict=False):
         runs.append(point + step / size * np.arange(size)[:, None])
@@ -468,6 +476,8 @@ def _is_grid_path(cost_map: CostMap, local: np.ndarray) -> bool:
     """
     cells = np.floor(local)
     is_centre = np.abs(local - cells - 0.5) < ON_CENTRE
+
+    # Between neighbours a step has the size 1: rows and columns together, or the larger one where diagonals count.
     steps = np.abs(np.diff(cells, axis=0))
     sizes = steps.sum(axis=1) if cost_map.cost_model.connectivity == 4 else steps.max(axis=1)
     if not is_centre.all() or not np.all(sizes == 1):
@@ -481,8 +491,10 @@ def _follow(cost_map: CostMap, local: np.ndarray) -> _Followed:
     Raises:
       InputError: a leg cannot be followed through free cells.
     """
+    # The corners of the line, simplified by half a cell, and their cells as row and column.
     corners = shapely.get_coordinates(shapely.LineString(local).simplify(0.5))
     cells = [tuple(cell) for cell in np.floor(corners[:, ::-1]).astype(int).tolist()]
+
     # A corner inside an obstacle is skipped, and the legs before and after it become one that bends there.
     free_corners = [number for number, cell in enumerate(cells) if cost_map.is_free[cell]]
     centres = [np.array(cells[0][::-1]) + 0.5]
@@ -498,6 +510,11 @@ def _follow(cost_map: CostMap, local: np.ndarray) -> _Followed:
 
 def _follow_leg(cost_map: CostMap, leg: shapely.LineString, start: Cell, goal: Cell) -> _Followed:
     """Return the shortest grid path between two cells in the narrowest corridor around a leg that holds one.
+
+    Args:
+      cost_map: whose free cells the path uses.
+      leg: part of a line, in cell sides from the southwest corner.
+      start, goal: the cells at its ends, row and column.
 
     Raises:
       InputError: no corridor holds one.
@@ -515,15 +532,15 @@ def _follow_leg(cost_map: CostMap, leg: shapely.LineString, start: Cell, goal: C
 def _shortest_within(
     cost_map: CostMap, leg: shapely.LineString, width: float, start: Cell, goal: Cell
 ) -> np.ndarray | None:
-    """Return ``[N, 2]`` the shortest grid path along a leg, x and y of its centres; None where there is none.
+    """Return ``[N, 2]`` the shortest grid path along a leg, x and y of the centres of its cells; None if there is none.
+
+    All lengths are in cell sides, and places are counted from the map's southwest corner.
 
     Args:
       cost_map: whose free cells, cost model and margin of legs the path keeps.
       leg: part of the line.
       width: how far from the leg the centres of the path's cells may lie.
       start, goal: cells of the map, row and column.
-
-    All lengths are in cell sides, from the map's southwest corner.
     """
     # The part of the map that can lie in the corridor, and its free cells that do.
     west, south, east, north = np.floor(leg.bounds).astype(int)
@@ -537,7 +554,7 @@ def _shortest_within(
     if not is_free[start] or not is_free[goal]:
         return None
 
-    # Cells are the unit of length, and a layer that costs nothing leaves the distance alone.
+    # The unit of length is the side of a cell. The one layer costs nothing, so that only the distance counts.
     problem = Problem(
         costs=np.zeros((1, *is_free.shape)),
         is_free=is_free,

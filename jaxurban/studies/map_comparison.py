@@ -130,22 +130,24 @@ class MapComparison(FactsRepr):
           >>> change.shape, round(float(np.nanmean(change)), 2)
           ((30, 30), -0.13)
         """
-        # The altitude: the first one if left out, and none where the layer does not vary with it.
+        # The altitude: the first one if it is left out, and None where the layer does not vary with altitude.
         first_m = self.places(one_of("layer", layer, self.layers))[0].altitude_m
         z_m = first_m if None in (first_m, altitude_m) else altitude_m
 
-        # Cells with a number in both; masks, and layers without altitudes, have one wherever there are data.
+        # [Y, X] cells with a number in both maps. Masks and layers without altitudes have one wherever there are data,
+        # and other layers in the cells that are free by their centres.
         if z_m is None or layer in MASKS:
             is_known = self.a.ds["has_data"].values & self.b.ds["has_data"].values
         else:
             is_known = self.a.is_free(z_m, "centre") & self.b.is_free(z_m, "centre")
 
-        # A time is A's, beside which B may have another one.
+        # The two maps. The time is one of A's, and B's map beside it may have another time.
         time_of_b = None if time is None else self.times.get(iso_utc(time), time)
         a = _values(self.a, layer, OneMap(z_m, time, time_of_day))
         b = _values(self.b, layer, OneMap(z_m, time_of_b, time_of_day))
         with np.errstate(invalid="ignore"):
-            change = np.where(a == b, np.float32(0), b - a)  # two infinite values too
+            # Two infinite values differ by 0, and not by NaN.
+            change = np.where(a == b, np.float32(0), b - a)
         return np.where(is_known, change, np.float32(np.nan))
 
     @property
@@ -221,6 +223,8 @@ def compare(
     a, name_a, settings_a = _side(maps_a, "A")
     b, name_b, settings_b = _side(maps_b, "B")
     part_a, part_b = shared_part(a, b.with_obstacles(b.rule or a.obstacles))
+
+    # The settings that differ, where both maps name theirs.
     settings = None
     if settings_a is not None and settings_b is not None:
         settings = differing(settings_a, settings_b)
@@ -232,6 +236,7 @@ def compare(
         settings=settings,
         tolerance=tolerance,
     )
+
     rows = []
     with reporting("compare", progress) as report:
         # A row per map of each layer.
@@ -318,6 +323,7 @@ def _statistics(values: np.ndarray, tolerance: float) -> dict[str, Any]:
       values: ``[N]`` in the layer's unit, none NaN.
       tolerance: a difference of at most this, in the same unit, is no change.
     """
+    # The finite differences; a single NaN in their place makes all statistics of them NaN.
     numbers = values[np.isfinite(values)].astype(np.float64)
     if not len(numbers):
         numbers = np.array([np.nan])
@@ -337,7 +343,7 @@ def _statistics(values: np.ndarray, tolerance: float) -> dict[str, Any]:
 
 
 def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
-    """Return two sets of maps cut to what both hold: cell (y, x), altitude and n-th time mean the same in both.
+    """Return two sets of maps, each cut to what both hold: the same cells, altitudes, times of day and layers.
 
     Times are the ones that both hold; where each holds a single time, these two form a pair even if they differ.
     Layers are kept if both have them along the same dimensions.
@@ -353,7 +359,9 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
         raise InputError(
             f"the maps share no altitude: A holds {of_a} m and B {of_b} m; add one of A's to B's scenario"
         )
-    # Layers by name with their dimensions; one that varies with the time of day needs one in common.
+
+    # The dimensions of each layer that both hold, by its name. A layer that varies with the time of day needs one that
+    # both hold.
     days = [day for day in a.times_of_day if day in b.times_of_day]
     layers = {}
     for name, array in a.ds.data_vars.items():
@@ -363,7 +371,8 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
             layers[name] = dims
 
     # Times need to pair only where a layer varies with them.
-    times_a, times_b = a.times, b.times
+    times_a = a.times
+    times_b = b.times
     if any(TIME in dims for dims in layers.values()):
         pairs = _paired(a, b)
         times_a = tuple(pairs)
@@ -386,6 +395,7 @@ def _part(
       layers: names of the variables to keep.
       shared: by dimension the values to keep, which the maps hold.
     """
+    # The layers, and the place of each value to keep along its dimension.
     ds = maps.ds.drop_vars([name for name in maps.ds.data_vars if name not in layers])
     rows, cols = grid.window_in(replace(maps.grid, crs=grid.crs))
     values: dict[str, Sequence[Any]] = {
@@ -396,6 +406,7 @@ def _part(
     indices: dict[str, Any] = {"y": rows, "x": cols}
     for dim in values.keys() & set(ds.dims):
         indices[dim] = [values[dim].index(value) for value in shared[dim]]
+
     # Attributes that hold one number for each time of day are cut with it.
     attrs = dict(ds.attrs, crs=grid.crs)
     for norm in NORMS:

@@ -75,7 +75,12 @@ class RouteQuery:
 
 
 def query_between(cost_map: CostMap, start: Cell, goal: Cell, name: str = "") -> RouteQuery:
-    """Return the query of a route to study between two cells, each a row and a column.
+    """Return the query of a route to study between two cells.
+
+    Args:
+      cost_map: that the route lies on.
+      start, goal: cells, row and column.
+      name: of the query; empty: it has none.
 
     Raises:
       InputError: both ends in one cell.
@@ -154,6 +159,7 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
       InputError: no query, or maps whose metrics, cost models or units of population differ, or whose cell sizes differ
         under the cost model ``cell``.
     """
+    # Metrics, cost models and, where a cost counts cells, resolutions.
     if not queries:
         raise InputError(
             "there are no routes to study (demonstrations, queries or cities): give at least one"
@@ -170,7 +176,7 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
             "resolutions, on which the 'cell' cost model costs differently: use cost_model='line'",
         )
 
-    # Routes that were planned under weights of these very maps agree with them, whatever population is divided by.
+    # What population is divided by. It does not matter to routes that were planned under weights of these very maps.
     if "population" in queries[0].names:
         unplanned = maps_of(query for query in queries if not query.is_planned)
         norms = [population_norms(each.maps).get(each.time_of_day or "") for each in unplanned]

@@ -64,8 +64,10 @@ class RoutePool:
         self.num_plans = 0
         self._store = store
         self._workers = workers or os.cpu_count() or 1
+
         # Of each query its different routes [2, K], by their rounded features.
         self._routes: list[dict[tuple[str, ...], np.ndarray]] = [{} for _ in self.queries]
+
         # [2, K] of every route that was searched, by the number of its query and the hash of its points.
         self._sums: dict[tuple[int, bytes], np.ndarray] = {}
         for query, route in enumerate(known):
@@ -139,9 +141,13 @@ class RoutePool:
         return np.moveaxis(sums.reshape(num_queries, num_weights, 2, -1), 2, 0)
 
     def _sums_of(self, query: int, points_m: np.ndarray) -> np.ndarray:
-        """Return `RouteQuery.sums` ``[2, K]`` of a route ``[N, 2]`` of a query, by its number.
+        """Return ``[2, K]`` features and integrals of a route of a query (see `RouteQuery.sums`).
 
         Each route is added up once, as many weights have the same cheapest route.
+
+        Args:
+          query: its number.
+          points_m: ``[N, 2]`` the route, in metres from the map's southwest corner.
         """
         key = (query, hashlib.blake2b(points_m.tobytes(), digest_size=16).digest())
         if key not in self._sums:

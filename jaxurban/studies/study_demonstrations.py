@@ -114,7 +114,7 @@ def demonstrations_from_study(
       >>> [each.query.name for each in routes], routes[0].query.cost_map.altitude_m
       (['0', '1', '2', '3'], 60.0)
     """
-    # What the arguments name: maps, instances and the rules of the study.
+    # The arguments. A result holds maps and constraints, which count where the arguments leave them out.
     if planner is not None and pilot is not None:
         raise InputError(
             f"a pilot's routes are planned by A*, so that those of planner {planner!r} are not taken: leave one of "
@@ -127,6 +127,8 @@ def demonstrations_from_study(
         constraints = study.settings.constraints if constraints is None else constraints
         study = study.folder
     maps = as_maps(_maps_of(study) if maps is None else maps)
+
+    # The instances, with the weights of the pilot if there is one, and the rules under which their routes are planned.
     pilot_columns = {}
     if pilot is not None:
         pilot_columns = as_columns(pilot.checked(maps.metrics), maps.metrics)
@@ -155,12 +157,14 @@ def demonstrations_from_study(
             table = table[table[name] == value]
     _check_one_weights(source.name, table)
 
-    # Routes are planned on maps with all metrics and fitted on maps with the chosen ones. Each map is made once, since
-    # fits count maps by identity.
+    # The cost maps by altitude, time and time of day: routes are planned on maps of all metrics, and fitted on maps of
+    # the chosen ones. Each map is made once, since a fit takes two equal maps for different ones.
     planned_map = cache(partial(job.cost_map, maps))
     fitted_map = planned_map
     if metrics is not None:
         fitted_map = cache(lambda *place: planned_map(*place).only(metrics))
+
+    # The route of each row, planned again; a row that is of no use is counted by the reason.
     demonstrations = []
     reasons: Counter[str] = Counter()
     for row in records_of(table):
@@ -240,6 +244,7 @@ def _source(
         raise InputError(
             f"planner is one of a study's, and this is a table of instances: leave {planner!r} out"
         )
+
     # Without weights nothing says which routes are the cheapest.
     table = table.assign(**pilot_columns)
     has_weights = not table.filter(regex=f"^{WEIGHT_PREFIX}").empty
@@ -248,6 +253,7 @@ def _source(
             f"{name!r} has no weights under which its routes are the cheapest: give a column for each (w_distance, "
             "w_gps ...), or the weights of a pilot who flies all of them (--pilot, pilot=)"
         )
+
     # Instances have a number and a CRS of their own; queries are places in degrees.
     if "instance" in table or "crs" in table:
         instances = checked_instances(table, f"the instances file {name!r}")
@@ -281,7 +287,8 @@ def _of_folder(folder: Path, planner: str | None, pilot_columns: Mapping) -> _So
 
     # How the runs of each planner ended, by planner.
     rows = read_table(folder / ROWS_FILE, "rows")
-    if lost := [name for name in OF_STUDY if name not in rows]:
+    lost = [name for name in OF_STUDY if name not in rows]
+    if lost:
         raise InputError(
             f"{str(folder / ROWS_FILE)!r} lacks the column {lost[0]!r}: run the study again"
         )
@@ -356,6 +363,8 @@ def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.nda
     """
     if "status" in row and row["status"] not in HAS_PATH:
         raise InputError(f"{planner} found no path")
+
+    # The search of the study again: the same seed and as many samples, if the planner draws any.
     start, goal, weights = located(cost_map, row)
     options = {}
     if draws_samples(planner):
@@ -365,6 +374,8 @@ def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.nda
     result = search(problem, budget_s=math.inf, seed=job.seed_of(row["instance"]), **options)
     if not result.status.has_path:
         raise InputError("no path joins their ends")
+
+    # A route that costs otherwise than its row says is another one. A row that says no cost agrees with any.
     cost = cost_map.shortest.features(result.points_m, cost_map.cost_model.kind).cost(weights)
     if not math.isclose(cost, row.get("cost", cost), rel_tol=SAME_COST):
         raise InputError(

@@ -159,7 +159,7 @@ def draw_maps(
         width_in -= NORTHING_IN
     size = _size(grid, len(panels), width_in, foot_in)
 
-    # The cells of the panels; a low row is added below them where no cell is left for the legend.
+    # The cells of the panels, in rows. Where no cell is left for the legend, a low row is added below them.
     figure = chart(FIRST_IN * size.num_rows, heading, note, width)
     row_heights = [1.0] * size.num_rows
     is_full = len(panels) == size.num_rows * size.num_cols
@@ -168,6 +168,7 @@ def draw_maps(
     cells = figure.add_gridspec(len(row_heights), size.num_cols, height_ratios=row_heights)
     axes = [figure.add_subplot(cells[number]) for number in range(len(panels))]
 
+    # Each panel with its title, and its ticks or the bar below it.
     for number, (spot, panel, bar) in enumerate(zip(axes, panels, bars, strict=True)):
         title = letter(number, len(panels)) + panel.title
         _draw_panel(spot, panel._replace(title=title, grid=panel.grid or grid), size)
@@ -232,6 +233,12 @@ def _add_ticks(spot: Axes, size: Size, is_left: bool, is_bottom: bool) -> None:
     """Add ticks to a panel: eastings where it is at the bottom, northings where it is at the left, both in km.
 
     What is written below the panel moves under the label of the eastings.
+
+    Args:
+      spot: the panel's axes, in metres.
+      size: of the panels, which decides how many ticks there are.
+      is_left: whether the panel is the first of its row.
+      is_bottom: whether no panel stands below it.
     """
     num_ticks = int(np.clip(size.panel_in / TICK_IN, 1, MAX_TICKS))
     for axis in (spot.xaxis, spot.yaxis):
@@ -302,7 +309,8 @@ def _settle(figure: Figure, axes: Sequence[Axes], size: Size) -> None:
     layout: Any = figure.get_layout_engine()
     for _ in range(SETTLING):
         layout.execute(figure)
-        cell, height_in = axes[0].get_position(), figure.get_figheight()
+        cell = axes[0].get_position()
+        height_in = figure.get_figheight()
         panel_in = min(size.panel_in, cell.width * figure.get_figwidth())
         lack_in = panel_in * size.tall - cell.height * height_in
         figure.set_figheight(height_in + size.num_rows * lack_in)
@@ -362,7 +370,8 @@ def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
         image = np.where(rgba[..., 3:] > 0, rgba[..., :3], image)  # the layer where it is not clear
     rows, cols = image.shape[:2]
     side_m = step * grid.resolution_m
-    x_max_m, y_max_m = grid.x_min_m + cols * side_m, grid.y_min_m + rows * side_m
+    x_max_m = grid.x_min_m + cols * side_m
+    y_max_m = grid.y_min_m + rows * side_m
     extent = (grid.x_min_m, x_max_m, grid.y_min_m, y_max_m)
     panel.imshow(image, extent=extent, origin="lower", interpolation="auto", aspect="auto")
 
@@ -438,6 +447,8 @@ def rules_said(*settings: Mapping[str, Any]) -> str:
         rules["cost model"].append(route["cost_model"])
         rules["weights"].append(weights)
         rules["obstacles"].append(obstacles)
+
+    # A fact for each rule, with the different values of the routes.
     facts = []
     for name, values in rules.items():
         different = list(dict.fromkeys(values))

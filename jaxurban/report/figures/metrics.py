@@ -135,10 +135,14 @@ def colours_of(
       label: of the colour bar.
       attrs: attributes of the maps, which may hold a limit for the scale.
     """
-    scale, ticks = variable.scale, None
+    # Classes have a colour each, in place of a scale.
+    scale = variable.scale
+    ticks = None
     if variable.classes:
         colours = ListedColormap([colour for _, colour in variable.classes])
         return Colours(colours, BoundaryNorm([-0.5, 0.5, 1.5], 2), label, ticks=())
+
+    # The ends of the scale, with ticks at whole numbers for counts, and how it is stretched.
     low, span = scale.range(attrs or {}, lambda: ends_of(read()))
     high = low + span
     if np.issubdtype(variable.dtype, np.integer):
@@ -148,6 +152,7 @@ def colours_of(
         return Colours(scale.colour_map, LogNorm(high / 1000, high), label, extend="min")
     if scale.stretch == "sqrt":
         return Colours(scale.colour_map, PowerNorm(0.5, low, high), label)
+
     # Where low values are sought, high ones may lie beyond the scale's end.
     open_end = "max" if scale.is_better_low else "neither"
     return Colours(scale.colour_map, Normalize(low, high), label, open_end, ticks)
@@ -217,9 +222,10 @@ def plot_metric(
     variable = variables[one_of("a map to draw from these maps", name, variables)]
     if name == "obstacle":
         return plot_obstacles(maps, altitude_m=altitude_m, width=width)
-    colours, patches = metric_colours(maps, name), obstacle_patches(maps)
+    colours = metric_colours(maps, name)
+    patches = obstacle_patches(maps)
 
-    # A panel per altitude; of a map without altitudes, which has no obstacles, a panel per time of day.
+    # A map with altitudes has a panel for each of them, in which its mean stands.
     if ALTITUDE in variable.dims:
         time = (time or maps.times[0]) if TIME in variable.dims else None
         panels = [
@@ -232,6 +238,8 @@ def plot_metric(
         heading += ", by altitude above ground"
         has_sky = bool(variable.of) and TIME in maps.metrics[variable.of].dims
         note = frame_note(maps, time, has_sky=has_sky, of=name)
+
+    # A map without altitudes has no obstacles, and a panel for each time of day if it varies with that.
     else:
         times_of_day: Sequence[str | None] = (None,)
         if TIME_OF_DAY in variable.dims:
@@ -240,8 +248,9 @@ def plot_metric(
             MapPanel(day or "", [MapLayer(maps.m(name, time_of_day=day), colours)])
             for day in times_of_day
         ]
-        heading, note = variable.heading, frame_note(maps, has_sky=False)
-        patches = patches[1:]
+        heading = variable.heading
+        note = frame_note(maps, has_sky=False)
+        patches = patches[1:]  # all but obstacles
 
     # The legend of classes, whose second one means a value of one, or a colour bar.
     classes = list(variable.classes)
@@ -277,7 +286,8 @@ def plot_epochs(
     ]
     heading = f"{variable.heading} at each epoch, {z:g} m above ground"
     note = frame_note(maps, of=name)
-    legend, colours = obstacle_patches(maps), metric_colours(maps, name)
+    legend = obstacle_patches(maps)
+    colours = metric_colours(maps, name)
     figure, _ = draw_maps(
         maps.grid, panels, heading, note, legend=legend, colours=colours, width=width
     )
@@ -339,7 +349,8 @@ def plot_obstacles(
       InputError: an altitude that these maps do not hold.
     """
     maps = as_maps(maps)
-    has_data, panels = maps.ds["has_data"].values, []
+    has_data = maps.ds["has_data"].values
+    panels = []
     for z in altitudes_of(maps, altitude_m):
         share = "no data"
         if has_data.any():
@@ -347,7 +358,8 @@ def plot_obstacles(
         layers = [flat_layer(has_data, FREE_COLOUR), obstacle_layer(maps, z, BUILT_COLOUR)]
         panels.append(MapPanel(f"{z:g} m  ·  {share}", layers))
     legend = [("free", FREE_COLOUR), *obstacle_patches(maps, BUILT_COLOUR)]
-    heading, note = "Obstacles, by altitude above ground", frame_note(maps, has_sky=False)
+    heading = "Obstacles, by altitude above ground"
+    note = frame_note(maps, has_sky=False)
     return draw_maps(maps.grid, panels, heading, note, legend=legend, width=width)[0]
 
 
@@ -420,7 +432,8 @@ def plot_gps_rating(
     for z in altitudes_of(maps, altitude_m):
         numbers = np.asarray(rating(maps.m(RATED, z, time=time))).astype(int)
         panels.append(_class_panel(maps, z, numbers, classes, Rating.GOOD, "{} good or better"))
-    heading, legend = "GPS rating, by altitude above ground", [*classes, *obstacle_patches(maps)]
+    heading = "GPS rating, by altitude above ground"
+    legend = [*classes, *obstacle_patches(maps)]
     return draw_maps(
         maps.grid, panels, heading, frame_note(maps, time), legend=legend, width=width
     )[0]
@@ -482,7 +495,8 @@ def plot_population(maps: MapsLike, *, width: Width = "page") -> Figure:
         title = f"{time_of_day}  ·  {num_people:,.0f} people"
         panels.append(MapPanel(title, layers_above_zero(per_km2, colours)))
     legend = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
-    heading, note = "Population density", frame_note(maps, has_sky=False)
+    heading = "Population density"
+    note = frame_note(maps, has_sky=False)
     figure, _ = draw_maps(
         maps.grid, panels, heading, note, legend=legend, colours=colours, width=width
     )

@@ -150,13 +150,15 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
     labels = [maps.metrics[name].label for name in names]
     heading = f"{listed(labels)} over the free cells"
     figure, axes = panels(len(table), heading, shares_y=True)
-    bins = np.linspace(0, 1, 41)
+    bins = np.linspace(0, 1, 41)  # edges of 40 squares along each axis
+
+    # Each panel: every free cell adds its share to a square, and squares without a cell stay white.
     for panel, row in zip(axes, rows_of(table), strict=True):
         is_free = maps.is_free(row.altitude_m, "centre")
         x, y = (maps.m(name, row.altitude_m)[is_free] for name in names)
         share_of_a_cell = np.full(len(x), 1 / max(len(x), 1))
         look: Look = {"cmap": SHARES.cmap, "norm": SHARES.norm}
-        look["cmin"] = 1e-12  # squares without a cell stay white
+        look["cmin"] = 1e-12
         panel.hist2d(x, y, bins, weights=share_of_a_cell, **look)
         panel.plot([0, 1], [0, 1], "--", color=FAINT_INK, linewidth=0.8)
         panel.grid(visible=False)

@@ -156,7 +156,8 @@ def plot_paths(
       InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
     """
     # A panel for each place: the altitude, time and time of day of a map that paths were planned on.
-    maps, named = as_maps(maps), _named(paths, names)
+    maps = as_maps(maps)
+    named = _named(paths, names)
     planned = [each.path for each in named]
     if altitude_m is None:
         altitude_m = sorted({path.altitude_m for path in planned})
@@ -168,16 +169,20 @@ def plot_paths(
     has_times = len(times) > 1
     panels = [_cost_panel(maps, place, shown, has_times) for place, shown in named_at.items()]
 
-    # What the picture says: heading, note and legend.
+    # The heading, which names the time of day if all panels have one.
     drawn = list(chain.from_iterable(named_at.values()))
     what = "Cost and paths" if drawn else "Cost"
     days = {place.time_of_day for place in places}
     day = days.pop() if len(days) == 1 else ""
     heading = joined(f"{what}, by altitude above ground", day, by=", ")
+
+    # The note: sky and maps, what stands below the panels, and the rules of the routes.
     facts = frame_note(maps, None if has_times else times.pop())
     if drawn:
         facts = joined(facts, "below: cost, length")
     note = joined(facts, rules_said(*(each.path.settings for each in drawn)), by="\n")
+
+    # The legend: obstacles, and each path that is drawn in its colour.
     colours = planner_colours(each.name for each in named)
     paths_at = [[each.path for each in shown] for shown in named_at.values()]
     entries = path_entries({each.name: colours[each.name] for each in drawn}, *paths_at)
@@ -207,6 +212,7 @@ def _named(paths: Paths, names: Sequence[str] | None) -> list[_NamedPath]:
             f"names must be a list of {len(planned)}, one for each path, got {names!r}"
         )
     names = names or [path.search.planner for path in planned]
+
     # A dollar sign begins a formula.
     texts = [name.replace("$", r"\$") for name in names]
     return [_NamedPath(path, text) for path, text in zip(planned, texts, strict=True)]
@@ -268,6 +274,7 @@ def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]
       paths: the paths of the panel; those without a route are left out.
       colours: one for each path.
     """
+    # Lanes are of the paths with a route only. Each path is drawn twice: as a white edge, and over that in its colour.
     lanes = iter(lanes_in(paths))
     for path, colour in zip(paths, colours, strict=True):
         if path.status.has_path:
@@ -301,10 +308,14 @@ def lanes_of(lines_m: Sequence[np.ndarray], near_m: float) -> list[float]:
     """
     if not lines_m:
         return []
+
+    # [N, N] the share of the length of each line, by row, that lies in the strip around each line, by column.
     lines = np.array([shapely.LineString(line_m) for line_m in lines_m])
     strips = [line.buffer(near_m) for line in lines]
-    inside = shapely.intersection(lines[:, None], strips)  # of each line, by row, in each strip
+    inside = shapely.intersection(lines[:, None], strips)
     shared = shapely.length(inside) / shapely.length(lines)[:, None]
+
+    # The lanes of each group: their mean is 0.
     _, groups = connected_components(shared > COINCIDE)
     lanes = np.zeros(len(lines))
     for group in np.unique(groups):
@@ -350,6 +361,7 @@ class Beside(AbstractPathEffect):
         if self.colour:
             look.set_foreground(self.colour)
 
+        # The line in pixels, without small corners, which would become large ones beside their place.
         (points,) = affine.transform_path(tpath).to_polygons(closed_only=False)
         line = shapely.LineString(points).simplify(SMOOTH_PX)
         offset_px = renderer.points_to_pixels(self.offset_pt)
@@ -380,7 +392,12 @@ def path_entries(colours: Mapping[str, str], *paths_at: Sequence[PlannedPath]) -
 
 
 def outcome_of(path: PlannedPath, name: str) -> str:
-    """Return a path's cost and length, or its status."""
+    """Return a line of text: a path's name, with its cost and its length in km, or with its status without a route.
+
+    Args:
+      path: the path.
+      name: what pictures call it.
+    """
     if not path.status.has_path:
         return f"{shortened(name)}: {path.status.value}"
     cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
@@ -419,17 +436,20 @@ def plot_overview(
       InputError: an altitude that these maps do not hold, or another number of names than paths.
     """
     # The first place at the altitude that paths were planned on, and the paths with a route there.
-    maps, named = as_maps(maps), _named(paths, names)
+    maps = as_maps(maps)
+    named = _named(paths, names)
     planned = [each.path for each in named]
     z = altitude_m
     if z is None:
         z = min((path.altitude_m for path in planned), default=maps.altitudes_m[0])
     place = _places_at(maps, z, planned)[0]
-    time, time_of_day = place.time, place.time_of_day
+    time = place.time
+    time_of_day = place.time_of_day
     named = [each for each in named if each.place == place and each.path.status.has_path]
     drawn = [each.path for each in named]
 
-    # A panel per metric: of one such as population a variable whose zero is drawn in white, else m over free cells.
+    # A panel for each metric: of metrics such as population the variable whose zero is drawn in white, of others m in
+    # the free cells.
     panels = [MapPanel("Roof height (m)", roof_layers(maps))]
     blank = [AUXILIARY_VARIABLES["roof"].scale.zero]  # what white stands for
     for name, metric in maps.metrics.items():
@@ -443,10 +463,12 @@ def plot_overview(
             layers = [obstacle_layer(maps, z, BLOCKED_COLOUR), free_layer(maps, name, z, time=time)]
             panels.append(MapPanel(metric.label, layers))
 
+    # The cost. It is the last layer of its panel, which has the colour bar, as obstacles have none of their own.
     what = " and paths" if drawn else ""
     cost, obstacles = cost_layers(maps, z, time, time_of_day)
-    # The last layer of a panel has the colour bar: that of the cost, as obstacles have none of their own.
     panels.append(MapPanel(joined(f"Cost{what}", time_of_day), [obstacles, cost]))
+
+    # Legend, note and heading of the picture, and the paths over the last panel.
     colours = planner_colours(each.name for each in named)
     legend: list[LegendEntry] = [(",\n".join(blank), EMPTY_COLOUR)]
     legend += [*obstacle_patches(maps, BLOCKED_COLOUR), *path_entries(colours, drawn)]
@@ -487,6 +509,7 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> Figures:
       maps: whose metrics are drawn.
       paths: one, several or a batch; empty: the cost is drawn instead, a picture per time of day.
     """
+    # The maps; metrics that vary with the time of day are left for the picture of people.
     by_day = [name for name, metric in maps.metrics.items() if TIME_OF_DAY in metric.dims]
     figures: Figures = {
         "overview": lambda: plot_overview(maps, paths),
@@ -496,7 +519,7 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> Figures:
         "sensor_choice": lambda: plot_sensor_choice(maps),
     }
 
-    # The cost, with the paths over it.
+    # The cost: with the paths over it, or alone at each time of day.
     if paths_in(paths):
         figures["paths"] = lambda: plot_paths(maps, paths)
     else:
@@ -504,13 +527,15 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> Figures:
             name = "cost" if len(maps.times_of_day) < 2 else f"cost_{time_of_day}"
             figures[name] = partial(plot_paths, maps, (), time_of_day=time_of_day)
 
-    # Statistics of a series, all variables of metrics made on request, and each time of several.
+    # Further variables: statistics of a long series, and all those of metrics that are made on request only.
     on_request = {name for name, metric in maps.metrics.items() if metric.section in ON_REQUEST}
     for name, variable in drawn_variables(maps).items():
         has_statistics = maps.variable(variable.of) != variable.of  # such as a median instead of m
         is_statistic = has_statistics and name.endswith(("_availability", "_p05"))
         if name == AVAILABILITY or is_statistic or variable.of in on_request:
             figures[name] = partial(plot_metric, maps, name)
+
+    # Metrics that vary with time, at each of several times; the GPS rating; and people.
     if len(maps.times) > 1 and maps.default_time is not None:
         for name, metric in maps.metrics.items():
             if TIME in metric.dims and name not in on_request:

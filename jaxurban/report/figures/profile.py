@@ -65,13 +65,17 @@ def plot_profile(
     report = report or explain(planned, maps)
     profile = report.profile  # a row per cell along the route
 
-    # The figure: what its heading says, and its panels.
+    # The heading: planner, length, altitude, time of day and cost of the route.
     edges_km = np.append(profile["from_m"], profile["to_m"].iloc[-1]) / 1000
-    low_m, high_m = float(planned.z_m.min()), float(planned.z_m.max())
+    low_m = float(planned.z_m.min())
+    high_m = float(planned.z_m.max())
     altitude = f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m"
     facts = planned.search.planner, f"{planned.length_m / 1000:.2f} km", f"{altitude} above ground"
-    day, cost = planned.settings["time_of_day"], f"cost {planned.cost:,.1f}"
+    day = planned.settings["time_of_day"]
+    cost = f"cost {planned.cost:,.1f}"
     summary = joined(*facts, day, cost, by=", ")
+
+    # The panels: heights, the metrics of which 1 is the best or the worst, one panel each, and the clearance.
     meanings = list(dict.fromkeys(metric.one_is for metric in maps.metrics.values()))
     height_in = HEIGHT_IN + SECOND_IN * (len(meanings) - 1)
     note = frame_note(maps, planned.settings["time"])
@@ -80,7 +84,7 @@ def plot_profile(
     axes = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
     heights, *of_metrics, clearance = axes
 
-    # What each panel is for.
+    # What each panel shows along the route; edges [N + 1] are the ends of the cells, in km flown.
     _draw_heights(heights, planned, profile, edges_km)
     for meaning, panel in zip(meanings, of_metrics, strict=True):
         for name, metric in maps.metrics.items():
@@ -92,7 +96,8 @@ def plot_profile(
     clearance.set_xlabel("distance flown (km)")
     clearance.set_xlim(edges_km[0], max(edges_km[-1], edges_km[0] + 1e-3))
 
-    # What all panels share: stretches without a fix, which one legend names once, and the ends of segments.
+    # What all panels share: shades where there is no fix, which the legend of the second panel names once, and dotted
+    # lines at the ends of segments.
     for place, panel in enumerate(axes):
         panel.set_ylabel(letter(place, len(axes)) + panel.get_ylabel())
         look = {"color": NO_FIX_COLOUR, "linewidth": NO_FIX_PT, "zorder": 0}
@@ -134,6 +139,8 @@ def _draw_heights(
         panel.stairs(
             guessed_m, edges_km, fill=True, color=GUESSED_COLOUR, label="of guessed height"
         )
+
+    # The flight: legs are measured in the air, as climbs have a length too.
     moved_m = np.diff(np.column_stack([planned.xy_m, planned.z_m]), axis=0)
     along_km = np.append(0.0, np.cumsum(np.linalg.norm(moved_m, axis=1))) / 1000
     panel.plot(along_km, planned.z_m, color=ALTITUDE_COLOUR, linewidth=1.6, label="flight altitude")
@@ -160,8 +167,11 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
     drawn_m = profile[CLEARANCE].where(is_known)
     look: Look = {"color": CLEARANCE_COLOUR, "label": "distance to obstacles"}
     panel.stairs(drawn_m, edges_km, baseline=None, linewidth=1.3, **look)
+
+    # A mark in the middle of the cell with the least distance.
     place = int(np.argmin(profile[CLEARANCE]))
-    nearest_m, at_km = profile[CLEARANCE].iloc[place], edges_km[place : place + 2].mean()
+    nearest_m = profile[CLEARANCE].iloc[place]
+    at_km = edges_km[place : place + 2].mean()
     label = f"least: {nearest_m:.3g} m"
     panel.plot(at_km, nearest_m, "v", color=CLEARANCE_COLOUR, label=label, zorder=10, clip_on=False)
     if not is_known.all():
@@ -189,6 +199,10 @@ def save_profile(
     planned: PlannedPath, maps: MapsLike, file: str | Path, report: RouteReport | None = None
 ) -> None:
     """Write the profile of a route (`plot_profile`) as PNG, PDF or SVG; the file appears whole or not at all.
+
+    Args:
+      planned, maps, report: as in `plot_profile`.
+      file: to write, in the format that its name ends in.
 
     Raises:
       InputError: there is no path, the maps are others, or the file cannot be written.

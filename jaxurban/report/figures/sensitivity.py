@@ -63,13 +63,16 @@ def plot_breakpoints(result: Sensitivity) -> Figure:
         column = result.names.index(name)
         low, high = line.corners[:, column]
 
-        # Shares of the way from the low to the high end: even on the logarithmic axis, and those of breakpoints.
+        # Places along the line, as shares of the way from its low end to its high end: 400 that are even on the
+        # logarithmic axis, and the breakpoints, which alone get a dot.
         evenly = (np.geomspace(low, high, 400) - low) / (high - low)
         shares = np.sort(np.append(evenly, line.breakpoints))
         costs = line.cost_at(np.stack([1 - shares, shares], axis=-1))
         look: Look = {"markersize": 4, "markeredgewidth": 0, "linewidth": 1.1}
         look["markevery"] = np.isin(shares, line.breakpoints)
         panel.plot(low + shares * (high - low), costs, "o-", color=line_colour(name), **look)
+
+        # The given weight, the axes and the title.
         look = {"linestyle": (0, (3, 2)), "zorder": 1, "label": "given weight"}
         panel.axvline(result.weights[column], color=INK, linewidth=0.9, **look)
 
@@ -95,8 +98,10 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     titles = [f"{name}, routes: {len(line.cells)}" for name, line in result.lines.items()]
     low, high = result.settings.factors
 
-    # A tick at each power of ten in the range; the small number is for what rounding does to a logarithm.
-    first, last = math.ceil(math.log10(low) - 1e-9), math.ceil(math.log10(10 * high) - 1e-9) - 1
+    # A tick at each power of ten, from the low factor to the first one that is not below the high factor. Rounding may
+    # bring a logarithm a little above a whole number, which the small number undoes.
+    first = math.ceil(math.log10(low) - 1e-9)
+    last = math.ceil(math.log10(high) - 1e-9)
     ticks = [10.0**power for power in range(first, last + 1)]
     label = "weight, as a multiple of the given one"
     colours = Colours("viridis", LogNorm(low, high), label, ticks=ticks)
@@ -105,13 +110,16 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     figure, axes = _maps(result, titles, heading, legend, colours)
 
     for panel, name in zip(axes, result.lines, strict=True):
-        table = result.breakpoints(name)  # a row per route
+        # A row for each route along the range, with the weights between which it is the cheapest.
+        table = result.breakpoints(name)
         given_weight = result.weights[result.names.index(name)]
         middle = np.sqrt(table["from"] * table["to"]) / given_weight
         widths = np.linspace(3.2, 1.4, len(table))
         look: Look = {"colors": colours(middle), "linewidths": widths, "zorder": 4}
         routes = LineCollection(result.line_routes[name], capstyle="round", **look)
         panel.add_collection(routes)
+
+        # The route under the given weights, white with a dark edge, so that it is seen over all colours.
         edge = [Stroke(linewidth=2.4, foreground=INK), Normal()]
         look = {"linewidth": 1.2, "linestyle": (0, (3, 2)), "path_effects": edge, "zorder": 6}
         panel.plot(*result.route.xy_m.T, color=ON_ROUTES_COLOUR, **look)
@@ -124,6 +132,7 @@ def plot_pareto(result: Sensitivity) -> Figure:
 
     The first two features are the axes, and the last one is the colour; a star is the route under the given weights.
     """
+    # The features of each route, and of the route under the given weights: these are the gradient of the cost.
     front = result.front
     figure = chart(4.0, f"Best trade-offs between {listed(front.objectives)}")
     panel = figure.subplots()
@@ -136,7 +145,7 @@ def plot_pareto(result: Sensitivity) -> Figure:
     x, y, *_ = points.T
     panel.scatter(x, y, s=26, c=points[:, -1], edgecolors=FAINT_INK, linewidths=0.4, **look)
 
-    # The gradient of the cost with respect to the weights is the features of the route under the given weights.
+    # The star.
     look |= {"marker": "*", "edgecolors": GIVEN_COLOUR, "label": "given weights"}
     panel.scatter(gradient[0], gradient[1], s=220, c=gradient[-1:], **look)
     if len(labels) == 3:
@@ -152,7 +161,8 @@ def _feature_label(result: Sensitivity, name: str) -> str:
     """Return the label of an axis for the distance or a metric's cost c along a route, with its unit."""
     if name == "distance":
         return "distance (m)"
-    settings, unit = result.route.settings, "sum of c over steps"
+    settings = result.route.settings
+    unit = "sum of c over steps"
     if settings["cost_model"] == "line":
         unit = f"sum of c per {settings['reference_length_m']:g} m"
     return f"{name} cost ({unit}; lower is better)"
@@ -174,7 +184,8 @@ def _maps(
       legend: entries beside those of obstacles and ends.
       colours: of one bar for all maps; None: no bar but those of the cost.
     """
-    settings, z = result.route.settings, result.route.altitude_m
+    settings = result.route.settings
+    z = result.route.altitude_m
     layers = cost_layers(result.maps, z, settings["time"], settings["time_of_day"])
     heading = joined(heading, settings["time_of_day"], by=", ")
     facts = joined(f"{z:g} m above ground", "grey: normalised cost, black: lowest")

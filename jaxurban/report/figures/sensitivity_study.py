@@ -60,6 +60,7 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
         rows = by_city[by_city.value == city].set_index("weight_name").reindex(weights)
         look = {"color": SERIES_COLOURS[number % len(SERIES_COLOURS)], "label": city}
         look["marker"] = MARKERS[number % len(MARKERS)]
+
         # Dots of several cities stand side by side around the place of the weight.
         x = np.arange(len(weights)) + (number - (len(cities) - 1) / 2) * DOT_GAP
         dots(panel, x, rows, "regret", look)
@@ -89,15 +90,18 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
     figure, axes = panels(len(altitudes), heading, shares_y=True)
     end = max(varied.nearest.max(), 1.01)
     names = list(varied.weight_name.unique())
-    # In the middle of each of `NUM_FACTORS` equal parts of the axis, which is logarithmic.
+
+    # Bars stand in the middle of each of `NUM_FACTORS` equal parts of the axis, which is logarithmic.
     middles = np.geomspace(1.0, end, 2 * NUM_FACTORS + 1)[1::2]
     for panel, altitude_m in zip(axes, altitudes, strict=True):
         at_altitude = varied[varied.altitude_m == altitude_m]
         for name, rows in at_altitude.groupby("weight_name", sort=False):
-            colour, look = line_colour(str(name)), {"label": name, "linewidth": 1.3}
+            colour = line_colour(str(name))
+            look = {"label": name, "linewidth": 1.3}
             step_up(panel, rows.nearest.to_numpy(), end, color=colour, **look)
 
-            # Intervals of the share at a few factors, moved so that those of different weights stand side by side.
+            # Intervals of the share at these factors. Each weight has a lane of its own, to the left or to the right of
+            # the middle, so that bars of different weights stand side by side.
             pairs = pairs_of(rows)
             lane = names.index(name) - (len(names) - 1) / 2
             factors = middles * end ** (lane * BAR_GAP)

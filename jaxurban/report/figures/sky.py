@@ -39,6 +39,7 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
     Raises:
       InputError: no such time.
     """
+    # The figure with its heading and note.
     time = of.times[0] if time is None else time
     if time not in of.times:
         raise InputError(f"time must be one of {', '.join(of.times)}, got {time!r}")
@@ -53,13 +54,15 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
     panel: Any = figure.add_subplot(projection="polar")
     draw_horizon(panel, of.horizon_deg)
 
+    # The satellites at that time: a marker and a colour for each system, a look for each state.
     now = of.table[of.table["time"] == time]
     systems = enumerate(dict.fromkeys(now["system"]))
     for (number, system), (state, state_look) in product(systems, LOOKS.items()):
         rows = now[(now["system"] == system) & (now["state"] == state)]
         if rows.empty:
             continue
-        azimuth_rad, zenith_deg = np.radians(rows["azimuth_deg"]), 90 - rows["elevation_deg"]
+        azimuth_rad = np.radians(rows["azimuth_deg"])
+        zenith_deg = 90 - rows["elevation_deg"]
         look = {"edgecolors": INK, "s": 55, "zorder": 5}
         look["marker"] = MARKERS[number % len(MARKERS)]
         look["facecolors"] = SERIES_COLOURS[number % len(SERIES_COLOURS)]
@@ -87,7 +90,9 @@ def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
     panel.set_rlim(0, 90)
     panel.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
     panel.set_yticks([30, 60], ["", ""])
-    around = np.radians(np.arange(361))  # once around, the first degree again at the end
+
+    # The roofs, once around the sky: the first degree stands again at the end.
+    around = np.radians(np.arange(361))
     roof_edge = 90 - np.append(horizon_deg, horizon_deg[0])
     panel.fill_between(around, roof_edge, 90, color=ROOFS, label="buildings")
     is_missing = np.isnan(roof_edge)

@@ -38,24 +38,23 @@ DOT: Look = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "n
 LABEL_IN = 1.9  # of a line of the label of an upright colour bar
 BOLD = 1.2  # how much wider bold letters are
 
-styled = (
-    rc_context(  # a decorator of functions that draw; ticks are made later, so `dress` sets theirs
-        {
-            "font.size": SMALL_PT,
-            "axes.titlesize": TEXT_PT,
-            "axes.titlelocation": "left",
-            "axes.titlecolor": INK,
-            "axes.labelsize": SMALL_PT,
-            "axes.edgecolor": FAINT_INK,
-            "axes.linewidth": 0.6,
-            "axes.axisbelow": True,
-            "axes.spines.right": False,
-            "axes.spines.top": False,
-            "legend.fontsize": SMALL_PT,
-            "legend.frameon": False,
-            "figure.facecolor": "white",
-        }
-    )
+# A decorator of functions that draw. Ticks are made later than it works, so `dress` sets them.
+styled = rc_context(
+    {
+        "font.size": SMALL_PT,
+        "axes.titlesize": TEXT_PT,
+        "axes.titlelocation": "left",
+        "axes.titlecolor": INK,
+        "axes.labelsize": SMALL_PT,
+        "axes.edgecolor": FAINT_INK,
+        "axes.linewidth": 0.6,
+        "axes.axisbelow": True,
+        "axes.spines.right": False,
+        "axes.spines.top": False,
+        "legend.fontsize": SMALL_PT,
+        "legend.frameon": False,
+        "figure.facecolor": "white",
+    }
 )
 printed = rc_context(
     {
@@ -127,7 +126,8 @@ def chart(height_in: float, heading: str, note: str = "", width: Width = "page")
       InputError: an invalid width (see `inches`).
     """
     width_in = inches(width)
-    head, foot = wrapped(heading, width_in, BOLD * HEADING_PT), wrapped(note, width_in)
+    head = wrapped(heading, width_in, BOLD * HEADING_PT)
+    foot = wrapped(note, width_in)
     height_in += HEAD_IN * len(head.splitlines()) + LINE_IN * len(foot.splitlines())
     layout = ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.06)
     figure = Picture(figsize=(width_in, height_in), layout=layout, facecolor="white")
@@ -154,6 +154,7 @@ def panels(
       height_in: height of a panel in inches, about: the layout decides.
       shares_y: whether the panels have one scale, labelled at the left of each row.
     """
+    # The panels of full rows; those that are too many are removed.
     num_cols = columns_of(num)
     num_rows = math.ceil(num / num_cols)
     figure = chart(num_rows * (height_in + TITLE_IN), heading)
@@ -231,6 +232,7 @@ def step_up(panel: Axes, values: np.ndarray, end: float, **look: Any) -> None:
       end: the largest x.
       look: of the line, as Matplotlib's keywords.
     """
+    # After each value the share is higher by one value; the line goes on level to the end.
     reached = np.sort(values[values < end])
     share = np.arange(len(reached) + 1) / max(1, len(values))
     panel.step([1.0, *reached, end], [*share, share[-1]], where="post", **look)
@@ -248,11 +250,14 @@ def dots(
       name: of the statistic.
       look: of the dots, as Matplotlib's keywords: a ``color``, and maybe a ``label`` for the legend.
     """
+    # How far each bar reaches below and above its dot; NaN, which is drawn as 0, without an interval.
     values = rows[name].to_numpy(np.float64)
     below = values - rows[f"{name}_low"].to_numpy(np.float64)
     above = rows[f"{name}_high"].to_numpy(np.float64) - values
     bars = np.nan_to_num([below, above]).clip(min=0)
     has_bar = np.isfinite(below)
+
+    # Dots with a bar, filled, and known values without one, hollow.
     label = look.get("label")
     for is_drawn, face in ((has_bar, look["color"]), (~has_bar & np.isfinite(values), "white")):
         if is_drawn.any():
@@ -339,6 +344,7 @@ def add_colour_bar(
       location: ``"right"`` of the panels, upright, or at their ``"bottom"``.
       cax: axes that the bar fills, lying, in place of a location.
     """
+    # Where the bar stands: beside all panels, or in axes of its own.
     place: Look = {"ax": axes, "location": location, "panchor": False}
     place["aspect"] = 25 if location == "right" else 50  # length of the bar by its width
     if cax is not None:
@@ -350,6 +356,8 @@ def add_colour_bar(
         format=FuncFormatter(tick_label),
         **place,
     )
+
+    # The label, which has the whole width of the figure below panels.
     has_page_width = cax is None and location == "bottom"
     label_in = figure.get_figwidth() if has_page_width else LABEL_IN
     bar.set_label(wrapped(colours.label, label_in))

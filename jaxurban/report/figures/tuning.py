@@ -36,6 +36,7 @@ def plot_weights(fit: WeightFit) -> Figure:
 
     A weight of 0, or one that the routes do not identify, has no dot; a dot without an interval is hollow.
     """
+    # A row per weight, with the ends of its interval named as `dots` expects them; NaN where there is no dot.
     table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
     table = table.where(table.weight > 0)
     figure, (panel,) = panels(1, "Fitted weights and their intervals", height_in=2.5)
@@ -64,16 +65,20 @@ def plot_routes(
       weights: ``[K]`` distance and the map's metrics.
       given: what the demonstrations are called: a fit to targets takes only their ends.
     """
-    grid, maps = cost_map.grid, cost_map.maps
+    # What the picture says of the map and of the weights.
+    grid = cost_map.grid
+    maps = cost_map.maps
     title = joined(f"{cost_map.altitude_m:g} m above ground", cost_map.time_of_day)
     fitted = dict(zip(("distance", *cost_map.names), weights.tolist(), strict=True))
     settings = map_settings(cost_map) | {"weights": fitted}
     note = f"{frame_note(maps, cost_map.time)}\n{rules_said(settings)}"
 
-    # The cost of each cell under the weights; its colours end at 99 % of the free cells, and further pale ones follow.
+    # [Y, X] the cost of each cell under the weights. The scale goes on beyond the costs of 99 % of the free cells, by
+    # the factor `PALE`, so that routes stand out from pale cells.
     cost = np.tensordot(weights[1:], cost_map.costs, axes=1)
     free = cost[cost_map.is_free]
-    least, most = float(free.min()), float(np.percentile(free, 99))
+    least = float(free.min())
+    most = float(np.percentile(free, 99))
     norm = Normalize(least, least + max(PALE * (most - least), 1e-12))
     colours = Colours("gray_r", norm, "cost of a cell\nunder the weights", extend="max")
     closed = flat_layer(~cost_map.is_free & maps.ds["has_data"].values, BLOCKED_COLOUR)
@@ -90,7 +95,8 @@ def plot_routes(
     heading = f"{given.capitalize()}s and routes under the fitted weights"
     figure, (panel,) = draw_maps(grid, panels_of, heading, note, legend=legend, colours=colours)
 
-    # Each pair of routes, side by side where both coincide; their points are metres from the southwest corner.
+    # A demonstration and the route between its ends, side by side where both coincide. Their points are in metres from
+    # the southwest corner of the map.
     southwest_m = grid.bounds_m[:2]
     colours_of = (DEMONSTRATION_COLOUR, PLANNED_COLOUR)
     for demonstration, route in zip(demonstrations, planned, strict=True):

@@ -35,10 +35,8 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
       width: see `plot_metric`.
     """
     table = departures.table.fillna({"time": "", "time_of_day": ""})
-    along, series = (
-        "time_of_day",
-        "time",
-    )  # columns: along the axis, and of which each value has a line
+    # Columns: the first is along the axis, and each value of the second has a line.
+    along, series = "time_of_day", "time"
     axis_label = "time of day"
     labels = table[along].unique().tolist()
     if table["time"].nunique() > 1:
@@ -47,13 +45,15 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
         labels = [time[11:16] for time in table["time"].unique()]  # hours and minutes
     table["x"] = table[along].factorize()[0]
 
+    # A line of the cost for each value, and one of the length without a fix where the maps hold GPS.
     facts = [f"{name}: {fact}" for name, fact in departures.facts.items() if fact]
     note = f"{joined(*facts)}\n{frame_note(as_maps(maps))}"
     figure = chart(HEIGHT_IN, "When to fly", note, width)
     cost, no_fix = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     lines = table.groupby(series, sort=False)
     for colour, (name, line) in zip(SERIES_COLOURS, lines, strict=False):
-        above, changed = 100 * line["above_best"], line["num_changed"] > 0
+        above = 100 * line["above_best"]
+        changed = line["num_changed"] > 0
         cost.plot(line["x"], above, "o-", color=colour, label=name or "the best time's route")
         cost.plot(line["x"][changed], above[changed], "o", color=colour, markerfacecolor="white")
         if "no_fix_m" in line:
@@ -61,6 +61,7 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
     cost.plot([], [], "ok", markerfacecolor="white", label="a route differs from the best time's")
     legend_above(cost)
 
+    # The scales: they reach as far as `LEAST_TOP`, so that a small effect looks small, and begin a little below 0.
     for number, label in enumerate(("cost above best (%)", "no fix (m)")):
         panel = axes[number]
         top = max(LEAST_TOP[number], panel.get_ylim()[1])

@@ -53,6 +53,7 @@ def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
     is_refuted = (table.status == Status.NO_PATH.value).groupby(pairs).transform("any")
     is_bad = (table.status == BAD_INPUT).groupby(pairs).transform("all")
     table["is_joined"] = (is_reached | ~is_refuted) & ~is_bad
+
     # The best path has the ratio 1 even if it costs nothing, where there is nothing to divide by.
     best = table.cost.groupby(pairs).transform("min")
     ratio = table.cost / best.where(best > 0)
@@ -137,6 +138,7 @@ def usage(table: pd.DataFrame) -> pd.DataFrame:
     Args:
       table: from `joined`.
     """
+    # The planners that solve most joined pairs, and the instances and altitudes at which all of their runs have a path.
     solved = weighted_rows(table[table.is_joined]).groupby("planner").has_path.mean()
     table = table[table.planner.isin(solved.index[solved >= OFTEN])]
     num_runs = len(table[["planner", "objective"]].drop_duplicates())
@@ -184,6 +186,8 @@ def paired(table: pd.DataFrame) -> pd.DataFrame:
     cost = cost.reindex(columns=sorted(rows.planner.unique()))
     is_solved = cost.notna()
     seconds = rows.pivot(index=list(KEY), columns="planner", values="elapsed_s")
+
+    # A row for each two planners; ratios are over the pairs that both solved at a cost above 0.
     result = []
     for first, second in itertools.combinations(cost.columns, 2):
         both = cost[(cost[first] > 0) & (cost[second] > 0)]
@@ -218,6 +222,7 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
     Args:
       table: from `joined`.
     """
+    # The planners that ran under both objectives, and the pairs of places that they solved under both, by altitude.
     result = []
     both_ways = set(table[table.objective == DISTANCE].planner) & set(weighted_rows(table).planner)
     for planner in sorted(both_ways):
@@ -243,7 +248,8 @@ def _changes(pairs: pd.DataFrame) -> dict[str, float]:
     clusters = Clusters(pairs.index.get_level_values("instance"))
     columns: dict[str, float] = {}
     for name in pairs.columns.unique(0):
-        shortest, cheapest = pairs[name, DISTANCE], pairs[name, WEIGHTED]
+        shortest = pairs[name, DISTANCE]
+        cheapest = pairs[name, WEIGHTED]
         is_ratio = name in ("cost", "length_m")
         change = np.log(shortest / cheapest) if is_ratio else shortest - cheapest
         if not np.isfinite(change).all():
@@ -294,13 +300,15 @@ def _choice(pairs: pd.DataFrame) -> dict[str, Any]:
         near=("is_near", "mean"),
         median_s=("elapsed_s", "median"),
     )
-    facts = facts.sort_values("median_s")  # `idxmin` takes the first of equals
+
+    # The fastest planner comes first, as `idxmin` takes the first of equal ones.
+    facts = facts.sort_values("median_s")
     reliable = facts[facts.share >= RELIABLE]
     near = facts[facts.near >= NEAR_SHARE]
     return {
         "joined_pairs": int(facts.pairs.max()),
         "reliable": ", ".join(sorted(reliable.index)) or "none",
-        # Rounded, so that equal costs that were added up in another order are equal.
+        # Rounded, so that equal costs stay equal where they were added up in another order.
         "cheapest": reliable.ratio.round(9).idxmin() if len(reliable) else "none",
         "cheapest_ratio": reliable.ratio.min(),
         "fastest_near_best": near.median_s.idxmin() if len(near) else "none",
@@ -331,6 +339,7 @@ def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.Dat
     tile = np.searchsorted(free_tiles, tile)
     draws = draws_of(len(free_tiles))
 
+    # The statistics of the free cells at each altitude.
     result = []
     for altitude_m in sorted(altitudes_m):
         is_free = maps.is_free(altitude_m, "centre")
@@ -338,7 +347,8 @@ def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.Dat
         lidar = maps.m("lidar", altitude_m)[is_free].astype(np.float64)
         row = {"altitude_m": altitude_m, **_sensors(gps, lidar)}
 
-        # [tiles, 6] the sums that a correlation takes, of which those of the drawn tiles are added up.
+        # [tiles, 6] the sums over each tile from which a correlation is computed, after those of all tiles, or of the
+        # tiles of each draw, are added up.
         parts = np.ones_like(gps), gps, lidar, gps**2, lidar**2, gps * lidar
         of_tiles = [np.bincount(tile[is_free], part, len(free_tiles)) for part in parts]
         sums = np.stack(of_tiles, axis=1)
@@ -355,6 +365,8 @@ def _sensors(gps: np.ndarray, lidar: np.ndarray) -> dict[str, float]:
       gps, lidar: ``[N]`` m of both in the free cells of an altitude.
     """
     gps_serves, lidar_serves = gps >= GOOD, lidar >= GOOD
+
+    # The mean of m_lidar where GPS is poor and where it is good; NaN where GPS is nearly never poor, or always.
     in_poor = in_good = np.nan
     if FEWEST <= (~gps_serves).mean() < 1:
         in_poor = lidar[~gps_serves].mean()

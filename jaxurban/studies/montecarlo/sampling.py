@@ -142,6 +142,7 @@ def sample_instances(
         )
     for altitude_m in altitudes_m:
         maps.check_altitude(altitude_m)
+
     # A row per pair of places. Its generator draws place, times and weights in this order, so that no option changes
     # what the others draw.
     is_free = np.logical_and.reduce([_always_free(maps, z_m, constraints) for z_m in altitudes_m])
@@ -184,6 +185,7 @@ def sample_joined(maps: MapsLike, num: int, **options: Any) -> pd.DataFrame:
     Raises:
       InputError: as there, or no path joins most pairs.
     """
+    # Twice as many are drawn each time, until enough of them are joined. More draws leave the first ones as they were.
     num_drawn = num
     for _ in range(NUM_DOUBLINGS):
         table = sample_instances(maps, num_drawn, **options)
@@ -216,6 +218,7 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
     rows = []
     for number, query in enumerate(queries):
         row: dict[str, Any] = {"instance": number, "altitude_m": query.altitude_m, "crs": grid.crs}
+
         # Both ends; a place that is not in metres is longitude and latitude.
         try:
             if query.error:
@@ -244,7 +247,13 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
 
 
 def _end_facts(grid: Grid, end: str, x_m: float, y_m: float) -> dict[str, object]:
-    """Return the columns of one end of an instance, ``"start"`` or ``"goal"``: its place in metres and in degrees."""
+    """Return the columns of one end of an instance: its place in metres and in degrees.
+
+    Args:
+      grid: of the maps, in whose CRS the metres are.
+      end: ``"start"`` or ``"goal"``, with which the names of the columns begin.
+      x_m, y_m: easting and northing of the end.
+    """
     lon, lat = grid.lonlat_of_xy(x_m, y_m)
     return {
         f"{end}_x_m": x_m,
@@ -291,9 +300,11 @@ class _Places:
         """
         self.grid = maps.grid
         strata = np.where(is_free, strata_of(maps, cover), NO_STRATUM).ravel()
+
         # Flat numbers of the free cells of each stratum, and the strata that have any.
         self.cells = [np.flatnonzero(strata == number) for number in range(len(STRATA))]
         present = [number for number, cells in enumerate(self.cells) if len(cells)]
+
         # Each kind is the stratum of the start, that of the goal and a range.
         self.kinds = list(itertools.product(present, present, RANGES))
         self.seed = seed
@@ -309,6 +320,7 @@ class _Places:
 
         The kinds are shuffled again each time all of them were drawn.
         """
+        # How many times all kinds were dealt before, and the place of this one in its shuffled order.
         turn, place = divmod(self.num_dealt, len(self.kinds))
         self.num_dealt += 1
         order = np.random.default_rng([self.seed, 0, turn]).permutation(len(self.kinds))
@@ -352,6 +364,7 @@ class _Places:
         """
         low_m, high_m = np.multiply(range_shares, _diagonal_m(self.grid))
         for _ in range(NUM_TRIES):
+            # Cells are flat numbers: row times the number of columns, plus column.
             row, col = np.divmod(rng.choice(self.cells[start_stratum]), self.grid.num_cols)
             goals = rng.choice(self.cells[goal_stratum], NUM_GOALS)
             rows, cols = np.divmod(goals, self.grid.num_cols)
@@ -359,9 +372,8 @@ class _Places:
             fits = np.flatnonzero((away_m >= low_m) & (away_m < high_m))
             if len(fits):
                 first = fits[0]
-                ends = self._end("start", (row, col)) | self._end(
-                    "goal", (rows[first], cols[first])
-                )
+                goal = rows[first], cols[first]
+                ends = self._end("start", (row, col)) | self._end("goal", goal)
                 return ends | {"distance_m": float(away_m[first])}
         return None
 
@@ -391,18 +403,22 @@ def with_connection(
       maps, constraints: decide which cells are free.
       model: decides whether a diagonal step may pass between two closed cells.
     """
+    # Instances with the same free cells go together: those of one altitude, and with bounds of one time too, since only
+    # bounds close other cells at other times.
     joined = pd.Series(None, index=instances.index, dtype=object)
     keys = ["altitude_m"]
-    if constraints.bounds:  # which alone close other cells at other times
+    if constraints.bounds:
         keys += TIMES
     for _, part in instances.groupby(keys, dropna=False):
         # The free cells at the altitude and times that the part shares.
         first = part.iloc[0]
         times = {name: None if pd.isna(first[name]) else str(first[name]) for name in TIMES}
         is_free = constraints.is_free(maps, float(first.altitude_m), **times)
+
         # Islands of free cells, numbered from 1: a path joins two cells if they are in one. Where a diagonal step needs
         # both orthogonal neighbours free, it leads nowhere that orthogonal steps do not.
         islands, _ = label(is_free, np.ones((3, 3)) if model.joins_corners else None)
+
         # The island of each end, 0 outside the maps and in cells that are not free.
         island = {}
         for end in ("start", "goal"):
@@ -429,22 +445,23 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
       maps: their roofs count.
       cover: water and parks in the maps' CRS; left out, neither is known.
     """
-    # Half the sides of the squares, in cells.
+    # Half the sides of the two squares, in cells, and what the roofs in them say of each cell.
     roof_m = maps.m("roof")
     near = max(1, round(NEAR_M / maps.grid.resolution_m))
     far = max(1, round(FAR_M / maps.grid.resolution_m))
     is_high = share_around(roof_m >= HIGH_RISE_M, near) >= BUILT_SHARE
     is_built = share_around(roof_m > 0, near) >= BUILT_SHARE
     is_wide = share_around(roof_m > 0, far) == 0
-    # The first of these that holds, and the land cover over all of them.
+
+    # The first of these strata whose condition holds, and the land cover over them, parks first.
     numbers = [STRATA.index(name) for name in ("high-rise", "low-rise", "wide-open")]
     strata = np.select([is_high, is_built, is_wide], numbers, STRATA.index("open")).astype(np.int8)
     if cover is not None:
         for name, shape in (("park", cover.park), ("water", cover.water)):
             parts = shapely.get_parts(shape)
-            covered, _ = burn(
-                parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8"
-            )  # 1 inside, else 0
+
+            # 1 inside the parts, else 0.
+            covered, _ = burn(parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8")
             strata[covered == 1] = STRATA.index(name)
     strata[~maps.ds["has_data"].values] = NO_STRATUM
     return strata
@@ -453,7 +470,11 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
 def share_around(mask: np.ndarray, half: int) -> np.ndarray:
     """Return ``[Y, X]`` the share of set cells of a mask in the square around each cell.
 
-    A square reaches ``half`` cells to each side; at the edges only its part inside the mask counts.
+    At the edges only the part of a square inside the mask counts.
+
+    Args:
+      mask: ``[Y, X]`` bool.
+      half: a square reaches so many cells to each side.
     """
     side = 2 * half + 1
 
@@ -481,22 +502,23 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
     `OPTIONAL` is filled with None, and ``distance_m`` is computed. The table itself is left as it was.
 
     Args:
-      table: from a person.
-      name: of the table, for messages.
+      table: instances that a user made or changed.
+      name: what messages call the table, such as its file.
 
     Raises:
-      InputError: it lacks a column, holds no row, a value that is none of its column's, or an instance twice.
+      InputError: the table lacks a column, holds no row, a value that its column cannot have, or an instance twice.
     """
-    # The columns that there must be.
+    # The columns that a table must have.
     table = table.reset_index(drop=True)
     weights = weight_columns(weighed_metrics(table.columns))
     needed = ("instance", "altitude_m", "crs", *PLACES, *weights)
-    if lost := [column for column in needed if column not in table]:
+    lost = [column for column in needed if column not in table]
+    if lost:
         raise InputError(f"{name} lacks the column {lost[0]!r}: it needs {', '.join(needed)}")
     if table.empty:
         raise InputError(f"{name} holds no row: give at least one instance")
 
-    # Their numbers, texts among them parsed; what is none becomes NaN and is refused.
+    # The numbers in them, of which texts are parsed. What is no number becomes NaN, which no column accepts.
     for column in ("instance", "altitude_m", *PLACES, *weights):
         values = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
         is_valid = np.isfinite(values)
@@ -517,7 +539,8 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
         raise InputError(
             f"{name} holds instance {number:g} at {altitude_m:g} m twice: renumber them"
         )
-    # Columns that may be missing.
+
+    # Columns that may be missing: texts, with None where there is none, and the straight distance.
     for column in OPTIONAL:
         texts = table.get(column, pd.Series(index=table.index)).astype(object)
         table[column] = texts.where(texts.notna(), None)
@@ -554,17 +577,26 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
             raise InputError(
                 f"the instances ask for {name} {lost[0]}, and these maps hold {', '.join(texts) or 'none'}"
             )
-    # Weights of metrics that nobody knows, and metrics without a weight.
+
+    # Weights of unknown metrics, and metrics without a weight.
     for name in weighed_metrics(instances.columns):
         one_of("a weight of the instances", name, dict.fromkeys((*METRICS, *maps.metrics)))
-    if lost := [column for column in weight_columns(maps.metrics) if column not in instances]:
+    lost = [column for column in weight_columns(maps.metrics) if column not in instances]
+    if lost:
         raise InputError(
             f"the instances have no weight {lost[0]!r} for a metric of these maps: add it, 0 for none"
         )
 
 
 def _check_all(is_valid: np.ndarray, column: pd.Series, kind: str, name: str) -> None:
-    """Raise InputError for the first invalid value ``[N]`` of a column, if there is any."""
+    """Raise InputError for the first invalid value of a column, if there is any.
+
+    Args:
+      is_valid: ``[N]`` bool.
+      column: ``[N]`` the values.
+      kind: what a valid value is, for the message.
+      name: of the table, for the message.
+    """
     if not is_valid.all():
         row = int(np.argmin(is_valid))
         value = column.iloc[row]

@@ -113,7 +113,7 @@ def study(
       2         1  astar-dist  distance  optimal
       3         1  astar-plus  weighted  optimal
     """
-    # The rules of all runs: arguments, then the settings, then the maps' scenario.
+    # The rules of all runs: an argument comes before the settings, and these before the maps' scenario.
     folder = Path(folder)
     chosen = settings or Study()
     if isinstance(instances, int):
@@ -124,12 +124,15 @@ def study(
         constraints=constraints or Constraints(),
         preset=preset,
     )
+
+    # The maps under these rules, and the source from which each worker opens them.
     source = maps if isinstance(maps, MetricMaps | MapsFolder) else MapsFolder(maps)
     check_workers(workers, [source])
     opened, job = job.under(source if isinstance(source, MetricMaps) else source.open())
     model = CostModel.of(job.cost_model)
     constraints = job.constraints
     source = opened if isinstance(source, MetricMaps) else source.at(opened)
+
     # The instances: those of a table, as these maps connect them, or sampled ones.
     if isinstance(instances, pd.DataFrame):
         instances = checked_instances(instances, "instances")
@@ -161,7 +164,7 @@ def study(
         write_table(instances, folder / INSTANCES_FILE)
         columns = row_columns(instances.columns)
         with reporting("study", progress) as report:
-            sources = {None: source}
+            sources = {None: source}  # None: one source for all instances, as they name no city
             rows = run_rows(
                 folder / ROWS_FILE,
                 job,
@@ -255,6 +258,7 @@ def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
         raise InputError(
             f"{str(folder)!r} holds a study whose instances are lost ({error}): {remedy}"
         ) from error
+
     # None of them may be missing now.
     now = instances.set_index(list(KEY))
     lost = before.index.difference(now.index)
@@ -265,6 +269,7 @@ def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
             f"are left out now (instance {number} at {altitude_m:g} m is the first), and a study can be made longer "
             f"but not shorter: {remedy}"
         )
+
     # None may have another value in a column that planners depend on.
     columns = query_columns(instances.columns)
     before = before.reindex(columns=columns)

@@ -155,7 +155,8 @@ def free_cell(grid: Grid, is_free: np.ndarray, instance: Row, end: str) -> Cell:
     Raises:
       InputError: it is outside the grid, or not free.
     """
-    x_m, y_m = instance[f"{end}_x_m"], instance[f"{end}_y_m"]
+    x_m = instance[f"{end}_x_m"]
+    y_m = instance[f"{end}_y_m"]
     row, col = map(int, grid.cell_of_xy(x_m, y_m))
     if not is_free[row, col]:
         raise InputError(
@@ -165,21 +166,26 @@ def free_cell(grid: Grid, is_free: np.ndarray, instance: Row, end: str) -> Cell:
 
 
 def located(cost_map: CostMap, instance: Row) -> tuple[Cell, Cell, np.ndarray]:
-    """Return the start, the goal and the weights ``[K]`` of an instance.
+    """Return the start, the goal (cells, row and column) and the weights ``[K]`` of an instance.
+
+    Args:
+      cost_map: with the free cells, and the names of the weights.
+      instance: its ends in metres, and a weight ``w_NAME`` for each name.
 
     Raises:
-      InputError: a place that is not a free cell.
+      InputError: an end that is not a free cell.
     """
-    start, goal = (
-        free_cell(cost_map.grid, cost_map.is_free, instance, end) for end in ("start", "goal")
-    )
+    start = free_cell(cost_map.grid, cost_map.is_free, instance, "start")
+    goal = free_cell(cost_map.grid, cost_map.is_free, instance, "goal")
     return start, goal, np.array([float(instance[f"w_{name}"]) for name in cost_map.weight_names])
 
 
 def limited(planner: str, study: Study) -> Callable[..., Path]:
     """Return a planner that takes a problem, under the budget of a study.
 
-    The budget is in seconds, or in samples where the study says so: then planners that draw none have no limit.
+    Args:
+      planner: its name.
+      study: its budget is in seconds, or in samples: then a planner that draws no samples has no limit.
     """
     search: Callable[..., Path] = find_planner(planner)
     if study.budget_iterations is None:
@@ -205,21 +211,25 @@ def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -
       weights: ``[K]`` of the instance; a run with the objective ``"distance"`` is judged by them too.
       planner: its name.
     """
-    # How the run ended.
+    # How the run ended; a planner that draws samples has their number in each entry of its history.
+    num_samples = None
+    if draws_samples(planner) and result.history:
+        _, num_samples, _ = result.history[-1]
     facts = {
         "status": result.status.value,
         "lower_bound": result.lower_bound,
         "elapsed_s": result.elapsed_s,
         "setup_s": result.setup_s,
         "num_expanded": int(result.num_expanded),
-        "num_samples": result.history[-1][1] if draws_samples(planner) and result.history else None,
+        "num_samples": num_samples,
         "heuristic": result.heuristic,
         "backend": result.backend,
         "note": result.note,
     }
     if not result.status.has_path:
         return facts
-    # What the path adds up, under the benchmark's cost model and the other one.
+
+    # What the path adds up under each cost model; the benchmark's own decides whether it is valid.
     features = {kind: cost_map.shortest.features(result.points_m, kind) for kind in COST_KINDS}
     of_path = features[cost_map.cost_model.kind]
     if not of_path.is_valid:
@@ -227,6 +237,8 @@ def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -
             "status": INVALID,
             "note": "The planner's path crosses an obstacle or leaves the map.",
         }
+
+    # What it costs, and how long it is beside the straight line.
     straight_m = float(np.hypot(*(result.points_m[-1] - result.points_m[0])))
     length_m = float(of_path.phi[0])
     facts |= {f"cost_{kind}": features[kind].cost(weights) for kind in COST_KINDS}

@@ -126,7 +126,8 @@ class SatelliteAgreement(FactsRepr):
     def facts(self) -> dict[str, str]:
         """The verdict, and how seen and hidden satellites are separated."""
         judged = f"{self.counts['judged']:,} of {self.counts['rows']:,} rows judged"
-        auc, within = self._interval("auc"), self._interval("within")
+        auc = self._interval("auc")
+        within = self._interval("within")
         return {"verdict": self.verdict, "AUC": f"{auc}, within satellites {within}, {judged}"}
 
     def _interval(self, name: str) -> str:
@@ -139,6 +140,7 @@ class SatelliteAgreement(FactsRepr):
     @property
     def known_cautions(self) -> list[Caution]:
         """Which rows were not judged, and which satellites were left out."""
+        # Rows whose rays or places are not judged.
         counts = self.counts
         sentences = []
         if counts["unknown"]:
@@ -152,6 +154,8 @@ class SatelliteAgreement(FactsRepr):
             sentences.append(
                 f"{counts['inside']:,} rows are not judged: their places lie in buildings."
             )
+
+        # A best fit that may lie beyond the search, and satellites of which the log says too little.
         if self._is_at_edge:
             sentences.append(
                 "The city fits best at the edge of the search (40 m, heights times 0.8 or 1.2): see whether places, "
@@ -196,7 +200,8 @@ def headings_rad(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     Args:
       x_m, y_m: ``[N]`` easting and northing of each epoch.
     """
-    # Anchors are epochs at least `STILL_M` apart; each epoch takes the place along the track of its last anchor.
+    # Anchors are epochs whose places are at least `STILL_M` apart. An epoch has the distance along the track of its
+    # last anchor, which does not change while the receiver stands.
     places = np.column_stack([x_m, y_m])
     anchors = [0]
     anchor_of_epoch = np.zeros(len(places), int)
@@ -240,21 +245,23 @@ def agreement_of(
     Raises:
       InputError: fewer than `FEWEST_ROWS` rows that can be judged.
     """
-    # The rows with their rays, and whether each ray stays above known ground until it is above all roofs.
+    # The rows of the log, a ray for each, and whether the ray stays above known ground until it is above all roofs.
     rows, rays = _rows_of(log, track, grid, mask_deg, settings)
     rise_m = highest_top_m(city) - settings.antenna_height_m
     rows["is_known"] = rays.stays_within(known, rise_m)
 
-    # Every n-th epoch of a long log meets displaced cities, unless its rays are unknown; rivals every n-th as well.
+    # [R] bool of the rows: of a long log only every n-th epoch is taken for rivals and displaced cities, and for
+    # displaced cities only rows with known rays, unless buildings are known everywhere and nothing is guarded.
     is_guarded = settings.known != EVERYWHERE
     every = max(1, len(rows) // MOST_MOVED)
     is_taken = (rows.epoch % every == 0).to_numpy()
     is_moved = is_taken & (rows.is_known.to_numpy() | (not is_guarded))
     displaced = Displaced.of(settings.num_displaced, settings.seed, int(is_moved.sum()))
-    # How far away a roof of the largest scale can still be within a margin of the lowest ray.
+
+    # How far away from a place a roof, at the largest scale, can still come within the margin of the lowest ray.
     reach_m = (max(rise_m * SCALES[-1], 0.0) + FARTHEST_MARGIN_M) / np.tan(rays.elevation_rad.min())
 
-    # Leg by leg, since the ground around all of the track may not fit into memory.
+    # The columns are filled leg by leg, since the ground around the whole track may not fit into memory.
     rows["margin_m"] = np.nan
     rows["is_inside"] = False
     for leg in legs(track.x_m, track.y_m, grid.resolution_m):
@@ -268,27 +275,33 @@ def agreement_of(
         rows.loc[of_leg, "is_inside"] = ground.is_inside(leg_rays)
         rows.loc[of_leg, "margin_m"] = ground.margins_m(leg_rays)
 
-        # The same rays in displaced cities and under other roofs; columns count the moved rows.
+        # The same rays in displaced cities and under other roofs, where each moved row has a column of its own.
         moved = of_leg[is_moved[of_leg]]
         column = (np.cumsum(is_moved) - 1)[moved]
         guard = known if is_guarded else None
         displaced.fill(column, ground, rays.take(moved), guard, rise_m, report)
 
-    # Which rows are judged, and which of them are strong: at least the median of these, if that is received at all.
+    # Which rows are judged: those whose ray is known, unless nothing is guarded, and whose place is in no building.
     rows["is_seen"] = rows.margin_m >= 0
     rows.loc[rows.is_inside, "margin_m"] = np.nan
     is_open = rows.is_known | (not is_guarded)
     rows["is_judged"] = is_open & ~rows.is_inside
     _check_judged(rows, log.name, mask_deg)
-    judged = rows[rows.is_judged]
-    median_dbhz = strong_dbhz = float(judged.cn0_dbhz.median())
+
+    # Which rows are strong: from the median of the judged ones on, or from the weakest received one if that is 0.
+    judged_dbhz = rows.cn0_dbhz[rows.is_judged]
+    median_dbhz = strong_dbhz = float(judged_dbhz.median())
     if not median_dbhz > 0:
-        strong_dbhz = float(judged.cn0_dbhz[judged.cn0_dbhz > 0].min())
+        strong_dbhz = float(judged_dbhz[judged_dbhz > 0].min())
     rows["is_strong"] = rows.cn0_dbhz >= strong_dbhz
-    # The scores of the city, of displaced ones, and of rules that predict from less or more than the margin.
+
+    # The scores of the city and of displaced ones.
     report("scores")
     scores = score_table(rows, settings.seed)
     of_displaced = displaced.tables(rows[is_moved], settings.seed)
+
+    # The rivals: rules that predict from less or more than the margin, such as from the angle between the ray and the
+    # street along which the receiver moves.
     chosen = rows[is_taken & rows.is_judged]
     rays_chosen = rays.take(chosen.index.to_numpy())
     street_rad = headings_rad(track.x_m, track.y_m)[chosen.epoch]
@@ -299,6 +312,7 @@ def agreement_of(
     block = chosen.block.to_numpy()
     rivals = compared_rules(rules, is_strong, block, settings.seed)
     num_blocks = int(chosen.block.nunique())
+
     return SatelliteAgreement(
         rows=rows,
         scores=scores,
@@ -377,6 +391,7 @@ def _rows_of(
             f"the receiver log {log.name!r} has no satellite above the mask of {mask_deg:g} degrees{systems}: lower "
             "[gps] mask_deg, or see whether elevation_deg is in degrees"
         )
+
     # One turn from true to grid north serves all of the track.
     rows["block"] = (track.along_m[rows.epoch] // settings.sky_block_m).astype(int)
     centre = float(log.epochs[LON].median()), float(log.epochs[LAT].median())
@@ -422,7 +437,8 @@ def _skies(
         of_epoch = rows[rows.epoch == epoch]
         place = rays.take(of_epoch.index.to_numpy()[:1])
         fix = log.epochs.iloc[epoch]
-        lon, lat = float(fix[LON]), float(fix[LAT])
+        lon = float(fix[LON])
+        lat = float(fix[LAT])
 
         # Its horizon, turned from grid north to true north by whole degrees.
         ground = Ground.around(city, box_of(grid, place, around_m=0.0), reach_m, antenna_m)
@@ -454,6 +470,7 @@ def verdict_of(
         return f"The track is too short for a verdict: {where} there is no interval (it takes {FEWEST_GROUPS} blocks)."
     if not np.isfinite([gain.gain_low, score.auc_low]).all():
         return f"There is no verdict: {where} too few rows are hidden, or too few in view, for an interval."
+
     # First whether the maps predict better, then whether the city's place is the best one.
     gained = f"the gain in log-loss is {gain.gain:.3f} (95 % interval {gain.gain_low:.3f} to {gain.gain_high:.3f})"
     auc = f"an AUC of {score.auc:.2f} ({score.auc_low:.2f} to {score.auc_high:.2f})"

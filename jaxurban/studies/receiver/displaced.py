@@ -103,7 +103,8 @@ class Displaced:
         keeps = is_judged & ~self.is_out
         num_rows = keeps.sum(axis=1)
 
-        # The null: scores of far displaced cities, over all pairs of rows and within satellites, without draws.
+        # The null: a row per far displaced city, with its AUC over all pairs of rows, and within satellites. Only the
+        # first draw of blocks counts, which has each block once.
         null = np.full((self.num_null, 2), np.nan)
         for number in np.flatnonzero(num_rows[: self.num_null] >= FEWEST_ROWS):
             keep = keeps[number]
@@ -114,10 +115,12 @@ class Displaced:
             """Return ``[D]`` the AUC of the rows that are kept, under each draw of blocks."""
             return aucs(is_seen[keep], level[keep], block[keep], weights[: 1 + NUM_DRAWS])
 
-        # The field of small displacements, and the scales of roofs, under draws of blocks: [moves or scales, D].
+        # The AUC under each draw of blocks: [moves, D] of small displacements, and [scales, D] of scaled roofs.
         around = range(self.num_null, len(keeps))
         by_move = np.array([drawn(self.is_seen[number], keeps[number]) for number in around])
         by_scale = np.array([drawn(is_seen, is_judged) for is_seen in self.of_scale])
+
+        # The tables, with the scores of the first draw; the others serve the peaks and their intervals.
         cities = pd.DataFrame(self.moves_m, columns=["east_m", "north_m"])
         cities["rows"] = num_rows
         near = cities[self.num_null :].assign(auc=by_move[:, 0]).reset_index(drop=True)

@@ -69,7 +69,8 @@ class ReceiverSettings:
             positive("known", self.known, "metres")
         at_least("num_displaced", self.num_displaced, 1)
         at_least("seed", self.seed)
-        if unknown := [letter for letter in self.systems if letter not in SYSTEMS]:
+        unknown = [letter for letter in self.systems if letter not in SYSTEMS]
+        if unknown:
             raise InputError(
                 f"systems must be letters of {', '.join(SYSTEMS)} (as RINEX has them), got {unknown[0]!r}"
             )
@@ -127,6 +128,7 @@ def task_at(
       grid: of the maps, whose resolution counts alone.
       antenna_height_m: of the receiver above the ground.
     """
+    # The parts of the scenario that change: one resolution and one height, the times of the sky, and what is left out.
     region = replace(
         scenario.region, resolution_m=(grid.resolution_m,), altitudes_m=(antenna_height_m,)
     )
@@ -147,6 +149,7 @@ def task_at(
         "population": Population(),
         "layers": {},
     }
+
     # One resolution makes one task. Its cells are the grid's, which nests with all of the scenario's resolutions.
     (task,) = tasks_of(scenario.model_copy(update=update))
     return replace(task, region=grid)

@@ -35,10 +35,13 @@ def features_of(
       off_street_rad: ``[R]`` angle between the satellite's azimuth and the street's direction.
     """
     sky = [elevation_rad, elevation_rad**2]
+
     # The elevation in the plane across the street, in which the walls of the street hide satellites.
     across_rad = np.arctan2(np.tan(elevation_rad), np.abs(np.sin(off_street_rad)))
     chance = ReceptionCurve.measured_in_tokyo().chance(jnp.asarray(margin_m))
     log_odds = logit(np.asarray(chance, np.float64))
+
+    # What each rule knows beside the constant.
     rules = {
         "constant": [],
         "elevation": sky,
@@ -80,6 +83,7 @@ def losses(features: np.ndarray, is_strong: np.ndarray, block: np.ndarray) -> np
       is_strong: ``[R]`` bool, what happened.
       block: ``[R]`` number of each row's block; blocks whose numbers agree modulo `MOST_FOLDS` form a fold.
     """
+    # The folds, of which one after the other is judged by a fit to all others.
     result = np.full(len(block), np.nan)
     fold = block % MOST_FOLDS
     folds = np.unique(fold)
@@ -115,6 +119,8 @@ def compared_rules(
     for name, features in rules.items():
         of_blocks = np.bincount(block, losses(features, is_strong, block), num_blocks)
         means[name] = weights @ of_blocks / totals
+
+    # The gain on the rule that knows the street, with its interval over the draws.
     rows = []
     for name, mean in means.items():
         gain = means[STREET] - mean

@@ -121,11 +121,14 @@ class Ground:
         Args:
           rays: from places in the box.
         """
+        # [R] the height of the shadow's edge at each place, and of the antenna, both above the same level.
         row, col, lines = self._lines(rays)
         shadow_m = shadows_at(self._tops_m, row, col, lines, self._most_m)
         height_m = np.float32(self.antenna_m)
         if self.terrain_m is not None:
             height_m = self.terrain_m[row, col] + height_m
+
+            # The shadow of the ground alone counts where it lies above the antenna.
             hill_m = shadows_at(self._hills_m, row, col, lines, self._most_m)
             shadow_m = np.maximum(shadow_m, np.where(hill_m > height_m, hill_m, -np.inf))
         margin_m = height_m - shadow_m
@@ -176,6 +179,7 @@ def legs(x_m: np.ndarray, y_m: np.ndarray, resolution_m: float) -> Iterator[slic
       x_m, y_m: ``[N]`` place of each epoch.
       resolution_m: side of a cell.
     """
+    # The first epoch of the run, and the southwest and northeast corners of its box.
     first = 0
     low = np.array([np.inf, np.inf])
     high = np.array([-np.inf, -np.inf])

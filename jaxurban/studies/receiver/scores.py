@@ -42,7 +42,8 @@ def aucs(
         return num_rows.reshape(num_blocks, num_levels)
 
     # A seen row wins against the hidden rows below its level, and half against those at it.
-    wins, pairs = np.zeros(len(weights)), np.zeros(len(weights))
+    wins = np.zeros(len(weights))
+    pairs = np.zeros(len(weights))
     if group is None:
         group = np.zeros(len(level))
     for number in np.unique(group):
@@ -95,6 +96,7 @@ def score_table(rows: pd.DataFrame, seed: int) -> pd.DataFrame:
         satellite = chosen.satellite.cat.codes.to_numpy()
         is_seen = chosen.is_seen.to_numpy()
         block, weights = drawn_blocks(chosen.block.to_numpy(), seed)
+
         # Satellites that are seen at one time and hidden at another have two values.
         num_values = chosen.groupby("satellite", observed=True).is_seen.nunique()
         row = {"which": which, "rows": len(chosen), "share": len(chosen) / len(rows)}

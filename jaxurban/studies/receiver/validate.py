@@ -146,7 +146,8 @@ def validate(
     satellites = None
     guesses = dict[str, str]()
     with reporting("validate", progress) as report:
-        # The city, with its sky only where counts are predicted or the log lacks the satellites' directions.
+        # The city. The task of its maps, which holds the sky too, is made only if it is needed: where counts are
+        # predicted, or where the log lacks the directions of its satellites.
         report("read")
         lacks_angles = logged.satellites is not None and AZIMUTH not in logged.satellites
         needs_counts = logged.satellites is None or bool(logged.witnesses)
@@ -156,7 +157,8 @@ def validate(
             guesses = dict(task.sky.guesses)
         else:
             city = load_city(scenario)
-        # Satellite by satellite, if the log has them.
+
+        # How the city agrees with each satellite, if the log has a row for each.
         if logged.satellites is not None:
             if lacks_angles:
                 logged = with_directions(logged, track, task.sky, grid)
@@ -164,7 +166,9 @@ def validate(
             satellites = agreement_of(
                 logged, track, city, known, grid, scenario.gps.mask_deg, settings, report
             )
-        # Epoch by epoch: what the maps predict, or satellites counted from their rows where the log counts nothing.
+
+        # The columns of the epochs: what the maps predict, or, where the log counts nothing, satellites in view and
+        # received ones, counted from the rows of the agreement.
         counts = dict[str, np.ndarray]()
         if satellites is None or needs_counts:
             predicted = predict(task, track, report)
@@ -213,6 +217,10 @@ def _read(
 ) -> ReceiverLog:
     """Return the log that the arguments of `validate` name: a table, a file, RINEX files, or a sample city's own log.
 
+    Args:
+      scenario: its sample city, if it has one, gives the log that is left out.
+      log, navigation, reference: as in `validate`.
+
     Raises:
       InputError: only some of the three files of a log in RINEX are named, there is no log, or it cannot be read.
     """
@@ -221,6 +229,8 @@ def _read(
         raise InputError(
             "a log in RINEX needs three files, log, navigation and reference: name all of them"
         )
+
+    # The log itself: a table, or a file, whose name shows observations in RINEX.
     source = log_of(scenario.buildings.source) if log is None else log
     if source is None:
         raise InputError(
@@ -277,7 +287,8 @@ def _products(a: np.ndarray, b: np.ndarray, blocks: np.ndarray | None) -> np.nda
         means = np.bincount(number, ranks) / np.bincount(number)
         return ranks - means[number]
 
-    of_a, of_b = centred(a), centred(b)
+    of_a = centred(a)
+    of_b = centred(b)
     products = of_a * of_a, of_a * of_b, of_b * of_b
     return np.array([np.bincount(number, product) for product in products])
 
@@ -311,6 +322,7 @@ def within_blocks(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> Interval:
     value = spearman(a, b, blocks)
     if not abs(value) < 1:
         return Interval(value, np.nan, np.nan)
+
     # Where all else agrees wholly without some block, the scale is infinite and there is no interval.
     with np.errstate(divide="ignore", invalid="ignore"):
         half = half_width(np.arctanh(without_each_block(a, b, blocks)))
@@ -343,6 +355,8 @@ def pieces_of(epochs: pd.DataFrame, piece_m: float, block_m: float) -> pd.DataFr
     frame = epochs.assign(piece=(epochs.along_m // piece_m).astype(np.int64))
     grouped = frame[frame[NUM_VISIBLE].notna()].groupby("piece")
     medians = grouped.median(numeric_only=True)
+
+    # The columns before the medians.
     medians.insert(0, "block", (medians.index * piece_m // block_m).astype(np.int64))
     medians.insert(1, UTC, grouped[UTC].quantile(0.5, interpolation="nearest"))
     medians.insert(2, "epochs", grouped.size())
@@ -400,6 +414,7 @@ def tables(
                     "prediction": prediction,
                     "piece_m": piece_m,
                 }
+
                 # Both coefficients with the maps' values in their place, and at every shift along the track.
                 receiver, maps, blocks = compared(pieces, witness, prediction)
                 at_shifts = {
@@ -411,6 +426,7 @@ def tables(
                     # Shifts of more than half the track count as shifts back.
                     shift = np.fft.ifftshift(np.arange(num) - num // 2)  # 0, 1, ..., -2, -1
                     shifts.append(pd.DataFrame({**row, "shift": shift, **at_shifts}))
+
                 # The score, without its shifts: the interval, and how many shifts do as well.
                 interval = within_blocks(receiver, maps, blocks)
                 row |= {"num": num, "within_low": interval.low, "within_high": interval.high}

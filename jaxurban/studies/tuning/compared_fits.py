@@ -89,11 +89,14 @@ def compare_fits(
       >>> compared.table["held_out_regret"].round(2).tolist()
       [0.0]
     """
+    # The arguments.
     settings = settings or FitSettings()
     at_least("bootstrap", bootstrap)
     if not 0 <= hold_out <= MOST_HELD_OUT:
         raise InputError(f"hold_out must be a share from 0 to {MOST_HELD_OUT:g}, got {hold_out}")
-    # All routes in one row, with the city of each, and the number of its pair of ends, whose routes stay together.
+
+    # All N routes, city after city: the city of each, and the number of its pair of ends. Routes between the same ends
+    # are held out together.
     demonstrations = list(itertools.chain.from_iterable(cities.values()))
     queries = [each.query for each in demonstrations]
     names = check_alike(queries)
@@ -102,7 +105,7 @@ def compare_fits(
     group, _ = pd.factorize(pd.Series(list(zip(city.tolist(), ends, strict=True))))
     is_held_out = split(city, group, hold_out, settings.seed)
 
-    # The fits, of which only the first goes on from the state file.
+    # The fits, by name, to the cities that each is made of. Only the first one goes on from the state file.
     members = _members(list(dict.fromkeys(city.tolist())), by_city)
     without_file = replace(settings, state_file=None)
     fits = {}
@@ -114,12 +117,15 @@ def compare_fits(
             bootstrap=bootstrap,
             settings=settings if name == ALL else without_file,
         )
-    # The regret [N, F] of every route under each of F fits, against the cheapest route by search.
+
+    # [N, F] the regret of every route under each of F fits, against the cheapest route that a search finds. A route is
+    # bad if its regret under the first fit is far above the usual one of the routes that were fitted.
     vectors = np.array([fit.vector for fit in fits.values()])
     cheapest = pool_of_fit(without_file, queries).cheapest(vectors)[0]  # [N, F, K]
     demo = np.array([demonstration.features for demonstration in demonstrations])
     regret = (demo @ vectors.T) / np.einsum("nfk,fk->nf", cheapest, vectors) - 1
     is_bad = trust_of(regret[:, 0], usual_regret(regret[~is_held_out, 0])) < DISTRUSTED
+
     # Each fit is judged by the same routes: held out, and not bad under the first fit.
     is_judged = is_held_out & ~is_bad
     clusters = Clusters(group[is_judged], city[is_judged], settings.seed)
@@ -151,7 +157,9 @@ def split(city: np.ndarray, group: np.ndarray, share: float, seed: int) -> np.nd
     rng = np.random.default_rng([SPLIT, seed])
     for name in dict.fromkeys(city.tolist()):
         groups = rng.permutation(np.unique(group[city == name]))
-        num = max(1, round(share * len(groups))) if share > 0 else 0
+        num = 0
+        if share > 0:
+            num = max(1, round(share * len(groups)))
         if num >= len(groups):
             raise InputError(
                 f"the routes of {name!r} join {len(groups)} pair(s) of ends, too few to hold some out: give more "

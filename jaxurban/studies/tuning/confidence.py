@@ -90,16 +90,17 @@ def near_optimal_range(
     Args:
       weights: ``[F]`` of the fit, of features in the task's units.
       task: its routes and trust, with the least that the demonstrations may add up as ``demo``.
-      scale: ``[F]`` a with a . W = 1 for the W that are compared.
-      tolerance: of mean regret.
+      scale: ``[F]``: only weights W with scale . W = 1 are compared.
+      tolerance: by how much the mean regret may exceed that of the fit; regrets are shares of costs.
     """
-    demo, routes, trust = (np.asarray(part) for part in (task.demo, task.routes, task.trust))
+    # [Q, F] features of the demonstrations, [Q, R, F] of the known routes, and [Q] the trust.
+    demo, routes, trust = map(np.asarray, (task.demo, task.routes, task.trust))
     num_queries, num_weights = demo.shape
+
+    # [Q] the cost of each demonstration, and what a unit of cost above the cheapest route adds to the mean regret.
     weights = weights / (scale @ weights)
     cost = demo @ weights
-    share = (
-        trust / trust.sum() / cost
-    )  # of the mean regret, for each unit of cost above the cheapest
+    share = trust / trust.sum() / cost
     route_costs = routes @ weights
     regret = float(np.sum(share * np.maximum(cost - np.min(route_costs, axis=1), 0.0)))
 
@@ -108,6 +109,7 @@ def near_optimal_range(
     query, route = np.nonzero(route_costs <= FAR * cost[:, None])
     slack = np.diag(-cost)[query]
     rows = np.hstack([demo[query] - routes[query, route], slack])
+
     # The last row: the slacks' mean, weighted by trust, is at most the allowed regret of the mean demonstration.
     centre = demo.mean(axis=0) / (demo.mean(axis=0) @ weights)
     bound = np.concatenate([-(regret + tolerance) * centre, share * cost])
@@ -155,6 +157,8 @@ def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray
     num_steps = demo[:, 0].mean() / queries[0].cost_map.grid.resolution_m
     if queries[0].cost_map.cost_model.kind == "line":
         num_steps = demo[:, 0].mean() / queries[0].cost_map.cost_model.reference_length_m
+
+    # The usual features of a random walk: the mean cost of the free cells, over all maps, at each step.
     free_costs = [cost_map.costs[:, cost_map.is_free] for cost_map in maps_of(queries)]
     means = [costs.astype(np.float64).mean(axis=1) for costs in free_costs]
     usual = np.mean(means, axis=0) * num_steps
@@ -177,7 +181,8 @@ def indistinct_weights(
       weights: ``[K]`` W, of features in their own units.
       is_fitted: ``[K]`` bool: the weights that are judged.
     """
-    # [K', K'] the covariance C of the judged weights.
+    # [Q, R] which routes compete, and [K', K'] the covariance C of what they have more than the cheapest, for the K'
+    # weights that are judged.
     routes = pool.routes[0]
     names = np.array(pool.names)[is_fitted]
     cost = np.where(routes[..., 0] < NOT_A_ROUTE, routes @ weights, np.inf)
@@ -185,6 +190,7 @@ def indistinct_weights(
     cheapest = np.take_along_axis(routes, cost.argmin(axis=1)[:, None, None], axis=1)
     more = ((routes - cheapest) / unit)[competes]
     covariance = (more.T @ more / max(len(more), 1))[np.ix_(is_fitted, is_fitted)]
+
     # Weights of features in which competing routes do not differ.
     variances = np.diag(covariance)
     is_seen = variances > UNSEEN * max(float(np.max(variances)), 1e-300)
@@ -195,7 +201,8 @@ def indistinct_weights(
     if is_seen.sum() < 2:
         return sentences
 
-    # Mixtures of the others: eigenvectors of C with next to no variance, and the weights with much part in them.
+    # Mixtures of the others that change nothing: eigenvectors of C with next to no variance. A sentence names the
+    # weights that have much part in them.
     values, directions = np.linalg.eigh(covariance[np.ix_(is_seen, is_seen)])
     unseen = directions[:, values <= UNSEEN * values[-1]]
     num = unseen.shape[1]

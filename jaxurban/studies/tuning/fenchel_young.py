@@ -59,11 +59,16 @@ def fenchel_young_loss(log_weights: Float[Array, " K"], task: FitTask) -> Float[
     Its gradient with respect to W is phi_demo - E[exp(Z) phi*], phi* the features of the route that is
     cheapest under W exp(Z) (Berthet et al. 2020, Dalle et al. 2022: multiplicative noise keeps costs positive).
     It is convex in W and at least 0; 0 only if the demonstration is cheapest under every perturbed W.
+
+    Args:
+      log_weights: any numbers; `weights_of` makes weights W of them.
+      task: demonstrations, routes, noise Z and trust.
     """
+    # [Q, M] the cost of the cheapest route of each query under each noise, and [Q] the losses.
     weights = weights_of(log_weights)
     noisy = weights * jnp.exp(task.log_noise)
     cheapest = jnp.min(jnp.einsum("qmk,qrk->qmr", noisy, task.routes), axis=-1)
-    losses = (task.demo @ weights - cheapest.mean(axis=-1)) / task.demo.sum(axis=-1)  # [Q]
+    losses = (task.demo @ weights - cheapest.mean(axis=-1)) / task.demo.sum(axis=-1)
     return jnp.sum(task.trust * losses) / jnp.sum(task.trust)
 
 
@@ -128,7 +133,14 @@ def adam(
 def descend(
     log_weights: Float[Array, " K"], task: FitTask, objective: Callable, num_steps: int
 ) -> tuple[Float[Array, " K"], Float[Array, ""]]:
-    """Return log weights after ``num_steps`` of Adam on an objective of log weights and task, and its value there."""
+    """Return log weights after a descent by Adam, and the value of the objective there.
+
+    Args:
+      log_weights: where the descent begins.
+      task: what the objective looks at.
+      objective: a function of log weights and task, to be minimised.
+      num_steps: of Adam.
+    """
     rates = optax.cosine_decay_schedule(FIRST_RATE, num_steps, LAST_RATE / FIRST_RATE)
     ended = adam(lambda place, _: objective(place, task), log_weights, rates, jnp.arange(num_steps))
     return ended, objective(ended, task)

@@ -202,7 +202,7 @@ def fit_targets(
       wish
       detour <= 0.2     0.2       0.0    True
     """
-    # What is searched for, and where from: equal shares of the shortest routes' cost unless the caller names weights.
+    # The targets, and the pool of routes that are searched.
     begin_s = time.perf_counter()
     settings = settings or FitSettings()
     names = check_alike(queries)
@@ -216,10 +216,14 @@ def fit_targets(
         max_rounds=settings.max_rounds,
         start=None if weights is None else weights.tolist(),
     )
+
+    # [2, Q, K] features and integrals of the shortest routes, and the weights to begin with: those of the caller, or
+    # weights under which each layer has an equal share of the cost of the shortest routes.
     shortest = pool.cheapest(np.eye(len(names))[:1])[:, :, 0]
     units = feature_units(queries, shortest[0])
     first = 1 / units if weights is None else np.maximum(weights, 1e-6)
-    # All targets together; where some are missed, each of several alone, then pairs.
+
+    # All targets together. Where some are missed, each of several targets alone, and then pairs of them.
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         search = _Search(
             pool,
@@ -267,6 +271,8 @@ def _wanted(targets: Sequence[Target | str], names: Sequence[str]) -> tuple[Targ
     """
     if not targets:
         raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
+
+    # The outcomes that routes on these maps have; each target must name one of them.
     outcomes = ["detour", "length_m", *(MEAN + name for name in names[1:])]
     if "population" in names:
         outcomes.insert(2, "people")
@@ -330,20 +336,28 @@ class _Search:
         Each round judges many weights over the known routes, descends from the best of them, plans routes under the
         best ends of the descents, and searches around the best weights so far. It ends after the settings' rounds, when
         no target is missed, when three rounds better nothing, or when the time is over.
+
+        Args:
+          active: the targets that count.
         """
-        # What is asked of each target, and numbers that are random but the same for all sets of targets.
+        # [T] of each target 1 for at least, -1 for at most and 0 where it does not count, and its bound.
         senses = {">=": 1.0, "<=": -1.0}
         signs = [senses[each.sense] if each in active else 0.0 for each in self.targets]
         sign = jnp.array(signs)
         bound = jnp.array([target.value for target in self.targets])
+
+        # Random numbers, the same for all sets of targets. Candidates spread ever less around the best weights, and
+        # probes ever more: a standard deviation of the log weights for each of them, [C, 1] and [P, 1].
         rng = np.random.default_rng(self.settings.seed)
         num_weights = len(self.log_start)
         noises = jnp.asarray(draw_pairs(self.settings.seed, NUM_NOISE, num_weights))
         spread = FAR_SPREAD * np.geomspace(1.0, NEAR_SPREAD / FAR_SPREAD, NUM_CANDIDATES)[:, None]
         widths = np.geomspace(*PROBE_NOISE, NUM_PROBES)[:, None]
-        nothing = np.full(len(self.targets), np.inf)
+
+        # Before the first round nothing is reached, and every target is missed by inf.
+        unreached = np.full(len(self.targets), np.inf)
         rows: list[dict] = []
-        best = _Best(self.log_start, nothing, nothing, rows)
+        best = _Best(self.log_start, unreached, unreached, rows)
 
         for number in range(self.settings.max_rounds):
             # Candidates, judged over the known routes, and descents from the best of them.
@@ -354,7 +368,7 @@ class _Search:
             starts = self._least(candidates, NUM_STARTS, aim)
             descended = _descend(jnp.asarray(starts), noises, aim, self.pool.names, self.targets)
 
-            # The best by planned routes; sums are features and integrals [2, Q, K] of them.
+            # The best of the weights by routes that are planned under them, with features and integrals [2, Q, K].
             for log_weights in self._least(np.concatenate([descended, starts]), NUM_TRIED, aim):
                 sums = self.pool.cheapest(np.exp(log_weights)[None])[:, :, 0]
                 reached = self.outcomes(np.concatenate(sums, axis=-1))
@@ -370,6 +384,9 @@ class _Search:
             }
             rows.append(row | dict(zip(map(str, self.targets), best.reached.tolist(), strict=True)))
             self.report("rounds", number + 1, loss=f"{row['loss']:.3g}", searches=row["num_plans"])
+
+            # The end: all targets are reached, `PATIENCE` rounds have not lowered the loss, or the time is over. Else
+            # routes are planned around the best weights, which the next round judges by.
             is_stuck = number >= PATIENCE and rows[-1]["loss"] >= rows[-1 - PATIENCE]["loss"]
             if not np.any(best.missed) or is_stuck or time.perf_counter() > self.end_s:
                 break
@@ -384,6 +401,7 @@ class _Search:
           best: of all targets together; of two targets it is the only pair's.
           alone: of each target when it was the only one, in their order.
         """
+        # Each pair of targets that are met alone is tried together.
         reachable = [index for index, result in enumerate(alone) if result.missed[index] <= MET]
         conflicts = []
         for pair in itertools.combinations(reachable, 2):
@@ -431,7 +449,8 @@ def outcome_values(
     """
     # Integrals begin after K features, with the length; then one for each metric.
     num = len(names)
-    length_m, shortest_m = sums[:, num], shortest[:, num]
+    length_m = sums[:, num]
+    shortest_m = shortest[:, num]
     values = []
     for target in targets:
         if target.outcome == "length_m":
@@ -440,9 +459,8 @@ def outcome_values(
             value = jnp.mean(length_m / shortest_m) - 1
         elif target.outcome == "people":
             column = num + list(names).index("population")
-            people = jnp.maximum(
-                jnp.sum(shortest[:, column]), 1e-9
-            )  # the shortest routes may pass none
+            # The shortest routes may pass no people: nothing is divided by 0.
+            people = jnp.maximum(jnp.sum(shortest[:, column]), 1e-9)
             value = jnp.sum(sums[:, column]) / people
         else:
             column = num + list(names).index(target.outcome.removeprefix(MEAN))
@@ -453,6 +471,8 @@ def outcome_values(
 
 def _missed(values: AnyArray, bound: AnyArray, sign: AnyArray) -> Array:
     """Return ``[N]`` by which share of its bound each outcome misses its target, 0 where the target is met.
+
+    A bound whose size is below 0.001 counts as that, so that nothing is divided by 0.
 
     Args:
       values: ``[N]`` outcomes.
@@ -522,6 +542,7 @@ def _outcome_table(
       results: of the search that counts for each target, in their order; its own entry of each is taken.
       at_shortest: ``[N]`` the outcomes of the shortest routes.
     """
+    # The diagonal has of each search its own target.
     table = pd.DataFrame(
         {
             "wished": [target.value for target in targets],

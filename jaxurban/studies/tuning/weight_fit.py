@@ -186,7 +186,7 @@ def fit_weights(
     constant = constant_layers(queries)
     left_out = _left_out(constant, queries)
     is_fitted = np.array([name not in left_out for name in names])
-    demo = np.array([demonstration.features for demonstration in demonstrations])
+    demo = np.array([demonstration.features for demonstration in demonstrations])  # [Q, K]
 
     # What is fitted over: the routes found so far, beginning with the demonstrations themselves.
     noise_rounds = min(settings.max_rounds, NOISE_ROUNDS)
@@ -198,10 +198,11 @@ def fit_weights(
         noise_rounds=noise_rounds,
         demonstrations=fingerprint(demo),
     )
-    unit = np.where(is_fitted, feature_units(queries, demo), 1.0)
+    unit = np.where(is_fitted, feature_units(queries, demo), 1.0)  # [K] of each feature
     fit = _Fit(pool, demo, unit, is_fitted, settings.seed)
 
-    # Rounds of searches, until one betters no known route or the budget ends; then intervals.
+    # Rounds of searches, each a row of the curve, until one betters no known route or the budget ends. Then the regret
+    # [Q] of each demonstration, the least mean regret of any weights, and refits for the intervals.
     least_rounds = min(settings.max_rounds, TRUST_ROUNDS + DOUBT_ROUNDS + 1)
     rows = []
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
@@ -216,6 +217,7 @@ def fit_weights(
         regret = fit.searched_regret(fit.log_weights)
         best = fit.least_mean_regret(float(regret.mean()))
         draws, interval = _refitted(fit, demonstrations, scale, bootstrap)
+
     # What the fit says, and what it cannot say.
     table = _weight_table(fit, scale, interval)
     unidentified = [_constant_sentence(name, name in left_out) for name in constant]
@@ -324,11 +326,14 @@ class _Fit:
         probes[:, 0] = 1.0
         probed = self.weights * probes
 
-        # The cheapest costs [Q, 1 + NUM_PROBES] among the known routes, and by search: the gap is what was not known.
+        # [Q, 1 + NUM_PROBES] the cheapest costs among the routes known so far, and by search. Where a search finds a
+        # cheaper route, its cost is below the expected one; the largest such gap says how much was not known.
         num_known = self.pool.num_routes
         expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.routes[0]), axis=-1)
         searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
-        # First the loss, which leads from anywhere; then the mean regret, with patience that falls from round to round.
+
+        # What is minimised: in the first rounds the loss, which leads from anywhere; then the mean regret, in which
+        # demonstrations that are far costlier than most count less, and the less the later the round.
         task = self.task(NUM_NOISE, noise, rng)
         objective = fenchel_young_loss
         if number >= TRUST_ROUNDS:
@@ -337,13 +342,13 @@ class _Fit:
             regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), task))
             self.trust = redescending_trust(regret, patience)
             task = task._replace(trust=jnp.asarray(self.trust))
-        ended, reached = descend(jnp.asarray(self.log_weights), task, objective, STEPS)
-        self.log_weights = np.asarray(ended)
+        log_weights, loss = descend(jnp.asarray(self.log_weights), task, objective, STEPS)
+        self.log_weights = np.asarray(log_weights)
         return {
             "round": number + 1,
             "noise": noise,
-            "loss": float(reached),
-            "mean_regret": float(np.mean(np.asarray(regrets(weights_of(ended), task)))),
+            "loss": float(loss),
+            "mean_regret": float(np.mean(np.asarray(regrets(weights_of(log_weights), task)))),
             "worst_gap": float(np.max(expected / searched - 1)),
             "new_routes": self.pool.num_routes - num_known,
             "num_plans": self.pool.num_plans,
@@ -385,9 +390,8 @@ class _Fit:
         """
         lowest = self.log_weights
         for _ in range(REGRET_ROUNDS):
-            task = self.task(
-                2, LAST_NOISE, np.random.default_rng(self.seed)
-            )  # its noise plays no part
+            # The noise plays no part in the regret; two noises are the fewest.
+            task = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
             task = task._replace(trust=jnp.ones(len(self.demo)))
             ended, expected = descend(jnp.asarray(lowest), task, mean_regret, STEPS)
             lowest = np.asarray(ended)
@@ -412,7 +416,7 @@ def _refitted(
       scale: of the weights, ``"simplex"`` or ``"distance"``.
       bootstrap: how many fits; with 0 the intervals are NaN.
     """
-    # Fits to demonstrations that are drawn again, cities first.
+    # [B, K] the weights of fits to demonstrations that are drawn again, cities first.
     rng = np.random.default_rng([IN_BOOTSTRAP, 0, fit.seed])
     num = len(fit.unit)
     maps = [id(demonstration.query.cost_map.maps) for demonstration in demonstrations]
@@ -422,7 +426,8 @@ def _refitted(
     draws = np.array([_scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, num)
     if not bootstrap:
         return draws, np.full((2, num), np.nan)
-    # Weights that explain the demonstrations as well: they sum to 1, or the distance alone is 1.
+
+    # The range of weights that explain the demonstrations as well, among those with the sum 1 or the distance weight 1.
     sides = np.ones(num) if scale == "simplex" else np.eye(num)[0]
     least = np.array([demonstration.least_features for demonstration in demonstrations])
     low, high = fit.near_optimal_range(sides, least)
@@ -465,7 +470,12 @@ def _metric_share(table: pd.DataFrame) -> float:
 
 
 def _constant_sentence(name: str, is_left_out: bool) -> str:
-    """Return a sentence on the weight of a layer that is constant, and on what the fit did with it."""
+    """Return a sentence on the weight of a layer that is constant, and on what the fit did with it.
+
+    Args:
+      name: of the layer.
+      is_left_out: whether the fit left its weight at 0.
+    """
     outcome = "stands for the steps that diagonals save under the cost model 'cell'"
     if is_left_out:
         outcome = "is left at 0"
@@ -494,7 +504,7 @@ def _verdict(regret: np.ndarray, trust: np.ndarray, best: float, metric_share: f
     followed = "these metrics"
     if metric_share <= NEGLIGIBLE:
         followed = "distance alone and none of these metrics"
-    percent = round(max(0.0, 100 * best), 4)
+    percent = round(max(0.0, 100 * best), 4)  # rounding may bring it below 0
     share = f"at best they cost {percent:.3g} % more than the cheapest ones between their ends, on average"
     if best <= OPTIMAL_REGRET:
         return f"These routes follow {followed}: {share}."

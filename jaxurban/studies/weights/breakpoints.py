@@ -181,6 +181,7 @@ def nearest_breakpoints(
             if place @ excess <= TIE * (place @ features):
                 is_due[row, end] = False
                 continue
+
             # The factor at which both cost the same: weights @ excess + (factor - 1) * weight * excess[column] = 0.
             # At the given weights the other route costs as much at least; rounding may say less.
             column = columns[row]
@@ -214,10 +215,12 @@ def pareto_front(
     """
     columns = [pool.names.index(name) for name in objectives]
     alone = np.eye(len(pool.names))[columns]
+
     # Each objective is counted in its largest value on the routes that are best in another one, so that none is
     # squeezed into a corner of the triangle; one that is 0 on all of them keeps its unit.
     size = pool.cheapest(alone)[0, 0][:, columns].max(axis=0)
     units = np.where(size > 0, size, 1.0)
+
     # At its corner an objective has nearly all of the weight, and the others at least `LEAST`.
     shares = np.eye(len(objectives)) * (1 - len(objectives) * LEAST) + LEAST
     corners = shares @ (alone / units[:, None])

@@ -40,6 +40,7 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
         raise InputError(
             "the route changes its altitude and a soft city has one: plan it at that altitude"
         )
+
     # Both must be of one grid and one altitude, which is compared to the millimetre.
     of_route = planned.crs, planned.settings["resolution_m"], round(planned.altitude_m, 3)
     of_soft = region.crs, region.resolution_m, round(float(np.asarray(params.altitude_m)), 3)
@@ -48,6 +49,7 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
             "the route and the soft city must have one CRS, cell size and altitude, got "
             f"{', '.join(map(str, of_route))} m and {', '.join(map(str, of_soft))} m: make both from the same maps"
         )
+
     # People differ by time of day.
     time_of_day = planned.settings["time_of_day"]
     if soft.population is not None and time_of_day is not None and time_of_day != soft.time_of_day:
@@ -55,6 +57,8 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
             f"the route was planned by {time_of_day} and the soft city is of {soft.time_of_day}: give soft_city "
             f"time_of_day={time_of_day!r}"
         )
+
+    # The cells of the route, whose points are now in metres from the region's southwest corner.
     points_m = planned.xy_m - region.bounds_m[:2]
     model = CostModel.from_settings(planned.settings)
     return path_visits(points_m, region.shape, region.resolution_m, model)

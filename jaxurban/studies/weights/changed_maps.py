@@ -55,6 +55,7 @@ def add_changed_rows(
     for kind, is_wanted in wanted.items():
         if is_wanted:
             stores[kind] = RowStore(folder / kind.folder / ROWS_FILE, kind.key, has_parts=True)
+
     # Rows are saved with all their columns, whatever happens.
     skipped = []
     try:

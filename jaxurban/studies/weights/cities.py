@@ -63,6 +63,7 @@ def named_sources(sources: Any) -> dict[str, Source]:
     Raises:
       InputError: there is no city, two have one name, or maps in memory have none.
     """
+    # One or several sources, and what each of them opens as.
     several = sources
     if isinstance(sources, Mapping):
         several = sources.values()
@@ -72,6 +73,8 @@ def named_sources(sources: Any) -> dict[str, Source]:
     for source in several:
         is_opened = isinstance(source, MetricMaps | MapsFolder)
         opened.append(source if is_opened else MapsFolder(source))
+
+    # The names of the cities, in the same order.
     names = list(map(str, sources)) if isinstance(sources, Mapping) else _folder_names(opened)
     if not names or len(set(names)) < len(names):
         raise InputError(
@@ -110,7 +113,7 @@ def open_cities(
     Raises:
       InputError: maps whose scenarios differ in what all routes share, or whose costs cannot be compared.
     """
-    # By city: what workers open, the maps, and the rules under the city's own scenario.
+    # By city: the source that workers open, the maps, and the rules (settings and weights) under its own scenario.
     opened = {}
     all_maps = {}
     rules = {}
@@ -160,6 +163,7 @@ def routes_of_cities(
         _check_cities(routes, cities.maps)
         if altitudes_m is not None:
             raise InputError("altitudes_m is of sampled routes: a table of routes names its own")
+
     # The routes of each city: those of the table, or sampled ones.
     parts = []
     for number, (city, maps) in enumerate(cities.maps.items()):
@@ -179,6 +183,8 @@ def routes_of_cities(
                 seed=seed_at(settings.seed, number),
             )
         parts.append(part.assign(city=city, **{CITY_NUMBER: number}))
+
+    # One table with a column for each weight.
     table = pd.concat(parts, ignore_index=True)
     no_weights = dict.fromkeys(weight_columns(cities.metrics), 0.0)
     columns = dict.fromkeys([*table, *no_weights])
@@ -201,10 +207,12 @@ def _listed_routes(
     """
     part = routes
     if "city" in routes:
-        # Weights of layers that only other cities have.
+        # The routes of this city, without the weights of layers that only other cities have.
         weighed = weight_columns(weighed_metrics(routes.columns))
         foreign = set(weighed) - set(weight_columns(maps.metrics))
         part = routes[routes["city"].astype(str) == city].drop(columns=["city", *foreign])
+
+    # Instances have a number; all else is a table of queries, in which the columns of other cities are empty.
     if "instance" in part:
         part = checked_instances(part, f"the instances of {city}")
     else:

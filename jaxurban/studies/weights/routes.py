@@ -186,6 +186,7 @@ def route_facts(
     facts |= {name: float(value) for name, value in outcomes_of(integrals, query.names).items()}
     for name, share in zip(query.names, weights * features / cost, strict=True):
         facts[f"elasticity:{name}"] = float(share)
+
     # How it changes with each weight that varies; the draws of each route have a seed of their own.
     pool = RoutePool([query], workers=settings.num_threads)
     facts |= _changes(pool, weights, varied, settings, cost)
@@ -225,6 +226,7 @@ def _changes(
     """
     columns = list(varied.values())
     nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
+
     # [varied, 2, K] the weights with each that varies too small, then too large, and the regrets [varied, 2].
     wrong = np.tile(weights, (len(columns), 2, 1))
     for number, column in enumerate(columns):
@@ -317,14 +319,19 @@ class OnPerturbedMaps(RouteJob):
 
     @classmethod
     def changes(cls, task: MapTask, settings: SensitivityStudySettings) -> list[Run]:
-        """Return all changes of the maps of a task."""
+        """Return all changes of the maps of a task: the number of each draw of heights."""
         return [(draw,) for draw in range(settings.num_heights)]
 
     @classmethod
     def tasks(
         cls, task: MapTask, settings: SensitivityStudySettings
     ) -> Iterator[MapTask | InputError]:
-        """Yield the task of each change, or why there is none."""
+        """Yield the task of each change: that of a city whose heights are drawn again.
+
+        Args:
+          task: that made the maps as they are.
+          settings: of the study, with the number of draws and the seed.
+        """
         std_m = task.params.heights.height_std_m
         for city in perturbed_cities(task.city, std_m, settings.num_heights, settings.seed):
             yield replace(plain_task(task), city=city)
@@ -334,7 +341,13 @@ class OnPerturbedMaps(RouteJob):
         return super().cost_map(self.nominal, *at), super().cost_map(maps, *at)
 
     def facts(self, cost_maps: Any, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
-        """Return how the routes differ."""
+        """Return how the route of an instance differs between the maps as they are and the other maps, as one row.
+
+        Args:
+          cost_maps: of the maps as they are, and of the other ones.
+          instance: ends and weights.
+          runs: not used, as there is one run.
+        """
         (nominal, weights), (other, _) = (query_of(each, instance) for each in cost_maps)
         return [_compared(nominal, other, weights)]
 
@@ -352,14 +365,19 @@ class OnOtherParameters(OnPerturbedMaps):
 
     @classmethod
     def changes(cls, task: MapTask, settings: SensitivityStudySettings) -> list[Run]:
-        """Return all changes of the maps of a task."""
+        """Return all changes of the maps of a task: each parameter with each factor."""
         return [*product(parameters_of(task), PARAMETER_FACTORS)]
 
     @classmethod
     def tasks(
         cls, task: MapTask, settings: SensitivityStudySettings
     ) -> Iterator[MapTask | InputError]:
-        """Yield the task of each change, or why there is none."""
+        """Yield the task of each change, or the error that says why there is none.
+
+        Args:
+          task: that made the maps as they are.
+          settings: of the study.
+        """
         for parameter, factor in cls.changes(task, settings):
             try:
                 yield with_parameter(plain_task(task), parameter, factor)
@@ -386,8 +404,10 @@ def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> di
     # Both routes on both maps: own and moved on the nominal map, kept and best on the other one.
     on_nominal = nominal.cost_map.problem.features
     on_other = other.cost_map.problem.features
-    own, moved = on_nominal(nominal_m), on_nominal(other_m)
-    kept, best = on_other(nominal_m), on_other(other_m)
+    own = on_nominal(nominal_m)
+    moved = on_nominal(other_m)
+    kept = on_other(nominal_m)
+    best = on_other(other_m)
     is_same = moved.is_valid and np.allclose(moved.phi, own.phi, rtol=SAME_SUMS, atol=SAME_SUMS)
     return {
         "status": paths[0].status.value,

@@ -190,6 +190,7 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
             conf_level=CONFIDENCE,
             seed=seed + 1,  # SALib takes 0 for none
         )
+
     # SALib's intervals are those of the normal law, and ours those of few samples.
     num_samples = len(values) // (len(table) + 2)
     wider = reach_of(num_samples) / special.ndtri((1 + CONFIDENCE) / 2)

@@ -84,6 +84,7 @@ class Sensitivity(FactsRepr):
           [False, True, False]
         """
         line = self.lines[one_of("name", name, self.lines)]
+
         # Values of the weight at both ends of the line and at the breakpoints between, from the shares of the second
         # corner there. The given weight lies between two of them.
         column = self.names.index(name)
@@ -222,12 +223,14 @@ def sensitivity(
     for name in settings.objectives:
         one_of("each of objectives", name, names)
     with reporting("sensitivity", progress) as report:
-        # Small changes of the weights.
+        # Small changes of the weights, from the features and the integrals [1, K] of the cheapest route.
         report("local")
         features, integrals = pool.cheapest(weights[None])[:, :, 0]
         cost = cost_gradient(names, weights, features)
         outcomes = outcome_slopes(pool, weights, integrals, seed=settings.seed)
-        # What the settings leave out: the objectives are distance and the metrics with the largest shares of the cost.
+
+        # What the settings leave out: the varied weights, and as objectives of the Pareto front the distance and the
+        # two metrics with the largest shares of the cost.
         shares = cost["elasticity"][[name for name in columns if name != "distance"]]
         largest = shares.sort_values(ascending=False, kind="stable").index[:2]
         settings = replace(
@@ -236,7 +239,7 @@ def sensitivity(
             objectives=settings.objectives or ("distance", *largest),
         )
 
-        # The whole range of the weights: all at once, one by one, and traded against each other.
+        # The whole range of the weights, all at once: Sobol shares.
         sobol = sobol_of_weights(
             pool,
             weights,
@@ -246,6 +249,8 @@ def sensitivity(
             settings.seed,
             partial(report, "sobol"),
         )
+
+        # One by one: the routes along a line of weights whose ends [2, K] differ in the one that varies.
         lines = {}
         for name, column in columns.items():
             ends = np.tile(weights, (2, 1))
@@ -253,6 +258,8 @@ def sensitivity(
             lines[name] = find_breakpoints(
                 pool, ends, on_plans=partial(report, f"breakpoints of {name}")
             )
+
+        # And traded against each other: the Pareto front.
         front = pareto_front(
             pool,
             settings.objectives,
@@ -260,7 +267,8 @@ def sensitivity(
             max_plans=settings.max_plans,
             on_plans=partial(report, "Pareto front"),
         )
-        # A route to draw for each cell of each line.
+
+        # The result, with a route to draw for each cell of each line.
         report("routes")
         return Sensitivity(
             maps=cost_map.maps,

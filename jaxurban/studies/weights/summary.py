@@ -37,7 +37,12 @@ SHARES_OF_ROUTES = ("is_other", "is_closed", "nominal_is_closed")
 
 
 def routes_of(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of routes that were found, with what describes each (`DESCRIBED`)."""
+    """Return the rows of routes that were found, beside the columns of their instances that describe them.
+
+    Args:
+      rows: of the study, a row per route.
+      instances: of the study, with the columns `DESCRIBED`.
+    """
     wanted = [*ROUTE_KEY, *DESCRIBED]
     table = rows[rows.status.isin(HAS_PATH)].merge(
         instances[wanted], on=list(ROUTE_KEY), validate="many_to_one"
@@ -56,7 +61,8 @@ def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.Data
       routes: from `routes_of`.
       factors: the range in which breakpoints were looked for, below and above 1.
     """
-    # Rows hold the numbers of a weight side by side, as "below:gps"; a metric that a city's maps lack has none.
+    # A row for each route and weight, from columns such as "below:gps" that stand side by side. A metric that the maps
+    # of a city lack has no number there, and no row here.
     varied = routes["vary"].str.split(",")
     parts = []
     for column in map(str, routes.filter(regex="^elasticity:")):
@@ -69,7 +75,7 @@ def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.Data
     table = pd.concat(parts, ignore_index=True)
     table = table[table.elasticity.notna()]
 
-    # What is nearer, above or below; `np.fmin` passes over NaN.
+    # The nearer one of the factors above and below; `np.fmin` passes over NaN, where the route does not change.
     limit = min(factors[1], 1 / factors[0])
     nearest = table.above.combine(1 / table.below, np.fmin).clip(upper=limit).fillna(limit)
     regret = table[["regret_low", "regret_high"]].max(axis=1)
@@ -154,7 +160,7 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     rows = []
     for cut, value, part in cuts_of(weights):
         for name, of_weight in part.groupby("weight_name", sort=False):
-            # The draws of each row, by its cut and value.
+            # The groups that the bootstrap draws, for each row that is made of this part, by its cut and value.
             draws = {(cut, value): pairs_of(of_weight)}
             if cut == ALL and of_weight.city.nunique() >= FEWEST_GROUPS:
                 draws[OVER_CITIES, OVER_CITIES] = Clusters(of_weight.city)
@@ -188,6 +194,8 @@ def shares_table(routes: pd.DataFrame) -> pd.DataFrame:
     Args:
       routes: from `routes_of`, which hold the shares side by side, as ``"first:gps:length_m"``.
     """
+    # A table without rows stands first, for routes without shares. Each column ``first:NAME:OUTCOME`` then gives the
+    # rows of a weight and an outcome.
     parts = [pd.DataFrame(columns=[*ROUTE_KEY, "outcome", "weight_name", *OF_SHARE])]
     for column in map(str, routes.filter(regex="^first:")):
         _, name, outcome = column.split(":")
@@ -261,6 +269,7 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
     Args:
       changed: rows of routes on other maps, of either kind.
     """
+    # The rows of each kind of change; those of perturbed heights are of one kind, without a name.
     changed = changed[changed.status.isin(HAS_PATH)].assign(**{ALL: ALL})
     kinds = [name for name in ("parameter", "factor") if name in changed]
     by_kind = changed.groupby(kinds, sort=False) if kinds else [((), changed)]
