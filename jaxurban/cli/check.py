@@ -18,6 +18,7 @@ from jaxurban.cli.common import (
     OVERWRITE,
     PATH,
     RESOLUTION,
+    SOURCES,
     TIME_OF_DAY,
     WEIGHTS,
     print_json,
@@ -58,9 +59,7 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
 @NUMBER("--max-people", help="Most people overflown, in a strip of 10 m.")
 @CORRIDOR
 @WEIGHTS
-@click.option(
-    "--sources", type=PATH, help="Folder where the relative paths of the maps' sources begin."
-)
+@SOURCES
 @RESOLUTION
 @FILES(help="Folder of the report, or a file of findings: .geojson, .csv or .parquet; repeatable.")
 @OVERWRITE
@@ -114,5 +113,6 @@ def check(
         print_json(result.to_dict() | {"density": people}, code, message)
     else:
         print("\n".join(result.lines))
-        print("" if density is None else f"\n{density.table()}")
+        if density is not None:
+            print(f"\n{density.table()}")
     return code

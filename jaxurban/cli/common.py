@@ -425,6 +425,11 @@ WORKERS = grouped(
         help="Address of a Dask scheduler whose workers to use, such as tcp://host:8786.",
     ),
 )
+SOURCES = click.option(
+    "--sources",
+    type=PATH,
+    help="Folder where the relative paths of the maps' sources begin.  [default: beside the maps]",
+)
 JSON_FLAG = FLAG("--json", "as_json", help="Print one machine-readable object on stdout.")
 
 

@@ -14,6 +14,7 @@ from jaxurban.cli.common import (
     NUMBER,
     PATH,
     SHOWN,
+    SOURCES,
     Point,
     finite_records,
     print_json,
@@ -51,11 +52,7 @@ NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
     default="outlines",
     help="Exact rays through the outlines, or the maps' own answer in the cell.",
 )
-@click.option(
-    "--sources",
-    type=PATH,
-    help="Folder of the files that the maps were made of.  [default: beside the maps]",
-)
+@SOURCES
 @NUMBER("--resolution", "resolution_m", help="Cell size of the maps, for --by map.")
 @FILES(
     help="File to write: .csv or .parquet, or a picture (.png, .pdf, .svg) of the sky at a place; repeatable."

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jaxurban.cli.common import FLAG, FOLDER, OBSTACLES, PATH, PRESET, RESOLUTION, SHOWN
+from jaxurban.cli.common import FLAG, FOLDER, OBSTACLES, PATH, PRESET, RESOLUTION, SHOWN, SOURCES
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 @RESOLUTION
 @OBSTACLES
 @PRESET
+@SOURCES
 @click.option(
     "--against",
     type=PATH,
@@ -47,6 +48,7 @@ def view(
     resolution_m: float | None,
     obstacles: "Obstacles | None",
     preset: "Preset",
+    sources: Path | None,
     against: Path | None,
     export: Path | None,
     size_mib: float,
@@ -63,7 +65,12 @@ def view(
         """Return the viewer of the maps, read again each time: the server calls it where their files have changed."""
         maps = open_maps(folder, resolution_m, obstacles=obstacles)
         viewer = partial(
-            Viewer, maps, name=folder.resolve().name, folder=str(folder), preset=preset
+            Viewer,
+            maps,
+            name=folder.resolve().name,
+            folder=str(folder),
+            preset=preset,
+            sources=sources,
         )
         if against is None:
             return viewer()

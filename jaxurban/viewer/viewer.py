@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from html import escape
+from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
 
@@ -96,6 +97,8 @@ class Viewer:
       folder, weights, preset: as for `Plans`.
       against: other maps of the place, whose layers can be subtracted on the cells that both hold; None: no others.
       against_name: what the page calls the other maps.
+      sources: folder where the relative paths of the maps' sources begin, from which outlines and skies are read; None
+        for beside the maps.
 
     Raises:
       InputError: as for `Plans`, or as for `shared_part` with the other maps.
@@ -116,6 +119,7 @@ class Viewer:
         preset: Preset = "",
         against: MetricMaps | None = None,
         against_name: str = "the other maps",
+        sources: str | Path | None = None,
     ) -> None:
         # The maps, under the preset's rule of obstacles.
         self.plans = Plans(maps, folder, weights, preset)
@@ -131,6 +135,7 @@ class Viewer:
             self.shared = MapComparison(self.names, *shared_part(self.maps, others), left_out={})
             self.other_layers = layers_of(self.shared.b)
 
+        self.sources = sources
         self.kept = Kept()
         self.key = uuid4().hex
         # By the name of a request: the class of its parameters, and what answers it.
@@ -518,7 +523,7 @@ class Viewer:
         """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # the page shows what the maps guess
-            return Sight.of(self.maps, None, None, None)
+            return Sight.of(self.maps, None, self.sources, None)
 
     def sky(self, query: Sky) -> str:
         """Return the sky over a place as HTML (`sky_html`).

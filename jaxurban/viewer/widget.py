@@ -1,6 +1,7 @@
 """The viewer in a notebook: the same page as a widget, whose requests are messages to the kernel."""
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxurban.checks import typed
@@ -22,6 +23,7 @@ def view(
     weights: WeightsLike = None,
     preset: Preset = "",
     against: MapsLike | None = None,
+    sources: str | Path | None = None,
 ) -> Any:
     """Return a widget to look at maps and plan on them. A notebook shows it where it is the last line of a cell.
 
@@ -31,6 +33,8 @@ def view(
       weights: where the sliders start; left out, those of the scenario, else `Weights()`.
       preset: ``"paper"``: where the page starts, as in `jaxurban.cost_map`.
       against: other maps of the place at the same resolution, or their folder, whose layers can be subtracted.
+      sources: folder where the relative paths of the maps' sources begin, from which outlines and skies are read; left
+        out, beside the maps.
 
     Returns:
       An ``anywidget.AnyWidget`` that answers the page as long as the kernel runs.
@@ -46,7 +50,10 @@ def view(
     opened = as_maps(maps)
     folder = "" if opened is maps else str(maps)
     others = None if against is None else as_maps(against)
-    return widget_of(Viewer(opened, folder=folder, weights=weights, preset=preset, against=others))
+    viewer = Viewer(
+        opened, folder=folder, weights=weights, preset=preset, against=others, sources=sources
+    )
+    return widget_of(viewer)
 
 
 def widget_of(viewer: Viewer) -> "AnyWidget":

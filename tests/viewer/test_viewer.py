@@ -30,7 +30,7 @@ from jaxurban.viewer.requests import Request
 from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to, view, widget_of
 from jaxurban.world.footprints import HeightOrigin
-from tests.cli_runs import run
+from tests.cli_runs import run, write_city
 from tests.made_maps import city_of_boxes, made_maps
 from tests.viewer.browser import unpacked
 
@@ -208,6 +208,28 @@ def test_outlines_of_a_city_are_exact_to_a_metre_with_their_heights_and_guesses(
     assert [(height_m, is_guessed) for _, height_m, is_guessed in rings] == [(8, False), (40, True)]
     for (corners_m, _, _), box in zip(rings, boxes, strict=False):
         assert shapely.Polygon(corners_m).bounds == pytest.approx(box, abs=STEP_M / 2)
+
+
+def test_outlines_and_skies_are_of_moved_files_where_their_folder_is_named(
+    tmp_path, capsys, caplog
+):
+    scenario = write_city(tmp_path, shapely.box(-73.998, 40.757, -73.997, 40.758))
+    assert run(capsys, "maps", scenario, "-o", tmp_path / "out")[0] == 0
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    (tmp_path / "city.geojson").rename(moved / "city.geojson")
+    rings_of(Viewer(ju.open_maps(tmp_path / "out")))
+    assert "name the folder of these files (sources, --sources)" in caplog.text
+    caplog.clear()
+    (ring,) = rings_of(Viewer(ju.open_maps(tmp_path / "out"), sources=moved))
+    assert len(ring[0]) == 5
+    assert caplog.text == ""
+    page = tmp_path / "page.html"
+    for options in ([], ["--sources", moved]):
+        assert run(capsys, "view", tmp_path / "out", "--export", page, *options)[0] == 0
+        assert ("outlined by the cells" in caplog.text) == (not options)
+        caplog.clear()
+        page.unlink()
 
 
 def test_a_report_has_the_time_the_energy_and_the_vehicle_as_the_command_and_files_do(
