@@ -115,7 +115,7 @@ class Departures(FactsRepr):
 
 
 def _time_of(row: pd.Series) -> str:
-    """Return time and time of day of a row of `Departures`, those that the maps hold."""
+    """Return time and time of day of a row of `Departures` as a text, without those that the maps do not hold."""
     return ", ".join(filter(None, row[TIMES]))
 
 
@@ -168,7 +168,7 @@ def when(
       >>> [round(share, 3) for share in departures.table["above_best"].tolist()]
       [0.0, 0.057]
     """
-    # The times: None for maps that hold none of a kind.
+    # A row for each time: every time with every time of day, None for maps that hold no such times.
     maps = as_maps(maps)
     times = maps.times if maps.default_time and time is None else (time,)
     times_of_day: Sequence[str | None] = (time_of_day,)
@@ -187,22 +187,19 @@ def when(
             "queries must be one or more and have no times of their own: drop time and time_of_day"
         )
 
-    # Every query at every time.
-    rules: dict[str, Any] = {
-        "objective": objective,
-        "cost_model": cost_model,
-        "constraints": constraints,
-        "preset": preset,
-    }
+    # Every query at every time: the queries of the first time come first.
     paths = plan_many(
         maps,
         table.merge(query_table, how="cross"),
         altitude_m=altitude_m,
         progress=progress,
         weights=weights,
+        objective=objective,
+        cost_model=cost_model,
         time=time,
         time_of_day=time_of_day,
-        **rules,
+        constraints=constraints,
+        preset=preset,
         planner=planner,
         heuristic=heuristic,
         budget_s=budget_s,
@@ -215,20 +212,33 @@ def when(
         raise KeyboardInterrupt
     if all(path is None for path in paths):
         raise InputError(paths.rows[0]["message"])
+
+    # A row for each route, with the numbers of its time and of its query in the place of one number of both.
     routes = paths.to_dataframe().astype({"cost": float, "length_m": float})
     routes["departure"], routes["query"] = np.divmod(routes["query"], num_queries)
     routes = routes.join(pd.DataFrame(list(map(_along, paths))))
     table = _with_sums(table, routes)
 
-    # What the routes of the best time (the first one, if at no time all have a path) cost at each other time.
+    # What the routes of the best time would cost at each other time. Where no time has a path for all routes, the first
+    # time stands for the best.
     best = Departures(table, routes, paths).best or 0
     kept_paths = [paths[best * num_queries + query] for query in routes["query"]]
 
     @lru_cache(maxsize=1)
     def map_at(altitude_m: float, weights: tuple, departure: int) -> CostMap:
         """Return the cost map of an altitude, of weights (pairs of name and value) and of a row of the table."""
-        time_arguments = dict(zip(TIMES, table.loc[departure, TIMES], strict=True))
-        return cost_map(maps, altitude_m, weights=dict(weights), **time_arguments, **rules)
+        row = table.loc[departure]
+        return cost_map(
+            maps,
+            altitude_m,
+            weights=dict(weights),
+            objective=objective,
+            cost_model=cost_model,
+            time=row["time"],
+            time_of_day=row["time_of_day"],
+            constraints=constraints,
+            preset=preset,
+        )
 
     def cost_at(path: PlannedPath | None, departure: int) -> float:
         """Return what a path costs at the time of a row of the table: inf where it is closed, NaN without a path."""
@@ -237,6 +247,7 @@ def when(
         cost_map = map_at(path.altitude_m, tuple(path.settings["weights"].items()), departure)
         return cost_map.problem.features(path.search.points_m).cost(cost_map.weight_vector)
 
+    # By how much the kept routes cost more than those of each time, and how many of these are other routes.
     kept_costs = np.array(list(map(cost_at, kept_paths, routes["departure"])))
     kept_above = kept_costs / routes["cost"] - 1
     routes["kept_above"] = kept_above.mask(kept_costs <= routes["cost"], 0.0)
@@ -253,14 +264,21 @@ def _with_sums(table: pd.DataFrame, routes: pd.DataFrame) -> pd.DataFrame:
     A sum is NaN at a time at which one of the routes has no path. Routes that have a path at no time are in no sum.
 
     Args:
-      table: a row per time.
-      routes: a row per time and route: ``departure`` is the number of the time's row, ``query`` that of the route.
+      table: a row for each time.
+      routes: a row for each time and route: ``departure`` is the number of the time's row in ``table``, ``query`` the
+        number of the route.
+
+    Returns:
+      The rows of ``table``, with a column for each sum, and ``above_best``: cost / least cost - 1, which is 0 where the
+      costs are the same but for rounding.
     """
+    # The sums. A group with fewer values than there are routes sums to NaN (`min_count`).
     summed = list(routes.filter(regex="^(cost|length_m|no_fix_m|exposure_.+)$"))
     has_path_at_times = routes.groupby("query")["cost"].transform("count") > 0
     flown = routes[has_path_at_times]
     num_flown = flown["query"].nunique()
     table = table.join(flown.groupby("departure")[summed].sum(min_count=num_flown))
+
     cost = table["cost"]
     least = cost.min()
     above_best = (cost / least - 1).mask(cost <= least * (1 + SAME_ROUTE_COST), 0.0)
