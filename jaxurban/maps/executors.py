@@ -177,7 +177,7 @@ NO_PAGES: dict[str, list[str]] = {
 
 @contextmanager
 def cluster_client(workers: int | str) -> Iterator[Any]:
-    """Yield a client of a Dask cluster; a cluster that is started here ends with the block.
+    """Yield a client of a Dask cluster, which is closed after the block; a cluster that is started here ends then too.
 
     Args:
       workers: the address of a scheduler, or the number of processes of a new cluster on this machine.
@@ -199,7 +199,7 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
             "pip install 'jaxurban[cluster]', or leave them out to work in threads"
         ) from error
 
-    # A scheduler that is running already.
+    # The address of a scheduler that is running already: its client, and what may go wrong with it within the block.
     if isinstance(workers, str):
         try:
             client = Client(workers, timeout=10)
@@ -221,7 +221,7 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
                 ) from error
         return
 
-    # A new cluster of processes.
+    # A number: a new cluster of as many processes, which the stack ends after the block.
     with ExitStack() as stack:
         try:
             with dask.config.set(NO_PAGES):

@@ -219,26 +219,30 @@ def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tup
 def _scale_guesses(
     blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: Population
 ) -> Guesses:
-    """Return the guess that one block sets the population's scale, for the first time of day at which one does.
+    """Return the guess that one block alone sets the population's scale, or an empty dictionary where none does.
 
-    It does where hardly any other inhabited block is above a third of the scale; empty where no block does.
+    One block does so where hardly any other inhabited block has an m above `SCALE_M`. The guess names the block and
+    proposes another scale, for the first time of day at which this is so.
 
     Args:
       blocks: the census blocks.
-      bounds_m: the region's box, whose blocks set the scale.
-      population_layers: m of the blocks.
-      params: settings of the population.
+      bounds_m: x_min, y_min, x_max, y_max of the region, whose blocks set the scale.
+      population_layers: m of the blocks by time of day, and the number of people at which m is 1 (the scale).
+      params: settings of the population; only with ``normalise`` ``"max"`` can one block set the scale.
     """
     if params.normalise != "max":
         return {}
     in_region = region_blocks(blocks, bounds_m)
     unit = "people" if params.quantity == "count" else "people per km2"
     layers = np.asarray(population_layers.m, float)[:, in_region]
+
+    # One time of day after the other: m of the region's blocks, and the scale.
     for m, norm in zip(layers, population_layers.norm_per_km2, strict=True):
         inhabited = m[m > 0]
         num_high = (inhabited > SCALE_M).sum()
         if len(inhabited) >= 3 and num_high <= max(1, SCALE_SHARE * len(inhabited)):
             top = in_region[m.argmax()]
+            # A number such as the user might set: the 99th percentile of people, rounded to one digit.
             usual = float(f"{float(norm) * np.percentile(inhabited, 99):.1g}")
             return {
                 "one block sets the population scale": (

@@ -110,8 +110,8 @@ class Population:
     time_of_day: str | Sequence[str] = ("day", "night")
 
     def __post_init__(self) -> None:
-        """Check the settings and write labels and times of day as tuples; errors as of the class."""
-        # The numbers.
+        """Check the settings, and write labels and times of day, in place, as tuples; errors as of the class."""
+        # The numbers: factors, the percentile of the scale, and the shares by hour.
         gammas = "gamma_commercial", "gamma_residential"
         check_fields(self, gammas, "finite and not negative", is_not_negative)
         _percentile(self.normalise)  # raises InputError for an invalid one
@@ -122,11 +122,13 @@ class Population:
                     f"{name} must be 24 shares in [0, 1], one an hour from 0 to 23, got {shares}"
                 )
 
-        # Labels and times of day, and files that need each other.
+        # Files that need polygons of blocks.
         has_blocks = self.blocks is not None or self.blocks_day is not None
         needs_blocks = self.table is not None or self.districts is not None
         if needs_blocks and not has_blocks:
             raise InputError("table and districts need blocks, the polygons of the census blocks")
+
+        # Labels of districts, and times of day.
         if self.commercial is not None:
             object.__setattr__(self, "commercial", tuple(self.commercial))
         object.__setattr__(self, "time_of_day", as_tuple(self.time_of_day))
@@ -136,6 +138,8 @@ class Population:
             )
         for time_of_day in self.times_of_day:
             day_share(time_of_day, self)  # raises InputError for an unknown one
+
+        # Counts by day and by night, which stand in the place of blocks with factors.
         if (self.blocks_day is None) != (self.blocks_night is None):
             raise InputError("blocks_day and blocks_night go together: give both, or blocks alone")
         if self.blocks_day is not None:

@@ -208,23 +208,23 @@ def soft_risk(
     """Return soft m_risk at one altitude, on the region ``[y, x]`` or at chosen cells ``[P]``.
 
     m = min(1, min over cells with a building of sqrt((d / d_thresh)^2 + (max(0, altitude - roof) / softness)^2)): a
-    roof at or above the altitude counts as a full obstacle, one that lies a softness or more below it no longer counts.
-    At softness 0 it is the slice's exact map, at softness d_thresh that of ``distance="solid"``, which has no softness
-    of its own and ignores ``softness_m``. Computed in the type of the roofs.
+    roof at or above the altitude counts as a full obstacle, and one that lies a softness or more below it does not
+    count. At softness 0 this is the exact map of ``distance="slice"``, at softness d_thresh that of
+    ``distance="solid"``, which has no softness of its own and ignores ``softness_m``. The map has the type of the roofs.
 
-    Differentiable in ``surface.roof_m``, ``altitude_m``, ``params.threshold_m`` and ``softness_m`` (and in the terrain,
-    under ``solid``), all of which may be traced; batch by `jax.vmap`. The gradient is that of the nearest cell: exact
-    where one is nearest, one of them where several tie; 0 in roofs above the altitude, where m is 0 and where it is 1.
-    Docs: algorithms/gradients.md.
+    The map is differentiable in ``surface.roof_m``, ``altitude_m``, ``params.threshold_m`` and ``softness_m`` (and in
+    the terrain, under ``solid``), all of which may be traced; batch it by `jax.vmap`. The gradient is that of the
+    nearest cell: exact where one cell is nearest, and that of one of them where several tie. It is 0 in roofs above the
+    altitude, where m is 0 and where m is 1. Docs: algorithms/gradients.md.
 
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.
       altitude_m: height above ground; with ``cells`` also one for each.
       params: the risk.
-      softness_m: how far below the altitude roofs still count; 0 is exact.
+      softness_m: how far below the altitude roofs still count; 0 gives the exact map.
       cells: row and column in the region; left out, the whole region.
-      reach_m: how far buildings are looked for, never less than the threshold; left out, the threshold. Needed when
-        that is traced.
+      reach_m: how far buildings are looked for, never less than the threshold; left out, the threshold. Needed where
+        the threshold is traced, as it decides shapes.
 
     Raises:
       InputError: a negative softness, or a traced threshold without ``reach_m``.
@@ -240,6 +240,7 @@ def soft_risk(
     is_solid = params.distance == "solid"
     scales = threshold, threshold if is_solid else softness  # of horizontal, vertical distances
 
+    # Rasters on the region and its halo; only `solid` measures heights from the terrain.
     roof_m = surface.crop_with_halo(surface.roof_m, halo)
     terrain_m = None
     if is_solid and surface.terrain_m is not None:
