@@ -247,25 +247,33 @@ def fetch(job: FetchJob, folder: Path, *, most_bytes: int, overwrite: bool = Fal
 
 
 def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: int) -> Settings:
-    """Get the files of sources into a folder, with `SCENARIO_FILE` and `RECORD_FILE`, and return what the last holds.
+    """Get the files of sources into a folder, write `SCENARIO_FILE` and `RECORD_FILE` there, and return the record.
+
+    The scenario is written only where buildings are among what was fetched.
 
     Args:
       job: its region and day.
       sources: with their URLs for the region.
       stage: an empty folder.
-      most_bytes: the largest file accepted.
+      most_bytes: the size of the largest file that is accepted.
+
+    Returns:
+      ``bounds``; ``files``, a dictionary for each; and ``left_out``, a sentence for each source that has nothing in the
+      region.
 
     Raises:
       InputError: a file cannot be had or read (then its copy in the cache is removed), or all were left out.
     """
+    # The scenario's settings by section: what every scenario names, then what each source adds.
     today = datetime.now(UTC).date()
-    settings: Settings = {  # of the scenario
+    settings: Settings = {
         "region": {"bounds": list(job.bounds)},
         "gps": {"orbits": NOMINAL, "times": [f"{job.day or today}{NOON}"]},
     }
     files = []
     left_out = []
     for source in sources:
+        # The download, and the sections of the scenario that use it. A reader may write a part of it to `target`.
         path = download(source, most_bytes)
         target = stage / source.file
         try:
@@ -278,12 +286,13 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
             ):
                 sections = READERS[source.name](job, path, target)
         except InputError as error:
-            path.unlink()
+            path.unlink()  # so that the same command downloads it again
             raise InputError(str(error).replace(str(path), source.url)) from error
         if not sections:
             left_out.append(NOTHING[source.name])
             continue
 
+        # The file, its settings and its entry in the record.
         if not target.exists():
             shutil.copyfile(path, target)
         for section, values in sections.items():
@@ -304,11 +313,12 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
     if not files:
         raise InputError(f"nothing of --what can be fetched here ({'; '.join(left_out)})")
 
+    # The record, and the scenario, whose head credits the sources.
     record = {"bounds": list(job.bounds), "files": files, "left_out": left_out}
     (stage / RECORD_FILE).write_text(
         json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
     )
-    if "blocks" not in settings.get("population", {}):  # districts alone
+    if "blocks" not in settings.get("population", {}):  # districts alone make no population
         settings.pop("population", None)
     if "buildings" in settings:
         credits = [f"# {file['source']}: {file['credit']} ({file['licence']})" for file in files]

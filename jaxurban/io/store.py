@@ -518,10 +518,10 @@ class _Maps(BackendEntrypoint):
 
 
 def open_whole(path: Path) -> xr.Dataset:
-    """Return the maps in a Zarr, every file of which is there, rows from south to north.
+    """Return the maps in a Zarr after a look at every file of it, with rows from south to north.
 
-    Metadata are compared with their checksums, and of chunks only the sizes: their values are read, and decoded, when
-    they are looked at.
+    Metadata are compared with their checksums. Of chunks only the sizes are compared, as their values are read and
+    decoded later, when somebody uses them.
 
     Raises:
       InputError: metadata are not as they were written, a chunk is missing or cut, an array is not coded as ours are,
@@ -534,10 +534,12 @@ def open_whole(path: Path) -> xr.Dataset:
                     what = "and the metadata of the arrays beside it are not as they were written"
                     raise _damaged(path / METADATA, what)
                 continue
-            sizes = {checksum.partition("-")[2] for checksum in checksums}  # they end the checksums
+            # A checksum ends with a hyphen and the size of the file in bytes.
+            sizes = {checksum.partition("-")[2] for checksum in checksums}
             if not file.is_file() or f"{file.stat().st_size}" not in sizes:
                 raise _damaged(file, "is missing or cut")
 
+        # The codes of the arrays are checked before anything is decoded, as a code may run a program.
         _check_arrays(path / METADATA, json.loads((path / METADATA).read_bytes())["metadata"])
         ds = xr.open_dataset(path, engine=_Maps)
         layout = ds.attrs.pop(LAYOUT_KEY, LAYOUT)

@@ -93,9 +93,8 @@ class Workspace:
           InputError: the folder cannot be written to, another run holds it, it is another command's or of other
             settings, or it holds files in the way that this command did not write, or that were changed since.
         """
-        new_settings = json.loads(
-            json.dumps(settings or {})
-        )  # as they will be read from the record
+        # The settings as they will be read from the record: JSON makes lists of tuples.
+        new_settings = json.loads(json.dumps(settings or {}))
         is_new = not folder.exists()
         check_writable(folder)
         try:
@@ -103,10 +102,10 @@ class Workspace:
                 sections = _sections(folder)
                 is_first = command not in sections
                 section = sections.setdefault(command, {"settings": {}, "written": {}})
-                # It alters the dictionaries of its section, which `_save` writes.
+                # The workspace alters the two dictionaries of its section in place, and `_save` writes them.
                 workspace = cls(folder, command, section["settings"], section["written"], is_mended)
 
-                # Files of an earlier run are removed only when all is checked.
+                # Checks come first, so that files of an earlier run are removed only if nothing is wrong.
                 if not is_shared:
                     workspace._check_alone(sections, is_first)
                 workspace.check_way((folder / name for name in names), is_mended=is_mended)
@@ -117,6 +116,7 @@ class Workspace:
                     workspace.settings.update(new_settings)
                 _save(folder, sections)
 
+                # The block of the caller, after which the record has what it wrote.
                 try:
                     with recorded_by(workspace):
                         yield workspace
@@ -436,12 +436,16 @@ class Workspace:
 
 
 def is_inside(name: str) -> bool:
-    """Return whether a name is of a file under a folder, on every system: plain, relative and without ``..``."""
-    is_named = {"", ".", ".."}.isdisjoint(re.split(r"[/\\]", name)) and not re.match(
-        "[A-Za-z]:", name
-    )
-    # What no system encodes.
-    return is_named and not re.search("[\0\ud800-\udc7f\udd00-\udfff]", name)
+    """Return whether a name is that of a file under a folder on every system.
+
+    Such a name is relative, has no empty part and no ``.`` or ``..`` among its parts, and can be encoded.
+    """
+    # An absolute path has an empty first part; on Windows a drive such as `C:` leads out of the folder too.
+    parts = re.split(r"[/\\]", name)
+    has_drive = re.match("[A-Za-z]:", name)
+    # No system encodes NUL, nor surrogates but those (U+DC80 to U+DCFF) by which Python stands for undecoded bytes.
+    has_no_code = re.search("[\0\ud800-\udc7f\udd00-\udfff]", name)
+    return {"", ".", ".."}.isdisjoint(parts) and not has_drive and not has_no_code
 
 
 def _obstacle_in(folder: Path, name: PurePosixPath) -> Path | None:

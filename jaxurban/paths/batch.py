@@ -168,7 +168,8 @@ def plan_many(
     )
 
     # The results, with those of an earlier run that the file holds.
-    results = _Results(batch, None if file is None else RowStore(FilePath(file), ["query"]))
+    store = None if file is None else RowStore(FilePath(file), ["query"])
+    results = _Results(batch, store)
 
     # `_done` plans a query each time that the loop asks for the next number; the loop counts them.
     was_interrupted = False
@@ -246,8 +247,10 @@ class _Results:
         Raises:
           InputError: the file's result is of another query.
         """
-        row = None if self._store is None else self._store.get(k)
-        if self._store is None or row is None or row["status"] == BAD_INPUT:
+        if self._store is None:
+            return False
+        row = self._store.get(k)
+        if row is None or row["status"] == BAD_INPUT:
             return False
         if row["key"] != key:
             raise InputError(
@@ -256,8 +259,10 @@ class _Results:
             )
         if row["status"] in ENDED_BY_BUDGET and row["budget_s"] < budget_s:
             return False
+
+        # The row has a path if the planner ran to its end; its settings say under which budget.
         path = None
-        if row["search"] is not None:  # the planner ran to its end, under the row's budget
+        if row["search"] is not None:
             path = finish(path_of(row))
             settings = {**path.settings, "budget_s": number_or_none(row["budget_s"])}
             path = replace(path, settings=settings)

@@ -185,17 +185,21 @@ def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndar
 
 
 def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
-    """Return the index of the census block under each cell, `NO_BLOCK` without one; None for a city without blocks.
+    """Return the index of the census block under each cell, `NO_BLOCK` where there is none.
+
+    Blocks with counts of their own by day are pixels of a raster, or pieces of them, and may be smaller than a cell.
+    They are sampled at ``n`` x ``n`` subcells of each cell (`PEOPLE_SAMPLES` a side), so that maps hold their people
+    to 0.5 %.
 
     Returns:
-      ``[Y, X]`` int32 at the cells' centres. Of blocks with counts of their own by day, which are pixels or pieces of
-      them, ``[Y, X, n * n]`` at the centres of ``n`` x ``n`` subcells (`PEOPLE_SAMPLES` a side): so maps hold their
-      people to 0.5 %.
+      int32 ``[Y, X]`` at the cells' centres or, with such counts, ``[Y, X, n * n]`` at the centres of their subcells,
+      row by row from the south; None for a city without blocks.
     """
     blocks = city.blocks
     if blocks is None:
         return None
-    n = 1 if blocks.day_count is None else PEOPLE_SAMPLES
+    is_sampled = blocks.day_count is not None
+    n = PEOPLE_SAMPLES if is_sampled else 1
     index, _ = burn(
         blocks.polygons,
         np.arange(len(blocks)),
@@ -205,10 +209,11 @@ def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
         boxes_m=blocks.boxes_m,
         has_touched=False,
     )
-    if n == 1:
+    if not is_sampled:
         return index
-    # From rows and columns of subcells to those of each cell.
-    return index.reshape(grid.num_rows, n, -1, n).swapaxes(1, 2).reshape(*grid.shape, n * n)
+    # From rows and columns of all subcells to [Y, n, X, n], then [Y, X, n, n], and one axis of the n x n subcells.
+    by_cell = index.reshape(grid.num_rows, n, grid.num_cols, n).swapaxes(1, 2)
+    return by_cell.reshape(*grid.shape, n * n)
 
 
 def check_has_data(has_data: Iterable[Any], city: City) -> None:
