@@ -340,6 +340,7 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
     Raises:
       InputError: the server sent a part of the data only, an extract that does not cover the region, or no building.
     """
+    # What the server says of a part that it left out, and whether an extract covers the region.
     is_xml = format_of(path) == "osm"
     pattern = rb"<remark>\s*(.*?)\s*</remark>"
     remark = re.search(pattern, path.read_bytes(), re.DOTALL) if is_xml else None
@@ -356,6 +357,8 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
             f"{str(path)!r} covers {shown} (west, south, east, north), not all of the region: name another extract "
             "with --source osm=URL"
         )
+
+    # The buildings of the region, from an extract cut out of it.
     if not is_xml:
         LOG.info(f"osm: cutting the region and {job.margin_m:g} m around it out of the extract")
         cut_buildings(path, target, job.box(job.margin_m))
@@ -368,7 +371,9 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
 
 
 def _read_census(job: FetchJob, path: Path, target: Path) -> Settings:
-    """Return the sections of a scenario that use census blocks, empty where there is no block; arguments as above.
+    """Return the sections of a scenario that use census blocks, empty where there is no block.
+
+    Arguments are those of `_read_osm`; nothing is written to ``target``.
 
     Raises:
       InputError: the server sent an error or a part of the blocks only, or the blocks cannot be read.
@@ -391,8 +396,14 @@ def _read_census(job: FetchJob, path: Path, target: Path) -> Settings:
 
 
 def _read_districts(job: FetchJob, path: Path, target: Path) -> Settings:
-    """Return the sections of a scenario that use district polygons, empty where none touches the region; as above."""
-    polygons = read_districts(path, job.crs)[0]
+    """Return the sections of a scenario that use district polygons, empty where none touches the region.
+
+    Arguments are those of `_read_osm`; nothing is written to ``target``.
+
+    Raises:
+      InputError: the polygons cannot be read, or there are none.
+    """
+    polygons, _, _ = read_districts(path, job.crs)
     if not len(polygons):
         raise InputError(
             f"{str(path)!r} holds no polygons: name another file with --source districts=URL"
@@ -405,7 +416,8 @@ def _read_districts(job: FetchJob, path: Path, target: Path) -> Settings:
 def _read_orbits(job: FetchJob, path: Path, target: Path) -> Settings:
     """Return the sections of a scenario that use element sets, empty where they are too far from the job's day.
 
-    Arguments as above. Without a day the maps are of the middle of the elements' epochs.
+    Arguments are those of `_read_osm`; nothing is written to ``target``. Without a day the maps are of the middle one
+    of the elements' epochs.
     """
     epoch = str(middle_epoch(read_orbits(path)))
     if job.day and abs((job.day - date.fromisoformat(epoch[:10])).days) > WARN_AGE_DAYS:

@@ -157,7 +157,10 @@ def _is_map(array: xr.Variable) -> bool:
 def _encoding(array: xr.Variable, tile: tuple[int, int]) -> dict[str, Any]:
     """Return how xarray is to write a variable into a Zarr.
 
-    A chunk of a map holds one tile, of these rows and columns, of one layer: one place along the axes before y and x.
+    Args:
+      array: the variable.
+      tile: rows and columns of a tile. A chunk of a map holds one tile of one layer, that is of one place along the
+        axes before y and x.
     """
     missing = NO_BYTE if array.dtype == np.uint8 else no_value(array.dtype)
     encoding: dict[str, Any] = {"compressors": (COMPRESSOR,), "_FillValue": missing}
@@ -232,7 +235,7 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
         for name, array in maps.items():
             for layer in np.ndindex(array.shape[:-2]):
                 values = array[layer].values
-                # Chunks begin in the northwest, and rows are counted from the south.
+                # Chunks are counted from the northwest and rows from the south: a smaller last chunk is in the south.
                 for stop in range(num_rows, 0, -tile_rows):
                     rows = slice(max(0, stop - tile_rows), stop)
                     for start in range(0, num_cols, tile_cols):
@@ -452,6 +455,7 @@ class _Map(BackendArray):
         self.dtype = array.dtype
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
+        """Return the values at an index of xarray's, read from the file."""
         return indexing.explicit_indexing_adapter(
             key, self.shape, indexing.IndexingSupport.OUTER, self._read
         )

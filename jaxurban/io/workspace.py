@@ -252,9 +252,12 @@ class Workspace:
         return is_recorded and not self.is_own(path) and not self._obstacle(path)
 
     def broken(self, paths: Iterable[Path], each: Each = map) -> list[Path]:
-        """Return those of these paths that are missing or not as this command wrote them.
+        """Return which of some paths are missing, or are not as this command wrote them.
 
-        All files are read; ``each`` calls a function with many paths, as `map` does, or on several threads.
+        Args:
+          paths: the paths, all of whose files are read.
+          each: calls a function with each path and returns the results in order, as `map` does; on several threads it
+            is faster.
         """
         paths = list(paths)
         are_own = each(self.is_own, paths)
@@ -468,7 +471,7 @@ def _unused(path: Path) -> Path:
 
 
 def _files_under(folder: Path) -> list[str]:
-    """Return the names of the files under a folder without those that lock and record it."""
+    """Return the names of the files and links under a folder, but for the files by which it is locked and recorded."""
     files = [path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()]
     names = {path.relative_to(folder).as_posix() for path in files}
     names -= {RECORD_FILE, JOURNAL_FILE, LOCK_FILE}
@@ -564,9 +567,12 @@ def _recover(folder: Path, sections: Sections) -> None:
 
     for (command, name), checksums in checksums_of.items():
         written = sections[command]["written"]
+        # The checksum before the run may still be the file's, so that it is possible too.
         possible = {*checksums, written.pop(name, None)} - {None}
         if checksums[-1] is not None:
             written[name] = checksums[-1]
+
+        # Which of several checksums the file has, if it is a file of its own and no link leads to it.
         file = folder / name
         is_there = (
             os.path.isfile(file)

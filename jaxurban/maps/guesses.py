@@ -134,8 +134,9 @@ def _boxes_asked(city: City, buildings: Footprints, region: Grid) -> list[shapel
 def _coverage_guesses(city: City, region: Grid) -> Guesses:
     """Return the guesses of how much of a region is taken as free of buildings, or of people, without being known so.
 
-    They are a sentence each by its short name, none for shares that are small enough.
+    Each is a sentence by its short name. A share that is small enough gives none.
     """
+    # The ground on which buildings are not known. Boxes that the source was asked for count as known too.
     share = outside_share(region, city.known_area)
     if share > LEAST_SHARE and city.buildings is not None:
         boxes = _boxes_asked(city, city.buildings, region)
@@ -146,6 +147,8 @@ def _coverage_guesses(city: City, region: Grid) -> Guesses:
         "the region lies beyond what the building source covers and is taken as free of buildings: give a source that "
         "covers it, or a smaller region",
     )
+
+    # The ground in no census block.
     if city.blocks is not None and city.sources:
         box = shapely.box(*region.bounds_m)
         inhabited_m2 = shapely.area(shapely.intersection(city.blocks.polygons, box)).sum()

@@ -251,7 +251,7 @@ def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Differing:
     """
     before, after = _flat(old), _flat(new)
     pairs = {key: (before.get(key), after.get(key)) for key in after | before}
-    return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
+    return {key: (value, other) for key, (value, other) in pairs.items() if value != other}
 
 
 def differences_said(settings: Differing) -> str:

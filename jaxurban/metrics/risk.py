@@ -210,7 +210,8 @@ def soft_risk(
     m = min(1, min over cells with a building of sqrt((d / d_thresh)^2 + (max(0, altitude - roof) / softness)^2)): a
     roof at or above the altitude counts as a full obstacle, and one that lies a softness or more below it does not
     count. At softness 0 this is the exact map of ``distance="slice"``, at softness d_thresh that of
-    ``distance="solid"``, which has no softness of its own and ignores ``softness_m``. The map has the type of the roofs.
+    ``distance="solid"``, which has no softness of its own and ignores ``softness_m``. The map has the type of the
+    roofs.
 
     The map is differentiable in ``surface.roof_m``, ``altitude_m``, ``params.threshold_m`` and ``softness_m`` (and in
     the terrain, under ``solid``), all of which may be traced; batch it by `jax.vmap`. The gradient is that of the
@@ -259,10 +260,12 @@ def soft_risk(
 
 
 def _map(scene: Scene, params: Risk) -> dict[str, AnyArray]:
+    """Return the map of risk at one altitude (`Metric.compute`)."""
     return {"risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params))[0]}
 
 
 def _traced(scene: Scene, params: Risk) -> dict[str, Array]:
+    """Return the maps of risk at all altitudes of a traced scene (`Metric.traced`)."""
     return {"risk": jnp.asarray(compute_risk(scene.surface, scene.altitude_m, params))}
 
 

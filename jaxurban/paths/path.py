@@ -284,7 +284,13 @@ def measured(cost_map: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
 
 
 def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
-    """Return what the planner noted, and what a reader of the path must know beside it: sentences, or ``""``."""
+    """Return what the planner noted, and what else a reader of the path must know: sentences, or ``""``.
+
+    Args:
+      cost_map: the map that it was planned on.
+      path: from a planner, or its verdict that there is none.
+      ends: start and goal, from `CostMap.ends`.
+    """
     start, goal = ends
     has_path = path.status.has_path
     constraints = cost_map.constraints

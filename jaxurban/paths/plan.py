@@ -152,9 +152,7 @@ def map_at(
     """
     if levels is not None:
         _check_fits(len(altitudes_m), maps.grid)
-    is_free = constraints.is_free(
-        maps, altitudes_m.tolist(), time=time, time_of_day=time_of_day
-    )
+    is_free = constraints.is_free(maps, altitudes_m.tolist(), time=time, time_of_day=time_of_day)
 
     # The cost of each metric on each level, [M, K, Y, X]. `cache` reads each map once, however many levels take values
     # from it.

@@ -197,9 +197,9 @@ class InstanceRuns(NamedTuple):
 
 
 def tasks_of(instances: pd.DataFrame, job: RouteJob, store: RowStore) -> list[InstanceRuns]:
-    """Return the runs that a store does not hold yet, by instance.
+    """Return the runs that a store does not hold yet, by instance; an instance without such runs is left out.
 
-    Instances of one city follow each other, and of these those on the same maps, so that maps are made once.
+    Instances of one city follow each other, and among them instances on the same maps, so that maps are made once.
     """
     tasks = []
     for instance in records_of(instances):

@@ -233,6 +233,7 @@ class Grid:
     num_cols: int
 
     def __post_init__(self) -> None:
+        """Check the numbers and the CRS; errors as of the class."""
         positive("resolution_m", self.resolution_m)
         if self.num_rows < 1 or self.num_cols < 1:
             raise InputError(

@@ -48,6 +48,7 @@ def _metres(text: str) -> float:
 
 
 def _count(text: str) -> float:
+    """Return the number of levels in a text, NaN where it is no number."""
     match = _COUNT.fullmatch(text)
     return _number(match[1]) if match else math.nan
 

@@ -169,6 +169,7 @@ class Flight:
             self._pass_over(item, item.what or f"command {command}")
 
     def _say(self, sentence: str) -> None:
+        """Note a sentence on what is not judged."""
         self.not_judged.append(sentence)
 
     def _pass_over(self, item: Item, what: str) -> None:

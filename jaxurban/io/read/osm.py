@@ -77,7 +77,9 @@ def _read(path: str | Path, has_decks: bool) -> Outlines:
     An area is an outline that libosmium makes of a closed way, or of the ways of a relation.
     """
     # Areas, an entry of each list for each, and the ids of the ways and relations that the file has.
-    areas: list[tuple[bool, int]] = []  # whether it comes of a way, and the id of the way or relation
+    areas: list[
+        tuple[bool, int]
+    ] = []  # whether it comes of a way, and the id of the way or relation
     shapes: list[str | None] = []  # WKB in hexadecimal, None where libosmium could not make it
     tags: list[list[str | None]] = []
     ways = set()
