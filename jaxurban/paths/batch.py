@@ -364,9 +364,9 @@ def _done(
         # Solve the rest. The problems that are solved already are given too, as all of them together decide which
         # heuristic is chosen.
         problems = []
-        for query in located:
-            start, goal = query.ends
-            problems.append(query.cost_map.problem.between(start.cell, goal.cell))
+        for located_query in located:
+            start, goal = located_query.ends
+            problems.append(located_query.cost_map.problem.between(start.cell, goal.cell))
         outcomes = solve_many(
             problems,
             planner=search.planner,

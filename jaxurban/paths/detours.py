@@ -103,10 +103,10 @@ def density_detours(
         tried_bounds = [joining_bounds[0], (joining_bounds[0] + route_density) / 2]
 
     # The route under each bound, and the density along it in the same corridor and at the same times of day.
-    corridor: dict[str, Any] = {**density.settings}
+    corridor: dict[str, Any] = {**density.settings}  # arguments of `overflown_density`
     if len(times) == 1:
         corridor["time_of_day"] = times[0]
-    rows: list[dict[str, float]] = []
+    rows = []
     for bound in tried_bounds:
         route = map_below(bound).plan(start, goal, budget_s=planned.settings.get("budget_s"))
         if not route.status.has_path:

@@ -162,10 +162,7 @@ def map_at(
         read = cache(partial(maps.m, name, time=time, time_of_day=time_of_day))
         has_altitudes = "altitude" in maps.ds[maps.variable(name)].dims
         for level, z_m in enumerate(altitudes_m.tolist()):
-            if has_altitudes:
-                m = values_at(z_m, maps.altitudes_m, read, is_under_sky)
-            else:
-                m = read()
+            m = values_at(z_m, maps.altitudes_m, read, is_under_sky) if has_altitudes else read()
             # Searches take no NaN: where a closed cell has no value, m counts as 0.
             is_closed_gap = np.isnan(m) & ~is_free[level]
             metric_costs[level] = metric.cost(np.where(is_closed_gap, np.float32(0), m))

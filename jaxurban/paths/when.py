@@ -227,7 +227,7 @@ def when(
     @lru_cache(maxsize=1)
     def map_at(altitude_m: float, weights: tuple, departure: int) -> CostMap:
         """Return the cost map of an altitude, of weights (pairs of name and value) and of a row of the table."""
-        row = table.loc[departure]
+        row: Any = table.loc[departure]
         return cost_map(
             maps,
             altitude_m,

@@ -285,7 +285,7 @@ def areas_and_coast(
       the runs of the coast's ways, see `runs_of`. Areas that cannot be assembled are left out.
     """
     rows: list[tuple[str, str, str]] = []
-    coast: list[shapely.LineString] = []
+    coast = []
     to_wkb = osmium.geom.WKBFactory()
     areas = TagFilter(*WATER, *PARK)
     for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):

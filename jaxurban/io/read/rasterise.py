@@ -80,9 +80,10 @@ def rasterise(
       city: with outlines or a height raster.
       grid: where to burn; the surface's region too.
       all_touched: ``roof_m`` is ``roof_touched_m`` too.
-      has_guessed: of outlines, whether the height of each cell's roof is guessed becomes ``roof_guessed``.
+      has_guessed: for a city with outlines, also return ``roof_guessed``: whether the height of a cell's roof is
+        guessed.
     """
-    has_data = terrain_m = guessed = slabs = None  # `has_data` None: everywhere
+    has_data = terrain_m = guessed = slabs = None  # `has_data` stays None where all cells have data
 
     # Roofs, by centres and by touch.
     if city.buildings is not None:
@@ -105,7 +106,7 @@ def rasterise(
     if has_data is not None and has_data.all():
         has_data = None
 
-    # What hangs: only what stands has a roof then, and `burn_hanging` raises the roofs that carry it.
+    # What hangs. Roofs are then those of standing buildings, and `burn_hanging` raises the roofs that carry slabs.
     if city.buildings is not None and city.hanging == SLABS:
         standing = city.buildings.take(city.buildings.min_height_m == 0)
         roof_m = _burn_heights(standing, grid)[all_touched]
@@ -290,6 +291,7 @@ def burn(
     Returns:
       Two ``[Y, X]`` arrays of ``dtype``, row 0 in the south.
     """
+    # Only polygons whose boxes touch the grid's are burnt.
     centre = np.full(grid.shape, fill, dtype)
     touched = np.full(grid.shape if has_touched else (0, 0), fill, dtype)
     boxes = shapely.bounds(polygons) if boxes_m is None else boxes_m.T
@@ -423,7 +425,17 @@ def bands_of(
 def _bands(
     name: str, layer: Layer, region: Grid, altitudes_m: Sequence[float], folder: Path
 ) -> Bands:
-    """Return the bands of one layer: one for each flight altitude, or one for all. See `bands_of`."""
+    """Return the bands of one layer: one for each flight altitude, or one for all.
+
+    Args:
+      name: of the layer, for messages.
+      layer: whose source is a path or an array.
+      region, altitudes_m: as for `bands_of`.
+      folder: that a relative path is relative to.
+
+    Raises:
+      InputError: as of `bands_of`.
+    """
     bands: Sequence[Raster | np.ndarray]
     if isinstance(layer.source, str):
         from jaxurban.io.read.raster import read_bands  # GDAL loads for files alone
