@@ -324,7 +324,13 @@ def block_people(
 
 
 def density_per_km2(people: Float[Array, " N"], area_m2: Float[Array, " N"]) -> Float[Array, " N"]:
-    """Return people per km2 of each block, 0 where its area is 0."""
+    """Return ``[N]`` people per km2 of each block, 0 where its area is 0; its gradient is finite there too.
+
+    Args:
+      people: ``[N]`` in each block.
+      area_m2: ``[N]`` of each block.
+    """
+    # The area of 1 m2 stands for 0, as a division by 0 would make the gradient NaN although it is not chosen.
     has_area = area_m2 > 0
     return jnp.where(has_area, people * M2_PER_KM2 / jnp.where(has_area, area_m2, 1.0), 0.0)
 
@@ -457,7 +463,8 @@ def layers_of_blocks(
 ) -> BlockLayers:
     """Return `block_values` at several times of day.
 
-    They are computed one after the other, not vectorised: so every time has the bits that it has alone.
+    They are computed one after the other and not together, so that the result of a time has the same bits whatever
+    other times there are.
     """
     return BlockLayers(*lax.map(lambda share: block_values(blocks, share, params), shares))
 
@@ -472,9 +479,10 @@ def soft_population(
 ) -> Float[Array, "y x"] | Float[Array, " P"]:
     """Return m_population at one time of day, on the region ``[y, x]`` or at chosen cells ``[P]``; no softness.
 
-    Differentiable in both gammas and in ``population.night_count`` and ``area_m2``; batch by `jax.vmap`. The gradient
-    is exact: it holds the norm's own change with the block (or two, of a percentile) that sets it, and 0 above a norm.
-    Undefined where two blocks tie for the norm or a block lies just at it. Docs: algorithms/gradients.md.
+    The map is differentiable in both gammas and in ``population.night_count`` and ``area_m2``; batch it by `jax.vmap`.
+    The gradient is exact. It includes the change of the norm with the block that sets it (or the two blocks of a
+    percentile), and is 0 for a block above the norm. It is undefined where two blocks tie for the norm, and where a
+    block lies just at it. Docs: algorithms/gradients.md.
 
     Args:
       block: index of the block under each cell, or under samples of it, -1 without one.

@@ -77,6 +77,8 @@ def figures_of(
     on_maps_m = float(length_m.sum())
     off_m = max(0.0, round(flight.length_m - on_maps_m, 3))
     figures: dict[str, Any] = {"length_m": flight.length_m, "on_maps_m": on_maps_m}
+
+    # Metres without a fix, at each time; those where the fix is not known are of the time that knows least.
     if FIX in maps.ds:
         no_fix_m = {}
         unknown_m = 0.0
@@ -86,6 +88,8 @@ def figures_of(
             unknown_m = max(unknown_m, float(length_m[np.isnan(hdop)].sum()))
         figures |= {"no_fix_m": max(no_fix_m.values()), "fix_unknown_m": unknown_m + off_m}
         figures["no_fix_by_time_m"] = no_fix_m
+
+    # People below the strip, and metres where they are not known.
     if "density" in maps.ds:
         density = values_on(maps, "density", steps, None, time_of_day)
         people = np.nan_to_num(density) * steps.over_m * swath_m / M2_PER_KM2

@@ -81,6 +81,7 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
         raise InputError(
             "fence_roofs_m needs the maps of the path, and this one has none: plan it, or leave that out"
         )
+
     # The roofs that a leg passes within the distance, and that reach its height less the vertical clearance.
     grid = route.maps.grid
     xy_m = route.xy_m
@@ -107,6 +108,7 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
             "mission"
         )
 
+    # The sentence.
     note = (
         f"The geofence keeps out of the {roofs.name} within {near_m:g} m that reach the flight: "
         f"{len(reaching) - num_met}, {roofs.origin}"
