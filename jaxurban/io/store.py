@@ -92,12 +92,13 @@ def check_version(folder: Path) -> None:
 
     Then another version of jaxurban wrote them, or the record is lost.
     """
+    # The folders of maps, and the file of a run.
     zarr_files = folder.glob(f"{ZARR_FOLDER}/[0-9]*m/*")
     outputs = [file.parent for file in zarr_files if file.name in OF_ZARR]
     run = folder / RUN_FILE
     if run.is_file() and b'"run_key"' in run.read_bytes():
         outputs.append(run)
-    # The names as deep as the outputs: "maps.zarr/5m", "run.json".
+    # Recorded names, cut to the depth of the outputs: "maps.zarr/5m", "run.json".
     written = {Path(folder, *Path(name).parts[:2]) for name in recorded(folder)}
     if outputs and written.isdisjoint(outputs):
         raise InputError(f"{str(folder)!r} {OTHER_VERSION}")
@@ -194,7 +195,7 @@ def _to_zarr(
     if "y" in ds.coords:
         ds = ds.assign_coords(y=ds["y"][::-1])
 
-    # With `compute=False` what dask holds, the maps, is not written.
+    # With `compute=False` xarray writes no array of Dask, which the maps are here.
     encoding = {str(name): _encoding(array, tile) for name, array in ds.variables.items()}
     ds.to_zarr(
         path,
@@ -206,7 +207,7 @@ def _to_zarr(
         compute=False,
     )
 
-    # The consolidated metadata, of the arrays that were there before too.
+    # The metadata of all arrays in one file; arrays that were there before are among them.
     of_arrays = sorted((*path.glob("*/.zarray"), *path.glob("*/.zattrs")))
     files = [path / ".zattrs", path / ".zgroup", *of_arrays]
     parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in files}

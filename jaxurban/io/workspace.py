@@ -168,8 +168,8 @@ class Workspace:
     def _check_alone(self, sections: Sections, is_first: bool) -> None:
         """Raise InputError unless the folder is this command's alone.
 
-        It may hold files that are as this command wrote them; before the first run it must be empty. Later other files
-        may lie there, if no other command wrote them.
+        Before the first run it must be empty. Later it may hold what this command wrote, unchanged, and files that no
+        command wrote.
 
         Args:
           sections: the record of the folder.
@@ -320,23 +320,23 @@ class Workspace:
             if self.is_mended and self.is_changed(path):
                 self.set_aside(path)
             self.check_way([path])
-        self._note(
-            [{"name": name, "checksum": checksum}]
-        )  # before, in case of a kill between the two
+
+        # The checksum is noted before the file gets its name, in case of a kill between the two.
+        self._note([{"name": name, "checksum": checksum}])
         os.replace(scratch, path)
         self.written[name] = checksum
 
     def put_folder(self, made: Path, path: Path, checksums: Mapping[str, str], last: str) -> None:
         """Record the files of a finished folder, and give the folder its name.
 
-        Of an older folder of that name the files that this command wrote go, those that were changed since are set
-        aside, and files of others stay.
+        Where a folder of that name is there already, the files that this command wrote in it are removed. Files that
+        were changed since are set aside, and files of others stay.
 
         Args:
           made: the finished folder.
           path: its name to be, under the folder of the workspace.
           checksums: of its files, by their names in it.
-          last: the name of the file that readers look for first: it is removed first, and comes last.
+          last: the name of the file that readers look for first: it is removed before all others, and put last.
 
         Raises:
           InputError: a file of others is in the way of one of these.
@@ -346,7 +346,7 @@ class Workspace:
         paths = [self.folder / name for name in written]
         self.check_way(paths, is_mended=True)
 
-        # Clear the way: own files, then what is left of them, as it was changed.
+        # Clear the way: files as this command wrote them are removed; what is left was changed, and is set aside.
         older = [name for name in self.written if name.startswith(f"{prefix}/")]
         self.remove([f"{prefix}/{last}", *older])
         for changed in filter(os.path.lexists, paths):
@@ -410,8 +410,8 @@ class Workspace:
     def remove(self, names: Iterable[str]) -> None:
         """Remove files by their names under the folder, and folders that are empty then.
 
-        Only files that are as this command wrote them are removed. Every one of these names at which nothing is then
-        goes from the record too.
+        Only files that are as this command wrote them are removed. Names at which nothing is then are removed from the
+        record too.
         """
         unique = list(dict.fromkeys(names))
         folders = set[Path]()

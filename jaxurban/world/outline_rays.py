@@ -98,9 +98,7 @@ class Outlines:
             below = np.flatnonzero(run_m >= 0)  # numbers of the rays that begin below that height
             end_m = start_m[below] + run_m[below, None] * toward[below]
             lines = shapely.linestrings(np.stack([start_m[below], end_m], axis=1))
-            line, member = tree.query(
-                lines, predicate="intersects"
-            )  # pairs, by their index in both
+            line, member = tree.query(lines, predicate="intersects")  # pairs, by indices in both
             crossed = shapely.intersection(lines[line], self.buildings.polygons[members[member]])
             parts.append((below[line], members[member], crossed))
         ray, building, crossed = (np.concatenate(values) for values in zip(*parts, strict=True))

@@ -417,21 +417,20 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
 def area_of_raster(raster: Raster, crs: str) -> shapely.Geometry:
     """Return the area in ``crs`` where a raster holds data.
 
-    A raster with holes is cut into blocks, `BLOCKS_A_SIDE` a side, and those with any data are the area.
+    A raster with holes is cut into blocks, `BLOCKS_A_SIDE` a side, and the area is that of the blocks with any data.
     """
     num_rows, num_cols = raster.values.shape
     is_known = np.isfinite(raster.values)
     known = shapely.box(0, 0, num_cols, num_rows)  # columns and rows
     if not is_known.all():
-        row = np.unique(
-            np.linspace(0, num_rows, BLOCKS_A_SIDE + 1).astype(int)
-        )  # borders of blocks
+        # The borders of blocks, and which blocks have any data.
+        row = np.unique(np.linspace(0, num_rows, BLOCKS_A_SIDE + 1).astype(int))
         col = np.unique(np.linspace(0, num_cols, BLOCKS_A_SIDE + 1).astype(int))
         has_any = np.logical_or.reduceat(is_known, row[:-1], axis=0)
         has_any = np.logical_or.reduceat(has_any, col[:-1], axis=1)
         i, j = np.nonzero(has_any)
         known = shapely.union_all(shapely.box(col[j], row[i], col[j + 1], row[i + 1]))
 
-    # Straight sides of pixels bend in another CRS, so they are cut before.
+    # Straight sides of pixels bend in another CRS, so they are cut into short pieces before.
     area = shapely.segmentize(known, max(num_rows, num_cols) / BLOCKS_A_SIDE)
     return shapely.transform(area, lambda x, y: pixel_xy(raster, y, x, crs), interleaved=False)

@@ -77,9 +77,7 @@ def _read(path: str | Path, has_decks: bool) -> Outlines:
     An area is an outline that libosmium makes of a closed way, or of the ways of a relation.
     """
     # Areas, an entry of each list for each, and the ids of the ways and relations that the file has.
-    areas: list[
-        tuple[bool, int]
-    ] = []  # whether it comes of a way, and the id of the way or relation
+    areas: list[tuple[bool, int]] = []  # whether it is of a way, and the id of way or relation
     shapes: list[str | None] = []  # WKB in hexadecimal, None where libosmium could not make it
     tags: list[list[str | None]] = []
     ways = set()
@@ -149,6 +147,7 @@ def format_of(path: str | Path) -> str:
 
 
 def _file(path: str | Path) -> osmium.io.File:
+    """Return a file for pyosmium, whose format its name says."""
     return osmium.io.File(str(path), format_of(path))
 
 
@@ -167,6 +166,7 @@ def open_osm(path: str | Path) -> osmium.FileProcessor:
 
 
 def _ways_of(relation: osmium.osm.Relation) -> list[int]:
+    """Return the ids of the ways in a relation."""
     return [member.ref for member in relation.members if member.type == "w"]
 
 
@@ -235,7 +235,13 @@ def _relations(file: osmium.io.File) -> Iterator[osmium.osm.Relation]:
 def _ways_in(
     file: osmium.io.File, chosen: IdFilter | KeyFilter, box: Bounds
 ) -> Iterator[osmium.osm.Way]:
-    """Yield the ways of a file, sorted with nodes first, that pass a filter and have a node in a box, in degrees."""
+    """Yield the ways of a file that pass a filter and have a node in a box.
+
+    Args:
+      file: sorted, with nodes before ways.
+      chosen: the filter.
+      box: west, south, east, north in degrees.
+    """
     west, south, east, north = box
     processor = osmium.FileProcessor(file, osmium.osm.NODE | osmium.osm.WAY).with_locations()
     for item in processor.with_filter(chosen):
