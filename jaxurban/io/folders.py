@@ -207,7 +207,7 @@ class WorkFolder:
         """
         self._sweep()
         # By names in the Zarr. Marks name other files too, whose checksums `put_zarr` passes over.
-        checksums: dict[str, str] = {}
+        checksums = {}
         for mark in self._marks("*"):
             for name, checksum in read_json(mark)["checksums"].items():
                 checksums[name.removeprefix(f"{ZARR}/")] = checksum

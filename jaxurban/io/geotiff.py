@@ -198,21 +198,31 @@ def write_geotiffs(
     Raises:
       InputError: a layer that the maps do not hold, or a folder that cannot be written to.
     """
+    home = folder / GEOTIFF_FOLDER
 
     def is_chosen(name: str) -> bool:
-        return only is None or folder / GEOTIFF_FOLDER / name in only
+        """Return whether a file of this name is written."""
+        return only is None or home / name in only
 
-    corner = (ds.attrs["first_row"], ds.attrs["first_col"])
-    grid = Grid(ds.attrs["crs"], ds.attrs["resolution_m"], *corner, ds.sizes["y"], ds.sizes["x"])
+    grid = Grid(
+        ds.attrs["crs"],
+        ds.attrs["resolution_m"],
+        ds.attrs["first_row"],
+        ds.attrs["first_col"],
+        ds.sizes["y"],
+        ds.sizes["x"],
+    )
     write = partial(_write_layer, ds, grid, folder)
     chosen = [layer for layer in _layers(ds, layers) if is_chosen(layer.file)]
     for _ in each(write, chosen):  # `map` writes nothing until its results are taken
         pass
-    written = [folder / GEOTIFF_FOLDER / layer.file for layer in chosen]
+    written = [home / layer.file for layer in chosen]
+
+    # The styles.
     for file, name in _styles(ds, layers).items():
         if is_chosen(file):
-            write_whole(folder / GEOTIFF_FOLDER / file, style(ds, name))
-            written.append(folder / GEOTIFF_FOLDER / file)
+            write_whole(home / file, style(ds, name))
+            written.append(home / file)
     return written
 
 

@@ -247,6 +247,7 @@ def plan_run(
     least_tiles = num_processes or 1
     ceiling = ceiling_bytes or int(own_bytes + DEFAULT_SHARE * free_bytes())
     base_bytes = own_bytes + len(tasks) * PROGRAM_BYTES * least_tiles
+    # Without further processes (0) this one compiles the programs.
     base_bytes += num_processes * WORKER_BYTES or COMPILING_BYTES
     fitting = (ceiling - base_bytes) // largest_bytes
     if fitting < least_tiles:

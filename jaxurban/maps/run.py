@@ -181,7 +181,12 @@ def run_scenario(
         check_writable(folder)
         num_threads = num_cores()
         if not isinstance(workers, str):  # the machines of a cluster are not ours to measure
-            num_threads = plan_run(tasks, memory_bytes, workers or num_threads, workers or 0)
+            num_threads = plan_run(
+                tasks,
+                memory_bytes,
+                num_workers=workers or num_threads,
+                num_processes=workers or 0,
+            )
         check_disk(tasks, folder)
 
         # The output folder is opened for this run; then the maps are made, one resolution after the other.

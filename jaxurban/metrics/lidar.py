@@ -283,8 +283,7 @@ def _by_jax(
         """Return m_lidar of a part of the region; ``cut`` returns the part of a raster with its halo."""
         roof_m = cut(surface.roof_m)
         terrain_m = None if surface.terrain_m is None else cut(surface.terrain_m)
-        beams = altitudes_m, heights_m, starts
-        return _lidar(roof_m, terrain_m, *beams, halo=halo, oversample=n)
+        return _lidar(roof_m, terrain_m, altitudes_m, heights_m, starts, halo=halo, oversample=n)
 
     if surface.is_on_host:
         return over_blocks(surface, halo, reach * n, of_part, len(heights_m), n)

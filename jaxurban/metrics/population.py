@@ -390,8 +390,13 @@ def block_values(
       params: gammas, quantity and norm.
     """
     if blocks.day_count is None:
-        gammas = params.gamma_commercial, params.gamma_residential
-        people = block_people(blocks.night_count, blocks.zoning, share, *gammas)
+        people = block_people(
+            blocks.night_count,
+            blocks.zoning,
+            share,
+            params.gamma_commercial,
+            params.gamma_residential,
+        )
     else:
         people = (1.0 - share) * blocks.night_count + share * blocks.day_count
     density = density_per_km2(people, blocks.area_m2)

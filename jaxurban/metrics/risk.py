@@ -182,8 +182,8 @@ def _risk(
             if ceiling_m is None:
                 return distance_m
             # What hangs is a column too, with heights turned upside down.
-            upside_down = -terrain_m, -altitude_m, -ceiling_m, ceiling_m > 0
-            return jnp.minimum(distance_m, over_terrain(*upside_down))
+            hanging_m = over_terrain(-terrain_m, -altitude_m, -ceiling_m, ceiling_m > 0)
+            return jnp.minimum(distance_m, hanging_m)
 
         # Over flat ground: the squared vertical distance to each column, from which the kernel adds the horizontal one.
         drop_m2 = kernel.squared_drop(altitude_m - roof_m, scale_m)
@@ -239,7 +239,7 @@ def soft_risk(
     threshold = jnp.asarray(params.threshold_m, dtype)
     softness = jnp.asarray(softness_m, dtype)
     is_solid = params.distance == "solid"
-    scales = threshold, threshold if is_solid else softness  # of horizontal, vertical distances
+    vertical = threshold if is_solid else softness  # the scale of vertical distances
 
     # Rasters on the region and its halo; only `solid` measures heights from the terrain.
     roof_m = surface.crop_with_halo(surface.roof_m, halo)
@@ -250,12 +250,14 @@ def soft_risk(
     # The whole region over flat ground has a kernel of its own; otherwise cells are searched around one by one.
     if cells is None and terrain_m is None:
         run_m2 = kernel.squared_runs(halo, resolution_m, dtype)
-        return kernel.nearest_column(roof_m, altitude, *scales, run_m2)
+        return kernel.nearest_column(roof_m, altitude, threshold, vertical, run_m2)
     shape = surface.region.shape if cells is None else (len(cells),)
     chosen = jnp.indices(shape).reshape(2, -1).T if cells is None else cells
     heights_m = jnp.broadcast_to(altitude, len(chosen))
     around = kernel.disc(reach_m, resolution_m, dtype)
-    m = kernel.nearest_column_at(roof_m, terrain_m, heights_m, *scales, chosen, around, halo=halo)
+    m = kernel.nearest_column_at(
+        roof_m, terrain_m, heights_m, threshold, vertical, chosen, around, halo=halo
+    )
     return m.reshape(shape)
 
 

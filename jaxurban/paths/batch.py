@@ -173,7 +173,15 @@ def plan_many(
 
     # `_done` plans a query each time that the loop asks for the next number; the loop counts them.
     was_interrupted = False
-    done = _done(results, map_of, most_maps, search, backend, num_threads, strict)
+    done = _done(
+        results,
+        map_of,
+        most_maps,
+        search,
+        backend=backend,
+        num_threads=num_threads,
+        strict=strict,
+    )
     try:
         with reporting("plan_many", progress) as report:
             for num_done, _ in enumerate(done, start=1):
@@ -296,6 +304,7 @@ def _done(
     map_of: Callable[..., CostMap],
     most_maps: int,
     search: PathSearch,
+    *,
     backend: Backend,
     num_threads: int | None,
     strict: bool,
@@ -398,6 +407,12 @@ def _digest(cost_map: CostMap, search: PathSearch, backend: str) -> str:
       search: the settings. Snapping decides the ends alone, so that it is set to one value here, and so is the budget.
       backend: of the planner.
     """
-    settings = cost_map.weights, cost_map.objective, cost_map.cost_model, cost_map.leg_margin_m
-    search_settings = replace(search, snap=False, budget_s=np.inf), backend
-    return fingerprint(cost_map.costs, cost_map.is_free, (*settings, search_settings))
+    search = replace(search, snap=False, budget_s=np.inf)
+    settings = (
+        cost_map.weights,
+        cost_map.objective,
+        cost_map.cost_model,
+        cost_map.leg_margin_m,
+        (search, backend),
+    )
+    return fingerprint(cost_map.costs, cost_map.is_free, settings)

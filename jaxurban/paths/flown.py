@@ -86,8 +86,11 @@ def figures_of(
             hdop = values_on(maps, FIX, steps, time, time_of_day)
             no_fix_m[time or maps.times[0]] = float(length_m[np.isinf(hdop)].sum())
             unknown_m = max(unknown_m, float(length_m[np.isnan(hdop)].sum()))
-        figures |= {"no_fix_m": max(no_fix_m.values()), "fix_unknown_m": unknown_m + off_m}
-        figures["no_fix_by_time_m"] = no_fix_m
+        figures |= {
+            "no_fix_m": max(no_fix_m.values()),
+            "fix_unknown_m": unknown_m + off_m,
+            "no_fix_by_time_m": no_fix_m,
+        }
 
     # People below the strip, and metres where they are not known.
     if "density" in maps.ds:
@@ -170,5 +173,9 @@ def costs_of(
     if reason:
         return figures | {"cost_note": f"No route to compare with: {reason}."}
     saved = mission["cost"] - cheapest.cost
-    figures |= {"cheapest_cost": cheapest.cost, "cheapest_length_m": cheapest.length_m}
-    return figures | {"saved_cost": saved, "saved_share": saved / mission["cost"]}
+    return figures | {
+        "cheapest_cost": cheapest.cost,
+        "cheapest_length_m": cheapest.length_m,
+        "saved_cost": saved,
+        "saved_share": saved / mission["cost"],
+    }

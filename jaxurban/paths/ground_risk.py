@@ -220,7 +220,7 @@ def overflown_density(
     for side_m in sorted({*GRIDS_M, cell_m}):
         cells_by_side[side_m] = cells_within(line, reach_m, side_m, maps.grid)
     boxes = cells_by_side[cell_m].boxes
-    near_parts = [shapely.dwithin(boxes, part, reach_m) for part in parts]
+    near_parts = [shapely.dwithin(boxes, part, reach_m) for part in parts]  # of each segment, [C]
 
     # The largest mean on each grid, and of each segment on that of `cell_m`, at each time of day.
     rows, segment_rows = [], []
@@ -239,6 +239,7 @@ def overflown_density(
                 row = {"segment": number, "from_m": from_m, "to_m": to_m, "time_of_day": name}
                 segment_rows.append(row | _largest(line, cells, means, share, is_near))
 
+    # Without any density in the corridor there is nothing to report.
     largest = pd.DataFrame(rows)
     on_grid = largest[largest["cell_m"] == cell_m]
     if on_grid[DENSITY].isna().all():

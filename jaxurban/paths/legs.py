@@ -183,8 +183,10 @@ def flight_of(mission: Mission, maps: MetricMaps, geoid_m: float | None = None) 
     is_known = np.isfinite(z_m).all(axis=1)
     unknown = [spans(along_m[:0], "")]  # a table without rows, where nothing else is
     for number in np.flatnonzero(~is_known):
-        ends = segments.height_m[number], datum_m[number], segments.datum[number]
-        unknown.append(spans(along_m[[number]], _why_unknown(*ends, geoid_m)))
+        reason = _why_unknown(
+            segments.height_m[number], datum_m[number], segments.datum[number], geoid_m
+        )
+        unknown.append(spans(along_m[[number]], reason))
 
     # What lies outside the maps: of a segment what comes before it enters them and after it leaves them. A segment that
     # does not meet them is taken to enter and leave them at its end, so that all of it comes before.

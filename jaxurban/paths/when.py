@@ -12,7 +12,7 @@ import pandas as pd
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import SAME_ROUTE_COST
-from jaxurban.maps.metric_maps import MapsLike, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.batch import plan_many
@@ -168,18 +168,9 @@ def when(
       >>> [round(share, 3) for share in departures.table["above_best"].tolist()]
       [0.0, 0.057]
     """
-    # A row for each time: every time with every time of day, None for maps that hold no such times.
+    # The times, and the queries.
     maps = as_maps(maps)
-    times = maps.times if maps.default_time and time is None else (time,)
-    times_of_day: Sequence[str | None] = (time_of_day,)
-    if time_of_day is None and maps.times_of_day:
-        times_of_day = maps.times_of_day
-    table = pd.DataFrame(product(times, times_of_day), columns=TIMES)
-    if len(table) == 1:
-        raise InputError(
-            "there is one time alone to fly at: make maps of several, as with gps=Gps(start=..., stop=..., "
-            'step_s=3600, series="epochs"), and leave time or time_of_day out'
-        )
+    table = _times_held(maps, time, time_of_day)
     query_table = queries if isinstance(queries, pd.DataFrame) else table_of(queries)
     num_queries = len(query_table)
     if not num_queries or {*TIMES} & {*query_table}:
@@ -256,6 +247,29 @@ def when(
     by_time = routes.groupby("departure")
     table = table.join(by_time[[*routes.filter(like="longest_"), "kept_above"]].max())
     return Departures(table.join(by_time["num_changed"].sum()), routes, paths)
+
+
+def _times_held(maps: MetricMaps, time: str | None, time_of_day: str | None) -> pd.DataFrame:
+    """Return a table with the columns `TIMES`: a row for every time of maps with every time of day.
+
+    Args:
+      maps: the maps; where they hold no times, or no times of day, the column holds None.
+      time, time_of_day: the only time, or time of day, that is taken; None for all.
+
+    Raises:
+      InputError: there is one row alone.
+    """
+    times = maps.times if maps.default_time and time is None else (time,)
+    times_of_day = (
+        maps.times_of_day if maps.times_of_day and time_of_day is None else (time_of_day,)
+    )
+    table = pd.DataFrame(product(times, times_of_day), columns=TIMES)
+    if len(table) == 1:
+        raise InputError(
+            "there is one time alone to fly at: make maps of several, as with gps=Gps(start=..., stop=..., "
+            'step_s=3600, series="epochs"), and leave time or time_of_day out'
+        )
+    return table
 
 
 def _with_sums(table: pd.DataFrame, routes: pd.DataFrame) -> pd.DataFrame:

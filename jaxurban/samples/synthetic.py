@@ -373,19 +373,17 @@ def _erect(
     is_ell = ~is_single[block] & (lot_chance < 0.25)
     is_bar = ~(is_tower | is_court | is_ell)
 
-    def rectangles(which: np.ndarray, front: Any, back: Any, left: Any, right: Any) -> np.ndarray:
-        """Return the rectangles on the lots of a mask, set back from their sides by metres (`_rectangle`)."""
-        return shapely.polygons(_rectangle(lots[which], part.frame, front, back, left, right))
-
-    # The outlines.
+    # The outlines, set back from the front, the back, the left and the right side of their lots.
+    frame = part.frame
+    side_of_bar_m = side_m[is_bar]
+    bar_m = front_m[is_bar], back_m[is_bar], side_of_bar_m, side_of_bar_m
+    ring = _rectangle(lots[is_court], frame, 1.5, 1.5, 1.5, 1.5)
+    hole = _rectangle(lots[is_court], frame, 16.0, 16.0, 16.0, 16.0)
     polygons = np.empty(num_lots, object)
-    bar_side_m = side_m[is_bar]
-    polygons[is_bar] = rectangles(is_bar, front_m[is_bar], back_m[is_bar], bar_side_m, bar_side_m)
-    ring = _rectangle(lots[is_court], part.frame, 1.5, 1.5, 1.5, 1.5)
-    hole = _rectangle(lots[is_court], part.frame, 16.0, 16.0, 16.0, 16.0)
+    polygons[is_bar] = shapely.polygons(_rectangle(lots[is_bar], frame, *bar_m))
     polygons[is_court] = shapely.polygons(ring, holes=shapely.linearrings(hole)[:, None])
-    polygons[is_ell] = _ells(lots[is_ell], part.frame, front_m[is_ell], side_m[is_ell])
-    polygons[is_tower] = rectangles(is_tower, 1.5, 1.5, 1.0, 1.0)
+    polygons[is_ell] = _ells(lots[is_ell], frame, front_m[is_ell], side_m[is_ell])
+    polygons[is_tower] = shapely.polygons(_rectangle(lots[is_tower], frame, 1.5, 1.5, 1.0, 1.0))
 
     # A tower is a podium and a shaft, a part that stands on it. Shafts near the middle of a cluster are scaled so that
     # the tallest of them has the cluster's height.
@@ -394,12 +392,13 @@ def _erect(
     height_m[is_tower] = rng.uniform(15.0, 35.0, num_towers)
     sides_m = np.repeat([lots.depth_m[is_tower], wide_m[is_tower]], 2, axis=0)
     inset_m = rng.uniform(0.09, 0.24, (4, num_towers)) * sides_m  # front, back, left, right
-    shafts = rectangles(is_tower, *inset_m)
+    shafts = shapely.polygons(_rectangle(lots[is_tower], frame, *inset_m))
     top_m = (45 + 100 * depth[tower_block]) * np.exp(0.42 * rng.standard_normal(num_towers))
     for cluster, tallest_m in TALLEST_M.items():
         is_near = plan.depth_in(cluster, cells.centre_xy[tower_block]) > 0.3
         top_m[is_near] *= tallest_m / top_m[is_near].max(initial=1.0)
 
+    # Outlines and shafts together.
     num_outlines = num_lots + num_towers
     buildings = Footprints(
         polygons=np.r_[polygons, shafts],

@@ -71,7 +71,7 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
     if not lines:
         raise InputError(f"{name!r} holds no line of two points: give the mission's way as a line")
 
-    legs: list[Leg] = []
+    legs = []
     number = 0
     for line in lines:
         datum = _datum(name, line.datum, heights)

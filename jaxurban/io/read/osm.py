@@ -78,8 +78,8 @@ def _read(path: str | Path, has_decks: bool) -> Outlines:
     """
     # Areas, an entry of each list for each, and the ids of the ways and relations that the file has.
     areas: list[tuple[bool, int]] = []  # whether it is of a way, and the id of way or relation
-    shapes: list[str | None] = []  # WKB in hexadecimal, None where libosmium could not make it
-    tags: list[list[str | None]] = []
+    shapes = []  # WKB in hexadecimal, None where libosmium could not make it
+    tags = []
     ways = set()
     open_ways = set()
     missing = set()  # ways that lack nodes
