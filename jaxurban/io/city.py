@@ -78,6 +78,7 @@ class City(FactsRepr):
     gps: Gps | None = None
 
     def __post_init__(self) -> None:
+        """Check that there is one kind of roofs; errors as of the class."""
         if (self.buildings is None) == (self.roofs is None):
             raise InputError(
                 "a City needs either buildings (outlines) or roofs (a height raster), and not both"

@@ -74,6 +74,7 @@ class _Retry(Retry):
         return wait_s
 
     def sleep(self, response: BaseHTTPResponse | None = None) -> None:
+        """Wait before the next try, and say so in the log."""
         LOG.info("the server is busy; waiting before the next try")
         super().sleep(response)
 
@@ -132,12 +133,16 @@ def download(source: Source, most_bytes: int) -> Path:
     """
     folder = cache_folder()
     key = hashlib.sha256(source.url.encode()).hexdigest()[:32]
+
+    # A copy in the cache is used if it is fresh and whole, and removed otherwise.
     for path in folder.glob(f"{key}-*"):
         is_fresh = 0 <= time.time() - path.stat().st_mtime < source.fresh_s
         if is_fresh and digest_of(path) == path.name.split("-")[1]:
             LOG.info(f"{source.name}: a copy in the cache ({source.url})")
             return path
         path.unlink()
+
+    # The server is asked.
     LOG.info(f"{source.name}: asking {source.url}")
     with scratch_for(folder / key) as scratch:
         try:
@@ -177,6 +182,7 @@ def _receive(source: Source, scratch: Path, most_bytes: int) -> None:
         ),
     )
     with requests.Session() as session:
+        # A session that takes proxies and certificates from the environment, but no passwords.
         session.trust_env = False  # it would send passwords of ~/.netrc
         session.proxies = requests.utils.get_environ_proxies(source.url)
         session.verify = os.environ.get("REQUESTS_CA_BUNDLE") or True

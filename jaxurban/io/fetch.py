@@ -247,25 +247,33 @@ def fetch(job: FetchJob, folder: Path, *, most_bytes: int, overwrite: bool = Fal
 
 
 def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: int) -> Settings:
-    """Get the files of sources into a folder, with `SCENARIO_FILE` and `RECORD_FILE`, and return what the last holds.
+    """Get the files of sources into a folder, write `SCENARIO_FILE` and `RECORD_FILE` there, and return the record.
+
+    The scenario is written only where buildings are among what was fetched.
 
     Args:
       job: its region and day.
       sources: with their URLs for the region.
       stage: an empty folder.
-      most_bytes: the largest file accepted.
+      most_bytes: the size of the largest file that is accepted.
+
+    Returns:
+      ``bounds``; ``files``, a dictionary for each; and ``left_out``, a sentence for each source that has nothing in the
+      region.
 
     Raises:
       InputError: a file cannot be had or read (then its copy in the cache is removed), or all were left out.
     """
+    # The scenario's settings by section: what every scenario names, then what each source adds.
     today = datetime.now(UTC).date()
-    settings: Settings = {  # of the scenario
+    settings: Settings = {
         "region": {"bounds": list(job.bounds)},
         "gps": {"orbits": NOMINAL, "times": [f"{job.day or today}{NOON}"]},
     }
     files = []
     left_out = []
     for source in sources:
+        # The download, and the sections of the scenario that use it. A reader may write a part of it to `target`.
         path = download(source, most_bytes)
         target = stage / source.file
         try:
@@ -278,37 +286,27 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
             ):
                 sections = READERS[source.name](job, path, target)
         except InputError as error:
-            path.unlink()
+            path.unlink()  # so that the same command downloads it again
             raise InputError(str(error).replace(str(path), source.url)) from error
         if not sections:
             left_out.append(NOTHING[source.name])
             continue
 
+        # The file, its settings and its entry in the record.
         if not target.exists():
             shutil.copyfile(path, target)
         for section, values in sections.items():
             settings.setdefault(section, {}).update(values)
-        fetched = datetime.fromtimestamp(path.stat().st_mtime, UTC)
-        files.append(
-            {
-                "source": source.name,
-                "file": source.file,
-                "credit": source.credit,
-                "licence": source.licence,
-                "url": source.url,
-                "fetched_utc": fetched.isoformat(timespec="seconds"),
-                "num_bytes": path.stat().st_size,
-                "sha256": path.name.split("-")[1],  # as `download` names it
-            }
-        )
+        files.append(_record_of(source, path))
     if not files:
         raise InputError(f"nothing of --what can be fetched here ({'; '.join(left_out)})")
 
+    # The record, and the scenario, whose head credits the sources.
     record = {"bounds": list(job.bounds), "files": files, "left_out": left_out}
     (stage / RECORD_FILE).write_text(
         json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
     )
-    if "blocks" not in settings.get("population", {}):  # districts alone
+    if "blocks" not in settings.get("population", {}):  # districts alone make no population
         settings.pop("population", None)
     if "buildings" in settings:
         credits = [f"# {file['source']}: {file['credit']} ({file['licence']})" for file in files]
@@ -317,6 +315,26 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
         )
         (stage / SCENARIO_FILE).write_text(f"{head}\n\n{tomli_w.dumps(settings)}", encoding="utf-8")
     return record
+
+
+def _record_of(source: Source, path: Path) -> dict[str, Any]:
+    """Return what `RECORD_FILE` says of a source's file.
+
+    Args:
+      source: the source.
+      path: of its copy in the cache, whose name has the digest in it (see `download`).
+    """
+    fetched = datetime.fromtimestamp(path.stat().st_mtime, UTC)
+    return {
+        "source": source.name,
+        "file": source.file,
+        "credit": source.credit,
+        "licence": source.licence,
+        "url": source.url,
+        "fetched_utc": fetched.isoformat(timespec="seconds"),
+        "num_bytes": path.stat().st_size,
+        "sha256": path.name.split("-")[1],
+    }
 
 
 def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
@@ -330,6 +348,7 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
     Raises:
       InputError: the server sent a part of the data only, an extract that does not cover the region, or no building.
     """
+    # What the server says of a part that it left out, and whether an extract covers the region.
     is_xml = format_of(path) == "osm"
     pattern = rb"<remark>\s*(.*?)\s*</remark>"
     remark = re.search(pattern, path.read_bytes(), re.DOTALL) if is_xml else None
@@ -346,6 +365,8 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
             f"{str(path)!r} covers {shown} (west, south, east, north), not all of the region: name another extract "
             "with --source osm=URL"
         )
+
+    # The buildings of the region, from an extract cut out of it.
     if not is_xml:
         LOG.info(f"osm: cutting the region and {job.margin_m:g} m around it out of the extract")
         cut_buildings(path, target, job.box(job.margin_m))
@@ -358,7 +379,9 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
 
 
 def _read_census(job: FetchJob, path: Path, target: Path) -> Settings:
-    """Return the sections of a scenario that use census blocks, empty where there is no block; arguments as above.
+    """Return the sections of a scenario that use census blocks, empty where there is no block.
+
+    Arguments are those of `_read_osm`; nothing is written to ``target``.
 
     Raises:
       InputError: the server sent an error or a part of the blocks only, or the blocks cannot be read.
@@ -381,8 +404,14 @@ def _read_census(job: FetchJob, path: Path, target: Path) -> Settings:
 
 
 def _read_districts(job: FetchJob, path: Path, target: Path) -> Settings:
-    """Return the sections of a scenario that use district polygons, empty where none touches the region; as above."""
-    polygons = read_districts(path, job.crs)[0]
+    """Return the sections of a scenario that use district polygons, empty where none touches the region.
+
+    Arguments are those of `_read_osm`; nothing is written to ``target``.
+
+    Raises:
+      InputError: the polygons cannot be read, or there are none.
+    """
+    polygons, _, _ = read_districts(path, job.crs)
     if not len(polygons):
         raise InputError(
             f"{str(path)!r} holds no polygons: name another file with --source districts=URL"
@@ -395,7 +424,8 @@ def _read_districts(job: FetchJob, path: Path, target: Path) -> Settings:
 def _read_orbits(job: FetchJob, path: Path, target: Path) -> Settings:
     """Return the sections of a scenario that use element sets, empty where they are too far from the job's day.
 
-    Arguments as above. Without a day the maps are of the middle of the elements' epochs.
+    Arguments are those of `_read_osm`; nothing is written to ``target``. Without a day the maps are of the middle one
+    of the elements' epochs.
     """
     epoch = str(middle_epoch(read_orbits(path)))
     if job.day and abs((job.day - date.fromisoformat(epoch[:10])).days) > WARN_AGE_DAYS:

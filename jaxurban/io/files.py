@@ -96,7 +96,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file, text as UTF-8: all of it is there when this returns, or what was there before.
+    """Write a file, text as UTF-8, whole or not at all: after an error what was there before is still there.
 
     Raises:
       InputError: the folder cannot be written to.
@@ -129,10 +129,14 @@ def check_writable(folder: Path) -> None:
 
 @contextmanager
 def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator[None]:
-    """Hold a folder for one run during the block; the hold goes with the process, however it ends.
+    """Hold a folder for one run during the block; the hold ends with the process too, however that ends.
+
+    Args:
+      folder: the folder, in which a file that locks it lies during the block.
+      remedy: ends the sentence of an error.
 
     Raises:
-      InputError: another run holds the folder, or it cannot be written to; ``remedy`` ends the sentence.
+      InputError: another run holds the folder, or it cannot be written to.
     """
     # Imported here: it loads asyncio, for which commands that only read need not wait.
     from filelock import FileLock, Timeout
@@ -203,9 +207,9 @@ BLANK = MARK + 8 * b"0"
 
 
 def sealed(data: bytes) -> bytes:
-    """Return the bytes of a file with their own CRC-32, as it was with the `BLANK`, in place of the first `BLANK`.
+    """Return the bytes of a file with a checksum in place of the first `BLANK`, by which `is_whole` tests them.
 
-    So the file says itself whether it is whole, wherever it is moved.
+    The checksum is the CRC-32 of the bytes with the `BLANK`. So a file can be tested wherever it is moved.
     """
     return data.replace(BLANK, MARK + b"%08x" % zlib.crc32(data), 1)
 

@@ -118,6 +118,7 @@ class WorkFolder:
         remove(self.path)
 
     def _marks(self, pattern: str) -> list[Path]:
+        """Return the marks of finished steps whose names match a pattern, sorted."""
         return sorted((self.path / DONE_FOLDER).glob(pattern))
 
     def _damaged(self, mark: Path) -> list[Path]:
@@ -152,7 +153,7 @@ class WorkFolder:
         self.mark_done(name, {f"{ARRAY_FOLDER}/{path.name}": checksum_of(path)})
 
     def load_arrays(self, name: str, *wanted: str) -> dict[str, np.ndarray]:
-        """Return those of the ``wanted`` arrays, by their names, that a step of this name kept.
+        """Return arrays that a step kept, by their names; of the ``wanted`` ones it may have kept only some.
 
         Raises:
           InputError: the step's file is missing or damaged.
@@ -166,6 +167,7 @@ class WorkFolder:
             return {array: arrays[array] for array in arrays.files if array in wanted}
 
     def _mark(self, name: str) -> Path:
+        """Return the path of the mark of a step."""
         return self.path / DONE_FOLDER / f"{name}.json"
 
     def mark_done(
@@ -181,7 +183,7 @@ class WorkFolder:
         write_json(self._mark(name), {"checksums": checksums, "facts": facts or {}})
 
     def mark_zarr(self) -> None:
-        """Note that the Zarr is there: its mark has all files of it but those that the marks of tiles name."""
+        """Note that the Zarr is there, in a mark of all of its files but the chunks, which the marks of tiles name."""
         of_tiles = {name for mark in self._marks("tile_*") for name in read_json(mark)["checksums"]}
         files = filter(Path.is_file, self.zarr.rglob("*"))
         names = {file.relative_to(self.path).as_posix() for file in files}
@@ -204,9 +206,8 @@ class WorkFolder:
           InputError: a file of others is in the way.
         """
         self._sweep()
-        checksums: dict[
-            str, str
-        ] = {}  # by names in the Zarr; `put_zarr` passes over those of other files
+        # By names in the Zarr. Marks name other files too, whose checksums `put_zarr` passes over.
+        checksums = {}
         for mark in self._marks("*"):
             for name, checksum in read_json(mark)["checksums"].items():
                 checksums[name.removeprefix(f"{ZARR}/")] = checksum

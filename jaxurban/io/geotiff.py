@@ -40,7 +40,8 @@ def geotiff_names(
 ) -> list[str]:
     """Return the variables that are written as GeoTIFF: obstacles, the metrics of the cost, and further layers.
 
-    A metric that the maps hold at several times only stands for its summaries over the times (`SERIES`).
+    Where the maps hold no variable of a metric's or a layer's own name but summaries of it over the times (`SERIES`),
+    these are written in its place.
 
     Args:
       variables: names of all variables that are maps.
@@ -59,7 +60,7 @@ def geotiff_names(
         candidates = [name] if name in variables else [f"{name}_{summary}" for summary in SERIES]
         known = [candidate for candidate in candidates if candidate in variables]
         if not known:
-            one_of("layer", name, sorted({*variables, ALL}))  # which raises the error
+            one_of("layer", name, sorted({*variables, ALL}))  # raises InputError
         names += known
     return list(dict.fromkeys(names))
 
@@ -96,10 +97,13 @@ class _Layer(NamedTuple):
 def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     """Yield what goes into each GeoTIFF of a dataset: a file for each place along a variable's axes before y and x.
 
+    Such an axis is an altitude, a time of day or a time. A variable without any of them has one file.
+
     Args:
       ds: the maps; their values are not read.
       layers: as of `geotiff_names`, whose errors are raised.
     """
+    # What all files share.
     resolution = f"{short_number(ds.attrs['resolution_m'])}m"
     times = [f"{time}Z" for time in np.datetime_as_string(ds["time"].values, unit="s")]
     common = {"credit": ds.attrs[CREDIT]} if CREDIT in ds.attrs else {}
@@ -107,14 +111,17 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     metrics = held_metrics(ds)
     variables = held_variables(ds)
     for name in geotiff_names(variables, metrics, layers):
+        # What all files of a variable share. A summary over times, such as `gps_mean`, begins with its metric's name.
         metric = metrics.get(name.rpartition("_")[0])
         array = ds[name]
         texts = {key: str(array.attrs[key]) for key in TEXTS if key in array.attrs}
         is_of_bytes = array.dtype in (np.bool_, np.uint8)
         norms_of = norms if name == "population" else []
+
+        # A file for each place: parts of its name and tags for each axis that the variable has.
         for place in np.ndindex(array.shape[:-2]):
             index = dict(zip(array.dims[:-2], place, strict=True))  # by axis
-            parts = [name]  # of the file's name
+            parts = [name]
             tags = {"metric": name, **texts, **common}
             if ALTITUDE in index:
                 tags["altitude_m"] = short_number(float(ds["altitude"][index[ALTITUDE]]))
@@ -123,7 +130,7 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
             if TIME_OF_DAY in index:
                 tags["time_of_day"] = str(ds["time_of_day"].values[index[TIME_OF_DAY]])
                 parts.append(tags["time_of_day"])
-                for norm in norms_of:
+                for norm in norms_of:  # the people of m = 1 at this time of day
                     tags[norm] = repr(float(ds.attrs[norm][index[TIME_OF_DAY]]))
             if TIME in index:
                 tags["time"] = times[index[TIME]]
@@ -191,21 +198,31 @@ def write_geotiffs(
     Raises:
       InputError: a layer that the maps do not hold, or a folder that cannot be written to.
     """
+    home = folder / GEOTIFF_FOLDER
 
     def is_chosen(name: str) -> bool:
-        return only is None or folder / GEOTIFF_FOLDER / name in only
+        """Return whether a file of this name is written."""
+        return only is None or home / name in only
 
-    corner = (ds.attrs["first_row"], ds.attrs["first_col"])
-    grid = Grid(ds.attrs["crs"], ds.attrs["resolution_m"], *corner, ds.sizes["y"], ds.sizes["x"])
+    grid = Grid(
+        ds.attrs["crs"],
+        ds.attrs["resolution_m"],
+        ds.attrs["first_row"],
+        ds.attrs["first_col"],
+        ds.sizes["y"],
+        ds.sizes["x"],
+    )
     write = partial(_write_layer, ds, grid, folder)
     chosen = [layer for layer in _layers(ds, layers) if is_chosen(layer.file)]
     for _ in each(write, chosen):  # `map` writes nothing until its results are taken
         pass
-    written = [folder / GEOTIFF_FOLDER / layer.file for layer in chosen]
+    written = [home / layer.file for layer in chosen]
+
+    # The styles.
     for file, name in _styles(ds, layers).items():
         if is_chosen(file):
-            write_whole(folder / GEOTIFF_FOLDER / file, style(ds, name))
-            written.append(folder / GEOTIFF_FOLDER / file)
+            write_whole(home / file, style(ds, name))
+            written.append(home / file)
     return written
 
 

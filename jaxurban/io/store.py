@@ -92,12 +92,13 @@ def check_version(folder: Path) -> None:
 
     Then another version of jaxurban wrote them, or the record is lost.
     """
+    # The folders of maps, and the file of a run.
     zarr_files = folder.glob(f"{ZARR_FOLDER}/[0-9]*m/*")
     outputs = [file.parent for file in zarr_files if file.name in OF_ZARR]
     run = folder / RUN_FILE
     if run.is_file() and b'"run_key"' in run.read_bytes():
         outputs.append(run)
-    # The names as deep as the outputs: "maps.zarr/5m", "run.json".
+    # Recorded names, cut to the depth of the outputs: "maps.zarr/5m", "run.json".
     written = {Path(folder, *Path(name).parts[:2]) for name in recorded(folder)}
     if outputs and written.isdisjoint(outputs):
         raise InputError(f"{str(folder)!r} {OTHER_VERSION}")
@@ -157,7 +158,10 @@ def _is_map(array: xr.Variable) -> bool:
 def _encoding(array: xr.Variable, tile: tuple[int, int]) -> dict[str, Any]:
     """Return how xarray is to write a variable into a Zarr.
 
-    A chunk of a map holds one tile, of these rows and columns, of one layer: one place along the axes before y and x.
+    Args:
+      array: the variable.
+      tile: rows and columns of a tile. A chunk of a map holds one tile of one layer, that is of one place along the
+        axes before y and x.
     """
     missing = NO_BYTE if array.dtype == np.uint8 else no_value(array.dtype)
     encoding: dict[str, Any] = {"compressors": (COMPRESSOR,), "_FillValue": missing}
@@ -191,7 +195,7 @@ def _to_zarr(
     if "y" in ds.coords:
         ds = ds.assign_coords(y=ds["y"][::-1])
 
-    # With `compute=False` what dask holds, the maps, is not written.
+    # With `compute=False` xarray writes no array of Dask, which the maps are here.
     encoding = {str(name): _encoding(array, tile) for name, array in ds.variables.items()}
     ds.to_zarr(
         path,
@@ -203,7 +207,7 @@ def _to_zarr(
         compute=False,
     )
 
-    # The consolidated metadata, of the arrays that were there before too.
+    # The metadata of all arrays in one file; arrays that were there before are among them.
     of_arrays = sorted((*path.glob("*/.zarray"), *path.glob("*/.zattrs")))
     files = [path / ".zattrs", path / ".zgroup", *of_arrays]
     parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in files}
@@ -232,7 +236,7 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
         for name, array in maps.items():
             for layer in np.ndindex(array.shape[:-2]):
                 values = array[layer].values
-                # Chunks begin in the northwest, and rows are counted from the south.
+                # Chunks are counted from the northwest and rows from the south: a smaller last chunk is in the south.
                 for stop in range(num_rows, 0, -tile_rows):
                     rows = slice(max(0, stop - tile_rows), stop)
                     for start in range(0, num_cols, tile_cols):
@@ -452,6 +456,7 @@ class _Map(BackendArray):
         self.dtype = array.dtype
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
+        """Return the values at an index of xarray's, read from the file."""
         return indexing.explicit_indexing_adapter(
             key, self.shape, indexing.IndexingSupport.OUTER, self._read
         )
@@ -518,10 +523,10 @@ class _Maps(BackendEntrypoint):
 
 
 def open_whole(path: Path) -> xr.Dataset:
-    """Return the maps in a Zarr, every file of which is there, rows from south to north.
+    """Return the maps in a Zarr after a look at every file of it, with rows from south to north.
 
-    Metadata are compared with their checksums, and of chunks only the sizes: their values are read, and decoded, when
-    they are looked at.
+    Metadata are compared with their checksums. Of chunks only the sizes are compared, as their values are read and
+    decoded later, when somebody uses them.
 
     Raises:
       InputError: metadata are not as they were written, a chunk is missing or cut, an array is not coded as ours are,
@@ -534,10 +539,12 @@ def open_whole(path: Path) -> xr.Dataset:
                     what = "and the metadata of the arrays beside it are not as they were written"
                     raise _damaged(path / METADATA, what)
                 continue
-            sizes = {checksum.partition("-")[2] for checksum in checksums}  # they end the checksums
+            # A checksum ends with a hyphen and the size of the file in bytes.
+            sizes = {checksum.partition("-")[2] for checksum in checksums}
             if not file.is_file() or f"{file.stat().st_size}" not in sizes:
                 raise _damaged(file, "is missing or cut")
 
+        # The codes of the arrays are checked before anything is decoded, as a code may run a program.
         _check_arrays(path / METADATA, json.loads((path / METADATA).read_bytes())["metadata"])
         ds = xr.open_dataset(path, engine=_Maps)
         layout = ds.attrs.pop(LAYOUT_KEY, LAYOUT)

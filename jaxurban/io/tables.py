@@ -249,7 +249,11 @@ def fingerprint(*parts: Any) -> str:
 
 
 def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of a file of a `RowStore`, each with its values by column.
+    """Return the rows of a file of a `RowStore`, each a dictionary of its values by column.
+
+    Args:
+      file: a Parquet table with a checksum and with its settings as JSON in its metadata.
+      settings: by name, what the file's settings must be; others in the file do not matter.
 
     Raises:
       InputError: the file cannot be read, is damaged, or has another value of one of these ``settings``.
@@ -260,6 +264,8 @@ def _read_rows(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
         if not is_whole(data):
             raise InputError(f"{str(file)!r} is damaged, or not a file of such results: {remedy}")
         table = pq.read_table(io.BytesIO(data))
+
+    # The settings of the file. Those of the call go through JSON too, so that tuples compare as lists.
     before = json.loads((table.schema.metadata or {}).get(SETTINGS, b"{}"))
     for name, value in json.loads(json.dumps(settings)).items():
         if before.get(name) != value:

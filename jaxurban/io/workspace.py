@@ -93,9 +93,8 @@ class Workspace:
           InputError: the folder cannot be written to, another run holds it, it is another command's or of other
             settings, or it holds files in the way that this command did not write, or that were changed since.
         """
-        new_settings = json.loads(
-            json.dumps(settings or {})
-        )  # as they will be read from the record
+        # The settings as they will be read from the record: JSON makes lists of tuples.
+        new_settings = json.loads(json.dumps(settings or {}))
         is_new = not folder.exists()
         check_writable(folder)
         try:
@@ -103,10 +102,10 @@ class Workspace:
                 sections = _sections(folder)
                 is_first = command not in sections
                 section = sections.setdefault(command, {"settings": {}, "written": {}})
-                # It alters the dictionaries of its section, which `_save` writes.
+                # The workspace alters the two dictionaries of its section in place, and `_save` writes them.
                 workspace = cls(folder, command, section["settings"], section["written"], is_mended)
 
-                # Files of an earlier run are removed only when all is checked.
+                # Checks come first, so that files of an earlier run are removed only if nothing is wrong.
                 if not is_shared:
                     workspace._check_alone(sections, is_first)
                 workspace.check_way((folder / name for name in names), is_mended=is_mended)
@@ -117,6 +116,7 @@ class Workspace:
                     workspace.settings.update(new_settings)
                 _save(folder, sections)
 
+                # The block of the caller, after which the record has what it wrote.
                 try:
                     with recorded_by(workspace):
                         yield workspace
@@ -168,8 +168,8 @@ class Workspace:
     def _check_alone(self, sections: Sections, is_first: bool) -> None:
         """Raise InputError unless the folder is this command's alone.
 
-        It may hold files that are as this command wrote them; before the first run it must be empty. Later other files
-        may lie there, if no other command wrote them.
+        Before the first run it must be empty. Later it may hold what this command wrote, unchanged, and files that no
+        command wrote.
 
         Args:
           sections: the record of the folder.
@@ -252,9 +252,12 @@ class Workspace:
         return is_recorded and not self.is_own(path) and not self._obstacle(path)
 
     def broken(self, paths: Iterable[Path], each: Each = map) -> list[Path]:
-        """Return those of these paths that are missing or not as this command wrote them.
+        """Return which of some paths are missing, or are not as this command wrote them.
 
-        All files are read; ``each`` calls a function with many paths, as `map` does, or on several threads.
+        Args:
+          paths: the paths, all of whose files are read.
+          each: calls a function with each path and returns the results in order, as `map` does; on several threads it
+            is faster.
         """
         paths = list(paths)
         are_own = each(self.is_own, paths)
@@ -317,23 +320,23 @@ class Workspace:
             if self.is_mended and self.is_changed(path):
                 self.set_aside(path)
             self.check_way([path])
-        self._note(
-            [{"name": name, "checksum": checksum}]
-        )  # before, in case of a kill between the two
+
+        # The checksum is noted before the file gets its name, in case of a kill between the two.
+        self._note([{"name": name, "checksum": checksum}])
         os.replace(scratch, path)
         self.written[name] = checksum
 
     def put_folder(self, made: Path, path: Path, checksums: Mapping[str, str], last: str) -> None:
         """Record the files of a finished folder, and give the folder its name.
 
-        Of an older folder of that name the files that this command wrote go, those that were changed since are set
-        aside, and files of others stay.
+        Where a folder of that name is there already, the files that this command wrote in it are removed. Files that
+        were changed since are set aside, and files of others stay.
 
         Args:
           made: the finished folder.
           path: its name to be, under the folder of the workspace.
           checksums: of its files, by their names in it.
-          last: the name of the file that readers look for first: it is removed first, and comes last.
+          last: the name of the file that readers look for first: it is removed before all others, and put last.
 
         Raises:
           InputError: a file of others is in the way of one of these.
@@ -343,7 +346,7 @@ class Workspace:
         paths = [self.folder / name for name in written]
         self.check_way(paths, is_mended=True)
 
-        # Clear the way: own files, then what is left of them, as it was changed.
+        # Clear the way: files as this command wrote them are removed; what is left was changed, and is set aside.
         older = [name for name in self.written if name.startswith(f"{prefix}/")]
         self.remove([f"{prefix}/{last}", *older])
         for changed in filter(os.path.lexists, paths):
@@ -407,8 +410,8 @@ class Workspace:
     def remove(self, names: Iterable[str]) -> None:
         """Remove files by their names under the folder, and folders that are empty then.
 
-        Only files that are as this command wrote them are removed. Every one of these names at which nothing is then
-        goes from the record too.
+        Only files that are as this command wrote them are removed. Names at which nothing is then are removed from the
+        record too.
         """
         unique = list(dict.fromkeys(names))
         folders = set[Path]()
@@ -436,12 +439,16 @@ class Workspace:
 
 
 def is_inside(name: str) -> bool:
-    """Return whether a name is of a file under a folder, on every system: plain, relative and without ``..``."""
-    is_named = {"", ".", ".."}.isdisjoint(re.split(r"[/\\]", name)) and not re.match(
-        "[A-Za-z]:", name
-    )
-    # What no system encodes.
-    return is_named and not re.search("[\0\ud800-\udc7f\udd00-\udfff]", name)
+    """Return whether a name is that of a file under a folder on every system.
+
+    Such a name is relative, has no empty part and no ``.`` or ``..`` among its parts, and can be encoded.
+    """
+    # An absolute path has an empty first part; on Windows a drive such as `C:` leads out of the folder too.
+    parts = re.split(r"[/\\]", name)
+    has_drive = re.match("[A-Za-z]:", name)
+    # No system encodes NUL, nor surrogates but those (U+DC80 to U+DCFF) by which Python stands for undecoded bytes.
+    has_no_code = re.search("[\0\ud800-\udc7f\udd00-\udfff]", name)
+    return {"", ".", ".."}.isdisjoint(parts) and not has_drive and not has_no_code
 
 
 def _obstacle_in(folder: Path, name: PurePosixPath) -> Path | None:
@@ -464,7 +471,7 @@ def _unused(path: Path) -> Path:
 
 
 def _files_under(folder: Path) -> list[str]:
-    """Return the names of the files under a folder without those that lock and record it."""
+    """Return the names of the files and links under a folder, but for the files by which it is locked and recorded."""
     files = [path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()]
     names = {path.relative_to(folder).as_posix() for path in files}
     names -= {RECORD_FILE, JOURNAL_FILE, LOCK_FILE}
@@ -560,9 +567,12 @@ def _recover(folder: Path, sections: Sections) -> None:
 
     for (command, name), checksums in checksums_of.items():
         written = sections[command]["written"]
+        # The checksum before the run may still be the file's, so that it is possible too.
         possible = {*checksums, written.pop(name, None)} - {None}
         if checksums[-1] is not None:
             written[name] = checksums[-1]
+
+        # Which of several checksums the file has, if it is a file of its own and no link leads to it.
         file = folder / name
         is_there = (
             os.path.isfile(file)

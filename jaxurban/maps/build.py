@@ -297,9 +297,9 @@ def inputs_of(task: MapTask) -> MapInputs:
 
     surface = task.surface().of_jax()
     blocks = task.city.blocks
-    ready: dict[str, Any] = {}
-    settings: dict[str, Any] = {}
-    fixed: dict[str, Any] = {}
+    ready = {}
+    settings = {}
+    fixed = {}
     for name, metric in traced.items():
         # Settings that say where data are from get their defaults, as a program would be compiled for each of them.
         default = metric.params()

@@ -386,13 +386,14 @@ def soften(
             f"time_index must be 0 to {task.num_times - 1}, one of the sky's times, got {time_index}"
         )
 
+    # Which building has the roof of each cell.
     city = task.city
     params = task.params
     in_view = task.in_view(time_index)
     building = building_index(city, task.with_margin(), params.heights.all_touched)
     assert city.buildings is not None
 
-    # Heights in the type of the layers.
+    # The rasters and the people in the type of the layers, and how far each metric looks.
     surface = task.surface().of_jax()
     terrain_m = None if surface.terrain_m is None else jnp.asarray(surface.terrain_m, dtype)
     surface = replace(surface, roof_m=jnp.asarray(surface.roof_m, dtype), terrain_m=terrain_m)

@@ -137,6 +137,7 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
         """Holds the job; the scheduler gives it to every worker before its first task, also if that starts later."""
 
         def __init__(self, job: TileJob) -> None:
+            """Hold a job."""
             self.job = job
 
     name = f"jaxurban-job-{uuid.uuid4().hex}"
@@ -176,8 +177,36 @@ NO_PAGES: dict[str, list[str]] = {
 
 
 @contextmanager
+def _running_client(address: str) -> Iterator[Any]:
+    """Yield a client of the Dask scheduler that runs at an address, and close it after the block.
+
+    Raises:
+      InputError: no scheduler responds, or it is lost within the block.
+    """
+    from distributed import Client
+    from distributed.comm import CommClosedError
+
+    try:
+        client = Client(address, timeout=10)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise InputError(f"no Dask scheduler responds at --cluster {address!r}: {error}") from error
+    with client:
+        if not client.scheduler_info()["workers"]:
+            LOG.warning(
+                f"the cluster {address} has no worker yet: waiting for one (`dask worker {address}`)"
+            )
+        try:
+            yield client
+        except (CancelledError, CommClosedError) as error:
+            raise InputError(
+                f"the Dask scheduler at {address} was lost: start it again, or leave --cluster out, and run the "
+                "same again; what is finished is kept"
+            ) from error
+
+
+@contextmanager
 def cluster_client(workers: int | str) -> Iterator[Any]:
-    """Yield a client of a Dask cluster; a cluster that is started here ends with the block.
+    """Yield a client of a Dask cluster, which is closed after the block; a cluster that is started here ends then too.
 
     Args:
       workers: the address of a scheduler, or the number of processes of a new cluster on this machine.
@@ -189,7 +218,6 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
     try:
         import dask
         from distributed import Client, LocalCluster
-        from distributed.comm import CommClosedError
         from distributed.security import Security
 
         security = Security.temporary()  # needs cryptography
@@ -199,29 +227,12 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
             "pip install 'jaxurban[cluster]', or leave them out to work in threads"
         ) from error
 
-    # A scheduler that is running already.
     if isinstance(workers, str):
-        try:
-            client = Client(workers, timeout=10)
-        except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(
-                f"no Dask scheduler responds at --cluster {workers!r}: {error}"
-            ) from error
-        with client:
-            if not client.scheduler_info()["workers"]:
-                LOG.warning(
-                    f"the cluster {workers} has no worker yet: waiting for one (`dask worker {workers}`)"
-                )
-            try:
-                yield client
-            except (CancelledError, CommClosedError) as error:
-                raise InputError(
-                    f"the Dask scheduler at {workers} was lost: start it again, or leave --cluster out, and run the "
-                    "same again; what is finished is kept"
-                ) from error
+        with _running_client(workers) as client:
+            yield client
         return
 
-    # A new cluster of processes.
+    # A new cluster, which the stack ends after the block.
     with ExitStack() as stack:
         try:
             with dask.config.set(NO_PAGES):

@@ -134,8 +134,9 @@ def _boxes_asked(city: City, buildings: Footprints, region: Grid) -> list[shapel
 def _coverage_guesses(city: City, region: Grid) -> Guesses:
     """Return the guesses of how much of a region is taken as free of buildings, or of people, without being known so.
 
-    They are a sentence each by its short name, none for shares that are small enough.
+    Each is a sentence by its short name. A share that is small enough gives none.
     """
+    # The ground on which buildings are not known. Boxes that the source was asked for count as known too.
     share = outside_share(region, city.known_area)
     if share > LEAST_SHARE and city.buildings is not None:
         boxes = _boxes_asked(city, city.buildings, region)
@@ -146,6 +147,8 @@ def _coverage_guesses(city: City, region: Grid) -> Guesses:
         "the region lies beyond what the building source covers and is taken as free of buildings: give a source that "
         "covers it, or a smaller region",
     )
+
+    # The ground in no census block.
     if city.blocks is not None and city.sources:
         box = shapely.box(*region.bounds_m)
         inhabited_m2 = shapely.area(shapely.intersection(city.blocks.polygons, box)).sum()
@@ -219,26 +222,30 @@ def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tup
 def _scale_guesses(
     blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: Population
 ) -> Guesses:
-    """Return the guess that one block sets the population's scale, for the first time of day at which one does.
+    """Return the guess that one block alone sets the population's scale, or an empty dictionary where none does.
 
-    It does where hardly any other inhabited block is above a third of the scale; empty where no block does.
+    One block does so where hardly any other inhabited block has an m above `SCALE_M`. The guess names the block and
+    proposes another scale, for the first time of day at which this is so.
 
     Args:
       blocks: the census blocks.
-      bounds_m: the region's box, whose blocks set the scale.
-      population_layers: m of the blocks.
-      params: settings of the population.
+      bounds_m: x_min, y_min, x_max, y_max of the region, whose blocks set the scale.
+      population_layers: m of the blocks by time of day, and the number of people at which m is 1 (the scale).
+      params: settings of the population; only with ``normalise`` ``"max"`` can one block set the scale.
     """
     if params.normalise != "max":
         return {}
     in_region = region_blocks(blocks, bounds_m)
     unit = "people" if params.quantity == "count" else "people per km2"
     layers = np.asarray(population_layers.m, float)[:, in_region]
+
+    # One time of day after the other: m of the region's blocks, and the scale.
     for m, norm in zip(layers, population_layers.norm_per_km2, strict=True):
         inhabited = m[m > 0]
         num_high = (inhabited > SCALE_M).sum()
         if len(inhabited) >= 3 and num_high <= max(1, SCALE_SHARE * len(inhabited)):
             top = in_region[m.argmax()]
+            # A number such as the user might set: the 99th percentile of people, rounded to one digit.
             usual = float(f"{float(norm) * np.percentile(inhabited, 99):.1g}")
             return {
                 "one block sets the population scale": (

@@ -44,6 +44,7 @@ class Levels:
     descent_cost: float = 0.0
 
     def __post_init__(self) -> None:
+        """Check that all values are finite and costs not negative; errors as of the class."""
         for name, value in vars(self).items():
             if value is not None and finite(name, value) < 0 and name.endswith("cost"):
                 raise InputError(f"{name} must be a finite cost per metre >= 0, got {value:g}")

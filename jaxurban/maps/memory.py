@@ -103,7 +103,9 @@ def shape_of_tiles(task: MapTask) -> tuple[int, int]:
 
 
 def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
-    """Return about how many bytes the work on one tile takes at its highest.
+    """Return about how many bytes of memory the work on one tile takes when it takes the most.
+
+    It is the sum of what each stage of the work holds, as if all stages held their arrays at once.
 
     Args:
       task: what the maps are made of.
@@ -112,7 +114,7 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
         hand shadows on.
     """
     params = task.params
-    cells = _num_cells(tile)
+    num_cells = _num_cells(tile)
     num_altitudes = len(params.altitudes_m)
 
     # The surface, with further rasters for terrain and for roofs at an altitude.
@@ -120,7 +122,7 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
     surface_bytes = SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * num_rasters
     needed = surface_bytes * _num_cells(around or task.with_halo(tile))
 
-    # The metrics, on the tile and its cells within their reach.
+    # The metrics, each on the tile and on the cells around it that lie within the metric's reach.
     series_bytes = 0 if task.keeps_times else SERIES_VALUE_BYTES * task.num_times
     for metric in task.metrics.values():
         settings = task.settings_of(metric)
@@ -131,11 +133,13 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
             # JAX's form over terrain (True) keeps on a CPU what it keeps on a GPU.
             needed += int(metric.gpu_bytes(settings, tile, True))
         if TIME in metric.dims:
-            needed += cells * num_altitudes * (WORD_BYTES + series_bytes)
+            needed += num_cells * num_altitudes * (WORD_BYTES + series_bytes)
 
-    # Samples of people by day and by night, then spreads and supersampled surfaces, which have all that shadows a tile.
+    # Samples of people, where blocks have counts of their own by day.
     if task.city.blocks is not None and task.city.blocks.day_count is not None:
-        needed += cells * PEOPLE_SAMPLES**2 * PEOPLE_SAMPLE_BYTES
+        needed += num_cells * PEOPLE_SAMPLES**2 * PEOPLE_SAMPLE_BYTES
+
+    # Spreads by uncertain heights and supersampled surfaces, on all cells that can shadow the tile.
     margin_bytes = 0
     if params.heights.height_samples:
         margin_bytes += SPREAD_CELL_BYTES * num_altitudes
@@ -243,6 +247,7 @@ def plan_run(
     least_tiles = num_processes or 1
     ceiling = ceiling_bytes or int(own_bytes + DEFAULT_SHARE * free_bytes())
     base_bytes = own_bytes + len(tasks) * PROGRAM_BYTES * least_tiles
+    # Without further processes (0) this one compiles the programs.
     base_bytes += num_processes * WORKER_BYTES or COMPILING_BYTES
     fitting = (ceiling - base_bytes) // largest_bytes
     if fitting < least_tiles:

@@ -100,6 +100,7 @@ class MetricMaps(FactsRepr):
     base: str | Path | None = None
 
     def __post_init__(self) -> None:
+        """Let the attributes name the southwest cell of these maps; errors as of `_placed`."""
         object.__setattr__(self, "ds", _placed(self.ds))
 
     @property

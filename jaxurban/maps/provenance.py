@@ -123,7 +123,7 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
         old = {}
         if is_kept:
             LOG.warning(f"{str(file)!r} is missing or damaged: writing it again")
-    record = json.loads(json.dumps(record))  # as JSON holds it, to be compared
+    record = json.loads(json.dumps(record))  # tuples become lists, as in the old record
     if is_kept and old.get("run_key") == record["run_key"]:
         kept_names = "started_utc", "elapsed_s", "engine", "by_numba"
         record |= {name: old[name] for name in kept_names if name in old}
@@ -184,7 +184,7 @@ def _companions(path: Path) -> list[Path]:
 
 
 def settings_of(scenario: Scenario) -> dict[str, Any]:
-    """Return the settings of a scenario as run.json holds them: of ``[planning]`` those that were given."""
+    """Return the settings of a scenario as run.json holds them, in ``[planning]`` only the ones that were given."""
     settings = json.loads(scenario.model_dump_json(exclude_none=True))
     return settings | {"planning": scenario.planning.given}
 
@@ -251,7 +251,7 @@ def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Differing:
     """
     before, after = _flat(old), _flat(new)
     pairs = {key: (before.get(key), after.get(key)) for key in after | before}
-    return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
+    return {key: (value, other) for key, (value, other) in pairs.items() if value != other}
 
 
 def differences_said(settings: Differing) -> str:
@@ -263,10 +263,12 @@ def differences_said(settings: Differing) -> str:
 
 
 def _shown(value: Any) -> str:
+    """Return the value of a setting as a text; None is a setting that is not set."""
     return NOT_SET if value is None else repr(value)
 
 
 def _sums(files: Mapping[str, Mapping[str, str]]) -> dict[str, str | None]:
+    """Return the SHA-256 of input files by their roles, None for one that its record lacks."""
     return {role: file.get("sha256") for role, file in files.items()}
 
 
@@ -287,6 +289,8 @@ def other_maps(folder: Path, scenario: Scenario, inputs: Inputs) -> str:
         made_by = record["versions"]
     except (OSError, ValueError, LookupError):
         return "maps of other settings or inputs, or made by another version of jaxurban or its libraries"
+
+    # The settings, the input files and the versions that differ.
     words = []
     other_settings = differing(_of_maps(settings), _of_maps(settings_of(scenario)))
     if other_settings:

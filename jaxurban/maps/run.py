@@ -173,15 +173,23 @@ def run_scenario(
         planned = _files_of(tasks, folder, layers)
         if base is not None:
             planned.append(base_file)
+
         guesses = tasks[0].all_guesses
         warn_of(guesses, known=city.guesses)
 
-        # Whether the machine has what the work takes; nothing of an older job is touched before.
+        # Whether the folder can be written to, and memory and disk suffice. Only then is an older job's file touched.
         check_writable(folder)
         num_threads = num_cores()
         if not isinstance(workers, str):  # the machines of a cluster are not ours to measure
-            num_threads = plan_run(tasks, memory_bytes, workers or num_threads, workers or 0)
+            num_threads = plan_run(
+                tasks,
+                memory_bytes,
+                num_workers=workers or num_threads,
+                num_processes=workers or 0,
+            )
         check_disk(tasks, folder)
+
+        # The output folder is opened for this run; then the maps are made, one resolution after the other.
         opened = Workspace.open(
             folder,
             "maps",
@@ -193,30 +201,30 @@ def run_scenario(
         )
         cluster = nullcontext() if workers is None else cluster_client(workers)
         with opened as workspace, cluster as client:
-            # The maps, one resolution after the other.
             _sweep(folder, key, scenario.region.resolution_m)
             tasks = [replace(task, guesses=guesses) for task in tasks]
             runs = [
                 RunContext(task, folder, key, num_threads, client, tuple(layers)) for task in tasks
             ]
             made = [_maps_of(run, workspace, watch, report) for run in runs]
-            store.put_root(folder)  # of maps that are kept; 1.0.0 wrote none
+            all_maps, are_new = zip(*made, strict=True)
+            store.put_root(folder)  # jaxurban 1.0.0, whose maps may be kept here, did not write it
 
-            # The base map and the record, which stay as they are where all maps were kept.
-            is_kept = not any(is_new for _, is_new in made)
+            # The base map and the record. Where all maps were kept they stay, but for a base map that is damaged.
+            is_kept = not any(are_new)
             with watch.stage("base map"):
                 if base is None or not is_kept or workspace.broken([base_file]):
-                    first_maps, _ = made[0]
-                    save_base_map(replace(first_maps, base=base).base_map, workspace)
+                    save_base_map(replace(all_maps[0], base=base).base_map, workspace)
             messages = [str(item.message) for item in caught]
             record = run_record(
                 scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages
             )
             record = write_record(folder / store.RUN_FILE, record, is_kept)
 
+    # The maps, with the base map's file and the settings of the record.
     kept_base = base_file.resolve() if base_file.is_file() else None
     by_resolution = {}
-    for maps, _ in made:
+    for maps in all_maps:
         recorded = replace(maps, base=kept_base).with_recorded(record["settings"])
         by_resolution[maps.grid.resolution_m] = recorded
     return ScenarioRun(by_resolution, record)

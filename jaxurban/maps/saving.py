@@ -27,7 +27,7 @@ from jaxurban.settings import Obstacles
 
 def save_maps(maps: MetricMaps, folder: Path, layers: Sequence[str]) -> None:
     """Write maps under a folder; arguments and errors as of `MetricMaps.save`."""
-    # All errors of the arguments come before anything is written, also those of layers that the maps do not hold.
+    # All errors of the arguments are raised before anything is written, also the one of a layer that the maps lack.
     _check_can_be_opened(maps)
     geotiffs = geotiff_paths(maps.ds, folder, layers)
     with Workspace.open(folder, "maps", is_shared=True, is_mended=True) as workspace:

@@ -236,6 +236,7 @@ class Scenario(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _reject_booleans(cls, settings: Any) -> Any:
+        """Return settings with texts for TOML's times; ValueError for true or false where no boolean belongs."""
         _check_truths(settings, cls)
         return _with_times_as_text(settings)
 
@@ -310,7 +311,7 @@ class Scenario(BaseModel):
             settings = changed({"buildings": {"source": str(path)}}, changes)
             return cls.from_dict(settings, name=str(path))
         path = Path(path)
-        # All within, as tables nested without end fail only when their settings are looked at.
+        # Everything is within the block, as tables nested without end fail only where their settings are used.
         with readable(path, "a scenario in TOML", "give sections and their keys"):
             settings = changed(tomllib.loads(path.read_text(encoding="utf-8")), changes)
             options = [f"--set {change}" for change in changes]
@@ -430,7 +431,7 @@ def _with_present_keys(settings: dict[str, Any]) -> dict[str, Any]:
         _, _, new_key = present.partition(".")
         table = settings.get(section)
         if isinstance(table, Mapping) and old_key in table and new_key not in table:
-            present_name("key", former, RENAMED_KEYS)  # warns
+            present_name("key", former, RENAMED_KEYS)  # called for its warning
             others = {name: value for name, value in table.items() if name != old_key}
             settings = {**settings, section: {**others, new_key: table[old_key]}}
     return settings

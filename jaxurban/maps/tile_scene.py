@@ -74,7 +74,7 @@ class TileScene:
         return replace(fine, roof_touched_m=None)
 
     def surfaces_at(self, altitude_m: float) -> tuple[Surface, Surface | None]:
-        """Return the surface as it is at an altitude, and the supersampled one; None in its place without one.
+        """Return the surface at an altitude (`Surface.at_altitude`), and the supersampled one or, without one, None.
 
         The surfaces of the last altitude are kept, so that several metrics share them.
         """
@@ -106,7 +106,7 @@ class TileScene:
         return self._words[time_index]
 
     def keep(self, time_index: int, words: np.ndarray) -> None:
-        """Let `words` return these for a time, and forget all others."""
+        """Keep visibility words for a time, which `words` then returns, and forget those of all other times."""
         self.forget()
         self._words[time_index] = words
 
@@ -129,11 +129,13 @@ class TileScene:
             self.surface, oversample=params.oversample, only_m=only_m, engine=params.engine
         )
 
+        # The people at the time of day.
         if TIME_OF_DAY in index:
             assert task.population is not None
             at_time = (values[index[TIME_OF_DAY]] for values in task.population)
             scene = replace(scene, population=BlockLayers(*at_time))
 
+        # The surface at the altitude.
         a = index.get(ALTITUDE)
         if a is not None:
             surface, fine = self.surfaces_at(params.altitudes_m[a])
@@ -145,10 +147,12 @@ class TileScene:
                 supersampled=fine,
             )
 
-        if TIME in index:  # every metric of a time has an altitude too
+        # The satellites at the time. Every metric that has times has altitudes too.
+        if TIME in index:
             t = index[TIME]
             scene = replace(scene, in_view=task.in_view(t), words=self.words(t)[:, a])
 
+        # The values of a user's raster or array.
         if metric.section == LAYERS and metric.name in task.bands:
             bands = task.bands[metric.name]
             values = layer_values(bands, self.surface.region, task.region, a)

@@ -4,7 +4,7 @@ Tasks share nothing but a work folder.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate, pairwise, product
 from typing import Any, NamedTuple
@@ -151,8 +151,10 @@ class Tiling:
         row, col = tile
         south, north = self.row_starts[row : row + 2]
         west, east = self.col_starts[col : col + 2]
-        shape = north - south, east - west
-        return Grid(self.region.crs, self.region.resolution_m, south, west, *shape)
+        num_rows, num_cols = north - south, east - west
+        return replace(
+            self.region, first_row=south, first_col=west, num_rows=num_rows, num_cols=num_cols
+        )
 
     def reported(self, tile: Tile) -> tuple[slice, slice]:
         """Return the rows and columns of the region that a tile of the region reports.

@@ -48,7 +48,7 @@ class Track:
     def of(cls, log: ReceiverLog, grid: Grid, sky_step_s: float) -> "Track":
         """Return the track of a log; all epochs within a window of ``sky_step_s`` seconds share one sky.
 
-        The windows begin at the first epoch; a window's sky is that of its middle. Windows without epochs have none.
+        The first window begins at the first epoch. A window has the sky of its middle, and none if it has no epoch.
 
         Args:
           log: epochs in order of time, with longitude and latitude.
@@ -58,6 +58,7 @@ class Track:
         Raises:
           InputError: a place outside the grid.
         """
+        # The places, and the cells that hold them.
         lon_deg = log.epochs[LON].to_numpy()
         lat_deg = log.epochs[LAT].to_numpy()
         x_m, y_m = grid.xy_of_lonlat(lon_deg, lat_deg)
@@ -72,6 +73,7 @@ class Track:
             )
         row, col = grid.cell_of_xy(x_m, y_m)
 
+        # The windows, by their number since the first epoch, and the UTC time in the middle of each.
         first = log.epochs[UTC].iloc[0]
         elapsed_s = (log.epochs[UTC] - first).dt.total_seconds().to_numpy()
         windows, sky = np.unique((elapsed_s // sky_step_s).astype(np.int64), return_inverse=True)
@@ -169,9 +171,9 @@ def quality_along(task: MapTask, sky: np.ndarray, is_seen: np.ndarray) -> dict[s
 
 
 def _legs(track: Track) -> Iterator[list[int]]:
-    """Yield the numbers of successive skies whose places lie in one box of at most `LEG_CELLS` cells.
+    """Yield legs: the numbers of successive skies whose places lie in one box of at most `LEG_CELLS` cells.
 
-    A leg has one sky at least, even where the box around its places alone is larger.
+    A leg has one sky at least, even if the box around the places of that sky is larger.
     """
     cells = np.stack([track.row, track.col])
     num_skies = len(track.sky_times)

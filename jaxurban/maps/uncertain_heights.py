@@ -76,6 +76,7 @@ class Spread:
     """
 
     def __init__(self, num_samples: int):
+        """Begin without a sample; ``num_samples`` is how many will be added."""
         self.count = 0
         position = TAIL * (num_samples - 1)
         self.below = math.floor(position)

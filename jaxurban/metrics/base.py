@@ -294,6 +294,7 @@ class Metric:
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        """Take the name for the section where none is named."""
         object.__setattr__(self, "section", self.section or self.name)
 
     def __repr__(self) -> str:

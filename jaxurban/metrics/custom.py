@@ -235,7 +235,7 @@ def _beside(metric: Metric, layers: Collection[str]) -> Metric:
 
 
 def _free_name(name: str, layers: Collection[str]) -> str:
-    """Return a variable's name with `LONG` before it as often as makes it, and those derived from it, no layer's."""
+    """Return a variable's name with `LONG` put before it until neither it nor a name derived from it is a layer's."""
     derived_names = {f"{name}_{what}" for what in DERIVED}
     is_taken = not derived_names.union([name]).isdisjoint(layers)
     return _free_name(LONG + name, layers) if is_taken else name
@@ -307,7 +307,10 @@ def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
 
 
 def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
-    """Return what every map ``[..., y, x]`` of a dataset is, by name; an unknown map is what its attributes say."""
+    """Return the variable of every map ``[..., y, x]`` of a dataset by its name.
+
+    A map that neither jaxurban nor a metric of the dataset makes gets a variable from its attributes.
+    """
     known = dict(AUXILIARY_VARIABLES)
     for name, metric in held_metrics(ds).items():
         from_metric = derived(metric)
@@ -315,6 +318,8 @@ def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
             known |= from_metric["series"]
         else:
             known |= metric.variables | from_metric["spread"]
+
+    # The maps of the dataset, and variables for the unknown ones among them.
     maps = {
         str(name): array for name, array in ds.data_vars.items() if array.dims[-2:] == ("y", "x")
     }
@@ -342,6 +347,7 @@ def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:
     Raises:
       InputError: values of another shape than the tile's, or cells without a value where that is an error.
     """
+    # The values, from the user's raster or function.
     surface = _reaching(scene.surface, layer).of_jax()
     values: Any = scene.rasters.get(name)
     if callable(layer.source):

@@ -95,7 +95,7 @@ class Gps:
     reference: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check the settings and write orbits and times as tuples; errors as of the class."""
+        """Check the settings, and write orbits and times, in place, as tuples; errors as of the class."""
         check_fields(self, ["gdop_threshold"], DOP_THRESHOLD, is_dop_threshold)
         check_fields(
             self,

@@ -49,20 +49,23 @@ def soft_gps(
 ) -> Float[Array, "y x"] | Float[Array, " P"]:
     """Return soft m_gps at one altitude, on the region ``[y, x]`` or at chosen cells ``[P]``.
 
-    ``m = (1 - soft_obstacle) x (T - min(GDOP, T)) / (T - 1)``, GDOP from satellites weighted by
-    `jaxurban.kernels.soft_step.satellite_weights`. As softness goes to 0 it tends to the exact map wherever no
-    shadow ends at the altitude itself; at softness 0 it is that but for rounding. Fewer than four satellites need no
-    rule of their own: as the fourth weight goes to 0, GDOP passes T and m comes to 0. Computed in the roofs' type.
+    ``m = (1 - soft_obstacle) x (T - min(GDOP, T)) / (T - 1)``, where T is the threshold and GDOP is that of satellites
+    weighted by `jaxurban.kernels.soft_step.satellite_weights`. As the softness goes to 0, the map tends to the exact
+    map wherever no shadow ends at the altitude itself; at softness 0 the two differ by rounding alone. Fewer than four
+    satellites need no rule of their own: as the fourth weight goes to 0, GDOP passes T and m becomes 0. The map has the
+    type of the roofs.
 
-    Differentiable in ``surface.roof_m`` (and terrain), ``altitude_m``, ``threshold`` and ``softness_m``,
-    all of which may be traced; batch by `jax.vmap`. The gradient by roofs and altitude is exact for the soft map while
-    the same tops throw the shadows; undefined where two of them tie and where GDOP is just T; 0 in obstacles, where
-    GDOP is above T, and in roofs that throw no shadow. By T it is exact, 0 above. Docs: algorithms/gradients.md.
+    The map is differentiable in ``surface.roof_m`` (and terrain), ``altitude_m``, ``threshold`` and ``softness_m``, all
+    of which may be traced; batch it by `jax.vmap`. The gradient by roofs and altitude is exact for the soft map as long
+    as the same roofs throw the shadows. It is undefined where two of them tie and where GDOP equals T, and 0 in
+    obstacles, where GDOP is above T, and in roofs that throw no shadow. The gradient by T is exact, and 0 where GDOP is
+    above T. Docs: algorithms/gradients.md.
 
-    With ``reception`` satellites are weighted by chances, as if each were heard independently of the others. The margin
-    is to the shadow of roofs alone, as in the log that the curve was fitted to: open ground below an antenna is no
-    edge. What no roof shadows has the chance at the cut, so that an open sky is worse than in the exact map. Hills
-    still hide satellites, and roofs are obstacles, by the softness. Differentiable in the leaves of the curve too.
+    With ``reception`` the weight of a satellite is the chance that it is heard, independently of the others. Its margin
+    is measured to the shadow of roofs alone, as in the log that the curve was fitted to: open ground below an antenna
+    throws none. A satellite that no roof shadows has the chance at the curve's cut, so that an open sky is worse than
+    in the exact map. Hills still hide satellites by the softness, and roofs are obstacles by it. The map is then
+    differentiable in the leaves of the curve too.
 
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.
@@ -70,7 +73,7 @@ def soft_gps(
       threshold: DOP at and above which m is 0.
       softness_m: scale of the clearance over which a satellite comes into view; 0 has no gradient in heights.
       view: the satellites over this surface.
-      dop: which of `jaxurban.kernels.dop.Dops`; ``"hdop"`` and the like take the place of GDOP.
+      dop: which field of `jaxurban.kernels.dop.Dops` counts; ``"hdop"``, for one, takes the place of GDOP.
       cells: row and column in the region; left out, the whole region. The shadows are cast over the whole
         surface either way. One program is compiled for each number of cells.
       reception: chance that a satellite is heard, in place of the logistic of the softness.

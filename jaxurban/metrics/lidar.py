@@ -283,8 +283,7 @@ def _by_jax(
         """Return m_lidar of a part of the region; ``cut`` returns the part of a raster with its halo."""
         roof_m = cut(surface.roof_m)
         terrain_m = None if surface.terrain_m is None else cut(surface.terrain_m)
-        beams = altitudes_m, heights_m, starts
-        return _lidar(roof_m, terrain_m, *beams, halo=halo, oversample=n)
+        return _lidar(roof_m, terrain_m, altitudes_m, heights_m, starts, halo=halo, oversample=n)
 
     if surface.is_on_host:
         return over_blocks(surface, halo, reach * n, of_part, len(heights_m), n)
@@ -396,22 +395,23 @@ def soft_lidar(
     """Return soft m_lidar at one altitude, on the region ``[y, x]`` or at chosen cells ``[P]``.
 
     m = (1 - `soft_obstacle`) x the mean over azimuths of sigmoid(clearance / softness): see
-    `jaxurban.kernels.lidar.soft`. At softness 0 it is `compute_lidar`'s map.
+    `jaxurban.kernels.lidar.soft`. At softness 0 the map is that of `compute_lidar`. It has the type of the roofs.
 
-    It is computed in the type of the roofs. Differentiable in ``surface.roof_m`` (and terrain), ``altitude_m``,
-    ``params.range_m`` and ``softness_m``, all of which may be traced; batch by `jax.vmap`. The gradient is 0 in roofs
-    where there is no building, and where a roof is not the one that decided a scan position. In the range it is
-    spread over a softness around the steps' borders: a softness of about a cell makes it smooth.
+    The map is differentiable in ``surface.roof_m`` (and terrain), ``altitude_m``, ``params.range_m`` and
+    ``softness_m``, all of which may be traced; batch it by `jax.vmap`. The gradient by a roof is 0 where there is no
+    building, and where another roof decided each scan position. The gradient by the range is spread over a softness
+    around the borders of the rays' steps: a softness of about a cell makes it smooth.
     Docs: algorithms/gradients.md.
 
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.
       altitude_m: height above ground; with ``cells`` also one for each.
       params: the lidar.
-      softness_m: of all margins in metres; 0 is exact.
-      cells: row and column in the region; left out, the whole region, which takes seconds and 5 bytes a step for each
-        cell over flat ground, and over terrain minutes.
-      reach_m: how far rays are followed, never less than the range; left out, the range. Needed when that is traced.
+      softness_m: scale of all margins, metres; 0 gives the exact map.
+      cells: row and column in the region; left out, the whole region. It takes seconds, and 5 bytes for each cell and
+        step of a ray, over flat ground, and minutes over terrain.
+      reach_m: how far rays are followed, never less than the range; left out, the range. Needed where the range is
+        traced, as it decides shapes.
 
     Raises:
       InputError: a negative softness, or a traced range without ``reach_m``.

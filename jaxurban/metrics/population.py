@@ -110,8 +110,8 @@ class Population:
     time_of_day: str | Sequence[str] = ("day", "night")
 
     def __post_init__(self) -> None:
-        """Check the settings and write labels and times of day as tuples; errors as of the class."""
-        # The numbers.
+        """Check the settings, and write labels and times of day, in place, as tuples; errors as of the class."""
+        # The numbers: factors, the percentile of the scale, and the shares by hour.
         gammas = "gamma_commercial", "gamma_residential"
         check_fields(self, gammas, "finite and not negative", is_not_negative)
         _percentile(self.normalise)  # raises InputError for an invalid one
@@ -122,11 +122,13 @@ class Population:
                     f"{name} must be 24 shares in [0, 1], one an hour from 0 to 23, got {shares}"
                 )
 
-        # Labels and times of day, and files that need each other.
+        # Files that need polygons of blocks.
         has_blocks = self.blocks is not None or self.blocks_day is not None
         needs_blocks = self.table is not None or self.districts is not None
         if needs_blocks and not has_blocks:
             raise InputError("table and districts need blocks, the polygons of the census blocks")
+
+        # Labels of districts, and times of day.
         if self.commercial is not None:
             object.__setattr__(self, "commercial", tuple(self.commercial))
         object.__setattr__(self, "time_of_day", as_tuple(self.time_of_day))
@@ -136,6 +138,8 @@ class Population:
             )
         for time_of_day in self.times_of_day:
             day_share(time_of_day, self)  # raises InputError for an unknown one
+
+        # Counts by day and by night, which stand in the place of blocks with factors.
         if (self.blocks_day is None) != (self.blocks_night is None):
             raise InputError("blocks_day and blocks_night go together: give both, or blocks alone")
         if self.blocks_day is not None:
@@ -320,7 +324,13 @@ def block_people(
 
 
 def density_per_km2(people: Float[Array, " N"], area_m2: Float[Array, " N"]) -> Float[Array, " N"]:
-    """Return people per km2 of each block, 0 where its area is 0."""
+    """Return ``[N]`` people per km2 of each block, 0 where its area is 0; its gradient is finite there too.
+
+    Args:
+      people: ``[N]`` in each block.
+      area_m2: ``[N]`` of each block.
+    """
+    # The area of 1 m2 stands for 0, as a division by 0 would make the gradient NaN although it is not chosen.
     has_area = area_m2 > 0
     return jnp.where(has_area, people * M2_PER_KM2 / jnp.where(has_area, area_m2, 1.0), 0.0)
 
@@ -380,8 +390,13 @@ def block_values(
       params: gammas, quantity and norm.
     """
     if blocks.day_count is None:
-        gammas = params.gamma_commercial, params.gamma_residential
-        people = block_people(blocks.night_count, blocks.zoning, share, *gammas)
+        people = block_people(
+            blocks.night_count,
+            blocks.zoning,
+            share,
+            params.gamma_commercial,
+            params.gamma_residential,
+        )
     else:
         people = (1.0 - share) * blocks.night_count + share * blocks.day_count
     density = density_per_km2(people, blocks.area_m2)
@@ -453,7 +468,8 @@ def layers_of_blocks(
 ) -> BlockLayers:
     """Return `block_values` at several times of day.
 
-    They are computed one after the other, not vectorised: so every time has the bits that it has alone.
+    They are computed one after the other and not together, so that the result of a time has the same bits whatever
+    other times there are.
     """
     return BlockLayers(*lax.map(lambda share: block_values(blocks, share, params), shares))
 
@@ -468,9 +484,10 @@ def soft_population(
 ) -> Float[Array, "y x"] | Float[Array, " P"]:
     """Return m_population at one time of day, on the region ``[y, x]`` or at chosen cells ``[P]``; no softness.
 
-    Differentiable in both gammas and in ``population.night_count`` and ``area_m2``; batch by `jax.vmap`. The gradient
-    is exact: it holds the norm's own change with the block (or two, of a percentile) that sets it, and 0 above a norm.
-    Undefined where two blocks tie for the norm or a block lies just at it. Docs: algorithms/gradients.md.
+    The map is differentiable in both gammas and in ``population.night_count`` and ``area_m2``; batch it by `jax.vmap`.
+    The gradient is exact. It includes the change of the norm with the block that sets it (or the two blocks of a
+    percentile), and is 0 for a block above the norm. It is undefined where two blocks tie for the norm, and where a
+    block lies just at it. Docs: algorithms/gradients.md.
 
     Args:
       block: index of the block under each cell, or under samples of it, -1 without one.

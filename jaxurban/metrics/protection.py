@@ -83,8 +83,11 @@ class Protection:
     def __post_init__(self) -> None:
         """Check the settings; errors as of the class."""
         lengths = (
-            *("horizontal_alert_limit_m", "vertical_alert_limit_m"),
-            *("sigma_ura_m", "sigma_ure_m", "tolerance_m"),
+            "horizontal_alert_limit_m",
+            "vertical_alert_limit_m",
+            "sigma_ura_m",
+            "sigma_ure_m",
+            "tolerance_m",
         )
         check_fields(self, lengths, "positive metres", is_positive)
         check_fields(self, ["bias_m"], "0 or more metres", is_not_negative)
@@ -146,9 +149,9 @@ def galileo_receiver_sigma_m(elevation_rad: Float[np.ndarray, " S"]) -> Float[np
 
 
 def ranging_of(in_view: InView, params: Protection) -> Ranging:
-    """Return the geometry and the errors of the ranges to satellites, by satellite and constellation, for the kernel.
+    """Return the geometry and the errors of the ranges to ``S`` satellites, for the kernel: metres and probabilities.
 
-    Constellations other than Galileo have the receiver's errors of GPS.
+    Only Galileo has errors of the receiver of its own; satellites of other constellations have those of GPS.
 
     Args:
       in_view: the satellites.
@@ -162,6 +165,8 @@ def ranging_of(in_view: InView, params: Protection) -> Ranging:
         galileo_receiver_sigma_m(elevation_rad),
         gps_receiver_sigma_m(elevation_rad),
     )
+
+    # The variance that the troposphere and the receiver leave, to which those of orbits and clocks are added.
     local_m2 = troposphere_sigma_m(elevation_rad) ** 2 + receiver_m**2
     num = len(systems)
     p_const = [params.p_const_gps if name == "gps" else params.p_const for name in names]

@@ -48,6 +48,7 @@ class ReceptionCurve:
     source: str = ""
 
     def __post_init__(self) -> None:
+        """Check the numbers of the curve; errors as of the class."""
         check_fields(self, ["intercept"], "a finite number", np.isfinite)
         check_fields(self, ["slope"], "a positive number", is_positive)
         check_fields(self, ["scale_m", "cut_m"], "a positive number of metres", is_positive)

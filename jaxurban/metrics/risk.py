@@ -182,8 +182,8 @@ def _risk(
             if ceiling_m is None:
                 return distance_m
             # What hangs is a column too, with heights turned upside down.
-            upside_down = -terrain_m, -altitude_m, -ceiling_m, ceiling_m > 0
-            return jnp.minimum(distance_m, over_terrain(*upside_down))
+            hanging_m = over_terrain(-terrain_m, -altitude_m, -ceiling_m, ceiling_m > 0)
+            return jnp.minimum(distance_m, hanging_m)
 
         # Over flat ground: the squared vertical distance to each column, from which the kernel adds the horizontal one.
         drop_m2 = kernel.squared_drop(altitude_m - roof_m, scale_m)
@@ -208,23 +208,24 @@ def soft_risk(
     """Return soft m_risk at one altitude, on the region ``[y, x]`` or at chosen cells ``[P]``.
 
     m = min(1, min over cells with a building of sqrt((d / d_thresh)^2 + (max(0, altitude - roof) / softness)^2)): a
-    roof at or above the altitude counts as a full obstacle, one that lies a softness or more below it no longer counts.
-    At softness 0 it is the slice's exact map, at softness d_thresh that of ``distance="solid"``, which has no softness
-    of its own and ignores ``softness_m``. Computed in the type of the roofs.
+    roof at or above the altitude counts as a full obstacle, and one that lies a softness or more below it does not
+    count. At softness 0 this is the exact map of ``distance="slice"``, at softness d_thresh that of
+    ``distance="solid"``, which has no softness of its own and ignores ``softness_m``. The map has the type of the
+    roofs.
 
-    Differentiable in ``surface.roof_m``, ``altitude_m``, ``params.threshold_m`` and ``softness_m`` (and in the terrain,
-    under ``solid``), all of which may be traced; batch by `jax.vmap`. The gradient is that of the nearest cell: exact
-    where one is nearest, one of them where several tie; 0 in roofs above the altitude, where m is 0 and where it is 1.
-    Docs: algorithms/gradients.md.
+    The map is differentiable in ``surface.roof_m``, ``altitude_m``, ``params.threshold_m`` and ``softness_m`` (and in
+    the terrain, under ``solid``), all of which may be traced; batch it by `jax.vmap`. The gradient is that of the
+    nearest cell: exact where one cell is nearest, and that of one of them where several tie. It is 0 in roofs above the
+    altitude, where m is 0 and where m is 1. Docs: algorithms/gradients.md.
 
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.
       altitude_m: height above ground; with ``cells`` also one for each.
       params: the risk.
-      softness_m: how far below the altitude roofs still count; 0 is exact.
+      softness_m: how far below the altitude roofs still count; 0 gives the exact map.
       cells: row and column in the region; left out, the whole region.
-      reach_m: how far buildings are looked for, never less than the threshold; left out, the threshold. Needed when
-        that is traced.
+      reach_m: how far buildings are looked for, never less than the threshold; left out, the threshold. Needed where
+        the threshold is traced, as it decides shapes.
 
     Raises:
       InputError: a negative softness, or a traced threshold without ``reach_m``.
@@ -238,8 +239,9 @@ def soft_risk(
     threshold = jnp.asarray(params.threshold_m, dtype)
     softness = jnp.asarray(softness_m, dtype)
     is_solid = params.distance == "solid"
-    scales = threshold, threshold if is_solid else softness  # of horizontal, vertical distances
+    vertical = threshold if is_solid else softness  # the scale of vertical distances
 
+    # Rasters on the region and its halo; only `solid` measures heights from the terrain.
     roof_m = surface.crop_with_halo(surface.roof_m, halo)
     terrain_m = None
     if is_solid and surface.terrain_m is not None:
@@ -248,20 +250,24 @@ def soft_risk(
     # The whole region over flat ground has a kernel of its own; otherwise cells are searched around one by one.
     if cells is None and terrain_m is None:
         run_m2 = kernel.squared_runs(halo, resolution_m, dtype)
-        return kernel.nearest_column(roof_m, altitude, *scales, run_m2)
+        return kernel.nearest_column(roof_m, altitude, threshold, vertical, run_m2)
     shape = surface.region.shape if cells is None else (len(cells),)
     chosen = jnp.indices(shape).reshape(2, -1).T if cells is None else cells
     heights_m = jnp.broadcast_to(altitude, len(chosen))
     around = kernel.disc(reach_m, resolution_m, dtype)
-    m = kernel.nearest_column_at(roof_m, terrain_m, heights_m, *scales, chosen, around, halo=halo)
+    m = kernel.nearest_column_at(
+        roof_m, terrain_m, heights_m, threshold, vertical, chosen, around, halo=halo
+    )
     return m.reshape(shape)
 
 
 def _map(scene: Scene, params: Risk) -> dict[str, AnyArray]:
+    """Return the map of risk at one altitude (`Metric.compute`)."""
     return {"risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params))[0]}
 
 
 def _traced(scene: Scene, params: Risk) -> dict[str, Array]:
+    """Return the maps of risk at all altitudes of a traced scene (`Metric.traced`)."""
     return {"risk": jnp.asarray(compute_risk(scene.surface, scene.altitude_m, params))}
 
 

@@ -162,7 +162,8 @@ def visibility(
     azimuth = np.asarray(azimuth_rad, float)
     elevation = np.asarray(elevation_rad, float)
 
-    # Shadows are cast over the surface with its margin or, with rings, over the region alone.
+    # Shadows are cast over the surface with its margin or, with rings, over the region alone. The four sides of all
+    # rings are stacked by side, each along ``S``.
     rows, cols = surface.window
     top_m = np.asarray(surface.top_m)
     grid = surface.grid

@@ -49,6 +49,7 @@ class Weights:
         object.__setattr__(self, "values", tuple(named.items()))
 
     def __getattr__(self, name: str) -> Any:
+        """Return the weight of a name, as in ``weights.gps``."""
         values = dict(self.__dict__.get("values", ()))
         if name not in values:
             raise AttributeError(f"there is no weight {name!r}")

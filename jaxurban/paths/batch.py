@@ -5,6 +5,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path as FilePath
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -136,7 +137,7 @@ def plan_many(
             f"the folder of {str(file)!r} does not exist: make it first, or name another file"
         )
 
-    # The cost maps of the queries: as many are held as memory is meant for.
+    # The cost maps of the queries, of which as many are kept as `HELD_BYTES` of memory hold.
     most_maps = max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape))))
 
     @lru_cache(maxsize=most_maps)
@@ -154,7 +155,7 @@ def plan_many(
             preset=preset,
         )
 
-    # What is wrong for all queries is refused by the first map.
+    # Making the first map refuses what is wrong for all queries.
     first_altitude_m = maps.altitudes_m[0] if altitude_m is None else altitude_m
     first_map = map_of(first_altitude_m, time, time_of_day)
     batch = read_queries(
@@ -165,10 +166,22 @@ def plan_many(
         time=time,
         time_of_day=time_of_day,
     )
-    results = _Results(batch, None if file is None else RowStore(FilePath(file), ["query"]))
-    # The queries are planned here, while the loop counts them.
+
+    # The results, with those of an earlier run that the file holds.
+    store = None if file is None else RowStore(FilePath(file), ["query"])
+    results = _Results(batch, store)
+
+    # `_done` plans a query each time that the loop asks for the next number; the loop counts them.
     was_interrupted = False
-    done = _done(results, map_of, most_maps, search, backend, num_threads, strict)
+    done = _done(
+        results,
+        map_of,
+        most_maps,
+        search,
+        backend=backend,
+        num_threads=num_threads,
+        strict=strict,
+    )
     try:
         with reporting("plan_many", progress) as report:
             for num_done, _ in enumerate(done, start=1):
@@ -187,14 +200,14 @@ class _Results:
     """What became of each query so far, and the file that keeps it, from which a batch that was ended goes on."""
 
     def __init__(self, queries: Sequence[Query], store: RowStore | None) -> None:
-        """Begin with no query done.
+        """Begin with no query done: each has the row of a query that was not run, and no path.
 
         Args:
           queries: of the batch.
           store: the file with results of an earlier run, which are taken one by one (`take`); None to keep no file.
 
         Raises:
-          InputError: a file of other results than of these queries.
+          InputError: a row of the file lacks a column, or has a number that is none of these queries'.
         """
         self.queries, self._store = queries, store
         message = "The batch ended before this query was done."
@@ -211,11 +224,11 @@ class _Results:
     def add(
         self, k: int, status: str, message: str, path: PlannedPath | None = None, key: str = ""
     ) -> int:
-        """Note a result, keep it in the file, and return the query's number.
+        """Note a result, keep it in the file if there is one, and return the query's number.
 
         Args:
           k: number of the query.
-          status, message, path, key: as of `row_of`.
+          status, message, path, key: as of `row_of`; ``path`` is None if the planner did not run to its end.
         """
         self.rows[k] = row_of(k, self.queries[k], status, message, path, key)
         self.paths[k] = path
@@ -230,7 +243,8 @@ class _Results:
     ) -> bool:
         """Note the result of a query that the file holds, and return whether it holds one.
 
-        One that a smaller budget ended does not count, nor an error of input, which costs nothing to find again.
+        A result that a smaller budget ended does not count, nor one with an error of input, which costs nothing to find
+        again.
 
         Args:
           k: number of the query.
@@ -241,8 +255,10 @@ class _Results:
         Raises:
           InputError: the file's result is of another query.
         """
-        row = None if self._store is None else self._store.get(k)
-        if self._store is None or row is None or row["status"] == BAD_INPUT:
+        if self._store is None:
+            return False
+        row = self._store.get(k)
+        if row is None or row["status"] == BAD_INPUT:
             return False
         if row["key"] != key:
             raise InputError(
@@ -251,8 +267,10 @@ class _Results:
             )
         if row["status"] in ENDED_BY_BUDGET and row["budget_s"] < budget_s:
             return False
+
+        # The row has a path if the planner ran to its end; its settings say under which budget.
         path = None
-        if row["search"] is not None:  # the planner ran to its end, under the row's budget
+        if row["search"] is not None:
             path = finish(path_of(row))
             settings = {**path.settings, "budget_s": number_or_none(row["budget_s"])}
             path = replace(path, settings=settings)
@@ -265,27 +283,46 @@ class _Results:
             self._store.save()
 
 
+class _Located(NamedTuple):
+    """A query whose ends are in free cells of its cost map.
+
+    Attributes:
+      k: number of the query.
+      key: its digest (`row_of`).
+      cost_map: on which it is planned.
+      ends: its start and its goal.
+    """
+
+    k: int
+    key: str
+    cost_map: CostMap
+    ends: tuple[End, End]
+
+
 def _done(
     results: _Results,
     map_of: Callable[..., CostMap],
     most_maps: int,
     search: PathSearch,
+    *,
     backend: Backend,
     num_threads: int | None,
     strict: bool,
 ) -> Iterator[int]:
     """Plan the queries of a batch, note each in ``results``, and yield its number when it is done.
 
+    Queries on one cost map are planned together, and so the order is not that of the batch.
+
     Args:
-      results: with the queries; filled here.
+      results: has the queries; the result of each is added to it here.
       map_of: returns the cost map of an altitude, a time and a time of day.
-      most_maps: how many cost maps are made, and their queries solved, before the next ones are.
+      most_maps: on how many cost maps queries are planned before further maps are made.
       search: how each path is searched for.
       backend, num_threads: as of `plan_many`.
-      strict: raise the first error or crash instead of noting it.
+      strict: raise the first error of a query or crash of a planner instead of noting it.
 
     Raises:
-      InputError: results of other queries in the file; with ``strict`` that of a query.
+      InputError: the file holds results of other queries; with ``strict``, a query cannot be planned.
     """
 
     def refuse(k: int, error: InputError | str) -> int:
@@ -308,10 +345,9 @@ def _done(
         groups = waiting[:most_maps]
         waiting = waiting[most_maps:]
 
-        # Locate the queries of these maps, and take from the file what is done.
-        # Of each: the number and the digest of the query, its cost map, start and goal.
-        located: list[tuple[int, str, CostMap, tuple[End, End]]] = []
-        unsolved: list[int] = []  # indices in `located`
+        # Locate the queries of these maps, and take from the file the results that it holds.
+        located = []
+        unsolved = []  # indices in `located`
         for (altitude_m, time, time_of_day, weights), numbers in groups:
             try:
                 cost_map = map_of(altitude_m, time, time_of_day).with_weights(weights)
@@ -327,17 +363,19 @@ def _done(
                     yield refuse(k, error)
                     continue
                 key = fingerprint(digest, ends)
-                located.append((k, key, cost_map, ends))
+                located.append(_Located(k, key, cost_map, ends))
                 finish_path = partial(finish, cost_map, ends=ends, search=search)
                 if results.take(k, key, search.budget_s, finish_path):
                     yield k
                 else:
                     unsolved.append(len(located) - 1)
 
-        # Solve the rest. All problems are given, as they decide heuristics together.
+        # Solve the rest. The problems that are solved already are given too, as all of them together decide which
+        # heuristic is chosen.
         problems = []
-        for _, _, cost_map, (start, goal) in located:
-            problems.append(cost_map.problem.between(start.cell, goal.cell))
+        for located_query in located:
+            start, goal = located_query.ends
+            problems.append(located_query.cost_map.problem.between(start.cell, goal.cell))
         outcomes = solve_many(
             problems,
             planner=search.planner,
@@ -356,13 +394,25 @@ def _done(
                     yield results.add(k, planned.status.value, planned.message, planned, key)
                 elif strict:
                     raise outcome
-                else:
+                else:  # the planner crashed
                     failed = failure(outcome)
                     yield results.add(k, failed["status"], failed["note"], key=key)
 
 
 def _digest(cost_map: CostMap, search: PathSearch, backend: str) -> str:
-    """Return what stands for a map and the settings of a search: all that decides a path but its ends and budget."""
-    settings = cost_map.weights, cost_map.objective, cost_map.cost_model, cost_map.leg_margin_m
-    search_settings = replace(search, snap=False, budget_s=np.inf), backend
-    return fingerprint(cost_map.costs, cost_map.is_free, (*settings, search_settings))
+    """Return a digest of all that decides a path but its ends and its budget: the map and the settings of a search.
+
+    Args:
+      cost_map: the map.
+      search: the settings. Snapping decides the ends alone, so that it is set to one value here, and so is the budget.
+      backend: of the planner.
+    """
+    search = replace(search, snap=False, budget_s=np.inf)
+    settings = (
+        cost_map.weights,
+        cost_map.objective,
+        cost_map.cost_model,
+        cost_map.leg_margin_m,
+        (search, backend),
+    )
+    return fingerprint(cost_map.costs, cost_map.is_free, settings)

@@ -81,8 +81,9 @@ def _beyond(
 ) -> Iterator[pd.DataFrame]:
     """Yield tables of stretches (`spans`) beyond what is known: in plan, below and above the maps' altitudes.
 
-    In plan is what lies outside ``known``, or nearer to its border than the clearance. Below the maps, take-off,
-    landing and steps straight up or down do not count, as they lead between the ground and the height of flight.
+    A step is beyond in plan if it lies outside ``known``, or nearer to its border than the clearance. Take-off, landing
+    and steps straight up or down do not count as below the maps, as they lead between the ground and the height of
+    flight.
 
     Args:
       flight: the mission over the maps.
@@ -161,8 +162,8 @@ def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> li
     is_hit = over_gap_m <= 0
     close = merged(near.assign(gap_m=over_gap_m)[is_hit | is_close], "prism")
 
-    # A stretch is left out that ends within the last stretch of hits that begins before it. Place -1 is of those that
-    # begin before all hits: they end after -inf.
+    # A stretch belongs to a hit, and is left out, if it ends within the last stretch of hits that begins before it. A
+    # stretch that begins before all hits gets the place -1, the end of -inf that is appended, and so is kept.
     of_hits = merged(close.loc[close["gap_m"] <= 0, ["from_m", "to_m"]])
     place = np.searchsorted(of_hits["from_m"] - TOUCH_M, close["from_m"], side="right") - 1
     close = close[close["to_m"] > np.append(of_hits["to_m"] + TOUCH_M, -np.inf)[place]]

@@ -252,7 +252,7 @@ class CostMap(FactsRepr):
         return replace(self, names=kept_names, costs=self.costs[is_kept], is_prepared=False)
 
     def with_weights(self, weights: WeightsLike) -> "CostMap":
-        """Return the map under other weights; what does not depend on them is shared (`Problem.with_weights`).
+        """Return the map under other weights; both maps share what does not depend on weights (`Problem.with_weights`).
 
         Returns:
           `CostMap` without landmarks. Weights that are not named are as in the maps' scenario or by default.
@@ -292,6 +292,7 @@ class CostMap(FactsRepr):
             raise InputError(
                 "landmarks are for one altitude: leave prepare() out of a map between levels"
             )
+        # The landmarks are kept by the problem, which the new map shares. Searches on this map pass over them.
         make_landmarks(self.problem)
         prepared = replace(self, is_prepared=True)
         prepared.cache.shortest = self.shortest
@@ -323,7 +324,7 @@ class CostMap(FactsRepr):
           ([586650, 4514550], (2, 2))
         """
         grid = self.grid
-        coordinates: Any = place[:2]
+        coordinates: Any = place[:2]  # an altitude does not matter here
         try:
             if isinstance(place, XY):
                 x_m, y_m = coordinates
@@ -375,6 +376,7 @@ class CostMap(FactsRepr):
           >>> [end.cell for end in ju.cost_map(maps, 60.0).ends(start, goal)]
           [(2, 2), (27, 27)]
         """
+        # The possible ends of each place, the nearest first. An end that is not snapped is the only one of its place.
         starts = self._places_near("start", start, snap)
         goals = self._places_near("goal", goal, snap)
         start_end, goal_end = starts[0], goals[0]

@@ -59,16 +59,21 @@ def density_detours(
     # The mean density of each cell, at the time of day when it is largest; inf where it is never known.
     times = [name or None for name in density.largest["time_of_day"].unique()]
     cells = cells_within(shapely.box(*grid.bounds_m), reach_m, density.settings["cell_m"], grid)
-    people = [cost_map.maps.m("density", time_of_day=name) for name in times]
-    means = np.fmax.reduce([cell_means(per_km2, grid, cells)[0] for per_km2 in people])
+    means = np.full(len(cells.boxes), np.nan)
+    for name in times:
+        per_km2 = cost_map.maps.m("density", time_of_day=name)
+        means_then, _ = cell_means(per_km2, grid, cells)
+        means = np.fmax(means, means_then)  # of a number and NaN the number
     cell_density = np.where(np.isnan(means), np.inf, means)
 
-    # Cells that stay open. No bound below the densest of those at the ends lowers anything.
+    # Cells that stay open: at the ends, and along the route where their density is not known. The route cannot be made
+    # less dense than the densest cell at its ends, so that no lower bound is tried.
     ends = shapely.MultiPoint(planned.xy_m[[0, -1]])
     is_open = shapely.dwithin(cells.boxes, ends, reach_m)
     least_bound = np.nanmax(means[is_open], initial=0.0)
     is_open |= np.isnan(means) & shapely.dwithin(cells.boxes, line_of(planned.xy_m), reach_m)
 
+    # The ends of the route, which a volume takes with their heights.
     corners_m = planned.xy_m
     if cost_map.levels is not None:
         corners_m = np.column_stack([planned.xy_m, planned.z_m])
@@ -88,7 +93,8 @@ def density_detours(
         island = islands[start_end.cell]
         return bool(island > 0 and island == islands[goal_end.cell])
 
-    # The least bound under which the ends are joined, by bisection: a larger one opens more cells.
+    # The least bound under which the ends are joined, by bisection over the densities of cells: as a larger bound opens
+    # more cells, `is_joined` is False up to some bound and True from there on.
     is_lower = (cell_density >= least_bound) & (cell_density < route_density)
     bounds = np.unique(cell_density[is_lower]).tolist()
     joining_bounds = bounds[bisect_left(bounds, True, key=is_joined) :]
@@ -96,10 +102,11 @@ def density_detours(
     if joining_bounds:
         tried_bounds = [joining_bounds[0], (joining_bounds[0] + route_density) / 2]
 
-    corridor: dict[str, Any] = {**density.settings}
+    # The route under each bound, and the density along it in the same corridor and at the same times of day.
+    corridor: dict[str, Any] = {**density.settings}  # arguments of `overflown_density`
     if len(times) == 1:
         corridor["time_of_day"] = times[0]
-    rows: list[dict[str, float]] = []
+    rows = []
     for bound in tried_bounds:
         route = map_below(bound).plan(start, goal, budget_s=planned.settings.get("budget_s"))
         if not route.status.has_path:

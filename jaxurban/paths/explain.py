@@ -102,20 +102,25 @@ class RouteReport(FactsRepr):
 
     @property
     def why(self) -> str:
-        """A sentence on the segment that costs the most, and on the layer that it pays most for, beside its length.
+        """A sentence that names the segment with the highest cost and the layer with the largest part in that cost.
 
-        Empty where no segment costs anything.
+        The cost of length is no layer; where only length costs, the sentence says so. Empty where no segment costs
+        anything.
         """
         costs = self.segments["cost"]
         if not costs.sum() > 0:
             return ""
-        row = costs.argmax()
-        costliest = self.segments.iloc[row]
+
+        # The segment, and its shares of the whole route.
+        index = costs.argmax()
+        costliest = self.segments.iloc[index]
         share = costliest / self.segments.sum()
         sentence = (
-            f"The most expensive stretch is segment {row + 1}, from {costliest['from_m']:.0f} to "
+            f"The most expensive stretch is segment {index + 1}, from {costliest['from_m']:.0f} to "
             f"{costliest['to_m']:.0f} m: {share['cost']:.0%} of the cost on {share['length_m']:.0%} of the length"
         )
+
+        # What it pays, for its length and for each layer.
         layer_costs = costliest.filter(like=COST_OF).drop(f"{COST_OF}distance")
         if not layer_costs.max() > 0:
             return f"{sentence}, all of it for its length."

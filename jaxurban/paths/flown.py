@@ -77,6 +77,8 @@ def figures_of(
     on_maps_m = float(length_m.sum())
     off_m = max(0.0, round(flight.length_m - on_maps_m, 3))
     figures: dict[str, Any] = {"length_m": flight.length_m, "on_maps_m": on_maps_m}
+
+    # Metres without a fix, at each time; those where the fix is not known are of the time that knows least.
     if FIX in maps.ds:
         no_fix_m = {}
         unknown_m = 0.0
@@ -84,8 +86,13 @@ def figures_of(
             hdop = values_on(maps, FIX, steps, time, time_of_day)
             no_fix_m[time or maps.times[0]] = float(length_m[np.isinf(hdop)].sum())
             unknown_m = max(unknown_m, float(length_m[np.isnan(hdop)].sum()))
-        figures |= {"no_fix_m": max(no_fix_m.values()), "fix_unknown_m": unknown_m + off_m}
-        figures["no_fix_by_time_m"] = no_fix_m
+        figures |= {
+            "no_fix_m": max(no_fix_m.values()),
+            "fix_unknown_m": unknown_m + off_m,
+            "no_fix_by_time_m": no_fix_m,
+        }
+
+    # People below the strip, and metres where they are not known.
     if "density" in maps.ds:
         density = values_on(maps, "density", steps, None, time_of_day)
         people = np.nan_to_num(density) * steps.over_m * swath_m / M2_PER_KM2
@@ -166,5 +173,9 @@ def costs_of(
     if reason:
         return figures | {"cost_note": f"No route to compare with: {reason}."}
     saved = mission["cost"] - cheapest.cost
-    figures |= {"cheapest_cost": cheapest.cost, "cheapest_length_m": cheapest.length_m}
-    return figures | {"saved_cost": saved, "saved_share": saved / mission["cost"]}
+    return figures | {
+        "cheapest_cost": cheapest.cost,
+        "cheapest_length_m": cheapest.length_m,
+        "saved_cost": saved,
+        "saved_share": saved / mission["cost"],
+    }

@@ -220,17 +220,18 @@ def overflown_density(
     for side_m in sorted({*GRIDS_M, cell_m}):
         cells_by_side[side_m] = cells_within(line, reach_m, side_m, maps.grid)
     boxes = cells_by_side[cell_m].boxes
-    near_parts = [shapely.dwithin(boxes, part, reach_m) for part in parts]
+    near_parts = [shapely.dwithin(boxes, part, reach_m) for part in parts]  # of each segment, [C]
 
-    # The largest mean of each grid, and of each segment, at each time of day.
+    # The largest mean on each grid, and of each segment on that of `cell_m`, at each time of day.
     rows, segment_rows = [], []
     times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
     for name in times_of_day:
         density = maps.m("density", time_of_day=name)
         for side_m, cells in cells_by_side.items():
             means, share = cell_means(density, maps.grid, cells)
-            row = {"cell_m": side_m, "time_of_day": name}
-            rows.append(row | _largest(line, cells, means, share, np.ones(len(means), bool)))
+            is_any = np.ones(len(means), bool)
+            largest_on_grid = _largest(line, cells, means, share, is_any)
+            rows.append({"cell_m": side_m, "time_of_day": name, **largest_on_grid})
             if side_m != cell_m:
                 continue
             for number, is_near in enumerate(near_parts, start=1):
@@ -238,6 +239,7 @@ def overflown_density(
                 row = {"segment": number, "from_m": from_m, "to_m": to_m, "time_of_day": name}
                 segment_rows.append(row | _largest(line, cells, means, share, is_near))
 
+    # Without any density in the corridor there is nothing to report.
     largest = pd.DataFrame(rows)
     on_grid = largest[largest["cell_m"] == cell_m]
     if on_grid[DENSITY].isna().all():
@@ -290,9 +292,10 @@ def _largest(
     share: np.ndarray,
     is_near: np.ndarray,
 ) -> dict[str, float]:
-    """Return the largest mean of the cells that are near, where it lies, and how many of them are known.
+    """Return the largest mean of the cells that are near, where it lies, and how many of these cells are known.
 
-    The columns are those of `OverflownDensity.largest` from ``density_per_km2`` on.
+    The columns are those of `OverflownDensity.largest` from ``density_per_km2`` on. Where no near cell is known, the
+    mean, its place and its known share are NaN.
 
     Args:
       line: the route.
@@ -312,7 +315,7 @@ def _largest(
         "known_share": share[worst],
     }
     near_share = share[is_near]
-    if not near_share.any():  # so that no cell is the largest
+    if not near_share.any():  # no cell is known, so that `worst` is just the first one
         place = dict.fromkeys(place, np.nan)
     return {
         **place,

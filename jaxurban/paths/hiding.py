@@ -49,9 +49,9 @@ class Hiding:
 
     @cached_property
     def outlines(self) -> Outlines | None:
-        """The buildings of the city, for rays to meet; None where a raster holds its roofs.
+        """The outlines of the city's buildings, for rays to meet; None where a raster holds its roofs.
 
-        Over terrain they stand on the ground, which is highest at the last argument.
+        Over terrain they stand on the ground, whose greatest height they are given too.
         """
         city = self.city
         if city.buildings is None:
@@ -145,7 +145,7 @@ class Hiding:
             is_guessed[less] = False
             roof_m[less] = np.where(raster_roof_m > 0, raster_roof_m, np.nan)[is_less]
 
-        # The table, in which rays that leave what is known have NaN, and False for what is a bool.
+        # The table of all rays. Rays that leave what is known have NaN in it, and False in columns of bool.
         hides = (margin_m <= 0) & ~is_gap
         places = inner.places_m(np.arange(num), distance_m)
         lon, lat = transformer(self.city.crs, WGS84).transform(*places)

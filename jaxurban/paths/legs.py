@@ -179,14 +179,17 @@ def flight_of(mission: Mission, maps: MetricMaps, geoid_m: float | None = None) 
     z_m = segments.height_m + datum_m
     along_m = _along_m(segments.lonlat, z_m)
 
-    # What has no height.
+    # Segments without a height over the ground, each with the reason.
     is_known = np.isfinite(z_m).all(axis=1)
     unknown = [spans(along_m[:0], "")]  # a table without rows, where nothing else is
     for number in np.flatnonzero(~is_known):
-        ends = segments.height_m[number], datum_m[number], segments.datum[number]
-        unknown.append(spans(along_m[[number]], _why_unknown(*ends, geoid_m)))
+        reason = _why_unknown(
+            segments.height_m[number], datum_m[number], segments.datum[number], geoid_m
+        )
+        unknown.append(spans(along_m[[number]], reason))
 
-    # What lies outside the maps: a segment before it enters and after it leaves them, or all of it before its end.
+    # What lies outside the maps: of a segment what comes before it enters them and after it leaves them. A segment that
+    # does not meet them is taken to enter and leave them at its end, so that all of it comes before.
     shares = _shares_within(ends_m, maps.grid.bounds_m)
     enters = shares[:, 0] < shares[:, 1]
     enter_m, leave_m = np.where(enters[:, None], between(along_m, shares), along_m[:, 1:]).T

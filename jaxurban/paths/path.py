@@ -104,7 +104,7 @@ class PlannedPath(FactsRepr):
 
     @property
     def message(self) -> str:
-        """What happened, and what a reader of the path must know beside it: sentences."""
+        """What happened, and what else a reader of the path must know: sentences."""
         return " ".join(filter(None, (self.search.sentence, self.search.note)))
 
     @property
@@ -167,7 +167,7 @@ class PlannedPath(FactsRepr):
         files = [FilePath(path) for path in (file, *more)]
         missions = [path for path in files if path.suffix.lower() == MISSION]
         if not missions and (end is not None or fence_roofs_m is not None):
-            check_is_mission(files[0])  # raises, as it is none
+            check_is_mission(files[0])  # raises InputError, as no file is a mission
         roofs = None if fence_roofs_m is None else roof_fences(self, fence_roofs_m)
         for path in files:
             if path in missions:
@@ -284,7 +284,13 @@ def measured(cost_map: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
 
 
 def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
-    """Return what the planner noted, and what a reader of the path must know beside it: sentences, or ``""``."""
+    """Return what the planner noted, and what else a reader of the path must know: sentences, or ``""``.
+
+    Args:
+      cost_map: the map that it was planned on.
+      path: from a planner, or its verdict that there is none.
+      ends: start and goal, from `CostMap.ends`.
+    """
     start, goal = ends
     has_path = path.status.has_path
     constraints = cost_map.constraints

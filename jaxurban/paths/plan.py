@@ -136,12 +136,15 @@ def map_at(
 ) -> CostMap:
     """Return the cost map at altitudes that the maps reach.
 
+    Its arrays have an axis of levels in a volume, ``[M, K, Y, X]`` costs of M metrics and ``[K, Y, X]`` free cells, and
+    none on one altitude.
+
     Args:
       maps: the metric maps.
       altitudes_m: ``[K]`` the levels of a volume, ascending; ``[1]`` on one altitude.
       levels: how a path may climb in a volume; None on one altitude.
-      constraints: that close cells.
-      time, time_of_day: of the maps; the first if None.
+      constraints: the rules that close cells.
+      time, time_of_day: at which the maps are read; None for the first time that they hold.
       rules: further attributes of `CostMap`: weights, objective and cost model.
 
     Raises:
@@ -149,23 +152,26 @@ def map_at(
     """
     if levels is not None:
         _check_fits(len(altitudes_m), maps.grid)
-    when: dict[str, Any] = {"time": time, "time_of_day": time_of_day}
-    is_free = constraints.is_free(maps, altitudes_m.tolist(), **when)
+    is_free = constraints.is_free(maps, altitudes_m.tolist(), time=time, time_of_day=time_of_day)
 
-    # The cost of each metric on each level. Maps are read once, however many levels lie between two of them.
+    # The cost of each metric on each level, [M, K, Y, X]. `cache` reads each map once, however many levels take values
+    # from it.
     costs = np.empty((len(maps.metrics), *is_free.shape), np.float32)
     is_under_sky = cache(maps.is_under_sky)
     for (name, metric), metric_costs in zip(maps.metrics.items(), costs, strict=True):
-        read = cache(partial(maps.m, name, **when))
+        read = cache(partial(maps.m, name, time=time, time_of_day=time_of_day))
         has_altitudes = "altitude" in maps.ds[maps.variable(name)].dims
         for level, z_m in enumerate(altitudes_m.tolist()):
             m = values_at(z_m, maps.altitudes_m, read, is_under_sky) if has_altitudes else read()
-            # What is missing where nobody may fly counts as m = 0: searches take numbers alone.
+            # Searches take no NaN: where a closed cell has no value, m counts as 0.
             is_closed_gap = np.isnan(m) & ~is_free[level]
             metric_costs[level] = metric.cost(np.where(is_closed_gap, np.float32(0), m))
 
     # On one altitude arrays have no axis of levels.
-    taken_levels = 0 if levels is None else slice(None)
+    if levels is None:
+        costs = costs[:, 0]
+        is_free = is_free[0]
+
     return CostMap(
         maps=maps,
         altitudes_m=altitudes_m,
@@ -175,8 +181,8 @@ def map_at(
         constraints=constraints,
         **rules,
         names=tuple(maps.metrics),
-        costs=costs[:, taken_levels],
-        is_free=is_free[taken_levels],
+        costs=costs,
+        is_free=is_free,
     )
 
 

@@ -403,11 +403,11 @@ def _clearance(profile: pd.DataFrame, least_m: float) -> Caution:
 def _roofs(profile: pd.DataFrame, limit_m: float) -> Iterator[Caution]:
     """Yield the length of a route in cells that a building as high touches, and where it is lowest over a roof.
 
-    Each only where there is such a place.
+    There is a caution of each only where there is such a place.
 
     Args:
       profile: of the route (`profile_of`).
-      limit_m: the height over roofs below which the caution is of a limit.
+      limit_m: the height over roofs below which the caution has the level ``"limit"``.
     """
     over_m = profile[OVER_ROOF]
     is_beside = over_m <= 0  # in a cell that a building touches, maybe not in its outline

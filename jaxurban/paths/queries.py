@@ -213,8 +213,8 @@ class PlannedPaths(FactsRepr, Sequence[PlannedPath | None]):
     """The paths of a batch in the order of its queries; None where there is not even a planner's verdict.
 
     Attributes:
-      rows: of `to_dataframe`, with the path's points, one a query.
-      paths: what the planner gave; None where it did not run to its end.
+      rows: a row for each query: those of `to_dataframe` with ``with_points``.
+      paths: for each query what the planner gave; None where it did not run to its end.
       was_interrupted: whether Ctrl-C ended the batch before its end.
 
     Examples:
@@ -323,6 +323,8 @@ def row_of(
 ) -> dict[str, Any]:
     """Return what became of a query as a flat row, which `path_of` reads.
 
+    A row without a planner's path has no columns of cost, length, metrics and search, and None for budget and points.
+
     Args:
       k: number of the query.
       query: as it was asked.
@@ -348,14 +350,17 @@ def row_of(
 
     # What else the planner reported. Of its points the first is enough, as the others follow from x and y.
     search = planned.search
-    reported = {item.name: getattr(search, item.name) for item in fields(Path)}
+    reported = {field.name: getattr(search, field.name) for field in fields(Path)}
     reported["status"] = search.status.value
     reported["points_m"] = search.points_m[:1].tolist()
     return row | {"search": json.dumps(reported), "key": key}
 
 
 def path_of(row: Row) -> Path:
-    """Return the planner's path from a row that `row_of` made of one; its points are ``[0, 2]`` without a path."""
+    """Return the planner's path from a row that `row_of` made of a path.
+
+    Its points are ``[N, 2]`` in metres from the map's southwest corner, ``[0, 2]`` where the planner found no way.
+    """
     reported = json.loads(row["search"])
     points_m = np.empty((0, 2))
     if reported["points_m"]:

@@ -197,9 +197,9 @@ class InstanceRuns(NamedTuple):
 
 
 def tasks_of(instances: pd.DataFrame, job: RouteJob, store: RowStore) -> list[InstanceRuns]:
-    """Return the runs that a store does not hold yet, by instance.
+    """Return the runs that a store does not hold yet, by instance; an instance without such runs is left out.
 
-    Instances of one city follow each other, and of these those on the same maps, so that maps are made once.
+    Instances of one city follow each other, and among them instances on the same maps, so that maps are made once.
     """
     tasks = []
     for instance in records_of(instances):
@@ -286,6 +286,7 @@ def solve_on(
         """Return the future of a task's rows."""
         return client.submit(_solve_in_worker, sources[task.city], job, task, pure=False)
 
+    # All tasks. Those whose worker was killed are parted into suspects of one run each.
     waiting = {submit(task): task for task in tasks}
     suspects: list[InstanceRuns] = []
     for future in as_completed(list(waiting)):
@@ -298,6 +299,7 @@ def solve_on(
         future.release()
         yield rows
 
+    # The suspects, one after the other.
     for task in suspects:
         try:
             rows = submit(task).result()
@@ -307,9 +309,17 @@ def solve_on(
 
 
 def _solver(source: Source, job: RouteJob) -> Callable[[InstanceRuns], list[dict[str, Any]]]:
-    """Return a function that makes the rows of a task, and keeps the last cost map for more tasks at its time."""
+    """Return a function that makes the rows of a task.
+
+    It keeps the cost map of the last task, for further tasks at the same altitude and time.
+
+    Args:
+      source: the maps of the tasks' city.
+      job: what is done with each instance.
+    """
     maps = source if isinstance(source, MetricMaps) else source.open()
     map_of = lru_cache(maxsize=1)(partial(job.cost_map, maps))
+    # A task unpacks into its instance and its runs.
     return lambda task: solve_instance(job, map_of(*task.map_key), *task)
 
 
@@ -317,6 +327,7 @@ _solver_in_worker = lru_cache(maxsize=1)(_solver)
 
 
 def _solve_in_worker(source: MapsFolder, job: RouteJob, task: InstanceRuns) -> list[dict[str, Any]]:
+    """Return the rows of a task in a worker, which keeps the maps of the last city open."""
     return _solver_in_worker(source, job)(task)
 
 

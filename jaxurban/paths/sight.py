@@ -41,9 +41,9 @@ class Look(NamedTuple):
     Attributes:
       task: with the skies.
       sky: ``[N]`` number of the sky of each place.
-      epoch: number of the place of each of ``rows``.
-      rows: a row a place and satellite above the mask, as `SkyAt.table` has them.
-      dops: a row a place, as `SkyAt.dops` has them.
+      epoch: for each row of ``rows`` the number of its place, which is a row of ``dops``.
+      rows: a row for each place and each satellite above the mask, with the columns of `SkyAt.table`.
+      dops: a row for each place, with the columns of `SkyAt.dops`.
       is_outdoors: ``[N]`` bool: the place lies in no building.
     """
 
@@ -80,11 +80,11 @@ class Sight:
         """Return the sight of a city, of maps or of their folder, see `jaxurban.sky`.
 
         Args:
-          where: a city, or maps or their folder, whose city is read again from the files of their run.
+          where: a city; or maps or their folder, and then the city is read again from the files of their run.
           gps: satellites and elevation mask; None for those of the city or of the maps.
           sources: folder of the files that the run recorded; None to look for them beside the maps.
-          resolution_m: of the maps; None for `RESOLUTION_M` of a city, of a folder its first. Of opened maps it is
-            their own.
+          resolution_m: of the maps; None for `RESOLUTION_M` with a city, and for the first one with a folder. Opened
+            maps have their own, and it does not count.
 
         Raises:
           InputError: a resolution that no maps in the folder have, or files that are gone or were changed.
@@ -152,16 +152,18 @@ class Sight:
         """Return which satellites places see.
 
         Args:
-          by: ``"outlines"``, or ``"map"``, in the cells that hold the places.
-          xy_m: ``[2, N]`` of places; N may be 1.
-          altitude_m: of each above the ground, or of all.
+          by: ``"outlines"`` to follow rays from the places themselves; ``"map"`` to take the map's values in the cells
+            that hold them.
+          xy_m: ``[2, N]`` easting and northing of the places; ``[2, 1]`` for one place at all times.
+          altitude_m: above the ground, one for each place or one for all.
           times: as for `task`.
-          sky: ``[N]`` number of each place's time; None: one place, at all times.
+          sky: ``[N]`` number of the time at which each place is looked from; None for one place at all times, each of
+            which then counts as a place.
 
         Raises:
           InputError: by the map, places beyond its region or at several altitudes; no satellite above the mask.
         """
-        # The skies: those of the map, or those that the middle of the places sees.
+        # The skies: by the map those of the map's reference, else those that the middle of the places sees.
         if by == "map" and (np.ptp(altitude_m) > 0 or not self.region.contains_xy(*xy_m).all()):
             raise InputError(
                 "by the map all places must lie in its region and at one altitude_m: take by='outlines'"
@@ -181,7 +183,7 @@ class Sight:
         behind = self.hiding.behind(rays, height_m[epoch])
         is_known = behind.pop("is_known").to_numpy()
 
-        # Which of them are seen: ``[N, S]`` of all satellites, and whether each place is outdoors.
+        # Which satellites are seen, ``[N, S]`` of S satellites in all, and whether each place is outdoors.
         if by == "map":
             track = Track(x_m, y_m, *self.region.cell_of_xy(x_m, y_m), sky, task.sky.times)
             is_seen, is_outdoors = seen_along(task, track, Report())
@@ -192,7 +194,7 @@ class Sight:
             is_outdoors = np.ones(num, bool)
             is_outdoors[epoch[behind["roof_distance_m"] == 0]] = False
 
-        # The table of rays. Grid north is turned from true north by the convergence.
+        # The table of rays. Azimuths are from grid north, which the convergence turns from true north.
         state = np.select([~is_known, is_seen[epoch, satellite]], [UNKNOWN, SEEN], HIDDEN)
         true_rad = azimuth_rad + self.region.convergence_rad(*lonlat)
         rows = {

@@ -103,6 +103,7 @@ def places_near(
     Raises:
       InputError: the cell is closed, and ``snap`` is off or the nearest free cell farther away than it allows.
     """
+    # The cell of the place itself.
     limit_m = snap_limit_m(snap)
     is_free = cost_map.levels_free[level]
     level_index = () if cost_map.levels is None else (level,)  # before row and column
@@ -118,9 +119,11 @@ def places_near(
         )
     x_m, y_m = cost_map.grid.xy_of_cell(rows, cols)
     away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
-    reach_m = -1.0 if limit_m is None else limit_m  # of nothing at all where it may not move
+    reach_m = -1.0 if limit_m is None else limit_m  # no cell is within -1 m: the place may not move
     near = np.flatnonzero(away_m <= reach_m)
     near = near[np.argsort(away_m[near], kind="stable")]
+
+    # None is within reach: a message that says how far the nearest one is, and what would reach it.
     if near.size == 0:
         nearest = int(np.argmin(away_m))
         lon, lat = cost_map.grid.lonlat_of_cell(rows[nearest], cols[nearest])
@@ -134,7 +137,7 @@ def places_near(
             f"{away_m[nearest]:.0f} m away{too_far}: take that place, fly higher, or pass {option} to move there"
         )
 
-    # The first cell of each island.
+    # The nearest cell of each island. Cells are sorted by distance, and `unique` gives the first of each island.
     islands = cost_map.islands[level_index]
     _, first = np.unique(islands[rows[near], cols[near]], return_index=True)
     ends = []
@@ -147,7 +150,7 @@ def places_near(
 def joined_ends(cost_map: "CostMap", starts: list[End], goals: list[End]) -> tuple[End, End]:
     """Return the start and the goal that free cells join and that are together moved the least.
 
-    Where no start is joined with any goal, it is those that are moved the least.
+    Where no start is joined with any goal, the pair that is moved the least is returned.
 
     Args:
       cost_map: whose cells they are.
@@ -158,7 +161,7 @@ def joined_ends(cost_map: "CostMap", starts: list[End], goals: list[End]) -> tup
     def rank(ends: tuple[End, End]) -> tuple[bool, float]:
         """Return what makes a pair worse: first that nothing joins it, then how far it is moved."""
         start, goal = ends
-        is_apart = islands[start.cell] != islands[goal.cell]
+        is_apart = islands[start.cell] != islands[goal.cell]  # False comes before True
         return is_apart, start.snap_distance_m + goal.snap_distance_m
 
     return min(product(starts, goals), key=rank)

@@ -12,7 +12,7 @@ import pandas as pd
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import SAME_ROUTE_COST
-from jaxurban.maps.metric_maps import MapsLike, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.batch import plan_many
@@ -115,7 +115,7 @@ class Departures(FactsRepr):
 
 
 def _time_of(row: pd.Series) -> str:
-    """Return time and time of day of a row of `Departures`, those that the maps hold."""
+    """Return time and time of day of a row of `Departures` as a text, without those that the maps do not hold."""
     return ", ".join(filter(None, row[TIMES]))
 
 
@@ -168,18 +168,9 @@ def when(
       >>> [round(share, 3) for share in departures.table["above_best"].tolist()]
       [0.0, 0.057]
     """
-    # The times: None for maps that hold none of a kind.
+    # The times, and the queries.
     maps = as_maps(maps)
-    times = maps.times if maps.default_time and time is None else (time,)
-    times_of_day: Sequence[str | None] = (time_of_day,)
-    if time_of_day is None and maps.times_of_day:
-        times_of_day = maps.times_of_day
-    table = pd.DataFrame(product(times, times_of_day), columns=TIMES)
-    if len(table) == 1:
-        raise InputError(
-            "there is one time alone to fly at: make maps of several, as with gps=Gps(start=..., stop=..., "
-            'step_s=3600, series="epochs"), and leave time or time_of_day out'
-        )
+    table = _times_held(maps, time, time_of_day)
     query_table = queries if isinstance(queries, pd.DataFrame) else table_of(queries)
     num_queries = len(query_table)
     if not num_queries or {*TIMES} & {*query_table}:
@@ -187,22 +178,19 @@ def when(
             "queries must be one or more and have no times of their own: drop time and time_of_day"
         )
 
-    # Every query at every time.
-    rules: dict[str, Any] = {
-        "objective": objective,
-        "cost_model": cost_model,
-        "constraints": constraints,
-        "preset": preset,
-    }
+    # Every query at every time: the queries of the first time come first.
     paths = plan_many(
         maps,
         table.merge(query_table, how="cross"),
         altitude_m=altitude_m,
         progress=progress,
         weights=weights,
+        objective=objective,
+        cost_model=cost_model,
         time=time,
         time_of_day=time_of_day,
-        **rules,
+        constraints=constraints,
+        preset=preset,
         planner=planner,
         heuristic=heuristic,
         budget_s=budget_s,
@@ -215,20 +203,33 @@ def when(
         raise KeyboardInterrupt
     if all(path is None for path in paths):
         raise InputError(paths.rows[0]["message"])
+
+    # A row for each route, with the numbers of its time and of its query in the place of one number of both.
     routes = paths.to_dataframe().astype({"cost": float, "length_m": float})
     routes["departure"], routes["query"] = np.divmod(routes["query"], num_queries)
     routes = routes.join(pd.DataFrame(list(map(_along, paths))))
     table = _with_sums(table, routes)
 
-    # What the routes of the best time (the first one, if at no time all have a path) cost at each other time.
+    # What the routes of the best time would cost at each other time. Where no time has a path for all routes, the first
+    # time stands for the best.
     best = Departures(table, routes, paths).best or 0
     kept_paths = [paths[best * num_queries + query] for query in routes["query"]]
 
     @lru_cache(maxsize=1)
     def map_at(altitude_m: float, weights: tuple, departure: int) -> CostMap:
         """Return the cost map of an altitude, of weights (pairs of name and value) and of a row of the table."""
-        time_arguments = dict(zip(TIMES, table.loc[departure, TIMES], strict=True))
-        return cost_map(maps, altitude_m, weights=dict(weights), **time_arguments, **rules)
+        row: Any = table.loc[departure]
+        return cost_map(
+            maps,
+            altitude_m,
+            weights=dict(weights),
+            objective=objective,
+            cost_model=cost_model,
+            time=row["time"],
+            time_of_day=row["time_of_day"],
+            constraints=constraints,
+            preset=preset,
+        )
 
     def cost_at(path: PlannedPath | None, departure: int) -> float:
         """Return what a path costs at the time of a row of the table: inf where it is closed, NaN without a path."""
@@ -237,6 +238,7 @@ def when(
         cost_map = map_at(path.altitude_m, tuple(path.settings["weights"].items()), departure)
         return cost_map.problem.features(path.search.points_m).cost(cost_map.weight_vector)
 
+    # By how much the kept routes cost more than those of each time, and how many of these are other routes.
     kept_costs = np.array(list(map(cost_at, kept_paths, routes["departure"])))
     kept_above = kept_costs / routes["cost"] - 1
     routes["kept_above"] = kept_above.mask(kept_costs <= routes["cost"], 0.0)
@@ -247,20 +249,50 @@ def when(
     return Departures(table.join(by_time["num_changed"].sum()), routes, paths)
 
 
+def _times_held(maps: MetricMaps, time: str | None, time_of_day: str | None) -> pd.DataFrame:
+    """Return a table with the columns `TIMES`: a row for every time of maps with every time of day.
+
+    Args:
+      maps: the maps; where they hold no times, or no times of day, the column holds None.
+      time, time_of_day: the only time, or time of day, that is taken; None for all.
+
+    Raises:
+      InputError: there is one row alone.
+    """
+    times = maps.times if maps.default_time and time is None else (time,)
+    times_of_day = (
+        maps.times_of_day if maps.times_of_day and time_of_day is None else (time_of_day,)
+    )
+    table = pd.DataFrame(product(times, times_of_day), columns=TIMES)
+    if len(table) == 1:
+        raise InputError(
+            "there is one time alone to fly at: make maps of several, as with gps=Gps(start=..., stop=..., "
+            'step_s=3600, series="epochs"), and leave time or time_of_day out'
+        )
+    return table
+
+
 def _with_sums(table: pd.DataFrame, routes: pd.DataFrame) -> pd.DataFrame:
     """Return a table of times with the sums over all routes at each time, and the share above the least cost.
 
     A sum is NaN at a time at which one of the routes has no path. Routes that have a path at no time are in no sum.
 
     Args:
-      table: a row per time.
-      routes: a row per time and route: ``departure`` is the number of the time's row, ``query`` that of the route.
+      table: a row for each time.
+      routes: a row for each time and route: ``departure`` is the number of the time's row in ``table``, ``query`` the
+        number of the route.
+
+    Returns:
+      The rows of ``table``, with a column for each sum, and ``above_best``: cost / least cost - 1, which is 0 where the
+      costs are the same but for rounding.
     """
+    # The sums. A group with fewer values than there are routes sums to NaN (`min_count`).
     summed = list(routes.filter(regex="^(cost|length_m|no_fix_m|exposure_.+)$"))
     has_path_at_times = routes.groupby("query")["cost"].transform("count") > 0
     flown = routes[has_path_at_times]
     num_flown = flown["query"].nunique()
     table = table.join(flown.groupby("departure")[summed].sum(min_count=num_flown))
+
     cost = table["cost"]
     least = cost.min()
     above_best = (cost / least - 1).mask(cost <= least * (1 + SAME_ROUTE_COST), 0.0)

@@ -9,7 +9,6 @@ import shutil
 import sys
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -210,7 +209,7 @@ def rounded(frame: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
 def main(arguments: list[str]) -> None:
     """Make all cities, from the folder that the arguments name, and print their sizes."""
     data = Path(arguments[0] if arguments else os.environ.get("JAXURBAN_DATA", "../shared/data"))
-    makers: dict[str, Any] = {
+    makers = {
         "lower-manhattan": make_lower_manhattan,
         "shinjuku": make_shinjuku,
         "nihonbashi": make_nihonbashi,

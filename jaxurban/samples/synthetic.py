@@ -318,18 +318,22 @@ def _lay_out_lots(
 def _erect(
     rng: np.random.Generator, plan: CityPlan, part: Land, cells: np.recarray
 ) -> tuple[Footprints, np.ndarray]:
-    """Return the buildings on street blocks, and the number of the block that each stands on.
+    """Return the buildings on the street blocks of an area of land, and the number of the block that each stands on.
 
-    Shares, sizes and spreads below are chosen so that the city looks like Manhattan; they have no other source. The
-    order of random numbers is part of the city: another one makes another city of the same seed.
+    All numbers below (shares and chances from 0 to 1, sizes in metres, spreads of logarithms) are chosen so that the
+    city looks like Manhattan; they have no other source. The order of random numbers is part of the city: another order
+    would make another city of the same seed.
 
     Args:
       rng: the source of random numbers.
       plan: where towers stand.
       part: the land.
       cells: records of the blocks (`_lay_out_cells`).
+
+    Returns:
+      The buildings, first an outline for each lot, then the shafts of towers; ``[N]`` the block of each.
     """
-    # What stands on each block: towers near the clusters, slabs around courts, or rows of houses.
+    # What stands on each block: towers near the clusters, slabs around courts, or else rows of houses.
     district = cells.district
     num_blocks = len(district)
     is_island = district != OTHER_DISTRICT
@@ -341,7 +345,7 @@ def _erect(
     has_towers = (chance < 1.2 * depth - 0.1) | is_core
     has_slabs = ~has_towers & (chance > 0.93)
 
-    # Lots, without those of blocks that are squares, and without vacant ones.
+    # The lots of each block, in one row or in two; some blocks are squares and some lots vacant, and are left out.
     is_single = has_towers | has_slabs | ((cells.high_m - cells.low_m)[:, 0] < 55.0)
     lot_m = np.select([has_towers, has_slabs, is_island], [54.0, 60.0, 27.0], 44.0)
     lots = _lay_out_lots(rng, part, cells, is_single, lot_m)
@@ -352,7 +356,7 @@ def _erect(
     num_lots = len(lots)
     wide_m = lots.right_m - lots.left_m
 
-    # Heights, spread around the median of the district, and distances from the sides of the lot.
+    # Heights, spread around the median of the district, and setbacks: how far buildings are from the sides of the lot.
     median_m = MEDIAN_HEIGHT_M[district % 13] * (1 + 1.2 * depth)
     median_m = (median_m * np.where(has_slabs, 1.5, 1.0))[block]
     height_m = np.maximum(median_m * np.exp(0.34 * rng.standard_normal(num_lots)), 5.0)
@@ -362,38 +366,39 @@ def _erect(
     back_m = lots.depth_m * rng.uniform(0.26, 0.48, num_lots)
     back_m = np.where(is_single[block], front_m, back_m)
 
-    # Outlines: bars, courts with a hole, L-shapes, and the podiums of towers.
-    chance = rng.random(num_lots)
-    is_tower = has_towers[block] & ((chance < 0.65) | is_core[block])
+    # The form of each outline: the podium of a tower, a court with a hole, an L, or else a bar.
+    lot_chance = rng.random(num_lots)
+    is_tower = has_towers[block] & ((lot_chance < 0.65) | is_core[block])
     is_court = has_slabs[block] & (wide_m > 48) & (lots.depth_m > 40)
-    is_ell = ~is_single[block] & (chance < 0.25)
+    is_ell = ~is_single[block] & (lot_chance < 0.25)
     is_bar = ~(is_tower | is_court | is_ell)
 
-    def rectangles(which: np.ndarray, front: Any, back: Any, left: Any, right: Any) -> np.ndarray:
-        """Return the rectangles on the lots of a mask, set back from their sides by metres (`_rectangle`)."""
-        return shapely.polygons(_rectangle(lots[which], part.frame, front, back, left, right))
-
+    # The outlines, set back from the front, the back, the left and the right side of their lots.
+    frame = part.frame
+    side_of_bar_m = side_m[is_bar]
+    bar_m = front_m[is_bar], back_m[is_bar], side_of_bar_m, side_of_bar_m
+    ring = _rectangle(lots[is_court], frame, 1.5, 1.5, 1.5, 1.5)
+    hole = _rectangle(lots[is_court], frame, 16.0, 16.0, 16.0, 16.0)
     polygons = np.empty(num_lots, object)
-    bar_side_m = side_m[is_bar]
-    polygons[is_bar] = rectangles(is_bar, front_m[is_bar], back_m[is_bar], bar_side_m, bar_side_m)
-    ring = _rectangle(lots[is_court], part.frame, 1.5, 1.5, 1.5, 1.5)
-    hole = _rectangle(lots[is_court], part.frame, 16.0, 16.0, 16.0, 16.0)
+    polygons[is_bar] = shapely.polygons(_rectangle(lots[is_bar], frame, *bar_m))
     polygons[is_court] = shapely.polygons(ring, holes=shapely.linearrings(hole)[:, None])
-    polygons[is_ell] = _ells(lots[is_ell], part.frame, front_m[is_ell], side_m[is_ell])
-    polygons[is_tower] = rectangles(is_tower, 1.5, 1.5, 1.0, 1.0)
+    polygons[is_ell] = _ells(lots[is_ell], frame, front_m[is_ell], side_m[is_ell])
+    polygons[is_tower] = shapely.polygons(_rectangle(lots[is_tower], frame, 1.5, 1.5, 1.0, 1.0))
 
-    # A tower is a podium and a shaft, a part that stands on it. The tallest of each cluster has the cluster's height.
+    # A tower is a podium and a shaft, a part that stands on it. Shafts near the middle of a cluster are scaled so that
+    # the tallest of them has the cluster's height.
     num_towers = is_tower.sum()
     tower_block = block[is_tower]
     height_m[is_tower] = rng.uniform(15.0, 35.0, num_towers)
     sides_m = np.repeat([lots.depth_m[is_tower], wide_m[is_tower]], 2, axis=0)
     inset_m = rng.uniform(0.09, 0.24, (4, num_towers)) * sides_m  # front, back, left, right
-    shafts = rectangles(is_tower, *inset_m)
+    shafts = shapely.polygons(_rectangle(lots[is_tower], frame, *inset_m))
     top_m = (45 + 100 * depth[tower_block]) * np.exp(0.42 * rng.standard_normal(num_towers))
     for cluster, tallest_m in TALLEST_M.items():
         is_near = plan.depth_in(cluster, cells.centre_xy[tower_block]) > 0.3
         top_m[is_near] *= tallest_m / top_m[is_near].max(initial=1.0)
 
+    # Outlines and shafts together.
     num_outlines = num_lots + num_towers
     buildings = Footprints(
         polygons=np.r_[polygons, shafts],
@@ -417,7 +422,7 @@ def _build(extent_m: Box, crs: str, seed: int) -> City:
     plan = CityPlan(extent_m)
     rng = np.random.default_rng(seed)
     parts = plan.parts()
-    buildings: list[Footprints] = []
+    buildings = []
     outlines = []
     people = []
     districts = []
@@ -447,12 +452,13 @@ def _build(extent_m: Box, crs: str, seed: int) -> City:
     people.append(np.zeros(1))
     districts.append(np.array([OTHER_DISTRICT], np.int32))
 
+    # All areas of land together.
     district = np.concatenate(districts)
     zoning = np.where(district <= NUM_COMMERCIAL, Zoning.COMMERCIAL, Zoning.RESIDENTIAL)
     zoning[district == OTHER_DISTRICT] = Zoning.OTHER
     columns = {}
     for field in fields(Footprints):
-        columns[field.name] = np.concatenate([getattr(each, field.name) for each in buildings])
+        columns[field.name] = np.concatenate([getattr(houses, field.name) for houses in buildings])
     return City(
         crs=crs,
         extent_m=extent_m,

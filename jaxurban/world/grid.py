@@ -233,6 +233,7 @@ class Grid:
     num_cols: int
 
     def __post_init__(self) -> None:
+        """Check the numbers and the CRS; errors as of the class."""
         positive("resolution_m", self.resolution_m)
         if self.num_rows < 1 or self.num_cols < 1:
             raise InputError(
@@ -269,7 +270,7 @@ class Grid:
           >>> grid.shape, grid.crs
           ((170, 172), 'EPSG:32618')
         """
-        # The arguments.
+        # The arguments, and the CRS.
         west, south, east, north = bounds = check_bounds(bounds)
         resolutions_m = [resolution_m, *nest_with_m]
         for value in resolutions_m:
@@ -279,7 +280,7 @@ class Grid:
         projected_crs(crs)  # raises InputError for an unusable one
         check_scale(crs, (west + east) / 2, (south + north) / 2)
 
-        # The box in the CRS.
+        # The box in the CRS, which must be finite and hold no more cells than `MOST_CELLS`.
         x_min, y_min, x_max, y_max = box_m = box_of(bounds, crs)
         if not all(map(math.isfinite, box_m)):
             raise InputError(
@@ -290,7 +291,8 @@ class Grid:
                 f"resolution_m {min(resolutions_m):g} makes more than {MOST_CELLS:.0e} cells: choose a coarser one"
             )
 
-        # The borders, in multiples of the length that all resolutions divide.
+        # The borders lie on multiples of a length that is a whole number of cells at every resolution: so the grids of
+        # all resolutions have the same borders.
         snap_m = _common_multiple_m(resolutions_m)
         if snap_m > MAX_SNAP_CELLS * max(resolutions_m):
             raise InputError(

@@ -80,12 +80,15 @@ class Outlines:
     def stretches(self, rays: Rays, height_m: np.ndarray, above_m: float) -> Stretches:
         """Return where rays run over buildings, until they are ``above_m`` above all roofs of a building's class.
 
+        Classes of height end the rays early over low buildings, which are many.
+
         Args:
-          rays: with elevations above 0.
-          height_m: ``[R]`` absolute heights at which they begin.
-          above_m: height above the highest roof of a class, over the highest ground, up to which rays are followed.
+          rays: ``R`` of them, with elevations above 0.
+          height_m: ``[R]`` heights at which they begin, from the same zero as the ground's elevation.
+          above_m: how far above the highest roof of a class, if it stood on the highest ground, rays are followed.
         """
-        # Pairs of a ray and a building, and the part of the ray over the building's outline, class by class.
+        # Pairs of a ray and a building, and the part of the ray over the building's outline, class by class. Empty
+        # arrays come first, for a city without buildings.
         start_m = np.column_stack([rays.x_m, rays.y_m])
         toward = np.column_stack([np.sin(rays.azimuth_rad), np.cos(rays.azimuth_rad)])
         parts = [(np.empty(0, int), np.empty(0, int), np.empty(0, object))]
@@ -95,9 +98,7 @@ class Outlines:
             below = np.flatnonzero(run_m >= 0)  # numbers of the rays that begin below that height
             end_m = start_m[below] + run_m[below, None] * toward[below]
             lines = shapely.linestrings(np.stack([start_m[below], end_m], axis=1))
-            line, member = tree.query(
-                lines, predicate="intersects"
-            )  # pairs, by their index in both
+            line, member = tree.query(lines, predicate="intersects")  # pairs, by indices in both
             crossed = shapely.intersection(lines[line], self.buildings.polygons[members[member]])
             parts.append((below[line], members[member], crossed))
         ray, building, crossed = (np.concatenate(values) for values in zip(*parts, strict=True))

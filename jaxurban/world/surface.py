@@ -269,6 +269,8 @@ class Surface:
           InputError: more cells than ``most_halo`` matter.
         """
         self.check_reach(halo if reach is None else reach)
+
+        # Along each axis of the grid: the cells that the surface has, and how many 0 must stand before and after them.
         slices = []
         pads = []
         for inside, size in zip(self.window, self.grid.shape, strict=True):
@@ -305,7 +307,7 @@ def over_blocks(
       compute: returns the values ``[A, T, T]`` of a block. It gets a function that cuts the block and its halo out of
         an array on the surface's grid, with 0 beyond it.
       num: A, such as the number of altitudes.
-      per_cell: how many of the surface's cells a map's cell has along a side.
+      per_cell: how many of the surface's cells lie along a side of a map's cell.
     """
     surface.check_reach(reach)
     shape = surface.region.num_rows // per_cell, surface.region.num_cols // per_cell
@@ -332,12 +334,12 @@ def obstacle_mask(
 ) -> Bool[Array, "A Y X"]:
     """Return H_obs: True where the highest roof of a cell is at or above the altitude, ``[A, Y, X]``.
 
+    Receiver and roof are both measured from the ground of their own cell, so terrain changes nothing. A cell without a
+    building is free at every altitude. There is no gradient. Paper: section Obstacle Maps.
+
     Args:
       roof_m: ``[Y, X]`` roof heights above the ground of their cell, 0 without a building.
       altitudes_m: ``[A]`` heights above ground.
-
-    Receiver and roof are both measured from their own cell's ground, so terrain changes nothing.
-    A cell without a building is free at every altitude. Paper: section Obstacle Maps. No gradient.
     """
     return _stand_at(roof_m, in_type(altitudes_m, roof_m.dtype))
 
@@ -353,7 +355,7 @@ _stand_at = jax.jit(jax.vmap(stands_at, (None, 0)))
 def region_roofs(surface: Surface, altitude_m: float) -> Float[np.ndarray, "y x"]:
     """Return the roofs of a surface's region on the host, in metres above the ground, with slabs as roofs.
 
-    Those slabs count whose floor is at or below the altitude; at an altitude of inf all of them do.
+    A slab counts if its floor is at or below the altitude; at an altitude of inf all slabs do.
     """
     return surface.part(np.asarray(surface.at_altitude(altitude_m).roof_m))
 

@@ -148,6 +148,7 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
 
 
 def _warn(sentence: str) -> None:
+    """Warn of zones, or of what a file says of them, that are not read as they may be meant."""
     warn(sentence, IgnoredZoneWarning)
 
 
@@ -173,6 +174,7 @@ def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
         areas = frame[shapely.get_dimensions(frame.geometry.to_numpy()) == 2]
         _warn_of_ignored(areas.drop(columns=geometry), file)
 
+        # A zone for each row: its filled properties by plain name, its own name, outline and heights.
         for row in areas.to_dict("records"):
             shape = row.pop(geometry)
             facts = {_plain(name): value for name, value in row.items() if not is_blank(value)}
@@ -275,6 +277,7 @@ def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone
             notes["need an authorisation or hold on conditions, and are closed"].append(name)
         start, end = _times(facts, name, notes)
 
+        # The volumes of the zone: limits and outline of each.
         label = f"{name!r} of {file!r}"
         try:
             volumes = [

@@ -177,7 +177,7 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
             elif isinstance(item, osmium.osm.Way) and kind not in ("", "place"):
                 rows += [(kind, name, line.wkb_hex) for line in runs_of(item)]
 
-    # Those near the box, with the sea, joined by kind and name.
+    # The features near the box and the sea, joined by kind and name.
     kinds = [kind for kind, _, _ in rows]
     names = [name for _, name, _ in rows]
     shapes = [shape for _, _, shape in rows]

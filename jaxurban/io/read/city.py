@@ -77,14 +77,14 @@ def read_city(
     gps: Gps | None,
 ) -> City:
     """Return the city in a set of files, around a region; arguments, warnings and errors as `City.from_files`."""
-    # What a sample city gives where nothing else is named.
+    # What a sample city (`SAMPLES`) gives where the arguments name nothing else.
     sample = SAMPLES.get(sample_name(buildings.source) or "", {})
     if bounds is None and sample:
         bounds = sample["region"]["bounds"]
     people = population or Population(**sample.get("population", {}))
     own_gps = Gps(**sample["gps"]) if gps is None and sample else None
 
-    # Names for provenance, paths to read.
+    # The names of the files, as the arguments have them, for provenance; the sections then get the paths to read.
     files = {"buildings": buildings.source, "terrain": terrain.source}
     files |= {role: getattr(people, role) for role in FILES}
     buildings = _placed(buildings)
@@ -103,6 +103,7 @@ def read_city(
     x_min, y_min, x_max, y_max = box_m
     wide_m = (x_min - reach_m, y_min - reach_m, x_max + reach_m, y_max + reach_m)
 
+    # The ground, and the buildings on it.
     ground = ground_extent_m = None
     if terrain.source is not None:
         ground = read_raster(terrain.source, crs, wide_m)
@@ -111,12 +112,14 @@ def read_city(
     if not buildings.allow_none:
         _check_has_building(buildings, source, region, box_m)
 
-    # People, and what was guessed of all.
+    # What the region itself rests on: where no bounds are given it is all that the buildings cover, maybe too much.
     issues = dict(source.read_issues)
     if bounds is None and source.buildings is not None:
         main = main_bounds(source.buildings.polygons, crs, region)
         if main is not None:
             warn(covers_too_much(buildings.source, region, main), GuessWarning)
+
+    # People, and what was guessed of heights, of people and of the ground.
     guesses = height_guesses(source.buildings, box_m, buildings)
     blocks = None
     if people.blocks is not None or people.blocks_day is not None:
@@ -144,7 +147,7 @@ def read_city(
 
 
 def _placed(section: Any) -> Any:
-    """Return a section of settings with the path of each file that it names, of sample cities too."""
+    """Return a section of settings in which each file that it names has its path; a sample city's file has one too."""
     paths = {
         name: located(file)
         for name, file in vars(section).items()
@@ -414,21 +417,20 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
 def area_of_raster(raster: Raster, crs: str) -> shapely.Geometry:
     """Return the area in ``crs`` where a raster holds data.
 
-    A raster with holes is cut into blocks, `BLOCKS_A_SIDE` a side, and those with any data are the area.
+    A raster with holes is cut into blocks, `BLOCKS_A_SIDE` a side, and the area is that of the blocks with any data.
     """
     num_rows, num_cols = raster.values.shape
     is_known = np.isfinite(raster.values)
     known = shapely.box(0, 0, num_cols, num_rows)  # columns and rows
     if not is_known.all():
-        row = np.unique(
-            np.linspace(0, num_rows, BLOCKS_A_SIDE + 1).astype(int)
-        )  # borders of blocks
+        # The borders of blocks, and which blocks have any data.
+        row = np.unique(np.linspace(0, num_rows, BLOCKS_A_SIDE + 1).astype(int))
         col = np.unique(np.linspace(0, num_cols, BLOCKS_A_SIDE + 1).astype(int))
         has_any = np.logical_or.reduceat(is_known, row[:-1], axis=0)
         has_any = np.logical_or.reduceat(has_any, col[:-1], axis=1)
         i, j = np.nonzero(has_any)
         known = shapely.union_all(shapely.box(col[j], row[i], col[j + 1], row[i + 1]))
 
-    # Straight sides of pixels bend in another CRS, so they are cut before.
+    # Straight sides of pixels bend in another CRS, so they are cut into short pieces before.
     area = shapely.segmentize(known, max(num_rows, num_cols) / BLOCKS_A_SIDE)
     return shapely.transform(area, lambda x, y: pixel_xy(raster, y, x, crs), interleaved=False)

@@ -48,6 +48,7 @@ def _metres(text: str) -> float:
 
 
 def _count(text: str) -> float:
+    """Return the number of levels in a text, NaN where it is no number."""
     match = _COUNT.fullmatch(text)
     return _number(match[1]) if match else math.nan
 
@@ -146,6 +147,7 @@ def estimate_heights(
         column = tags.get(name, empty)
         return is_given(column), _read_column(column, parse) * unit_m
 
+    # Where each tag holds something, and its values.
     given_height, height_m = read("height", parse_length_m)
     given_levels, levels_m = read("levels", parse_count, rules.level_height_m)
     given_roof, roof_m = read("roof_levels", parse_count, rules.level_height_m)
@@ -182,8 +184,8 @@ def estimate_heights(
 def with_decks(buildings: Footprints, is_deck: np.ndarray, layer: np.ndarray) -> Footprints:
     """Return buildings with decks that hang: from ``min_height`` to ``height`` where both are given.
 
-    Without ``min_height`` a deck is `DECK_DEPTH_M` deep, below its ``height``; with neither it hangs at
-    `LAYER_CLEARANCE_M` a layer (at least one), and its height is a guess.
+    Without ``min_height`` a deck reaches `DECK_DEPTH_M` down from its ``height``. Without both its floor is
+    `LAYER_CLEARANCE_M` above the ground for each layer (at least one), and its height is a guess.
 
     Args:
       buildings: ``N`` outlines with heights by their tags.

@@ -129,7 +129,10 @@ class Flight:
         self._add_jumps(items)
 
     def _fly(self, item: Item) -> None:
-        """Fly an item by its command, or say why it is not judged; commands that move nothing are passed over."""
+        """Fly an item by its command, or say why it is not judged; a command that moves nothing has no effect.
+
+        The first case that fits counts, and those of a place that cannot be read come before those of the commands.
+        """
         command = item.command
         leads_somewhere = command in HAS_HEIGHT or (command in LANDINGS and item.has_coordinates)
         if leads_somewhere and item.datum is None:
@@ -166,6 +169,7 @@ class Flight:
             self._pass_over(item, item.what or f"command {command}")
 
     def _say(self, sentence: str) -> None:
+        """Note a sentence on what is not judged."""
         self.not_judged.append(sentence)
 
     def _pass_over(self, item: Item, what: str) -> None:

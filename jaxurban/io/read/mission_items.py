@@ -146,9 +146,10 @@ def _object(value: Any, what: str) -> dict[str, Any]:
 
 
 def _home(lon: float, lat: float, elevation_m: float) -> Home:
-    """Return home in degrees and its elevation in metres, None for each that is NaN or 0.
+    """Return home in degrees and its elevation in metres, None for either of them that is not known.
 
-    Ground stations write 0 for what is not set. Without a home there is no elevation either.
+    Ground stations write 0 for what is not set: home at 0, 0 or NaN is not known, nor is an elevation of 0 or NaN, nor
+    one without a home.
 
     Raises:
       ValueError: home does not lie on the Earth.
@@ -172,6 +173,13 @@ def _item_of_plan(value: Any, number: int) -> Item:
     same. Only where QGroundControl calculates heights above the geoid from heights above ground do they differ: then
     the seventh parameter counts, or, where it is null because the terrain is not known, the ``Altitude`` above ground.
 
+    Args:
+      value: the JSON value.
+      number: of the item, by which messages name it.
+
+    Returns:
+      The item; a survey or another ``ComplexItem`` becomes one of command -1, which says what it is.
+
     Raises:
       ValueError: it is no item, or its two heights differ by more than `SAME_M`.
     """
@@ -180,7 +188,8 @@ def _item_of_plan(value: Any, number: int) -> Item:
     key = whole_of(f"doJumpId of {what}", row.get("doJumpId", number))
     if row.get("type") != "SimpleItem":
         kind = str(row.get("complexItemType"))[:40]
-        kind = kind if kind.isidentifier() else "strange item"
+        if not kind.isidentifier():
+            kind = "strange item"
         return Item(number, key, command=-1, what=f"a {kind} (ComplexItem)")
 
     params = row.get("params")
@@ -190,10 +199,12 @@ def _item_of_plan(value: Any, number: int) -> Item:
     command, frame = (whole_of(f"{part} of {what}", row.get(part)) for part in ("command", "frame"))
     item = _item(what, number, key, command, frame, values)
 
+    # Its two heights: the parameter's in the item, and the one that QGroundControl shows.
     shown_m = number_of(f"Altitude of {what}", row.get("Altitude"))
     if row.get("AltitudeMode") == CALCULATED and item.datum == "geoid":
-        is_open = math.isnan(item.height_m)
-        return item._replace(height_m=shown_m, datum="ground") if is_open else item
+        if math.isnan(item.height_m):
+            return item._replace(height_m=shown_m, datum="ground")
+        return item
     if command in HAS_HEIGHT and abs(item.height_m - shown_m) > SAME_M:
         raise ValueError(
             f"{what} has params of {item.height_m:g} m and an Altitude of {shown_m:g} m"
@@ -202,6 +213,7 @@ def _item_of_plan(value: Any, number: int) -> Item:
 
 
 def _float(text: str) -> float | str:
+    """Return a text as a number, and unchanged if it is none."""
     with suppress(ValueError):
         return float(text)
     return text

@@ -71,7 +71,7 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
     if not lines:
         raise InputError(f"{name!r} holds no line of two points: give the mission's way as a line")
 
-    legs: list[Leg] = []
+    legs = []
     number = 0
     for line in lines:
         datum = _datum(name, line.datum, heights)
@@ -228,6 +228,7 @@ def gpx_lines(path: Path, data: bytes) -> list[Line]:
         if _tag(element) not in ("rte", "trkseg"):
             continue
 
+        # The points of a line, and their heights: above ground only if every point of jaxurban's own file says so.
         nodes = [child for child in element if _tag(child) in ("rtept", "trkpt")]
         above_ground = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes]
         is_own = root.get("creator") == OWN and all(above_ground)
@@ -259,6 +260,8 @@ def geojson_lines(path: Path, data: bytes) -> list[Line]:
     for feature in features:
         properties = feature.get("properties") or {}
         geometry = feature.get("geometry", feature) or {}
+
+        # What is no line gives one without points; what repeats a part of the route gives none.
         if is_own and properties.get(SEGMENT_PROPERTY) is not None:
             continue  # of a report: it repeats a part of the route
         kind = geometry.get("type")
@@ -269,6 +272,7 @@ def geojson_lines(path: Path, data: bytes) -> list[Line]:
         if kind == "LineString":
             parts = [parts]
 
+        # The points of each part, with the heights of a route of jaxurban's, if it is one.
         above_ground_m = properties.get("z_m") if "settings" in properties else None
         for part in parts:
             heights_m = above_ground_m or [properties.get(ALTITUDE_PROPERTY)] * len(part)

@@ -76,6 +76,7 @@ class Orbits:
 
 @lru_cache(maxsize=1)
 def _timescale() -> Timescale:
+    """Return the scale of time for Skyfield, made once."""
     return load.timescale(builtin=True)  # the copy inside Skyfield: no network
 
 
@@ -263,6 +264,7 @@ def look_angles(
     Raises:
       InputError: text that is not a time, elements too old, or ones that SGP4 cannot carry to a time.
     """
+    # The angles, a set of elements at a time; `age_days` stays 0 for nominal satellites.
     utc = [parse_time(time) for time in times]
     point = wgs84.latlon(lat_deg, lon_deg, elevation_m=height_m)
     azimuth_rad, elevation_rad, age_days = np.zeros((3, len(utc), len(orbits.satellites)))
@@ -275,6 +277,7 @@ def look_angles(
             if orbits.sources[s] != NOMINAL:
                 age_days[index, s] = np.abs(moments.tt - satellite.epoch.tt)
 
+    # Elements that are too old, and those that SGP4 gives up on.
     names = tuple(satellite.name for satellite in orbits.satellites)
     iso = tuple(time.replace(tzinfo=None).isoformat() + "Z" for time in utc)
     _check_age(orbits.sources, iso, names, age_days, max_age_days)
@@ -334,9 +337,13 @@ def _rinex_name(name: str) -> str:
 def _satellites_at(
     orbits: Orbits, utc: list[datetime]
 ) -> Iterator[tuple[list[int], list[tuple[int, EarthSatellite]]]]:
-    """Yield the indices of the times that a set of elements serves, and its satellites by their numbers in the orbits.
+    """Yield sets of elements: the indices of the times that a set serves, and its satellites with their numbers.
 
-    Elements from files serve all times; of nominal satellites each day (UTC) has its own.
+    Elements from files serve all times. Nominal satellites have other elements on each day (UTC).
+
+    Args:
+      orbits: the satellites; a satellite's number is its place in them.
+      utc: the times.
     """
     nominal = orbits.of(NOMINAL)
     numbered = enumerate(orbits.satellites)

@@ -72,15 +72,18 @@ def read_osm(path: str | Path, *, has_decks: bool = False) -> Outlines:
 
 
 def _read(path: str | Path, has_decks: bool) -> Outlines:
-    """Return the outlines of an OSM file; arguments as of `read_osm`, errors as pyosmium raises them."""
-    # Areas, with their tags and shapes, and what the file has of their ways and relations.
-    areas: list[tuple[bool, int]] = []  # of each whether it is a way, and its id
-    shapes: list[str | None] = []  # WKB in hexadecimal, None where libosmium gave up
-    tags: list[list[str | None]] = []
+    """Return the outlines of an OSM file; arguments as of `read_osm`, errors as pyosmium raises them.
+
+    An area is an outline that libosmium makes of a closed way, or of the ways of a relation.
+    """
+    # Areas, an entry of each list for each, and the ids of the ways and relations that the file has.
+    areas: list[tuple[bool, int]] = []  # whether it is of a way, and the id of way or relation
+    shapes = []  # WKB in hexadecimal, None where libosmium could not make it
+    tags = []
     ways = set()
     open_ways = set()
     missing = set()  # ways that lack nodes
-    relations = {}  # the ways of each
+    relations = {}  # for each relation its ways
     to_wkb = osmium.geom.WKBFactory()
     chosen = HAS_BUILDING_OR_DECK if has_decks else HAS_BUILDING
     for item in open_osm(path).with_areas(chosen).with_filter(chosen):
@@ -100,7 +103,7 @@ def _read(path: str | Path, has_decks: bool) -> Outlines:
         elif isinstance(item, osmium.osm.Relation) and item.tags.get("type") in _AREA_RELATIONS:
             relations[item.id] = _ways_of(item)
 
-    # Areas that libosmium could not assemble, from the lines of their ways.
+    # Areas that libosmium could not assemble are built from the lines of their ways, as far as the file has them.
     polygons = shapely.from_wkb(np.array(shapes, object))
     broken = np.flatnonzero(shapely.is_missing(polygons))
     ways_of = {}
@@ -112,7 +115,7 @@ def _read(path: str | Path, has_decks: bool) -> Outlines:
         known = [lines[way_id] for way_id in ids if way_id in lines]
         polygons[index] = shapely.build_area(shapely.union_all(known))
 
-    # Ways and relations of which no area came are counted by what is wrong with them.
+    # The outlines. Ways and relations that made no area are counted by what is wrong with them.
     of_ways = {item_id for is_way, item_id in areas if is_way}
     of_relations = {item_id for is_way, item_id in areas if not is_way}
     columns = np.array(tags, object).reshape(-1, len(TAGS)).T
@@ -144,6 +147,7 @@ def format_of(path: str | Path) -> str:
 
 
 def _file(path: str | Path) -> osmium.io.File:
+    """Return a file for pyosmium, whose format its name says."""
     return osmium.io.File(str(path), format_of(path))
 
 
@@ -162,6 +166,7 @@ def open_osm(path: str | Path) -> osmium.FileProcessor:
 
 
 def _ways_of(relation: osmium.osm.Relation) -> list[int]:
+    """Return the ids of the ways in a relation."""
     return [member.ref for member in relation.members if member.type == "w"]
 
 
@@ -230,7 +235,13 @@ def _relations(file: osmium.io.File) -> Iterator[osmium.osm.Relation]:
 def _ways_in(
     file: osmium.io.File, chosen: IdFilter | KeyFilter, box: Bounds
 ) -> Iterator[osmium.osm.Way]:
-    """Yield the ways of a file, sorted with nodes first, that pass a filter and have a node in a box, in degrees."""
+    """Yield the ways of a file that pass a filter and have a node in a box.
+
+    Args:
+      file: sorted, with nodes before ways.
+      chosen: the filter.
+      box: west, south, east, north in degrees.
+    """
     west, south, east, north = box
     processor = osmium.FileProcessor(file, osmium.osm.NODE | osmium.osm.WAY).with_locations()
     for item in processor.with_filter(chosen):
@@ -280,7 +291,7 @@ def areas_and_coast(
       the runs of the coast's ways, see `runs_of`. Areas that cannot be assembled are left out.
     """
     rows: list[tuple[str, str, str]] = []
-    coast: list[shapely.LineString] = []
+    coast = []
     to_wkb = osmium.geom.WKBFactory()
     areas = TagFilter(*WATER, *PARK)
     for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):
@@ -325,12 +336,15 @@ def runs_of(way: osmium.osm.Way) -> list[shapely.LineString]:
 def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geometry:
     """Return the part of a box on the right of coast lines, which have the land on their left.
 
-    Lines that end inside the box, no farther than `GAP_M` from its border, are led on to it: extracts are cut so. A box
-    that no line parts is wet or dry by the side of the nearest line.
+    A line that ends inside the box, less than `GAP_M` from its border, is led on to the border, as extracts are cut in
+    this way. A box that no line cuts is all sea or all land, by the side of the nearest line on which its centre lies.
 
     Args:
       coast: lines in a projected CRS in metres; without any there is no sea.
       box: in the same CRS.
+
+    Returns:
+      A polygon or several; an empty polygon where there is no sea.
 
     Warns:
       UserWarning: the lines have a gap, so that land and sea cannot be distinguished.
@@ -338,7 +352,7 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
     if not coast:
         return shapely.Polygon()
 
-    # Cut the box along the coast into faces.
+    # Cut the box along the coast into faces, each of which is sea or land.
     whole = shapely.get_parts(shapely.line_merge(shapely.union_all(coast), directed=True))
     ends = shapely.get_parts(shapely.boundary(whole))  # rings have none
     is_near = shapely.distance(box.exterior, ends) < GAP_M
@@ -349,7 +363,8 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
     faces = shapely.get_parts(shapely.polygonize([network]))
     faces = faces[shapely.contains(box, shapely.point_on_surface(faces))]
 
-    # The coast's straight segments that have a length, [N, 2 (x, y), 2 (from, to)], and the direction to their right.
+    # The coast's straight segments: `segments` is [N, 2 (x, y), 2 (from, to)]. Those that have a length are kept, and
+    # `right` is the direction [N, 2] to their right.
     points = [shapely.get_coordinates(line) for line in coast]
     segments = np.concatenate([sliding_window_view(line, 2, axis=0) for line in points])
     start, end = np.moveaxis(segments, -1, 0)
@@ -368,12 +383,16 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
         point, face = tree.query(beside, predicate="within")
         np.add.at(shore_m[row], face, length_m[point])
     wet_m, dry_m = shore_m
-    if not shore_m.any():  # no coast in the box
+
+    # Without coast in the box, the side of the nearest segment on which the middle of the box lies.
+    if not shore_m.any():
         middle = box.centroid
         lines = shapely.linestrings(np.stack([start, end], axis=1))
         nearest = np.argmin(shapely.distance(lines, middle))
         from_shore = shapely.get_coordinates(middle)[0] - start[nearest]
         return box if right[nearest] @ from_shore > 0 else shapely.Polygon()
+
+    # A face that has much shore of both kinds shows a gap in the lines.
     if (np.minimum(wet_m, dry_m) > MIXED * np.maximum(wet_m, dry_m)).any():
         warn(
             "the coast lines have a gap: what lies beside it is taken for what most of its shore says, land or sea; "

@@ -97,14 +97,14 @@ def read_bands(
     holds: str = OWN_VALUES,
     dtype: type = np.float32,
 ) -> list[Raster]:
-    """Return every band of a raster of values in a unit of their own, NaN where it has none; arguments as above.
+    """Return every band of a raster file, or of the part of it that covers some bounds, NaN where it has no data.
 
     The file's scales and offsets are applied.
 
     Args:
-      path, crs, bounds_m: as there.
-      holds: what the values are, for messages; of any but `OWN_VALUES` there may be one band only. `HEIGHTS` come in
-        metres, and what is not finite must be declared empty.
+      path, crs, bounds_m: as for `read_raster`.
+      holds: what the values are, for messages. Only a file of `OWN_VALUES`, in a unit of their own, may have several
+        bands. `HEIGHTS` are returned in metres, and any that is not finite must be declared empty.
       dtype: of the result.
 
     Raises:
@@ -125,6 +125,8 @@ def read_bands(
         values = (stored * scale + offset) * unit_m
         transform = tuple(source.transform)[:6]
         raster_crs = _horizontal_crs(source)
+
+    # Heights that are not finite are refused; other such values count as empty.
     is_bad = ~np.isfinite(values) & ~is_empty
     if are_heights and is_bad.any():
         raise InputError(
@@ -239,6 +241,7 @@ def _check_mask(path: Path) -> None:
 
 
 def _first_bytes(path: Path) -> bytes:
+    """Return as many bytes of the begin of a file as a mark of `TIFF_MARKS` has."""
     with path.open("rb") as file:
         return file.read(len(TIFF_MARKS[0]))
 
@@ -292,7 +295,8 @@ def raster_window(
     if bounds_m is None:
         return Window(0, 0, source.width, source.height)
 
-    # The pixels of 22 x 22 places in the box and on its border, as straight sides bend in another CRS.
+    # The pixels at 22 x 22 places, evenly spread over the box and its border: as straight sides bend in another CRS,
+    # the corners alone would not do.
     x_min, y_min, x_max, y_max = bounds_m
     x_m, y_m = np.meshgrid(np.linspace(x_min, x_max, 22), np.linspace(y_min, y_max, 22))
     x, y = transformer(crs, _horizontal_crs(source)).transform(x_m, y_m)
@@ -378,7 +382,7 @@ def check_is_no_surface(name: str, heights: Raster, crs: str) -> None:
 
 
 def _raised_share(raster: Raster, crs: str) -> float:
-    """Return the share of the blocks on which something stands without ground near 0; 0 if nothing stands."""
+    """Return which share of the blocks on which something stands have no ground near 0; 0 where nothing stands."""
     level_m = low_levels(raster, crs)
     return float(np.mean(np.abs(level_m) > GROUND_M)) if len(level_m) else 0.0
 

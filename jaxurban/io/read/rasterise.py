@@ -80,9 +80,10 @@ def rasterise(
       city: with outlines or a height raster.
       grid: where to burn; the surface's region too.
       all_touched: ``roof_m`` is ``roof_touched_m`` too.
-      has_guessed: of outlines, whether the height of each cell's roof is guessed becomes ``roof_guessed``.
+      has_guessed: for a city with outlines, also return ``roof_guessed``: whether the height of a cell's roof is
+        guessed.
     """
-    has_data = terrain_m = guessed = slabs = None  # `has_data` None: everywhere
+    has_data = terrain_m = guessed = slabs = None  # `has_data` stays None where all cells have data
 
     # Roofs, by centres and by touch.
     if city.buildings is not None:
@@ -105,7 +106,7 @@ def rasterise(
     if has_data is not None and has_data.all():
         has_data = None
 
-    # What hangs: only what stands has a roof then, and `burn_hanging` raises the roofs that carry it.
+    # What hangs. Roofs are then those of standing buildings, and `burn_hanging` raises the roofs that carry slabs.
     if city.buildings is not None and city.hanging == SLABS:
         standing = city.buildings.take(city.buildings.min_height_m == 0)
         roof_m = _burn_heights(standing, grid)[all_touched]
@@ -185,17 +186,21 @@ def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndar
 
 
 def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
-    """Return the index of the census block under each cell, `NO_BLOCK` without one; None for a city without blocks.
+    """Return the index of the census block under each cell, `NO_BLOCK` where there is none.
+
+    Blocks with counts of their own by day are pixels of a raster, or pieces of them, and may be smaller than a cell.
+    They are sampled at ``n`` x ``n`` subcells of each cell (`PEOPLE_SAMPLES` a side), so that maps hold their people
+    to 0.5 %.
 
     Returns:
-      ``[Y, X]`` int32 at the cells' centres. Of blocks with counts of their own by day, which are pixels or pieces of
-      them, ``[Y, X, n * n]`` at the centres of ``n`` x ``n`` subcells (`PEOPLE_SAMPLES` a side): so maps hold their
-      people to 0.5 %.
+      int32 ``[Y, X]`` at the cells' centres or, with such counts, ``[Y, X, n * n]`` at the centres of their subcells,
+      row by row from the south; None for a city without blocks.
     """
     blocks = city.blocks
     if blocks is None:
         return None
-    n = 1 if blocks.day_count is None else PEOPLE_SAMPLES
+    is_sampled = blocks.day_count is not None
+    n = PEOPLE_SAMPLES if is_sampled else 1
     index, _ = burn(
         blocks.polygons,
         np.arange(len(blocks)),
@@ -205,10 +210,11 @@ def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
         boxes_m=blocks.boxes_m,
         has_touched=False,
     )
-    if n == 1:
+    if not is_sampled:
         return index
-    # From rows and columns of subcells to those of each cell.
-    return index.reshape(grid.num_rows, n, -1, n).swapaxes(1, 2).reshape(*grid.shape, n * n)
+    # From rows and columns of all subcells to [Y, n, X, n], then [Y, X, n, n], and one axis of the n x n subcells.
+    by_cell = index.reshape(grid.num_rows, n, grid.num_cols, n).swapaxes(1, 2)
+    return by_cell.reshape(*grid.shape, n * n)
 
 
 def check_has_data(has_data: Iterable[Any], city: City) -> None:
@@ -285,6 +291,7 @@ def burn(
     Returns:
       Two ``[Y, X]`` arrays of ``dtype``, row 0 in the south.
     """
+    # Only polygons whose boxes touch the grid's are burnt.
     centre = np.full(grid.shape, fill, dtype)
     touched = np.full(grid.shape if has_touched else (0, 0), fill, dtype)
     boxes = shapely.bounds(polygons) if boxes_m is None else boxes_m.T
@@ -418,7 +425,17 @@ def bands_of(
 def _bands(
     name: str, layer: Layer, region: Grid, altitudes_m: Sequence[float], folder: Path
 ) -> Bands:
-    """Return the bands of one layer: one for each flight altitude, or one for all. See `bands_of`."""
+    """Return the bands of one layer: one for each flight altitude, or one for all.
+
+    Args:
+      name: of the layer, for messages.
+      layer: whose source is a path or an array.
+      region, altitudes_m: as for `bands_of`.
+      folder: that a relative path is relative to.
+
+    Raises:
+      InputError: as of `bands_of`.
+    """
     bands: Sequence[Raster | np.ndarray]
     if isinstance(layer.source, str):
         from jaxurban.io.read.raster import read_bands  # GDAL loads for files alone

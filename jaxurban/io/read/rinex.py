@@ -276,9 +276,9 @@ def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, list
             f"{what} has no C/N0 of L1, E1 or B1 (S1C, S2I ...): write it with these observables"
         )
     only = sidereon.ObservationFilter(codes)
-    times_s: list[float] = []
+    times_s = []
     names: list[str] = []
-    values: list[np.ndarray] = []
+    values = []
     for number, epoch in enumerate(file.epochs):
         time = epoch.epoch
         if epoch.flag >= EVENTS or time is None:

@@ -54,7 +54,7 @@ def read_routes(file: str | Path) -> list[Route]:
     Raises:
       InputError: no such file, no line in it, or an altitude that is not a number.
     """
-    routes: list[Route] = []
+    routes = []
     num_others = 0
     layers = (frame.to_crs("EPSG:4326") for frame in open_layers(file, "routes"))
     features = (row for frame in layers for _, row in frame.iterrows())

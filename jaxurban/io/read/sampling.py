@@ -199,17 +199,20 @@ def _highest(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
 def _bilinear(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     """Return the means of the four pixels around each place, weighted by how near their centres are.
 
-    Pixels without data have no weight, and the mean is NaN where the pixel that holds the place has none.
+    Pixels without data have no weight. The mean is NaN where the pixel in which the place lies has no data.
 
     Args:
       raster: the pixels.
-      row, col: of the places in the whole file, with fractions, arrays of one shape.
+      row, col: of the places in the whole file, with fractions, arrays of one shape, which the result has too. The
+        centre of the first pixel is at 0.5, 0.5.
     """
-    # The pixel of the four with the lowest row and column, and how far (0 to 1) the place is from its centre.
+    # Of the four pixels the one with the lowest row and column, and how far (0 to 1) the place is from its centre.
     low_row = np.floor(row - 0.5)
     low_col = np.floor(col - 0.5)
     along_row = row - 0.5 - low_row
     along_col = col - 0.5 - low_col
+
+    # The sum of the four weighted pixels, and that of their weights.
     total = np.zeros(row.shape)
     weights = np.zeros(row.shape)
     for down, row_weight in ((0, 1 - along_row), (1, along_row)):
@@ -218,6 +221,8 @@ def _bilinear(raster: Raster, row: np.ndarray, col: np.ndarray) -> np.ndarray:
             weight = np.where(np.isnan(pixel), 0.0, row_weight * col_weight)
             total += weight * np.nan_to_num(pixel)
             weights += weight
+
+    # Where the place's own pixel has data, its weight is above 0; elsewhere 1 stands for it in the division.
     has_data = ~np.isnan(_pixels(raster, np.floor(row), np.floor(col)))
     return np.where(has_data, total, np.nan) / np.where(has_data, weights, 1.0)
 

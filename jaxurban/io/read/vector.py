@@ -124,7 +124,7 @@ def _read(
 def _read_parquet(path: str | Path, *, for_buildings: bool) -> gpd.GeoDataFrame:
     """Return the features of a GeoParquet file, with the facts of its metadata as ``attrs``.
 
-    With ``for_buildings`` only geometries and the columns that say something of buildings are read.
+    With ``for_buildings`` only geometries and the columns that describe buildings (`is_of_buildings`) are read.
     """
     import pyarrow.parquet as pq  # imported here: it takes 0.1 s to load, for which other formats need not wait
 
@@ -206,15 +206,20 @@ def _check(name: str, frame: gpd.GeoDataFrame) -> None:
 
 
 def _only_near(path: str | Path, layer: str, near: Near) -> dict[str, Any]:
-    """Return the options by which pyogrio reads the buildings near a region alone, with columns that say something.
+    """Return the options by which pyogrio reads only buildings near a region, and only columns that describe buildings.
 
-    The box is that of all features which touch the region's surroundings, so that with them all is read that touches
-    one of them (see `near_rows`). Without CRS or geometry, or where no box holds the region, there are no options.
+    The box to read is the one around all features that touch the region's surroundings: so everything that touches one
+    of these features is read too (see `near_rows`). Without a CRS or geometry, or where no box holds the region, there
+    are no options.
     """
     facts = pyogrio.read_info(path, layer=layer)
-    box = near.box_in(facts["crs"]) if facts["crs"] and facts["geometry_type"] else None
+    if not (facts["crs"] and facts["geometry_type"]):
+        return {}
+    box = near.box_in(facts["crs"])
     if box is None:
         return {}
+
+    # The features that touch the surroundings, by their boxes: `sides` is [4, N].
     _, sides = pyogrio.read_bounds(path, layer=layer, bbox=box)
     return {
         "bbox": extent_of(sides.T) if sides.size else box,

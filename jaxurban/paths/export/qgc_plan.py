@@ -108,6 +108,8 @@ def to_qgc_plan(
             f"a .plan holds one path, and these are {len(routes)}: write a file for each"
         )
     ((_, route),) = routes
+
+    # What the file says: the facts of the path, its waypoints, the height of home and the rings to keep out of.
     facts, _ = facts_of(route, report)
     speed_m_s = facts.get("speed_m_s")
     along = waypoints(route)
@@ -206,9 +208,12 @@ def _command(
 def exclusions(route: "PlannedPath") -> tuple[list[np.ndarray], str]:
     """Return the zones of a path's geofence as rings, and a sentence on them and on what they leave out.
 
-    A ring is ``[N, 2]`` longitude, latitude in degrees of the corners to keep out of. A geofence knows no heights. So
-    it holds only zones that reach the altitudes of the path, and none that the path itself leads over or under, which
-    would stop it. A zone with a hole is cut in two through the hole. Without zones there are no rings, and no sentence.
+    A geofence knows no heights. So it holds only zones that reach the altitudes of the path, and no zone over or under
+    which the path leads, as that would stop the flight. A zone with a hole is cut in two through the hole.
+
+    Returns:
+      Rings, each ``[N, 2]`` longitude, latitude in degrees of the corners of an area to keep out of; and the sentence.
+      No rings and an empty text where the path has no zones.
     """
     if not route.zones:
         return [], ""
@@ -216,6 +221,8 @@ def exclusions(route: "PlannedPath") -> tuple[list[np.ndarray], str]:
     surroundings = _surroundings(route)
     box = shapely.box(*surroundings.bounds_m)
     line = line_of(route.xy_m)
+
+    # The rings, from the part of each zone that is near the path.
     rings: list[np.ndarray] = []
     num_fenced = num_elsewhere = 0
     for zone in route.zones:
@@ -229,6 +236,8 @@ def exclusions(route: "PlannedPath") -> tuple[list[np.ndarray], str]:
         num_fenced += 1
         polygons = without_holes(polygonal(shapely.simplify(part, SMOOTH_M)))
         rings += [ring_of(polygon, surroundings) for polygon in polygons]
+
+    # The sentence.
     zones = "no-fly zone" if num_fenced == 1 else "no-fly zones"
     sentence = f"The geofence keeps out of {num_fenced} {zones} within {NEAR_M / 1000:g} km"
     if num_elsewhere:
@@ -249,7 +258,7 @@ def without_holes(polygon: shapely.Geometry) -> list[shapely.Polygon]:
 
     A part with a hole is cut in two along the vertical line through the middle of its first hole, until none is left.
     """
-    polygons: list[shapely.Polygon] = []
+    polygons = []
     parts = list(shapely.get_parts(polygon))  # still to be looked at
     while parts:
         part = parts.pop()

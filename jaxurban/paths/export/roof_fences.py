@@ -81,6 +81,7 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
         raise InputError(
             "fence_roofs_m needs the maps of the path, and this one has none: plan it, or leave that out"
         )
+
     # The roofs that a leg passes within the distance, and that reach its height less the vertical clearance.
     grid = route.maps.grid
     xy_m = route.xy_m
@@ -107,6 +108,7 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
             "mission"
         )
 
+    # The sentence.
     note = (
         f"The geofence keeps out of the {roofs.name} within {near_m:g} m that reach the flight: "
         f"{len(reaching) - num_met}, {roofs.origin}"
@@ -123,9 +125,15 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
 
 
 def _roofs_near(maps: "MetricMaps", line: shapely.Geometry, near_m: float) -> _Roofs:
-    """Return the roofs within a distance of a line in the maps' CRS, and where there are only cells some beside them.
+    """Return the roofs within a distance of a line in the maps' CRS.
 
-    They are outlines of the city that the maps were made of, or else cells of the maps that a roof touches.
+    They are outlines of the city that the maps were made of. Where that city cannot be read again they are the cells of
+    the maps that a roof touches, some of them a little farther away.
+
+    Args:
+      maps: the maps.
+      line: in their CRS.
+      near_m: the distance.
     """
     from jaxurban.maps.sources import city_of
 
@@ -138,6 +146,8 @@ def _roofs_near(maps: "MetricMaps", line: shapely.Geometry, near_m: float) -> _R
     if buildings is not None:
         near = buildings.take(shapely.dwithin(buildings.polygons, line, near_m))
         return _Roofs(near.polygons, near.height_m, near.is_guessed, "roofs", "by their outlines")
+
+    # Cells of the maps instead.
     grid = maps.grid
     roof_m = maps.m("roof_touched")
     near_cells = touched_cells(shapely.buffer(line, near_m * ROUND), grid)

@@ -194,7 +194,7 @@ def write_path(
     replaced.
 
     Args:
-      route: from `plan`, or several; of these, those with a path are written.
+      route: from `plan`, or several; a result without a path is left out.
       file: where to; each format needs a call of its own.
       report: from `jaxurban.explain`; its speed becomes the cruise speed of a ``.plan``. Of one path only.
       names: of several paths, one for each; left out, their numbers from 1 up.
