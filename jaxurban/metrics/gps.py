@@ -108,8 +108,8 @@ class Gps:
                 f"mask_deg must be an angle from 0 to less than 90 degrees, got {self.mask_deg}"
             )
         positive("max_age_days", self.max_age_days, "days")
-        lon_deg, lat_deg = self.reference or (0, 0)
-        if not (abs(lon_deg) <= 180 and abs(lat_deg) <= 90):
+        place: Sequence[float] = self.reference or (0, 0)
+        if len(place) != 2 or not (abs(place[0]) <= 180 and abs(place[1]) <= 90):
             raise InputError(
                 f"reference must be a longitude and a latitude in degrees, got {self.reference}"
             )

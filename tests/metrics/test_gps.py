@@ -306,3 +306,9 @@ def test_more_than_32_satellites_of_four_systems_count_in_the_dops_of_an_open_sk
         "orbits_3",
     }
     assert record["settings"]["gps"]["orbits"][0] == "nominal"
+
+
+@pytest.mark.parametrize("reference", [(1.0,), (1.0, 2.0, 3.0), (200.0, 0.0)])
+def test_a_reference_that_is_no_longitude_and_latitude_is_refused(reference):
+    with pytest.raises(ju.InputError, match="a longitude and a latitude in degrees"):
+        Gps(reference=reference)
