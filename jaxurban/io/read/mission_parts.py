@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
 Datum = Literal["home", "ground", "geoid", "ellipsoid"]  # what a height is above
+Profile = Literal["frame", "straight", "both"]  # how a leg runs between the heights of its ends
 LonLat = tuple[float, float]
 DATUMS: tuple[Datum, ...] = get_args(Datum)
 NO_HOME = "the file names no home"
@@ -36,6 +37,9 @@ class Leg(NamedTuple):
       kind: ``climb`` (from home, or another vertical take-off), ``leg``, ``loiter``, ``land``, ``return`` or ``jump``.
       item: the number of the item in its file that the vehicle flies to, as ground stations count: the first is 1.
       radius_m: of a loiter's circle around ``end``, where ``start`` is ``end`` too; 0 for hovering.
+      profile: ``"frame"``: in the frame of its end, so that it follows the ground where the end's height is above the
+        ground, and is straight otherwise; ``"straight"``: straight whatever the heights are above; ``"both"``: the file
+        does not say which of the two.
     """
 
     start: Place
@@ -43,6 +47,24 @@ class Leg(NamedTuple):
     kind: str
     item: int
     radius_m: float = 0.0
+    profile: Profile = "frame"
+
+
+class Account(NamedTuple):
+    """What became of one thing of a mission's file.
+
+    Attributes:
+      what: names the thing, such as ``"item 3"`` or ``"line 2 (Track)"``.
+      num: how many things of the file it stands for: 1 of an item, of a line the number of its points.
+      legs: numbers of the mission's legs that fly it, from 0; empty where it moves nothing or is not judged.
+      why: it is in no leg, ``""`` where it is. A thing that moves nothing, which a reader knows for certain, says so;
+        any other reason is also a sentence of ``Mission.not_judged``.
+    """
+
+    what: str
+    num: int
+    legs: tuple[int, ...]
+    why: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +78,8 @@ class Mission:
       home_elevation_m: above the geoid, as the file says it; None where it does not, or says 0.
       not_judged: a sentence for each thing that is not in ``legs`` though it may be flown, or not as it is there.
       speed_m_s: the first that the mission sets, or that its ground station planned with; None where it has none.
+      accounts: of everything in the file; empty for a mission that no file holds.
+      num_things: how many things the file holds, counted apart from ``accounts``: the two must agree.
     """
 
     name: str
@@ -64,6 +88,15 @@ class Mission:
     home_elevation_m: float | None
     not_judged: tuple[str, ...]
     speed_m_s: float | None
+    accounts: tuple[Account, ...] = ()
+    num_things: int = 0
+
+    @property
+    def num_lost(self) -> int:
+        """How many things of the file are in no account, or in one that names neither a leg nor a reason."""
+        legs = range(len(self.legs))
+        sound = [each for each in self.accounts if each.why or set(each.legs) & set(legs)]
+        return abs(self.num_things - sum(each.num for each in sound))
 
 
 def number_of(what: str, value: Any) -> float:
