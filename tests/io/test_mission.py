@@ -241,20 +241,14 @@ def test_a_jump_over_cameras_leads_to_the_next_waypoint_and_cycles_end(read):
     there = item(JUMP, frame=2, params=(4, -1, 0, 0))
     back = item(JUMP, frame=2, params=(2, -1, 0, 0))
     mission = read([BOX[0], item(at=1), there, camera, item(at=2), back, item(at=3)])
-    assert kinds(mission) == [
-        ("climb", 1),
-        ("leg", 2),
-        ("jump", 5),
-        ("leg", 5),
-        ("jump", 2),
-        ("leg", 7),
-    ]
+    # The first jump leads where the mission goes anyway, so that its leg is one of these.
+    assert kinds(mission) == [("climb", 1), ("leg", 2), ("leg", 5), ("jump", 2), ("leg", 7)]
 
 
-@pytest.mark.parametrize("target", [5, 6, 99, 2**40, None])
-def test_a_jump_that_leads_to_no_waypoint_is_not_judged(read, target):
+@pytest.mark.parametrize("target", [6, 99, 2**40, None])
+def test_a_jump_that_leads_to_no_item_is_not_judged(read, target):
     mission = read([*BOX[:3], item(JUMP, frame=2, params=(target, 1, 0, 0)), *BOX[3:]])
-    assert mission.not_judged == ("the jump of item 4 is not judged: no waypoint is read there",)
+    assert mission.not_judged == ("the jump of item 4 is not judged: no item is its target",)
 
 
 @pytest.mark.parametrize(
@@ -421,7 +415,7 @@ def test_ten_thousand_items_are_read_in_a_second(read):
     items = [BOX[0], *(item(at=1 + number / 1000) for number in range(7000)), *jumps]
     began = time.process_time()
     mission = read(items)
-    assert len(mission.legs) == 1 + 1 + 6999 + 3000
+    assert len(mission.legs) == 1 + 1 + 6999 + 1  # a leg that 3,000 jumps share
     strange = read([BOX[0], *[SURVEY] * 10_000])
     assert len(strange.not_judged) == 51
     assert "9950 more" in strange.not_judged[-1]

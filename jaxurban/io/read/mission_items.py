@@ -7,7 +7,15 @@ from contextlib import suppress
 from typing import Any
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.mission_flight import FRAMES, HAS_HEIGHT, TAKEOFFS, WAYPOINT, Flight, Item
+from jaxurban.io.read.mission_flight import (
+    FRAMES,
+    HAS_HEIGHT,
+    TAKEOFFS,
+    WAYPOINT,
+    Autopilot,
+    Flight,
+    Item,
+)
 from jaxurban.io.read.mission_parts import (
     LonLat,
     Mission,
@@ -19,7 +27,7 @@ from jaxurban.io.read.mission_parts import (
 
 HEADER = "QGC WPL 110"
 NUM_COLUMNS = 12
-ARDUPILOT = 3  # MAV_AUTOPILOT
+AUTOPILOTS: dict[Any, Autopilot] = {3: "ardupilot", 12: "px4"}  # by the number of MAV_AUTOPILOT
 PLANES = (1, *range(19, 26))  # MAV_TYPE: fixed wing, and VTOL of every kind
 # QGroundControl's AltitudeMode: it makes metres above the geoid of metres above ground.
 CALCULATED = 3
@@ -47,7 +55,8 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
     if not isinstance(rows, list):
         raise ValueError("its items are no list")
     items = [_item_of_plan(row, number) for number, row in enumerate(rows, 1)]
-    if mission.get("firmwareType") == ARDUPILOT:
+    autopilot = AUTOPILOTS.get(mission.get("firmwareType"), "unknown")
+    if autopilot == "ardupilot":
         items = [_without_place(item) for item in items]
 
     # The plan's home is a list of latitude, longitude and elevation, of which some or all may be missing.
@@ -64,7 +73,7 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
     if is_plane:
         notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
     speed_m_s = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
-    return _flown(name, items, home, own_home, return_altitude_m, notes, speed_m_s)
+    return _flown(name, items, home, own_home, return_altitude_m, autopilot, notes, speed_m_s)
 
 
 def read_waypoints(
@@ -94,13 +103,17 @@ def read_waypoints(
     items = [_item_of_row(text.split(), number) for number, text in list(lines.items())[1:]]
 
     own_home: Home = (None, None)
+    autopilot: Autopilot = "unknown"
     if items and items[0].key == 0 and items[0].command in (0, WAYPOINT):
         first = items.pop(0)
         elevation_m = first.height_m if first.datum == "geoid" else math.nan
         own_home = _home(first.lon, first.lat, elevation_m)
         items = [_without_place(item) for item in items]
+        autopilot = "ardupilot"
     numbered = [item._replace(number=number) for number, item in enumerate(items, 1)]
-    return _flown(name, numbered, home, own_home, return_altitude_m, [], speed_m_s=math.nan)
+    return _flown(
+        name, numbered, home, own_home, return_altitude_m, autopilot, [], speed_m_s=math.nan
+    )
 
 
 def _flown(
@@ -109,6 +122,7 @@ def _flown(
     home: LonLat | None,
     own_home: Home,
     return_altitude_m: float,
+    autopilot: Autopilot,
     notes: Sequence[str],
     speed_m_s: float,
 ) -> Mission:
@@ -120,6 +134,7 @@ def _flown(
       home: longitude and latitude in degrees that the user gives; None takes ``own_home``.
       own_home: the home of the file and its elevation.
       return_altitude_m: metres above home, NaN where it is not known.
+      autopilot: that flies it.
       notes: sentences on what else of the file is not judged.
       speed_m_s: that the file plans with where no item sets a speed; NaN or 0 where it has none.
 
@@ -129,7 +144,7 @@ def _flown(
     if not items:
         raise InputError(f"{name!r} holds no items: give a mission that has some")
     start, elevation_m = (home, None) if home else own_home
-    flight = Flight(items, start, return_altitude_m)
+    flight = Flight(items, start, return_altitude_m, autopilot)
     sentences = shortened([*flight.not_judged, *notes])
     if not flight.legs and not sentences:
         raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")

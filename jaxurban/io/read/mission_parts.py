@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
+import pyproj
+
 Datum = Literal["home", "ground", "geoid", "ellipsoid"]  # what a height is above
 Profile = Literal["frame", "straight", "both"]  # how a leg runs between the heights of its ends
 LonLat = tuple[float, float]
@@ -12,6 +14,7 @@ NO_HOME = "the file names no home"
 MOST_HEIGHT_M = 100_000.0  # above or below any datum
 MOST = 1e15  # of any number of a file
 MOST_NAMED = 50  # sentences on what is not judged
+GEOD = pyproj.Geod(ellps="WGS84")
 
 
 class Place(NamedTuple):
@@ -36,10 +39,14 @@ class Leg(NamedTuple):
       start, end: its ends.
       kind: ``climb`` (from home, or another vertical take-off), ``leg``, ``loiter``, ``land``, ``return`` or ``jump``.
       item: the number of the item in its file that the vehicle flies to, as ground stations count: the first is 1.
-      radius_m: of a loiter's circle around ``end``, where ``start`` is ``end`` too; 0 for hovering.
+      radius_m: of a loiter's circle around ``end``, which begins and ends at ``start``: on the circle, or at ``end``
+        itself where autopilots fly to the centre first; 0 for hovering.
       profile: ``"frame"``: in the frame of its end, so that it follows the ground where the end's height is above the
         ground, and is straight otherwise; ``"straight"``: straight whatever the heights are above; ``"both"``: the file
         does not say which of the two.
+      is_variant: it is not flown after the leg before it, but beside the next leg that is none, as another autopilot or
+        another setting of it would fly.
+      has_stop: the vehicle stops at its end, and so does not cut the corner there.
     """
 
     start: Place
@@ -48,6 +55,8 @@ class Leg(NamedTuple):
     item: int
     radius_m: float = 0.0
     profile: Profile = "frame"
+    is_variant: bool = False
+    has_stop: bool = False
 
 
 class Account(NamedTuple):
