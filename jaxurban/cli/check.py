@@ -1,6 +1,7 @@
 """jaxurban check."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,6 +85,7 @@ def check(
     """
     from jaxurban.maps.saving import open_maps
     from jaxurban.metrics.weights import Weights
+    from jaxurban.public import Caution
     from jaxurban.report.mission import check as check_mission
 
     maps = open_maps(folder, resolution_m)
@@ -101,6 +103,8 @@ def check(
     line_m = result.flight.line_m
     if corridor is not None and len(line_m) > 1:
         density = corridor(maps, line_m, time_of_day=time_of_day)
+        cautions = [Caution(text, "guess") for text in result.flight.off_line]
+        density = replace(density, cautions=[*cautions, *density.cautions])
 
     # Files, and what is printed.
     for output in files:

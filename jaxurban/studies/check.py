@@ -21,6 +21,7 @@ from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.check import COLUMNS, judged
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.contacts import buildings_of, union_m
+from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.flown import costs_of, figures_of
 from jaxurban.paths.legs import flight_of
 from jaxurban.paths.plan import rules_on
@@ -134,7 +135,7 @@ def check(
     # What is found along the mission, which parts of it are unknown, and the figures; limits are on figures.
     city, outlines = _city_of(maps, sources)
     known = shapely.box(*maps.grid.bounds_m) if city is None else city.known_ground
-    flight = flight_of(mission, maps, geoid_m)
+    flight = flight_of(mission, Elevation(maps, city), geoid_m)
     findings, unknown = judged(
         flight, maps, buildings_of(maps, city), known, limits, times, time_of_day
     )
@@ -149,6 +150,10 @@ def check(
     not_judged = [f"{text[:1].upper()}{text[1:]}." for text in mission.not_judged]
     if not mission.legs:
         not_judged.append("The mission holds no leg.")
+    if mission.num_lost:
+        not_judged.append(
+            f"{mission.num_lost:,} things of the file are in no leg and in no reason here."
+        )
     for reason, rows in unknown.groupby("reason", sort=False):
         not_judged.append(f"{union_m(rows):,.0f} m {reason}.")
     not_judged += open_limits
