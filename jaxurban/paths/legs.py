@@ -106,6 +106,14 @@ class Flight:
         return np.column_stack([line_m, np.full(len(line_m), z_m.max())])
 
     @property
+    def ground_note(self) -> str:
+        """By how much the ground below it may be off, words to go after others; empty where it is known."""
+        if self.ground.is_exact:
+            return ""
+        off_m = self.ground.off_m(self.steps.ends_m.mean(axis=1)).max(initial=0.0)
+        return f"; over the ground of the maps' cells, which may be off by up to {off_m:.1f} m"
+
+    @property
     def off_line(self) -> list[str]:
         """What `line_m` leaves out, or knows no height of: a sentence each."""
         over_m = {
@@ -117,7 +125,7 @@ class Flight:
             sentences.append(f"{over_m[OUTSIDE]:,.0f} m of the mission lie outside the maps.")
         if over_m.get(NO_HEIGHT, 0.0) > 0:
             sentences.append(
-                f"The height is open on {over_m[NO_HEIGHT]:,.0f} m, so that the height of the flight is that of the rest."
+                f"The height is open on {over_m[NO_HEIGHT]:,.0f} m: the flight is as high as the rest of it."
             )
         if self.mission.not_judged:
             sentences.append("What of the mission's file is not judged may lead elsewhere.")

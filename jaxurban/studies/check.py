@@ -136,6 +136,7 @@ def check(
     city, outlines = _city_of(maps, sources)
     known = shapely.box(*maps.grid.bounds_m) if city is None else city.known_ground
     flight = flight_of(mission, Elevation(maps, city), geoid_m)
+    outlines += flight.ground_note
     findings, unknown = judged(
         flight, maps, buildings_of(maps, city), known, limits, times, time_of_day
     )
