@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from jaxurban.io.read.mission_parts import NO_HOME, Datum, Leg, LonLat, Place
+from jaxurban.io.read.mission_parts import NO_HOME, Account, Datum, Leg, LonLat, Place
 
 WAYPOINT = 16
 RETURN = 20
@@ -57,17 +57,18 @@ class Item(NamedTuple):
 
     Attributes:
       number: in messages.
-      key: what jumps call it.
+      key: what jumps call it; None for an item that no jump can name.
       command: of MAVLink; -1 for what is none.
       params: the first four, NaN where they are not set.
       lon, lat: of its place; 0, 0 or NaN where the vehicle stays where it is.
       height_m: above ``datum``; NaN where the vehicle keeps its own.
       datum: None in frames that are not of the Earth.
       what: it is, where that is no command.
+      is_straight: whether the way to it is straight, though its height is above the ground.
     """
 
     number: int
-    key: int
+    key: int | None
     command: int
     params: tuple[float, ...] = ()
     lon: float = math.nan
@@ -75,6 +76,7 @@ class Item(NamedTuple):
     height_m: float = math.nan
     datum: Datum | None = None
     what: str = ""
+    is_straight: bool = False
 
     @property
     def has_place(self) -> bool:
@@ -127,6 +129,13 @@ class Flight:
         for item in items:
             self._fly(item)
         self._add_jumps(items)
+        legs: dict[int, list[int]] = {item.number: [] for item in items}
+        for index, leg in enumerate(self.legs):
+            legs[leg.item].append(index)
+        self.accounts = [
+            Account(f"item {number}", 1, tuple(own), "" if own else "it is in no leg")
+            for number, own in legs.items()
+        ]
 
     def _fly(self, item: Item) -> None:
         """Fly an item by its command, or say why it is not judged; a command that moves nothing has no effect.
@@ -331,7 +340,7 @@ class Flight:
 
         A jump to an item that moves nothing leads to the next item that does.
         """
-        targets: dict[float, Item] = {}  # by the key that jumps name
+        targets: dict[float | None, Item] = {}  # by the key that jumps name
         moving = None
         for item in reversed(items):
             moving = moving if item.command in STILL else item
