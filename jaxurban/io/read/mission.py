@@ -26,6 +26,7 @@ https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html a
 https://mavlink.io/en/file_formats/#mission_plain_text_file.
 """
 
+import csv
 import math
 from pathlib import Path
 
@@ -35,6 +36,7 @@ from jaxurban.io.read.mission_items import read_plan, read_waypoints
 from jaxurban.io.read.mission_lines import READERS, read_lines
 from jaxurban.io.read.mission_parts import (
     DATUMS,
+    DamagedError,
     LonLat,
     check_place,
 )
@@ -46,8 +48,16 @@ from jaxurban.io.read.mission_parts import Place as Place
 ITEM_READERS = {".plan": read_plan, ".waypoints": read_waypoints, ".txt": read_waypoints}
 SUFFIXES = (*ITEM_READERS, *READERS)
 MOST_BYTES = 2**24  # some 20,000 items of a .plan
-# Of what is of another kind than it should be.
-BROKEN = (AttributeError, LookupError, TypeError, OverflowError)
+# What Python and libraries raise for what is missing, or of another kind than it should be.
+BROKEN = (
+    AttributeError,
+    LookupError,
+    OverflowError,
+    RecursionError,
+    TypeError,
+    ValueError,
+    csv.Error,
+)
 
 
 def read_mission(
@@ -106,5 +116,7 @@ def read_mission(
             if suffix in READERS:
                 return read_lines(path, data, heights, home)
             return ITEM_READERS[suffix](data, path.name, home, return_m)
+        except (InputError, DamagedError):
+            raise
         except BROKEN as error:
-            raise ValueError("a part is missing, or is of another kind") from error
+            raise DamagedError("it is damaged, or a part is missing or of another kind") from error
