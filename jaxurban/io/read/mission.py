@@ -2,12 +2,15 @@
 
 | file | what is read | heights are above |
 |---|---|---|
-| ``.plan`` of QGroundControl | simple items; home; speeds | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
+| ``.plan`` of QGroundControl, version 1 | simple items; home; speeds | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
 | ``.waypoints``, ``.txt``: ``QGC WPL 110`` | rows; row 0 is home where it is a waypoint | as in a ``.plan`` |
 | ``.kml`` | LineString, Track | relativeToGround: ground; absolute: geoid (EGM96); else they are asked for |
-| ``.gpx`` | routes, tracks | asked for; ground in jaxurban's own |
+| ``.gpx`` | routes, tracks | asked for; in jaxurban's own geoid (``ele``), or ground where it has none |
 | ``.geojson``, ``.json`` | LineString, MultiLineString | asked for; ground in jaxurban's own |
 | ``.csv`` | rows of lon, lat, altitude_m (or height_m, alt) | asked for |
+
+Whatever else has a position is counted and not judged. Places are in WGS 84; a file that names another CRS or datum is
+refused, and so is one that gives a quantity twice with different values.
 
 | command of MAVLink | how it is flown |
 |---|---|

@@ -53,7 +53,7 @@ COLUMNS = {
     "latitude": ("lat", "lat_deg", "latitude", "latitude_deg"),
     "height": (ALTITUDE_PROPERTY, "height_m", "alt_m", "altitude", "height", "alt", "ele"),
 }
-MOST_ROWS, MOST_COLUMNS = 1_000_000, 1000
+MOST_COLUMNS, MOST_ROWS = 1000, 1_000_000  # of a table; rows beyond are counted, and not judged
 # What files call a coordinate reference system, and the names of the one that is read.
 CRS_NAMES = ("crs", "datum", "epsg", "mapdatum", "srs", "srsname")
 WGS84 = re.compile(
@@ -466,9 +466,7 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
       ValueError: the table cannot be read, a row has more values than the header, or one that is no number.
     """
     texts = [text for text in data.decode("utf-8-sig").splitlines() if text.strip()]
-    if len(texts) > MOST_ROWS:
-        raise DamagedError(f"it has more than {MOST_ROWS:,} rows")
-    header, *rows = csv.reader(texts, strict=True)
+    header, *rows = csv.reader(texts[:MOST_ROWS], strict=True)
     if len(header) > MOST_COLUMNS or any(len(row) > len(header) for row in rows):
         raise DamagedError(
             f"it has more than {MOST_COLUMNS:,} columns, or a row with more values than the header has"
