@@ -80,7 +80,7 @@ class Item(NamedTuple):
 
     Attributes:
       number: in messages.
-      key: what jumps call it.
+      key: what jumps call it; None for an item that no jump can name.
       command: of MAVLink; -1 for what is none.
       params: the first four, NaN where they are not set.
       lon, lat: of its place; 0, 0 or NaN where the vehicle stays where it is.
@@ -91,7 +91,7 @@ class Item(NamedTuple):
     """
 
     number: int
-    key: int
+    key: int | None
     command: int
     params: tuple[float, ...] = ()
     lon: float = math.nan
@@ -215,7 +215,7 @@ class Flight:
 
     def _fly_jumps(self) -> None:
         """Fly the ways that jumps lead, which may lead to more jumps, and put their legs where they are flown."""
-        index_of = {item.key: index for index, item in enumerate(self._items) if item.key >= 0}
+        index_of = {item.key: index for index, item in enumerate(self._items)}
         legs_before: dict[int, list[Leg]] = {}
         without_jumps = self.legs
         for before, state, item in self._jumps:  # grows meanwhile
