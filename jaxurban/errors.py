@@ -105,8 +105,12 @@ def platform_remedy(error: BaseException) -> str:
 
 def reason_of(error: BaseException) -> str:
     """Return what an error of the system or of a library says, on one line, cut after `MOST_SAID` characters."""
-    reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-    return reason if len(reason) <= MOST_SAID else f"{reason[:MOST_SAID]} ..."
+    return shortened(getattr(error, "strerror", None) or " ".join(str(error).split()))
+
+
+def shortened(text: str) -> str:
+    """Return a text of a file or a library for a message, cut after `MOST_SAID` characters."""
+    return text if len(text) <= MOST_SAID else f"{text[:MOST_SAID]} ..."
 
 
 def check_file(path: str | os.PathLike[str]) -> None:
