@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import uuid
 import zlib
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -174,10 +174,12 @@ def digest_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def is_as_written(path: Path, checksums: Container[str]) -> bool:
-    """Return whether a file is there with one of these checksums."""
+def is_as_written(path: Path, checksums: Collection[str]) -> bool:
+    """Return whether a file is there with one of these checksums; one of another length is not read."""
     with suppress(OSError):
-        return path.is_file() and checksum_of(path) in checksums
+        length = path.stat().st_size if path.is_file() else None
+        of_length = [each for each in checksums if each.endswith(f"-{length}")]
+        return bool(of_length) and checksum_of(path) in of_length
     return False
 
 

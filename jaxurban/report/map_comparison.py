@@ -278,7 +278,9 @@ def _settings(result: computed.MapComparison) -> str:
     differs; or a sentence where the settings are not known, or are the same.
     """
     # Rows of a name, A's value and B's value: settings, times of GPS, and what population is divided by.
-    rows = [(code(key), of_a, of_b) for key, (of_a, of_b) in (result.settings or {}).items()]
+    rows: list[tuple[str, Any, Any]] = [
+        (code(key), of_a, of_b) for key, (of_a, of_b) in (result.settings or {}).items()
+    ]
     for of_a, of_b in result.times.items():
         if of_a != of_b:
             rows.append(("time of GPS", of_a, of_b))
