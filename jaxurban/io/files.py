@@ -28,6 +28,8 @@ ELSEWHERE = "choose another folder with -o"
 
 # Of what is written now, if anything.
 RECORDER: ContextVar["Workspace | None"] = ContextVar("RECORDER", default=None)
+# The folder that a run holds from before it works until it has saved, if it does.
+HELD: ContextVar[Path | None] = ContextVar("HELD", default=None)
 
 
 def recorder_of(path: Path) -> "Workspace | None":
@@ -131,6 +133,8 @@ def check_writable(folder: Path) -> None:
 def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator[None]:
     """Hold a folder for one run during the block; the hold ends with the process too, however that ends.
 
+    Within a run that holds the folder already (`HELD`) it changes nothing.
+
     Args:
       folder: the folder, in which a file that locks it lies during the block.
       remedy: ends the sentence of an error.
@@ -141,6 +145,9 @@ def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator
     # Imported here: it loads asyncio, for which commands that only read need not wait.
     from filelock import FileLock, Timeout
 
+    if folder.resolve() == HELD.get():
+        yield
+        return
     lock = FileLock(folder / LOCK_FILE, blocking=False, thread_local=False)
     try:
         lock.acquire()
