@@ -127,7 +127,7 @@ class Hiding:
                 "as one of ten, or parts of the track one after the other"
             )
         if num > MOST_AT_ONCE:
-            LOG.info(f"following {num:,} rays to satellites, about 3,000 a second")
+            LOG.info(f"following {num:,} rays to satellites, about 5,000 a second")
         pieces = [
             np.arange(first, min(first + MOST_AT_ONCE, num))
             for first in range(0, max(num, 1), MOST_AT_ONCE)

@@ -62,7 +62,7 @@ class _Harmless(Formatter):
 
     def format_field(self, value: Any, format_spec: str) -> str:
         """Return the text of a field."""
-        return plain(value) if isinstance(value, str) else plain(format(value, format_spec))
+        return plain(value if isinstance(value, str) else format(value, format_spec))
 
 
 def files_of(names: Iterable[str]) -> list[str]:
