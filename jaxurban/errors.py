@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 MOST_SAID = 300  # characters of what a library says that a message passes on
+MOST_OF_END = 1000  # characters of a message at its begin and at its end: a file may hold a text of any length
 # What Python itself says of files that are not as they should be, by a part of it, and what messages say instead.
 OF_PYTHON = {
     "recursion": "brackets lie too deep within brackets",
@@ -27,6 +28,12 @@ class JaxurbanError(Exception):
       ...     print(error)
       there are no maps for altitude 500 m: these maps reach from 20 to 60 m
     """
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        if len(text) > 2 * MOST_OF_END:
+            return f"{text[:MOST_OF_END]} ... {text[-MOST_OF_END:]}"
+        return text
 
 
 class InputError(JaxurbanError, ValueError):

@@ -127,7 +127,7 @@ def _is_ours(folder: Path) -> bool:
         status.st_uid == os.getuid() and not status.st_mode & OTHERS_WRITE
     )
     if not is_ours:
-        COMPILING.warning(
+        LOG.warning(
             f"programs are not kept in {str(folder)!r}, where others may write and so run code here: remove it, or "
             "take their right to write (chmod 700)"
         )

@@ -11,7 +11,7 @@ import pyproj
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import MOST_SAID, InputError
+from jaxurban.errors import InputError
 from jaxurban.io.files import write_json
 from jaxurban.metrics.custom import Layer
 from jaxurban.public import Caution
@@ -25,7 +25,7 @@ from jaxurban.viewer.html import write_page
 from jaxurban.viewer.sky import sky_html
 from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to
-from jaxurban.world.grid import Grid
+from jaxurban.world.grid import Grid, crs_said
 from tests.made_maps import city_of_boxes, made_maps
 
 HTML = "<img src=x onerror=alert(1)>\"'`tick`</script>"
@@ -181,10 +181,11 @@ def test_what_a_template_is_filled_with_is_text_unless_it_is_markdown():
     assert table(["a"], [[bullets(["`b`"])]]).splitlines()[2] == "| - 'b' |"
 
 
-def test_a_definition_of_a_crs_is_named_in_short():
+def test_a_definition_of_a_crs_is_named_in_short_and_no_message_repeats_a_text_of_any_length():
     grid = Grid(crs_named("my zone"), 10.0, 450_000, 58_000, 4, 4)
-    with pytest.raises(InputError, match=r"\(my zone\) is outside"):
-        grid.cell_of_xy(0.0, 0.0)
+    assert crs_said(grid.crs) == "my zone"
+    assert crs_said("EPSG:32618") == "EPSG:32618"
     with pytest.raises(InputError) as caught:
         Grid("X" * 10**6, 10.0, 0, 0, 4, 4)
-    assert len(str(caught.value)) < MOST_SAID + 200
+    assert len(str(caught.value)) < 2100
+    assert str(caught.value).endswith("use a projected one such as 'EPSG:32618'")

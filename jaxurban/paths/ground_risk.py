@@ -20,7 +20,6 @@ from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.public import Caution, FactsRepr, caution_of_guesses
 from jaxurban.settings import not_negative
-from jaxurban.world.grid import crs_said
 
 GRIDS_M = (100.0, 200.0, 500.0)  # printed always: they disagree where towers stand
 WHOLE = 1 - 1e-9  # of a cell, but for rounding
@@ -272,7 +271,7 @@ def _line_of(path: PlannedPath | np.ndarray, maps: MetricMaps) -> tuple[np.ndarr
             raise InputError(f"there is no path over people: {path.status.sentence}")
         if path.crs != maps.grid.crs:
             raise InputError(
-                f"the path is in {crs_said(path.crs)} and these maps in {crs_said(maps.grid.crs)}: give its own maps"
+                f"the path is in {path.crs} and these maps in {maps.grid.crs}: give its own maps"
             )
         return path.xy_m, float(path.z_m.max())
     points = np.asarray(path, float)

@@ -19,7 +19,6 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.cost import path_states
 from jaxurban.public import Caution, caution_of_guesses
 from jaxurban.settings import Vehicle
-from jaxurban.world.grid import crs_said
 
 TOUCHED, VISIBLE, GUESSED = "roof_touched", "num_visible", "roof_guessed"
 CLEARANCE, OUTSIDE, OVER_ROOF = "nearest_wall_m", "walls_outside_m", "least_over_roofs_m"
@@ -106,8 +105,8 @@ def cut_on(planned: PlannedPath, maps: MetricMaps) -> Crossings:
         raise InputError(f"there is no path to explain: {planned.status.sentence}")
     if (planned.crs, settings["resolution_m"]) != (grid.crs, grid.resolution_m):
         raise InputError(
-            f"the path was planned at {settings['resolution_m']:g} m in {crs_said(planned.crs)}, and these maps are "
-            f"{grid.resolution_m:g} m in {crs_said(grid.crs)}: give the maps that it was planned on"
+            f"the path was planned at {settings['resolution_m']:g} m in {planned.crs}, and these maps are "
+            f"{grid.resolution_m:g} m in {grid.crs}: give the maps that it was planned on"
         )
     points_m = planned.xy_m - grid.bounds_m[:2]
     sides_m = np.array(grid.shape[::-1]) * grid.resolution_m

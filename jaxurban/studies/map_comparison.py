@@ -23,7 +23,7 @@ from jaxurban.public import FactsRepr, listed
 from jaxurban.settings import iso_utc
 from jaxurban.studies.compared_routes import compared_routes, regrets
 from jaxurban.studies.queries import NORMS
-from jaxurban.world.grid import Grid, crs_said
+from jaxurban.world.grid import Grid
 
 # The layer of cells that no planner enters, beside ``obstacle``, the metrics' rule.
 CLOSED = "closed"
@@ -425,9 +425,9 @@ def _shared_grid(a: Grid, b: Grid) -> Grid:
     """
     if pyproj.CRS(a.crs) != pyproj.CRS(b.crs) or a.resolution_m != b.resolution_m:
         raise InputError(
-            f"A's cells are {a.resolution_m:g} m wide in {crs_said(a.crs)} and B's {b.resolution_m:g} m in "
-            f"{crs_said(b.crs)}, so that none is in both: make B again with [region] crs = {crs_said(a.crs)!r} and "
-            f"resolution_m = {a.resolution_m:g} (a list makes several, of which --resolution chooses)"
+            f"A's cells are {a.resolution_m:g} m wide in {a.crs} and B's {b.resolution_m:g} m in {b.crs}, so that none "
+            f"is in both: make B again with [region] crs = {a.crs!r} and resolution_m = {a.resolution_m:g} (a list "
+            "makes several, of which --resolution chooses)"
         )
     first_a = [a.first_row, a.first_col]
     first_b = [b.first_row, b.first_col]

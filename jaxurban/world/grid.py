@@ -83,17 +83,15 @@ def projected_crs(crs: str) -> pyproj.CRS:
         parsed = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:
         raise InputError(
-            f"crs {shortened(crs)!r} is not a known CRS: use a projected one such as 'EPSG:32618'"
+            f"crs {crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'"
         ) from error
     axes = parsed.axis_info[:2]  # without heights
     in_metres = all(abs(axis.unit_conversion_factor - 1.0) <= 1e-12 for axis in axes)
     if not parsed.is_projected or not in_metres:
-        raise InputError(
-            f"{crs_said(crs)!r} is not a projected CRS in metres: use one such as 'EPSG:32618'"
-        )
+        raise InputError(f"{crs!r} is not a projected CRS in metres: use one such as 'EPSG:32618'")
     if {axis.direction for axis in axes} != {"east", "north"}:
         raise InputError(
-            f"the axes of {crs_said(crs)!r} do not point east and north: use a CRS such as a UTM zone, 'EPSG:32618'"
+            f"the axes of {crs!r} do not point east and north: use a CRS such as a UTM zone, 'EPSG:32618'"
         )
     return parsed
 
@@ -129,8 +127,8 @@ def check_scale(crs: str, lon_deg: float, lat_deg: float) -> None:
     scale = max(scales, key=lambda value: abs(value - 1.0))  # the worse of the two
     if not abs(scale - 1.0) < MAX_SCALE_ERROR:
         raise InputError(
-            f"a metre of {crs_said(crs)} is {1.0 / scale:.3g} m on the ground at {lon_deg:.2f}, {lat_deg:.2f} (lon, "
-            f"lat): use a CRS made for that place, such as {utm_crs(lon_deg, lat_deg)}"
+            f"a metre of {crs} is {1.0 / scale:.3g} m on the ground at {lon_deg:.2f}, {lat_deg:.2f} (lon, lat): "
+            f"use a CRS made for that place, such as {utm_crs(lon_deg, lat_deg)}"
         )
 
 
@@ -292,7 +290,7 @@ class Grid:
         x_min, y_min, x_max, y_max = box_m = box_of(bounds, crs)
         if not all(map(math.isfinite, box_m)):
             raise InputError(
-                f"bounds {list(bounds)} lie outside the area of use of {crs_said(crs)}: choose another CRS"
+                f"bounds {list(bounds)} lie outside the area of use of {crs}: choose another CRS"
             )
         if (x_max - x_min) * (y_max - y_min) > MOST_CELLS * min(resolutions_m) ** 2:
             raise InputError(
@@ -396,7 +394,7 @@ class Grid:
             points = np.stack(np.broadcast_arrays(x_m, y_m), dtype=float)
             first_x, first_y = points[:, ~is_inside][:, 0]
             raise InputError(
-                f"the point {first_x:.1f}, {first_y:.1f} ({crs_said(self.crs)}) is outside the region, which spans "
+                f"the point {first_x:.1f}, {first_y:.1f} ({self.crs}) is outside the region, which spans "
                 f"{self.x_min_m:.1f} to {self.x_max_m:.1f} east and {self.y_min_m:.1f} to {self.y_max_m:.1f} north "
                 "(its east and north borders left out)"
             )

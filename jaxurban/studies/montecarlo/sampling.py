@@ -11,7 +11,7 @@ import shapely
 from scipy.ndimage import label, uniform_filter
 
 from jaxurban.checks import at_least, one_of, typed
-from jaxurban.errors import InputError, shortened
+from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import burn
 from jaxurban.io.tables import read_table
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
@@ -23,7 +23,7 @@ from jaxurban.paths.queries import WEIGHT_PREFIX, Query
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import CostKind, Preset, iso_utc
-from jaxurban.world.grid import Grid, crs_said
+from jaxurban.world.grid import Grid
 from jaxurban.world.land_cover import LandCover
 
 # Straight distance between start and goal, as shares of the region's diagonal.
@@ -561,8 +561,7 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
     crs = set(instances.crs) - {maps.grid.crs}
     if crs:
         raise InputError(
-            f"the instances' places are in {shortened(crs.pop())}, the maps in {crs_said(maps.grid.crs)}: use "
-            "maps in that CRS"
+            f"the instances' places are in {crs.pop()}, the maps in {maps.grid.crs}: use maps in that CRS"
         )
 
     # Altitudes and times that the maps do not hold.
