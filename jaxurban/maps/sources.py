@@ -8,7 +8,7 @@ from jaxurban.io.city import City
 from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE, settings_of
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.provenance import hash_inputs
+from jaxurban.maps.provenance import hash_inputs, unsized
 from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
 
@@ -18,7 +18,8 @@ CityLike = City | MetricMaps | str | Path
 def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     """Return the scenario of the run that made the maps in a folder, with relative paths from where its files lie.
 
-    The record may come from another machine, so files count only if their SHA-256 are those that the run recorded.
+    The record may come from another machine, so files count only if their sizes and SHA-256 are those that the run
+    recorded.
 
     Args:
       folder: of the maps.
@@ -36,16 +37,21 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
 
     # The first place where all files are those of the record; otherwise the files that differ at the last place.
     inputs = read_json(folder / RUN_FILE).get("inputs", {})
+    if not (isinstance(inputs, dict) and all(isinstance(file, dict) for file in inputs.values())):
+        raise InputError(
+            f"the inputs in {str(folder / RUN_FILE)!r} are not as a run records them: make the maps again"
+        )
+    recorded = unsized(inputs)
     places = [folder, folder.parent, Path()] if sources is None else [Path(sources)]
     lost = inputs
     for place in places:
         scenario = Scenario.from_dict(settings, str(folder / RUN_FILE), place)
         with suppress(InputError):  # raised where one of the files is missing
-            files = hash_inputs(scenario)
-            if files == inputs:
+            files = unsized(hash_inputs(scenario, inputs))
+            if files == recorded:
                 return scenario
-            lost = {role: file for role, file in files.items() if inputs.get(role) != file}
-    names = ", ".join(repr(file["path"]) for file in lost.values())
+            lost = {role: file for role, file in files.items() if recorded.get(role) != file}
+    names = ", ".join(repr(file.get("path")) for file in lost.values())
     raise InputError(
         f"what the maps in {str(folder)!r} were made of is no longer there as it was ({names}): "
         "name the folder of these files (sources, --sources) or the scenario in it (scenario, --scenario), or make the "

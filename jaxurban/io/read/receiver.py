@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import MAXYEAR, MINYEAR
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,7 @@ OTHER_UNITS = (
     ({CN0: 9.0}, "the digits 1 to 9 of a signal's strength, or ratios", "dBHz"),
 )
 # RINEX 3.05, section 3.5: a constellation's letter and a number.
-RINEX_NAME = re.compile(r"[GRECJIS]\d\d")
+RINEX_NAME = re.compile(r"[GRECJIS]\d\d", re.ASCII)
 # The zone of a time, behind its minutes or seconds; pandas reads all but the names.
 ZONE = re.compile(r"(?:Z|UTC|GMT|:\d\d(?:\.\d+)?\s*[+-]\d\d(?::?\d\d)?)$", re.IGNORECASE)
 LIKE_THIS = "2018-12-19T06:07:37Z"
@@ -298,7 +299,7 @@ def _times(column: pd.Series, what: str) -> pd.Series:
         zoned = texts.where(texts.str.contains(ZONE, na=False))
         iso = zoned.str.replace(r"\s*(?:UTC|GMT)$", "Z", case=False, regex=True)
         times = pd.to_datetime(iso, utc=True, format="ISO8601", errors="coerce")
-    is_wrong = times.isna()
+    is_wrong = ~times.dt.year.between(MINYEAR, MAXYEAR)  # nor is a time that is missing
     if is_wrong.any():
         why = "which is none or without a zone and may be a local one"
         raise InputError(

@@ -1,6 +1,7 @@
 """The look of every figure: headings, charts, legends, how values become colours, and the bar that says so."""
 
 import math
+import re
 import string
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -36,6 +37,7 @@ SERIES_COLOURS = ("#1a1a1a", "#d55e00", "#56b4e9", "#7f7f7f", "#8c510a", "#66c2a
 MARKERS = "osD^vP*X"
 DOT: Look = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
 LABEL_IN = 1.9  # of a line of the label of an upright colour bar
+SYMBOL = re.compile(r"(\$[mH]_\\mathrm\{[^$]*\}\$)|\\?\$")  # of a metric, or a dollar
 BOLD = 1.2  # how much wider bold letters are
 
 # A decorator of functions that draw. Ticks are made later than it works, so `dress` sets them.
@@ -107,7 +109,11 @@ def inches(width: Width) -> float:
 
 
 def wrapped(text: str, width_in: float, size_pt: float = SMALL_PT) -> str:
-    """Return a text whose lines are broken so that they fit into a width in inches, written in letters of a size."""
+    """Return a text whose lines are broken so that they fit into a width in inches, written in letters of a size.
+
+    Its dollars are no mathematics of Matplotlib, but for symbols such as m_gps (`SYMBOL`).
+    """
+    text = SYMBOL.sub(lambda match: match[1] or r"\$", text)
     letters_per_in = LETTERS_PER_IN * SMALL_PT / size_pt
     num_letters = max(FEWEST_LETTERS, int((width_in - EDGE_IN) * letters_per_in))
     return "\n".join(textwrap.fill(line, num_letters) for line in text.splitlines())
