@@ -27,6 +27,7 @@ from jaxurban.paths.hiding import Hiding
 from jaxurban.paths.snapping import XY, Point, one_place
 from jaxurban.progress import Report
 from jaxurban.public import Caution, caution_of_guesses, listed
+from jaxurban.settings import Heights
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
 
@@ -90,7 +91,8 @@ class Sight:
           InputError: a resolution that no maps in the folder have, or files that are gone or were changed.
         """
         if isinstance(where, City):
-            params = MapParams(sections={"gps": gps or where.gps or Gps()})
+            heights = replace(where.heights or Heights(), height_samples=0)
+            params = MapParams(heights=heights, sections={"gps": gps or where.gps or Gps()})
             region = region_of(where, None, resolution_m or RESOLUTION_M)
             return cls(where, region, params)
 
