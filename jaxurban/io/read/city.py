@@ -87,7 +87,6 @@ def read_city(
         own_people = sample.get("population", {})
         left_out = {name: file for name, file in own_people.items() if not getattr(people, name)}
         people = replace(people, **left_out)
-    check_has_people(people, people.has_blocks)
 
     # The names of the files, as the arguments have them, for provenance; the sections then get the paths to read.
     files = {"buildings": buildings.source, "terrain": terrain.source}
@@ -95,6 +94,7 @@ def read_city(
     buildings = _placed(buildings)
     terrain = _placed(terrain)
     people = _placed(people)
+    check_has_people(people, people.has_blocks)
 
     # The region, and the wider box from which a shadow can reach it: satellites stand no lower than the mask.
     region = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
