@@ -26,8 +26,11 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
       sources: where relative paths begin; left out, the current folder, that of the maps, or the one above it.
 
     Raises:
-      InputError: maps that no scenario made, a damaged record, or files that are gone or were changed.
+      InputError: sources that are no folder, maps that no scenario made, a damaged record, or files that are gone or
+        were changed.
     """
+    if sources is not None and not Path(sources).is_dir():
+        raise InputError(f"sources must be a folder, and {str(sources)!r} is none: check the path")
     settings = settings_of(folder)
     if "bounds" not in settings.get("region", {}):
         raise InputError(

@@ -91,7 +91,7 @@ def sky_along(
       >>> len(flown.table), list(flown.table)[:4]
       (73, ['time', 'lon', 'lat', 'altitude_m'])
     """
-    sight = Sight.of(where, gps, sources, resolution_m)
+    sight = Sight.of(where, gps, sources, resolution_m, by)
 
     # Places, heights and times, each as many as were given.
     if isinstance(places, PlannedPath):

@@ -147,6 +147,8 @@ def write_buildings(
       ['buildings.csv', 'buildings.parquet', 'buildings.png', 'checksums.json']
     """
     # The task that made the maps of the route's resolution, from the sources that the maps' record names.
+    if scenario is not None and not Path(scenario).is_file():
+        raise InputError(f"there is no scenario {str(scenario)!r}: check the path")
     sources = None if scenario is None else Path(scenario).parent
     settings = scenario_of(Path(folder), sources)
     if not softness_m > 0:

@@ -15,7 +15,7 @@ from jaxurban.io.store import ZARR_FOLDER
 from jaxurban.io.tables import SUFFIXES, records_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.weights import Weights
+from jaxurban.metrics.weights import Weights, check_held
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import reporting
@@ -196,6 +196,8 @@ def _demonstrations(
     Raises:
       InputError: files although instances are sampled, or no pilot who flies these.
     """
+    if settings.pilot is not None:  # the weights that its text does not name are 0
+        check_held(settings.pilot.to_dict(), maps.metrics)
     if settings.sample is None:
         return [each for file in files for each in _read(file, maps, settings)]
     if files:
