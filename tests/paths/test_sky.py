@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 
@@ -187,6 +188,24 @@ def test_along_a_track_rows_are_the_skies_of_their_places_and_times():
         assert row["num_visible"] == alone["num_visible"]
         assert row["gdop"] == pytest.approx(alone["gdop"], rel=1e-3)
     assert along["time"].tolist() == when
+
+
+def test_a_table_of_a_track_gives_places_heights_and_times():
+    lon, lat = maps().grid.lonlat_of_xy(
+        X_M + np.array([900.0, 950.0]), Y_M + np.array([1000.0] * 2)
+    )
+    columns = {"utc": TIMES[:2], "lon_deg": lon, "lat_deg": lat, "altitude_m": [25.0, 60.0]}
+    track = pd.DataFrame(columns)
+    along = ju.sky_along(city(), track, gps=GPS).table
+    places = list(zip(lon, lat, strict=True))
+    listed = ju.sky_along(city(), places, [25.0, 60.0], TIMES[:2], gps=GPS).table
+    pd.testing.assert_frame_equal(along, listed)
+    lower = ju.sky_along(city(), track, 20.0, TIMES[0], gps=GPS).table
+    assert lower[["altitude_m", "time"]].to_numpy().tolist() == [[20.0, TIMES[0]]] * 2
+    with pytest.raises(ju.InputError, match="places must have rows of the columns utc, lon_deg"):
+        ju.sky_along(city(), track.drop(columns="utc"), gps=GPS)
+    with pytest.raises(ju.InputError, match="altitude_m is missing"):
+        ju.sky_along(city(), track.drop(columns="altitude_m"), gps=GPS)
 
 
 def test_a_route_is_flown_at_its_speed():

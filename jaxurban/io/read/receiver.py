@@ -123,13 +123,18 @@ def read_track(file: str | Path) -> pd.DataFrame:
     Raises:
       InputError: a file that cannot be read, a column that is missing, or invalid values.
     """
-    table = renamed(read_table(file, "track"), OTHER_NAMES)
+    return track_of(read_table(file, "track"), f"the track file {str(file)!r}")
+
+
+def track_of(table: pd.DataFrame, what: str) -> pd.DataFrame:
+    """Return the rows of a table as `read_track` does, and raise its errors; ``what`` names the table in them."""
+    table = renamed(table, OTHER_NAMES)
     columns = [column for column in (UTC, LON, LAT, ALTITUDE) if column in table]
     if columns[:3] != [UTC, LON, LAT] or table.empty:
         raise InputError(
-            f"the track file {str(file)!r} must have rows of the columns {UTC}, {LON} and {LAT}, separated by commas"
+            f"{what} must have rows of the columns {UTC}, {LON} and {LAT}, in a file separated by commas"
         )
-    return checked(table, columns, f"the track file {str(file)!r}")
+    return checked(table, columns, what)
 
 
 def log_of(table: pd.DataFrame, name: str) -> ReceiverLog:
