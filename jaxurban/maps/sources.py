@@ -6,6 +6,7 @@ from pathlib import Path
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.files import read_json
+from jaxurban.io.samples import located
 from jaxurban.io.store import RUN_FILE, settings_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
@@ -13,6 +14,11 @@ from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
 
 CityLike = City | MetricMaps | str | Path
+STANDING = ("buildings", "terrain")  # roles of the files that say what stands, and on which ground
+
+
+class ChangedSourcesError(InputError):
+    """Files that say what stands are there, and maps were made of others."""
 
 
 def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
@@ -26,8 +32,8 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
       sources: where relative paths begin; left out, the current folder, that of the maps, or the one above it.
 
     Raises:
-      InputError: sources that are no folder, maps that no scenario made, a damaged record, or files that are gone or
-        were changed.
+      ChangedSourcesError: files of buildings or terrain are there, and not all are as they were.
+      InputError: sources that are no folder, maps that no scenario made, a damaged record, or files that are gone.
     """
     if sources is not None and not Path(sources).is_dir():
         raise InputError(f"sources must be a folder, and {str(sources)!r} is none: check the path")
@@ -47,6 +53,7 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     recorded = unsized(inputs)
     places = [folder, folder.parent, Path()] if sources is None else [Path(sources)]
     lost = inputs
+    kind: type[InputError] = InputError
     for place in places:
         scenario = Scenario.from_dict(settings, str(folder / RUN_FILE), place)
         with suppress(InputError):  # raised where one of the files is missing
@@ -54,8 +61,11 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
             if files == recorded:
                 return scenario
             lost = {role: file for role, file in files.items() if recorded.get(role) != file}
+        named = [str(recorded[role].get("path")) for role in STANDING if role in recorded]
+        if any(located(scenario.path_of(name)).exists() for name in named):
+            kind = ChangedSourcesError
     names = ", ".join(repr(file.get("path")) for file in lost.values())
-    raise InputError(
+    raise kind(
         f"what the maps in {str(folder)!r} were made of is no longer there as it was ({names}): "
         "name the folder of these files (sources, --sources) or the scenario in it (scenario, --scenario), or make the "
         "maps again"
