@@ -36,6 +36,7 @@ FORMATS = (".plan", ".waypoints", ".kml", ".gpx", ".geojson", ".csv")
 ITEM_FORMATS = FORMATS[:2]
 FIRMWARES: tuple[Firmware, ...] = ("ardupilot", "px4", "other")
 HOLD_S = 3.0
+ASIDE_M = 33.0  # of a house's centre, and so outside all houses
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,13 +133,11 @@ class Draw:
     def through_house(self) -> tuple[list[XY], float]:
         """Return two places on either side of a house, and half its height."""
         house = self.house()
-        x_m, y_m = self.world.outlines[house].centroid.coords[0]
+        centre_m = np.array(self.world.outlines[house].centroid.coords[0])
         angle = self.rng.uniform(0, 2 * math.pi)
-        away_m = 33 * np.array([math.cos(angle), math.sin(angle)])
-        ends_m = np.round([(x_m, y_m) + away_m, (x_m, y_m) - away_m], 2).tolist()
-        return [(ends_m[0][0], ends_m[0][1]), (ends_m[1][0], ends_m[1][1])], self.world.top_m[
-            house
-        ] / 2
+        away_m = ASIDE_M * np.array([math.cos(angle), math.sin(angle)])
+        starts_m, ends_m = np.round([centre_m + away_m, centre_m - away_m], 2).tolist()
+        return [tuple(starts_m), tuple(ends_m)], float(self.world.top_m[house] / 2)
 
 
 def items_case(draw: Draw, kind: str, items: list[Item], home_m: XY, **more: Any) -> Case:
