@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from tests.paths.missions.cases import FORMATS
+from tests.paths.missions.draw import FORMATS
 from tests.paths.missions.flights import (
     LAND,
     LOITER_TURNS,

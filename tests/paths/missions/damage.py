@@ -10,7 +10,7 @@ import numpy as np
 import pyproj
 
 from tests.paths.missions import files
-from tests.paths.missions.cases import HIGH_M, Case, Draw, items_case
+from tests.paths.missions.draw import HIGH_M, Case, Draw, items_case
 from tests.paths.missions.flights import (
     JUMP,
     LAND,
