@@ -1,0 +1,97 @@
+"""Trials: a random mission by its number, what a check says of it, and the law over that."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import jaxurban as ju
+from jaxurban.maps.run import run_scenario
+from jaxurban.maps.scenario import Scenario
+from tests.paths.missions.cases import MAKERS, plain
+from tests.paths.missions.damage import DAMAGES
+from tests.paths.missions.draw import Case, Draw
+from tests.paths.missions.judge import Ruling, Truth, ruling, truth_of
+from tests.paths.missions.verdicts import Verdict, verdict_of
+from tests.paths.missions.worlds import World, make_worlds, worlds_in
+
+PLAIN, DAMAGED = "plain", "damaged"
+# Of each twenty missions so many are of a kind. What earlier versions say of plain ones still holds.
+KINDS = (
+    *("mixed", "lines", PLAIN, DAMAGED, "jump") * 2,
+    *("loiter", "loiter", "return", "corner", "open", "skim", DAMAGED, DAMAGED, "return", DAMAGED),
+)
+WORLDS = ("hills", "coarse", "flat", "hills", "gone")
+
+
+class Trial(NamedTuple):
+    """A mission, what is true of it, what a check said of it, and the law over that."""
+
+    number: int
+    case: Case
+    truth: Truth
+    verdict: Verdict
+    ruling: Ruling
+
+
+def make_maps(folder: Path) -> dict[str, World]:
+    """Make the worlds in a folder, their maps as ``jaxurban maps`` makes them, and return them."""
+
+    def run(scenario: Path, maps: Path) -> None:
+        run_scenario(Scenario.from_toml(scenario), maps, progress=False)
+
+    return make_worlds(folder, run)
+
+
+def is_plain(number: int) -> bool:
+    """Return whether the mission of a number is a plain one."""
+    return KINDS[number % len(KINDS)] == PLAIN
+
+
+def case_of(worlds: Mapping[str, World], number: int, seed: int = 1) -> Case:
+    """Return a mission by its number, which with the seed alone decides on all of it."""
+    rng = np.random.default_rng([seed, number])
+    turn, place = divmod(number, len(KINDS))
+    kind = KINDS[place]
+    if kind == PLAIN:
+        return plain(Draw(worlds["flat"], rng), kind)
+    if kind == DAMAGED:
+        num_before = turn * KINDS.count(kind) + KINDS[:place].count(kind)
+        world = worlds[str(rng.choice(["hills", "flat"]))]
+        return DAMAGES[num_before % len(DAMAGES)](Draw(world, rng))
+    world = worlds["hills" if kind == "corner" else str(rng.choice(WORLDS))]
+    return MAKERS[kind](Draw(world, rng), kind)
+
+
+def write(case: Case, folder: Path, number: int) -> Path:
+    """Return the file of a mission, written in a folder."""
+    file = folder / f"mission_{number}{case.suffix}"
+    file.write_text(case.text, encoding="utf-8")
+    return file
+
+
+class Court:
+    """Tries missions over the worlds in a folder, whose maps are opened once."""
+
+    def __init__(self, folder: Path, seed: int = 1) -> None:
+        self.folder, self.seed, self.worlds = folder, seed, worlds_in(folder)
+        self.maps = {
+            name: ju.open_maps(world.folder, world.resolution_m)
+            for name, world in self.worlds.items()
+        }
+
+    def case(self, number: int) -> Case:
+        """Return a mission by its number."""
+        return case_of(self.worlds, number, self.seed)
+
+    def trial(self, number: int) -> Trial:
+        """Return the trial of a mission."""
+        case = self.case(number)
+        truth = truth_of(case.world, case.flown, *case.clearances_m)
+        verdict = verdict_of(
+            self.maps[case.world.name], write(case, self.folder, number), case.options
+        )
+        return Trial(
+            number, case, truth, verdict, ruling(case.world, truth, verdict, case.is_damaged)
+        )
