@@ -207,7 +207,8 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     # Their heights: above the zero of the terrain, or above the ground for segments that follow it.
     ground_m = ground.at(ends_m)
     datum_m = np.where(segments.datum == "ground", ground_m, np.nan)  # elevation of each datum
-    for name, zero_m in _zeros_m(mission, ground, geoid_m).items():
+    zeros_m = _zeros_m(mission, ground, geoid_m)
+    for name, zero_m in zeros_m.items():
         datum_m[segments.datum == name] = zero_m
     follows_ground = segments.follows_ground
     datum_m[follows_ground] -= ground_m[follows_ground]
@@ -215,6 +216,8 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     datum_m[is_above_ground & follows_ground[:, None]] = 0.0  # off the maps, too
     lacks = np.where(follows_ground[:, None] & np.isnan(ground_m), "ground", segments.datum)
     z_m = segments.height_m + datum_m
+    least_m = _least_m(mission, ground, zeros_m)[segments.leg]
+    z_m = np.where(segments.datum == "home", np.maximum(z_m, least_m[:, None]), z_m)
     along_m = _along_m(segments, z_m)
 
     # Segments without a height over the ground, each with the reason.
@@ -397,6 +400,25 @@ def _zeros_m(mission: Mission, ground: Elevation, geoid_m: float | None) -> dict
     geoid_zero_m = -home_above_geoid_m if ground.is_flat else 0.0
     ellipsoid_zero_m = math.nan if geoid_m is None else geoid_zero_m - geoid_m
     return {"home": home_m, "geoid": geoid_zero_m, "ellipsoid": ellipsoid_zero_m}
+
+
+def _least_m(mission: Mission, ground: Elevation, zeros_m: dict[str, float]) -> np.ndarray:
+    """Return the least elevation of each leg's heights above home (`Leg.not_below`); -inf where there is none.
+
+    Args:
+      mission: with the legs.
+      ground: of the maps.
+      zeros_m: elevation of the zero of each datum.
+    """
+    least_m = np.full(len(mission.legs), -np.inf)
+    for number, leg in enumerate(mission.legs):
+        place = leg.not_below
+        if place is not None:
+            zero_m = zeros_m.get(place.datum)
+            if zero_m is None:
+                zero_m = float(ground.at(np.array(ground.maps.grid.xy_of_lonlat(*place[:2]))))
+            least_m[number] = place.height_m + zero_m
+    return least_m
 
 
 def _shares_within(ends_m: np.ndarray, bounds_m: Bounds) -> np.ndarray:

@@ -93,11 +93,11 @@ def test_jumps_within_jumps_end_and_each_leg_is_flown_once(read):
 @pytest.mark.parametrize(
     ("firmware", "at", "heights_m"),
     [
-        (ARDUPILOT, 0.2, [50.0, 100.0]),  # 15 m away, 45 m: not below its own height
+        (ARDUPILOT, 0.2, [45.3, 100.0]),
         (ARDUPILOT, 0.3, [68.0, 100.0]),
         (ARDUPILOT, 2.0, [100.0]),
         (PX4, 0.3, [100.0]),
-        (PX4, 0.1, [50.0, 100.0]),
+        (PX4, 0.1, [7.5, 100.0]),
         (GENERIC, 0.3, [68.0, 100.0]),
     ],
 )
@@ -106,9 +106,28 @@ def test_a_return_near_home_is_judged_with_and_without_a_cone(read, firmware, at
     level = [leg for leg in mission.legs if leg.kind == "return" and leg.end[:2] == mission.home]
     assert [leg.end.height_m for leg in level] == pytest.approx(heights_m, abs=0.3)
     assert [leg.is_variant for leg in level] == [True] * (len(level) - 1) + [False]
+    assert {leg.not_below for leg in level} == {here(at, 50.0)}
 
 
 @pytest.mark.parametrize("command", [84, 85, 3000])
+def test_a_jump_over_an_item_leaves_it_out_and_its_account_says_so(read):
+    jump = item(JUMP, frame=2, params=(5, 1, 0, 0))
+    mission = read([*BOX[:2], jump, item(at=2), item(at=3)])
+    assert [leg.item for leg in mission.legs] == [1, 2, 5]
+    assert mission.accounts[3].why == "jumps pass over it"
+    assert mission.num_lost == 0
+
+
+def test_jumps_are_flown_as_often_as_they_say(read):
+    jumps = [item(JUMP, frame=2, params=(6, 1, 0, 0)), item(JUMP, frame=2, params=(2, 2, 0, 0))]
+    items = [*BOX[:2], item(at=2), jumps[0], item(at=4), item(at=5), jumps[1], item(at=6)]
+    ways = [(leg.kind, leg.item) for leg in read(items).legs[1:]]
+    assert ways == [
+        *(("leg", 2), ("leg", 3), ("jump", 6), ("jump", 2)),
+        *(("leg", 5), ("leg", 6), ("leg", 8)),  # on the second round the first jump is spent
+    ]
+
+
 def test_what_flies_as_an_aeroplane_is_not_judged_whole(read, command):
     mission = read([*BOX[:2], item(command, at=2, params=(4, 0, 0, 0))])
     assert "aeroplane" in " ".join(mission.not_judged)
@@ -121,7 +140,7 @@ def test_each_item_has_an_account_that_names_its_legs_or_why_there_are_none(read
         ("item 1", True, ""),
         ("item 2", True, ""),
         ("item 3", False, "item 3 is a spline waypoint, which is not read"),
-        ("item 4", False, "moves nothing"),
+        ("item 4", False, "it moves nothing"),
     ]
     assert all(leg in range(len(mission.legs)) for each in mission.accounts for leg in each.legs)
 

@@ -61,8 +61,9 @@ FRAMES: dict[int, Datum] = {
     10: "ground",
     11: "ground",
 }
-STILL_AT_ONCE = "moves nothing"
-MOST_FLOWN = 100_000  # items, each time that one is flown: beyond, jumps are not followed
+MOVES_NOTHING = "it moves nothing"
+NEVER_REACHED = "jumps pass over it"
+MOST_FLOWN = 1_000_000  # items, each time that one is flown: beyond, jumps are not followed
 NEAR_CENTRE = (
     0.05  # of a radius: so near to a circle's centre ArduPilot begins wherever it is headed
 )
@@ -133,20 +134,6 @@ class State(NamedTuple):
     has_moved_home: bool = False
 
 
-class Jump(NamedTuple):
-    """A jump that is flown at least once.
-
-    Attributes:
-      before: the index of the leg, among those without jumps, that it comes before.
-      state: in which it begins.
-      item: the jump.
-    """
-
-    before: int
-    state: State
-    item: Item
-
-
 class Flight:
     """How an autopilot flies items: `legs`, what is `not_judged` of them, and an account of each item.
 
@@ -161,11 +148,11 @@ class Flight:
     A return rises to the return altitude, or keeps its own height where that is more. Near home the autopilots rise
     less by their defaults: that is a variant.
 
-    Where a jump leads, the vehicle flies straight from the item before, and all that follows is flown again as far as
-    it differs from what was flown: a height that an item leaves open is that with which the vehicle comes to it.
+    Jumps are flown as often as they say, straight from the item before to their target; what follows after one without
+    end, too. A height that an item leaves open is that with which the vehicle comes to it, each time it does.
 
     Attributes:
-      legs: in the order flown.
+      legs: in the order flown, each once.
       not_judged: a sentence for each thing that the legs leave out or may not show as it is flown.
       speed_m_s: the first speed that an item sets, None without one.
       accounts: what became of each item.
@@ -193,61 +180,88 @@ class Flight:
         self._autopilot = autopilot
         self._return_altitude_m = return_altitude_m
         self._state = State(home, home and Place(*home, 0.0, "ground"))
-        self._flown: set[tuple[int, str]] = (
-            set()
-        )  # indices of items, and states in which they were reached
-        self._jumps: list[Jump] = []
+        self._after: dict[
+            tuple[int, State], State
+        ] = {}  # by the index of an item and the state before it
         self._why: dict[int, str] = {}  # the first sentence on an item, by its number
         self._number = 0  # of the item that is flown
-        self._run(0)
-        self._fly_jumps()
+        self._is_jump = False  # it is flown to from a jump
+        self._run()
         self.accounts = self._accounts()
 
-    def _run(self, first: int) -> None:
-        """Fly items from an index on, to the last, or to one that was reached in the same state before."""
-        for index in range(first, len(self._items)):
-            key = index, str(self._state)
-            if key in self._flown or len(self._flown) >= MOST_FLOWN:
-                return
-            self._flown.add(key)
-            self._number = self._items[index].number
-            self._fly(self._items[index])
-
-    def _fly_jumps(self) -> None:
-        """Fly the ways that jumps lead, which may lead to more jumps, and put their legs where they are flown."""
+    def _run(self) -> None:
+        """Fly all items and their jumps, until the last one."""
         index_of = {item.key: index for index, item in enumerate(self._items)}
-        legs_before: dict[int, list[Leg]] = {}
-        without_jumps = self.legs
-        for before, state, item in self._jumps:  # grows meanwhile
+        left = {  # how often jumps are still flown
+            index: item.params[1] for index, item in enumerate(self._items) if item.command == JUMP
+        }
+        index = num_flown = 0
+        num_old = 0  # items flown since something was new
+        taken: set[int] = set()  # jumps without end that were flown since
+        while index < len(self._items) and num_flown < MOST_FLOWN:
+            item = self._items[index]
+            key = index, self._state
             self._number = item.number
-            target = index_of.get(int(item.params[0])) if item.params[0] % 1 == 0 else None
-            if target is None:
-                self._say(f"the jump of item {item.number} is not judged: no item is its target")
-                continue
-            self.legs = []
-            self._state = state
-            num_jumps = len(self._jumps)
-            self._run(target)
-            self._jumps[num_jumps:] = [
-                jump._replace(before=before) for jump in self._jumps[num_jumps:]
-            ]
-            legs_before.setdefault(before, []).extend(_as_jump(self.legs))
-        if len(self._flown) >= MOST_FLOWN:
-            self._say("its jumps lead more ways than are followed")
-        self.legs = []
-        for index in range(len(without_jumps) + 1):
-            self.legs += legs_before.get(index, [])
-            self.legs += without_jumps[index : index + 1]
+            if num_old > 2 * len(self._items):  # a jump without end leads round and round
+                left |= dict.fromkeys(taken, 0.0)
+                num_old = 0
+                taken.clear()
+            num_flown += 1
+            num_old += 1
+            index += 1
+            if item.command == JUMP:
+                index = self._jumped(item, left, index, index_of)
+                if left[key[0]] < 0:
+                    taken.add(key[0])
+                else:
+                    num_old = 0
+            elif key in self._after:
+                self._state = self._after[key]
+                self._is_jump &= self._state == key[1]
+            else:
+                self._fly(item)
+                self._after[key] = self._state
+                num_old = 0
+                taken.clear()
+        if num_flown == MOST_FLOWN:
+            self._say("its jumps are flown more often than is followed")
+
+    def _jumped(
+        self, jump: Item, left: dict[int, float], after: int, index_of: dict[int | None, int]
+    ) -> int:
+        """Return the index of the item that comes after a jump, and count that it was flown.
+
+        Args:
+          jump: the jump.
+          left: how often each jump is still flown, by index.
+          after: index of the item after it in the file.
+          index_of: of items, by the keys that jumps name.
+        """
+        times = left[after - 1]
+        if times == 0:
+            return after
+        key = jump.params[0]
+        target = index_of.get(int(key)) if key % 1 == 0 else None
+        if target is None:
+            self._say(f"the jump of item {jump.number} is not judged: no item is its target")
+            left[after - 1] = 0.0
+            return after
+        if times > 0:
+            left[after - 1] = max(times - 1, 0.0)
+        self._is_jump = True
+        return target
 
     def _accounts(self) -> list[Account]:
         """Return what became of each item: its legs, or the sentence on it, or that it moves nothing."""
         legs_of: dict[int, list[int]] = {}
         for index, leg in enumerate(self.legs):
             legs_of.setdefault(leg.item, []).append(index)
+        reached = {self._items[index].number for index, _ in self._after}
         accounts = []
         for item in self._items:
             legs = tuple(legs_of.get(item.number, ()))
-            why = "" if legs else self._why.get(item.number, STILL_AT_ONCE)
+            still = MOVES_NOTHING if item.number in reached else NEVER_REACHED
+            why = "" if legs else self._why.get(item.number, still)
             accounts.append(Account(f"item {item.number}", 1, legs, why))
         return accounts
 
@@ -278,8 +292,6 @@ class Flight:
             self._land(item)
         elif command == RETURN:
             self._return(item)
-        elif command == JUMP:
-            self._jump(item)
         elif command == SET_HOME:
             self._say(
                 f"item {item.number} moves home: heights above it, and a return, are not judged after it"
@@ -333,6 +345,9 @@ class Flight:
           has_stop: it stops there.
         """
         profile: Profile = "straight" if item.is_straight else "frame"
+        if self._is_jump and kind == "leg":
+            kind = "jump"
+        self._is_jump = False
         leg = Leg(place, place, kind, item.number, profile=profile, has_stop=has_stop)
         state = self._state
         variant = beside or place
@@ -480,8 +495,7 @@ class Flight:
     def _return(self, item: Item) -> None:
         """Rise to the return altitude, fly home and land; a sentence says what is not known of it.
 
-        Without a return altitude the height over home is NaN, and the vehicle flies there without a rise. It never
-        sinks to the return altitude: its own height above home counts where that is more.
+        Without a return altitude the height over home is NaN, and the vehicle flies there without a rise.
         """
         self._leave_circle(item)
         home, at = self._state.home, self._state.at
@@ -490,65 +504,40 @@ class Flight:
             self._say(f"the return of item {item.number} is not judged: {why} is not known")
             self._lose(item)
             return
-        own_m = -math.inf
-        if at.datum == "home":
-            own_m = at.height_m
-        else:
-            self._say(
-                f"the return of item {item.number} may be higher than judged: how high it begins "
-                "above home is not known"
-            )
-        *lower_m, height_m = self._return_heights_m(own_m, _apart_m(at, home))
-        for level_m in lower_m:
-            way = Leg(
-                at, Place(at.lon, at.lat, level_m, "home"), "return", item.number, is_variant=True
-            )
-            self.legs.append(way)
-            self.legs.append(way._replace(start=way.end, end=Place(*home, level_m, "home")))
-        if not math.isnan(height_m):
-            self._move(item, Place(at.lon, at.lat, height_m, "home"), "return")
-        self._move(item, Place(*home, height_m, "home"), "return")
+        # Its own height above home counts where it is more: what it is above the legs know.
+        *lower_m, height_m = self._return_heights_m(_apart_m(at, home))
         ground = Place(*home, 0.0, "ground")
-        self._move(item, ground, "land")
+        for level_m in (*lower_m, height_m):
+            over_home = Place(*home, level_m, "home")
+            above = over_home._replace(lon=at.lon, lat=at.lat)
+            ways = [
+                (at, above, "return"),
+                (above, over_home, "return"),
+                (over_home, ground, "land"),
+            ]
+            if math.isnan(level_m):
+                ways[:2] = [(at, over_home, "return")]
+            is_variant = level_m != height_m and not math.isnan(level_m)
+            for start, end, kind in ways:
+                leg = Leg(start, end, kind, item.number, is_variant=is_variant, not_below=at)
+                self.legs.append(leg)
         self._lose(item, ground)
 
-    def _return_heights_m(self, own_m: float, apart_m: float) -> list[float]:
+    def _return_heights_m(self, apart_m: float) -> list[float]:
         """Return the heights above home at which a return may be flown, rising; NaN alone where it is not known.
 
         Args:
-          own_m: at which it begins; -inf where that is not known.
-          apart_m: from home.
+          apart_m: how far from home it begins.
         """
         most_m = self._return_altitude_m
-        if math.isnan(most_m) and not own_m > most_m:
+        if math.isnan(most_m):
             return [math.nan]
-        heights_m = {max(own_m, most_m)}
+        heights_m = {most_m}
         if self._autopilot != "px4":
-            cone_m = max(CONE_SLOPE * apart_m, LEAST_RETURN_M)
-            heights_m.add(max(own_m, min(most_m, cone_m)))
+            heights_m.add(min(most_m, max(CONE_SLOPE * apart_m, LEAST_RETURN_M)))
         if self._autopilot != "ardupilot" and apart_m <= CONE_REACH_M:
-            heights_m.add(max(own_m, min(most_m, apart_m)))
+            heights_m.add(min(most_m, apart_m))
         return sorted(heights_m)
-
-    def _jump(self, item: Item) -> None:
-        """Note a jump that is flown at least once, for `_fly_jumps`: its target may come later."""
-        if item.params[1] == 0:  # how often it is flown
-            return
-        if self._state.at is None:
-            self._say(f"the jump of item {item.number} is not judged: where it begins is not known")
-        else:
-            self._jumps.append(Jump(len(self.legs), self._state, item))
-
-
-def _as_jump(legs: Sequence[Leg]) -> list[Leg]:
-    """Return legs of which the first, and variants beside it, are of the kind ``jump`` if they were plain legs."""
-    jumps = []
-    is_first = True
-    for leg in legs:
-        is_jump = is_first and leg.kind == "leg"
-        jumps.append(leg._replace(kind="jump") if is_jump else leg)
-        is_first = is_first and leg.is_variant
-    return jumps
 
 
 def _apart_m(place: Place, lonlat: LonLat) -> float:

@@ -58,6 +58,7 @@ class Leg(NamedTuple):
       is_variant: it is not flown after the leg before it, but beside the next leg that is none, as another autopilot or
         another setting of it would fly.
       has_stop: the vehicle stops at its end, and so does not cut the corner there.
+      not_below: of a return: its heights above home are no less than the height of this place.
     """
 
     start: Place
@@ -68,6 +69,7 @@ class Leg(NamedTuple):
     profile: Profile = "frame"
     is_variant: bool = False
     has_stop: bool = False
+    not_below: Place | None = None
 
 
 class Account(NamedTuple):
