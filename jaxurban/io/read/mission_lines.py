@@ -8,7 +8,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from itertools import zip_longest
+from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser
@@ -78,6 +78,7 @@ class Line(NamedTuple):
       is_own: whether jaxurban wrote it, whose lines follow the ground.
       why: it is not judged, as said of "it"; empty for a line that is.
       num: how many positions it has of which no points are read.
+      beside_m: the heights above the ground that the file names too, one of each point; empty where it does not.
     """
 
     what: str
@@ -86,6 +87,7 @@ class Line(NamedTuple):
     is_own: bool = False
     why: str = ""
     num: int = 0
+    beside_m: Sequence[float] = ()
 
 
 Shapes = tuple[list[Line], int]  # the things of a file, and how many positions it holds
@@ -152,6 +154,7 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
             if previous and previous != place:
                 legs.append(Leg(previous, place, "leg", number, profile=profile))
             previous = place
+        legs += _beside(line, number)
         accounts.append(Account(line.what, len(line.points), tuple(range(first, len(legs)))))
 
     notes = []
@@ -169,6 +172,22 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
         accounts=tuple(accounts),
         num_things=num_positions,
     )
+
+
+def _beside(line: Line, last: int) -> list[Leg]:
+    """Return the legs of a line at its other heights, as variants, which follow the ground.
+
+    ``last`` is the number of its last point.
+    """
+    places = [
+        Place(lon, lat, height_m, "ground")
+        for (lon, lat, _), height_m in zip(line.points, line.beside_m, strict=False)
+    ]
+    first = last - len(places) + 2
+    return [
+        Leg(start, end, "leg", number, is_variant=True)
+        for number, (start, end) in enumerate(pairwise(places), first)
+    ]
 
 
 def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
@@ -337,21 +356,22 @@ def _gpx_line(element: Element, is_own: bool) -> Line:
     """Return a route or the segment of a track of GPX, written by jaxurban or not.
 
     Heights are those of ``ele``, and the file does not say what they are above. In files that jaxurban wrote they are
-    above the zero of its terrain, which is taken as the geoid; where it had none, the heights above ground in the
-    points' descriptions count.
+    above the zero of its terrain, which is taken as the geoid. The heights above ground in the points' descriptions count
+    beside them, and alone where it had no terrain.
     """
     nodes = [child for child in element if _tag(child) in ("rtept", "trkpt")]
     heights = [_text(node, "ele") for node in nodes]
     datum: Datum | None = "geoid" if is_own else None
+    matches = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes if is_own]
+    described = [match[1] if match else "" for match in matches]
+    beside_m = [decimal_of("a height", text) for text in described if any(heights) and text]
     if is_own and not any(heights):
-        matches = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes]
-        heights = [match[1] if match else "" for match in matches]
-        datum = "ground"
+        heights, datum = described, "ground"
     points = [
         _point((node.get("lon"), node.get("lat"), height))
         for node, height in zip(nodes, heights, strict=True)
     ]
-    return Line(_tag(element), points, datum, is_own)
+    return Line(_tag(element), points, datum, is_own, beside_m=beside_m)
 
 
 def _num_in_json(value: Any) -> int:
