@@ -72,11 +72,8 @@ WIDE = 5.0  # an axis whose ends differ by this factor has ticks at 1, 2 and 5 o
 EDGE_IN, TITLE_IN = 0.1, 0.8
 # Of a name beside its mark: steps to the right and up, how it is aligned there, and how far from the mark's middle.
 STEPS, ACROSS, UPWARD = (1, -1, 0), ("center", "left", "right"), ("center", "bottom", "top")
-AWAY_PT, BESIDE_PT, MARK_PT = (
-    (5, 8, 12, 17, 23),
-    8,
-    4,
-)  # at most so far without a line; half of a mark's side
+AWAY_PT, BESIDE_PT = (5, 8, 12, 17, 23), 8  # farther away than BESIDE_PT it has a line
+MARK_PT = 4  # half of a mark's side
 POINTS = "offset points"
 FEWEST_LETTERS = 8  # of a broken line, however narrow its place is
 
