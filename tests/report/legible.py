@@ -7,11 +7,9 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
-Boxes = list[tuple[str, Bbox]]
 
-
-def text_boxes(figure: Figure) -> Boxes:
-    """Return the texts that a figure draws, ticks' labels too, with their boxes in dots, without lines to marks."""
+def drawn_texts(figure: Figure) -> list[Text]:
+    """Return the texts that a figure draws, ticks' labels too."""
     drawn: dict[int, Text] = {}
     draw = Text.draw
 
@@ -21,15 +19,15 @@ def text_boxes(figure: Figure) -> Boxes:
 
     with patch.object(Text, "draw", note):
         figure.draw_without_rendering()
-    shown = [text for text in drawn.values() if text.get_visible() and text.get_text().strip()]
-    return [(text.get_text(), Text.get_window_extent(text)) for text in shown]
+    return [text for text in drawn.values() if text.get_visible() and text.get_text().strip()]
 
 
-def assert_legible(figure: Figure) -> Boxes:
-    """Check that no text of a figure leaves it and no two overlap; return the texts with their boxes."""
-    boxes, page = text_boxes(figure), figure.bbox
+def assert_legible(figure: Figure) -> list[tuple[str, Bbox]]:
+    """Check that no text of a figure leaves it and no two overlap; return the texts with their boxes in dots."""
+    boxes = [(text.get_text(), Text.get_window_extent(text)) for text in drawn_texts(figure)]
+    page, pairs = figure.bbox, combinations(boxes, 2)
     cut = [name for name, box in boxes if page.count_contains([box.min, box.max]) < 2]
     assert cut == []
-    pairs = combinations(boxes, 2)
-    assert [(a, b) for (a, one), (b, two) in pairs if one.shrunk(0.98, 0.9).overlaps(two)] == []
+    overlaps = [(a, b) for (a, one), (b, two) in pairs if one.shrunk(0.98, 0.9).overlaps(two)]
+    assert overlaps == []
     return boxes

@@ -118,6 +118,6 @@ def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
     panel.fill_between(around, roof_edge, 90, color=ROOFS, label="buildings")
     is_missing = np.isnan(roof_edge)
     if is_missing.any():
-        look: Look = {"facecolor": "white", "edgecolor": INK, "hatch": "////"}
+        look: Look = {"facecolor": "white", "edgecolor": ROOFS, "hatch": "////"}
         look |= {"linewidth": 0.0, "label": "horizon not known"}
         panel.fill_between(around, 90 - EDGE_DEG, 90, is_missing, **look)

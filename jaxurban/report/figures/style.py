@@ -74,7 +74,8 @@ WIDE = 5.0  # an axis whose ends differ by this factor has ticks at 1, 2 and 5 o
 EDGE_IN, TITLE_IN = 0.1, 0.8
 # Of a name beside its mark: steps to the right and up, how it is aligned there, and how far from the mark's middle.
 STEPS, ACROSS, UPWARD = (1, -1, 0), ("center", "left", "right"), ("center", "bottom", "top")
-AWAY_PT, MARK_PT = (5, 8, 12, 17, 23), 4  # MARK_PT: half of a mark's side
+AWAY_PT, BESIDE_PT = (5, 8, 12, 17, 23), 8  # farther away than BESIDE_PT it has a line
+MARK_PT = 4  # half of a mark's side
 POINTS = "offset points"
 FEWEST_LETTERS = 8  # of a broken line, however narrow its place is
 
@@ -238,8 +239,8 @@ def legend_below(figure: Figure, panel: Axes) -> None:
 def label_apart(panel: Axes, names: Iterable[str], marks: np.ndarray) -> None:
     """Write names beside marks so that none covers a mark or another name, nor leaves the panel.
 
-    To be called last, as the layout of the figure is settled here. A line joins a name to its mark where another mark
-    is as near; a name that has no such place is left out.
+    To be called last, as the layout of the figure is settled here. A line joins a name to its mark where it is far
+    from it or another mark is as near; a name that has no such place is left out.
 
     Args:
       panel: to write in.
@@ -265,7 +266,7 @@ def label_apart(panel: Axes, names: Iterable[str], marks: np.ndarray) -> None:
             is_inside = panel.bbox.count_contains([box.min, box.max]) == 2
             if is_inside and num_near <= most and not box.count_overlaps(taken):
                 taken.append(box)
-                if num_near > 1:
+                if num_near > 1 or away_pt > BESIDE_PT:
                     panel.annotate("", place, text.xyann, textcoords=POINTS, arrowprops=line)
                 break
         else:
