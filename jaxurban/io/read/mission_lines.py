@@ -356,8 +356,8 @@ def _gpx_line(element: Element, is_own: bool) -> Line:
     """Return a route or the segment of a track of GPX, written by jaxurban or not.
 
     Heights are those of ``ele``, and the file does not say what they are above. In files that jaxurban wrote they are
-    above the zero of its terrain, which is taken as the geoid. The heights above ground in the points' descriptions count
-    beside them, and alone where it had no terrain.
+    above the zero of its terrain, which is taken as the geoid. The heights above ground in the points' descriptions
+    count beside them, and alone where it had no terrain.
     """
     nodes = [child for child in element if _tag(child) in ("rtept", "trkpt")]
     heights = [_text(node, "ele") for node in nodes]
