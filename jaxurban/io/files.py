@@ -28,8 +28,8 @@ ELSEWHERE = "choose another folder with -o"
 
 # Of what is written now, if anything.
 RECORDER: ContextVar["Workspace | None"] = ContextVar("RECORDER", default=None)
-# The folder that a run holds from before it works until it has saved, if it does.
-HELD: ContextVar[Path | None] = ContextVar("HELD", default=None)
+# The folders that a run holds from before it works until it has saved.
+HELD: ContextVar[frozenset[Path]] = ContextVar("HELD", default=frozenset())
 
 
 def recorder_of(path: Path) -> "Workspace | None":
@@ -145,7 +145,7 @@ def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator
     # Imported here: it loads asyncio, for which commands that only read need not wait.
     from filelock import FileLock, Timeout
 
-    if folder.resolve() == HELD.get():
+    if folder.resolve() in HELD.get():
         yield
         return
     lock = FileLock(folder / LOCK_FILE, blocking=False, thread_local=False)

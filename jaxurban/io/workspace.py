@@ -179,7 +179,7 @@ class Workspace:
         check_writable(folder)
         try:
             with only_writer(folder, ELSEWHERE):
-                token = HELD.set(folder.resolve())
+                token = HELD.set(HELD.get() | {folder.resolve()})
                 try:
                     yield
                 finally:

@@ -44,9 +44,7 @@ Differing = dict[str, tuple[Any, Any]]  # old and new value by dotted key, None 
 Inputs = Mapping[str, Mapping[str, Any]]
 SYSTEM_FOLDERS = ("/proc", "/sys", "/dev")  # of files that may have no end
 MEMORY_FOLDER = "/dev/shm"  # holds usual files
-MOST_UNSIZED_BYTES = (
-    16 * 2**30
-)  # of a file of a record without sizes, as of jaxurban 1.1 and before
+MOST_UNSIZED_BYTES = 16 * 2**30  # of a file whose size a record lacks, as up to jaxurban 1.1
 
 
 def run_record(
@@ -196,8 +194,8 @@ def _sum_and_size(path: Path, role: str, recorded: Mapping[str, Any] | None) -> 
         for part in parts:
             _check_usual(part)
         num_bytes = sum(part.stat().st_size for part in parts)
-        most = MOST_UNSIZED_BYTES
-        if recorded is not None and num_bytes != recorded.get("bytes", min(num_bytes, most)):
+        most_bytes = min(num_bytes, MOST_UNSIZED_BYTES)
+        if recorded is not None and num_bytes != recorded.get("bytes", most_bytes):
             return {"sha256": "", "bytes": num_bytes}
         sums = "".join(f"{part.name} {digest_of(part)}\n" for part in parts)
     return {"sha256": hashlib.sha256(sums.encode()).hexdigest(), "bytes": num_bytes}

@@ -20,9 +20,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 FILE_MARGIN_M = 0.05
 # Cell sides: steps between the centres of cells keep half a side from closed cells.
 MOST_LEG_MARGIN = 0.49
-MOST_STEPS = (
-    10**5
-)  # sides: beyond any map, whose border counts as an obstacle, all that is near is closed
+MOST_STEPS = 10**5  # sides, more than maps have: their border is an obstacle, so all is closed
 
 
 def obstacles_within(

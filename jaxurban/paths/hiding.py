@@ -128,10 +128,7 @@ class Hiding:
             )
         if num > MOST_AT_ONCE:
             LOG.info(f"following {num:,} rays to satellites, about 5,000 a second")
-        pieces = [
-            np.arange(first, min(first + MOST_AT_ONCE, num))
-            for first in range(0, max(num, 1), MOST_AT_ONCE)
-        ]
+        pieces = np.array_split(np.arange(num), num // MOST_AT_ONCE + 1)
         tables = [self._behind(rays.take(piece), altitude_m[piece]) for piece in pieces]
         return pd.concat(tables, ignore_index=True)
 

@@ -383,7 +383,7 @@ def test_a_record_that_the_user_replaced_during_the_run_is_kept(tmp_path):
 
 def test_a_folder_is_held_while_a_study_works_and_gone_where_it_wrote_nothing(tmp_path):
     out = tmp_path / "out"
-    with Workspace.held(out, "validate"):
+    with Workspace.held(out, "validate"), Workspace.held(tmp_path / "other", "validate"):
         with ThreadPoolExecutor() as pool:  # another thread is another run, as another process is
             refused = pool.submit(Workspace.check, out, "validate").exception()
         assert "another run is writing" in str(refused)
