@@ -352,7 +352,10 @@ def soft_city(
     heights = replace(city.heights or Heights(), height_samples=0)
     sections = dict(params.sections)
     threshold = sections["gps"].gdop_threshold
-    if city.gps is not None and replace(sections["gps"], gdop_threshold=Gps.gdop_threshold) == Gps():
+    if (
+        city.gps is not None
+        and replace(sections["gps"], gdop_threshold=Gps.gdop_threshold) == Gps()
+    ):
         sections["gps"] = replace(city.gps, gdop_threshold=threshold)
     settings = MapParams((float(params.altitude_m),), heights=heights, sections=sections)
     task = MapTask(city, grid, view_sky(grid, settings.gps), settings, check_layers(layers))

@@ -240,7 +240,9 @@ def check_held(
     if isinstance(given, Weights):
         default = dict.fromkeys(METRICS, METRIC_WEIGHT)
         usual_items = (default | dict(usual or {})).items() | default.items()
-        numbers = {name: value for name, value in numbers.items() if (name, value) not in usual_items}
+        numbers = {
+            name: value for name, value in numbers.items() if (name, value) not in usual_items
+        }
     held = ("distance", *metrics)
     lost = [name for name, value in numbers.items() if value > 0 and name not in held]
     if lost:

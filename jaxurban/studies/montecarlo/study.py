@@ -37,7 +37,12 @@ from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
 from jaxurban.world.grid import Grid
 from jaxurban.world.land_cover import LandCover
 
-OF_SAMPLING = ("instances", "altitudes_m", "weights", "land_cover")  # settings that a table has in itself
+OF_SAMPLING = (
+    "instances",
+    "altitudes_m",
+    "weights",
+    "land_cover",
+)  # settings that a table has in itself
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,7 +143,9 @@ def study(
 
     # The instances: those of a table, as these maps connect them, or sampled ones.
     if isinstance(instances, pd.DataFrame):
-        _check_samples(chosen, OF_SAMPLING, "a table of instances has its own: leave it out, or the table")
+        _check_samples(
+            chosen, OF_SAMPLING, "a table of instances has its own: leave it out, or the table"
+        )
         instances = checked_instances(instances, "instances")
         check_instances(instances, opened)
         instances = with_connection(instances, opened, model, constraints)
