@@ -1,10 +1,9 @@
 """What every public argument with a default does: calls on a small town, a value of each, or why none can show."""
 
 import functools
-import json
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,7 @@ import shapely
 import xarray as xr
 
 import jaxurban as ju
-from jaxurban.maps.build import compute_maps
-from jaxurban.maps.run import run_scenario, tasks_of
-from jaxurban.world.raster import Raster
+from jaxurban.maps.run import run_scenario
 from tests.cli_runs import TOWN
 
 NOON, LATER = "2020-04-27T16:00:00Z", "2020-04-27T21:00:00Z"
@@ -75,10 +72,7 @@ def home() -> Path:
 
     # Four buildings: of a known height, of levels, of nothing, and one that hangs.
     sides = [(0.0002 + 0.0004 * number, 0.0005, 0.0003) for number in range(4)]
-    boxes = [
-        shapely.box(*(np.array([x, y, x + side, y + side]) + (*CORNER, *CORNER)))
-        for x, y, side in sides
-    ]
+    boxes = [shapely.box(*np.add([x, y, x + side, y + side], CORNER * 2)) for x, y, side in sides]
     tags = {"height": ["40", None, None, "30"], "building:levels": [None, "7", None, None]}
     tags["min_height"] = [None, None, None, "15"]
     gpd.GeoDataFrame(tags, geometry=boxes, crs="EPSG:4326").to_file(folder / "few.geojson")
@@ -166,7 +160,7 @@ def outcome(call: Callable[[], Any]) -> tuple[str, Any]:
 
 def plain(value: Any, depth: int = 0) -> Any:
     """Return a result as values that can be compared: arrays as bytes, tables as text, without what took how long."""
-    if depth > 12 or callable(value) and not is_dataclass(value):
+    if depth > 12 or (callable(value) and not is_dataclass(value)):
         return None
     if isinstance(value, ju.MetricMaps):
         return plain(value.ds, depth + 1), value.rule

@@ -108,7 +108,7 @@ def few_maps() -> ju.MetricMaps:
 
 
 def over_few() -> Any:
-    west, south, east, north = BOX
+    west, south, east, _ = BOX
     start, goal = (west + 1e-4, south + 1e-4), (east - 1e-4, south + 1e-4)
     return ju.plan(few_maps(), start, goal, altitude_m=60.0).save(on.a_file("few.plan"))
 
@@ -834,7 +834,7 @@ def test_no_argument_is_ignored(name):
     assert not list(filter(None, ignored)), "\n".join(filter(None, ignored))
 
 
-# Commands: their words, and a value of each option, "" for a flag; `{...}` are files that the run makes or `home` holds.
+# Commands: their words, and a value of each option, "" for a flag; `{...}` are files (see `files`).
 ROUTE = ("--start={start}", "--goal={goal}", "--altitude=20", "--resolution=20", "--snap")
 OF_ROUTE = {
     "--start": "-73.99411,40.755028",
@@ -949,7 +949,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--speed": Case("9", refused="--speed|--track"),
             "--by": "map",
             "--sources": Case("no/such/folder", refused="no/such"),
-            "--resolution": Case("40", ("--by=map",)),
+            "--resolution": Case("40", ("--by=map", "--at=-73.99955,40.755616")),
             "-o": Case("sky.txt", refused="-o"),
             "--json": JSON,
         },
@@ -1157,3 +1157,83 @@ def test_no_option_is_ignored(command, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ignored = [option_ignored(capsys, command, option) for option in OPTIONS[command][1]]
     assert not list(filter(None, ignored)), "\n".join(filter(None, ignored))
+
+
+@cache
+def without_people() -> ju.MetricMaps:
+    return ju.MetricMaps(on.few_levels().ds.drop_vars(["population", "density"]))
+
+
+PEOPLE = ju.Weights(population=5.0)
+NAMED_IN_VAIN: dict[str, tuple[Callable[[], Any], str]] = {
+    "weights of a study beside a table": (
+        lambda: on.a_study(instances=on.instances(), settings=ju.studies.Study(weights=(PEOPLE,))),
+        "settings name weights",
+    ),
+    "altitudes of a study beside a table": (
+        lambda: on.a_study(instances=on.instances(), settings=ju.studies.Study(altitudes_m=[60.0])),
+        "settings name altitudes_m",
+    ),
+    "weights of a study of weights beside instances": (
+        lambda: on.weights_study(routes=on.instances(), altitudes_m=None, weights={"risk": 2.0}),
+        "leave weights out",
+    ),
+    "people without their files": (
+        lambda: on.read(population=ju.Population(time_of_day="night")),
+        "population has settings and the city has no people",
+    ),
+    "people of a city without": (
+        lambda: ju.build_maps(few(), population=ju.Population(gamma_commercial=2.0)),
+        "population has settings and the city has no people",
+    ),
+    "a resolution for rays": (
+        lambda: ju.sky(on.city(), (-73.97, 40.78), 20.0, resolution_m=5.0),
+        "rays follow outlines",
+    ),
+    **{
+        f"a weight of people, {name}": (call, "population")
+        for name, call in {
+            "cost_map": lambda: ju.cost_map(without_people(), 60.0, weights={"population": 1.0}),
+            "plan": lambda: ju.plan(without_people(), START, GOAL, altitude_m=60.0, weights=PEOPLE),
+            "plan_many": lambda: ju.plan_many(
+                without_people(), [(START, GOAL)], altitude_m=60.0, weights=PEOPLE, progress=False
+            ),
+            "check": lambda: on.checked(maps=without_people(), weights={"population": 5.0}),
+            "sample": lambda: ju.studies.sample_instances(without_people(), 1, weights=[PEOPLE]),
+            "table": lambda: ju.studies.study(
+                without_people(),
+                on.a_file("study"),
+                on.instances().query("altitude_m == 60").assign(w_population=5.0, time_of_day=None),
+            ),
+            "study of weights": lambda: on.weights_study(
+                sources={"town": without_people()}, weights={"population": 5.0}
+            ),
+            "pilot": lambda: demos(
+                study=on.instances().query("altitude_m == 60"), maps=without_people(), pilot=PEOPLE
+            ),
+            "view": lambda: page(maps=without_people(), weights={"population": 5.0}),
+        }.items()
+    },
+}
+
+
+@pytest.mark.parametrize("what", NAMED_IN_VAIN)
+def test_what_counts_nowhere_is_refused(what):
+    call, sentence = NAMED_IN_VAIN[what]
+    with pytest.raises(ju.InputError, match=sentence):
+        call()
+
+
+def test_a_weight_that_nobody_named_or_of_0_passes_over_maps_without_its_layer_and_a_caution_says_so():
+    maps = without_people()
+    recorded = maps.with_recorded({"weights": PEOPLE.to_dict()})
+    for of, weights in (
+        (maps, None),
+        (maps, {"population": 0}),
+        (maps, ju.Weights()),
+        (recorded, None),
+    ):
+        path = ju.plan(of, START, GOAL, altitude_m=60.0, snap=True, weights=weights)
+        said = "These maps hold no population, so that weight is ignored."
+        assert (said in path.cautions) == (said in path.message) == (weights != {"population": 0})
+    assert all(sentence in path.cautions for sentence in path.search.note.split(". ")[-1:])

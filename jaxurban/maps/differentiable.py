@@ -331,8 +331,9 @@ def soft_city(
       city: with outlines.
       grid: of the layers, such as that of maps.
       params: as the maps will have them; of several times and times of day the first ones count. Where they name no
-        satellites, those are in view that the city was read with. Their ranges and thresholds, their altitude and the city's highest roof limit how far the layers look: parameters that are given
-        to the layers later may not exceed them.
+        satellites, those are in view that the city was read with. Their ranges and thresholds, their altitude and the
+        city's highest roof limit how far the layers look: parameters that are given to the layers later may not exceed
+        them.
       layers: further cost layers, by name; those that are functions with a soft form take part.
 
     Returns:
