@@ -343,15 +343,15 @@ class Scenario(BaseModel):
           'astar-plus'
         """
         settings = _with_present_keys(settings)
-        with_bounds, extent = _with_bounds(filled(settings), folder or Path())
+        folder = Path(folder or "")
+        with_bounds, extent = _with_bounds(filled(settings), folder)
         try:
             scenario = cls.model_validate(with_bounds)
         except ValidationError as error:
             raise InputError(f"{name}: {_sentence_of(error, settings, cls)}") from error
         if extent is not None:
-            _check_extent(scenario, folder or Path(), extent)
-        if folder is not None:
-            scenario._folder = folder
+            _check_extent(scenario, folder, extent)
+        scenario._folder = folder
         return scenario
 
     def to_toml(self) -> str:

@@ -109,6 +109,12 @@ def run_tuning(
     files_by_source = {
         source: _files_of(source, files, settings.sample) for source, files in sources.items()
     }
+    files = list(chain.from_iterable(files_by_source.values()))
+    if files and all(map(_holds_lines, files)) and (settings.pilot or settings.planner):
+        raise InputError(
+            "a pilot and a planner are of sampled instances, studies and tables, and the files hold lines: leave "
+            "--pilot and --planner out"
+        )
     maps_of_sources = [source.open() for source in sources]
     targets = [Target.parse(text) for text in settings.targets]
 
@@ -260,6 +266,11 @@ def _files_of(source: MapsFolder, files: Sequence[Path], sample: int | None) -> 
     return [study]
 
 
+def _holds_lines(file: Path) -> bool:
+    """Return whether a file holds lines, and is no table of instances and no folder of a study."""
+    return not file.is_dir() and file.suffix.lower() not in SUFFIXES
+
+
 def _read(file: Path, maps: MetricMaps, settings: TuneSettings) -> list[Demonstration]:
     """Return the routes of a file of lines, a table of instances or the folder of a study, as demonstrations.
 
@@ -273,7 +284,7 @@ def _read(file: Path, maps: MetricMaps, settings: TuneSettings) -> list[Demonstr
     Raises:
       InputError: routes that cannot be read, or that are of no use on these maps.
     """
-    if not file.is_dir() and file.suffix.lower() not in SUFFIXES:
+    if _holds_lines(file):
         return read_demonstrations(file, maps, **settings.routes)
     pilot = settings.pilot
     planner = settings.planner

@@ -76,8 +76,9 @@ def test_a_track_and_a_route_give_a_row_a_place(maps, tmp_path, capsys):
         (("--track", "t.csv", "--speed", 3), "a table has its own times"),
         (("--track", "t.gpx", "--altitude", 3), "a route needs --speed"),
         (("--track", "no.csv", "--altitude", 3), "no.csv"),
-        ((*AT, "--resolution", 3), "resolution_m must be that of maps in the folder"),
-        ((*AT, "--sources", "nowhere"), "no longer there as it was"),
+        ((*AT, "--resolution", 20), "rays follow outlines"),
+        ((*AT, "--by", "map", "--resolution", 3), "resolution_m must be that of maps in the folder"),
+        ((*AT, "--sources", "nowhere"), "'nowhere' is none"),
     ],
 )
 def test_what_cannot_be_done_ends_with_2_and_a_sentence(maps, words, said, capsys):

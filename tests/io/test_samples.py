@@ -211,3 +211,24 @@ def test_the_script_makes_the_files_that_are_here(data_dir, tmp_path, monkeypatc
         )
         for path in home.iterdir():
             assert digest_of(path) == digest_of(tmp_path / name / path.name), path.name
+
+
+def test_maps_are_made_with_what_a_city_was_read_with_unless_they_are_given_others():
+    bounds = (-74.012, 40.704, -74.0105, 40.705)
+    real = ju.Gps(orbits="sample:shinjuku/galileo.tle", times="2018-12-19T03:00:00Z", mask_deg=20.0)
+    night = ju.Population(time_of_day="night")
+    file = ju.Buildings("sample:lower-manhattan", height_samples=2)
+    city = ju.City.from_files(file, bounds=bounds, gps=real, population=night)
+
+    def made(**given):
+        return ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), progress=False, **given)
+
+    maps = made()
+    assert maps.ds.attrs["constellations"] == "galileo"
+    assert maps.times_of_day == ("night",)  # of the sample's own census
+    assert "gps_std" in maps.ds
+    assert ju.sky(city, (-74.011, 40.7045), 60.0).table["system"].unique().tolist() == ["galileo"]
+    others = made(gps=ju.Gps(), heights=ju.Heights(), population=ju.Population())
+    assert others.ds.attrs["constellations"] == "gps"
+    assert others.times_of_day == ("day", "night")
+    assert "gps_std" not in others.ds
