@@ -31,7 +31,7 @@ from jaxurban.report.figures import plot_overview, plot_paths, plot_profile
 ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0)
-start, goal = (-74.0165, 40.7035), (-73.9900, 40.7290)  # longitude, latitude
+start, goal = (-74.0162, 40.7036), (-73.9904, 40.7289)  # longitude, latitude
 planners = ("ptp", "astar-dist", "astar-plus")
 paths = [ju.plan(maps, start, goal, altitude_m=20.0, planner=p, snap=True) for p in planners]
 for path in paths:

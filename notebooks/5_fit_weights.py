@@ -101,7 +101,7 @@ for name, weights in (("default weights", ju.Weights()), ("fitted weights", fit.
 # One of them. The costs below are each in its own weights and cannot be compared.
 
 # %%
-battery, tompkins_square = (-74.0165, 40.7035), (-73.9817, 40.7265)  # longitude, latitude
+battery, tompkins_square = (-74.0162, 40.7036), (-73.9817, 40.7265)  # longitude, latitude
 two = [
     ju.plan(maps, battery, tompkins_square, altitude_m=20.0, snap=True, weights=each)
     for each in (None, fit.weights)

@@ -156,7 +156,7 @@ city.buildings.origin_counts()
 # longitude, latitude.
 
 # %%
-start, goal = (-74.0165, 40.7035), (-73.9950, 40.7150)
+start, goal = (-74.0162, 40.7036), (-73.9950, 40.7150)
 route = ju.plan(maps, start, goal, altitude_m=20.0, snap=True)
 print(f"{route.status.value}: {route.length_m:,.0f} m, cost {route.cost:.1f}")
 plot_overview(maps, route)

@@ -32,7 +32,7 @@ ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("lower-manhattan")
 plain = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0, 60.0))
 start, goal = (
-    (-74.0165, 40.7035),
+    (-74.0162, 40.7036),
     (-73.9817, 40.7265),
 )  # longitude, latitude: the Battery, Tompkins Square
 

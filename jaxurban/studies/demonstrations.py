@@ -34,6 +34,9 @@ ON_CENTRE = 0.01
 # A line is followed on the grid within so many cells to either side, the next where obstacles close the one before.
 CORRIDORS_CELLS = (1.5, 3.0, 6.0, 12.0, 24.0)
 DRAWN_CELLS = 3.0  # the route that was meant by a line is within so many cells of it
+ROUNDED_CELLS = (
+    2.0  # within so many cells of a redrawn line, another route differs by what the grid rounds
+)
 MOST_REASONS = 3  # in an error; a warning has them all
 
 MapOf = Callable[[float, str | None, str | None], CostMap]  # by altitude, time and time of day
@@ -85,7 +88,7 @@ class Demonstration:
             least = np.minimum(least, self.cheapest_near(only_one, self.drawn_cells))
         return least
 
-    def cheapest_near(self, weights: np.ndarray, within_cells: float = DRAWN_CELLS) -> np.ndarray:
+    def cheapest_near(self, weights: np.ndarray, within_cells: float = ROUNDED_CELLS) -> np.ndarray:
         """Return ``[K]`` the features of the cheapest route near this one.
 
         Args:

@@ -215,6 +215,34 @@ def test_a_fit_of_routes_that_turn_one_corner_says_first_that_they_do_not_follow
     assert fit._repr_html_().startswith(f"<p><b>{lines[0]}</b></p>")
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [{"planner": "theta-star"}, {"refine": True}])
+def test_lines_at_any_angle_follow_the_metrics_that_they_are_optimal_under_and_no_others(
+    small, how
+):
+    """Redrawn on the grid such lines cost 2 % more; lines of pilots who care for other metrics follow no one W."""
+    metrics = ("gps", "lidar", "population", "risk")
+    mixed = [{metrics[k % 4]: 50.0} for k in range(NUM)]
+
+    def fit_of(pilots):
+        queries = made_queries(ju.cost_map(small, 20.0), NUM)
+        ends = [[ju.XY(*small.grid.xy_of_cell(*c)) for c in (q.start, q.goal)] for q in queries]
+        paths = [
+            ju.plan(small, *pair, altitude_m=20.0, weights=weights, **how)
+            for pair, weights in zip(ends, pilots, strict=True)
+        ]
+        return fit_weights(ju.fit.demonstrations_from_paths(paths, small), bootstrap=0)
+
+    fit = fit_of([HIDDEN] * NUM)
+    assert fit.best_mean_regret > 0.01
+    assert fit.sentence.startswith("These routes follow these metrics: at best they cost")
+    assert "of which redrawing them on the grid adds" in fit.sentence
+    assert fit.sentence not in fit.warnings
+    fit = fit_of(mixed)
+    assert fit.sentence.startswith("These routes do not follow these metrics")
+    assert fit.warnings[0] == fit.sentence
+
+
 def regret_of(shown, weights) -> np.ndarray:
     """Return by which share each route costs more than the cheapest, by a search of its own."""
     best = [each.query.sums(each.query.cheapest(weights))[0] @ weights for each in shown]
