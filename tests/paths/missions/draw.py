@@ -25,7 +25,7 @@ from tests.paths.missions.worlds import BLOCK_M, MARGIN_M, SIDE_M, World
 STREETS_M = np.arange(BLOCK_M / 2 - MARGIN_M / 4, SIDE_M, BLOCK_M)[1:]  # between houses
 OFF_STREET_M = 5.0
 HEIGHTS_M = (5.0, 15.0, 30.0, 60.0, 110.0)  # above the ground
-HIGH_M = 150.0  # above everything
+HIGH_M, LOW_M = 150.0, (10.0, 20.0)  # above everything, and between houses
 FORMATS = (".plan", ".waypoints", ".kml", ".gpx", ".geojson", ".csv")
 ITEM_FORMATS = FORMATS[:2]
 FIRMWARES: tuple[Firmware, ...] = ("ardupilot", "px4", "other")
@@ -173,7 +173,7 @@ def items_of(
     """Return a take-off from the first place and waypoints at all others."""
     home_m = places[0]
     datum, above_m = draw.datum(), draw.above_m()
-    is_calculated = has_calculated and draw.is_so(0.15)
+    is_calculated = has_calculated and draw.is_so(0.25)
     items = []
     for number, xy_m in enumerate(places):
         if is_mixed:
