@@ -95,7 +95,9 @@ def returns(draw: Draw, kind: str) -> Case:
         places = draw.places_m(2, 4)
         items = items_of(draw, places, is_mixed=False, has_calculated=False)
     else:
-        places, datum, low_m = draw.around(), draw.datum(), float(draw.one_of(*LOW_M))
+        options["clearance_m"] = 0.0  # the way round a wall is near it
+        places, low_m = draw.around(), float(draw.one_of(*LOW_M))
+        datum = draw.datum(("home", "home", "ground", "geoid"))
         items = [draw.item(WAYPOINT, xy_m, datum, places[0], low_m) for xy_m in places]
         items[0] = replace(items[0], command=TAKEOFF)
     return items_case(draw, kind, [*items, Item(RETURN)], places[0], options=options)

@@ -30,7 +30,7 @@ FORMATS = (".plan", ".waypoints", ".kml", ".gpx", ".geojson", ".csv")
 ITEM_FORMATS = FORMATS[:2]
 FIRMWARES: tuple[Firmware, ...] = ("ardupilot", "px4", "other")
 HOLD_S = 3.0
-ASIDE_M, WALL_ASIDE_M = 33.0, 8.0  # of the centre of a house or a wall, and so outside all of them
+ASIDE_M, WALL_ASIDE_M = 33.0, 4.5  # of the centre of a house or a wall, and so outside all of them
 LARGEST_WALL_M2 = 20.0
 
 
@@ -106,9 +106,9 @@ class Draw:
         height_m = height_in(self.world, datum, xy_m, above_m, home_m)
         return Item(command, xy_m, height_m, datum, **more)
 
-    def datum(self, others: tuple[Datum, ...] = ("home", "ground", "geoid")) -> Datum:
-        """Return what heights of items are above."""
-        return self.one_of(*others)
+    def datum(self, datums: tuple[Datum, ...] = ("home", "ground", "geoid")) -> Datum:
+        """Return what heights are above, of items if nothing else is named."""
+        return self.one_of(*datums)
 
     def clearances(self) -> dict[str, float]:
         """Return options that ask for clearances."""
