@@ -8,66 +8,62 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 import jaxurban as ju
-from jaxurban.report.figures.style import INK, chart, dress, letter_all, styled
-from jaxurban.report.satellites import CLASSES, SEEN, draw_cities, draw_horizon, satellite_figures
+from jaxurban.report.figures.sky import sky_places
+from jaxurban.report.figures.style import INK, SMALL_PT, chart, dress, letter_all, styled
+from jaxurban.report.satellites import CLASSES, draw_cities, draw_horizon, satellite_figures
 from jaxurban.report.write import write_picture
 from jaxurban.studies.receiver.agreement import SatelliteAgreement
 
 NAMES = ("sky", "sky_track", "sky_margin", "sky_displacement", "sky_skies")
 DOCS = Path(__file__).parents[1] / "docs"
-LEAST_DBHZ = {
-    "not\nreceived": 0,
-    "below\n25": 1,
-    "25 to\n30": 25,
-    "30 to\n35": 30,
-    "35 to\n40": 35,
-    "40 to\n45": 40,
-}
-LEAST_DBHZ["45 and\nmore"] = 45
+WIDTH_MM = 120.0  # that of a column of README, where letters are as large as its text
+EDGES_DBHZ = (25, 30, 35, 40, 45)  # between the classes of received satellites
 
 
 @styled
 def plot_sky(of: SatelliteAgreement, credit: str) -> Figure:
     """Return the sky of one place, how strongly hidden and visible satellites are heard, and displaced cities."""
-    heading = "Where the maps say that a building hides a satellite, the receiver mostly hears it weakly or not at all"
-    figure = chart(2.8, heading, credit)
-    grid = figure.add_gridspec(1, 3, width_ratios=(1.1, 1.2, 1.0))
-    place = figure.add_subplot(grid[0], projection="polar")
-    strengths, cities = figure.add_subplot(grid[1]), figure.add_subplot(grid[2])
+    heading = "Satellites that the maps call hidden are mostly heard weakly or not at all"
+    figure = chart(3.3, heading, credit, WIDTH_MM)
+    grid = figure.add_gridspec(2, 2)
+    place = figure.add_subplot(grid[:, 0], projection="polar")
+    strengths, cities = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
     sky, judged = of.skies[-1], of.rows[of.rows.is_judged]
     draw_horizon(place, sky.horizon_deg)
-    place.set_title(f"the sky at the place of {sky.name}")
+    place.set_title(f"place of {sky.name}")
     for is_seen, name, marker, colour in CLASSES:
         rows = sky.satellites[sky.satellites.is_seen == is_seen]
         heard = rows.cn0_dbhz > 0
-        x, y = np.radians(rows.azimuth_deg), 90 - rows.elevation_deg
+        x, y = sky_places(rows).T
         size = 15 + 1.8 * (rows.cn0_dbhz - 20).clip(lower=0)
-        look = {"marker": marker, "linewidths": 0.6}
-        place.scatter(x[heard], y[heard], s=size[heard], color=colour, edgecolors=INK, **look)
+        look = {"marker": marker, "linewidths": 0.6, "zorder": 5}
+        place.scatter(
+            x[heard], y[heard], s=size[heard], color=colour, edgecolors=INK, label=name, **look
+        )
         place.scatter(x[~heard], y[~heard], s=20, facecolors="white", edgecolors=colour, **look)
         rows = judged[judged.is_seen == is_seen]
-        number = np.digitize(rows.cn0_dbhz, [*LEAST_DBHZ.values()]) - 1
-        shares = np.bincount(number, minlength=len(LEAST_DBHZ)) / len(rows)
-        strengths.bar(
-            np.arange(len(shares)) + 0.4 * is_seen - 0.2,
-            shares,
-            width=0.4,
-            color=colour,
-            label=name,
-        )
-    place.set_xlabel("grey: buildings  ·  large: heard strongly  ·  hollow: not at all")
-    strengths.legend(loc="upper center")
-    strengths.set_xticks(range(len(LEAST_DBHZ)), [*LEAST_DBHZ])
+        number = np.digitize(rows.cn0_dbhz, [1, *EDGES_DBHZ])
+        shares = np.bincount(number, minlength=len(EDGES_DBHZ) + 2) / len(rows)
+        strengths.bar(np.arange(len(shares)) + 0.4 * is_seen - 0.2, shares, width=0.4, color=colour)
+    place.set_anchor("N")
+    key = {"title": "large: heard strongly; hollow: not at all", "title_fontsize": SMALL_PT}
+    place.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), **key)
+    strengths.set_xticks([0, *np.arange(len(EDGES_DBHZ)) + 1.5], ["none", *EDGES_DBHZ])
     strengths.set(
-        xlabel="C/N0 at the receiver (dBHz)", ylabel="share of each kind", title="at all places"
+        xlabel="C/N0 at the receiver (dBHz)", ylabel="share of each kind", title="all places"
     )
     strengths.yaxis.set_major_formatter(PercentFormatter(1.0))
-    draw_cities(cities, of, {"auc": SEEN})
-    cities.set_title(f"the city moved by 80 to 450 m, {len(of.displaced)} times")
-    cities.set_xlabel("agreement (AUC; 0.5 by chance, 1 at best)")
+    draw_cities(cities, of, {"auc": INK})
+    cities.get_legend().remove()
+    cities.set_title("city moved 80 to 450 m")
+    in_place = cities.lines[0].get_xdata()[0]
+    cities.text(in_place, cities.get_ylim()[1], "in its place ", ha="right", va="top")
     for panel in (strengths, cities):
         dress(panel)
     letter_all([place, strengths, cities])
+    strengths.set_title(
+        strengths.get_title("left"), pad=18
+    )  # as high as that beside it, above the N
     return figure
 
 

@@ -8,6 +8,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 MOST_SAID = 300  # characters of what a library says that a message passes on
+MOST_OF_END = 1000  # characters of a message at its begin and at its end: a file may hold a text of any length
+# What Python itself says of files that are not as they should be, by a part of it, and what messages say instead.
+OF_PYTHON = {
+    "recursion": "brackets lie too deep within brackets",
+    "zip() arg": "lists that belong together differ in length",
+    "values to unpack": "a list has another length than it should",
+    "int_max_str_digits": "a number has too many digits",
+}
 
 
 class JaxurbanError(Exception):
@@ -20,6 +28,12 @@ class JaxurbanError(Exception):
       ...     print(error)
       there are no maps for altitude 500 m: these maps reach from 20 to 60 m
     """
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        if len(text) > 2 * MOST_OF_END:
+            return f"{text[:MOST_OF_END]} ... {text[-MOST_OF_END:]}"
+        return text
 
 
 class InputError(JaxurbanError, ValueError):
@@ -104,9 +118,19 @@ def platform_remedy(error: BaseException) -> str:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return what an error of the system or of a library says, on one line, cut after `MOST_SAID` characters."""
-    reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-    return reason if len(reason) <= MOST_SAID else f"{reason[:MOST_SAID]} ..."
+    """Return what an error of the system or of a library says, on one line, cut after `MOST_SAID` characters.
+
+    What Python says of its own work becomes what is wrong with the file (`OF_PYTHON`).
+    """
+    for part, words in OF_PYTHON.items():
+        if part in str(error):
+            return words
+    return shortened(getattr(error, "strerror", None) or " ".join(str(error).split()))
+
+
+def shortened(text: str) -> str:
+    """Return a text of a file or a library for a message, cut after `MOST_SAID` characters."""
+    return text if len(text) <= MOST_SAID else f"{text[:MOST_SAID]} ..."
 
 
 def check_file(path: str | os.PathLike[str]) -> None:

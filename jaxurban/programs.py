@@ -4,6 +4,7 @@ import functools
 import hashlib
 import os
 import platform
+import stat
 import warnings
 import zlib
 from contextlib import suppress
@@ -27,6 +28,7 @@ ENDED = "/jax/core/compile/backend_compile_duration"
 UNREADABLE = "Error (reading|writing) persistent compilation cache entry"  # JAX then compiles
 CPUINFO = Path("/proc/cpuinfo")  # of Linux alone
 ZSTANDARD = b"\x28\xb5\x2f\xfd"  # how files begin that JAX compresses by it; others are zlib's
+OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 CHECKED = "checked"  # a file as old as the last check of the programs
 SETTLED_S = 3600.0  # by then what was written is on the disk, or lost with the power
 FEATURES = {  # in /proc/cpuinfo: what the choice of instructions depends on
@@ -64,7 +66,7 @@ def keep_programs() -> Path | None:
 
     # Our own folder, unless the user has named one; programs of any compile time, unless the user has said from which.
     own = _own_folder()
-    if own and not _folder_in_use() and _is_writable(own):
+    if own and not _folder_in_use() and _is_writable(own) and _is_ours(own):
         jax.config.update("jax_compilation_cache_dir", str(own))
     if LEAST_S not in os.environ:
         jax.config.update(LEAST_S.lower(), 0.0)
@@ -112,8 +114,24 @@ def _own_folder() -> Path | None:
 def _is_writable(folder: Path) -> bool:
     """Return whether files can be written into a folder, which is made where it is missing."""
     with suppress(OSError):
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # who writes there runs code here
+        for place in (*reversed(folder.parents), folder):
+            place.mkdir(mode=0o700, exist_ok=True)  # who writes there runs code here
     return os.access(folder, os.W_OK | os.X_OK)
+
+
+@functools.cache
+def _is_ours(folder: Path) -> bool:
+    """Return whether nobody else may write into a folder, and so put programs there; else the log says so, once."""
+    status = folder.stat()
+    is_ours = os.name == "nt" or (
+        status.st_uid == os.getuid() and not status.st_mode & OTHERS_WRITE
+    )
+    if not is_ours:
+        LOG.warning(
+            f"programs are not kept in {str(folder)!r}, where others may write and so run code here: remove it, or "
+            "take their right to write (chmod 700)"
+        )
+    return is_ours
 
 
 def _processor() -> str:

@@ -7,6 +7,7 @@ that. A stub beside a module says to type checkers, and here, where each of its 
 import ast
 import difflib
 import functools
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from importlib import import_module
@@ -180,6 +181,11 @@ class Caution(str):
         caution = super().__new__(cls, text)
         caution.level = level
         return caution
+
+
+def sentences_of(text: str) -> list[str]:
+    """Return the sentences of a text; each ends with a full stop, before a capital letter."""
+    return re.split(r"(?<=\.) (?=[A-Z])", text) if text else []
 
 
 def caution_of_guesses(guesses: Iterable[str], *more: str) -> list[Caution]:

@@ -16,6 +16,7 @@ import pytest
 import rasterio
 from affine import Affine
 
+from jaxurban.errors import InputError, readable
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 from tests.tiled_runs import files_of
@@ -308,3 +309,26 @@ def test_a_hostile_place_ends_in_one_sentence_or_a_result(command, codes, enviro
     assert done.returncode in codes, done.stderr
     assert "Traceback" not in done.stderr
     assert not list(tmp_path.rglob("*.jaxurban-part"))
+
+
+def unpacked(values):
+    first, second = values
+    return first, second
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        lambda: json.loads("[" * DEEP),
+        lambda: list(zip([1], [], strict=True)),
+        lambda: unpacked([1]),
+        lambda: unpacked([1, 2, 3]),
+        lambda: int("9" * 5000),
+    ],
+)
+def test_what_python_says_of_its_own_work_becomes_what_is_wrong_with_a_file(tmp_path, broken):
+    (tmp_path / "a").write_text("")
+    with pytest.raises(InputError) as caught, readable(tmp_path / "a", "a mission", "mend it"):
+        broken()
+    for word in ("recursion", "zip()", "unpack", "sys.", "argument"):
+        assert word not in str(caught.value)

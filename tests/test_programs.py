@@ -16,6 +16,7 @@ import pytest
 import jaxurban as ju
 from jaxurban import programs
 from tests.cli_runs import TOWN
+from tests.logs import logged
 
 FOLDER = "JAX_COMPILATION_CACHE_DIR"
 PRELUDE = """
@@ -229,3 +230,18 @@ def test_a_command_and_its_workers_compile_once_a_machine_and_say_so(tmp_path):
     assert lines[1] == 0
     assert len({file.parent for file in files[0]}) == 1
     assert files[0] == files[1]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
+def test_a_folder_that_others_may_write_to_is_not_used_and_that_is_said_once(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches" / "mine"))
+    folder = programs._own_folder()
+    assert programs._is_writable(folder)
+    for made in (folder, *folder.parents[:3]):
+        assert made.stat().st_mode & 0o77 == 0
+    for mode, is_ours in {0o755: True, 0o777: False, 0o770: False, 0o702: False}.items():
+        folder.chmod(mode)
+        programs._is_ours.cache_clear()
+        with logged() as lines:
+            assert [programs._is_ours(folder), programs._is_ours(folder)] == [is_ours] * 2
+        assert ["chmod 700" in line for line in lines] == [True] * (not is_ours)

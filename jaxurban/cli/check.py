@@ -1,6 +1,7 @@
 """jaxurban check."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,10 +83,16 @@ def check(
     It ends with 0 only if every leg was judged and nothing was found, with 5 for findings, and with 6 where nothing was
     found but not all could be judged.
     """
+    from jaxurban.io.workspace import Workspace
     from jaxurban.maps.saving import open_maps
     from jaxurban.metrics.weights import Weights
+    from jaxurban.public import Caution
     from jaxurban.report.mission import check as check_mission
 
+    # Folders are held while it works.
+    for output in files:
+        if not output.suffix:
+            click.get_current_context().with_resource(Workspace.held(output, "check"))
     maps = open_maps(folder, resolution_m)
     result = check_mission(
         maps,
@@ -101,6 +108,8 @@ def check(
     line_m = result.flight.line_m
     if corridor is not None and len(line_m) > 1:
         density = corridor(maps, line_m, time_of_day=time_of_day)
+        cautions = [Caution(text, "guess") for text in result.flight.off_line]
+        density = replace(density, cautions=[*cautions, *density.cautions])
 
     # Files, and what is printed.
     for output in files:

@@ -491,7 +491,7 @@ def run_study(
 ) -> StudyResult:
     """Run a study, write its result to a folder, and return the result.
 
-    The folder is checked first, so that no study runs whose result could not be written.
+    The folder is checked and held first, so that no study runs whose result could not be written.
 
     Args:
       command: name of the command that runs.
@@ -500,13 +500,12 @@ def run_study(
       overwrite: replace another run of the command in the folder.
 
     Raises:
-      InputError: the folder cannot be written to, or holds other files.
+      InputError: the folder cannot be written to, is held by another run, or holds other files.
     """
     from jaxurban.io.workspace import Workspace
     from jaxurban.report.write import REPORT_FILE
 
-    Workspace.check(output, command)
-    with reporting(command) as report:
+    with Workspace.held(output, command), reporting(command) as report:
         result = study(report)
         report("report")
         result.save(output, overwrite)

@@ -300,7 +300,8 @@ def plan(
     if planned.status.has_path:
         facts["cautions"] = planned.cautions
         for sentence in planned.cautions:
-            LOG.info(sentence)
+            if sentence not in planned.message:  # which is printed too
+                LOG.info(sentence)
     if as_json:
         if report is not None:
             facts["report"] = report.to_dict()

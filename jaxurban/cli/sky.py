@@ -151,7 +151,7 @@ def _sky_along(
     Raises:
       UsageError: a time or a speed for a table, no speed for a route, or several times.
     """
-    from jaxurban.io.read.receiver import ALTITUDE, LAT, LON, UTC, read_track
+    from jaxurban.io.read.receiver import read_track
     from jaxurban.io.read.routes import read_routes
     from jaxurban.io.tables import SUFFIXES
     from jaxurban.paths.sky_along import sky_along
@@ -160,12 +160,7 @@ def _sky_along(
     if track.suffix.lower() in SUFFIXES:
         if times or speed_m_s is not None:
             raise click.UsageError("a table has its own times: leave --time and --speed out")
-        table = read_track(track)
-        places = list(zip(table[LON], table[LAT], strict=True))
-        altitudes_m: float | list[float] | None = altitude_m  # of all rows, or of each
-        if altitude_m is None and ALTITUDE in table:
-            altitudes_m = table[ALTITUDE].tolist()
-        return sky_along(folder, places, altitudes_m, table[UTC].tolist(), **source)
+        return sky_along(folder, read_track(track), altitude_m, **source)
 
     # A route is flown at a speed from the time of departure on.
     if speed_m_s is None or len(times) > 1:

@@ -70,7 +70,15 @@ def study(
     from jaxurban.report.benchmark import check_exportable, export_benchmark
     from jaxurban.report.montecarlo import study as run_study
     from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
-    from jaxurban.studies.montecarlo.study import land_cover_of
+    from jaxurban.studies.montecarlo.study import OF_SAMPLING, land_cover_of, without_sampling
+
+    # Settings that --set names and that a file of instances fixes.
+    fixed = [f"study.{name}" for name in OF_SAMPLING]
+    beside = [change for change in changes if change.partition("=")[0].strip() in fixed]
+    if instances_file is not None and beside:
+        raise click.UsageError(
+            f"--set {beside[0]} belongs to sampled instances: leave it out, or --instances"
+        )
 
     # The scenario, with the settings that options change, and the rules of routes, which all later steps share.
     if preset:
@@ -113,7 +121,7 @@ def study(
         source,
         folder / "study",
         instances,
-        settings=settings,
+        settings=without_sampling(settings),
         workers=workers,
         overwrite=overwrite,
         **rules,

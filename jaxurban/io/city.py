@@ -49,7 +49,8 @@ class City(FactsRepr):
       area: where the building source knows what stands, within ``extent_m``; None for all of it.
       hanging: what buildings with an underside above the ground do: ``"to_ground"``, they reach it; ``"slabs"``, they
         hang from floor to roof.
-      gps: satellites and times that come with the city; maps are made of them where no others are named; None for most.
+      gps, population, heights: settings that the city was read with; maps are made with them where `build_maps` is
+        given no others. None: the defaults.
 
     Raises:
       InputError: neither buildings nor roofs, both, or an unknown way of hanging.
@@ -76,6 +77,8 @@ class City(FactsRepr):
     guesses: Mapping[str, str] = field(default_factory=dict)
     hanging: Hanging = TO_GROUND
     gps: Gps | None = None
+    population: Population | None = None
+    heights: settings.Heights | None = None
 
     def __post_init__(self) -> None:
         """Check that there is one kind of roofs; errors as of the class."""
@@ -163,13 +166,16 @@ class City(FactsRepr):
 
         Args:
           buildings: their file, or ``"sample:lower-manhattan"``, ``"sample:shinjuku"`` or ``"sample:nihonbashi"`` (see
-            `sample_city`); or `Buildings`, which also says how the file is read. Buildings are kept as far around the
-            region as one of 1,000 m could shadow it from a satellite at the elevation mask.
+            `sample_city`); or `Buildings`, which also says how the file is read and how its maps treat heights.
+            Buildings are kept as far around the region as one of 1,000 m could shadow it from a satellite at the
+            elevation mask.
           bounds: west, south, east, north of the region in degrees; left out, what the file of buildings covers.
           crs: projected CRS in metres; left out, the UTM zone of the region's centre.
-          population: names census blocks, their people and districts, or rasters of people; left out, none.
+          population: names census blocks, their people and districts, or rasters of people, and how many people maps
+            count when; left out, or without such files, those of the sample city, else none.
           terrain: ground elevation raster; left out, flat.
-          gps: settings with the elevation mask of the maps; left out, the mask is 5 degrees.
+          gps: satellites, times and elevation mask of the city's maps and skies; left out, those of the sample city,
+            else the nominal ones over 5 degrees.
 
         Returns:
           The city, its coordinates in metres in ``crs``. What lies around the region is there too.
@@ -178,7 +184,8 @@ class City(FactsRepr):
           GuessWarning: of each of the city's ``guesses``.
 
         Raises:
-          InputError: a file that is missing, unreadable or of the wrong kind, or no building in the region.
+          InputError: a file that is missing, unreadable or of the wrong kind, no building in the region, or settings
+            of people without their files.
 
         Examples:
           >>> around = ju.City.from_files("sample:shinjuku", bounds=(139.698, 35.687, 139.703, 35.691))

@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import uuid
 import zlib
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -28,6 +28,8 @@ ELSEWHERE = "choose another folder with -o"
 
 # Of what is written now, if anything.
 RECORDER: ContextVar["Workspace | None"] = ContextVar("RECORDER", default=None)
+# The folders that a run holds from before it works until it has saved.
+HELD: ContextVar[frozenset[Path]] = ContextVar("HELD", default=frozenset())
 
 
 def recorder_of(path: Path) -> "Workspace | None":
@@ -131,6 +133,8 @@ def check_writable(folder: Path) -> None:
 def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator[None]:
     """Hold a folder for one run during the block; the hold ends with the process too, however that ends.
 
+    Within a run that holds the folder already (`HELD`) it changes nothing.
+
     Args:
       folder: the folder, in which a file that locks it lies during the block.
       remedy: ends the sentence of an error.
@@ -141,6 +145,9 @@ def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator
     # Imported here: it loads asyncio, for which commands that only read need not wait.
     from filelock import FileLock, Timeout
 
+    if folder.resolve() in HELD.get():
+        yield
+        return
     lock = FileLock(folder / LOCK_FILE, blocking=False, thread_local=False)
     try:
         lock.acquire()
@@ -174,10 +181,12 @@ def digest_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def is_as_written(path: Path, checksums: Container[str]) -> bool:
-    """Return whether a file is there with one of these checksums."""
+def is_as_written(path: Path, checksums: Collection[str]) -> bool:
+    """Return whether a file is there with one of these checksums; one of another length is not read."""
     with suppress(OSError):
-        return path.is_file() and checksum_of(path) in checksums
+        length = path.stat().st_size if path.is_file() else None
+        of_length = [each for each in checksums if each.endswith(f"-{length}")]
+        return bool(of_length) and checksum_of(path) in of_length
     return False
 
 

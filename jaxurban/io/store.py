@@ -8,7 +8,7 @@ free air.
 """
 
 import json
-import numbers
+import math
 import re
 from collections.abc import Mapping
 from contextlib import suppress
@@ -573,14 +573,16 @@ def _check_arrays(file: Path, metadata: Mapping[str, Any]) -> None:
 
 
 def _check_facts(path: Path, attributes: Mapping[str, Any]) -> None:
-    """Raise InputError unless the maps' resolution is a number and their guesses are a JSON object, if they have any.
+    """Raise InputError unless the maps' resolution is a length and their guesses are a JSON object, if they have any.
 
     Args:
       path: of the Zarr, for the message.
       attributes: of its dataset.
     """
     guesses = json.loads(attributes.get("guesses", "{}"))
-    if not isinstance(attributes["resolution_m"], numbers.Real) or not isinstance(guesses, dict):
+    resolution_m = attributes["resolution_m"]
+    is_length = isinstance(resolution_m, int | float) and 0 < resolution_m < math.inf
+    if not is_length or not isinstance(guesses, dict):
         raise InputError(
             f"the attributes of {str(path)!r} are not those of maps: make the maps again in a new folder"
         )

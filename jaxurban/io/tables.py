@@ -1,5 +1,6 @@
 """Tables as files, Parquet or CSV by the end of their names, and RowStore: a long job's rows, whatever kills it."""
 
+import csv
 import hashlib
 import io
 import json
@@ -32,6 +33,7 @@ from jaxurban.io.files import (
 SUFFIXES = (".parquet", ".csv")
 PACKED = (".gz", ".bz2", ".xz", ".zip", ".zst")  # behind .csv: what pandas unpacks
 UNPACKING = (EOFError, ImportError, lzma.LZMAError, zipfile.BadZipFile, zlib.error)
+MOST_COLUMNS = 2000
 ROWS_FILE = "rows.parquet"
 PARTS_FOLDER = "parts"
 INSTANCES_FILE = "instances.parquet"  # beside the rows of a Monte Carlo benchmark
@@ -84,14 +86,23 @@ def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> p
     what = f"the {role} file {str(file)!r}"
     with readable(file, suffix[1:], "make it again, or name another", *UNPACKING, what=what):
         if suffix == ".parquet":
+            _check_width(len(pq.read_schema(file).names))
             table = pd.read_parquet(file)
         else:
+            head = pd.read_csv(file, sep="\x1f", header=None, nrows=1, quoting=csv.QUOTE_NONE)
+            _check_width(str(head.iat[0, 0]).count(",") + 1)
             table = pd.read_csv(file, dtype=dict.fromkeys(categories, "category"))
         for name, column in table.items():
             is_object = pd.api.types.is_object_dtype(column)
             if is_object and not column.map(pd.api.types.is_hashable).all():
                 raise ValueError(f"its column {name!r} holds lists or tables")
         return table
+
+
+def _check_width(num: int) -> None:
+    """Raise ValueError for more columns than are read: many take minutes."""
+    if num > MOST_COLUMNS:
+        raise ValueError(f"it has {num:,} columns, {MOST_COLUMNS:,} are read at most")
 
 
 def records_of(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -17,6 +17,7 @@ from typing import Any
 from jaxurban.errors import InputError, reason_of
 from jaxurban.io.files import (
     ELSEWHERE,
+    HELD,
     LOCK_FILE,
     SCRATCH_NAME,
     SCRATCH_SUFFIX,
@@ -164,6 +165,29 @@ class Workspace:
         """Raise InputError if `open` would refuse a run that writes files of these names; nothing stays changed."""
         with cls.open(folder, command, names=names, is_shared=is_shared):
             pass
+
+    @classmethod
+    @contextmanager
+    def held(cls, folder: Path, command: str) -> Iterator[None]:
+        """Hold a folder while a run works that opens it when it saves; it stays unchanged until then.
+
+        Raises:
+          InputError: as of `check`.
+        """
+        is_new = not folder.exists()
+        cls.check(folder, command)
+        check_writable(folder)
+        try:
+            with only_writer(folder, ELSEWHERE):
+                token = HELD.set(HELD.get() | {folder.resolve()})
+                try:
+                    yield
+                finally:
+                    HELD.reset(token)
+        finally:
+            if is_new:
+                with suppress(OSError):  # it holds what was written
+                    folder.rmdir()
 
     def _check_alone(self, sections: Sections, is_first: bool) -> None:
         """Raise InputError unless the folder is this command's alone.

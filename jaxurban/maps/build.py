@@ -34,7 +34,7 @@ from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scene
 from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.gps import Dop, Gps
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.metrics.population import Population
+from jaxurban.metrics.population import Population, check_has_people
 from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.registry import ON_REQUEST, known_metrics
 from jaxurban.metrics.risk import Risk
@@ -79,12 +79,13 @@ def build_maps(
       resolution_m: side of a cell.
       altitudes_m: flight altitudes above ground.
       oversample: n: occlusion and lidar on a surface n times finer (odd is best).
-      heights: how roofs are rasterised, and how well their heights are known.
+      heights: how roofs are rasterised, and how well their heights are known; left out, as the city's `Buildings` say.
       layers: further cost layers, by name: rasters, arrays on the cells of the maps, or functions.
       engine: ``"jax"``; ``"numba"``, where it has a form, and JAX on the host for the rest; or ``"auto"``: JAX, and
         Numba where its form is the quicker one. On a CPU the bits are the same.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
-      gps, lidar, population, risk: settings of the metrics, such as ``gps=Gps(times="2020-04-27T16:00:00Z")``.
+      gps, lidar, population, risk: settings of the metrics, such as ``gps=Gps(times="2020-04-27T16:00:00Z")``; ``gps``
+        and ``population`` left out are those that the city was read with.
       gps_horizontal, gps_vertical, protection: the same of metrics that are made on request, where they are given.
 
     Returns:
@@ -117,7 +118,8 @@ def build_maps(
         gps_vertical=gps_vertical,
         protection=protection,
     )
-    params = MapParams(altitudes_m, oversample, heights or Heights(), sections, engine)
+    heights = heights or city.heights or Heights()
+    params = MapParams(altitudes_m, oversample, heights, sections, engine)
     check_region(city, region, is_own=grid is None and bounds is None)
     sky = view_sky(region, params.gps)
     task = MapTask(city, region, sky, params, layers, bands_of(layers, region, params.altitudes_m))
@@ -129,9 +131,14 @@ def build_maps(
 def _sections(city: City, **metrics: Any) -> dict[str, Any]:
     """Return the settings of metrics by section, without those that are None.
 
-    ``gps`` is that of the city where none is given, if the city comes with one.
+    ``gps`` and ``population`` are those of the city where none are given, if it was read with any.
+
+    Raises:
+      InputError: settings of people for a city without any.
     """
-    return values_given({"gps": city.gps}) | values_given(metrics)
+    check_has_people(metrics["population"], city.blocks is not None)
+    own = {"gps": city.gps, "population": city.population}
+    return values_given(own) | values_given(metrics)
 
 
 def check_region(city: City, region: Grid, is_own: bool = False) -> None:
@@ -374,7 +381,7 @@ def map_inputs(
         gps_vertical=gps_vertical,
         protection=protection,
     )
-    params = MapParams(altitudes_m, sections=sections)
+    params = MapParams(altitudes_m, heights=city.heights or Heights(), sections=sections)
     check_region(city, grid)
     task = MapTask(city, grid, view_sky(grid, params.gps), params)
     inputs = inputs_of(task)

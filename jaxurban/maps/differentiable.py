@@ -17,6 +17,7 @@ from jaxurban.maps.build import check_region, view_sky
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import Metric, SoftScene
 from jaxurban.metrics.custom import Layer, check_layers, metrics_of
+from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import BlockPopulation
 from jaxurban.metrics.reception import ReceptionCurve
 from jaxurban.metrics.registry import METRICS, checked_sections
@@ -24,7 +25,7 @@ from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import Problem
 from jaxurban.planners.cost import CostModel
-from jaxurban.settings import SLABS, TO_GROUND
+from jaxurban.settings import SLABS, TO_GROUND, Heights
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
@@ -329,9 +330,10 @@ def soft_city(
     Args:
       city: with outlines.
       grid: of the layers, such as that of maps.
-      params: as the maps will have them; of several times and times of day the first ones count. Their ranges and
-        thresholds, their altitude and the city's highest roof limit how far the layers look: parameters that are given
-        to the layers later may not exceed them.
+      params: as the maps will have them; of several times and times of day the first ones count. Where they name no
+        satellites, those are in view that the city was read with. Their ranges and thresholds, their altitude and the
+        city's highest roof limit how far the layers look: parameters that are given to the layers later may not exceed
+        them.
       layers: further cost layers, by name; those that are functions with a soft form take part.
 
     Returns:
@@ -348,7 +350,15 @@ def soft_city(
       ('gps', 'lidar', 'population', 'risk')
     """
     check_region(city, grid)
-    settings = MapParams((float(params.altitude_m),), sections=params.sections)
+    heights = replace(city.heights or Heights(), height_samples=0)
+    sections = dict(params.sections)
+    threshold = sections["gps"].gdop_threshold
+    if (
+        city.gps is not None
+        and replace(sections["gps"], gdop_threshold=Gps.gdop_threshold) == Gps()
+    ):
+        sections["gps"] = replace(city.gps, gdop_threshold=threshold)
+    settings = MapParams((float(params.altitude_m),), heights=heights, sections=sections)
     task = MapTask(city, grid, view_sky(grid, settings.gps), settings, check_layers(layers))
     return soften(task, dtype=jax.dtypes.canonicalize_dtype(np.float64))
 

@@ -19,7 +19,7 @@ from jaxurban.metrics.custom import held_metrics
 from jaxurban.progress import LOG
 from jaxurban.public import Caution, FactsRepr, caution_of_guesses, listed
 from jaxurban.settings import Obstacles, Planning, iso_utc
-from jaxurban.world.grid import Grid
+from jaxurban.world.grid import Grid, crs_said
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -154,7 +154,7 @@ class MetricMaps(FactsRepr):
         grid = self.grid
         return {
             "grid": f"{grid.num_rows:,} x {grid.num_cols:,} cells of {grid.resolution_m:g} m",
-            "CRS": grid.crs,
+            "CRS": crs_said(grid.crs),
             "altitudes": f"{listed([f'{z_m:g}' for z_m in self.altitudes_m])} m",
             "times": listed(self.times),
             "times of day": listed(self.times_of_day),

@@ -40,7 +40,11 @@ MOST_SAID, NOT_SET = 6, "not set"  # of differing settings in one sentence
 MAP_FOLDERS = ("kernels", "world", "metrics", "io", "maps")  # of the package: what maps depend on
 
 Differing = dict[str, tuple[Any, Any]]  # old and new value by dotted key, None for what is not set
-Inputs = Mapping[str, Mapping[str, str]]  # path and SHA-256 of each input file, by its role
+# Path, SHA-256 and bytes of each input file and its companions, by its role.
+Inputs = Mapping[str, Mapping[str, Any]]
+SYSTEM_FOLDERS = ("/proc", "/sys", "/dev")  # of files that may have no end
+MEMORY_FOLDER = "/dev/shm"  # holds usual files
+MOST_UNSIZED_BYTES = 16 * 2**30  # of a file whose size a record lacks, as up to jaxurban 1.1
 
 
 def run_record(
@@ -133,14 +137,19 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
     return record
 
 
-def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
-    """Return path and SHA-256 of every file that a scenario names, by its role.
+def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str, dict[str, Any]]:
+    """Return path, SHA-256 and bytes of every file that a scenario names, by its role.
 
     Roles are ``buildings``, ``terrain``, ``orbits``, ``orbits_2`` and so on, those of `FILES` and ``layer_NAME``. The
-    companions of a file, such as the .dbf of a Shapefile, are hashed with it.
+    companions of a file, such as the .dbf of a Shapefile, are hashed and counted with it.
+
+    Args:
+      scenario: the settings.
+      recorded: what somebody's run recorded: a file of another size, or of more than `MOST_UNSIZED_BYTES` if its size
+        is not on record, is not read and has the SHA-256 "".
 
     Raises:
-      InputError: a file that is missing or cannot be read.
+      InputError: a file that is missing or cannot be read, or one of the system (`SYSTEM_FOLDERS`).
     """
     buildings = None if scenario.is_synthetic else scenario.buildings.source
     named: dict[str, Any] = {"buildings": buildings, "terrain": scenario.terrain.source}
@@ -151,23 +160,53 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
         named[role] = getattr(scenario.population, role)
     for layer_name, layer in scenario.layers.items():
         named[f"layer_{layer_name}"] = layer.source
+    files = {}
+    for role, name in values_given(named).items():
+        file = located(scenario.path_of(name))
+        record = None if recorded is None else recorded.get(role, {})
+        files[role] = {"path": name} | _sum_and_size(file, role, record)
+    return files
+
+
+def unsized(inputs: Inputs) -> dict[str, dict[str, Any]]:
+    """Return inputs without their sizes, which no run key depends on and old records lack."""
     return {
-        role: {"path": name, "sha256": _sha256(located(scenario.path_of(name)), role)}
-        for role, name in values_given(named).items()
+        role: {key: value for key, value in file.items() if key != "bytes"}
+        for role, file in inputs.items()
     }
 
 
-def _sha256(path: Path, role: str) -> str:
-    """Return the SHA-256 over the names and contents of a file and its companions, in hexadecimal digits.
+def _sum_and_size(path: Path, role: str, recorded: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return ``sha256``, over the names and contents of a file and its companions, and ``bytes``, their size.
+
+    Args:
+      path: of the file.
+      role: for the message.
+      recorded: what is on record of the file, as for `hash_inputs`; None: the file is read whatever its size.
 
     Raises:
-      InputError: a file that is missing or cannot be read; the message names its role.
+      InputError: a file that is missing, of the system, or cannot be read; the message names its role.
     """
     with readable(
         path, "bytes", "name a file that can be read", what=f"the {role} file {str(path)!r}"
     ):
-        parts = "".join(f"{part.name} {digest_of(part)}\n" for part in _companions(path))
-    return hashlib.sha256(parts.encode()).hexdigest()
+        parts = _companions(path)
+        for part in parts:
+            _check_usual(part)
+        num_bytes = sum(part.stat().st_size for part in parts)
+        most_bytes = min(num_bytes, MOST_UNSIZED_BYTES)
+        if recorded is not None and num_bytes != recorded.get("bytes", most_bytes):
+            return {"sha256": "", "bytes": num_bytes}
+        sums = "".join(f"{part.name} {digest_of(part)}\n" for part in parts)
+    return {"sha256": hashlib.sha256(sums.encode()).hexdigest(), "bytes": num_bytes}
+
+
+def _check_usual(path: Path) -> None:
+    """Raise OSError for a file of the system (`SYSTEM_FOLDERS`), which may have no end, once links are followed."""
+    target = path.resolve()
+    is_of_system = any(map(target.is_relative_to, SYSTEM_FOLDERS))
+    if is_of_system and not target.is_relative_to(MEMORY_FOLDER):
+        raise OSError("it is a file of the system")
 
 
 def _companions(path: Path) -> list[Path]:
@@ -219,7 +258,7 @@ def run_key(scenario: Scenario, inputs: Inputs, backend: str) -> str:
     """
     facts = {
         "settings": _of_maps(scenario.model_dump(mode="json")),
-        "inputs": inputs,
+        "inputs": unsized(inputs),
         "code": code_hash(),
         "versions": versions(),
         "backend": backend,

@@ -84,7 +84,7 @@ def load_city(scenario: Scenario) -> City:
         crs=region.crs,
         population=placed(scenario.population, *FILES),
         terrain=placed(scenario.terrain, "source"),
-        gps=scenario.gps,
+        gps=gps_of(scenario),
     )
 
 

@@ -6,27 +6,37 @@ from pathlib import Path
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.files import read_json
+from jaxurban.io.samples import located
 from jaxurban.io.store import RUN_FILE, settings_of
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.provenance import hash_inputs
+from jaxurban.maps.provenance import hash_inputs, unsized
 from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
 
 CityLike = City | MetricMaps | str | Path
+STANDING = ("buildings", "terrain")  # roles of the files that say what stands, and on which ground
+
+
+class ChangedSourcesError(InputError):
+    """Files that say what stands are there, and maps were made of others."""
 
 
 def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     """Return the scenario of the run that made the maps in a folder, with relative paths from where its files lie.
 
-    The record may come from another machine, so files count only if their SHA-256 are those that the run recorded.
+    The record may come from another machine, so files count only if their sizes and SHA-256 are those that the run
+    recorded.
 
     Args:
       folder: of the maps.
       sources: where relative paths begin; left out, the current folder, that of the maps, or the one above it.
 
     Raises:
-      InputError: maps that no scenario made, a damaged record, or files that are gone or were changed.
+      ChangedSourcesError: files of buildings or terrain are there, and not all are as they were.
+      InputError: sources that are no folder, maps that no scenario made, a damaged record, or files that are gone.
     """
+    if sources is not None and not Path(sources).is_dir():
+        raise InputError(f"sources must be a folder, and {str(sources)!r} is none: check the path")
     settings = settings_of(folder)
     if "bounds" not in settings.get("region", {}):
         raise InputError(
@@ -36,17 +46,26 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
 
     # The first place where all files are those of the record; otherwise the files that differ at the last place.
     inputs = read_json(folder / RUN_FILE).get("inputs", {})
+    if not (isinstance(inputs, dict) and all(isinstance(file, dict) for file in inputs.values())):
+        raise InputError(
+            f"the inputs in {str(folder / RUN_FILE)!r} are not as a run records them: make the maps again"
+        )
+    recorded = unsized(inputs)
     places = [folder, folder.parent, Path()] if sources is None else [Path(sources)]
     lost = inputs
+    kind: type[InputError] = InputError
     for place in places:
         scenario = Scenario.from_dict(settings, str(folder / RUN_FILE), place)
         with suppress(InputError):  # raised where one of the files is missing
-            files = hash_inputs(scenario)
-            if files == inputs:
+            files = unsized(hash_inputs(scenario, inputs))
+            if files == recorded:
                 return scenario
-            lost = {role: file for role, file in files.items() if inputs.get(role) != file}
-    names = ", ".join(repr(file["path"]) for file in lost.values())
-    raise InputError(
+            lost = {role: file for role, file in files.items() if recorded.get(role) != file}
+        named = [str(recorded[role].get("path")) for role in STANDING if role in recorded]
+        if any(located(scenario.path_of(name)).exists() for name in named):
+            kind = ChangedSourcesError
+    names = ", ".join(repr(file.get("path")) for file in lost.values())
+    raise kind(
         f"what the maps in {str(folder)!r} were made of is no longer there as it was ({names}): "
         "name the folder of these files (sources, --sources) or the scenario in it (scenario, --scenario), or make the "
         "maps again"

@@ -123,9 +123,8 @@ class Population:
                 )
 
         # Files that need polygons of blocks.
-        has_blocks = self.blocks is not None or self.blocks_day is not None
         needs_blocks = self.table is not None or self.districts is not None
-        if needs_blocks and not has_blocks:
+        if needs_blocks and not self.has_blocks:
             raise InputError("table and districts need blocks, the polygons of the census blocks")
 
         # Labels of districts, and times of day.
@@ -171,6 +170,11 @@ class Population:
             )
 
     @property
+    def has_blocks(self) -> bool:
+        """Whether a file of people is named."""
+        return self.blocks is not None or self.blocks_day is not None
+
+    @property
     def times_of_day(self) -> tuple[str, ...]:
         """The times of day that maps are made for."""
         return tuple(self.time_of_day)
@@ -199,6 +203,20 @@ class Population:
         """
         shares = getattr(self, name)
         return PROFILES[name] if shares is None else shares
+
+
+def check_has_people(params: Population | None, has_people: bool) -> None:
+    """Check that settings of people are of a city that has any; the default settings say nothing.
+
+    Raises:
+      InputError: settings of people where none are known.
+    """
+    if has_people or params is None or params == Population():
+        return
+    raise InputError(
+        "population has settings and the city has no people: name its blocks, as in City.from_files(...,"
+        " population=Population(blocks=...)) or [population] blocks, or leave population out"
+    )
 
 
 LEAST_BLOCKS = 2**16  # for which the program of blocks is compiled, then powers of two

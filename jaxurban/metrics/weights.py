@@ -220,6 +220,38 @@ class Weights:
 WeightsLike = Weights | Mapping[str, float] | None
 
 
+def check_held(
+    given: WeightsLike, metrics: Iterable[str], usual: Mapping[str, float] | None = None
+) -> None:
+    """Check that maps hold every layer that a caller gives a weight above 0.
+
+    Of numbers by name all count. `Weights` hold a number for each built-in metric, so that of them the default and the
+    usual ones do not count.
+
+    Args:
+      given: valid weights.
+      metrics: that the maps hold.
+      usual: the weights of the maps' scenario; None without one.
+
+    Raises:
+      InputError: a weight of a layer that is not there.
+    """
+    numbers = dict(given.values if isinstance(given, Weights) else given or {})
+    if isinstance(given, Weights):
+        default = dict.fromkeys(METRICS, METRIC_WEIGHT)
+        usual_items = (default | dict(usual or {})).items() | default.items()
+        numbers = {
+            name: value for name, value in numbers.items() if (name, value) not in usual_items
+        }
+    held = ("distance", *metrics)
+    lost = [name for name, value in numbers.items() if value > 0 and name not in held]
+    if lost:
+        raise InputError(
+            f"weights name {' and '.join(lost)}, of which these maps hold no layer (they hold {', '.join(metrics)}): "
+            "leave that weight out, or make maps with the layer"
+        )
+
+
 def _number(name: str, value: Any) -> float:
     """Return a weight as a float.
 

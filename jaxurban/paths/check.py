@@ -7,16 +7,20 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from jaxurban.io.read.zone import Zone
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.clearance import FILE_MARGIN_M
 from jaxurban.paths.constraints import Bound, Constraints
 from jaxurban.paths.contacts import TOUCH_M, Prisms, contacts, merged
+from jaxurban.paths.corners_cut import CORNER_M, corners_of
+from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.legs import Flight, Steps, spans
 from jaxurban.paths.profile import nearest_level_m
 
 # So near an altitude of the maps a step is at it: files round heights up to centimetres.
 LEVEL_M = 0.02
+CUT = f"lie at corners that autopilots cut by up to {CORNER_M:g} m, with a building or a zone there"
 ON_SITE = ("climb", "land")  # kinds of legs between the ground and the height of flight
 NO_DATA = "lie over cells without data"
 NO_CITY = "lie where the source of the buildings does not know what stands"
@@ -47,14 +51,53 @@ def judged(
       limits: the zones in force, the bounds and the clearances, none of which is left out.
       times, time_of_day: of the maps that the bounds must hold on; None for a map that has no times.
     """
-    # What cannot be judged: steps without data, beyond what is known, or near roofs of guessed height.
-    steps = flight.steps
+    tables, unknown = [], [flight.unknown]
+    for steps in (flight.steps, flight.variants):
+        found, not_judged = _judged_steps(
+            flight, steps, maps, buildings, known, limits, times, time_of_day
+        )
+        tables.append(found)
+        unknown += not_judged
+    unknown += _at_corners(flight, buildings, maps, limits)
+    main, beside = tables
+    return _with_variants(main, beside), pd.concat(unknown, ignore_index=True)
+
+
+def _with_variants(main: pd.DataFrame, beside: pd.DataFrame) -> pd.DataFrame:
+    """Return the findings of a mission, with those of its variants that are no finding of the mission itself.
+
+    A finding of a variant is one of the mission's if they are of a kind and of one building, and overlap.
+    """
+    if not len(beside):
+        return main
+    same = main.reset_index().merge(beside.reset_index(), on=["kind", "building_m"], how="inner")
+    overlaps = (same["along_m_x"] <= same["to_m_y"]) & (same["along_m_y"] <= same["to_m_x"])
+    new = beside.drop(same.loc[overlaps, "index_y"].unique())
+    tables = [table for table in (main, new) if len(table)]
+    return pd.concat(tables or [main]).sort_values("along_m", ignore_index=True)
+
+
+def _judged_steps(
+    flight: Flight,
+    steps: Steps,
+    maps: MetricMaps,
+    buildings: Prisms,
+    known: shapely.Geometry,
+    limits: Constraints,
+    times: Sequence[str | None],
+    time_of_day: str | None,
+) -> tuple[pd.DataFrame, list[pd.DataFrame]]:
+    """Return a table of what some of a flight's steps meet, and tables of those that cannot be judged (`judged`)."""
+    # What cannot be judged: steps without data, beyond what is known, near roofs of guessed height, or nearer to what
+    # they clear than the ground is known.
+    ground = flight.ground
     has_data = maps.ds["has_data"].values[tuple(steps.cell.T)]
     is_known = has_data & np.isfinite(steps.z_m).all(axis=1)
-    unknown = [flight.unknown, spans(steps.along_m[~is_known], NO_DATA)]
+    unknown = [spans(steps.along_m[~is_known], NO_DATA)]
     steps = steps.take(is_known)
-    near = contacts(steps, buildings, maps, limits.horizontal_m)
+    near = contacts(steps, buildings, ground, limits.horizontal_m)
     is_guessed = buildings.is_guessed[near["prism"]]
+    unknown += _unsure(flight, steps, near, limits)
     unknown += _beyond(flight, steps, maps, known, limits.horizontal_m)
     unknown.append(spans(near.loc[is_guessed, ["from_m", "to_m"]].to_numpy(), GUESSED_ROOFS))
 
@@ -62,7 +105,7 @@ def judged(
     findings = [
         *_buildings(near, buildings, limits),
         _buried(steps),
-        _zones(steps, maps, limits),
+        _zones(steps, maps, ground, limits),
         *_closed(steps, maps, limits, times, time_of_day),
     ]
     table = pd.concat(findings, ignore_index=True)
@@ -73,7 +116,61 @@ def judged(
     items = [flight.mission.legs[leg].item for leg in begins.leg]
     table = table.assign(item=items, lon=lon, lat=lat, height_m=begins.z_m[:, 0])
     table = table.rename(columns={"from_m": "along_m"}).sort_values("along_m", ignore_index=True)
-    return table.reindex(columns=COLUMNS), pd.concat(unknown, ignore_index=True)
+    return table.reindex(columns=COLUMNS), unknown
+
+
+def _unsure(
+    flight: Flight, steps: Steps, near: pd.DataFrame, limits: Constraints
+) -> Iterator[pd.DataFrame]:
+    """Yield a table of stretches that keep clear, but by less than the ground of the maps' cells may be off.
+
+    Take-off, landing and steps straight up or down do not count as near the ground.
+
+    Args:
+      flight: whose ground it is.
+      steps: some of its steps.
+      near: the steps in and near buildings (`contacts`).
+      limits: the clearances.
+    """
+    if flight.ground.is_exact:
+        return
+    off_m = flight.ground.off_m(steps.ends_m.mean(axis=1))
+    least_m = limits.vertical_m - FILE_MARGIN_M
+    is_open = near["gap_m"].ge(least_m) & (near["gap_m"] - off_m[near["step"]]).lt(least_m)
+    is_low = (steps.z_m.min(axis=1) < off_m) & ~_is_on_site(flight, steps)
+    is_low[near.loc[is_open, "step"].to_numpy(int)] = True
+    most_m = off_m[is_low].max(initial=0.0)
+    reason = (
+        f"lie nearer to roofs or the ground than the ground is known, by up to {most_m:.1f} m: "
+        "name the files of the maps (sources, --sources)"
+    )
+    yield spans(steps.along_m[is_low], reason)
+
+
+def _is_on_site(flight: Flight, steps: Steps) -> np.ndarray:
+    """Return ``[P]`` whether steps lead between the ground and the height of flight, or straight up or down."""
+    leg_kinds = np.array([leg.kind for leg in flight.mission.legs], object)
+    return np.isin(leg_kinds[steps.leg], ON_SITE) | (steps.over_m == 0)
+
+
+def _at_corners(
+    flight: Flight, buildings: Prisms, maps: MetricMaps, limits: Constraints
+) -> Iterator[pd.DataFrame]:
+    """Yield tables of the corners whose inside, which autopilots may fly over, comes too near to a building or a zone.
+
+    Args:
+      flight: whose corners they are (`corners_of`).
+      buildings: that stand there.
+      maps: the maps.
+      limits: the clearances and zones.
+    """
+    corners = corners_of(flight)
+    near = contacts(corners, buildings, flight.ground, limits.horizontal_m)
+    is_close = near["gap_m"] < limits.vertical_m - FILE_MARGIN_M
+    in_zone = contacts(corners, _prisms_of(limits.zones, maps), flight.ground)
+    is_in = in_zone["gap_m"] <= 0
+    for step in (near.loc[is_close, "step"], in_zone.loc[is_in, "step"]):
+        yield spans(corners.along_m[step.to_numpy(int)], CUT)
 
 
 def _beyond(
@@ -97,8 +194,7 @@ def _beyond(
     is_off = ~shapely.intersects_xy(judged_area, *steps.ends_m.mean(axis=1).T)
     yield spans(steps.along_m[is_off], NO_CITY)
 
-    leg_kinds = np.array([leg.kind for leg in flight.mission.legs], object)
-    is_on_site = np.isin(leg_kinds[steps.leg], ON_SITE) | (steps.over_m == 0)
+    is_on_site = _is_on_site(flight, steps)
     z_m = steps.z_m.mean(axis=1)
     low_m = min(maps.altitudes_m)
     high_m = max(maps.altitudes_m)
@@ -205,16 +301,20 @@ def _described(
     )
 
 
-def _zones(steps: Steps, maps: MetricMaps, limits: Constraints) -> pd.DataFrame:
-    """Return a row for each stretch of a mission in a no-fly zone of ``limits``."""
-    zones = limits.zones
-    prisms = Prisms(
+def _prisms_of(zones: Sequence[Zone], maps: MetricMaps) -> Prisms:
+    """Return no-fly zones as prisms on the grid of maps."""
+    return Prisms(
         polygons=np.array([zone.on(maps.grid) for zone in zones], object),
         floor_m=np.array([zone.floor_m for zone in zones], float),
         top_m=np.array([zone.ceiling_m for zone in zones], float),
         is_guessed=np.zeros(len(zones), bool),
     )
-    rows = contacts(steps, prisms, maps)
+
+
+def _zones(steps: Steps, maps: MetricMaps, ground: Elevation, limits: Constraints) -> pd.DataFrame:
+    """Return a row for each stretch of a mission in a no-fly zone of ``limits``."""
+    zones = limits.zones
+    rows = contacts(steps, _prisms_of(zones, maps), ground)
     rows = merged(rows[rows["gap_m"] <= 0], "prism")
     entered = [zones[number] for number in rows["prism"]]
     what = [f"enters the no-fly zone {zone.label}, {zone.heights}" for zone in entered]

@@ -20,6 +20,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 FILE_MARGIN_M = 0.05
 # Cell sides: steps between the centres of cells keep half a side from closed cells.
 MOST_LEG_MARGIN = 0.49
+MOST_STEPS = 10**5  # sides, more than maps have: their border is an obstacle, so all is closed
 
 
 def obstacles_within(
@@ -94,7 +95,8 @@ def closing_step_m(horizontal_m: float, resolution_m: float) -> tuple[float, flo
     Distances between the squares of cells come in steps: 0, 1, 1.41, 2, 2.24 ... sides. The first value is the least
     step that the clearance exceeds by `MOST_LEG_MARGIN` sides or less; the second is that excess, which the legs of
     routes keep from closed cells, 0 where the step alone keeps the clearance. Both are metres, and `FILE_MARGIN_M` is
-    included. A clearance of 0 gives 0 and 0: only the cells of obstacles themselves are closed.
+    included. From `MOST_STEPS` on steps are whole sides. A clearance of 0 gives 0 and 0: only the cells of obstacles
+    themselves are closed.
 
     Args:
       horizontal_m: the clearance.
@@ -103,9 +105,14 @@ def closing_step_m(horizontal_m: float, resolution_m: float) -> tuple[float, flo
     if horizontal_m == 0:
         return 0.0, 0.0
     clearance_sides = (horizontal_m + FILE_MARGIN_M) / resolution_m
-    offsets = np.arange(math.ceil(clearance_sides) + 1)  # of squares, in rows or columns
-    steps = np.unique(np.hypot(offsets, offsets[:, None]))
-    step = float(steps[np.searchsorted(steps, clearance_sides - MOST_LEG_MARGIN)])
+    least = clearance_sides - MOST_LEG_MARGIN
+    step = float(math.ceil(least))
+    if least < MOST_STEPS:
+        # Of each offset in rows the offsets in columns around the one that reaches the least distance.
+        rows = np.arange(math.ceil(least) + 1)
+        cols = np.ceil(np.sqrt(np.maximum(least**2 - rows**2, 0)))
+        steps = np.hypot(rows, cols + np.array([[-1], [0], [1]]))
+        step = float(steps[steps >= least].min())
     return step * resolution_m, max(0.0, clearance_sides - step) * resolution_m
 
 

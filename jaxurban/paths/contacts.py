@@ -10,7 +10,8 @@ from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.legs import Steps, ground_at
+from jaxurban.paths.elevation import Elevation
+from jaxurban.paths.legs import Steps
 from jaxurban.paths.profile import GUESSED, TOUCHED
 from jaxurban.settings import SLABS
 
@@ -68,13 +69,15 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
     return Prisms(cell_boxes(grid, cells, 1), floor_m, top_m, guessed[rows, cols].astype(bool))
 
 
-def contacts(steps: Steps, prisms: Prisms, maps: MetricMaps, beside_m: float = 0.0) -> pd.DataFrame:
+def contacts(
+    steps: Steps, prisms: Prisms, ground: Elevation, beside_m: float = 0.0
+) -> pd.DataFrame:
     """Return a row for each step and prism that meet in plan, or are no farther apart than a distance.
 
     Args:
       steps: of the mission.
       prisms: in the maps' CRS.
-      maps: whose terrain, if they hold it, is the ground.
+      ground: on which the prisms stand.
       beside_m: the distance in plan; 0 for those that meet alone.
 
     Returns:
@@ -93,10 +96,10 @@ def contacts(steps: Steps, prisms: Prisms, maps: MetricMaps, beside_m: float = 0
     apart_m = shapely.distance(lines[step], outlines)
 
     # What stands beside a step stands on other ground: heights of the step are measured from there.
-    if "terrain" in maps.ds and beside_m:
+    if beside_m and not ground.is_flat:
         shortest = shapely.shortest_line(outlines, lines[step])
         nearest = shapely.get_coordinates(shortest)[::2]  # the end at the outline of each line
-        fall_m = steps.ground_m[step] - ground_at(nearest, maps)[:, None]
+        fall_m = steps.ground_m[step] - ground.at(nearest)[:, None]
         z_m = z_m + np.where(apart_m[:, None] > 0, np.nan_to_num(fall_m), 0.0)
 
     gap_m = np.maximum(

@@ -11,7 +11,7 @@ from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.maps.levels import SAME_M, Levels, listed_m
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.weights import Weights, WeightsLike
+from jaxurban.metrics.weights import Weights, WeightsLike, check_held
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.path import PlannedPath, finish
 from jaxurban.paths.search import PathSearch
@@ -46,9 +46,12 @@ def weights_on(maps: MetricMaps, given: WeightsLike) -> Weights:
     """Return ``given`` as `Weights`; what a mapping leaves out is as the maps' scenario has it, or by default.
 
     Raises:
-      InputError: an invalid weight, or of a metric that the maps do not hold.
+      InputError: an invalid weight, or one above 0 that is given of a metric that the maps do not hold.
     """
-    return Weights.of(given, maps.recorded.get("weights")).checked(maps.metrics)
+    usual = maps.recorded.get("weights")
+    weights = Weights.of(given, usual).checked(maps.metrics)
+    check_held(given, maps.metrics, usual)
+    return weights
 
 
 @dataclass

@@ -144,7 +144,8 @@ def costs_of(
         return {"cost_note": "No leg leads over the maps, so there is no cost."}
     median_m = np.nanmedian(flight.steps.z_m[moves]).round(2)
     at_m = float(np.clip(median_m, min(maps.altitudes_m), max(maps.altitudes_m)))
-    ends = [place[:2] for leg in flight.mission.legs for place in (leg.start, leg.end)]
+    legs = [leg for leg in flight.mission.legs if not leg.is_variant]
+    ends = [place[:2] for leg in legs for place in (leg.start, leg.end)]
     xy_m = np.stack(grid.xy_of_lonlat(*np.transpose(ends)), axis=-1)
     points_m = xy_m - grid.bounds_m[:2]
     figures: dict[str, Any] = {"compared_at_m": at_m}

@@ -14,14 +14,17 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import UNKNOWN_GROUND_M, highest_top_m
 from jaxurban.io.read.sampling import values_at
+from jaxurban.progress import LOG
 from jaxurban.world.grid import WGS84, transformer
 from jaxurban.world.known import Rays
 from jaxurban.world.outline_rays import FARTHEST_MARGIN_M, Outlines
 
 GROUND_STEP_M, ROOF_STEP_M = 5.0, 1.0  # between samples of terrain, and of a raster of roofs
+MOST_RAYS, MOST_AT_ONCE = 5_000_000, 50_000
 ROOF = ("roof_height_m", "roof_distance_m", "roof_lon", "roof_lat", "roof_is_guessed")
 
 
@@ -111,9 +114,26 @@ class Hiding:
         these are NaN, and the last False.
 
         Args:
-          rays: ``R`` of them, with elevations above 0.
+          rays: ``R`` of them, with elevations above 0, of which `MOST_AT_ONCE` are followed at once.
           altitude_m: ``[R]`` of their places above the ground.
+
+        Raises:
+          InputError: more than `MOST_RAYS` rays.
         """
+        num = len(rays.x_m)
+        if num > MOST_RAYS:
+            raise InputError(
+                f"{num:,} rays to satellites are too many, {MOST_RAYS:,} are followed at most: give fewer rows, such "
+                "as one of ten, or parts of the track one after the other"
+            )
+        if num > MOST_AT_ONCE:
+            LOG.info(f"following {num:,} rays to satellites, about 5,000 a second")
+        pieces = np.array_split(np.arange(num), num // MOST_AT_ONCE + 1)
+        tables = [self._behind(rays.take(piece), altitude_m[piece]) for piece in pieces]
+        return pd.concat(tables, ignore_index=True)
+
+    def _behind(self, rays: Rays, altitude_m: np.ndarray) -> pd.DataFrame:
+        """Return what `behind` does, of rays that are followed at once."""
         # Rays that stay within what is known; all arrays below are of these `inner` ones.
         rise_m = self.rise_m(altitude_m)
         inside = np.flatnonzero(rays.stays_within(self.city.known_ground, rise_m))

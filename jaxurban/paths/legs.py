@@ -1,6 +1,8 @@
 """The legs of a mission over maps: short steps with heights above the ground, and what of them is not known.
 
-Between the ends of a leg the vehicle flies straight, or follows the ground where both ends are above the ground.
+A leg is flown in the frame of its end, as ArduPilot does (``AC_WPNav::set_wp_destination``): where the height of the
+end is above the ground, the height of the start is brought there too, and the vehicle follows the ground. Otherwise it
+flies straight. `Leg.profile` says where this does not hold.
 """
 
 import math
@@ -10,12 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import pyproj
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.mission import Leg, Mission, Place
-from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.ground import elevation_at
+from jaxurban.io.read.mission_parts import GEOD
+from jaxurban.paths.elevation import Elevation
 from jaxurban.world.grid import Bounds
 
 STEP_M, MOST_STEPS = 0.5, 1_000_000  # steps of very long missions are longer,
@@ -23,7 +24,6 @@ MOST_STEP_M = 5.0  # and no longer than this
 NOWHERE_M = 1e12  # x and y where the projection has no value
 CIRCLE_SAG_M = 0.05  # by which the chords of a loiter leave its circle
 FEWEST_CHORDS, MOST_CHORDS = 16, 720
-GEOD = pyproj.Geod(ellps="WGS84")
 
 OUTSIDE = "lie outside the maps"
 NO_HEIGHT = "have a height that the file leaves open: name that of a return (return_altitude_m, --return-altitude)"
@@ -76,48 +76,65 @@ class Flight:
     Attributes:
       mission: the mission.
       steps: what of it has a height and lies within the maps.
+      variants: the same of the ways that another autopilot, or another reading of the file, flies beside it.
       unknown: what has none or lies outside: its ``reason``, ``from_m`` and ``to_m`` along the mission.
-      length_m: of the whole mission, in the air.
+      length_m: of the whole mission, in the air, without variants.
+      ground: over which it is judged.
+      lines_m: ``[N, 2, 2]`` x, y of begin and end of each straight part over the maps, whatever its height.
     """
 
     mission: Mission
     steps: Steps
+    variants: Steps
     unknown: pd.DataFrame
     length_m: float
+    ground: Elevation
+    lines_m: np.ndarray
 
     @property
     def line_m(self) -> np.ndarray:
-        """``[N, 3]`` x, y and height above ground where it flies over the maps; gaps are closed by straight lines."""
-        ends_m = np.dstack([self.steps.ends_m, self.steps.z_m])
-        line_m = np.vstack([ends_m[:, 0], ends_m[-1:, 1]])  # each begin, and the last end
-        return line_m[np.isfinite(line_m).all(axis=1)]
+        """``[N, 3]`` x, y and greatest height above ground, where it leads over the maps, whatever its height there.
+
+        Gaps are closed by straight lines. ``[N, 2]``, without the height, where none is known.
+        """
+        line_m = np.vstack(
+            [self.lines_m[:, 0], self.lines_m[-1:, 1]]
+        )  # each begin, and the last end
+        z_m = self.steps.z_m[np.isfinite(self.steps.z_m)]
+        if not len(z_m):
+            return line_m
+        return np.column_stack([line_m, np.full(len(line_m), z_m.max())])
+
+    @property
+    def ground_note(self) -> str:
+        """By how much the ground below it may be off, words to go after others; empty where it is known."""
+        if self.ground.is_exact:
+            return ""
+        off_m = self.ground.off_m(self.steps.ends_m.mean(axis=1)).max(initial=0.0)
+        return f"; over the ground of the maps' cells, which may be off by up to {off_m:.1f} m"
+
+    @property
+    def off_line(self) -> list[str]:
+        """What `line_m` leaves out, or knows no height of: a sentence each."""
+        over_m = {
+            reason: (rows["to_m"] - rows["from_m"]).sum()
+            for reason, rows in self.unknown.groupby("reason")
+        }
+        sentences = []
+        if over_m.get(OUTSIDE, 0.0) > 0:
+            sentences.append(f"{over_m[OUTSIDE]:,.0f} m of the mission lie outside the maps.")
+        if over_m.get(NO_HEIGHT, 0.0) > 0:
+            sentences.append(
+                f"The height is open on {over_m[NO_HEIGHT]:,.0f} m: the flight is as high as the rest of it."
+            )
+        if self.mission.not_judged:
+            sentences.append("What of the mission's file is not judged may lead elsewhere.")
+        return sentences
 
 
 def spans(along_m: np.ndarray, reason: str) -> pd.DataFrame:
     """Return begins and ends along a mission ``[N, 2]`` as a table, with a reason."""
     return pd.DataFrame({"reason": reason, "from_m": along_m[:, 0], "to_m": along_m[:, 1]})
-
-
-def ground_at(places_m: np.ndarray, maps: MetricMaps) -> np.ndarray:
-    """Return the elevation of the ground at places, metres above the terrain's zero.
-
-    Args:
-      places_m: ``[..., 2]`` x, y in the maps' CRS.
-      maps: whose ``terrain`` is the ground.
-
-    Returns:
-      ``[...]``: NaN outside the maps, 0 everywhere if they hold no terrain.
-    """
-    if "terrain" not in maps.ds:
-        return np.zeros(places_m.shape[:-1])
-    grid = maps.grid
-    from_corner_m = places_m - grid.bounds_m[:2]
-    sides_m = np.array(grid.shape[::-1]) * grid.resolution_m  # along x, y
-    is_inside = ((from_corner_m >= 0) & (from_corner_m <= sides_m)).all(axis=-1)
-    elevation_m = np.full(is_inside.shape, np.nan)
-    x_m, y_m = from_corner_m[is_inside].T
-    elevation_m[is_inside] = elevation_at(x_m, y_m, maps.m("terrain"), grid.resolution_m)
-    return elevation_m
 
 
 class Segments(NamedTuple):
@@ -128,64 +145,86 @@ class Segments(NamedTuple):
       lonlat: ``[S, 2, 2]`` longitude, latitude in degrees.
       height_m: ``[S, 2]`` above the zero of its datum; NaN where the file leaves it open.
       datum: ``[S, 2]`` what the height is above.
+      follows_ground: ``[S]`` whether it follows the ground, or else is straight.
+      is_variant: ``[S]`` whether it is flown beside the next segment that is no variant.
     """
 
     leg: np.ndarray
     lonlat: np.ndarray
     height_m: np.ndarray
     datum: np.ndarray
+    follows_ground: np.ndarray
+    is_variant: np.ndarray
 
     @classmethod
-    def of(cls, mission: Mission) -> "Segments":
-        """Return the segments of a mission, in the order of travel."""
-        legs, ends = [], []
+    def of(cls, mission: Mission, is_flat: bool) -> "Segments":
+        """Return the segments of a mission, in the order of travel.
+
+        Where a leg may be straight or follow the ground, it follows it, and is straight as a variant, unless the ground
+        is flat, where the two are the same.
+        """
+        rows: list[tuple[int, bool, bool]] = []
+        ends: list[Place] = []
         for number, leg in enumerate(mission.legs):
-            for start, end in pairwise(_corners_of(leg)):
-                legs.append(number)
-                ends += [start, end]
+            is_above_ground = leg.end.datum == "ground"
+            ways = [(is_above_ground and leg.profile != "straight", leg.is_variant)]
+            if leg.profile == "both" and is_above_ground and not is_flat:
+                ways.insert(0, (False, True))
+            for follows_ground, is_variant in ways:
+                for pair in pairwise(_corners_of(leg)):
+                    rows.append((number, follows_ground, is_variant))
+                    ends += pair
         table = pd.DataFrame(ends, columns=list(Place._fields))
+        numbers, follow, beside = np.array(rows, int).reshape(-1, 3).T
         return cls(
-            leg=np.array(legs, int),
+            leg=numbers,
             lonlat=table[["lon", "lat"]].to_numpy(float).reshape(-1, 2, 2),
             height_m=table["height_m"].to_numpy(float).reshape(-1, 2),
             datum=table["datum"].to_numpy().reshape(-1, 2),
+            follows_ground=follow.astype(bool),
+            is_variant=beside.astype(bool),
         )
 
 
-def flight_of(mission: Mission, maps: MetricMaps, geoid_m: float | None = None) -> Flight:
+def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None) -> Flight:
     """Return a mission over maps, its heights brought to the ground.
 
     Args:
       mission: what is flown.
-      maps: whose ``terrain`` is the ground; its zero is taken for the geoid. Without it the ground is level.
+      ground: of the maps; its zero is taken for the geoid. Without terrain the ground is level.
       geoid_m: height of the geoid above the ellipsoid, for heights above the latter.
 
     Raises:
       InputError: a mission that is too long over the maps.
     """
     # Where the segments of the mission begin and end.
-    segments = Segments.of(mission)
+    maps = ground.maps
+    segments = Segments.of(mission, ground.is_flat)
     lon, lat = np.moveaxis(segments.lonlat, -1, 0)
     ends_m = np.stack(maps.grid.xy_of_lonlat(lon, lat), axis=-1)
     ends_m = np.nan_to_num(ends_m, posinf=NOWHERE_M)
 
     # Their heights: above the zero of the terrain, or above the ground for segments that follow it.
-    is_ground = segments.datum == "ground"
-    follows_ground = is_ground.all(axis=1)
-    datum_m = np.where(is_ground, ground_at(ends_m, maps), np.nan)  # elevation of each datum
-    for name, zero_m in _zeros_m(mission, maps, geoid_m).items():
+    ground_m = ground.at(ends_m)
+    datum_m = np.where(segments.datum == "ground", ground_m, np.nan)  # elevation of each datum
+    zeros_m = _zeros_m(mission, ground, geoid_m)
+    for name, zero_m in zeros_m.items():
         datum_m[segments.datum == name] = zero_m
-    datum_m[follows_ground] = 0.0
+    follows_ground = segments.follows_ground
+    datum_m[follows_ground] -= ground_m[follows_ground]
+    is_above_ground = segments.datum == "ground"
+    datum_m[is_above_ground & follows_ground[:, None]] = 0.0  # off the maps, too
+    lacks = np.where(follows_ground[:, None] & np.isnan(ground_m), "ground", segments.datum)
     z_m = segments.height_m + datum_m
-    along_m = _along_m(segments.lonlat, z_m)
+    least_m = _least_m(mission, ground, zeros_m)[segments.leg]
+    z_m = np.where(segments.datum == "home", np.maximum(z_m, least_m[:, None]), z_m)
+    along_m = _along_m(segments, z_m)
 
     # Segments without a height over the ground, each with the reason.
     is_known = np.isfinite(z_m).all(axis=1)
     unknown = [spans(along_m[:0], "")]  # a table without rows, where nothing else is
     for number in np.flatnonzero(~is_known):
-        reason = _why_unknown(
-            segments.height_m[number], datum_m[number], segments.datum[number], geoid_m
-        )
+        reason = _why_unknown(segments.height_m[number], datum_m[number], lacks[number], geoid_m)
         unknown.append(spans(along_m[[number]], reason))
 
     # What lies outside the maps: of a segment what comes before it enters them and after it leaves them. A segment that
@@ -200,25 +239,45 @@ def flight_of(mission: Mission, maps: MetricMaps, geoid_m: float | None = None) 
         unknown.append(spans(outside_m[is_stretch], OUTSIDE))
 
     # The rest, cut into steps.
-    flown = np.flatnonzero(enters & is_known)
-    states = np.dstack([ends_m, z_m, along_m])[flown]
-    steps = _steps(states, shares[flown], segments.leg[flown], follows_ground[flown], maps)
-    return Flight(mission, steps, pd.concat(unknown), float(along_m.max(initial=0.0)))
+    states = np.dstack([ends_m, z_m, along_m])
+
+    def steps_of(is_of_way: np.ndarray) -> Steps:
+        flown = np.flatnonzero(enters & is_known & is_of_way)
+        legs = segments.leg[flown]
+        return _steps(states[flown], shares[flown], legs, follows_ground[flown], ground)
+
+    is_main = ~segments.is_variant
+    return Flight(
+        mission=mission,
+        steps=steps_of(is_main),
+        variants=steps_of(segments.is_variant),
+        unknown=pd.concat(unknown),
+        length_m=float(along_m[is_main].max(initial=0.0)),
+        ground=ground,
+        lines_m=between(ends_m, shares)[enters & is_main],
+    )
 
 
-def _along_m(lonlat: np.ndarray, z_m: np.ndarray) -> np.ndarray:
+def _along_m(segments: Segments, z_m: np.ndarray) -> np.ndarray:
     """Return ``[S, 2]`` metres flown since take-off at begin and end of each segment.
 
-    A segment with an end whose height is not known is taken to be level.
+    A segment with an end whose height is not known is taken to be level. Variants begin where the next segment that is
+    none does, or where the variant before them ends, if they go on from there; what follows does not count them.
 
     Args:
-      lonlat: ``[S, 2, 2]`` longitude, latitude of their ends in degrees.
+      segments: of the mission.
       z_m: ``[S, 2]`` their heights above one zero; NaN where they are not known.
     """
+    lonlat = segments.lonlat
     _, _, over_m = GEOD.inv(*lonlat[:, 0].T, *lonlat[:, 1].T)
     length_m = np.hypot(over_m, np.nan_to_num(z_m[:, 1] - z_m[:, 0]))
-    end_m = np.cumsum(length_m)
-    return np.stack([end_m - length_m, end_m], axis=1)
+    flown_m = np.where(segments.is_variant, 0.0, length_m)
+    begin_m = np.cumsum(flown_m) - flown_m
+    for number in np.flatnonzero(segments.is_variant[1:]) + 1:
+        goes_on = (lonlat[number, 0] == lonlat[number - 1, 1]).all()
+        if segments.is_variant[number - 1] and goes_on:
+            begin_m[number] = begin_m[number - 1] + length_m[number - 1]
+    return np.stack([begin_m, begin_m + length_m], axis=1)
 
 
 def _why_unknown(
@@ -229,7 +288,7 @@ def _why_unknown(
     Args:
       height_m: ``[2]`` at its begin and end, above the datum; NaN where the file leaves it open.
       datum_m: ``[2]`` elevation of the datum; NaN where it is not known.
-      datum: ``[2]`` name of the datum.
+      datum: ``[2]`` name of the datum that may not be known.
       geoid_m: height of the geoid above the ellipsoid; None where it is not given.
     """
     if np.isnan(height_m).any():
@@ -245,7 +304,7 @@ def _steps(
     shares: np.ndarray,
     leg: np.ndarray,
     follows_ground: np.ndarray,
-    maps: MetricMaps,
+    ground: Elevation,
 ) -> Steps:
     """Return the steps of ``S`` segments, as far as the maps hold them.
 
@@ -254,13 +313,13 @@ def _steps(
       shares: ``[S, 2]`` of a segment's length, from 0 to 1, at which it enters and leaves the maps.
       leg: ``[S]`` number of its leg.
       follows_ground: ``[S]`` whether its heights are above the ground, or else above the zero of the terrain.
-      maps: the maps.
+      ground: of the maps.
 
     Raises:
       InputError: more than `MOST_STEPS` steps of `MOST_STEP_M`.
     """
     # How long a step is, and how many a segment has.
-    grid = maps.grid
+    grid = ground.maps.grid
     share = shares[:, 1] - shares[:, 0]
     begin_m, end_m = states[:, :, 3].T
     inside_m = share * (end_m - begin_m)
@@ -283,7 +342,7 @@ def _steps(
     step_states = between(states[segment], step_shares)
     places_m = step_states[..., :2]
     height_m, along_m = np.moveaxis(step_states[..., 2:], -1, 0)
-    ground_m = ground_at(places_m, maps)
+    ground_m = ground.at(places_m)
     z_m = height_m - np.where(follows_ground[segment, None], 0.0, ground_m)
     middle = (places_m.mean(axis=1) - grid.bounds_m[:2]) / grid.resolution_m
     cell = np.clip(middle[:, ::-1].astype(int), 0, np.array(grid.shape) - 1)
@@ -303,41 +362,63 @@ def _corners_of(leg: Leg) -> list[Place]:
     """Return the places that a leg runs through: its ends, and the corners of a loiter's circle between them.
 
     A circle is drawn once around the end of the leg, at the height of the end, by chords that leave it by no more than
-    about `CIRCLE_SAG_M`.
+    about `CIRCLE_SAG_M`. It begins and ends at the start, where that lies on it.
     """
     if not leg.radius_m:
         return [leg.start, leg.end]
     # A chord of an angle a leaves a circle by radius x a² / 8 at most, and a is 2 pi / n of n chords.
     radius_m = abs(leg.radius_m)
     num_chords = math.pi * math.sqrt(radius_m / (2 * CIRCLE_SAG_M))
-    azimuths = np.linspace(0.0, 360.0, int(np.clip(num_chords, FEWEST_CHORDS, MOST_CHORDS)))
+    first_deg, _, _ = GEOD.inv(leg.end.lon, leg.end.lat, leg.start.lon, leg.start.lat)
+    azimuths = first_deg + np.linspace(
+        0.0, 360.0, int(np.clip(num_chords, FEWEST_CHORDS, MOST_CHORDS))
+    )
     lons, lats, radii_m = np.full((len(azimuths), 3), [leg.end.lon, leg.end.lat, radius_m]).T
     lons, lats, _ = GEOD.fwd(lons, lats, azimuths, radii_m)
     circle = [leg.end._replace(lon=lon, lat=lat) for lon, lat in zip(lons, lats, strict=True)]
-    return [leg.start, *circle, leg.end]
+    return [leg.start, *circle, leg.start]
 
 
-def _zeros_m(mission: Mission, maps: MetricMaps, geoid_m: float | None) -> dict[str, float]:
+def _zeros_m(mission: Mission, ground: Elevation, geoid_m: float | None) -> dict[str, float]:
     """Return the elevation of the zero of each datum, measured as the maps' ground is; NaN where it is not known.
 
     Over terrain elevations are above the geoid. Without terrain they are above the level ground, which home stands on.
 
     Args:
       mission: whose home has a place, an elevation above the geoid, both or neither.
-      maps: the maps.
+      ground: of the maps.
       geoid_m: height of the geoid above the ellipsoid; None where it is not given.
     """
     home_m = home_above_geoid_m = math.nan
     if mission.home_elevation_m is not None:
         home_above_geoid_m = mission.home_elevation_m
     if mission.home is not None:
-        home_xy_m = np.array(maps.grid.xy_of_lonlat(*mission.home))
-        home_m = float(ground_at(home_xy_m, maps))
+        home_xy_m = np.array(ground.maps.grid.xy_of_lonlat(*mission.home))
+        home_m = float(ground.at(home_xy_m))
         if math.isnan(home_m):  # home lies outside the maps
             home_m = home_above_geoid_m
-    geoid_zero_m = 0.0 if "terrain" in maps.ds else -home_above_geoid_m
+    geoid_zero_m = -home_above_geoid_m if ground.is_flat else 0.0
     ellipsoid_zero_m = math.nan if geoid_m is None else geoid_zero_m - geoid_m
     return {"home": home_m, "geoid": geoid_zero_m, "ellipsoid": ellipsoid_zero_m}
+
+
+def _least_m(mission: Mission, ground: Elevation, zeros_m: dict[str, float]) -> np.ndarray:
+    """Return the least elevation of each leg's heights above home (`Leg.not_below`); -inf where there is none.
+
+    Args:
+      mission: with the legs.
+      ground: of the maps.
+      zeros_m: elevation of the zero of each datum.
+    """
+    least_m = np.full(len(mission.legs), -np.inf)
+    for number, leg in enumerate(mission.legs):
+        place = leg.not_below
+        if place is not None:
+            zero_m = zeros_m.get(place.datum)
+            if zero_m is None:
+                zero_m = float(ground.at(np.array(ground.maps.grid.xy_of_lonlat(*place[:2]))))
+            least_m[number] = place.height_m + zero_m
+    return least_m
 
 
 def _shares_within(ends_m: np.ndarray, bounds_m: Bounds) -> np.ndarray:

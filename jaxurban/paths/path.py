@@ -21,7 +21,7 @@ from jaxurban.paths.snapping import End, pocket_note, snap_note, what_would_join
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.simplify import farthest
 from jaxurban.planners.simplify import simplify as simplify_path
-from jaxurban.public import Caution, FactsRepr, renamed_arguments
+from jaxurban.public import Caution, FactsRepr, renamed_arguments, sentences_of
 
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
@@ -97,10 +97,12 @@ class PlannedPath(FactsRepr):
 
     @cached_property
     def cautions(self) -> list[Caution]:
-        """What a pilot should know of it (`jaxurban.cautions`); empty without a path, or without its maps."""
+        """What a pilot should know of it (`jaxurban.cautions`); without a path or its maps, what its message notes."""
         from jaxurban.paths.profile import cautions
 
-        return [] if self.maps is None or not self.status.has_path else cautions(self, self.maps)
+        if self.maps is None or not self.status.has_path:
+            return list(map(Caution, sentences_of(self.search.note)))
+        return cautions(self, self.maps)
 
     @property
     def message(self) -> str:

@@ -17,7 +17,7 @@ from jaxurban.metrics.gps import FIX, has_no_fix
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.cost import path_states
-from jaxurban.public import Caution, caution_of_guesses
+from jaxurban.public import Caution, caution_of_guesses, sentences_of
 from jaxurban.settings import Vehicle
 
 TOUCHED, VISIBLE, GUESSED = "roof_touched", "num_visible", "roof_guessed"
@@ -280,7 +280,7 @@ def cautions(
     """Return what the maps guess, where GPS has no fix, how near buildings and roofs are, and what else to know.
 
     Also reported: an end over a roof; climbs, descents and turns beyond the limits of the vehicle that it was planned
-    for. A sentence each, what is guessed first.
+    for; and what the path's message notes. A sentence each, what is guessed first.
 
     Distances are measured from the route to the edges of cells, so that 0 is contact; obstacles outside the region are
     not known.
@@ -315,6 +315,7 @@ def cautions(
         *_roofs(profile, vertical_m),
         *_ends(profile),
         *(Caution(sentence, "limit") for sentence in _manoeuvres(planned)),
+        *map(Caution, sentences_of(planned.search.note)),
     ]
 
 

@@ -27,6 +27,7 @@ from jaxurban.paths.hiding import Hiding
 from jaxurban.paths.snapping import XY, Point, one_place
 from jaxurban.progress import Report
 from jaxurban.public import Caution, caution_of_guesses, listed
+from jaxurban.settings import Heights
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
 
@@ -76,6 +77,7 @@ class Sight:
         gps: Gps | None,
         sources: str | Path | None,
         resolution_m: float | None,
+        by: By = "map",
     ) -> "Sight":
         """Return the sight of a city, of maps or of their folder, see `jaxurban.sky`.
 
@@ -83,14 +85,23 @@ class Sight:
           where: a city; or maps or their folder, and then the city is read again from the files of their run.
           gps: satellites and elevation mask; None for those of the city or of the maps.
           sources: folder of the files that the run recorded; None to look for them beside the maps.
-          resolution_m: of the maps; None for `RESOLUTION_M` with a city, and for the first one with a folder. Opened
-            maps have their own, and it does not count.
+          resolution_m: of the maps; None for `RESOLUTION_M` with a city, for that of opened maps, and for the first one
+            with a folder.
+          by: how places are looked from; by outlines no resolution counts.
 
         Raises:
-          InputError: a resolution that no maps in the folder have, or files that are gone or were changed.
+          InputError: a resolution that counts nowhere, or that the maps do not have; sources beside a city; or files
+            that are gone or were changed.
         """
+        if by == "outlines" and resolution_m is not None:
+            raise InputError(
+                "resolution_m is of maps, and rays follow outlines: leave it out, or give by='map' (--by map)"
+            )
         if isinstance(where, City):
-            params = MapParams(sections={"gps": gps or where.gps or Gps()})
+            if sources is not None:
+                raise InputError("sources are of maps, and where is a city: leave sources out")
+            heights = replace(where.heights or Heights(), height_samples=0)
+            params = MapParams(heights=heights, sections={"gps": gps or where.gps or Gps()})
             region = region_of(where, None, resolution_m or RESOLUTION_M)
             return cls(where, region, params)
 
@@ -98,7 +109,12 @@ class Sight:
         scenario = scenario_of(folder_of(where), sources)
         resolutions_m = scenario.region.resolution_m
         if isinstance(where, MetricMaps):
-            resolution_m = where.grid.resolution_m
+            own_m = where.grid.resolution_m
+            if resolution_m not in (None, own_m):
+                raise InputError(
+                    f"resolution_m is {own_m:g} m in these maps, got {resolution_m:g}: leave it out"
+                )
+            resolution_m = own_m
         if resolution_m is None:
             resolution_m = resolutions_m[0]
         if resolution_m not in resolutions_m:

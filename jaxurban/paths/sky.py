@@ -140,7 +140,7 @@ def sky(
       >>> list(here.table)[:7]
       ['time', 'satellite', 'system', 'azimuth_deg', 'grid_azimuth_deg', 'elevation_deg', 'state']
     """
-    sight = Sight.of(where, gps, sources, resolution_m)
+    sight = Sight.of(where, gps, sources, resolution_m, by)
     return sky_from(sight, place, altitude_m, time=time, by=by)
 
 

@@ -9,6 +9,7 @@ import pandas as pd
 
 from jaxurban.checks import positive, typed
 from jaxurban.errors import InputError
+from jaxurban.io.read.receiver import ALTITUDE, LAT, LON, UTC, track_of
 from jaxurban.maps.sources import CityLike
 from jaxurban.metrics.gps import FIX, Gps, has_no_fix
 from jaxurban.paths.lines import along_of
@@ -59,7 +60,7 @@ class SkyAlong(FactsRepr):
 @typed
 def sky_along(
     where: CityLike,
-    places: PlannedPath | Sequence[Point],
+    places: PlannedPath | pd.DataFrame | Sequence[Point],
     altitude_m: float | Sequence[float] | None = None,
     times: str | Sequence[str] | None = None,
     *,
@@ -73,10 +74,11 @@ def sky_along(
 
     Args:
       where, by, gps, sources, resolution_m: as for `sky`.
-      places: longitude, latitude in degrees, or an `XY`, each; or a path from `plan`.
-      altitude_m: above the ground, of all places or of each; left out, that of a path.
-      times: UTC of each place, to the second, or one for all; with a speed, that of departure. Left out, the first of
-        the maps or of the city's own satellites.
+      places: longitude, latitude in degrees, or an `XY`, each; a path from `plan`; or a table of the columns ``utc``,
+        ``lon_deg``, ``lat_deg`` and, if ``altitude_m`` is left out, ``altitude_m``.
+      altitude_m: above the ground, of all places or of each; left out, that of a path or a table.
+      times: UTC of each place, to the second, or one for all; with a speed, that of departure. Left out, those of a
+        table, else the first of the maps or of the city's own satellites.
       speed_m_s: the places are the corners of a route that is flown at this speed in straight legs, and the table has
         a row for each of its seconds.
 
@@ -91,13 +93,20 @@ def sky_along(
       >>> len(flown.table), list(flown.table)[:4]
       (73, ['time', 'lon', 'lat', 'altitude_m'])
     """
-    sight = Sight.of(where, gps, sources, resolution_m)
+    sight = Sight.of(where, gps, sources, resolution_m, by)
 
     # Places, heights and times, each as many as were given.
     if isinstance(places, PlannedPath):
         if altitude_m is None:
             altitude_m = places.z_m.tolist()
         places = [XY(*xy_m) for xy_m in places.xy_m.tolist()]
+    elif isinstance(places, pd.DataFrame):
+        table = track_of(places, "the table of places")
+        if altitude_m is None and ALTITUDE in table:
+            altitude_m = table[ALTITUDE].tolist()
+        if times is None:
+            times = table[UTC].tolist()
+        places = list(zip(table[LON], table[LAT], strict=True))
     if altitude_m is None:
         raise InputError("altitude_m is missing: give metres above the ground")
     x_m, y_m = xy_of("places", places, sight.region)

@@ -15,7 +15,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.planners.base import Status
 from jaxurban.planners.cost import CostModel
-from jaxurban.report.write import fill
+from jaxurban.report.write import Markdown, code, fill
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics, weight_columns
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED, Benchmark
 
@@ -146,7 +146,7 @@ def _export(
         counts=counts,
         model=model,
         cost_rule=cost_rule,
-        weights=", ".join(f"`{column}`" for column in columns),
+        weights=Markdown(", ".join(map(code, columns))),
     )
     write_whole(folder / PAGE_FILE, page)
     return counts

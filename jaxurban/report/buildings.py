@@ -33,7 +33,7 @@ from jaxurban.report.figures.paths import draw_ends
 from jaxurban.report.figures.style import Colours
 from jaxurban.report.write import Look, save
 from jaxurban.studies.weights.buildings import building_costs
-from jaxurban.world.grid import Grid
+from jaxurban.world.grid import Grid, crs_said
 
 ROUTE_COLOUR, LAND_COLOUR = "#111111", "#d9d9d9"
 MARGIN_M = 250.0  # around the route
@@ -60,7 +60,7 @@ def plot_building_costs(
         time_said(settings["time"]),
         f"softness {table.attrs['softness_m']:g} m",
         f"{grid.resolution_m:g} m cells",
-        grid.crs,
+        crs_said(grid.crs),
         place_said(grid),
         city.attribution,
     )
@@ -147,6 +147,8 @@ def write_buildings(
       ['buildings.csv', 'buildings.parquet', 'buildings.png', 'checksums.json']
     """
     # The task that made the maps of the route's resolution, from the sources that the maps' record names.
+    if scenario is not None and not Path(scenario).is_file():
+        raise InputError(f"there is no scenario {str(scenario)!r}: check the path")
     sources = None if scenario is None else Path(scenario).parent
     settings = scenario_of(Path(folder), sources)
     if not softness_m > 0:

@@ -32,11 +32,15 @@ from jaxurban.report.figures.style import Colours
 from jaxurban.report.results import Result, savable
 from jaxurban.report.write import (
     Figures,
+    Markdown,
     Written,
     bullets,
+    code,
     fill,
     framed,
     listed,
+    paragraphs,
+    plain,
     study_outputs,
     table,
 )
@@ -247,7 +251,10 @@ def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> s
     if len(changed):
         values = framed(changed.where(changed.notna(), ""))
 
-    pictures = [f"![{heading_of(result, name)}, B - A](figures/{name}.png)" for name in figures]
+    pictures = [
+        Markdown(f"![{plain(heading_of(result, name))}, B - A](figures/{plain(name)}.png)")
+        for name in figures
+    ]
     facts = result.a.facts
     left_out = bullets(f"{name}: {why}" for name, why in result.left_out.items())
     return fill(
@@ -259,8 +266,8 @@ def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> s
         settings=_settings(result),
         values=values,
         unchanged=f"The same in both: {listed(same)}." if same else "",
-        left_out=f"Not compared:\n\n{left_out}" if left_out else "",
-        pictures="\n\n".join(pictures) or "None: a layer is drawn where it differs.",
+        left_out=paragraphs("Not compared:", left_out) if left_out else "",
+        pictures=paragraphs(*pictures) or "None: a layer is drawn where it differs.",
     )
 
 
@@ -271,7 +278,9 @@ def _settings(result: computed.MapComparison) -> str:
     differs; or a sentence where the settings are not known, or are the same.
     """
     # Rows of a name, A's value and B's value: settings, times of GPS, and what population is divided by.
-    rows = [(f"`{key}`", of_a, of_b) for key, (of_a, of_b) in (result.settings or {}).items()]
+    rows: list[tuple[str, Any, Any]] = [
+        (code(key), of_a, of_b) for key, (of_a, of_b) in (result.settings or {}).items()
+    ]
     for of_a, of_b in result.times.items():
         if of_a != of_b:
             rows.append(("time of GPS", of_a, of_b))
@@ -292,11 +301,11 @@ def _settings(result: computed.MapComparison) -> str:
     if rows:
         texts = [(name, _value_text(of_a), _value_text(of_b)) for name, of_a, of_b in rows]
         parts.append(table(("", "A", "B"), texts))
-    return "\n\n".join(parts)
+    return paragraphs(*parts)
 
 
 def _value_text(value: Any) -> str:
-    return NOT_SET if value is None else f"`{value}`"
+    return NOT_SET if value is None else code(value)
 
 
 class MapComparison(computed.MapComparison, Result):

@@ -31,6 +31,7 @@ from jaxurban.report.write import (
     bullets,
     fill,
     interval,
+    paragraphs,
     study_outputs,
     table,
 )
@@ -165,7 +166,9 @@ def validation_markdown(result: computed.ReceiverValidation) -> str:
         fewest=FEWEST_GROUPS,
         facts=table(("", ""), _facts(result)),
         scores=score_table(result.scores[is_main]),
-        others=f"Other quantities of the maps:\n\n{score_table(others)}" if len(others) else "",
+        others=paragraphs("Other quantities of the maps:", score_table(others))
+        if len(others)
+        else "",
         cautions=bullets(f"{caution.level}: {caution}" for caution in result.known_cautions),
         sentences=sentences,
         peak=peak,

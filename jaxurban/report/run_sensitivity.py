@@ -101,7 +101,16 @@ def sensitivity_study(
         raise InputError(
             f"routes must be how many to sample in each city, at least 1, or a table of them, got {routes!r}"
         )
-    cities = open_cities(sources_by_city, settings or SensitivityStudySettings(), weights)
+    if weights and isinstance(routes, pd.DataFrame) and "instance" in routes:
+        raise InputError(
+            "weights are of sampled routes and of queries: a table of instances has its own, so leave weights out"
+        )
+    settings = settings or SensitivityStudySettings()
+    if scenarios is not None and not (settings.num_heights or settings.has_parameters):
+        raise InputError(
+            "scenarios are for perturbed maps: leave them out, or set num_heights or has_parameters"
+        )
+    cities = open_cities(sources_by_city, settings, weights)
     instances = routes_of_cities(cities, routes, altitudes_m)
     check_some_vary(cities, instances)
 

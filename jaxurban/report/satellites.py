@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import PercentFormatter
 
-from jaxurban.report.figures.sky import ROOFS, draw_horizon
+from jaxurban.report.figures.sky import ROOFS, draw_horizon, sky_places
 from jaxurban.report.figures.style import (
     FAINT_INK,
     INK,
@@ -24,6 +24,8 @@ from jaxurban.report.figures.style import (
     add_colour_bar,
     chart,
     dress,
+    label_apart,
+    legend_above,
     legend_below,
     letter_all,
     styled,
@@ -76,7 +78,7 @@ SHARE = Colours(
 STRENGTH = Colours(
     "viridis_r",
     Normalize(20, 50),
-    "C/N0 (dBHz)\nhollow: not received\npale: not judged",
+    "C/N0 (dBHz); hollow marks: not received; pale marks: not judged",
     extend="both",
     ticks=(20, 30, 40, 50),
 )
@@ -193,33 +195,37 @@ def plot_track(result: ReceiverValidation, of: SatelliteAgreement) -> Figure:
     judged = of.rows[of.rows.is_judged]
     piece = (epochs.along_m // AROUND_M).to_numpy()
     places = epochs[["x_m", "y_m"]].groupby(piece).mean()
-    x_m, y_m = (places - places.min()).to_numpy().T
+    track_m = (places - places.min()).to_numpy()
+    x_m, y_m = track_m.T
     agrees = (judged.is_seen == judged.is_strong).groupby(piece[judged.epoch]).mean()
     share = agrees.reindex(places.index).to_numpy()
     is_known = np.isfinite(share)
 
     # The track as a line, known pieces as coloured dots over it, and the others as crosses.
     note = f"Agreement: in view and {of.strong_dbhz:g} dBHz or more, or hidden and weaker. By chance it would be half."
-    figure = chart(5.2, "Where maps and receiver agree", note)
+    wide_m, tall_m = np.ptp(track_m, axis=0) + AROUND_M
+    width_mm = 32 + 88 * np.clip(wide_m / tall_m, 0.6, 1.6)  # of the bar and labels; of the panel
+    figure = chart(4.2, "Where maps and receiver agree", note, width_mm)
     panel = figure.subplots()
     dress(panel)
     panel.plot(x_m, y_m, color=FAINT_INK, linewidth=0.6, zorder=0)
     panel.scatter(
-        x_m[is_known], y_m[is_known], s=45, c=SHARE(share[is_known]), edgecolors=INK, linewidths=0.3
+        x_m[is_known], y_m[is_known], s=30, c=SHARE(share[is_known]), edgecolors=INK, linewidths=0.3
     )
     panel.scatter(
         x_m[~is_known], y_m[~is_known], s=25, marker="x", color=INK, label="nothing judged"
     )
+    if not is_known.all():
+        legend_above(panel)
+    panel.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
+    add_colour_bar(figure, [panel], SHARE)
 
     # The names of the places, at the piece that holds the nearest epoch.
-    look: Look = {"textcoords": "offset points", "arrowprops": {"arrowstyle": "-"}}
+    marks_m = []
     for sky in of.skies:
         nearest = np.hypot(epochs.lon_deg - sky.lon_deg, epochs.lat_deg - sky.lat_deg).argmin()
-        number = places.index.get_loc(piece[nearest])
-        panel.annotate(sky.name, (x_m[number], y_m[number]), (14, 14), **look)
-    panel.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
-    panel.legend()
-    add_colour_bar(figure, [panel], SHARE)
+        marks_m.append(track_m[places.index.get_loc(piece[nearest])])
+    label_apart(panel, [sky.name for sky in of.skies], np.array([*marks_m, *track_m]))
     return figure
 
 
@@ -272,7 +278,7 @@ def plot_displacement(of: SatelliteAgreement) -> Figure:
         "AUC: of two satellites of which the maps hide one, how often the one in view is the stronger.\n"
         "Cross and line: best fit; circle and band: 95 % of the best fits of resampled tracks."
     )
-    figure = chart(3.4, "Would another place, city or height fit the receiver as well?", note)
+    figure = chart(2.7, "Would another place, city or height fit the receiver as well?", note)
     field, cities, scales = axes = figure.subplots(1, 3, width_ratios=(1.0, 1.5, 0.8))
     for panel in axes:
         dress(panel)
@@ -280,7 +286,7 @@ def plot_displacement(of: SatelliteAgreement) -> Figure:
     # Moved by metres: a map of the AUC by the move, with the best move and the circle around it.
     auc = of.field.pivot(index="north_m", columns="east_m", values="auc")
     image = field.pcolormesh(auc.columns, auc.index, auc, cmap="cividis")
-    figure.colorbar(image, ax=field, label="AUC", aspect=25)
+    figure.colorbar(image, ax=field, label="AUC", shrink=0.75, anchor=(0, 1), panchor="N")
     field.plot(of.peak["east_m"], of.peak["north_m"], "x", color=INK)
     field.add_patch(Circle((0, 0), of.peak["within_95_m"], fill=False))
     field.grid(visible=False)
@@ -296,7 +302,7 @@ def plot_displacement(of: SatelliteAgreement) -> Figure:
     scales.axvspan(of.peak["scale_low"], of.peak["scale_high"], color=ROOFS, alpha=0.5)
     scales.axvline(of.peak["scale"], color=INK)
     scales.plot(of.scales.scale, of.scales.auc, color=SEEN)
-    scales.set(xlabel="heights of all roofs times", ylabel="AUC", title="roofs scaled")
+    scales.set(xlabel="factor of roof heights", ylabel="AUC", title="roofs scaled")
     letter_all(axes)
     return figure
 
@@ -314,7 +320,7 @@ def draw_cities(panel: Axes, of: SatelliteAgreement, colours: Mapping[str, str])
         label = f"displaced, {NAMES[name]}"
         panel.hist(of.displaced[name].dropna(), bins=15, color=colour, alpha=0.6, label=label)
         label = f"the city in its place: {in_place[name]:.2f}"
-        panel.axvline(in_place[name], color=colour, linewidth=2.5, label=label)
+        panel.axvline(in_place[name], color=colour, label=label)
     room = 1 + 0.3 * len(colours)  # above the bars, for the legend
     panel.set_ylim(top=panel.get_ylim()[1] * room)
     panel.legend(loc="upper left")
@@ -330,7 +336,7 @@ def plot_skies(of: SatelliteAgreement) -> Figure:
     where the satellite is not judged.
     """
     # A polar panel for each place, with its roofs.
-    figure = chart(4.2, "The sky over two places: the zenith in the middle, the horizon at the rim")
+    figure = chart(4.3, "The sky over two places: the zenith in the middle, the horizon at the rim")
     axes = figure.subplots(1, len(of.skies), subplot_kw={"projection": "polar"}, squeeze=False)[0]
     for panel, sky in zip(axes, of.skies, strict=True):
         draw_horizon(panel, sky.horizon_deg)
@@ -342,11 +348,8 @@ def plot_skies(of: SatelliteAgreement) -> Figure:
             colours = STRENGTH(rows.cn0_dbhz.to_numpy())
             colours[rows.cn0_dbhz == 0] = 1.0  # white
             opacity = np.where(rows.is_judged, 1.0, 0.3) if len(rows) else None  # not of no row
-            azimuth_rad = np.radians(rows.azimuth_deg)
-            zenith_deg = 90 - rows.elevation_deg
             panel.scatter(
-                azimuth_rad,
-                zenith_deg,
+                *sky_places(rows).T,
                 s=50,
                 alpha=opacity,
                 marker=marker,
@@ -354,14 +357,11 @@ def plot_skies(of: SatelliteAgreement) -> Figure:
                 edgecolors=INK,
                 linewidths=0.7,
                 label=label,
+                zorder=5,
             )
-
-            # Names of neighbours stand below and above their marks by turns.
-            names_and_places = zip(rows.satellite, azimuth_rad, zenith_deg, strict=True)
-            for number, (name, *place) in enumerate(names_and_places):
-                offset_pt = (4, 4) if number % 2 else (4, -9)
-                panel.annotate(name, place, offset_pt, textcoords="offset points", size=6)
     letter_all(axes)
-    add_colour_bar(figure, axes, STRENGTH)
+    add_colour_bar(figure, axes, STRENGTH, "bottom")
     legend_below(figure, axes[0])
+    for panel, sky in zip(axes, of.skies, strict=True):
+        label_apart(panel, sky.satellites.satellite, sky_places(sky.satellites))
     return figure

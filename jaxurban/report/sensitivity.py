@@ -66,7 +66,7 @@ def sensitivity_markdown(
         settings=settings,
         limits=describe_constraints(settings["limits"]) or "none",
         cost_model=CostModel.from_settings(settings),
-        note=" ".join(filter(None, (route.search.note, *route.cautions))),
+        note=" ".join(route.cautions),
         objectives=listed(result.front.objectives),
         ALIKE=ALIKE,
         MORE=MORE - 1,

@@ -11,7 +11,16 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.report.figures.sensitivity_study import study_figures
-from jaxurban.report.write import REPORT_FILE, bullets, files_of, fill, framed, save, study_outputs
+from jaxurban.report.write import (
+    REPORT_FILE,
+    Markdown,
+    bullets,
+    files_of,
+    fill,
+    framed,
+    save,
+    study_outputs,
+)
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, columns_of
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.queries import outcome_label, population_norms
@@ -206,7 +215,7 @@ def weights_said(instances: pd.DataFrame) -> str:
     columns = list(weight_columns(weighed_metrics(instances.columns)))
     weights = instances[columns]
     if len(weights.drop_duplicates()) > 1:
-        return "those of each route (`instances.parquet`)"
+        return Markdown("those of each route (`instances.parquet`)")
     first = weights.iloc[0].items()
     return ", ".join(
         f"{str(name).removeprefix(WEIGHT_PREFIX)} {weight:g}" for name, weight in first

@@ -15,12 +15,22 @@ from jaxurban.io.store import ZARR_FOLDER
 from jaxurban.io.tables import SUFFIXES, records_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.weights import Weights
+from jaxurban.metrics.weights import Weights, check_held
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import reporting
 from jaxurban.report.figures.tuning import plot_routes, plot_weights
-from jaxurban.report.write import REPORT_FILE, Outputs, bullets, files_of, fill, save
+from jaxurban.report.write import (
+    REPORT_FILE,
+    Markdown,
+    Outputs,
+    bullets,
+    code,
+    files_of,
+    fill,
+    paragraphs,
+    save,
+)
 from jaxurban.studies.demonstrations import (
     Demonstration,
     compared_routes,
@@ -138,7 +148,10 @@ def run_tuning(
 
             report("figures and report")
             origins = _origins(files_by_source, settings)
-            texts = {"targets": ", ".join(map(str, targets)), "sources": "; ".join(origins)}
+            texts = {
+                "targets": ", ".join(map(str, targets)),
+                "sources": Markdown("; ".join(origins)),
+            }
             if result is not None and len(result.fits) == 1 and not result.is_held_out.any():
                 result = None
             save(folder, outputs_of(fit, demonstrations, planned, texts, result))
@@ -153,7 +166,7 @@ def _origins(sources: Mapping[MapsFolder, Sequence[Path]], settings: TuneSetting
         routes = f"{settings.sample} instances sampled with seed {settings.fit.seed}"
         if files:
             routes = ", ".join(map(str, files))
-        origins.append(f"`{routes}` over the maps in `{source.folder}`")
+        origins.append(f"{code(routes)} over the maps in {code(source.folder)}")
     return origins
 
 
@@ -183,6 +196,8 @@ def _demonstrations(
     Raises:
       InputError: files although instances are sampled, or no pilot who flies these.
     """
+    if settings.pilot is not None:  # the weights that its text does not name are 0
+        check_held(settings.pilot.to_dict(), maps.metrics)
     if settings.sample is None:
         return [each for file in files for each in _read(file, maps, settings)]
     if files:
@@ -336,7 +351,7 @@ def outputs_of(
         fit=fit,
         num=len(routes),
         overlap=routes["overlap"].mean(),
-        pictures="\n\n".join(f"![Routes](figures/{name}.png)" for name in pictures),
+        pictures=paragraphs(*(Markdown(f"![Routes](figures/{name}.png)") for name in pictures)),
         use=fill("use_weights", unit=first, option=option, where=where),
         **fields,
     )

@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
+from string import Formatter
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,40 @@ Outputs = dict[str, Output]  # by file name
 Written = tuple[Outputs, dict[str, Any]]  # what a result writes, and the facts that identify it
 Figures = dict[str, Callable[[], Figure]]  # functions that draw pictures, by the pictures' names
 Look = dict[str, Any]  # keywords of Matplotlib for the look of what is drawn
+# What a text of a file would do in Markdown, and what it becomes: HTML, columns, code, and links and pictures.
+HARMLESS = {"<": "&lt;", "|": "&#124;", "`": "'", "](": "]&#40;"}
+
+
+class Markdown(str):
+    """A text that is Markdown, in which all texts of files are harmless (`plain`)."""
+
+
+def plain(text: str) -> Markdown:
+    """Return a text on one line, which Markdown shows as it is (`HARMLESS`); Markdown is returned unchanged."""
+    if isinstance(text, Markdown):
+        return text
+    text = " ".join(text.split())
+    for mark, harmless in HARMLESS.items():
+        text = text.replace(mark, harmless)
+    return Markdown(text)
+
+
+def code(value: Any) -> Markdown:
+    """Return a value in the letters of code."""
+    return Markdown(f"`{plain(str(value))}`")
+
+
+def paragraphs(*texts: str) -> Markdown:
+    """Return texts, each a paragraph, of which those that are no Markdown are harmless."""
+    return Markdown("\n\n".join(map(plain, texts)))
+
+
+class _Harmless(Formatter):
+    """What fills templates: texts of fields that are no Markdown are harmless."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return the text of a field."""
+        return plain(value if isinstance(value, str) else format(value, format_spec))
 
 
 def files_of(names: Iterable[str]) -> list[str]:
@@ -114,10 +149,10 @@ def fill(
     figures: Iterable[str] | None = None,
     credits: Iterable[str] = (),
     **fields: Any,
-) -> str:
+) -> Markdown:
     """Return the text of ``jaxurban/report/templates/TEMPLATE.md`` with its fields filled, as `str.format` does.
 
-    Paragraphs whose only field is empty are left out.
+    Texts of fields that are no `Markdown` are harmless in it. Paragraphs whose only field is empty are left out.
 
     Args:
       template: name of the file.
@@ -143,22 +178,23 @@ def fill(
         text = re.sub(of_others, "", text, flags=re.MULTILINE)
 
     # Fill the fields, close the gaps that empty ones leave, and name the credits.
-    text = re.sub(r"\n{3,}", "\n\n", text.strip().format(tables=texts, **fields)).strip()
-    credit = joined_credits(*credits)
-    return f"{text}\n\nData: {credit}\n" if credit else f"{text}\n"
+    text = _Harmless().format(text.strip(), tables=texts, **fields)
+    text = re.sub(r"\n{3,}", "\n\n", text).strip()
+    credit = plain(joined_credits(*credits))
+    return Markdown(f"{text}\n\nData: {credit}\n" if credit else f"{text}\n")
 
 
-def table(head: Iterable[str], rows: Iterable[Sequence[Any]]) -> str:
+def table(head: Iterable[str], rows: Iterable[Sequence[Any]]) -> Markdown:
     """Return a table in Markdown; each row has as many values as the head, which `cell` turns into text."""
-    names = [str(name) for name in head]
+    names = [plain(str(name)) for name in head]
     lines = [f"| {' | '.join(names)} |", f"|{'---|' * len(names)}"]
     for row in rows:
-        cells = [cell(value) for value in row]
+        cells = [plain(cell(value)) for value in row]
         lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+    return Markdown("\n".join(lines))
 
 
-def framed(frame: pd.DataFrame) -> str:
+def framed(frame: pd.DataFrame) -> Markdown:
     """Return a table of pandas, a number with its interval (NAME, NAME_low, NAME_high) in one column (`interval`)."""
     names = without_ends(frame)
     rows = ([interval(row, name) for name in names] for row in frame.to_dict("records"))
@@ -192,7 +228,7 @@ def interval(row: Mapping[Any, Any], name: Any, text_of: Callable[[Any], str] | 
 def cell(value: Any) -> str:
     """Return a value of a table: numbers that are not whole with three digits, nothing for no number."""
     if not isinstance(value, float):
-        return str(value)
+        return value if isinstance(value, str) else str(value)
     if not math.isfinite(value):
         return ""
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
@@ -204,6 +240,6 @@ def listed(items: Iterable[str]) -> str:
     return f"{', '.join(most)} and {last}" if most else last
 
 
-def bullets(lines: Iterable[str]) -> str:
+def bullets(lines: Iterable[str]) -> Markdown:
     """Return a list, a line each."""
-    return "\n".join(f"- {line}" for line in lines)
+    return Markdown("\n".join(f"- {plain(line)}" for line in lines))

@@ -16,16 +16,19 @@ from jaxurban.io.read.guesses import WITHOUT_DATA
 from jaxurban.io.read.mission import Datum, Mission, read_mission
 from jaxurban.io.read.mission_parts import LonLat
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
-from jaxurban.maps.sources import city_of
+from jaxurban.maps.sources import ChangedSourcesError, city_of
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.check import COLUMNS, judged
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.contacts import buildings_of, union_m
+from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.flown import costs_of, figures_of
 from jaxurban.paths.legs import flight_of
 from jaxurban.paths.plan import rules_on
 from jaxurban.settings import as_tuple, iso_utc, not_negative, parse_time
 from jaxurban.studies.check_result import MissionCheck
+
+CHANGED = "The files that the maps were made of have changed since: what stands now is not judged."
 
 
 @typed
@@ -132,9 +135,11 @@ def check(
     limits = replace(limits, zones=lasting)
 
     # What is found along the mission, which parts of it are unknown, and the figures; limits are on figures.
-    city, outlines = _city_of(maps, sources)
-    known = shapely.box(*maps.grid.bounds_m) if city is None else city.known_ground
-    flight = flight_of(mission, maps, geoid_m)
+    city, outlines, not_judged = _city_of(maps, sources)
+    is_outlined = city is not None and city.buildings is not None
+    known = city.known_ground if city and is_outlined else shapely.box(*maps.grid.bounds_m)
+    flight = flight_of(mission, Elevation(maps, city), geoid_m)
+    outlines += flight.ground_note
     findings, unknown = judged(
         flight, maps, buildings_of(maps, city), known, limits, times, time_of_day
     )
@@ -146,14 +151,18 @@ def check(
     findings = pd.concat(tables or [findings])
 
     # Sentences on what cannot be judged.
-    not_judged = [f"{text[:1].upper()}{text[1:]}." for text in mission.not_judged]
+    not_judged += [f"{text[:1].upper()}{text[1:]}." for text in mission.not_judged]
     if not mission.legs:
         not_judged.append("The mission holds no leg.")
+    if mission.num_lost:
+        not_judged.append(
+            f"{mission.num_lost:,} things of the file are in no leg and in no reason here."
+        )
     for reason, rows in unknown.groupby("reason", sort=False):
         not_judged.append(f"{union_m(rows):,.0f} m {reason}.")
     not_judged += open_limits
     for guess in maps.guesses:
-        if city is None and guess.endswith(WITHOUT_DATA):
+        if not is_outlined and guess.endswith(WITHOUT_DATA):
             not_judged.append(
                 f"The city is gone, and with it where what it leaves open lies: {guess}."
             )
@@ -168,11 +177,15 @@ def check(
     )
 
 
-def _city_of(maps: MetricMaps, sources: City | str | Path | None) -> tuple[City | None, str]:
-    """Return the city that maps were made of, and words on how its buildings are looked at.
+def _city_of(
+    maps: MetricMaps, sources: City | str | Path | None
+) -> tuple[City | None, str, list[str]]:
+    """Return the city that maps were made of, how its buildings are looked at, and why that is not enough.
 
-    The city is None where its files are gone, or where it is a raster of heights without outlines: buildings are then
-    the cells that roofs touch.
+    The last two are words, and a sentence where the city's files have changed, else none.
+
+    The city is None where its files are gone. Buildings are then the cells that roofs touch, as they are where it is a
+    raster of heights without outlines.
 
     Args:
       maps: their record names the city's files.
@@ -194,10 +207,11 @@ def _city_of(maps: MetricMaps, sources: City | str | Path | None) -> tuple[City 
             # Only sources that nobody named may be gone.
             if sources is not None:
                 raise
-            return None, f"by cells that roofs touch, because {error}"
+            changed = [CHANGED] if isinstance(error, ChangedSourcesError) else []
+            return None, f"by cells that roofs touch, because {error}", changed
     if city.buildings is None:
-        return None, "by cells that roofs touch, because the city is a raster of heights"
-    return city, "exact outlines"
+        return city, "by cells that roofs touch, because the city is a raster of heights", []
+    return city, "exact outlines", []
 
 
 def _limits(

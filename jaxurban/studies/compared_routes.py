@@ -60,7 +60,7 @@ def compared_routes(
             b,
             altitude_m,
             time=time_b,
-            weights=on_a.weights,
+            weights={name: on_a.weights[name] for name in ("distance", *b.metrics)},
             objective=on_a.objective,
             cost_model=on_a.cost_model,
             constraints=on_a.constraints,

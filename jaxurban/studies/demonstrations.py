@@ -80,20 +80,34 @@ class Demonstration:
         Each is the least value of its feature over all routes within ``drawn_cells`` of ``points_m``, found by a search
         that minimises this feature alone. Where ``drawn_cells`` is 0 they are the features themselves.
         """
-        if not self.drawn_cells:
+        least = self.features
+        for only_one in np.eye(least.size):
+            least = np.minimum(least, self.cheapest_near(only_one, self.drawn_cells))
+        return least
+
+    def cheapest_near(self, weights: np.ndarray, within_cells: float = DRAWN_CELLS) -> np.ndarray:
+        """Return ``[K]`` the features of the cheapest route near this one.
+
+        Args:
+          weights: ``[K]`` under which it is the cheapest.
+          within_cells: of ``points_m``, and no farther than ``drawn_cells``. Where this is 0 the features are those of
+            ``points_m``.
+        """
+        within_cells = min(within_cells, self.drawn_cells)
+        if not within_cells:
             return self.features
 
         # The part of the map around the route, and which of its cells, row and column, are near enough.
         cost_map = self.query.cost_map
         side_m = cost_map.grid.resolution_m
         cells = np.floor(self.points_m[:, ::-1] / side_m).astype(int)
-        pad = int(np.ceil(self.drawn_cells))
+        pad = int(np.ceil(within_cells))
         first = np.maximum(cells.min(axis=0) - pad, 0)
         window = _window(first, cells.max(axis=0) + pad)
         cells = cells - first
         is_off_route = np.ones(cost_map.is_free[window].shape, bool)
         is_off_route[tuple(cells.T)] = False
-        is_near = distance_transform_edt(is_off_route) <= self.drawn_cells
+        is_near = distance_transform_edt(is_off_route) <= within_cells
         start, goal = map(tuple, cells[[0, -1]].tolist())
         problem = replace(
             cost_map.shortest,
@@ -102,13 +116,8 @@ class Demonstration:
             start=start,
             goal=goal,
         )
-
-        # A search for each feature, whose weight alone is 1.
-        least = self.features
-        for only_one in np.eye(least.size):
-            route_m = astar(problem.with_weights(only_one)).points_m + first[::-1] * side_m
-            least = np.minimum(least, self.query.sums(route_m)[0])
-        return least
+        route_m = astar(problem.with_weights(weights)).points_m + first[::-1] * side_m
+        return self.query.sums(route_m)[0]
 
 
 @typed

@@ -23,7 +23,7 @@ from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.scenario import Study
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.cost_map import CostMap, weights_on
 from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.planners.base import Status
@@ -131,7 +131,7 @@ def demonstrations_from_study(
     # The instances, with the weights of the pilot if there is one, and the rules under which their routes are planned.
     pilot_columns = {}
     if pilot is not None:
-        pilot_columns = as_columns(pilot.checked(maps.metrics), maps.metrics)
+        pilot_columns = as_columns(weights_on(maps, pilot), maps.metrics)
     source = _source(study, maps, planner, pilot_columns)
     if cost_model is None and source.settings:
         cost_model = CostModel.from_settings(source.settings)

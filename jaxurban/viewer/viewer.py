@@ -56,6 +56,7 @@ from jaxurban.viewer.requests import (
 )
 from jaxurban.viewer.sky import sky_html
 from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, strides_of, tile_bytes
+from jaxurban.world.grid import crs_said
 
 JSON, BYTES = "application/json", "application/octet-stream"
 LOG = logging.getLogger("jaxurban")
@@ -251,6 +252,7 @@ class Viewer:
         # What is said of the maps.
         maps, grid = self.maps, self.maps.grid
         cells = f"{grid.num_rows:,} × {grid.num_cols:,} cells of {grid.resolution_m:g} m"
+        cells = escape(f"{cells} · {crs_said(grid.crs)}")
         side = "west" if north_deg > 0 else "east"
         north = f"true north {abs(north_deg):.2f}° {side} of the grid's north"
         guessed = guesses_said(maps, has_sky=True)
@@ -271,7 +273,7 @@ class Viewer:
             "title": escape(" against ".join(self.names)),
             "guesses": escape(guessed and f"Guessed: {guessed}"),
             "guesses-text": escape("\n".join(maps.guesses.values())),
-            "place": "<br>".join([place_said(grid), f"{cells} · {grid.crs}", north]),
+            "place": "<br>".join([place_said(grid), cells, north]),
             "credit": escape(maps.attribution),
             "sliders": markup.sliders(self._labels, self._colours),
             "planners": markup.planners(summaries, PLANNER_LINES, "astar-plus"),

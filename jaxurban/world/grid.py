@@ -14,11 +14,12 @@ from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 
 from jaxurban.checks import finite, positive, typed
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, shortened
 
 WGS84 = "EPSG:4326"
 MAX_SCALE_ERROR = 0.01  # of a projection at the region: within a UTM zone it stays below 0.001
 MOST_CELLS = 1e12
+MOST_OF_CODE = 60  # characters of a CRS that is a code or short parameters, no definition
 MAX_SNAP_CELLS = 1000  # of the coarsest resolution that the region may be snapped to
 MAX_SIDE = 1024  # cells of a tile's side at most: about 0.2 GiB of work at four altitudes
 # x_min, y_min, x_max, y_max in a projected CRS, metres; or west, south, east, north in degrees.
@@ -93,6 +94,11 @@ def projected_crs(crs: str) -> pyproj.CRS:
             f"the axes of {crs!r} do not point east and north: use a CRS such as a UTM zone, 'EPSG:32618'"
         )
     return parsed
+
+
+def crs_said(crs: str) -> str:
+    """Return a CRS as people read it: a code such as ``"EPSG:32618"`` as it is, of a definition its name alone."""
+    return crs if len(crs) <= MOST_OF_CODE else shortened(pyproj.CRS(crs).name)
 
 
 def check_on_earth(name: str, crs: Any) -> None:

@@ -41,7 +41,8 @@ class Clearances(NamedTuple):
 
     Attributes:
       margin_m: ``[R]`` how far the ray is above the roof, or under the floor of what hangs, that it clears by least;
-        below 0 it is hidden, by so many metres; inf where nothing comes within `FARTHEST_MARGIN_M`.
+        below 0 it is hidden, by so many metres: how deep it lies, where it is deepest, below the roof, or in what hangs
+        below the roof or above the floor, whichever is nearer; inf where nothing comes within `FARTHEST_MARGIN_M`.
       building: ``[R]`` number of that building, `NO_HIT` where there is none.
       distance_m: ``[R]`` along the ground to where the ray enters its outline, NaN where there is none.
     """
@@ -126,11 +127,13 @@ class Outlines:
         ends_m = np.stack([over.from_m, over.to_m])
         above_m = height_m[over.ray] + ends_m * np.tan(rays.elevation_rad[over.ray])
         above_m -= self.elevations_m(rays, over.ray, ends_m)
-        clears_m = above_m.min(axis=0) - self.buildings.height_m[over.building]
-        if self.hanging == SLABS:
-            floor_m = self.buildings.min_height_m[over.building]
-            under_m = np.where(floor_m > 0, floor_m - above_m.max(axis=0), -np.inf)
-            clears_m = np.maximum(clears_m, under_m)
+
+        # At the height at which a ray is deepest in a slab; what stands on the ground has no floor.
+        roof_m = self.buildings.height_m[over.building]
+        floor_m = self.buildings.min_height_m[over.building]
+        floor_m = np.where((self.hanging == SLABS) & (floor_m > 0), floor_m, -np.inf)
+        deepest_m = np.clip((floor_m + roof_m) / 2, above_m.min(axis=0), above_m.max(axis=0))
+        clears_m = np.maximum(deepest_m - roof_m, floor_m - deepest_m)
 
         # The stretch of least margin of each ray; of equal margins, the nearest.
         order = np.lexsort([over.from_m, clears_m, over.ray])

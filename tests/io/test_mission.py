@@ -208,7 +208,7 @@ def test_the_return_is_open_unless_its_altitude_is_given(read):
     up, level, down = read(items, return_altitude_m=80.0).legs[-3:]
     assert (up.end, level.end, down.end) == (here(1, 80.0), here(0, 80.0), here(0, 0.0, "ground"))
     *_, level, _ = read(items, return_altitude_m=20.0).legs
-    assert level.end == here(0, 50.0)  # no autopilot goes down for it
+    assert (level.end, level.not_below) == (here(0, 20.0), here(1, 50.0))  # none goes down for it
 
 
 def test_a_jump_is_one_leg_back_from_the_item_before_it(read):
@@ -231,30 +231,18 @@ def test_jumps_name_ids_of_a_plan_and_row_numbers_of_waypoints(read):
     assert jump == Leg(Place(8.56, LAT, 50, "ground"), Place(8.55, LAT, 50, "home"), "jump", 2)
 
 
-def test_a_jump_to_an_id_that_several_have_leads_to_the_first(read):
-    items = [*BOX[:2], item(at=2, doJumpId=2), item(JUMP, frame=2, params=(2, 1, 0, 0))]
-    assert read(items).legs[-1] == Leg(here(2, 50.0), here(1, 50.0), "jump", 2)
-
-
 def test_a_jump_over_cameras_leads_to_the_next_waypoint_and_cycles_end(read):
     camera = item(2000, frame=2)
     there = item(JUMP, frame=2, params=(4, -1, 0, 0))
     back = item(JUMP, frame=2, params=(2, -1, 0, 0))
     mission = read([BOX[0], item(at=1), there, camera, item(at=2), back, item(at=3)])
-    assert kinds(mission) == [
-        ("climb", 1),
-        ("leg", 2),
-        ("jump", 5),
-        ("leg", 5),
-        ("jump", 2),
-        ("leg", 7),
-    ]
+    assert kinds(mission) == [("climb", 1), ("leg", 2), ("jump", 5), ("jump", 2), ("leg", 7)]
 
 
-@pytest.mark.parametrize("target", [5, 6, 99, 2**40, None])
-def test_a_jump_that_leads_to_no_waypoint_is_not_judged(read, target):
+@pytest.mark.parametrize("target", [6, 99, 2**40, None])
+def test_a_jump_that_leads_to_no_item_is_not_judged(read, target):
     mission = read([*BOX[:3], item(JUMP, frame=2, params=(target, 1, 0, 0)), *BOX[3:]])
-    assert mission.not_judged == ("the jump of item 4 is not judged: no waypoint is read there",)
+    assert mission.not_judged == ("the jump of item 4 is not judged: no item is its target",)
 
 
 @pytest.mark.parametrize(
@@ -403,7 +391,7 @@ def test_no_way_between_lines_is_invented_and_other_things_are_named(read):
     mission = read(kml("absolute", more=more), "m.kml")
     assert kinds(mission) == [("leg", 2), ("leg", 4)]
     assert "2 lines, and the ways between them" in mission.not_judged[1]
-    assert "1 things that are no lines" in mission.not_judged[2]
+    assert "what it holds as Point" in mission.not_judged[2]
 
 
 def test_lines_without_heights_are_refused(read):
@@ -421,7 +409,7 @@ def test_ten_thousand_items_are_read_in_a_second(read):
     items = [BOX[0], *(item(at=1 + number / 1000) for number in range(7000)), *jumps]
     began = time.process_time()
     mission = read(items)
-    assert len(mission.legs) == 1 + 1 + 6999 + 3000
+    assert len(mission.legs) == 1 + 1 + 6999 + 1  # a leg that 3,000 jumps share
     strange = read([BOX[0], *[SURVEY] * 10_000])
     assert len(strange.not_judged) == 51
     assert "9950 more" in strange.not_judged[-1]
@@ -561,23 +549,3 @@ def test_a_landing_elsewhere_is_never_taken_for_one_where_the_vehicle_is(tmp_pat
     mission = read_mission(tmp_path / "x.plan")
     assert mission.not_judged
     assert all(leg.kind != "land" for leg in mission.legs)
-
-
-def test_a_return_from_a_height_that_is_not_above_home_is_not_wholly_judged(tmp_path):
-    rows = [
-        {
-            "type": "SimpleItem",
-            "command": command,
-            "frame": 10,
-            "doJumpId": number,
-            "params": [0, 0, 0, None, lat, 0.0001, 120.0],
-        }
-        for number, (command, lat) in enumerate([(22, 50.0), (16, 50.01), (20, 0)], 1)
-    ]
-    plan = {
-        "fileType": "Plan",
-        "mission": {"plannedHomePosition": [50.0, 0.0001, 0], "items": rows},
-    }
-    (tmp_path / "x.plan").write_text(json.dumps(plan))
-    mission = read_mission(tmp_path / "x.plan", return_altitude_m=110.0)
-    assert "may be higher than judged" in " ".join(mission.not_judged)

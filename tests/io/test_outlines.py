@@ -415,3 +415,21 @@ def test_counts_of_a_real_file_agree_with_its_readme(data_dir, name):
 def test_a_pbf_that_is_cut_short_is_refused(data_dir, tmp_path, share):
     whole = (data_dir / "osm" / "helsinki.osm.pbf").read_bytes()
     refused(read_osm, tmp_path / "cut.osm.pbf", whole[: int(share * len(whole))], "cut short")
+
+
+def test_a_way_that_goes_round_many_times_is_the_area_of_one_round(tmp_path):
+    crossed = [1, 3, 2, 4]  # libosmium makes no area of it
+    once = read(tmp_path, corners_of(1), way(9, [*crossed, 1], building="yes"))
+    often = read(tmp_path, corners_of(1), way(9, [*crossed * 3000, 1], building="yes"))
+    assert shapely.equals(once.polygons[0], often.polygons[0])
+    assert once.polygons[0].area > 0
+
+
+def test_an_outline_with_a_vertex_that_is_no_number_is_left_out_and_counted():
+    is_second = np.arange(len(SQUARE.exterior.coords))[:, None] == 1
+    bad = shapely.transform(SQUARE, lambda lonlat: np.where(is_second, np.nan, lonlat))
+    polygons = np.array([SQUARE, bad])
+    outlines = Outlines(polygons, {}, "EPSG:4326", (), "")
+    buildings, _, issues = to_buildings(ju.Buildings("city.osm"), outlines, "EPSG:32618")
+    assert len(buildings) == 1
+    assert issues["outside_crs"] == 1

@@ -1,6 +1,7 @@
 """Receiver logs: a row an epoch or a satellite, from tables and files, and what is wrong with one in a sentence."""
 
 import gzip
+import time
 
 import numpy as np
 import pandas as pd
@@ -62,6 +63,8 @@ def test_an_offset_from_utc_is_taken_off_and_a_zone_may_be_written_in_several_wa
         ),
         (GOOD.assign(utc=[1545199657.0] * 3), ("'1545199657.0'", "GPS time")),
         (GOOD.assign(utc="noon"), ("'noon'", "Z")),
+        (GOOD.assign(utc="-001-01-01T06:07:37Z"), ("'-001-01-01T06:07:37Z'", "write UTC")),
+        (GOOD.assign(utc="0000-01-01T06:07:37Z"), ("'0000-01-01T06:07:37Z'", "write UTC")),
         (GOOD.assign(utc="2018-13-41T06:07:37Z"), ("'2018-13-41T06:07:37Z'", "write UTC")),
         (
             GOOD.assign(utc=[*GOOD.utc[:2], "12/19/2018 06:07:39Z"]),
@@ -233,3 +236,16 @@ def test_a_truncated_or_empty_file_is_one_sentence(suffix, tmp_path):
             f"the receiver log file '{file}' cannot be read as",
             "make it again, or name another",
         )
+
+
+def test_digits_of_other_scripts_are_no_name_of_a_satellite():
+    assert_refused(changed("satellite", "G٠٥", "G05", "G06"), "'G٠٥'", "RINEX 3")
+
+
+def test_a_table_of_many_columns_is_refused_by_its_first_line(tmp_path):
+    file = tmp_path / "wide.csv"
+    row = ",".join(["1"] * 50_000)
+    file.write_text(f"{row}\n{row}\n")
+    began_s = time.perf_counter()
+    assert_refused(file, "has 50,000 columns, 2,000 are read at most")
+    assert time.perf_counter() - began_s < 5

@@ -478,7 +478,12 @@ def seal(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "facts", [{"resolution_m": "5"}, {"guesses": "[" * 10_000}, {"guesses": "[1]"}]
+    "facts",
+    [
+        *({"resolution_m": length_m} for length_m in ("5", 0, -5.0, np.nan, np.inf)),
+        {"guesses": "[" * 10_000},
+        {"guesses": "[1]"},
+    ],
 )
 def test_maps_whose_attributes_are_of_another_kind_are_refused(ds, tmp_path, facts):
     with Workspace.open(tmp_path, "maps", is_shared=True):

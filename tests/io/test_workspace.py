@@ -1,6 +1,7 @@
 """Workspace: what a command wrote, what it may remove, and whose all else is."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 
 import pytest
@@ -378,3 +379,17 @@ def test_a_record_that_the_user_replaced_during_the_run_is_kept(tmp_path):
         files.write_whole(tmp_path / "a.txt", "made")
     assert (tmp_path / "checksums.json.2").read_text() == "mine"
     assert list(files.read_json(tmp_path / "checksums.json")["tune"]["written"]) == ["a.txt"]
+
+
+def test_a_folder_is_held_while_a_study_works_and_gone_where_it_wrote_nothing(tmp_path):
+    out = tmp_path / "out"
+    with Workspace.held(out, "validate"), Workspace.held(tmp_path / "other", "validate"):
+        with ThreadPoolExecutor() as pool:  # another thread is another run, as another process is
+            refused = pool.submit(Workspace.check, out, "validate").exception()
+        assert "another run is writing" in str(refused)
+        with Workspace.open(out, "validate", {"a": 1}, names=["report.md"]):
+            files.write_whole(out / "report.md", "words")
+    assert [path.name for path in sorted(out.iterdir())] == ["checksums.json", "report.md"]
+    with pytest.raises(ZeroDivisionError), Workspace.held(tmp_path / "none", "validate"):
+        1 / 0  # noqa: B018
+    assert not (tmp_path / "none").exists()

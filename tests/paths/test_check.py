@@ -17,6 +17,7 @@ from jaxurban.io.read.mission import Leg, Mission, Place
 from jaxurban.io.read.zone import Zone
 from jaxurban.settings import parse_time
 from jaxurban.world.footprints import Footprints, HeightOrigin
+from jaxurban.world.raster import Raster
 from tests.made_maps import made_maps
 from tests.paths.volumes import ends_at
 
@@ -83,7 +84,17 @@ def scene() -> Scene:
     origin = np.full(num, HeightOrigin.HEIGHT, np.uint8)
     buildings = Footprints(np.array(outlines), height_m, floor_m, origin, floor_m > 0)
     extent_m = (*corner_m, *(corner_m + SIDE_M))
-    city = City(maps.grid.crs, extent_m, buildings, hanging="slabs")
+    grid = maps.grid  # the file's pixels are the cells, from the north
+    transform = (
+        grid.resolution_m,
+        0.0,
+        grid.x_min_m,
+        0.0,
+        -grid.resolution_m,
+        corner_m[1] + SIDE_M,
+    )
+    terrain = Raster(hills_m[::-1].astype(np.float32), transform, grid.crs)
+    city = City(maps.grid.crs, extent_m, buildings, hanging="slabs", terrain=terrain)
     over = shapely.box(*np.add(corner_m, 400), *np.add(corner_m, (560, 590)))
     hours = parse_time("2020-04-27T12:00:00Z"), parse_time("2020-04-27T18:00:00Z")
     zone = Zone("stadium", over, maps.grid.crs, 0.0, 150.0, "", *hours)
@@ -107,10 +118,11 @@ def truth_of(scene: Scene, mission: Mission, clearance_m: float, time: str) -> T
     home = Place(*mission.home, 0.0, "ground")
     for leg in mission.legs:
         ends_m = np.array([scene.xy_m(leg.start), scene.xy_m(leg.end)])
-        follows = leg.start.datum == leg.end.datum == "ground"
+        follows = leg.end.datum == "ground"  # a leg is flown in the frame of its end
         z_m = np.array([leg.start.height_m, leg.end.height_m])
-        if not follows:
-            z_m += np.array([scene.base_m(leg.start, home), scene.base_m(leg.end, home)])
+        z_m += np.array([scene.base_m(leg.start, home), scene.base_m(leg.end, home)])
+        if follows:
+            z_m -= scene.ground_m(*ends_m.T)
         length_m = np.hypot(np.linalg.norm(ends_m[1] - ends_m[0]), z_m[1] - z_m[0])
         share = np.linspace(0, 1, max(2, int(length_m / DENSE_M)))[:, None]
         xy_m = ends_m[0] + share * (ends_m[1] - ends_m[0])
@@ -247,7 +259,8 @@ def test_random_missions_are_judged_as_points_every_20_cm_are(scene, clearance_m
 @pytest.fixture(scope="module")
 def open_scene(scene) -> Scene:
     """The scene on level ground."""
-    return scene._replace(maps=replace(scene.maps, ds=scene.maps.ds.drop_vars("terrain")))
+    maps = replace(scene.maps, ds=scene.maps.ds.drop_vars("terrain"))
+    return scene._replace(maps=maps, city=replace(scene.city, terrain=None))
 
 
 def kinds_of(result) -> list[str]:
@@ -485,7 +498,8 @@ def test_a_height_above_the_ellipsoid_says_what_is_missing_once_the_geoid_is_nam
     leg = Leg(place, scene.place(200.0, 100.0, 30.0, "ellipsoid"), "leg", 1)
     mission = Mission("made", (leg,), None, None, (), None)
     for geoid_m, word in ((None, "--geoid"), (37.0, "above the geoid, and neither")):
-        result = ju.check(flat, mission, sources=scene.city, geoid_m=geoid_m)
+        city = replace(scene.city, terrain=None)
+        result = ju.check(flat, mission, sources=city, geoid_m=geoid_m)
         assert word in " ".join(result.not_judged)
         assert result.state == "not-judged"
         assert any(line.startswith("  not judged: ") for line in result.lines)

@@ -1,5 +1,6 @@
 """Clearance as a hard limit: what it closes, that every planner, climb and file keeps it, and what is said of it."""
 
+import tracemalloc
 from dataclasses import replace
 from importlib import import_module
 
@@ -360,3 +361,31 @@ def test_over_terrain_what_stands_higher_up_the_slope_is_as_high_as_a_path():
         must.sum() > ju.Constraints.read(**kept).closed(flat, ALTITUDE_M)[must].sum()
     )  # flat ground says less
     assert np.all(closed[must])
+
+
+def test_the_step_of_a_clearance_is_that_among_all_steps_in_little_memory():
+    offsets = np.arange(80)
+    steps = np.unique(np.hypot(offsets, offsets[:, None]))
+    for asked_m in (
+        1e-6,
+        0.4,
+        0.44,
+        0.45,
+        1.0,
+        7.0,
+        35.3,
+        *np.random.default_rng(0).random(300) * 70,
+    ):
+        sides = asked_m + FILE_MARGIN_M
+        step = float(steps[np.searchsorted(steps, sides - 0.49)])
+        assert closing_step_m(asked_m, 1.0) == (step, max(0.0, sides - step))
+    tracemalloc.start()
+    for asked_m in (3e4, 1e5, 1e8):
+        step_m, margin_m = closing_step_m(asked_m, 5.0)
+        assert asked_m <= step_m + margin_m <= asked_m + 5.1
+    assert tracemalloc.get_traced_memory()[1] < 10 * 2**20
+    tracemalloc.stop()
+
+
+def test_a_clearance_beyond_the_maps_closes_them():
+    assert ju.Constraints(clearance_m=1e8).closed(scattered(0), ALTITUDE_M).all()

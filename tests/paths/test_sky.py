@@ -5,12 +5,14 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 
 import jaxurban as ju
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.maps.build import region_of
+from jaxurban.paths import hiding
 from jaxurban.paths.sight import Sight
 from jaxurban.paths.sky import sky_from
 from jaxurban.report.figures.sky import plot_sky
@@ -189,6 +191,24 @@ def test_along_a_track_rows_are_the_skies_of_their_places_and_times():
     assert along["time"].tolist() == when
 
 
+def test_a_table_of_a_track_gives_places_heights_and_times():
+    lon, lat = maps().grid.lonlat_of_xy(
+        X_M + np.array([900.0, 950.0]), Y_M + np.array([1000.0] * 2)
+    )
+    columns = {"utc": TIMES[:2], "lon_deg": lon, "lat_deg": lat, "altitude_m": [25.0, 60.0]}
+    track = pd.DataFrame(columns)
+    along = ju.sky_along(city(), track, gps=GPS).table
+    places = list(zip(lon, lat, strict=True))
+    listed = ju.sky_along(city(), places, [25.0, 60.0], TIMES[:2], gps=GPS).table
+    pd.testing.assert_frame_equal(along, listed)
+    lower = ju.sky_along(city(), track, 20.0, TIMES[0], gps=GPS).table
+    assert lower[["altitude_m", "time"]].to_numpy().tolist() == [[20.0, TIMES[0]]] * 2
+    with pytest.raises(ju.InputError, match="places must have rows of the columns utc, lon_deg"):
+        ju.sky_along(city(), track.drop(columns="utc"), gps=GPS)
+    with pytest.raises(ju.InputError, match="altitude_m is missing"):
+        ju.sky_along(city(), track.drop(columns="altitude_m"), gps=GPS)
+
+
 def test_a_route_is_flown_at_its_speed():
     corners = [
         MIDDLE,
@@ -329,3 +349,14 @@ def test_a_thousand_places_take_seconds(name):
         sample(name), [ju.XY(*xy) for xy in zip(x_m.tolist(), y_m.tolist(), strict=True)], 20.0
     )
     assert clock.process_time() - began < 10.0
+
+
+def test_rays_are_followed_in_parts_and_too_many_are_refused_with_their_number(monkeypatch):
+    _, places = at_cells(maps(), 6, seed=3)
+    times = [TIMES[k % 2] for k in range(6)]
+    whole = ju.sky_along(city(), places, 20.0, times, gps=GPS).table
+    monkeypatch.setattr(hiding, "MOST_AT_ONCE", 7)
+    assert ju.sky_along(city(), places, 20.0, times, gps=GPS).table.equals(whole)
+    monkeypatch.setattr(hiding, "MOST_RAYS", 10)
+    with pytest.raises(ju.InputError, match=r"\d+ rays .* 10 are followed at most: give fewer"):
+        ju.sky_along(city(), places, 20.0, times, gps=GPS)

@@ -4,7 +4,6 @@ import json
 import re
 import subprocess
 import sys
-from itertools import combinations
 
 import matplotlib
 import numpy as np
@@ -31,6 +30,7 @@ from jaxurban.report.figures.style import chart
 from jaxurban.report.write import DPI, write_picture
 from tests.made_maps import made_maps
 from tests.paths.volumes import made_path
+from tests.report.legible import assert_legible, drawn_texts
 
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
 RULES = {"cost_model": "line", "objective": "weighted", "obstacles": "touched", "resolution_m": 5.0}
@@ -487,30 +487,11 @@ def all_figures(maps):
         ),
     ],
 )
-def test_no_label_is_cut_and_no_two_overlap(rows, cols, monkeypatch):
-    drawn_texts = []
-    draw = Text.draw
-    monkeypatch.setattr(
-        Text, "draw", lambda self, renderer: (drawn_texts.append(self), draw(self, renderer))[1]
-    )
+def test_no_label_is_cut_and_no_two_overlap(rows, cols):
     for figure in all_figures(make_maps(rows, cols, has_all_data=False)):
-        drawn_texts.clear()
-        figure.draw_without_rendering()
         assert figure.get_figheight() < 11
-        assert min(text.get_size() for text in drawn_texts) >= 6
-        shown = (text for text in drawn_texts if text.get_text().strip() and text.get_visible())
-        boxes = [(text.get_text(), text.get_window_extent()) for text in shown]
-        assert len(boxes) > 10
-        edge = figure.bbox
-        assert [
-            name
-            for name, box in boxes
-            if min(box.x0, box.y0) < 0 or box.x1 > edge.x1 or box.y1 > edge.y1
-        ] == []
-        pairs = combinations(boxes, 2)
-        assert [
-            (a, b) for (a, box), (b, other) in pairs if box.shrunk(0.98, 0.9).overlaps(other)
-        ] == []
+        assert len(assert_legible(figure)) > 10
+        assert min(text.get_size() for text in drawn_texts(figure)) >= 6
 
 
 def test_a_large_map_is_thinned_and_keeps_its_place():

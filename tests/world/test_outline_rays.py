@@ -117,6 +117,21 @@ def test_what_hangs_hides_between_its_floor_and_its_roof(hanging, hidden):
         assert found.margin_m[0] == pytest.approx(30.0 - 1.0 - 1.2 * 24.0)
 
 
+def test_a_ray_through_a_slab_is_as_deep_as_the_nearer_of_its_faces():
+    """Over a slab from 30 m to 40 m, 100 m wide: brute force along each ray; what stands has one face, its roof."""
+    boxes = [shapely.box(100, -10, 200, 10)]
+    slope = np.arange(0.05, 0.6, 0.01)
+    ones = np.ones_like(slope)
+    rays = Rays(0 * ones, 0 * ones, EAST * ones, np.arctan(slope))
+    z_m = 1.0 + slope[:, None] * np.linspace(100, 200, 100_001)
+    for floor_m, depth_m in ((30.0, np.minimum(40 - z_m, z_m - 30)), (0.0, 40 - z_m)):
+        found = Outlines(footprints(boxes, [40.0], floor_m), SLABS).clearances(rays, ones)
+        margin_m = -depth_m.max(axis=1)
+        near = margin_m < 30.0
+        np.testing.assert_allclose(found.margin_m[near], margin_m[near], atol=1e-3)
+        np.testing.assert_array_equal(found.margin_m[~near], np.inf)
+
+
 def test_ground_that_rises_raises_what_stands_on_it():
     """On a plane that rises by a tenth, walls are as over flat ground for rays whose slope is a tenth more."""
     wall = footprints([shapely.box(100, -10, 110, 10)], [50.0])

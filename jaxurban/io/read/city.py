@@ -35,7 +35,7 @@ from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 from jaxurban.io.samples import SAMPLES, located, sample_name
 from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.population import FILES, Population
+from jaxurban.metrics.population import FILES, Population, check_has_people
 from jaxurban.settings import MAX_HEIGHT_M, SLABS
 from jaxurban.world.extent import MAIN_SHARE, main_bounds
 from jaxurban.world.grid import (
@@ -81,8 +81,12 @@ def read_city(
     sample = SAMPLES.get(sample_name(buildings.source) or "", {})
     if bounds is None and sample:
         bounds = sample["region"]["bounds"]
-    people = population or Population(**sample.get("population", {}))
-    own_gps = Gps(**sample["gps"]) if gps is None and sample else None
+    own_gps = gps or (Gps(**sample["gps"]) if sample else None)
+    people = population or Population()
+    if not people.has_blocks:
+        own_people = sample.get("population", {})
+        left_out = {name: file for name, file in own_people.items() if not getattr(people, name)}
+        people = replace(people, **left_out)
 
     # The names of the files, as the arguments have them, for provenance; the sections then get the paths to read.
     files = {"buildings": buildings.source, "terrain": terrain.source}
@@ -90,6 +94,7 @@ def read_city(
     buildings = _placed(buildings)
     terrain = _placed(terrain)
     people = _placed(people)
+    check_has_people(people, people.has_blocks)
 
     # The region, and the wider box from which a shadow can reach it: satellites stand no lower than the mask.
     region = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
@@ -122,7 +127,7 @@ def read_city(
     # People, and what was guessed of heights, of people and of the ground.
     guesses = height_guesses(source.buildings, box_m, buildings)
     blocks = None
-    if people.blocks is not None or people.blocks_day is not None:
+    if people.has_blocks:
         blocks, block_issues = read_blocks(people, crs, wide_m, box_m)
         issues |= block_issues
         guesses |= census_guesses(block_issues, blocks, people)
@@ -143,6 +148,8 @@ def read_city(
         sources={role: str(path) for role, path in files.items() if path is not None},
         bounds=region,
         gps=own_gps,
+        population=population and people,
+        heights=buildings,
     )
 
 

@@ -2,12 +2,15 @@
 
 | file | what is read | heights are above |
 |---|---|---|
-| ``.plan`` of QGroundControl | simple items; home; speeds | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
+| ``.plan`` of QGroundControl, version 1 | simple items; home; speeds | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
 | ``.waypoints``, ``.txt``: ``QGC WPL 110`` | rows; row 0 is home where it is a waypoint | as in a ``.plan`` |
 | ``.kml`` | LineString, Track | relativeToGround: ground; absolute: geoid (EGM96); else they are asked for |
-| ``.gpx`` | routes, tracks | asked for; ground in jaxurban's own |
+| ``.gpx`` | routes, tracks | asked for; in jaxurban's own geoid (``ele``), or ground where it has none |
 | ``.geojson``, ``.json`` | LineString, MultiLineString | asked for; ground in jaxurban's own |
 | ``.csv`` | rows of lon, lat, altitude_m (or height_m, alt) | asked for |
+
+Whatever else has a position is counted and not judged. Places are in WGS 84; a file that names another CRS or datum is
+refused, and so is one that gives a quantity twice with different values.
 
 | command of MAVLink | how it is flown |
 |---|---|
@@ -26,6 +29,7 @@ https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html a
 https://mavlink.io/en/file_formats/#mission_plain_text_file.
 """
 
+import csv
 import math
 from pathlib import Path
 
@@ -35,6 +39,7 @@ from jaxurban.io.read.mission_items import read_plan, read_waypoints
 from jaxurban.io.read.mission_lines import READERS, read_lines
 from jaxurban.io.read.mission_parts import (
     DATUMS,
+    DamagedError,
     LonLat,
     check_place,
 )
@@ -46,8 +51,16 @@ from jaxurban.io.read.mission_parts import Place as Place
 ITEM_READERS = {".plan": read_plan, ".waypoints": read_waypoints, ".txt": read_waypoints}
 SUFFIXES = (*ITEM_READERS, *READERS)
 MOST_BYTES = 2**24  # some 20,000 items of a .plan
-# Of what is of another kind than it should be.
-BROKEN = (AttributeError, LookupError, TypeError, OverflowError)
+# What Python and libraries raise for what is missing, or of another kind than it should be.
+BROKEN = (
+    AttributeError,
+    LookupError,
+    OverflowError,
+    RecursionError,
+    TypeError,
+    ValueError,
+    csv.Error,
+)
 
 
 def read_mission(
@@ -106,5 +119,7 @@ def read_mission(
             if suffix in READERS:
                 return read_lines(path, data, heights, home)
             return ITEM_READERS[suffix](data, path.name, home, return_m)
+        except (InputError, DamagedError):
+            raise
         except BROKEN as error:
-            raise ValueError("a part is missing, or is of another kind") from error
+            raise DamagedError("it is damaged, or a part is missing or of another kind") from error

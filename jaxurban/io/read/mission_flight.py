@@ -1,14 +1,26 @@
 """How MAVLink's items are flown: legs of them, and what is not understood.
 
 Commands and frames are those of MAVLink's common message set. What an item means where autopilots differ is written
-at `Flight`.
+at `Flight`, after their sources: of ArduCopter ``mode_auto.cpp`` (circles), ``mode_rtl.cpp`` (returns) and
+``AC_WPNav.cpp`` (legs, corners); of PX4 ``navigator/rtl.cpp`` and ``navigator/mission_block.cpp``.
 """
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-from jaxurban.io.read.mission_parts import NO_HOME, Datum, Leg, LonLat, Place
+from jaxurban.io.read.mission_parts import (
+    GEOD,
+    NO_HOME,
+    Account,
+    Datum,
+    Leg,
+    LonLat,
+    Place,
+    Profile,
+)
+
+Autopilot = Literal["ardupilot", "px4", "unknown"]
 
 WAYPOINT = 16
 RETURN = 20
@@ -20,6 +32,7 @@ SPEED = 178
 SET_HOME = 179
 TAKEOFFS = (TAKEOFF, 24, 84)
 LANDINGS = (LAND, 85)
+OF_AEROPLANES = (84, 85, 3000)  # take-off, landing and transition of VTOL
 LOITER_TURNS = 18
 LOITER_TO_ALT = 31
 LOITERS = {17: 2, LOITER_TURNS: 2, 19: 2, LOITER_TO_ALT: 1}  # and which parameter is the radius
@@ -48,6 +61,17 @@ FRAMES: dict[int, Datum] = {
     10: "ground",
     11: "ground",
 }
+MOVES_NOTHING = "it moves nothing"
+NEVER_REACHED = "jumps pass over it"
+MOST_FLOWN = 1_000_000  # items, each time that one is flown: beyond, jumps are not followed
+NEAR_CENTRE = (
+    0.05  # of a radius: so near to a circle's centre ArduPilot begins wherever it is headed
+)
+NEAR_CENTRE_M = 1.0
+# Heights of a return near home, by the autopilots' defaults: ArduPilot's RTL_CONE_SLOPE and least height, PX4's
+# RTL_CONE_ANG of 45 degrees within RTL_MIN_DIST.
+CONE_SLOPE, LEAST_RETURN_M = 3.0, 2.0
+CONE_REACH_M = 10.0
 HAS_HEIGHT = (*TAKEOFFS, WAYPOINT, *LOITERS)  # commands that lead to a height
 PLACED = (*HAS_HEIGHT, *LANDINGS)
 
@@ -57,17 +81,18 @@ class Item(NamedTuple):
 
     Attributes:
       number: in messages.
-      key: what jumps call it.
+      key: what jumps call it; None for an item that no jump can name.
       command: of MAVLink; -1 for what is none.
       params: the first four, NaN where they are not set.
       lon, lat: of its place; 0, 0 or NaN where the vehicle stays where it is.
       height_m: above ``datum``; NaN where the vehicle keeps its own.
       datum: None in frames that are not of the Earth.
       what: it is, where that is no command.
+      is_straight: the way to it is straight though its height is above the ground.
     """
 
     number: int
-    key: int
+    key: int | None
     command: int
     params: tuple[float, ...] = ()
     lon: float = math.nan
@@ -75,6 +100,7 @@ class Item(NamedTuple):
     height_m: float = math.nan
     datum: Datum | None = None
     what: str = ""
+    is_straight: bool = False
 
     @property
     def has_place(self) -> bool:
@@ -88,22 +114,56 @@ class Item(NamedTuple):
         return is_set and (self.lon, self.lat) != (0, 0)
 
 
-class Flight:
-    """How an autopilot flies items: `legs` and what is `not_judged` of them.
-
-    A multicopter climbs straight up from home to the take-off's height; PX4 flies to the take-off's place then,
-    ArduPilot knows of none. It lands at the height that it has, and comes down at the landing's place. It returns at
-    the return altitude, or at its own height where that is more. Where a jump leads, it flies straight from the item
-    before. After an item that is not understood no place is known until the next one is reached.
+class State(NamedTuple):
+    """What a vehicle's next item depends on.
 
     Attributes:
-      legs: in the order flown.
+      home: longitude and latitude in degrees, None where it is not known.
+      ground: that it takes off from, None where it has not landed at a known place.
+      at: where it is, None while that is not known.
+      beside: where it may be in place of ``at``, by another autopilot; None where all agree.
+      since: number of the item by which its place was lost, 0 before the first one.
+      has_moved_home: an item has moved home, so that heights above it are open.
+    """
+
+    home: LonLat | None
+    ground: Place | None
+    at: Place | None = None
+    beside: Place | None = None
+    since: int = 0
+    has_moved_home: bool = False
+
+
+class Flight:
+    """How an autopilot flies items: `legs`, what is `not_judged` of them, and an account of each item.
+
+    A multicopter climbs straight up from home to the take-off's height; PX4 flies to the take-off's place then,
+    ArduPilot knows of none. It lands at the height that it has, and comes down at the landing's place. After an item
+    that is not understood no place is known until the next one is reached.
+
+    A circle (`LOITER_TURNS`) is flown by PX4's multicopters as a stop at its centre. ArduPilot flies to the nearest
+    point of the circle and, after whole turns, on from there. Where the autopilot is not known, both are legs, one of
+    them a variant. Every other loiter is a stop at its place, and a circle around it as an aeroplane would fly.
+
+    A return rises to the return altitude, or keeps its own height where that is more. Near home the autopilots rise
+    less by their defaults: that is a variant.
+
+    Jumps are flown as often as they say, straight from the item before to their target; what follows after one without
+    end, too. A height that an item leaves open is that with which the vehicle comes to it, each time it does.
+
+    Attributes:
+      legs: in the order flown, each once.
       not_judged: a sentence for each thing that the legs leave out or may not show as it is flown.
       speed_m_s: the first speed that an item sets, None without one.
+      accounts: what became of each item.
     """
 
     def __init__(
-        self, items: Sequence[Item], home: LonLat | None, return_altitude_m: float
+        self,
+        items: Sequence[Item],
+        home: LonLat | None,
+        return_altitude_m: float,
+        autopilot: Autopilot = "unknown",
     ) -> None:
         """Fly all items.
 
@@ -111,22 +171,99 @@ class Flight:
           items: in the order of the file.
           home: longitude and latitude in degrees, None where it is not known.
           return_altitude_m: metres above home, NaN where it is not known.
+          autopilot: that flies them.
         """
         self.legs: list[Leg] = []
         self.not_judged: list[str] = []
         self.speed_m_s: float | None = None
-        self._home = home
+        self._items = items
+        self._autopilot = autopilot
         self._return_altitude_m = return_altitude_m
-        self._has_moved_home = False
-        self._at: Place | None = None  # where the vehicle is, None while that is not known
-        self._since = 0  # number of the item by which its place was lost, 0 before the first one
-        self._ground = home and Place(*home, 0.0, "ground")  # that it takes off from
-        self._arrivals: dict[int, Place] = {}  # where an item that has a place leads, by its number
-        # Of each jump: the index of the leg that it comes before, where it begins, and its item.
-        self._jumps: list[tuple[int, Place, Item]] = []
-        for item in items:
-            self._fly(item)
-        self._add_jumps(items)
+        self._state = State(home, home and Place(*home, 0.0, "ground"))
+        self._after: dict[
+            tuple[int, State], State
+        ] = {}  # by the index of an item and the state before it
+        self._why: dict[int, str] = {}  # the first sentence on an item, by its number
+        self._number = 0  # of the item that is flown
+        self._is_jump = False  # it is flown to from a jump
+        self._run()
+        self.accounts = self._accounts()
+
+    def _run(self) -> None:
+        """Fly all items and their jumps, until the last one."""
+        index_of = {item.key: index for index, item in enumerate(self._items)}
+        left = {  # how often jumps are still flown
+            index: item.params[1] for index, item in enumerate(self._items) if item.command == JUMP
+        }
+        index = num_flown = 0
+        num_old = 0  # items flown since something was new
+        taken: set[int] = set()  # jumps without end that were flown since
+        while index < len(self._items) and num_flown < MOST_FLOWN:
+            item = self._items[index]
+            key = index, self._state
+            self._number = item.number
+            if num_old > 2 * len(self._items):  # a jump without end leads round and round
+                left |= dict.fromkeys(taken, 0.0)
+                num_old = 0
+                taken.clear()
+            num_flown += 1
+            num_old += 1
+            index += 1
+            if item.command == JUMP:
+                index = self._jumped(item, left, index, index_of)
+                if left[key[0]] < 0:
+                    taken.add(key[0])
+                else:
+                    num_old = 0
+            elif key in self._after:
+                self._state = self._after[key]
+                self._is_jump &= self._state == key[1]
+            else:
+                self._fly(item)
+                self._after[key] = self._state
+                num_old = 0
+                taken.clear()
+        if num_flown == MOST_FLOWN:
+            self._say("its jumps are flown more often than is followed")
+
+    def _jumped(
+        self, jump: Item, left: dict[int, float], after: int, index_of: dict[int | None, int]
+    ) -> int:
+        """Return the index of the item that comes after a jump, and count that it was flown.
+
+        Args:
+          jump: the jump.
+          left: how often each jump is still flown, by index.
+          after: index of the item after it in the file.
+          index_of: of items, by the keys that jumps name.
+        """
+        times = left[after - 1]
+        if times == 0:
+            return after
+        key = jump.params[0]
+        target = index_of.get(int(key)) if key % 1 == 0 else None
+        if target is None:
+            self._say(f"the jump of item {jump.number} is not judged: no item is its target")
+            left[after - 1] = 0.0
+            return after
+        if times > 0:
+            left[after - 1] = max(times - 1, 0.0)
+        self._is_jump = True
+        return target
+
+    def _accounts(self) -> list[Account]:
+        """Return what became of each item: its legs, or the sentence on it, or that it moves nothing."""
+        legs_of: dict[int, list[int]] = {}
+        for index, leg in enumerate(self.legs):
+            legs_of.setdefault(leg.item, []).append(index)
+        reached = {self._items[index].number for index, _ in self._after}
+        accounts = []
+        for item in self._items:
+            legs = tuple(legs_of.get(item.number, ()))
+            still = MOVES_NOTHING if item.number in reached else NEVER_REACHED
+            why = "" if legs else self._why.get(item.number, still)
+            accounts.append(Account(f"item {item.number}", 1, legs, why))
+        return accounts
 
     def _fly(self, item: Item) -> None:
         """Fly an item by its command, or say why it is not judged; a command that moves nothing has no effect.
@@ -134,6 +271,10 @@ class Flight:
         The first case that fits counts, and those of a place that cannot be read come before those of the commands.
         """
         command = item.command
+        if command in OF_AEROPLANES:
+            self._say(
+                f"item {item.number} is flown as an aeroplane, whose turns and glide path are not judged"
+            )
         leads_somewhere = command in HAS_HEIGHT or (command in LANDINGS and item.has_coordinates)
         if leads_somewhere and item.datum is None:
             self._pass_over(item, f"command {command} in a frame that is none of the Earth")
@@ -142,21 +283,20 @@ class Flight:
         elif command in TAKEOFFS:
             self._take_off(item)
         elif command == WAYPOINT:
-            self._fly_to(item)
+            self._fly_to(item, has_stop=item.params[0] > 0)
+        elif command == LOITER_TURNS:
+            self._circle(item)
         elif command in LOITERS:
             self._loiter(item)
         elif command in LANDINGS:
             self._land(item)
         elif command == RETURN:
             self._return(item)
-        elif command == JUMP:
-            self._jump(item)
         elif command == SET_HOME:
             self._say(
                 f"item {item.number} moves home: heights above it, and a return, are not judged after it"
             )
-            self._has_moved_home = True
-            self._home = None
+            self._state = self._state._replace(home=None, has_moved_home=True)
         elif command == SPEED and self.speed_m_s is None and item.params[1] > 0:
             self.speed_m_s = item.params[1]
         elif command in FENCES:
@@ -171,6 +311,7 @@ class Flight:
     def _say(self, sentence: str) -> None:
         """Note a sentence on what is not judged."""
         self.not_judged.append(sentence)
+        self._why.setdefault(self._number, sentence)
 
     def _pass_over(self, item: Item, what: str) -> None:
         """Say that an item is not read, by what it is (``"a spline waypoint"``), and forget where the vehicle is."""
@@ -183,9 +324,41 @@ class Flight:
         ``ground`` is where the vehicle has landed, from which a take-off may follow; None if it has not landed at a
         known place.
         """
-        self._at = None
-        self._since = item.number
-        self._ground = ground
+        self._state = self._state._replace(at=None, beside=None, since=item.number, ground=ground)
+
+    def _move(
+        self,
+        item: Item,
+        place: Place,
+        kind: str = "leg",
+        *,
+        beside: Place | None = None,
+        has_stop: bool = False,
+    ) -> None:
+        """Add the leg to a place, if the vehicle is elsewhere, and move it there.
+
+        Args:
+          item: by which it flies.
+          place: where to.
+          kind: of the leg.
+          beside: where another autopilot would be then; left out, at the same place.
+          has_stop: it stops there.
+        """
+        profile: Profile = "straight" if item.is_straight else "frame"
+        if self._is_jump and kind == "leg":
+            kind = "jump"
+        self._is_jump = False
+        leg = Leg(place, place, kind, item.number, profile=profile, has_stop=has_stop)
+        state = self._state
+        variant = beside or place
+        if (state.beside or beside) and (state.beside or state.at) != variant:
+            start = state.beside or state.at
+            assert start is not None
+            self.legs.append(leg._replace(start=start, end=variant, is_variant=True))
+        if state.at != place:
+            assert state.at is not None
+            self.legs.append(leg._replace(start=state.at))
+        self._state = state._replace(at=place, beside=beside, ground=None)
 
     def _place_of(self, item: Item) -> Place | None:
         """Return where an item leads: to its own place and height, or the vehicle's where the item leaves them out.
@@ -193,7 +366,7 @@ class Flight:
         The height is NaN where home was moved and the item counts from it. None where the item has no place, and that
         of the vehicle is not known.
         """
-        at = self._at
+        at = self._state.at
         if item.has_place:
             lon, lat = item.lon, item.lat
         elif at:
@@ -204,38 +377,35 @@ class Flight:
         if at and keeps_height:
             return Place(lon, lat, at.height_m, at.datum)
         datum = item.datum or "home"
-        is_open = self._has_moved_home and datum == "home"
+        is_open = self._state.has_moved_home and datum == "home"
         return Place(lon, lat, math.nan if is_open else item.height_m, datum)
 
-    def _fly_to(self, item: Item, place: Place | None = None) -> None:
+    def _fly_to(self, item: Item, place: Place | None = None, *, has_stop: bool = False) -> None:
         """Add the straight leg to a place and move the vehicle there.
 
         Where the vehicle's place is not known, there is no leg but a sentence; the vehicle is at the place then too.
 
         Args:
           item: by which it flies.
-          place: where to; left out, where the item leads, to which jumps may lead then.
+          place: where to; left out, where the item leads.
+          has_stop: it stops there.
         """
-        is_of_item = place is None
         place = place or self._place_of(item)
         if place is None:
             self._say(f"item {item.number} is flown where the vehicle is, which is not known")
             self._lose(item)
-            return
-        if is_of_item and item.has_place:
-            self._arrivals[item.number] = place
-        if self._at is None:
+        elif self._state.at is None:
             self._begin(item)
-        elif place != self._at:
-            self.legs.append(Leg(self._at, place, "leg", item.number))
-        self._at = place
-        self._ground = None
+            self._state = self._state._replace(at=place, ground=None)
+        else:
+            self._move(item, place, has_stop=has_stop)
 
     def _begin(self, item: Item) -> None:
         """Say that the way to an item is not judged: the climb from home, or the way from where the place was lost."""
-        why = f"no take-off comes before item {item.number}" if self._home else NO_HOME
-        if self._since:
-            self._say(f"the way from item {self._since} to item {item.number} is not judged")
+        since = self._state.since
+        why = f"no take-off comes before item {item.number}" if self._state.home else NO_HOME
+        if since:
+            self._say(f"the way from item {since} to item {item.number} is not judged")
         else:
             self._say(f"the climb from home is not judged, as {why}")
 
@@ -245,29 +415,62 @@ class Flight:
         The climb begins where the vehicle is, else on the ground where it stands; where neither is known, it only flies
         to the item.
         """
-        start = self._at or self._ground
+        start = self._state.at or self._state.ground
         if start is None:
             self._fly_to(item)
             return
+        self._leave_circle(item)
         straight_up = item._replace(lon=start.lon, lat=start.lat)
         above = self._place_of(straight_up) or start
-        self.legs.append(Leg(start, above, "climb", item.number))
-        self._at = above
-        self._ground = None
+        self._state = self._state._replace(at=start)
+        self._move(item, above, "climb")
         if item.has_place:
             self._fly_to(item)
+
+    def _leave_circle(self, item: Item) -> None:
+        """Say, where autopilots differ in where the vehicle is, that the way of another one is not judged."""
+        if self._state.beside:
+            self._say(
+                f"the way from the circle before item {item.number} is judged from its centre alone"
+            )
+            self._state = self._state._replace(beside=None)
 
     def _loiter(self, item: Item) -> None:
         """Fly to the item and circle there, at the radius that it names; hover where it names none (0 or NaN)."""
         self._fly_to(item)
-        if self._at is None:
-            return
-        radius_m = abs(item.params[LOITERS[item.command]])  # negative ones circle the other way
-        if not radius_m > 0:  # NaN too
-            radius_m = 0.0
-            if item.command == LOITER_TURNS:
+        at = self._state.at
+        if at is not None:
+            radius_m = abs(item.params[LOITERS[item.command]])  # negative ones circle the other way
+            radius_m = radius_m if radius_m > 0 else 0.0  # NaN too
+            self.legs.append(Leg(at, at, "loiter", item.number, radius_m))
+
+    def _circle(self, item: Item) -> None:
+        """Fly turns around the item: from the nearest point of the circle, from the centre, or either as a variant."""
+        centre = self._place_of(item)
+        start = self._state.beside or self._state.at
+        radius_m = abs(item.params[LOITERS[LOITER_TURNS]])
+        if centre is None or not radius_m > 0:  # NaN too
+            self._loiter(item)
+            if centre is not None:
                 self._say(f"item {item.number} circles at a radius that is the autopilot's own")
-        self.legs.append(Leg(self._at, self._at, "loiter", item.number, radius_m))
+            return
+        edge = None
+        is_whole = not 0 < item.params[0] < 1
+        if self._autopilot != "px4" and start and is_whole:
+            edge = _edge(start, centre, radius_m)
+        if self._autopilot == "ardupilot" and edge:
+            self._move(item, edge)
+            self.legs.append(Leg(edge, centre, "loiter", item.number, radius_m))
+            return
+        if self._state.at is None:
+            self._loiter(item)
+        else:
+            self._move(item, centre, beside=edge)
+            self.legs.append(Leg(centre, centre, "loiter", item.number, radius_m))
+        if self._autopilot != "px4" and edge is None:
+            self._say(
+                f"the way out of the circle of item {item.number} is not judged: where it begins is not known"
+            )
 
     def _land(self, item: Item) -> None:
         """Fly level to above the item's place if it has one, and descend to the ground.
@@ -275,76 +478,78 @@ class Flight:
         Where the vehicle's place is not known, nothing is flown. After a landing its place in the air is not known, and
         a take-off begins on the ground where it has landed.
         """
-        if self._at is None:
+        at = self._state.at
+        if at is None:
             self._begin(item)
             ground = Place(item.lon, item.lat, 0.0, "ground") if item.has_place else None
             self._lose(item, ground)
             return
         if item.has_place:
-            self._fly_to(item, self._at._replace(lon=item.lon, lat=item.lat))
-        ground = Place(self._at.lon, self._at.lat, 0.0, "ground")
-        self.legs.append(Leg(self._at, ground, "land", item.number))
+            at = at._replace(lon=item.lon, lat=item.lat)
+            self._fly_to(item, at)
+        self._leave_circle(item)
+        ground = Place(at.lon, at.lat, 0.0, "ground")
+        self._move(item, ground, "land")
         self._lose(item, ground)
 
     def _return(self, item: Item) -> None:
         """Rise to the return altitude, fly home and land; a sentence says what is not known of it.
 
-        Without a return altitude the height over home is NaN, and the vehicle flies there without a rise. It never
-        sinks to the return altitude: its own height above home counts where that is more.
+        Without a return altitude the height over home is NaN, and the vehicle flies there without a rise.
         """
-        at = self._at
-        if self._home is None or at is None:
-            why = "where it begins" if self._home else "home"
+        self._leave_circle(item)
+        home, at = self._state.home, self._state.at
+        if home is None or at is None:
+            why = "where it begins" if home else "home"
             self._say(f"the return of item {item.number} is not judged: {why} is not known")
             self._lose(item)
             return
-        height_m = self._return_altitude_m
-        if at.datum == "home" and at.height_m > height_m:
-            height_m = at.height_m
-        if at.datum != "home":
-            self._say(
-                f"the return of item {item.number} may be higher than judged: how high it begins "
-                "above home is not known"
-            )
-
-        over_home = Place(*self._home, height_m, "home")
-        ground = Place(*self._home, 0.0, "ground")
-        if not math.isnan(height_m):
+        # Its own height above home counts where it is more: what it is above the legs know.
+        *lower_m, height_m = self._return_heights_m(_apart_m(at, home))
+        ground = Place(*home, 0.0, "ground")
+        for level_m in (*lower_m, height_m):
+            over_home = Place(*home, level_m, "home")
             above = over_home._replace(lon=at.lon, lat=at.lat)
-            self.legs.append(Leg(at, above, "return", item.number))
-            at = above
-        self.legs.append(Leg(at, over_home, "return", item.number))
-        self.legs.append(Leg(over_home, ground, "land", item.number))
+            ways = [
+                (at, above, "return"),
+                (above, over_home, "return"),
+                (over_home, ground, "land"),
+            ]
+            if math.isnan(level_m):
+                ways[:2] = [(at, over_home, "return")]
+            is_variant = level_m != height_m and not math.isnan(level_m)
+            for start, end, kind in ways:
+                leg = Leg(start, end, kind, item.number, is_variant=is_variant, not_below=at)
+                self.legs.append(leg)
         self._lose(item, ground)
 
-    def _jump(self, item: Item) -> None:
-        """Note a jump that is flown at least once, for `_add_jumps`: its target may come later."""
-        if item.params[1] == 0:  # how often it is flown
-            return
-        if self._at is None:
-            self._say(f"the jump of item {item.number} is not judged: where it begins is not known")
-        else:
-            self._jumps.append((len(self.legs), self._at, item))
+    def _return_heights_m(self, apart_m: float) -> list[float]:
+        """Return the heights above home at which a return may be flown, rising; NaN alone where it is not known.
 
-    def _add_jumps(self, items: Sequence[Item]) -> None:
-        """Put the legs of jumps among the others, where they are flown.
-
-        A jump to an item that moves nothing leads to the next item that does.
+        Args:
+          apart_m: how far from home it begins.
         """
-        targets: dict[float, Item] = {}  # by the key that jumps name
-        moving = None
-        for item in reversed(items):
-            moving = moving if item.command in STILL else item
-            if moving:
-                targets[item.key] = moving
+        most_m = self._return_altitude_m
+        if math.isnan(most_m):
+            return [math.nan]
+        heights_m = {most_m}
+        if self._autopilot != "px4":
+            heights_m.add(min(most_m, max(CONE_SLOPE * apart_m, LEAST_RETURN_M)))
+        if self._autopilot != "ardupilot" and apart_m <= CONE_REACH_M:
+            heights_m.add(min(most_m, apart_m))
+        return sorted(heights_m)
 
-        # From the last one, so that the indices of the legs before it stay.
-        for index, start, item in reversed(self._jumps):
-            target = targets.get(item.params[0])
-            end = self._arrivals.get(target.number) if target else None
-            if target is None or end is None:
-                self._say(
-                    f"the jump of item {item.number} is not judged: no waypoint is read there"
-                )
-            elif end != start:
-                self.legs.insert(index, Leg(start, end, "jump", target.number))
+
+def _apart_m(place: Place, lonlat: LonLat) -> float:
+    """Return the distance in plan from a place to another."""
+    _, _, apart_m = GEOD.inv(place.lon, place.lat, *lonlat)
+    return apart_m
+
+
+def _edge(start: Place, centre: Place, radius_m: float) -> Place | None:
+    """Return the nearest point of a circle, at the height of its centre; None from where ArduPilot's is not known."""
+    azimuth_deg, _, apart_m = GEOD.inv(centre.lon, centre.lat, start.lon, start.lat)
+    if apart_m < max(NEAR_CENTRE_M, NEAR_CENTRE * radius_m):
+        return None
+    lon, lat, _ = GEOD.fwd(centre.lon, centre.lat, azimuth_deg, radius_m)
+    return centre._replace(lon=lon, lat=lat)

@@ -1,17 +1,26 @@
 """Missions of MAVLink's items from files: QGroundControl's ``.plan``, and the rows of ``QGC WPL 110``."""
 
-import json
 import math
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.mission_flight import FRAMES, HAS_HEIGHT, TAKEOFFS, WAYPOINT, Flight, Item
+from jaxurban.io.read.mission_flight import (
+    FRAMES,
+    HAS_HEIGHT,
+    TAKEOFFS,
+    WAYPOINT,
+    Autopilot,
+    Flight,
+    Item,
+)
 from jaxurban.io.read.mission_parts import (
+    DamagedError,
     LonLat,
     Mission,
     check_place,
+    decimal_of,
+    json_of,
     number_of,
     shortened,
     whole_of,
@@ -19,12 +28,18 @@ from jaxurban.io.read.mission_parts import (
 
 HEADER = "QGC WPL 110"
 NUM_COLUMNS = 12
-ARDUPILOT = 3  # MAV_AUTOPILOT
+AUTOPILOTS: dict[Any, Autopilot] = {3: "ardupilot", 12: "px4"}  # by the number of MAV_AUTOPILOT
 PLANES = (1, *range(19, 26))  # MAV_TYPE: fixed wing, and VTOL of every kind
 # QGroundControl's AltitudeMode: it makes metres above the geoid of metres above ground.
 CALCULATED = 3
 BESIDE = {"geoFence": "geofence is", "rallyPoints": "rally points are"}
 SAME_M = 0.1
+LOWEST_M, HIGHEST_M = -500.0, 9000.0  # that ground lies at, above the geoid
+NANS = ("nan", "-nan", "NaN")  # as C and .NET write a value that is left open
+VERSIONS = {"version": 1, "version of its mission": 2}  # that are known
+# Parts that are read, or that jaxurban adds; others that hold something are named.
+PARTS = ("mission", "settings", *BESIDE)
+MISSION_PARTS = ("items", "plannedHomePosition")
 Home = tuple[LonLat | None, float | None]  # its place, and its elevation above the geoid
 
 
@@ -38,16 +53,23 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
       return_altitude_m: metres above home, NaN where it is not known.
 
     Raises:
-      InputError: the plan holds no item, or leads nowhere.
-      ValueError: it is no plan, or an item cannot be read.
+      InputError: the plan holds no item, or leads nowhere, or it is a file of fences or rally points.
+      DamagedError: it is no plan, or an item cannot be read.
     """
-    plan = _object(json.loads(data), "it")
+    plan = _object(json_of(data), "it")
+    kind = plan.get("fileType")
+    if kind not in (None, "Plan"):
+        raise InputError(
+            f"{name!r} is of the type {str(kind)[:40]!r}, which holds no mission: save the whole plan (fileType 'Plan')"
+        )
     mission = _object(plan.get("mission"), "its mission")
     rows = mission.get("items")
     if not isinstance(rows, list):
-        raise ValueError("its items are no list")
+        raise DamagedError("its items are no list")
     items = [_item_of_plan(row, number) for number, row in enumerate(rows, 1)]
-    if mission.get("firmwareType") == ARDUPILOT:
+    _check_keys(items, "item")
+    autopilot = AUTOPILOTS.get(mission.get("firmwareType"), "unknown")
+    if autopilot == "ardupilot":
         items = [_without_place(item) for item in items]
 
     # The plan's home is a list of latitude, longitude and elevation, of which some or all may be missing.
@@ -56,15 +78,25 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
     own_home = _home(lon, lat, elevation_m)
 
     notes = []
+    if kind is None:
+        notes.append(
+            "it does not say that it is a plan (fileType), and is judged as if it were one"
+        )
+    for (what, known), whole in zip(VERSIONS.items(), (plan, mission), strict=True):
+        version = whole.get("version")
+        if version is True or version != known:
+            notes.append(f"its {what} is {str(version)[:40]}, and only {known} is understood")
     for part, words in BESIDE.items():
-        values = (plan.get(part) or {}).values()
-        if any(isinstance(value, list) and value for value in values):
+        parts = _object(plan.get(part) or {}, f"its {part}")
+        if any(value for key, value in parts.items() if key != "version"):
             notes.append(f"its {words} not judged")
+    notes += _unknown(plan, PARTS) + _unknown(mission, MISSION_PARTS)
     is_plane = mission.get("vehicleType") in PLANES
     if is_plane:
         notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
     speed_m_s = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
-    return _flown(name, items, home, own_home, return_altitude_m, notes, speed_m_s)
+    flight = Flight(items, home or own_home[0], return_altitude_m, autopilot)
+    return _flown(name, flight, len(rows), home, own_home, notes, speed_m_s)
 
 
 def read_waypoints(
@@ -83,7 +115,7 @@ def read_waypoints(
 
     Raises:
       InputError: it is no such file, holds no item, or leads nowhere.
-      ValueError: a row cannot be read.
+      DamagedError: a row cannot be read.
     """
     texts = [text.strip() for text in data.decode("utf-8-sig", "replace").splitlines()]
     lines = {number: text for number, text in enumerate(texts, 1) if text[:1] not in ("", "#")}
@@ -92,56 +124,90 @@ def read_waypoints(
             f"{name!r} does not begin with {HEADER!r}: save the mission again, as .waypoints or .plan"
         )
     items = [_item_of_row(text.split(), number) for number, text in list(lines.items())[1:]]
+    _check_keys(items, "line")
+    rows = [line.strip()[:1] for line in data.splitlines()]
+    num_rows = sum(row not in (b"", b"#") for row in rows) - 1  # but the header
 
     own_home: Home = (None, None)
+    autopilot: Autopilot = "unknown"
     if items and items[0].key == 0 and items[0].command in (0, WAYPOINT):
         first = items.pop(0)
+        num_rows -= 1
         elevation_m = first.height_m if first.datum == "geoid" else math.nan
         own_home = _home(first.lon, first.lat, elevation_m)
         items = [_without_place(item) for item in items]
+        autopilot = "ardupilot"
     numbered = [item._replace(number=number) for number, item in enumerate(items, 1)]
-    return _flown(name, numbered, home, own_home, return_altitude_m, [], speed_m_s=math.nan)
+    flight = Flight(numbered, home or own_home[0], return_altitude_m, autopilot)
+    return _flown(name, flight, num_rows, home, own_home, [], speed_m_s=math.nan)
 
 
 def _flown(
     name: str,
-    items: Sequence[Item],
+    flight: Flight,
+    num_rows: int,
     home: LonLat | None,
     own_home: Home,
-    return_altitude_m: float,
     notes: Sequence[str],
     speed_m_s: float,
 ) -> Mission:
-    """Return the mission of items.
+    """Return the mission of items as they are flown.
 
     Args:
       name: of the file.
-      items: in the order of the file.
+      flight: the items, flown.
+      num_rows: how many items the file holds, counted apart from them.
       home: longitude and latitude in degrees that the user gives; None takes ``own_home``.
       own_home: the home of the file and its elevation.
-      return_altitude_m: metres above home, NaN where it is not known.
       notes: sentences on what else of the file is not judged.
       speed_m_s: that the file plans with where no item sets a speed; NaN or 0 where it has none.
 
     Raises:
       InputError: there is no item, or none that leads anywhere.
     """
-    if not items:
+    if not flight.accounts:
         raise InputError(f"{name!r} holds no items: give a mission that has some")
     start, elevation_m = (home, None) if home else own_home
-    flight = Flight(items, start, return_altitude_m)
     sentences = shortened([*flight.not_judged, *notes])
     if not flight.legs and not sentences:
         raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")
     planned_m_s = speed_m_s if speed_m_s > 0 else None
     first_m_s = flight.speed_m_s or planned_m_s
-    return Mission(name, tuple(flight.legs), start, elevation_m, sentences, first_m_s)
+    return Mission(
+        name,
+        tuple(flight.legs),
+        start,
+        elevation_m,
+        sentences,
+        first_m_s,
+        accounts=tuple(flight.accounts),
+        num_things=num_rows,
+    )
+
+
+def _check_keys(items: Sequence[Item], what: str) -> None:
+    """Raise DamagedError where two items, by messages called ``what``, have one key: where do jumps lead then?"""
+    numbers: dict[int, int] = {}
+    for item in items:
+        if item.key is None:
+            continue
+        other = numbers.setdefault(item.key, item.number)
+        if other != item.number:
+            raise DamagedError(
+                f"{what} {other} and {what} {item.number} have the same number {item.key}, which jumps name: change one"
+            )
+
+
+def _unknown(whole: Mapping[str, Any], known: Sequence[str]) -> list[str]:
+    """Return a sentence for each part of an object that holds other parts, and is not known."""
+    parts = [key for key, value in whole.items() if value and isinstance(value, dict | list)]
+    return [f"its part {key[:40]!r} is not judged" for key in parts if key not in known]
 
 
 def _object(value: Any, what: str) -> dict[str, Any]:
-    """Return a JSON object; ValueError, which begins with ``what``, of any other value."""
+    """Return a JSON object; DamagedError, which begins with ``what``, of any other value."""
     if not isinstance(value, dict):
-        raise ValueError(f"{what} is no JSON object")
+        raise DamagedError(f"{what} is no JSON object")
     return value
 
 
@@ -152,8 +218,12 @@ def _home(lon: float, lat: float, elevation_m: float) -> Home:
     one without a home.
 
     Raises:
-      ValueError: home does not lie on the Earth.
+      DamagedError: home does not lie on the Earth, or where no ground is.
     """
+    if not LOWEST_M <= elevation_m <= HIGHEST_M and not math.isnan(elevation_m):
+        raise DamagedError(
+            f"home is {elevation_m:,.1f} m above the sea, where no ground is: give metres; are these centimetres?"
+        )
     check_place("home", lon, lat, elevation_m)
     if math.isnan(lon) or math.isnan(lat) or (lon, lat) == (0, 0):
         return None, None
@@ -171,7 +241,8 @@ def _item_of_plan(value: Any, number: int) -> Item:
 
     QGroundControl flies at the item's ``Altitude``, and other programs at its seventh parameter, so both must be the
     same. Only where QGroundControl calculates heights above the geoid from heights above ground do they differ: then
-    the seventh parameter counts, or, where it is null because the terrain is not known, the ``Altitude`` above ground.
+    the seventh parameter counts, or, where it is null because the terrain is not known, the ``Altitude`` above
+    ground, to which the way is straight all the same.
 
     Args:
       value: the JSON value.
@@ -181,11 +252,13 @@ def _item_of_plan(value: Any, number: int) -> Item:
       The item; a survey or another ``ComplexItem`` becomes one of command -1, which says what it is.
 
     Raises:
-      ValueError: it is no item, or its two heights differ by more than `SAME_M`.
+      DamagedError: it is no item, or its two heights differ by more than `SAME_M`.
     """
     what = f"item {number}"
     row = _object(value, what)
-    key = whole_of(f"doJumpId of {what}", row.get("doJumpId", number))
+    key = None
+    if "doJumpId" in row:
+        key = whole_of(f"doJumpId of {what}", row["doJumpId"])
     if row.get("type") != "SimpleItem":
         kind = str(row.get("complexItemType"))[:40]
         if not kind.isidentifier():
@@ -194,7 +267,7 @@ def _item_of_plan(value: Any, number: int) -> Item:
 
     params = row.get("params")
     if not isinstance(params, list) or len(params) != 7:
-        raise ValueError(f"{what} has no list of seven params")
+        raise DamagedError(f"{what} has no list of seven params")
     values = [number_of(f"a parameter of {what}", param) for param in params]
     command, frame = (whole_of(f"{part} of {what}", row.get(part)) for part in ("command", "frame"))
     item = _item(what, number, key, command, frame, values)
@@ -203,20 +276,13 @@ def _item_of_plan(value: Any, number: int) -> Item:
     shown_m = number_of(f"Altitude of {what}", row.get("Altitude"))
     if row.get("AltitudeMode") == CALCULATED and item.datum == "geoid":
         if math.isnan(item.height_m):
-            return item._replace(height_m=shown_m, datum="ground")
+            return item._replace(height_m=shown_m, datum="ground", is_straight=True)
         return item
     if command in HAS_HEIGHT and abs(item.height_m - shown_m) > SAME_M:
-        raise ValueError(
+        raise DamagedError(
             f"{what} has params of {item.height_m:g} m and an Altitude of {shown_m:g} m"
         )
     return item
-
-
-def _float(text: str) -> float | str:
-    """Return a text as a number, and unchanged if it is none."""
-    with suppress(ValueError):
-        return float(text)
-    return text
 
 
 def _item_of_row(cells: Sequence[str], line: int) -> Item:
@@ -227,19 +293,20 @@ def _item_of_row(cells: Sequence[str], line: int) -> Item:
       line: number of the row's line in the file, from 1.
 
     Raises:
-      ValueError: another number of cells, or one that is not a number.
+      DamagedError: another number of cells, or one that is not a number.
     """
     what = f"line {line}"
     if len(cells) != NUM_COLUMNS:
-        raise ValueError(f"{what} has {len(cells)} values, and not {NUM_COLUMNS}")
-    numbers = [number_of(f"a value of {what}", _float(cell)) for cell in cells]
+        raise DamagedError(f"{what} has {len(cells)} values, and not {NUM_COLUMNS}")
+    texts = ["" if cell in NANS else cell for cell in cells]
+    numbers = [decimal_of(f"a value of {what}", text) for text in texts]
     # Column 1, whether it is the current item, is not looked at.
     key, frame, command = (whole_of(f"a value of {what}", numbers[column]) for column in (0, 2, 3))
     return _item(what, line, key, command, frame, numbers[4:11])
 
 
 def _item(
-    what: str, number: int, key: int, command: int, frame: int, values: Sequence[float]
+    what: str, number: int, key: int | None, command: int, frame: int, values: Sequence[float]
 ) -> Item:
     """Return an item of MAVLink.
 
@@ -250,7 +317,7 @@ def _item(
       values: four parameters, latitude and longitude in degrees, and height in metres.
 
     Raises:
-      ValueError: the place does not lie on the Earth.
+      DamagedError: the place does not lie on the Earth.
     """
     *params, lat, lon, height_m = values
     datum = FRAMES.get(frame)

@@ -1,52 +1,96 @@
-"""Missions that are lines of points: KML, GPX, GeoJSON and CSV, of which few say what heights are above."""
+"""Missions that are lines of points: KML, GPX, GeoJSON and CSV, of which few say what heights are above.
 
-import json
+How many positions a file holds is counted apart from the lines that are read, and what they leave over is not judged.
+"""
+
+import csv
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
+from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser
 
 import numpy as np
-import pandas as pd
+import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.mission_parts import (
     DATUMS,
     NO_HOME,
+    SAME_M,
+    Account,
+    DamagedError,
     Datum,
     Leg,
     LonLat,
     Mission,
     Place,
+    Profile,
     check_place,
+    decimal_of,
+    json_of,
     number_of,
+    shortened,
 )
 from jaxurban.io.read.routes import ALTITUDE_PROPERTY, SEGMENT_PROPERTY
-from jaxurban.io.tables import read_table
 
 OWN = "jaxurban"  # what it calls itself as the creator of GPX
 OWN_HEIGHT = re.compile(r"(-?[\d.]+) m above ground")  # of its points there
+OWN_DATA = "height_reference"  # that its lines in KML have
+XML_OTHERS = ("Point", "Polygon", "LinearRing", "Model", "GroundOverlay", "NetworkLink", "Tour")
 KML_MODES: dict[str, Datum] = {"relativeToGround": "ground", "absolute": "geoid"}
-KML_OTHERS = ("Point", "Polygon", "Model", "GroundOverlay", "NetworkLink")
+# Parts of lines in KML that are read, or do not change where they lie.
+KML_PARTS = {
+    "LineString": {"coordinates", "altitudeMode", "extrude", "tessellate", "drawOrder"},
+    "Track": {"coord", "altitudeMode", "extrude", "tessellate", "when", "angles", "ExtendedData"},
+    "MultiTrack": {"Track", "interpolate"},
+}
 COLUMNS = {
     "longitude": ("lon", "lon_deg", "longitude", "longitude_deg", "lng", "long"),
     "latitude": ("lat", "lat_deg", "latitude", "latitude_deg"),
     "height": (ALTITUDE_PROPERTY, "height_m", "alt_m", "altitude", "height", "alt", "ele"),
 }
+MOST_COLUMNS, MOST_ROWS = 1000, 1_000_000  # of a table; rows beyond are counted, and not judged
+# What files call a coordinate reference system, and the names of the one that is read.
+CRS_NAMES = ("crs", "datum", "epsg", "mapdatum", "srs", "srsname")
+WGS84 = re.compile(
+    r"(?:(?:urn:(?:x-)?ogc:def:crs:|https?://www\.opengis\.net/def/crs/)?(?:OGC|EPSG)[:/](?:[\d.]*[:/])?)?"
+    r"(?:CRS84|4326)|WGS[ _-]?(?:19)?84",
+    re.ASCII | re.IGNORECASE,
+)
+NEAR_DEG = 1e-5  # about a metre, by which lines that are straight in degrees leave those straight in metres
+NO_LINE = "is no part of a line that is read"
+REPEATED = "repeats a part of a route"  # so that it needs no judging
+NOT_REPEATED = "calls itself a segment of a route on which it does not lie"
 
 
 class Line(NamedTuple):
-    """Points that are flown one after the other; a thing of a file that is no line has no points.
+    """A line of a file, or something else that may have positions.
 
     Attributes:
-      points: longitude and latitude in degrees and height in metres of each; NaN for what the file leaves out.
+      what: name of its kind in the file, such as ``"LineString"``.
+      points: that are flown one after the other, longitude and latitude in degrees and height in metres of each; NaN
+        for what the file leaves out.
       datum: what the heights are above, None where the file does not say.
+      is_own: whether jaxurban wrote it, whose lines follow the ground.
+      why: it is not judged, as said of "it"; empty for a line that is.
+      num: how many positions it has of which no points are read.
+      beside_m: the heights above the ground that the file names too, one of each point; empty where it does not.
     """
 
-    points: list[tuple[float, float, float]]
+    what: str
+    points: Sequence[tuple[float, float, float]] = ()
     datum: Datum | None = None
+    is_own: bool = False
+    why: str = ""
+    num: int = 0
+    beside_m: Sequence[float] = ()
+
+
+Shapes = tuple[list[Line], int]  # the things of a file, and how many positions it holds
 
 
 def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | None) -> Mission:
@@ -62,19 +106,43 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
       home: longitude and latitude in degrees, or None.
 
     Raises:
-      InputError: the file holds no line of two points, or it is not clear what heights are above (see `_datum`).
+      InputError: the file holds no line of two places, or it is not clear what heights are above (see `_datum`).
       ValueError: the file cannot be read, or a point has no height or does not lie on the Earth.
     """
     name = path.name
-    shapes = READERS[path.suffix.lower()](path, data)
-    lines = [line for line in shapes if len(line.points) > 1]
-    if not lines:
-        raise InputError(f"{name!r} holds no line of two points: give the mission's way as a line")
+    shapes, num_positions = READERS[path.suffix.lower()](path, data)
 
-    legs = []
+    # Lines, and what is none: positions by what it is and why it is not judged.
+    lines = []
+    others: Counter[tuple[str, str]] = Counter()
+    num_more = num_positions
+    for shape in shapes:
+        num = shape.num or len(shape.points)
+        num_more -= num
+        if not shape.why and len(set(shape.points)) > 1:
+            lines.append(shape)
+        else:
+            others[shape.what, shape.why or NO_LINE] += num
+    if num_more:
+        others["other positions", NO_LINE] = num_more
+    accounts = [Account(what, num, (), why) for (what, why), num in others.items()]
+    sentences = [
+        f"what it holds as {each.what} ({each.num} positions) is not judged, as it {each.why}"
+        for each in accounts
+        if each.why != REPEATED
+    ]
+    if not lines:
+        why = "".join(f" ({sentence})" for sentence in sentences[:1])
+        raise InputError(
+            f"{name!r} holds no line of two places that is read{why}: give the mission's way as a line"
+        )
+
+    legs: list[Leg] = []
     number = 0
     for line in lines:
         datum = _datum(name, line.datum, heights)
+        profile: Profile = "both" if datum == "ground" and not line.is_own else "frame"
+        first = len(legs)
         previous: Place | None = None
         for point in line.points:
             number += 1
@@ -84,20 +152,42 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
                 previous = Place(*home, place.height_m, datum)
                 legs.append(Leg(Place(*home, 0.0, "ground"), previous, "climb", number))
             if previous and previous != place:
-                legs.append(Leg(previous, place, "leg", number))
+                legs.append(Leg(previous, place, "leg", number, profile=profile))
             previous = place
+        legs += _beside(line, number)
+        accounts.append(Account(line.what, len(line.points), tuple(range(first, len(legs)))))
 
     notes = []
     if not home:
         notes.append(f"the climb from home is not judged, as {NO_HOME}")
     if len(lines) > 1:
         notes.append(f"it holds {len(lines)} lines, and the ways between them are not judged")
-    num_others = len(shapes) - len(lines)
-    if num_others:
-        notes.append(f"it holds {num_others} things that are no lines, which are not read")
     return Mission(
-        name, tuple(legs), home, home_elevation_m=None, not_judged=tuple(notes), speed_m_s=None
+        name,
+        tuple(legs),
+        home,
+        home_elevation_m=None,
+        not_judged=shortened(notes + sentences),
+        speed_m_s=None,
+        accounts=tuple(accounts),
+        num_things=num_positions,
     )
+
+
+def _beside(line: Line, last: int) -> list[Leg]:
+    """Return the legs of a line at its other heights, as variants, which follow the ground.
+
+    ``last`` is the number of its last point.
+    """
+    places = [
+        Place(lon, lat, height_m, "ground")
+        for (lon, lat, _), height_m in zip(line.points, line.beside_m, strict=False)
+    ]
+    first = last - len(places) + 2
+    return [
+        Leg(start, end, "leg", number, is_variant=True)
+        for number, (start, end) in enumerate(pairwise(places), first)
+    ]
 
 
 def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
@@ -130,13 +220,13 @@ def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
 
 
 def _check(what: str, point: tuple[float, float, float]) -> None:
-    """Raise ValueError, which begins with ``what``, unless a point is a place on the Earth with a height.
+    """Raise DamagedError, which begins with ``what``, unless a point is a place on the Earth with a height.
 
     The point is longitude and latitude in degrees and height in metres, in the order of `COLUMNS`.
     """
     for part, value in zip(COLUMNS, point, strict=True):
         if math.isnan(value):
-            raise ValueError(f"{what} has no {part}")
+            raise DamagedError(f"{what} has no {part}")
     check_place(what, *point)
 
 
@@ -145,17 +235,16 @@ class _Plain(TreeBuilder):
 
     def doctype(self, name: str, public: str | None, system: str | None) -> None:
         """Refuse what may grow without end, or name other files."""
-        raise ValueError("it has a DOCTYPE, which is never read")
+        raise DamagedError("it has a DOCTYPE, which is never read")
 
 
-def _xml(data: bytes) -> Element:
-    """Return the root of an XML file; ValueError where it is damaged, or defines words of its own."""
-    parser = XMLParser(target=_Plain())
-    try:
-        parser.feed(data)
-        return parser.close()
-    except ParseError as error:
-        raise ValueError(str(error)) from error
+def _check_crs(path: Path, crs: Any) -> None:
+    """Raise InputError unless a coordinate reference system that a file names is WGS 84 in longitude and latitude."""
+    text = str(crs).strip()
+    if not WGS84.fullmatch(text):
+        raise InputError(
+            f"{path.name!r} has its positions in {text[:80]!r}: convert them to WGS 84 (EPSG:4326)"
+        )
 
 
 def _tag(element: Element) -> str:
@@ -164,149 +253,272 @@ def _tag(element: Element) -> str:
 
 
 def _text(element: Element, name: str) -> str:
-    """Return the text of the first child of this name, else an empty text."""
-    texts = (child.text or "" for child in element if _tag(child) == name)
-    return next(texts, "").strip()
+    """Return the text of the children of this name, else an empty text; DamagedError where they differ."""
+    children = [child for child in element if _tag(child) == name]
+    texts = {" ".join(child.itertext()).strip() for child in children}
+    if len(texts) > 1:
+        raise DamagedError(f"a {_tag(element)} has two values of {name}: keep one")
+    return next(iter(texts), "")
 
 
-def _point(values: Sequence[Any]) -> tuple[float, float, float]:
-    """Return longitude, latitude and height, NaN for what is left out."""
-    lon, lat, height_m = (number_of("a coordinate", each) for each in (*values, None, None)[:3])
+def _point(
+    values: Sequence[Any], read: Callable[[str, Any], float] = decimal_of
+) -> tuple[float, float, float]:
+    """Return longitude, latitude and height, NaN for what is left out.
+
+    Args:
+      values: of the file, three at most.
+      read: takes what a value is, and the value; left out, values are texts.
+    """
+    if len(values) > 3:
+        raise DamagedError(f"a position has {len(values)} values: give longitude, latitude, height")
+    lon, lat, height_m = (read("a coordinate", each) for each in (*values, None, None)[:3])
     return lon, lat, height_m
 
 
-def _floats(texts: Iterable[str | None]) -> list[float | None]:
-    return [float(text) if text else None for text in texts]
-
-
-def kml_lines(path: Path, data: bytes) -> list[Line]:
-    """Return the LineStrings and Tracks of KML, and a `Line` without points for everything else that has a place.
+def _num_at(element: Element) -> int:
+    """Return how many positions an element of KML or GPX has by itself: as its text, or as attributes.
 
     Raises:
-      InputError: a line whose altitude mode says that it is not in the air, such as ``clampToGround``.
-      ValueError: the file cannot be read, or a coordinate is not a number.
+      DamagedError: there are elements among the positions.
     """
+    tag = _tag(element)
+    if tag == "coordinates":
+        if len(element):
+            raise DamagedError("its coordinates hold elements, and not only text")
+        return len((element.text or "").split())
+    return tag == "coord" or "lat" in element.attrib or "lon" in element.attrib
+
+
+def xml_lines(path: Path, data: bytes) -> Shapes:
+    """Return the lines of KML or GPX, and all else that has positions or may hold some.
+
+    Raises:
+      InputError: another coordinate reference system than WGS 84, or a line of KML whose altitude mode says that it is
+        not in the air, such as ``clampToGround``.
+      ValueError: the file cannot be read, defines words of its own, or a coordinate is not a number.
+    """
+    parser = XMLParser(target=_Plain())
+    try:
+        parser.feed(data)
+        root = parser.close()
+    except ParseError as error:
+        line, column = error.position
+        raise DamagedError(f"its XML is damaged in line {line}, column {column}") from error
+    is_own = root.get("creator") == OWN
+    for element in root.iter():
+        is_own = is_own or element.get("name") == OWN_DATA
+        for key, value in ((element.tag, element.text), *element.items()):
+            is_crs = key.rpartition("}")[2].lower() in CRS_NAMES
+            if is_crs and value and value.strip():
+                _check_crs(path, value)
+
     lines = []
-    for element in _xml(data).iter():
+    stack = [root]
+    while stack:
+        element = stack.pop()
         tag = _tag(element)
-        if tag in KML_OTHERS:
-            lines.append(Line([]))
-        if tag not in ("LineString", "Track"):
-            continue
-
-        # A LineString without a mode leaves the datum open.
-        mode = _text(element, "altitudeMode")
-        if mode and mode not in KML_MODES:
-            raise InputError(
-                f"a line of {path.name!r} has the altitude mode {mode!r}, by which its heights are none in the air: "
-                f"use {' or '.join(KML_MODES)}"
-            )
-
-        # A LineString is one text, "lon,lat,height lon,lat,height"; a Track has a text "lon lat height" for each point.
-        texts = [values.split(",") for values in _text(element, "coordinates").split()]
-        if tag == "Track":
-            texts = [(child.text or "").split() for child in element if _tag(child) == "coord"]
-        points = [_point(_floats(values)) for values in texts]
-        lines.append(Line(points, KML_MODES.get(mode)))
-    return lines
+        strange = {_tag(child) for child in element} - KML_PARTS.get(tag, set())
+        if tag in KML_PARTS and strange:
+            why = f"has a part {min(strange)}, which is not understood"
+            lines.append(Line(tag, why=why, num=sum(map(_num_at, element.iter()))))
+        elif tag in ("LineString", "Track"):
+            lines.append(_kml_line(path, element, is_own))
+        elif tag in ("rte", "trkseg"):
+            lines.append(_gpx_line(element, is_own))
+        elif tag in XML_OTHERS or _num_at(element):
+            lines.append(Line(tag, num=sum(map(_num_at, element.iter()))))
+        else:
+            stack += reversed(element)
+    return lines, sum(map(_num_at, root.iter()))
 
 
-def gpx_lines(path: Path, data: bytes) -> list[Line]:
-    """Return the routes and the segments of tracks of GPX, and a `Line` without points for every single waypoint.
+def _kml_line(path: Path, element: Element, is_own: bool) -> Line:
+    """Return a LineString or a Track of KML, written by jaxurban or not; errors as of `xml_lines`."""
+    # A LineString without a mode leaves the datum open.
+    mode = _text(element, "altitudeMode")
+    if mode and mode not in KML_MODES:
+        raise InputError(
+            f"a line of {path.name!r} has the altitude mode {mode!r}, by which its heights are none in the air: "
+            f"use {' or '.join(KML_MODES)}"
+        )
+
+    # A LineString is one text, "lon,lat,height lon,lat,height"; a Track has a text "lon lat height" for each point.
+    texts = [values.split(",") for values in _text(element, "coordinates").split()]
+    if _tag(element) == "Track":
+        coords = [child for child in element if _tag(child) == "coord"]
+        texts = [" ".join(coord.itertext()).split() for coord in coords]
+    points = [_point(values) for values in texts]
+    return Line(_tag(element), points, KML_MODES.get(mode), is_own)
+
+
+def _gpx_line(element: Element, is_own: bool) -> Line:
+    """Return a route or the segment of a track of GPX, written by jaxurban or not.
 
     Heights are those of ``ele``, and the file does not say what they are above. In files that jaxurban wrote they are
-    the heights above ground in the points' descriptions.
-
-    Raises:
-      ValueError: the file cannot be read, or a coordinate is not a number.
+    above the zero of its terrain, which is taken as the geoid. The heights above ground in the points' descriptions
+    count beside them, and alone where it had no terrain.
     """
-    root = _xml(data)
-    lines = []
-    for element in root.iter():
-        if _tag(element) == "wpt":
-            lines.append(Line([]))
-        if _tag(element) not in ("rte", "trkseg"):
-            continue
-
-        # The points of a line, and their heights: above ground only if every point of jaxurban's own file says so.
-        nodes = [child for child in element if _tag(child) in ("rtept", "trkpt")]
-        above_ground = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes]
-        is_own = root.get("creator") == OWN and all(above_ground)
-        heights = [_text(node, "ele") for node in nodes]
-        if is_own:
-            heights = [match[1] for match in above_ground if match]
-        points = [
-            _point(_floats((node.get("lon"), node.get("lat"), height)))
-            for node, height in zip(nodes, heights, strict=True)
-        ]
-        lines.append(Line(points, "ground" if is_own else None))
-    return lines
+    nodes = [child for child in element if _tag(child) in ("rtept", "trkpt")]
+    heights = [_text(node, "ele") for node in nodes]
+    datum: Datum | None = "geoid" if is_own else None
+    matches = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes if is_own]
+    described = [match[1] if match else "" for match in matches]
+    beside_m = [decimal_of("a height", text) for text in described if any(heights) and text]
+    if is_own and not any(heights):
+        heights, datum = described, "ground"
+    points = [
+        _point((node.get("lon"), node.get("lat"), height))
+        for node, height in zip(nodes, heights, strict=True)
+    ]
+    return Line(_tag(element), points, datum, is_own, beside_m=beside_m)
 
 
-def geojson_lines(path: Path, data: bytes) -> list[Line]:
-    """Return the lines of GeoJSON, and a `Line` without points for every feature that is no line.
+def _num_in_json(value: Any) -> int:
+    """Return how many positions a value of JSON holds: lists of what is no list, in any ``coordinates``."""
+    num = 0
+    stack = [(value, False)]
+    while stack:
+        part, is_inside = stack.pop()
+        if isinstance(part, dict):
+            stack += [(each, is_inside or key == "coordinates") for key, each in part.items()]
+        elif isinstance(part, list):
+            num += is_inside and not all(isinstance(each, list) for each in part)
+            stack += [(each, is_inside) for each in part]
+    return num
+
+
+def geojson_lines(path: Path, data: bytes) -> Shapes:
+    """Return the lines of GeoJSON, and all other geometries.
 
     A point's height is its third coordinate, else the feature's property `ALTITUDE_PROPERTY`, and the file does not say
     what it is above. Routes that jaxurban wrote have ``settings``, and the heights of their points above ground in the
-    property ``z_m``.
+    property ``z_m``; the segments of their reports repeat them.
 
     Raises:
-      ValueError: the file cannot be read, a coordinate is not a number, or ``z_m`` has another length than its line.
+      InputError: the file names another coordinate reference system than WGS 84.
+      ValueError: the file cannot be read, a coordinate is not a number, a point has two heights, or ``z_m`` has another
+        length than its line.
     """
-    whole = json.loads(data)
-    features = whole.get("features", [whole])  # a feature or a geometry alone is one of them
-    is_own = any("settings" in (feature.get("properties") or {}) for feature in features)
+    whole = json_of(data)
+    lines: list[Line] = []
+    segments: list[Line] = []
+    stack: list[tuple[Any, dict[str, Any]]] = [(whole, {})]  # with the properties of its feature
+    while stack:
+        value, properties = stack.pop()
+        value = value or {}
+        crs = value.get("crs")
+        for each in crs["properties"].values() if isinstance(crs, dict) else [crs or "WGS 84"]:
+            _check_crs(path, each)
+        properties = value.get("properties") or properties
+        key = next((key for key in ("features", "geometry", "geometries") if key in value), None)
+        if key:
+            inner = [value[key]] if key == "geometry" else value[key]
+            stack += [(part, properties) for part in reversed(inner)]
+        elif properties.get(SEGMENT_PROPERTY) is None:
+            lines += _geojson_lines(value, properties)
+        else:
+            segments += _geojson_lines(value, properties)
+
+    # Segments of a report of jaxurban's repeat its route, and have no heights.
+    routes = [np.array(line.points)[:, :2] for line in lines if line.is_own]
+    routes = [route for route in routes if len(route) > 1 and np.isfinite(route).all()]
+    near = shapely.buffer(shapely.MultiLineString(routes), NEAR_DEG)
+    shapely.prepare(near)
+    for segment in segments:
+        points = np.array(segment.points)
+        if routes and len(points) > 1:
+            lonlat = points[:, :2]
+            is_flat = np.isfinite(lonlat).all() and np.isnan(points[:, 2]).all()
+            is_repeated = is_flat and near.covers(shapely.LineString(lonlat))
+            segment = segment._replace(why=REPEATED if is_repeated else NOT_REPEATED)
+        lines.append(segment)
+    return lines, _num_in_json(whole)
+
+
+def _geojson_lines(geometry: dict[str, Any], properties: dict[str, Any]) -> list[Line]:
+    """Return the lines of a geometry of GeoJSON, one of each part, or one without points where it is none.
+
+    Args:
+      geometry: of GeoJSON.
+      properties: of its feature.
+
+    Raises:
+      DamagedError: as of `geojson_lines`.
+    """
+    what = str(geometry.get("type", "a feature without geometry"))[:40]
+    parts = geometry.get("coordinates")
+    if what not in ("LineString", "MultiLineString") or not parts:
+        return [Line(what, num=_num_in_json(geometry))]
+    if what == "LineString":
+        parts = [parts]
+
+    # The points of each part, with the heights of a route of jaxurban's, if it is one.
+    above_ground_m = properties.get("z_m") if "settings" in properties else None
     lines = []
-    for feature in features:
-        properties = feature.get("properties") or {}
-        geometry = feature.get("geometry", feature) or {}
-
-        # What is no line gives one without points; what repeats a part of the route gives none.
-        if is_own and properties.get(SEGMENT_PROPERTY) is not None:
-            continue  # of a report: it repeats a part of the route
-        kind = geometry.get("type")
-        parts = geometry.get("coordinates")
-        if kind not in ("LineString", "MultiLineString") or not parts:
-            lines.append(Line([]))
-            continue
-        if kind == "LineString":
-            parts = [parts]
-
-        # The points of each part, with the heights of a route of jaxurban's, if it is one.
-        above_ground_m = properties.get("z_m") if "settings" in properties else None
-        for part in parts:
-            heights_m = above_ground_m or [properties.get(ALTITUDE_PROPERTY)] * len(part)
-            points = []
-            for values, height_m in zip(part, heights_m, strict=True):
-                has_height = len(values) > 2 and not above_ground_m
-                points.append(_point(values if has_height else (*values[:2], height_m)))
-            lines.append(Line(points, "ground" if above_ground_m else None))
+    for part in parts:
+        heights_m = above_ground_m or [properties.get(ALTITUDE_PROPERTY)] * len(part)
+        if len(heights_m) != len(part):
+            raise DamagedError(f"z_m has {len(heights_m)} heights for {len(part)} positions")
+        points = []
+        for values, height_m in zip(part, heights_m, strict=True):
+            lon, lat, third_m = _point(values, number_of)
+            beside_m = number_of("a height", height_m)
+            if abs(third_m - beside_m) > SAME_M:
+                raise DamagedError(
+                    f"a position has the height {third_m:g} m, and its feature {beside_m:g} m for it: keep one"
+                )
+            is_beside = above_ground_m or math.isnan(third_m)
+            points.append((lon, lat, beside_m if is_beside else third_m))
+        is_own = bool(above_ground_m)
+        lines.append(Line(what, points, "ground" if is_own else None, is_own))
     return lines
 
 
-def csv_lines(path: Path, data: bytes) -> list[Line]:
-    """Return the rows of a table as one line, NaN for what is no finite number; it does not say its heights' datum.
+def csv_lines(path: Path, data: bytes) -> Shapes:
+    """Return the rows of a table as one line; it does not say what its heights are above.
 
-    The columns of longitude, latitude and height are the first of their names in `COLUMNS` that the table has.
+    The columns of longitude, latitude and height have one of their names in `COLUMNS`, in capitals or not. Where two
+    have one, they must agree to a centimetre.
 
     Raises:
-      InputError: the table cannot be read, or lacks one of the three.
+      InputError: the table lacks one of the three, has two that differ, or names another CRS than WGS 84.
+      ValueError: the table cannot be read, a row has more values than the header, or one that is no number.
     """
-    table = read_table(path, "mission")
-    columns = {str(column).strip().lower(): column for column in table}
+    texts = [text for text in data.decode("utf-8-sig").splitlines() if text.strip()]
+    header, *rows = csv.reader(texts[:MOST_ROWS], strict=True)
+    if len(header) > MOST_COLUMNS or any(len(row) > len(header) for row in rows):
+        raise DamagedError(
+            f"it has more than {MOST_COLUMNS:,} columns, or a row with more values than the header has"
+        )
+
+    # Cells by column, and its name without the number that pandas adds to one that is there twice.
+    columns = list(zip_longest(header, *rows, fillvalue=""))
+    names = [re.sub(r"\.\d+$", "", name.strip().lower()) for name in header]
+    for name, (_, *cells) in zip(names, columns, strict=True):
+        for crs in {*cells} - {""} if name in CRS_NAMES else ():
+            _check_crs(path, crs)
     values = []
-    for quantity, names in COLUMNS.items():
-        column = next((columns[name] for name in names if name in columns), None)
-        if column is None:
-            raise InputError(f"{path.name!r} has no column of {quantity}: call it {names[0]}")
-        numbers = pd.to_numeric(table[column], errors="coerce").to_numpy(float)
-        values.append(np.where(np.isfinite(numbers), numbers, np.nan))
-    return [Line([(lon, lat, z_m) for lon, lat, z_m in np.column_stack(values).tolist()])]
+    for quantity, known in COLUMNS.items():
+        chosen = [column for name, column in zip(names, columns, strict=True) if name in known]
+        if not chosen:
+            raise InputError(f"{path.name!r} has no column of {quantity}: call it {known[0]}")
+        numbers = [[decimal_of(f"a {name}", cell) for cell in cells] for name, *cells in chosen]
+        most = SAME_M if quantity == "height" else NEAR_DEG / 100
+        for (other, *_), column in zip(chosen, numbers, strict=True):
+            if not np.allclose(column, numbers[0], rtol=0.0, atol=most, equal_nan=True):
+                raise InputError(
+                    f"{path.name!r} has the columns {chosen[0][0]!r} and {other!r} of {quantity}, which differ: keep "
+                    "the one that is flown"
+                )
+        values.append(numbers[0])
+    num_rows = sum(bool(text.strip()) for text in data.splitlines()) - 1
+    return [Line("table", list(zip(*values, strict=True)))], num_rows
 
 
-READERS: dict[str, Callable[[Path, bytes], list[Line]]] = {
-    ".kml": kml_lines,
-    ".gpx": gpx_lines,
+READERS: dict[str, Callable[[Path, bytes], Shapes]] = {
+    ".kml": xml_lines,
+    ".gpx": xml_lines,
     ".geojson": geojson_lines,
     ".json": geojson_lines,
     ".csv": csv_lines,

@@ -1,8 +1,14 @@
 """What a mission is made of, whichever tool made it: places, legs, and what of it could not be read."""
 
+import json
+import math
+import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
+
+import pyproj
 
 Datum = Literal["home", "ground", "geoid", "ellipsoid"]  # what a height is above
 Profile = Literal["frame", "straight", "both"]  # how a leg runs between the heights of its ends
@@ -12,6 +18,14 @@ NO_HOME = "the file names no home"
 MOST_HEIGHT_M = 100_000.0  # above or below any datum
 MOST = 1e15  # of any number of a file
 MOST_NAMED = 50  # sentences on what is not judged
+GEOD = pyproj.Geod(ellps="WGS84")
+SAME_M = 0.01  # two heights of one place that differ by more are two heights
+# A number as ground stations write it: no underscore, no digits of other scripts.
+NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
+
+
+class DamagedError(ValueError):
+    """What is wrong with a mission's file, in words of ours; other errors of reading it are those of libraries."""
 
 
 class Place(NamedTuple):
@@ -36,10 +50,15 @@ class Leg(NamedTuple):
       start, end: its ends.
       kind: ``climb`` (from home, or another vertical take-off), ``leg``, ``loiter``, ``land``, ``return`` or ``jump``.
       item: the number of the item in its file that the vehicle flies to, as ground stations count: the first is 1.
-      radius_m: of a loiter's circle around ``end``, where ``start`` is ``end`` too; 0 for hovering.
+      radius_m: of a loiter's circle around ``end``, which begins and ends at ``start``: on the circle, or at ``end``
+        itself where autopilots fly to the centre first; 0 for hovering.
       profile: ``"frame"``: in the frame of its end, so that it follows the ground where the end's height is above the
         ground, and is straight otherwise; ``"straight"``: straight whatever the heights are above; ``"both"``: the file
         does not say which of the two.
+      is_variant: it is not flown after the leg before it, but beside the next leg that is none, as another autopilot or
+        another setting of it would fly.
+      has_stop: the vehicle stops at its end, and so does not cut the corner there.
+      not_below: of a return: its heights above home are no less than the height of this place.
     """
 
     start: Place
@@ -48,6 +67,9 @@ class Leg(NamedTuple):
     item: int
     radius_m: float = 0.0
     profile: Profile = "frame"
+    is_variant: bool = False
+    has_stop: bool = False
+    not_below: Place | None = None
 
 
 class Account(NamedTuple):
@@ -99,6 +121,44 @@ class Mission:
         return abs(self.num_things - sum(each.num for each in sound))
 
 
+def json_of(data: bytes) -> Any:
+    """Return what JSON holds, and NaN and Infinity, which are no numbers of JSON, as texts.
+
+    Raises:
+      DamagedError: it is damaged, or an object has a key twice.
+      ValueError, RecursionError: it is no text, has a number of thousands of digits, or is nested too deeply.
+    """
+    try:
+        return json.loads(data, object_pairs_hook=_once, parse_constant=str)
+    except json.JSONDecodeError as error:
+        raise DamagedError(
+            f"its JSON is damaged in line {error.lineno}, column {error.colno}"
+        ) from error
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object of JSON; DamagedError where it has a key twice, of which readers take one or the other."""
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        ((key, _),) = Counter(key for key, _ in pairs).most_common(1)
+        raise DamagedError(f"an object in it has two values of {key[:40]!r}: keep one")
+    return values
+
+
+def decimal_of(what: str, text: str | None) -> float:
+    """Return a number that a file holds as text, NaN where it is blank.
+
+    Raises:
+      DamagedError: it is no `NUMBER`, or as of `number_of`; ``what`` begins the message.
+    """
+    text = (text or "").strip()
+    if not text:
+        return math.nan
+    if not NUMBER.fullmatch(text):
+        raise DamagedError(f"{what} must be a number, got {text[:40]!r}")
+    return number_of(what, float(text))
+
+
 def number_of(what: str, value: Any) -> float:
     """Return a number of a file, NaN where it is null.
 
@@ -107,13 +167,13 @@ def number_of(what: str, value: Any) -> float:
       value: as JSON holds it.
 
     Raises:
-      ValueError: it is infinite, larger than `MOST`, or no number, such as a text or true.
+      DamagedError: it is infinite, larger than `MOST`, or no number, such as a text or true.
     """
     if value is None:
-        return float("nan")
+        return math.nan
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or abs(value) > MOST:
-        raise ValueError(f"{what} must be a finite number, got {str(value)[:40]!r}")
+        raise DamagedError(f"{what} must be a finite number, got {str(value)[:40]!r}")
     return float(value)
 
 
@@ -121,16 +181,16 @@ def whole_of(what: str, value: Any) -> int:
     """Return a whole number of a file.
 
     Raises:
-      ValueError: it is not whole, or as of `number_of`; ``what`` begins the message.
+      DamagedError: it is not whole, or as of `number_of`; ``what`` begins the message.
     """
     number = number_of(what, value)
     if number % 1 != 0:  # NaN too
-        raise ValueError(f"{what} must be a whole number, got {value!r}")
+        raise DamagedError(f"{what} must be a whole number, got {value!r}")
     return int(number)
 
 
 def check_place(what: str, lon: float, lat: float, height_m: float = 0.0) -> None:
-    """Raise ValueError unless a place lies on the Earth, and its height is one that is flown.
+    """Raise DamagedError unless a place lies on the Earth, and its height is one that is flown.
 
     Args:
       what: names the place, and begins the message of the error.
@@ -138,11 +198,11 @@ def check_place(what: str, lon: float, lat: float, height_m: float = 0.0) -> Non
       height_m: above any datum; NaN passes.
     """
     if abs(lat) > 90 or abs(lon) > 180:
-        raise ValueError(
+        raise DamagedError(
             f"{what} lies at latitude {lat:g} and longitude {lon:g}, which is no place on the Earth"
         )
     if abs(height_m) > MOST_HEIGHT_M:
-        raise ValueError(f"{what} has a height of {height_m:g} m, which no drone reaches")
+        raise DamagedError(f"{what} has a height of {height_m:g} m, which no drone reaches")
 
 
 def shortened(sentences: Sequence[str]) -> tuple[str, ...]:

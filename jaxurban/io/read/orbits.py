@@ -35,8 +35,8 @@ SYSTEM_NAMES = {
     "qzss": re.compile(r"QZS"),
     "navic": re.compile(r"IRNSS|NVS"),
 }
-RINEX_NAME = re.compile(r"\b[GRECJIS]\d\d\b")  # as in "BEIDOU-3 M1 (C19)"
-PRN = re.compile(r"PRN ?(\d+)")  # as in "GPS BIIF-3 (PRN 24)", "QZS-2 (QZSS/PRN 184)"
+RINEX_NAME = re.compile(r"\b[GRECJIS]\d\d\b", re.ASCII)  # as in "BEIDOU-3 M1 (C19)"
+PRN = re.compile(r"PRN ?(\d+)", re.ASCII)  # as in "GPS BIIF-3 (PRN 24)", "QZS-2 (QZSS/PRN 184)"
 PRN_RANGES = (  # first and last PRN, letter, and what is taken off (RINEX 3.05, table 1; of QZSS also its L1S signals)
     (1, 63, "G", 0),
     (120, 158, "S", 100),

@@ -4,6 +4,7 @@ Water and parks are what the strata of a study need beside the maps.
 """
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -170,16 +171,20 @@ def _ways_of(relation: osmium.osm.Relation) -> list[int]:
     return [member.ref for member in relation.members if member.type == "w"]
 
 
-def _read_lines(path: str | Path, ids: set[int]) -> dict[int, shapely.LineString]:
+def _read_lines(path: str | Path, ids: set[int]) -> dict[int, shapely.Geometry]:
     """Return the lines of the ways with these ids, by id, in longitude and latitude, without nodes that are missing.
 
-    A way with less than two nodes has an empty line; one that the file lacks has none.
+    A way with less than two nodes has an empty line; one that the file lacks has none. Of what a way passes several
+    times it has one line.
     """
     lines = {}
     for way in open_osm(path).with_filter(IdFilter(ids)):
         if isinstance(way, osmium.osm.Way):  # nodes may bear the same numbers
             points = [(node.lon, node.lat) for node in way.nodes if node.location.valid()]
+            sides = {tuple(sorted(side)) for side in pairwise(points) if side[0] != side[1]}
             lines[way.id] = shapely.LineString(points if len(points) > 1 else [])
+            if len(sides) < len(points) - 1:
+                lines[way.id] = shapely.MultiLineString(sorted(sides))
     return lines
 
 

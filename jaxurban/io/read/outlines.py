@@ -291,7 +291,9 @@ def _project(
         polygons = shapely.force_2d(polygons)
     polygons = shapely.transform(polygons, to_city, interleaved=False)
     is_there = ~shapely.is_missing(polygons) & ~shapely.is_empty(polygons)
-    is_finite = np.isfinite(shapely.bounds(polygons)).all(axis=1)
+    vertices, polygon = shapely.get_coordinates(polygons, return_index=True)
+    is_finite = np.ones(len(polygons), bool)
+    is_finite[polygon[~np.isfinite(vertices).all(axis=1)]] = False
     is_sound = is_there & is_finite
 
     to_repair = np.flatnonzero(is_sound & ~shapely.is_valid(polygons))

@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import MAXYEAR, MINYEAR
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,7 @@ OTHER_UNITS = (
     ({CN0: 9.0}, "the digits 1 to 9 of a signal's strength, or ratios", "dBHz"),
 )
 # RINEX 3.05, section 3.5: a constellation's letter and a number.
-RINEX_NAME = re.compile(r"[GRECJIS]\d\d")
+RINEX_NAME = re.compile(r"[GRECJIS]\d\d", re.ASCII)
 # The zone of a time, behind its minutes or seconds; pandas reads all but the names.
 ZONE = re.compile(r"(?:Z|UTC|GMT|:\d\d(?:\.\d+)?\s*[+-]\d\d(?::?\d\d)?)$", re.IGNORECASE)
 LIKE_THIS = "2018-12-19T06:07:37Z"
@@ -122,13 +123,18 @@ def read_track(file: str | Path) -> pd.DataFrame:
     Raises:
       InputError: a file that cannot be read, a column that is missing, or invalid values.
     """
-    table = renamed(read_table(file, "track"), OTHER_NAMES)
+    return track_of(read_table(file, "track"), f"the track file {str(file)!r}")
+
+
+def track_of(table: pd.DataFrame, what: str) -> pd.DataFrame:
+    """Return the rows of a table as `read_track` does, and raise its errors; ``what`` names the table in them."""
+    table = renamed(table, OTHER_NAMES)
     columns = [column for column in (UTC, LON, LAT, ALTITUDE) if column in table]
     if columns[:3] != [UTC, LON, LAT] or table.empty:
         raise InputError(
-            f"the track file {str(file)!r} must have rows of the columns {UTC}, {LON} and {LAT}, separated by commas"
+            f"{what} must have rows of the columns {UTC}, {LON} and {LAT}, in a file separated by commas"
         )
-    return checked(table, columns, f"the track file {str(file)!r}")
+    return checked(table, columns, what)
 
 
 def log_of(table: pd.DataFrame, name: str) -> ReceiverLog:
@@ -298,7 +304,7 @@ def _times(column: pd.Series, what: str) -> pd.Series:
         zoned = texts.where(texts.str.contains(ZONE, na=False))
         iso = zoned.str.replace(r"\s*(?:UTC|GMT)$", "Z", case=False, regex=True)
         times = pd.to_datetime(iso, utc=True, format="ISO8601", errors="coerce")
-    is_wrong = times.isna()
+    is_wrong = ~times.dt.year.between(MINYEAR, MAXYEAR)  # nor is a time that is missing
     if is_wrong.any():
         why = "which is none or without a zone and may be a local one"
         raise InputError(

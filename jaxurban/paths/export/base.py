@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxurban.paths.lines import along_of
+from jaxurban.public import sentences_of
 from jaxurban.settings import Vehicle
 
 if TYPE_CHECKING:
@@ -98,8 +99,9 @@ def facts_of(
 
 
 def description_of(facts: dict[str, Any], *more: str) -> str:
-    """Return the cautions of a path, more sentences on a file, and the planner's message as one text."""
-    return " ".join(filter(None, (*facts["cautions"], *more, facts["message"])))
+    """Return the cautions of a path, more sentences on a file, and the rest of its message as one text."""
+    sentences = [*facts["cautions"], *more, *sentences_of(facts["message"])]
+    return " ".join(filter(None, dict.fromkeys(sentences)))
 
 
 class Waypoints(NamedTuple):

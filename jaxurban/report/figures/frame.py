@@ -42,7 +42,7 @@ from jaxurban.report.figures.style import (
     wrapped,
 )
 from jaxurban.report.write import Look
-from jaxurban.world.grid import Grid
+from jaxurban.world.grid import Grid, crs_said
 
 MAX_CELLS = 4000  # a side: of larger maps every second, third ... row and column is drawn
 MAX_HEIGHT_IN, MIN_HEIGHT_IN = 6.5, 0.8  # of all panels and what is below them; of a panel
@@ -481,7 +481,7 @@ def ground_said(maps: MetricMaps) -> tuple[str, ...]:
     """Return the size of a cell, the CRS, where on Earth the maps lie, and whom to credit."""
     return (
         f"{maps.grid.resolution_m:g} m cells",
-        maps.grid.crs,
+        crs_said(maps.grid.crs),
         place_said(maps.grid),
         maps.attribution,
     )

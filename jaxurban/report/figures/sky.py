@@ -1,9 +1,11 @@
 """The sky over a place: the buildings around the rim, and the satellites that they hide and leave."""
 
+import math
 from itertools import product
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
@@ -11,11 +13,22 @@ from jaxurban.errors import InputError
 from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN
 from jaxurban.paths.sky import SkyAt
 from jaxurban.report.figures.frame import joined, time_said
-from jaxurban.report.figures.style import INK, MARKERS, SERIES_COLOURS, Width, chart, inches, styled
+from jaxurban.report.figures.style import (
+    INK,
+    MARKERS,
+    SERIES_COLOURS,
+    Width,
+    chart,
+    inches,
+    label_apart,
+    legend_columns,
+    styled,
+)
 from jaxurban.report.write import Look
 
 ROOFS = "#cfcac2"
-SKY, KEY_IN = 0.62, 0.8  # height of the sky by the figure's width; of the legend
+SKY = 0.62  # height by the figure's width
+KEY_IN, ROW_IN = 0.5, 0.15  # height of the legend without rows, and of a row
 EDGE_DEG = 8.0  # of the band at the rim that is hatched where the horizon is not known
 LOOKS: dict[str, dict[str, Any]] = {  # of states; the marker is the system's
     SEEN: {"linewidths": 0.7},
@@ -61,21 +74,28 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
         rows = now[(now["system"] == system) & (now["state"] == state)]
         if rows.empty:
             continue
-        azimuth_rad = np.radians(rows["azimuth_deg"])
-        zenith_deg = 90 - rows["elevation_deg"]
         look = {"edgecolors": INK, "s": 55, "zorder": 5}
         look["marker"] = MARKERS[number % len(MARKERS)]
         look["facecolors"] = SERIES_COLOURS[number % len(SERIES_COLOURS)]
         label = f"{system.upper()}, {state}{MARKS[state]}"
-        panel.scatter(azimuth_rad, zenith_deg, label=label, **(look | state_look))
+        panel.scatter(*sky_places(rows).T, label=label, **(look | state_look))
+    labels = panel.get_legend_handles_labels()[1]
+    num_cols = legend_columns(labels, inches(width))
+    panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=num_cols)
+    figure.set_figheight(figure.get_figheight() + ROW_IN * math.ceil(len(labels) / num_cols))
 
-        # Names in short, those of every other system below their marks: "05" of "GPS BIIF-9 (PRN 05)".
-        offset_pt = (5, -9) if number % 2 else (5, 4)
-        for name, *place in zip(rows["satellite"], azimuth_rad, zenith_deg, strict=True):
-            short = name.removesuffix(" (nominal)").split()[-1].strip("()") + MARKS[state]
-            panel.annotate(short, place, offset_pt, textcoords="offset points", size=7)
-    panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=2)
+    # Names in short: "05" of "GPS BIIF-9 (PRN 05)".
+    names = []
+    for name, state in zip(now["satellite"], now["state"], strict=True):
+        short = name.removesuffix(" (nominal)").split()[-1].strip("()")
+        names.append(short + MARKS[state])
+    label_apart(panel, names, sky_places(now))
     return figure
+
+
+def sky_places(rows: pd.DataFrame) -> np.ndarray:
+    """Return where satellites stand in a polar panel, ``[N, 2]``: azimuth in radians, degrees from the zenith."""
+    return np.column_stack([np.radians(rows["azimuth_deg"]), 90 - rows["elevation_deg"]])
 
 
 def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
@@ -89,6 +109,7 @@ def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
     panel.set_theta_direction(-1)
     panel.set_rlim(0, 90)
     panel.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
+    panel.tick_params(pad=-3)
     panel.set_yticks([30, 60], ["", ""])
 
     # The roofs, once around the sky: the first degree stands again at the end.
@@ -97,6 +118,6 @@ def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
     panel.fill_between(around, roof_edge, 90, color=ROOFS, label="buildings")
     is_missing = np.isnan(roof_edge)
     if is_missing.any():
-        look: Look = {"facecolor": "white", "edgecolor": INK, "hatch": "////"}
+        look: Look = {"facecolor": "white", "edgecolor": ROOFS, "hatch": "////"}
         look |= {"linewidth": 0.0, "label": "horizon not known"}
         panel.fill_between(around, 90 - EDGE_DEG, 90, is_missing, **look)

@@ -1,10 +1,12 @@
 """The look of every figure: headings, charts, legends, how values become colours, and the bar that says so."""
 
 import math
+import re
 import string
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,6 +21,7 @@ from matplotlib.colors import Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.transforms import Bbox
 
 from jaxurban.errors import InputError
 from jaxurban.report.write import DPI, Look
@@ -36,6 +39,7 @@ SERIES_COLOURS = ("#1a1a1a", "#d55e00", "#56b4e9", "#7f7f7f", "#8c510a", "#66c2a
 MARKERS = "osD^vP*X"
 DOT: Look = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
 LABEL_IN = 1.9  # of a line of the label of an upright colour bar
+SYMBOL = re.compile(r"(\$[mH]_\\mathrm\{[^$]*\}\$)|\\?\$")  # of a metric, or a dollar
 BOLD = 1.2  # how much wider bold letters are
 
 # A decorator of functions that draw. Ticks are made later than it works, so `dress` sets them.
@@ -68,6 +72,11 @@ LEGEND_COLUMNS = 6
 ENTRY_IN = 0.45  # of a legend's entry, beside its letters
 WIDE = 5.0  # an axis whose ends differ by this factor has ticks at 1, 2 and 5 of each decade
 EDGE_IN, TITLE_IN = 0.1, 0.8
+# Of a name beside its mark: steps to the right and up, how it is aligned there, and how far from the mark's middle.
+STEPS, ACROSS, UPWARD = (1, -1, 0), ("center", "left", "right"), ("center", "bottom", "top")
+AWAY_PT, BESIDE_PT = (5, 8, 12, 17, 23), 8  # farther away than BESIDE_PT it has a line
+MARK_PT = 4  # half of a mark's side
+POINTS = "offset points"
 FEWEST_LETTERS = 8  # of a broken line, however narrow its place is
 
 
@@ -107,7 +116,11 @@ def inches(width: Width) -> float:
 
 
 def wrapped(text: str, width_in: float, size_pt: float = SMALL_PT) -> str:
-    """Return a text whose lines are broken so that they fit into a width in inches, written in letters of a size."""
+    """Return a text whose lines are broken so that they fit into a width in inches, written in letters of a size.
+
+    Its dollars are no mathematics of Matplotlib, but for symbols such as m_gps (`SYMBOL`).
+    """
+    text = SYMBOL.sub(lambda match: match[1] or r"\$", text)
     letters_per_in = LETTERS_PER_IN * SMALL_PT / size_pt
     num_letters = max(FEWEST_LETTERS, int((width_in - EDGE_IN) * letters_per_in))
     return "\n".join(textwrap.fill(line, num_letters) for line in text.splitlines())
@@ -221,6 +234,43 @@ def legend_below(figure: Figure, panel: Axes) -> None:
     for handle in legend.legend_handles:  # a line that is drawn beside its place stands at it here
         if isinstance(handle, Artist):
             handle.set_path_effects([])
+
+
+def label_apart(panel: Axes, names: Iterable[str], marks: np.ndarray) -> None:
+    """Write names beside marks so that none covers a mark or another name, nor leaves the panel.
+
+    To be called last, as the layout of the figure is settled here. A line joins a name to its mark where it is far
+    from it or another mark is as near; a name that has no such place is left out.
+
+    Args:
+      panel: to write in.
+      names: of the first marks, the most important first.
+      marks: ``[M, 2]`` where all marks are, in the panel's coordinates.
+    """
+    figure: Any = panel.figure
+    figure.draw_without_rendering()
+    dots_per_pt = figure.dpi / 72
+    line = {"arrowstyle": "-", "linewidth": 0.5, "shrinkA": 0}
+    middles = panel.transData.transform(marks)
+    mark_boxes = [Bbox([place, place]).padded(MARK_PT * dots_per_pt) for place in middles]
+    taken = mark_boxes.copy()
+    for name, place in zip(names, marks, strict=False):
+        text = panel.annotate(name, place, (0, 0), textcoords=POINTS)
+
+        # The nearest free place: if there is one, such that no mark but its own is as near.
+        for most, away_pt, right, up in product((1, len(marks)), AWAY_PT, STEPS, STEPS):
+            text.set(ha=ACROSS[right], va=UPWARD[up])
+            text.xyann = right * away_pt, up * away_pt
+            box = text.get_window_extent().padded(dots_per_pt / 2)
+            num_near = box.padded((away_pt - MARK_PT) * dots_per_pt).count_overlaps(mark_boxes)
+            is_inside = panel.bbox.count_contains([box.min, box.max]) == 2
+            if is_inside and num_near <= most and not box.count_overlaps(taken):
+                taken.append(box)
+                if num_near > 1 or away_pt > BESIDE_PT:
+                    panel.annotate("", place, text.xyann, textcoords=POINTS, arrowprops=line)
+                break
+        else:
+            text.remove()
 
 
 def step_up(panel: Axes, values: np.ndarray, end: float, **look: Any) -> None:

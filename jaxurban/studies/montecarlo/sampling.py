@@ -16,8 +16,9 @@ from jaxurban.io.read.rasterise import burn
 from jaxurban.io.tables import read_table
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.weights import MOST_WEIGHT, Weights
+from jaxurban.metrics.weights import METRIC_WEIGHT, MOST_WEIGHT, Weights
 from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.cost_map import weights_on
 from jaxurban.paths.plan import rules_on
 from jaxurban.paths.queries import WEIGHT_PREFIX, Query
 from jaxurban.paths.snapping import XY
@@ -112,8 +113,8 @@ def sample_instances(
       where the maps hold no such metric) and the like of a user's own layers.
 
     Raises:
-      InputError: ``num`` below 1, an unknown altitude, none or one twice, no weights, or too few free cells for any
-        pair of places.
+      InputError: ``num`` below 1, an unknown altitude, none or one twice, no weights or one of a metric that the maps
+        lack, or too few free cells for any pair of places.
 
     Examples:
       >>> instances = ju.studies.sample_instances(maps, 3, weights=[ju.Weights(risk=5.0)], seed=1)
@@ -129,7 +130,7 @@ def sample_instances(
     # The arguments.
     maps, model, constraints = rules_on(as_maps(maps), cost_model, constraints, preset)
     altitudes_m = tuple(map(float, maps.altitudes_m if altitudes_m is None else altitudes_m))
-    listed = None if isinstance(weights, str) else [each.checked(maps.metrics) for each in weights]
+    listed = None if isinstance(weights, str) else [weights_on(maps, each) for each in weights]
     if not altitudes_m or len(set(altitudes_m)) != len(altitudes_m):
         names_m = ", ".join(f"{z_m:g}" for z_m in altitudes_m) or "none"
         raise InputError(
@@ -586,6 +587,15 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
         raise InputError(
             f"the instances have no weight {lost[0]!r} for a metric of these maps: add it, 0 for none"
         )
+
+    # Weights of metrics that these maps lack, but for those that nobody named.
+    for name in weighed_metrics(instances.columns):
+        usual = 0.0, METRIC_WEIGHT, maps.recorded.get("weights", {}).get(name)
+        if name not in maps.metrics and not instances[WEIGHT_PREFIX + name].isin(usual).all():
+            raise InputError(
+                f"the instances have a weight of {name}, of which these maps hold no layer: set {WEIGHT_PREFIX}{name} "
+                "to 0, or use maps with the layer"
+            )
 
 
 def _check_all(is_valid: np.ndarray, column: pd.Series, kind: str, name: str) -> None:

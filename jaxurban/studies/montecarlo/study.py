@@ -1,5 +1,6 @@
 """study: a Monte Carlo benchmark of planners over metric maps, kept in a folder and resumable."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,6 +36,13 @@ from jaxurban.studies.montecarlo.sampling import (
 from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
 from jaxurban.world.grid import Grid
 from jaxurban.world.land_cover import LandCover
+
+OF_SAMPLING = (
+    "instances",
+    "altitudes_m",
+    "weights",
+    "land_cover",
+)  # settings that a table has in itself
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,8 +108,8 @@ def study(
       report.
 
     Raises:
-      InputError: a wrong argument, instances for other maps or none that lies on these, or a folder that holds a
-        benchmark of other settings or other instances.
+      InputError: a wrong argument, settings of sampled instances beside a table, instances for other maps or none that
+        lies on these, or a folder that holds a benchmark of other settings or other instances.
 
     Examples:
       >>> chosen = ju.studies.Study(planners="astar-plus", altitudes_m=[60.0])
@@ -135,11 +143,16 @@ def study(
 
     # The instances: those of a table, as these maps connect them, or sampled ones.
     if isinstance(instances, pd.DataFrame):
+        _check_samples(
+            chosen, OF_SAMPLING, "a table of instances has its own: leave it out, or the table"
+        )
         instances = checked_instances(instances, "instances")
         check_instances(instances, opened)
         instances = with_connection(instances, opened, model, constraints)
         _check_places(instances, opened, constraints)
     else:
+        cover = "sample with ju.studies.sample_instances(cover=...), which takes water and parks, and give its table"
+        _check_samples(chosen, ("land_cover",), cover)
         instances = sample_instances(
             opened,
             job.study.instances,
@@ -175,6 +188,27 @@ def study(
                 report=report,
             )
     return BenchmarkResult(folder, opened, instances, rows, job)
+
+
+def without_sampling(settings: Study) -> Study:
+    """Return the settings of a study whose instances are drawn already."""
+    return replace(settings, **{name: getattr(Study, name) for name in OF_SAMPLING})
+
+
+def _check_samples(settings: Study, names: Sequence[str], remedy: str) -> None:
+    """Check that settings say nothing of how instances are sampled where that would not count.
+
+    Args:
+      settings: of a study.
+      names: of the settings that would not count.
+      remedy: what to do instead, for the message.
+
+    Raises:
+      InputError: a setting that is not its default.
+    """
+    named = [name for name in names if getattr(settings, name) != getattr(Study, name)]
+    if named:
+        raise InputError(f"settings name {' and '.join(named)}, and {remedy}")
 
 
 def land_cover_of(scenario: Scenario) -> LandCover | None:

@@ -52,7 +52,9 @@ REGRET_ROUNDS = 4  # searches for the least regret that any weights reach
 IN_ROUND, IN_BOOTSTRAP = 1, 2  # streams of random numbers
 WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
 DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
-OPTIMAL_REGRET = 0.005  # demonstrations above it on average are not optimal under any weights
+# Demonstrations above it on average are not optimal under any weights. Of lines that were redrawn, what redrawing adds
+# is left out first; among routes at any angle another one is the cheapest than on the grid, by less than the second.
+OPTIMAL_REGRET, OPTIMAL_DRAWN_REGRET = 0.005, 0.01
 NEGLIGIBLE = 1e-3  # share of all metrics in the cost: without them no regret changes by more
 
 
@@ -74,6 +76,7 @@ class WeightFit:
       best_mean_regret: the least mean regret that any weights were found to reach.
       curve: a row per round: noise, loss, mean_regret, worst_gap (by which share a searched route was cheaper than
         all known ones), new_routes, num_plans, elapsed_s and each weight.
+      sentence: whether the demonstrations follow these metrics at all: what a reader must know before the weights.
       unidentified: sentences on weights that the demonstrations say nothing about.
       warnings: further sentences that a reader must know.
       num_plans: searches made.
@@ -96,6 +99,7 @@ class WeightFit:
     trust: np.ndarray
     best_mean_regret: float
     curve: pd.DataFrame
+    sentence: str
     unidentified: tuple[str, ...]
     warnings: tuple[str, ...]
     num_plans: int
@@ -106,12 +110,6 @@ class WeightFit:
     def vector(self) -> np.ndarray:
         """``[K]`` the weights in the order of ``names``."""
         return self.weights.vector(self.names)
-
-    @property
-    def sentence(self) -> str:
-        """Whether the demonstrations follow these metrics at all: what a reader must know before the weights."""
-        share = _metric_share(self.table)
-        return _verdict(self.regret, self.trust, self.best_mean_regret, share)
 
     @property
     def cautions(self) -> list[str]:
@@ -218,13 +216,20 @@ def fit_weights(
         best = fit.least_mean_regret(float(regret.mean()))
         draws, interval = _refitted(fit, demonstrations, scale, bootstrap)
 
+    # The regret [Q] without what redrawing adds: that of the cheapest route near each redrawn line.
+    near = np.array([each.cheapest_near(fit.weights) for each in demonstrations])
+    near_regret = (1 + regret) * (near @ fit.weights) / (demo @ fit.weights) - 1
+    drawn_cells = [each.drawn_cells for each in demonstrations]
+    bar = float(np.where(drawn_cells, OPTIMAL_DRAWN_REGRET, OPTIMAL_REGRET).mean())
+
     # What the fit says, and what it cannot say.
     table = _weight_table(fit, scale, interval)
     unidentified = [_constant_sentence(name, name in left_out) for name in constant]
     unidentified += _wide_sentences(table.drop(index=list(constant)))
     unidentified += indistinct_weights(pool, fit.unit, fit.weights, is_fitted)
-    verdict = _verdict(regret, fit.trust, best, _metric_share(table))
-    warnings = [verdict] if best > OPTIMAL_REGRET else []
+    metric_share = 1 - table.share_of_cost.iloc[0]
+    verdict = _verdict(near_regret, bar, fit.trust, best, metric_share)
+    warnings = [verdict] if min(best, near_regret.mean()) > bar else []
     warnings += _warnings(demonstrations, len(names), fit.trust, is_settled)
     return WeightFit(
         names=names,
@@ -235,6 +240,7 @@ def fit_weights(
         trust=fit.trust,
         best_mean_regret=best,
         curve=pd.DataFrame(rows),
+        sentence=verdict,
         unidentified=tuple(unidentified),
         warnings=tuple(warnings),
         num_plans=pool.num_plans,
@@ -464,11 +470,6 @@ def _weight_table(fit: _Fit, scale: str, interval: np.ndarray) -> pd.DataFrame:
     return pd.DataFrame(columns, pd.Index(fit.pool.names, name="name"))
 
 
-def _metric_share(table: pd.DataFrame) -> float:
-    """Return the share of the demonstrations' cost that the metrics make up: all but the distance, the first row."""
-    return 1 - float(table["share_of_cost"].iloc[0])
-
-
 def _constant_sentence(name: str, is_left_out: bool) -> str:
     """Return a sentence on the weight of a layer that is constant, and on what the fit did with it.
 
@@ -492,13 +493,17 @@ def _wide_sentences(table: pd.DataFrame) -> list[str]:
     ]
 
 
-def _verdict(regret: np.ndarray, trust: np.ndarray, best: float, metric_share: float) -> str:
+def _verdict(
+    regret: np.ndarray, bar: float, trust: np.ndarray, best: float, metric_share: float
+) -> str:
     """Return a sentence on whether the demonstrations follow the metrics, most of them do, or they do not.
 
     Args:
-      regret: ``[Q]`` of each demonstration under the fitted weights, a share of the cheapest cost.
+      regret: ``[Q]`` of each demonstration under the fitted weights, a share of the cheapest cost, without what
+        redrawing it on the grid adds.
+      bar: the mean of that regret up to which the routes follow.
       trust: ``[Q]`` in the end, from 0 to 1.
-      best: the least mean regret that any weights reach; the routes follow up to `OPTIMAL_REGRET`.
+      best: the least mean regret that any weights reach, with what redrawing adds.
       metric_share: of the metrics in the cost; where it is negligible the routes follow distance alone.
     """
     followed = "these metrics"
@@ -506,10 +511,13 @@ def _verdict(regret: np.ndarray, trust: np.ndarray, best: float, metric_share: f
         followed = "distance alone and none of these metrics"
     percent = round(max(0.0, 100 * best), 4)  # rounding may bring it below 0
     share = f"at best they cost {percent:.3g} % more than the cheapest ones between their ends, on average"
-    if best <= OPTIMAL_REGRET:
+    added = round(percent - 100 * regret.mean(), 2)
+    if added > 0:
+        share += f", of which redrawing them on the grid adds {added:.3g} %"
+    if min(best, regret.mean()) <= bar:
         return f"These routes follow {followed}: {share}."
     is_trusted = trust >= DISTRUSTED
-    if is_trusted.mean() > 0.5 and regret[is_trusted].mean() <= OPTIMAL_REGRET:
+    if is_trusted.mean() > 0.5 and regret[is_trusted].mean() <= bar:
         return f"Most of these routes, {is_trusted.sum()} of {len(trust)}, follow {followed}; with the others {share}."
     return f"These routes do not follow these metrics: {share}, under any weights that were found."
 

@@ -14,7 +14,7 @@ from jaxurban.io.city import City
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams, path_visits
 from jaxurban.metrics.base import TIME_OF_DAY
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.weights import Weights, WeightsLike
+from jaxurban.metrics.weights import Weights, WeightsLike, check_held
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.cost import CostModel
 from jaxurban.world.footprints import HeightOrigin
@@ -119,6 +119,7 @@ def building_costs(
     # [B] gradients of all buildings, by layer and in sum; the listed ones are numbers of buildings, in their order.
     assert city.buildings is not None
     visits = _visits(soft, planned, params)
+    check_held(weights, soft.names)
     weights = weights_of(planned) if weights is None else Weights.of(weights).checked(soft.names)
     slopes, soft_cost = _slopes(soft, params, weights, visits)
     parts = pd.DataFrame({name: np.asarray(slope, np.float64) for name, slope in slopes.items()})

@@ -11,8 +11,7 @@ from jaxurban.checks import one_of
 from jaxurban.errors import InputError
 from jaxurban.io.tables import fingerprint
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.weights import Weights, WeightsLike
+from jaxurban.metrics.weights import Weights, WeightsLike, check_held
 from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
 from jaxurban.paths.rows import MapsFolder, Source
 from jaxurban.planners.cost import CostModel
@@ -111,7 +110,8 @@ def open_cities(
       weights: of sampled routes; None: those of the maps' scenarios.
 
     Raises:
-      InputError: maps whose scenarios differ in what all routes share, or whose costs cannot be compared.
+      InputError: maps whose scenarios differ in what all routes share, or whose costs cannot be compared; a weight of a
+        metric that no city has.
     """
     # By city: the source that workers open, the maps, and the rules (settings and weights) under its own scenario.
     opened = {}
@@ -139,7 +139,9 @@ def open_cities(
         raise InputError(
             f"the maps have cells of {listed}, on which the 'cell' cost model costs differently: use cost_model='line'"
         )
-    return Cities(opened, all_maps, common_settings, common_weights)
+    cities = Cities(opened, all_maps, common_settings, common_weights)
+    check_held(weights, cities.metrics, all_maps[first].recorded.get("weights"))
+    return cities
 
 
 def routes_of_cities(
@@ -168,10 +170,10 @@ def routes_of_cities(
     parts = []
     for number, (city, maps) in enumerate(cities.maps.items()):
         # A city may lack the layers of another one, and then has no weight for them.
-        names = {"distance", *METRICS, *maps.metrics}
+        names = {"distance", *maps.metrics}
         of_city = Weights(**{name: weights[name] for name in weights if name in names})
         if isinstance(routes, pd.DataFrame):
-            part = _listed_routes(routes, city, maps, of_city)
+            part = _listed_routes(_without(routes, {*cities.metrics} - names), city, maps, of_city)
         else:
             part = sample_joined(
                 maps,
@@ -189,6 +191,12 @@ def routes_of_cities(
     no_weights = dict.fromkeys(weight_columns(cities.metrics), 0.0)
     columns = dict.fromkeys([*table, *no_weights])
     return table.reindex(columns=list(columns)).fillna(no_weights)
+
+
+def _without(routes: pd.DataFrame, metrics: set[str]) -> pd.DataFrame:
+    """Return routes whose weights of some metrics, which only other cities have, are 0."""
+    columns = {WEIGHT_PREFIX + name for name in metrics} & {*routes}
+    return routes.assign(**dict.fromkeys(columns, 0.0))
 
 
 def _listed_routes(

@@ -32,9 +32,9 @@ XY = tuple[float, float]
 STEP_M = 0.2  # between the points of a way
 NUM_EXITS = 24  # of a circle that is left nobody knows where
 MOST_ITEMS = 200  # that are flown, however often jumps lead back
-# ArduCopter's RTL_CONE_SLOPE, height for each metre from home, and least height; PX4's cone of 45 degrees (RTL_CONE_ANG)
-# counts within RTL_MIN_DIST of home.
-CONE, LEAST_RETURN_M, CONE_REACH_M = 3.0, 2.5, 10.0
+CONE = 3.0  # ArduCopter's RTL_CONE_SLOPE: height for each metre from home
+LEAST_RETURN_M = 2.5
+PX4_CONE_M = 10.0  # RTL_MIN_DIST, within which RTL_CONE_ANG of 45 degrees counts
 CUT_M = 2.0  # by which a corner may be cut
 LEAST_TURN = math.radians(10)
 
@@ -275,7 +275,7 @@ class Autopilot:
     def _rises_m(self, own_m: float, distance_m: float) -> set[float]:
         """Return the heights above home at which it may return."""
         high_m = self.return_m
-        near_m = distance_m if distance_m <= CONE_REACH_M else math.inf
+        near_m = distance_m if distance_m <= PX4_CONE_M else high_m
         cones_m = {"ardupilot": max(CONE * distance_m, LEAST_RETURN_M), "px4": near_m}
         chosen = cones_m.values() if self.firmware == "other" else [cones_m[self.firmware]]
         return {max(own_m, high_m), *(max(own_m, min(high_m, cone_m)) for cone_m in chosen)}
