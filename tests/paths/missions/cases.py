@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tests.paths.missions import files
-from tests.paths.missions.draw import FORMATS, Case, Draw, items_case, items_of
+from tests.paths.missions.draw import FORMATS, HIGH_M, LOW_M, Case, Draw, items_case, items_of
 from tests.paths.missions.flights import (
     JUMP,
     LAND,
@@ -27,7 +27,7 @@ from tests.paths.missions.worlds import GEOID_M
 
 def simple(draw: Draw, kind: str) -> Case:
     """Return a mission of waypoints, from a take-off to a landing."""
-    places = draw.places_m(2 if kind == "mixed" else 3, 5)
+    places = draw.places_m(2, 4)
     items = items_of(draw, places, kind == "mixed", kind == "mixed")
     items.insert(1, Item(SPEED))
     return items_case(draw, kind, [*items, Item(LAND)], places[0])
@@ -46,6 +46,8 @@ def open_heights(draw: Draw, kind: str) -> Case:
 
 def jumps(draw: Draw, kind: str) -> Case:
     """Return a mission with a jump back or on, past waypoints that may leave their height open."""
+    if draw.is_so(0.3):
+        return _lower_again(draw, kind)
     places = draw.places_m(4, 6)
     items = items_of(draw, places, draw.is_so(0.3), has_calculated=False)
     to = int(draw.rng.integers(1, len(items) - 1))
@@ -55,6 +57,17 @@ def jumps(draw: Draw, kind: str) -> Case:
     moved = to + (to >= at)
     items.insert(at, Item(JUMP, to=moved, repeats=int(draw.one_of(1, 1, 2, 0))))
     return items_case(draw, kind, [*items, Item(LAND)], places[0])
+
+
+def _lower_again(draw: Draw, kind: str) -> Case:
+    """Return a mission that flies over a house, comes down beside it, and jumps back to where it flew, now as low."""
+    start_m, aside_m, end_m = draw.around()
+    datum, low_m = draw.datum(), float(draw.one_of(*LOW_M))
+    flown = ((start_m, HIGH_M), (end_m, HIGH_M), (aside_m, HIGH_M), (start_m, low_m))
+    items = [draw.item(WAYPOINT, xy_m, datum, start_m, above_m) for xy_m, above_m in flown]
+    items[0] = replace(items[0], command=TAKEOFF)
+    items[1] = replace(items[1], height_m=math.nan)
+    return items_case(draw, kind, [*items, Item(JUMP, to=1), Item(LAND)], start_m)
 
 
 def loiters(draw: Draw, kind: str) -> Case:
@@ -74,14 +87,19 @@ def loiters(draw: Draw, kind: str) -> Case:
 
 
 def returns(draw: Draw, kind: str) -> Case:
-    """Return a mission that returns home, from near or far, and at a height that is mostly named."""
-    places = draw.places_m(2, 4)
-    if draw.is_so(0.6):
-        places = draw.around()
-    items = items_of(draw, places, is_mixed=False, has_calculated=False)
+    """Return a mission that returns home, from afar or over a house, and at a height that is mostly named."""
     options: dict[str, Any] = draw.clearances()
     if draw.is_so(0.8):
         options["return_altitude_m"] = float(draw.one_of(20, 60, 100))
+    if draw.is_so(0.5):
+        places = draw.places_m(2, 4)
+        items = items_of(draw, places, is_mixed=False, has_calculated=False)
+    else:
+        options["clearance_m"] = 0.0  # the way round a wall is near it
+        places, low_m = draw.around(), float(draw.one_of(*LOW_M))
+        datum = draw.datum(("home", "home", "ground", "geoid"))
+        items = [draw.item(WAYPOINT, xy_m, datum, places[0], low_m) for xy_m in places]
+        items[0] = replace(items[0], command=TAKEOFF)
     return items_case(draw, kind, [*items, Item(RETURN)], places[0], options=options)
 
 
@@ -149,7 +167,7 @@ def lines(draw: Draw, kind: str) -> Case:
 
 def _line(draw: Draw) -> np.ndarray:
     """Return a line of points with heights above the ground."""
-    places = draw.places_m(2, 6)
+    places = draw.places_m(2, 4)
     above_m = [draw.above_m()] * len(places)
     if draw.is_so(0.5):
         above_m = [draw.above_m() for _ in places]

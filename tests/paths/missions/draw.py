@@ -25,12 +25,12 @@ from tests.paths.missions.worlds import BLOCK_M, MARGIN_M, SIDE_M, World
 STREETS_M = np.arange(BLOCK_M / 2 - MARGIN_M / 4, SIDE_M, BLOCK_M)[1:]  # between houses
 OFF_STREET_M = 5.0
 HEIGHTS_M = (5.0, 15.0, 30.0, 60.0, 110.0)  # above the ground
-HIGH_M = 150.0  # above everything
+HIGH_M, LOW_M = 150.0, (10.0, 20.0)  # above everything, and between houses
 FORMATS = (".plan", ".waypoints", ".kml", ".gpx", ".geojson", ".csv")
 ITEM_FORMATS = FORMATS[:2]
 FIRMWARES: tuple[Firmware, ...] = ("ardupilot", "px4", "other")
 HOLD_S = 3.0
-ASIDE_M, WALL_ASIDE_M = 33.0, 8.0  # of the centre of a house or a wall, and so outside all of them
+ASIDE_M, WALL_ASIDE_M = 33.0, 4.5  # of the centre of a house or a wall, and so outside all of them
 LARGEST_WALL_M2 = 20.0
 
 
@@ -106,9 +106,9 @@ class Draw:
         height_m = height_in(self.world, datum, xy_m, above_m, home_m)
         return Item(command, xy_m, height_m, datum, **more)
 
-    def datum(self, others: tuple[Datum, ...] = ("home", "ground", "geoid")) -> Datum:
-        """Return what heights of items are above."""
-        return self.one_of(*others)
+    def datum(self, datums: tuple[Datum, ...] = ("home", "ground", "geoid")) -> Datum:
+        """Return what heights are above, of items if nothing else is named."""
+        return self.one_of(*datums)
 
     def clearances(self) -> dict[str, float]:
         """Return options that ask for clearances."""
@@ -173,7 +173,7 @@ def items_of(
     """Return a take-off from the first place and waypoints at all others."""
     home_m = places[0]
     datum, above_m = draw.datum(), draw.above_m()
-    is_calculated = has_calculated and draw.is_so(0.15)
+    is_calculated = has_calculated and draw.is_so(0.25)
     items = []
     for number, xy_m in enumerate(places):
         if is_mixed:
