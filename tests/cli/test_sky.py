@@ -77,7 +77,10 @@ def test_a_track_and_a_route_give_a_row_a_place(maps, tmp_path, capsys):
         (("--track", "t.gpx", "--altitude", 3), "a route needs --speed"),
         (("--track", "no.csv", "--altitude", 3), "no.csv"),
         ((*AT, "--resolution", 20), "rays follow outlines"),
-        ((*AT, "--by", "map", "--resolution", 3), "resolution_m must be that of maps in the folder"),
+        (
+            (*AT, "--by", "map", "--resolution", 3),
+            "resolution_m must be that of maps in the folder",
+        ),
         ((*AT, "--sources", "nowhere"), "'nowhere' is none"),
     ],
 )
