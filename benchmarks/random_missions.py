@@ -30,10 +30,12 @@ from benchmarks.common import table
 from tests.paths.missions import verdicts
 from tests.paths.missions.trial import Court, is_plain, make_maps, write
 from tests.paths.missions.verdicts import Verdict
+from tests.paths.missions.worlds import make_worlds
 
 CHUNK = 20  # missions that a process tries at a time
 NUM_PLAIN = 300  # whose verdicts are held against another checkout's
 WIDEST = 150  # letters of a reason
+RUN = "from jaxurban.cli.main import main; main()"  # the command line of a checkout
 
 
 class Row(NamedTuple):
@@ -101,28 +103,37 @@ def table_by(rows: pd.DataFrame, *names: str) -> str:
 
 
 def changes(checkout: Path, folder: Path, seed: int) -> list[list[str]]:
-    """Return plain missions of which another checkout says something else: number, before, after, the reason."""
+    """Return plain missions of which another checkout says something else: number, before, after, the reason.
+
+    The other checkout judges over maps that it made itself, as records of maps differ between versions.
+    """
+    environment = os.environ | {"PYTHONPATH": str(checkout.resolve())}
+    run = partial(
+        subprocess.run, cwd=checkout, env=environment, capture_output=True, text=True, check=True
+    )
+
+    def run_maps(scenario: Path, maps: Path) -> None:
+        run([sys.executable, "-c", RUN, "maps", str(scenario), "-o", str(maps)])
+
+    theirs = make_worlds(folder / "theirs", run_maps)
     court = court_of(folder, seed)
     numbers = list(islice(filter(is_plain, range(10**9)), NUM_PLAIN))
     asked, now = [], []
     for number in numbers:
         case = court.case(number)
         file = write(case, folder, number)
-        asked.append([str(case.world.folder), case.world.resolution_m, str(file), case.options])
+        world = theirs[case.world.name]
+        asked.append([str(world.folder), world.resolution_m, str(file), case.options])
         now.append(verdicts.verdict_of(court.maps[case.world.name], file, case.options))
     listed = folder / "asked.json"
     listed.write_text(json.dumps(asked))
-    command = [sys.executable, "-P", verdicts.__file__, str(listed)]
-    environment = os.environ | {"PYTHONPATH": str(checkout.resolve())}
-    ended = subprocess.run(
-        command, cwd=checkout, env=environment, capture_output=True, text=True, check=True
-    )
+    ended = run([sys.executable, "-P", verdicts.__file__, str(listed)])
     before = [Verdict(**json.loads(line)) for line in ended.stdout.splitlines() if line[:1] == "{"]
-    rows = []
-    for number, old, new in zip(numbers, before, now, strict=True):
-        if old.state != new.state:
-            rows.append([str(number), old.state, new.state, (new.words or old.words)[:WIDEST]])
-    return rows
+    return [
+        [str(number), old.state, new.state, (new.words or old.words)[:WIDEST]]
+        for number, old, new in zip(numbers, before, now, strict=True)
+        if old.state != new.state
+    ]
 
 
 def main() -> None:
