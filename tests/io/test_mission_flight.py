@@ -109,7 +109,6 @@ def test_a_return_near_home_is_judged_with_and_without_a_cone(read, firmware, at
     assert {leg.not_below for leg in level} == {here(at, 50.0)}
 
 
-@pytest.mark.parametrize("command", [84, 85, 3000])
 def test_a_jump_over_an_item_leaves_it_out_and_its_account_says_so(read):
     jump = item(JUMP, frame=2, params=(5, 1, 0, 0))
     mission = read([*BOX[:2], jump, item(at=2), item(at=3)])
@@ -128,6 +127,7 @@ def test_jumps_are_flown_as_often_as_they_say(read):
     ]
 
 
+@pytest.mark.parametrize("command", [84, 85, 3000])
 def test_what_flies_as_an_aeroplane_is_not_judged_whole(read, command):
     mission = read([*BOX[:2], item(command, at=2, params=(4, 0, 0, 0))])
     assert "aeroplane" in " ".join(mission.not_judged)
