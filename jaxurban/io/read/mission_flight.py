@@ -6,6 +6,7 @@ at `Flight`, after their sources: of ArduCopter ``mode_auto.cpp`` (circles), ``m
 """
 
 import math
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
@@ -190,76 +191,63 @@ class Flight:
         self.accounts = self._accounts()
 
     def _run(self) -> None:
-        """Fly all items and their jumps, until the last one."""
-        index_of = {item.key: index for index, item in enumerate(self._items)}
-        left = {  # how often jumps are still flown
-            index: item.params[1] for index, item in enumerate(self._items) if item.command == JUMP
+        """Fly all items and their jumps, until the last one.
+
+        A jump without end is not flown again where the vehicle comes to it as before: all that follows was flown then.
+        """
+        index_of: dict[float | None, int] = {
+            item.key: index for index, item in enumerate(self._items)
         }
-        index = num_flown = 0
-        num_old = 0  # items flown since something was new
-        taken: set[int] = set()  # jumps without end that were flown since
+        flown: Counter[int] = Counter()  # how often jumps that end were flown
+        rounds: set[tuple[int, State, int]] = set()  # in which jumps without end were flown
+        index = num_flown = num_counted = 0
         while index < len(self._items) and num_flown < MOST_FLOWN:
             item = self._items[index]
-            key = index, self._state
             self._number = item.number
-            if num_old > 2 * len(self._items):  # a jump without end leads round and round
-                left |= dict.fromkeys(taken, 0.0)
-                num_old = 0
-                taken.clear()
             num_flown += 1
-            num_old += 1
-            index += 1
-            if item.command == JUMP:
-                index = self._jumped(item, left, index, index_of)
-                if left[key[0]] < 0:
-                    taken.add(key[0])
-                else:
-                    num_old = 0
-            elif key in self._after:
-                self._state = self._after[key]
-                self._is_jump &= self._state == key[1]
+            if item.command != JUMP:
+                self._fly_again(index)
+                index += 1
+                continue
+            target_key, times, *_ = item.params
+            target = index_of.get(target_key)
+            is_over = times == 0 or (index, self._state, num_counted) in rounds
+            if times > 0:
+                is_over = flown[index] >= times
+            if target is None and not is_over:
+                self._say(f"the jump of item {item.number} is not judged: no item is its target")
+            if target is None or is_over:
+                index += 1
+                continue
+            if times > 0:
+                flown[index] += 1
+                num_counted += 1
             else:
-                self._fly(item)
-                self._after[key] = self._state
-                num_old = 0
-                taken.clear()
+                rounds.add((index, self._state, num_counted))
+            self._is_jump = True
+            index = target
         if num_flown == MOST_FLOWN:
             self._say("its jumps are flown more often than is followed")
 
-    def _jumped(
-        self, jump: Item, left: dict[int, float], after: int, index_of: dict[int | None, int]
-    ) -> int:
-        """Return the index of the item that comes after a jump, and count that it was flown.
-
-        Args:
-          jump: the jump.
-          left: how often each jump is still flown, by index.
-          after: index of the item after it in the file.
-          index_of: of items, by the keys that jumps name.
-        """
-        times = left[after - 1]
-        if times == 0:
-            return after
-        key = jump.params[0]
-        target = index_of.get(int(key)) if key % 1 == 0 else None
-        if target is None:
-            self._say(f"the jump of item {jump.number} is not judged: no item is its target")
-            left[after - 1] = 0.0
-            return after
-        if times > 0:
-            left[after - 1] = max(times - 1, 0.0)
-        self._is_jump = True
-        return target
+    def _fly_again(self, index: int) -> None:
+        """Fly an item; one that was flown from the same state before adds nothing."""
+        key = index, self._state
+        if key in self._after:
+            self._state = self._after[key]
+            self._is_jump &= self._state == key[1]
+        else:
+            self._fly(self._items[index])
+            self._after[key] = self._state
 
     def _accounts(self) -> list[Account]:
         """Return what became of each item: its legs, or the sentence on it, or that it moves nothing."""
-        legs_of: dict[int, list[int]] = {}
+        legs_of: defaultdict[int, list[int]] = defaultdict(list)
         for index, leg in enumerate(self.legs):
-            legs_of.setdefault(leg.item, []).append(index)
+            legs_of[leg.item].append(index)
         reached = {self._items[index].number for index, _ in self._after}
         accounts = []
         for item in self._items:
-            legs = tuple(legs_of.get(item.number, ()))
+            legs = tuple(legs_of[item.number])
             still = MOVES_NOTHING if item.number in reached else NEVER_REACHED
             why = "" if legs else self._why.get(item.number, still)
             accounts.append(Account(f"item {item.number}", 1, legs, why))
@@ -284,8 +272,6 @@ class Flight:
             self._take_off(item)
         elif command == WAYPOINT:
             self._fly_to(item, has_stop=item.params[0] > 0)
-        elif command == LOITER_TURNS:
-            self._circle(item)
         elif command in LOITERS:
             self._loiter(item)
         elif command in LANDINGS:
@@ -380,7 +366,14 @@ class Flight:
         is_open = self._state.has_moved_home and datum == "home"
         return Place(lon, lat, math.nan if is_open else item.height_m, datum)
 
-    def _fly_to(self, item: Item, place: Place | None = None, *, has_stop: bool = False) -> None:
+    def _fly_to(
+        self,
+        item: Item,
+        place: Place | None = None,
+        *,
+        beside: Place | None = None,
+        has_stop: bool = False,
+    ) -> None:
         """Add the straight leg to a place and move the vehicle there.
 
         Where the vehicle's place is not known, there is no leg but a sentence; the vehicle is at the place then too.
@@ -388,6 +381,7 @@ class Flight:
         Args:
           item: by which it flies.
           place: where to; left out, where the item leads.
+          beside: as of `_move`.
           has_stop: it stops there.
         """
         place = place or self._place_of(item)
@@ -398,7 +392,7 @@ class Flight:
             self._begin(item)
             self._state = self._state._replace(at=place, ground=None)
         else:
-            self._move(item, place, has_stop=has_stop)
+            self._move(item, place, beside=beside, has_stop=has_stop)
 
     def _begin(self, item: Item) -> None:
         """Say that the way to an item is not judged: the climb from home, or the way from where the place was lost."""
@@ -436,38 +430,31 @@ class Flight:
             self._state = self._state._replace(beside=None)
 
     def _loiter(self, item: Item) -> None:
-        """Fly to the item and circle there, at the radius that it names; hover where it names none (0 or NaN)."""
-        self._fly_to(item)
-        at = self._state.at
-        if at is not None:
-            radius_m = abs(item.params[LOITERS[item.command]])  # negative ones circle the other way
-            radius_m = radius_m if radius_m > 0 else 0.0  # NaN too
-            self.legs.append(Leg(at, at, "loiter", item.number, radius_m))
+        """Fly to the item and circle there, at the radius that it names; hover where it names none (0 or NaN).
 
-    def _circle(self, item: Item) -> None:
-        """Fly turns around the item: from the nearest point of the circle, from the centre, or either as a variant."""
+        Turns are flown from the nearest point of the circle, from the centre, or from either as a variant.
+        """
         centre = self._place_of(item)
-        start = self._state.beside or self._state.at
-        radius_m = abs(item.params[LOITERS[LOITER_TURNS]])
-        if centre is None or not radius_m > 0:  # NaN too
-            self._loiter(item)
-            if centre is not None:
-                self._say(f"item {item.number} circles at a radius that is the autopilot's own")
+        if centre is None:
+            self._fly_to(item)
             return
+        radius_m = abs(item.params[LOITERS[item.command]])  # negative ones circle the other way
+        radius_m = radius_m if radius_m > 0 else 0.0  # NaN too
+        is_turns = item.command == LOITER_TURNS
+        has_edge = is_turns and radius_m > 0 and self._autopilot != "px4"
         edge = None
-        is_whole = not 0 < item.params[0] < 1
-        if self._autopilot != "px4" and start and is_whole:
+        start = self._state.beside or self._state.at
+        if has_edge and start and not 0 < item.params[0] < 1:
             edge = _edge(start, centre, radius_m)
-        if self._autopilot == "ardupilot" and edge:
-            self._move(item, edge)
-            self.legs.append(Leg(edge, centre, "loiter", item.number, radius_m))
-            return
-        if self._state.at is None:
-            self._loiter(item)
+        if edge and self._autopilot == "ardupilot":
+            begin, beside = edge, None
         else:
-            self._move(item, centre, beside=edge)
-            self.legs.append(Leg(centre, centre, "loiter", item.number, radius_m))
-        if self._autopilot != "px4" and edge is None:
+            begin, beside = centre, edge
+        self._fly_to(item, begin, beside=beside)
+        self.legs.append(Leg(begin, centre, "loiter", item.number, radius_m))
+        if is_turns and not radius_m:
+            self._say(f"item {item.number} circles at a radius that is the autopilot's own")
+        elif has_edge and edge is None:
             self._say(
                 f"the way out of the circle of item {item.number} is not judged: where it begins is not known"
             )
@@ -505,45 +492,37 @@ class Flight:
             self._lose(item)
             return
         # Its own height above home counts where it is more: what it is above the legs know.
-        *lower_m, height_m = self._return_heights_m(_apart_m(at, home))
+        levels_m = self._levels_m(at, home)
         ground = Place(*home, 0.0, "ground")
-        for level_m in (*lower_m, height_m):
+        for level_m in levels_m:
             over_home = Place(*home, level_m, "home")
-            above = over_home._replace(lon=at.lon, lat=at.lat)
-            ways = [
-                (at, above, "return"),
-                (above, over_home, "return"),
-                (over_home, ground, "land"),
-            ]
-            if math.isnan(level_m):
-                ways[:2] = [(at, over_home, "return")]
-            is_variant = level_m != height_m and not math.isnan(level_m)
-            for start, end, kind in ways:
+            above = at if math.isnan(level_m) else over_home._replace(lon=at.lon, lat=at.lat)
+            is_variant = level_m < levels_m[-1]
+            for kind, start, end in (
+                ("return", at, above),
+                ("return", above, over_home),
+                ("land", over_home, ground),
+            ):
                 leg = Leg(start, end, kind, item.number, is_variant=is_variant, not_below=at)
-                self.legs.append(leg)
+                if start != end:
+                    self.legs.append(leg)
         self._lose(item, ground)
 
-    def _return_heights_m(self, apart_m: float) -> list[float]:
+    def _levels_m(self, at: Place, home: LonLat) -> list[float]:
         """Return the heights above home at which a return may be flown, rising; NaN alone where it is not known.
 
-        Args:
-          apart_m: how far from home it begins.
+        ``at`` is where it begins.
         """
         most_m = self._return_altitude_m
         if math.isnan(most_m):
-            return [math.nan]
+            return [most_m]
+        _, _, apart_m = GEOD.inv(at.lon, at.lat, *home)
         heights_m = {most_m}
         if self._autopilot != "px4":
             heights_m.add(min(most_m, max(CONE_SLOPE * apart_m, LEAST_RETURN_M)))
         if self._autopilot != "ardupilot" and apart_m <= CONE_REACH_M:
             heights_m.add(min(most_m, apart_m))
         return sorted(heights_m)
-
-
-def _apart_m(place: Place, lonlat: LonLat) -> float:
-    """Return the distance in plan from a place to another."""
-    _, _, apart_m = GEOD.inv(place.lon, place.lat, *lonlat)
-    return apart_m
 
 
 def _edge(start: Place, centre: Place, radius_m: float) -> Place | None:
