@@ -330,21 +330,19 @@ class Flight:
           beside: where another autopilot would be then; left out, at the same place.
           has_stop: it stops there.
         """
-        profile: Profile = "straight" if item.is_straight else "frame"
+        at = self._state.at
+        assert at is not None
         if self._is_jump and kind == "leg":
             kind = "jump"
         self._is_jump = False
-        leg = Leg(place, place, kind, item.number, profile=profile, has_stop=has_stop)
-        state = self._state
-        variant = beside or place
-        if (state.beside or beside) and (state.beside or state.at) != variant:
-            start = state.beside or state.at
-            assert start is not None
-            self.legs.append(leg._replace(start=start, end=variant, is_variant=True))
-        if state.at != place:
-            assert state.at is not None
-            self.legs.append(leg._replace(start=state.at))
-        self._state = state._replace(at=place, beside=beside, ground=None)
+        profile: Profile = "straight" if item.is_straight else "frame"
+        leg = Leg(at, place, kind, item.number, profile=profile, has_stop=has_stop)
+        variant = leg._replace(start=self._state.beside or at, end=beside or place, is_variant=True)
+        if variant[:2] != leg[:2] and variant.start != variant.end:
+            self.legs.append(variant)
+        if at != place:
+            self.legs.append(leg)
+        self._state = self._state._replace(at=place, beside=beside, ground=None)
 
     def _place_of(self, item: Item) -> Place | None:
         """Return where an item leads: to its own place and height, or the vehicle's where the item leaves them out.
