@@ -118,7 +118,8 @@ def _unsure(
         return
     off_m = flight.ground.off_m[tuple(steps.cell.T)]
     least_m = limits.vertical_m - FILE_MARGIN_M
-    is_open = near["gap_m"].ge(least_m) & (near["gap_m"] - off_m[near["step"]]).lt(least_m)
+    spare_m = near["gap_m"] - least_m
+    is_open = (spare_m >= 0) & (spare_m < off_m[near["step"]])
     is_low = (steps.z_m.min(axis=1) < off_m) & ~_is_on_site(flight, steps)
     is_low[near.loc[is_open, "step"].to_numpy(int)] = True
     most_m = off_m[is_low].max(initial=0.0)

@@ -29,12 +29,12 @@ def corners_of(flight: Flight) -> Steps:
     came, goes = (steps.ends_m[at, 1] - steps.ends_m[at, 0]) / over_m[at][..., None]
     bend = np.linalg.norm(goes - came, axis=1)  # twice the sine of half the turn
     is_corner = bend >= STRAIGHT_RAD
-    before, after = at[:, is_corner]
+    at = at[:, is_corner]
+    before, after = at
 
     # How far from the corner each chord begins and ends.
-    leg_m = np.bincount(steps.leg, over_m)
-    most_m = np.minimum(leg_m[steps.leg[before]], leg_m[steps.leg[after]]) / 2
-    cut_m = np.minimum(2 * CORNER_M / bend[is_corner], np.minimum(most_m, MOST_CUT_M))
+    half_m = np.bincount(steps.leg, over_m)[steps.leg[at]].min(axis=0) / 2
+    cut_m = np.minimum(2 * CORNER_M / bend[is_corner], np.minimum(half_m, MOST_CUT_M))
     back_m = cut_m[:, None] * SHARES
 
     states = np.dstack([steps.ends_m, steps.z_m])
@@ -73,10 +73,9 @@ def _steps_at_corners(legs: Sequence[Leg], steps: Steps) -> np.ndarray:
         if leg.kind == "jump"
     ]
 
-    moving = set(steps.leg[steps.over_m > 0].tolist())
+    moving = np.unique(steps.leg[steps.over_m > 0]).tolist()
     flown_on = {number for number in moving if legs[number].kind in FLOWN_ON}
-    corners = [(one, other) for one, other in pairs if {one, other} <= flown_on]
-    corners = [(one, other) for one, other in corners if not legs[one].has_stop]
+    corners = [pair for pair in pairs if {*pair} <= flown_on and not legs[pair[0]].has_stop]
     before, after = np.array(corners, int).reshape(-1, 2).T
     last = np.searchsorted(steps.leg, before, side="right") - 1
     return np.stack([last, np.searchsorted(steps.leg, after)])

@@ -235,24 +235,18 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
         is_stretch = (outside_m[:, 0] < outside_m[:, 1]) | ~enters
         unknown.append(spans(outside_m[is_stretch], OUTSIDE))
 
-    # The rest, cut into steps.
+    # The rest, cut into steps: of the mission, and of its variants.
     states = np.dstack([ends_m, z_m, along_m])
-
-    def steps_of(is_of_way: np.ndarray) -> Steps:
+    is_main = ~segments.is_variant
+    ways = []
+    for is_of_way in (is_main, ~is_main):
         flown = np.flatnonzero(enters & is_known & is_of_way)
         legs = segments.leg[flown]
-        return _steps(states[flown], shares[flown], legs, follows_ground[flown], ground)
-
-    is_main = ~segments.is_variant
-    return Flight(
-        mission=mission,
-        steps=steps_of(is_main),
-        variants=steps_of(segments.is_variant),
-        unknown=pd.concat(unknown),
-        length_m=float(along_m[is_main].max(initial=0.0)),
-        ground=ground,
-        lines_m=between(ends_m, shares)[enters & is_main],
-    )
+        ways.append(_steps(states[flown], shares[flown], legs, follows_ground[flown], ground))
+    steps, variants = ways
+    length_m = float(along_m[is_main].max(initial=0.0))
+    lines_m = between(ends_m, shares)[enters & is_main]
+    return Flight(mission, steps, variants, pd.concat(unknown), length_m, ground, lines_m)
 
 
 def _along_m(segments: Segments, z_m: np.ndarray) -> np.ndarray:

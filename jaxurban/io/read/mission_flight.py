@@ -37,8 +37,9 @@ OF_AEROPLANES = (84, 85, 3000)  # take-off, landing and transition of VTOL
 LOITER_TURNS = 18
 LOITER_TO_ALT = 31
 LOITERS = {17: 2, LOITER_TURNS: 2, 19: 2, LOITER_TO_ALT: 1}  # and which parameter is the radius
-FENCES = range(5000, 5100)
-RALLY = 5100
+# Fences and rally points.
+BESIDE = dict.fromkeys(range(5000, 5100), "its geofence is not judged")
+BESIDE[5100] = "its rally points are not judged"
 # Commands that move nothing: regions of interest, delays and conditions, servos and relays, cameras and gimbals, ...
 STILL = frozenset(
     [80, 93, 95, 112, 114, 115, 159, SPEED, 187, 188, 189, 600, 1000, 1001, 2010, 2600, 2800]
@@ -111,8 +112,7 @@ class Item(NamedTuple):
     @property
     def has_coordinates(self) -> bool:
         """Return whether numbers stand where a place does, in whatever frame."""
-        is_set = not (math.isnan(self.lon) or math.isnan(self.lat))
-        return is_set and (self.lon, self.lat) != (0, 0)
+        return not math.isnan(self.lon + self.lat) and (self.lon, self.lat) != (0, 0)
 
 
 class State(NamedTuple):
@@ -198,9 +198,9 @@ class Flight:
         index_of: dict[float | None, int] = {
             item.key: index for index, item in enumerate(self._items)
         }
-        flown: Counter[int] = Counter()  # how often jumps that end were flown
-        rounds: set[tuple[int, State, int]] = set()  # in which jumps without end were flown
-        index = num_flown = num_counted = 0
+        flown: Counter[int] = Counter()  # how often jumps were flown
+        rounds: set[tuple[int, State, int]] = set()  # in which they were flown
+        index = num_flown = num_counted = 0  # the last: jumps flown that end
         while index < len(self._items) and num_flown < MOST_FLOWN:
             item = self._items[index]
             self._number = item.number
@@ -211,21 +211,18 @@ class Flight:
                 continue
             target_key, times, *_ = item.params
             target = index_of.get(target_key)
-            is_over = times == 0 or (index, self._state, num_counted) in rounds
-            if times > 0:
-                is_over = flown[index] >= times
-            if target is None and not is_over:
-                self._say(f"the jump of item {item.number} is not judged: no item is its target")
-            if target is None or is_over:
-                index += 1
-                continue
-            if times > 0:
+            way = index, self._state, num_counted
+            is_left = flown[index] < times if times >= 0 else way not in rounds
+            if is_left and target is not None:
                 flown[index] += 1
-                num_counted += 1
-            else:
-                rounds.add((index, self._state, num_counted))
-            self._is_jump = True
-            index = target
+                num_counted += times > 0
+                rounds.add(way)
+                self._is_jump = True
+                index = target
+                continue
+            if is_left:
+                self._say(f"the jump of item {item.number} is not judged: no item is its target")
+            index += 1
         if num_flown == MOST_FLOWN:
             self._say("its jumps are flown more often than is followed")
 
@@ -285,10 +282,8 @@ class Flight:
             self._state = self._state._replace(home=None, has_moved_home=True)
         elif command == SPEED and self.speed_m_s is None and item.params[1] > 0:
             self.speed_m_s = item.params[1]
-        elif command in FENCES:
-            self._say("its geofence is not judged")
-        elif command == RALLY:
-            self._say("its rally points are not judged")
+        elif command in BESIDE:
+            self._say(BESIDE[command])
         elif command == SPLINE:
             self._pass_over(item, "a spline waypoint")
         elif command not in STILL:
@@ -402,18 +397,19 @@ class Flight:
             self._say(f"the climb from home is not judged, as {why}")
 
     def _take_off(self, item: Item) -> None:
-        """Climb straight up to the item's height, then fly to its place if it has one.
+        """Climb straight up to the item's height, then fly to its place if it has one; ArduPilot knows of none.
 
         The climb begins where the vehicle is, else on the ground where it stands; where neither is known, it only flies
         to the item.
         """
+        if self._autopilot == "ardupilot":
+            item = item._replace(lon=0.0, lat=0.0)
         start = self._state.at or self._state.ground
         if start is None:
             self._fly_to(item)
             return
         self._leave_circle(item)
-        straight_up = item._replace(lon=start.lon, lat=start.lat)
-        above = self._place_of(straight_up) or start
+        above = self._place_of(item._replace(lon=start.lon, lat=start.lat)) or start
         self._state = self._state._replace(at=start)
         self._move(item, above, "climb")
         if item.has_place:

@@ -142,7 +142,11 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
     for line in lines:
         datum = _datum(name, line.datum, heights)
         for number, point in enumerate(line.points, last + 1):
-            _check(f"point {number}", point)
+            what = f"point {number}"
+            for part, value in zip(COLUMNS, point, strict=True):
+                if math.isnan(value):
+                    raise DamagedError(f"{what} has no {part}")
+            check_place(what, *point)
         last += len(line.points)
         places = [Place(*point, datum) for point in line.points]
         first = len(legs)
@@ -214,17 +218,6 @@ def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
     )
 
 
-def _check(what: str, point: tuple[float, float, float]) -> None:
-    """Raise DamagedError, which begins with ``what``, unless a point is a place on the Earth with a height.
-
-    The point is longitude and latitude in degrees and height in metres, in the order of `COLUMNS`.
-    """
-    for part, value in zip(COLUMNS, point, strict=True):
-        if math.isnan(value):
-            raise DamagedError(f"{what} has no {part}")
-    check_place(what, *point)
-
-
 class _Plain(TreeBuilder):
     """What XML holds, of a file that defines no words of its own."""
 
@@ -280,8 +273,14 @@ def _point(
 
 
 def _num_at(element: Element) -> int:
-    """Return how many positions an element of KML or GPX has by itself: as its text, or as attributes."""
+    """Return how many positions an element of KML or GPX has by itself: as its text, or as attributes.
+
+    Raises:
+      DamagedError: there are elements among the positions.
+    """
     if _tag(element) == "coordinates":
+        if len(element):
+            raise DamagedError("its coordinates hold elements, and not only text")
         return len(_words(element).split())
     return _tag(element) == "coord" or "lat" in element.attrib or "lon" in element.attrib
 
@@ -359,10 +358,10 @@ def _gpx_line(element: Element, is_own: bool) -> Line:
     """
     nodes = [child for child in element if _tag(child) in ("rtept", "trkpt")]
     heights = [_text(node, "ele") for node in nodes]
+    matches = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes]
+    described = [match[1] if match and is_own else "" for match in matches]
     datum: Datum | None = "geoid" if is_own else None
-    matches = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes if is_own]
-    described = [match[1] if match else "" for match in matches]
-    if not any(heights) and is_own:
+    if is_own and not any(heights):
         heights, described, datum = described, [], "ground"
     points = [
         _point((node.get("lon"), node.get("lat"), height))
