@@ -53,7 +53,7 @@ def judged(
       times, time_of_day: of the maps that the bounds must hold on; None for a map that has no times.
     """
     ground = flight.ground
-    tables, unknown = [], [flight.unknown, *_at_corners(flight, buildings, maps, limits)]
+    tables, unknown = [], [flight.unknown, *_at_corners(flight, buildings, limits)]
     for way in (flight.steps, flight.variants):
         # What cannot be judged: steps without data, beyond what is known, near roofs of guessed height, or nearer to
         # what they clear than the ground is known.
@@ -71,7 +71,7 @@ def judged(
         findings = [
             *_buildings(near, buildings, limits),
             _buried(steps),
-            _zones(steps, maps, ground, limits),
+            _zones(steps, ground, limits),
             *_closed(steps, maps, limits, times, time_of_day),
         ]
         tables.append(_placed(pd.concat(findings, ignore_index=True), flight, steps))
@@ -136,21 +136,19 @@ def _is_on_site(flight: Flight, steps: Steps) -> np.ndarray:
     return np.isin(leg_kinds[steps.leg], ON_SITE) | (steps.over_m == 0)
 
 
-def _at_corners(
-    flight: Flight, buildings: Prisms, maps: MetricMaps, limits: Constraints
-) -> Iterator[pd.DataFrame]:
+def _at_corners(flight: Flight, buildings: Prisms, limits: Constraints) -> Iterator[pd.DataFrame]:
     """Yield tables of the corners whose inside, which autopilots may fly over, comes too near to a building or a zone.
 
     Args:
       flight: whose corners they are (`corners_of`).
       buildings: that stand there.
-      maps: the maps.
       limits: the clearances and zones.
     """
     corners = corners_of(flight)
-    near = contacts(corners, buildings, flight.ground, limits.horizontal_m)
+    ground = flight.ground
+    near = contacts(corners, buildings, ground, limits.horizontal_m)
     is_close = near["gap_m"] < limits.vertical_m - FILE_MARGIN_M
-    in_zone = contacts(corners, _prisms_of(limits.zones, maps), flight.ground)
+    in_zone = contacts(corners, _prisms_of(limits.zones, ground.maps), ground)
     for rows in (near[is_close], in_zone[in_zone["gap_m"] <= 0]):
         yield rows[SPAN].assign(reason=CUT)
 
@@ -293,10 +291,10 @@ def _prisms_of(zones: Sequence[Zone], maps: MetricMaps) -> Prisms:
     )
 
 
-def _zones(steps: Steps, maps: MetricMaps, ground: Elevation, limits: Constraints) -> pd.DataFrame:
+def _zones(steps: Steps, ground: Elevation, limits: Constraints) -> pd.DataFrame:
     """Return a row for each stretch of a mission in a no-fly zone of ``limits``."""
     zones = limits.zones
-    rows = contacts(steps, _prisms_of(zones, maps), ground)
+    rows = contacts(steps, _prisms_of(zones, ground.maps), ground)
     rows = merged(rows[rows["gap_m"] <= 0], "prism")
     entered = [zones[number] for number in rows["prism"]]
     what = [f"enters the no-fly zone {zone.label}, {zone.heights}" for zone in entered]

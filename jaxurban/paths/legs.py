@@ -215,14 +215,18 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
         is_above_ground & follows_ground[:, None], segments.height_m, z_m
     )  # off the maps, too
     lacks = np.where(follows_ground[:, None] & np.isnan(ground_m), "ground", segments.datum)
+    if geoid_m is not None:
+        lacks[lacks == "ellipsoid"] = "geoid"  # which is what lacks a height then
     along_m = _along_m(segments, z_m)
 
-    # Segments without a height over the ground, each with the reason.
+    # Segments without a height over the ground, by the reason: the first of their ends that has none counts.
     is_known = np.isfinite(z_m).all(axis=1)
-    unknown = [spans(along_m[:0], "")]  # a table without rows, where nothing else is
-    for number in np.flatnonzero(~is_known):
-        reason = _why_unknown(segments.height_m[number], z_m[number], lacks[number], geoid_m)
-        unknown.append(spans(along_m[[number]], reason))
+    is_open = np.isnan(segments.height_m).any(axis=1)
+    unknown = [spans(along_m[is_open], NO_HEIGHT)]
+    first = np.isnan(z_m).argmax(axis=1)
+    lacks = np.take_along_axis(lacks, first[:, None], axis=1)[:, 0]
+    for datum, reason in NO_ZERO.items():
+        unknown.append(spans(along_m[~is_known & ~is_open & (lacks == datum)], reason))
 
     # What lies outside the maps: of a segment what comes before it enters them and after it leaves them. A segment that
     # does not meet them is taken to enter and leave them at its end, so that all of it comes before.
@@ -269,25 +273,6 @@ def _along_m(segments: Segments, z_m: np.ndarray) -> np.ndarray:
         if segments.is_variant[number - 1] and goes_on:
             begin_m[number] = begin_m[number - 1] + length_m[number - 1]
     return np.stack([begin_m, begin_m + length_m], axis=1)
-
-
-def _why_unknown(
-    height_m: np.ndarray, z_m: np.ndarray, datum: np.ndarray, geoid_m: float | None
-) -> str:
-    """Return why a segment has no height over the ground, a phrase that goes after "legs".
-
-    Args:
-      height_m: ``[2]`` at its begin and end, above the datum; NaN where the file leaves it open.
-      z_m: ``[2]`` height over the ground, or above the zero of the terrain; NaN where it is not known.
-      datum: ``[2]`` name of the datum that may not be known.
-      geoid_m: height of the geoid above the ellipsoid; None where it is not given.
-    """
-    if np.isnan(height_m).any():
-        return NO_HEIGHT
-    unknown_datum = datum[np.argmax(np.isnan(z_m))]
-    if unknown_datum == "ellipsoid" and geoid_m is not None:
-        unknown_datum = "geoid"  # which is what lacks a height then
-    return NO_ZERO[unknown_datum]
 
 
 def _steps(
