@@ -25,6 +25,7 @@ ON_SITE = ("climb", "land")  # kinds of legs between the ground and the height o
 NO_DATA = "lie over cells without data"
 NO_CITY = "lie where the source of the buildings does not know what stands"
 GUESSED_ROOFS = "lie over roofs of guessed height, or nearer to them than the clearance"
+SPAN = ["from_m", "to_m"]
 PLACE = ["lon", "lat", "along_m", "to_m", "height_m"]
 COLUMNS = ["kind", "what", "item", *PLACE, "building_m", "by_m", "is_guessed"]
 
@@ -51,16 +52,40 @@ def judged(
       limits: the zones in force, the bounds and the clearances, none of which is left out.
       times, time_of_day: of the maps that the bounds must hold on; None for a map that has no times.
     """
-    tables, unknown = [], [flight.unknown]
-    for steps in (flight.steps, flight.variants):
-        found, not_judged = _judged_steps(
-            flight, steps, maps, buildings, known, limits, times, time_of_day
-        )
-        tables.append(found)
-        unknown += not_judged
-    unknown += _at_corners(flight, buildings, maps, limits)
-    main, beside = tables
-    return _with_variants(main, beside), pd.concat(unknown, ignore_index=True)
+    ground = flight.ground
+    tables, unknown = [], [flight.unknown, *_at_corners(flight, buildings, limits)]
+    for way in (flight.steps, flight.variants):
+        # What cannot be judged: steps without data, beyond what is known, near roofs of guessed height, or nearer to
+        # what they clear than the ground is known.
+        has_data = maps.ds["has_data"].values[tuple(way.cell.T)]
+        is_known = has_data & np.isfinite(way.z_m).all(axis=1)
+        steps = way.take(is_known)
+        near = contacts(steps, buildings, ground, limits.horizontal_m)
+        is_guessed = buildings.is_guessed[near["prism"]]
+        unknown.append(spans(way.along_m[~is_known], NO_DATA))
+        unknown += _unsure(flight, steps, near, limits)
+        unknown += _beyond(flight, steps, maps, known, limits.horizontal_m)
+        unknown.append(near.loc[is_guessed, SPAN].assign(reason=GUESSED_ROOFS))
+
+        # What the other steps meet.
+        findings = [
+            *_buildings(near, buildings, limits),
+            _buried(steps),
+            _zones(steps, ground, limits),
+            *_closed(steps, maps, limits, times, time_of_day),
+        ]
+        tables.append(_placed(pd.concat(findings, ignore_index=True), flight, steps))
+    return _with_variants(*tables), pd.concat(unknown, ignore_index=True)
+
+
+def _placed(table: pd.DataFrame, flight: Flight, steps: Steps) -> pd.DataFrame:
+    """Return findings with the place and the item at which each begins, in the order of travel."""
+    begins = steps.take(table["step"].to_numpy(int))
+    lon, lat = flight.ground.maps.grid.lonlat_of_xy(*begins.ends_m[:, 0].T)
+    items = [flight.mission.legs[leg].item for leg in begins.leg]
+    table = table.assign(item=items, lon=lon, lat=lat, height_m=begins.z_m[:, 0])
+    table = table.rename(columns={"from_m": "along_m"}).sort_values("along_m", ignore_index=True)
+    return table.reindex(columns=COLUMNS)
 
 
 def _with_variants(main: pd.DataFrame, beside: pd.DataFrame) -> pd.DataFrame:
@@ -68,55 +93,12 @@ def _with_variants(main: pd.DataFrame, beside: pd.DataFrame) -> pd.DataFrame:
 
     A finding of a variant is one of the mission's if they are of a kind and of one building, and overlap.
     """
-    if not len(beside):
-        return main
-    same = main.reset_index().merge(beside.reset_index(), on=["kind", "building_m"], how="inner")
+    same = main.merge(beside.reset_index(), on=["kind", "building_m"])
     overlaps = (same["along_m_x"] <= same["to_m_y"]) & (same["along_m_y"] <= same["to_m_x"])
-    new = beside.drop(same.loc[overlaps, "index_y"].unique())
-    tables = [table for table in (main, new) if len(table)]
-    return pd.concat(tables or [main]).sort_values("along_m", ignore_index=True)
-
-
-def _judged_steps(
-    flight: Flight,
-    steps: Steps,
-    maps: MetricMaps,
-    buildings: Prisms,
-    known: shapely.Geometry,
-    limits: Constraints,
-    times: Sequence[str | None],
-    time_of_day: str | None,
-) -> tuple[pd.DataFrame, list[pd.DataFrame]]:
-    """Return a table of what some of a flight's steps meet, and tables of those that cannot be judged (`judged`)."""
-    # What cannot be judged: steps without data, beyond what is known, near roofs of guessed height, or nearer to what
-    # they clear than the ground is known.
-    ground = flight.ground
-    has_data = maps.ds["has_data"].values[tuple(steps.cell.T)]
-    is_known = has_data & np.isfinite(steps.z_m).all(axis=1)
-    unknown = [spans(steps.along_m[~is_known], NO_DATA)]
-    steps = steps.take(is_known)
-    near = contacts(steps, buildings, ground, limits.horizontal_m)
-    is_guessed = buildings.is_guessed[near["prism"]]
-    unknown += _unsure(flight, steps, near, limits)
-    unknown += _beyond(flight, steps, maps, known, limits.horizontal_m)
-    unknown.append(spans(near.loc[is_guessed, ["from_m", "to_m"]].to_numpy(), GUESSED_ROOFS))
-
-    # What the other steps meet.
-    findings = [
-        *_buildings(near, buildings, limits),
-        _buried(steps),
-        _zones(steps, maps, ground, limits),
-        *_closed(steps, maps, limits, times, time_of_day),
-    ]
-    table = pd.concat(findings, ignore_index=True)
-
-    # Where each finding begins.
-    begins = steps.take(table["step"].to_numpy(int))
-    lon, lat = maps.grid.lonlat_of_xy(*begins.ends_m[:, 0].T)
-    items = [flight.mission.legs[leg].item for leg in begins.leg]
-    table = table.assign(item=items, lon=lon, lat=lat, height_m=begins.z_m[:, 0])
-    table = table.rename(columns={"from_m": "along_m"}).sort_values("along_m", ignore_index=True)
-    return table.reindex(columns=COLUMNS), unknown
+    new = beside.drop(same.loc[overlaps, "index"])
+    if main.empty or new.empty:
+        return new if main.empty else main
+    return pd.concat([main, new]).sort_values("along_m", ignore_index=True)
 
 
 def _unsure(
@@ -134,9 +116,10 @@ def _unsure(
     """
     if flight.ground.is_exact:
         return
-    off_m = flight.ground.off_m(steps.ends_m.mean(axis=1))
+    off_m = flight.ground.off_m[tuple(steps.cell.T)]
     least_m = limits.vertical_m - FILE_MARGIN_M
-    is_open = near["gap_m"].ge(least_m) & (near["gap_m"] - off_m[near["step"]]).lt(least_m)
+    spare_m = near["gap_m"] - least_m
+    is_open = (spare_m >= 0) & (spare_m < off_m[near["step"]])
     is_low = (steps.z_m.min(axis=1) < off_m) & ~_is_on_site(flight, steps)
     is_low[near.loc[is_open, "step"].to_numpy(int)] = True
     most_m = off_m[is_low].max(initial=0.0)
@@ -153,24 +136,21 @@ def _is_on_site(flight: Flight, steps: Steps) -> np.ndarray:
     return np.isin(leg_kinds[steps.leg], ON_SITE) | (steps.over_m == 0)
 
 
-def _at_corners(
-    flight: Flight, buildings: Prisms, maps: MetricMaps, limits: Constraints
-) -> Iterator[pd.DataFrame]:
+def _at_corners(flight: Flight, buildings: Prisms, limits: Constraints) -> Iterator[pd.DataFrame]:
     """Yield tables of the corners whose inside, which autopilots may fly over, comes too near to a building or a zone.
 
     Args:
       flight: whose corners they are (`corners_of`).
       buildings: that stand there.
-      maps: the maps.
       limits: the clearances and zones.
     """
     corners = corners_of(flight)
-    near = contacts(corners, buildings, flight.ground, limits.horizontal_m)
+    ground = flight.ground
+    near = contacts(corners, buildings, ground, limits.horizontal_m)
     is_close = near["gap_m"] < limits.vertical_m - FILE_MARGIN_M
-    in_zone = contacts(corners, _prisms_of(limits.zones, maps), flight.ground)
-    is_in = in_zone["gap_m"] <= 0
-    for step in (near.loc[is_close, "step"], in_zone.loc[is_in, "step"]):
-        yield spans(corners.along_m[step.to_numpy(int)], CUT)
+    in_zone = contacts(corners, _prisms_of(limits.zones, ground.maps), ground)
+    for rows in (near[is_close], in_zone[in_zone["gap_m"] <= 0]):
+        yield rows[SPAN].assign(reason=CUT)
 
 
 def _beyond(
@@ -311,10 +291,10 @@ def _prisms_of(zones: Sequence[Zone], maps: MetricMaps) -> Prisms:
     )
 
 
-def _zones(steps: Steps, maps: MetricMaps, ground: Elevation, limits: Constraints) -> pd.DataFrame:
+def _zones(steps: Steps, ground: Elevation, limits: Constraints) -> pd.DataFrame:
     """Return a row for each stretch of a mission in a no-fly zone of ``limits``."""
     zones = limits.zones
-    rows = contacts(steps, _prisms_of(zones, maps), ground)
+    rows = contacts(steps, _prisms_of(zones, ground.maps), ground)
     rows = merged(rows[rows["gap_m"] <= 0], "prism")
     entered = [zones[number] for number in rows["prism"]]
     what = [f"enters the no-fly zone {zone.label}, {zone.heights}" for zone in entered]

@@ -97,29 +97,24 @@ class Flight:
 
         Gaps are closed by straight lines. ``[N, 2]``, without the height, where none is known.
         """
-        line_m = np.vstack(
-            [self.lines_m[:, 0], self.lines_m[-1:, 1]]
-        )  # each begin, and the last end
+        line_m = np.vstack([self.lines_m[:, 0], self.lines_m[-1:, 1]])  # begins, the last end
         z_m = self.steps.z_m[np.isfinite(self.steps.z_m)]
-        if not len(z_m):
-            return line_m
-        return np.column_stack([line_m, np.full(len(line_m), z_m.max())])
+        return np.insert(line_m, 2, z_m.max(), axis=1) if len(z_m) else line_m
 
     @property
     def ground_note(self) -> str:
         """By how much the ground below it may be off, words to go after others; empty where it is known."""
         if self.ground.is_exact:
             return ""
-        off_m = self.ground.off_m(self.steps.ends_m.mean(axis=1)).max(initial=0.0)
+        off_m = self.ground.off_m[tuple(self.steps.cell.T)].max(initial=0.0)
         return f"; over the ground of the maps' cells, which may be off by up to {off_m:.1f} m"
 
     @property
     def off_line(self) -> list[str]:
         """What `line_m` leaves out, or knows no height of: a sentence each."""
-        over_m = {
-            reason: (rows["to_m"] - rows["from_m"]).sum()
-            for reason, rows in self.unknown.groupby("reason")
-        }
+        over_m = (
+            (self.unknown["to_m"] - self.unknown["from_m"]).groupby(self.unknown["reason"]).sum()
+        )
         sentences = []
         if over_m.get(OUTSIDE, 0.0) > 0:
             sentences.append(f"{over_m[OUTSIDE]:,.0f} m of the mission lie outside the maps.")
@@ -206,26 +201,32 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
 
     # Their heights: above the zero of the terrain, or above the ground for segments that follow it.
     ground_m = ground.at(ends_m)
-    datum_m = np.where(segments.datum == "ground", ground_m, np.nan)  # elevation of each datum
+    is_above_ground = segments.datum == "ground"
+    datum_m = np.where(is_above_ground, ground_m, np.nan)  # elevation of each datum
     zeros_m = _zeros_m(mission, ground, geoid_m)
     for name, zero_m in zeros_m.items():
         datum_m[segments.datum == name] = zero_m
+    least_m = _least_m(mission, ground, zeros_m)[segments.leg, None]
+    elevation_m = segments.height_m + datum_m
+    z_m = np.where(segments.datum == "home", np.maximum(elevation_m, least_m), elevation_m)
     follows_ground = segments.follows_ground
-    datum_m[follows_ground] -= ground_m[follows_ground]
-    is_above_ground = segments.datum == "ground"
-    datum_m[is_above_ground & follows_ground[:, None]] = 0.0  # off the maps, too
+    z_m[follows_ground] -= ground_m[follows_ground]
+    z_m = np.where(
+        is_above_ground & follows_ground[:, None], segments.height_m, z_m
+    )  # off the maps, too
     lacks = np.where(follows_ground[:, None] & np.isnan(ground_m), "ground", segments.datum)
-    z_m = segments.height_m + datum_m
-    least_m = _least_m(mission, ground, zeros_m)[segments.leg]
-    z_m = np.where(segments.datum == "home", np.maximum(z_m, least_m[:, None]), z_m)
+    if geoid_m is not None:
+        lacks[lacks == "ellipsoid"] = "geoid"  # which is what lacks a height then
     along_m = _along_m(segments, z_m)
 
-    # Segments without a height over the ground, each with the reason.
+    # Segments without a height over the ground, by the reason: the first of their ends that has none counts.
     is_known = np.isfinite(z_m).all(axis=1)
-    unknown = [spans(along_m[:0], "")]  # a table without rows, where nothing else is
-    for number in np.flatnonzero(~is_known):
-        reason = _why_unknown(segments.height_m[number], datum_m[number], lacks[number], geoid_m)
-        unknown.append(spans(along_m[[number]], reason))
+    is_open = np.isnan(segments.height_m).any(axis=1)
+    unknown = [spans(along_m[is_open], NO_HEIGHT)]
+    first = np.isnan(z_m).argmax(axis=1)
+    lacks = np.take_along_axis(lacks, first[:, None], axis=1)[:, 0]
+    for datum, reason in NO_ZERO.items():
+        unknown.append(spans(along_m[~is_known & ~is_open & (lacks == datum)], reason))
 
     # What lies outside the maps: of a segment what comes before it enters them and after it leaves them. A segment that
     # does not meet them is taken to enter and leave them at its end, so that all of it comes before.
@@ -238,24 +239,18 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
         is_stretch = (outside_m[:, 0] < outside_m[:, 1]) | ~enters
         unknown.append(spans(outside_m[is_stretch], OUTSIDE))
 
-    # The rest, cut into steps.
+    # The rest, cut into steps: of the mission, and of its variants.
     states = np.dstack([ends_m, z_m, along_m])
-
-    def steps_of(is_of_way: np.ndarray) -> Steps:
+    is_main = ~segments.is_variant
+    ways = []
+    for is_of_way in (is_main, ~is_main):
         flown = np.flatnonzero(enters & is_known & is_of_way)
         legs = segments.leg[flown]
-        return _steps(states[flown], shares[flown], legs, follows_ground[flown], ground)
-
-    is_main = ~segments.is_variant
-    return Flight(
-        mission=mission,
-        steps=steps_of(is_main),
-        variants=steps_of(segments.is_variant),
-        unknown=pd.concat(unknown),
-        length_m=float(along_m[is_main].max(initial=0.0)),
-        ground=ground,
-        lines_m=between(ends_m, shares)[enters & is_main],
-    )
+        ways.append(_steps(states[flown], shares[flown], legs, follows_ground[flown], ground))
+    steps, variants = ways
+    length_m = float(along_m[is_main].max(initial=0.0))
+    lines_m = between(ends_m, shares)[enters & is_main]
+    return Flight(mission, steps, variants, pd.concat(unknown), length_m, ground, lines_m)
 
 
 def _along_m(segments: Segments, z_m: np.ndarray) -> np.ndarray:
@@ -278,25 +273,6 @@ def _along_m(segments: Segments, z_m: np.ndarray) -> np.ndarray:
         if segments.is_variant[number - 1] and goes_on:
             begin_m[number] = begin_m[number - 1] + length_m[number - 1]
     return np.stack([begin_m, begin_m + length_m], axis=1)
-
-
-def _why_unknown(
-    height_m: np.ndarray, datum_m: np.ndarray, datum: np.ndarray, geoid_m: float | None
-) -> str:
-    """Return why a segment has no height over the ground, a phrase that goes after "legs".
-
-    Args:
-      height_m: ``[2]`` at its begin and end, above the datum; NaN where the file leaves it open.
-      datum_m: ``[2]`` elevation of the datum; NaN where it is not known.
-      datum: ``[2]`` name of the datum that may not be known.
-      geoid_m: height of the geoid above the ellipsoid; None where it is not given.
-    """
-    if np.isnan(height_m).any():
-        return NO_HEIGHT
-    unknown_datum = datum[np.argmax(np.isnan(datum_m))]
-    if unknown_datum == "ellipsoid" and geoid_m is not None:
-        unknown_datum = "geoid"  # which is what lacks a height then
-    return NO_ZERO[unknown_datum]
 
 
 def _steps(
@@ -393,8 +369,7 @@ def _zeros_m(mission: Mission, ground: Elevation, geoid_m: float | None) -> dict
     if mission.home_elevation_m is not None:
         home_above_geoid_m = mission.home_elevation_m
     if mission.home is not None:
-        home_xy_m = np.array(ground.maps.grid.xy_of_lonlat(*mission.home))
-        home_m = float(ground.at(home_xy_m))
+        home_m = ground.at_lonlat(*mission.home)
         if math.isnan(home_m):  # home lies outside the maps
             home_m = home_above_geoid_m
     geoid_zero_m = -home_above_geoid_m if ground.is_flat else 0.0
@@ -412,12 +387,10 @@ def _least_m(mission: Mission, ground: Elevation, zeros_m: dict[str, float]) -> 
     """
     least_m = np.full(len(mission.legs), -np.inf)
     for number, leg in enumerate(mission.legs):
-        place = leg.not_below
-        if place is not None:
-            zero_m = zeros_m.get(place.datum)
-            if zero_m is None:
-                zero_m = float(ground.at(np.array(ground.maps.grid.xy_of_lonlat(*place[:2]))))
-            least_m[number] = place.height_m + zero_m
+        if leg.not_below:
+            lon, lat, height_m, datum = leg.not_below
+            zero_m = ground.at_lonlat(lon, lat) if datum == "ground" else zeros_m[datum]
+            least_m[number] = height_m + zero_m
     return least_m
 
 

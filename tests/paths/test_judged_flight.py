@@ -239,3 +239,10 @@ def test_the_line_over_people_holds_legs_whose_height_is_open(tmp_path):
     assert over_m == pytest.approx(800.0, abs=1.0)
     assert flight.line_m[:, 2].max() == pytest.approx(30.0)
     assert any("height is open" in text for text in flight.off_line)
+
+
+def test_a_return_comes_down_from_the_height_at_which_it_flies(tmp_path):
+    scene = world((9.0, 9.0, 5.0, 5.0), terrain=lambda x_m, y_m: 60.0 + 0.0 * (x_m + y_m))
+    items = [(WAYPOINT, 3, (500.0, 300.0), 30.0, ()), (RETURN, 2, None, 0.0, ())]
+    result = checked(scene, tmp_path, scene.plan(*items), return_altitude_m=50.0)
+    assert result.flight.steps.z_m.max() == pytest.approx(50.0, abs=0.1)

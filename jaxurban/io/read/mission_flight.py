@@ -6,6 +6,7 @@ at `Flight`, after their sources: of ArduCopter ``mode_auto.cpp`` (circles), ``m
 """
 
 import math
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
@@ -36,8 +37,9 @@ OF_AEROPLANES = (84, 85, 3000)  # take-off, landing and transition of VTOL
 LOITER_TURNS = 18
 LOITER_TO_ALT = 31
 LOITERS = {17: 2, LOITER_TURNS: 2, 19: 2, LOITER_TO_ALT: 1}  # and which parameter is the radius
-FENCES = range(5000, 5100)
-RALLY = 5100
+# Fences and rally points.
+BESIDE = dict.fromkeys(range(5000, 5100), "its geofence is not judged")
+BESIDE[5100] = "its rally points are not judged"
 # Commands that move nothing: regions of interest, delays and conditions, servos and relays, cameras and gimbals, ...
 STILL = frozenset(
     [80, 93, 95, 112, 114, 115, 159, SPEED, 187, 188, 189, 600, 1000, 1001, 2010, 2600, 2800]
@@ -110,8 +112,7 @@ class Item(NamedTuple):
     @property
     def has_coordinates(self) -> bool:
         """Return whether numbers stand where a place does, in whatever frame."""
-        is_set = not (math.isnan(self.lon) or math.isnan(self.lat))
-        return is_set and (self.lon, self.lat) != (0, 0)
+        return not math.isnan(self.lon + self.lat) and (self.lon, self.lat) != (0, 0)
 
 
 class State(NamedTuple):
@@ -190,76 +191,60 @@ class Flight:
         self.accounts = self._accounts()
 
     def _run(self) -> None:
-        """Fly all items and their jumps, until the last one."""
-        index_of = {item.key: index for index, item in enumerate(self._items)}
-        left = {  # how often jumps are still flown
-            index: item.params[1] for index, item in enumerate(self._items) if item.command == JUMP
+        """Fly all items and their jumps, until the last one.
+
+        A jump without end is not flown again where the vehicle comes to it as before: all that follows was flown then.
+        """
+        index_of: dict[float | None, int] = {
+            item.key: index for index, item in enumerate(self._items)
         }
-        index = num_flown = 0
-        num_old = 0  # items flown since something was new
-        taken: set[int] = set()  # jumps without end that were flown since
+        flown: Counter[int] = Counter()  # how often jumps were flown
+        rounds: set[tuple[int, State, int]] = set()  # in which they were flown
+        index = num_flown = num_counted = 0  # the last: jumps flown that end
         while index < len(self._items) and num_flown < MOST_FLOWN:
             item = self._items[index]
-            key = index, self._state
             self._number = item.number
-            if num_old > 2 * len(self._items):  # a jump without end leads round and round
-                left |= dict.fromkeys(taken, 0.0)
-                num_old = 0
-                taken.clear()
             num_flown += 1
-            num_old += 1
+            if item.command != JUMP:
+                self._fly_again(index)
+                index += 1
+                continue
+            target_key, times, *_ = item.params
+            target = index_of.get(target_key)
+            way = index, self._state, num_counted
+            is_left = flown[index] < times if times >= 0 else way not in rounds
+            if is_left and target is not None:
+                flown[index] += 1
+                num_counted += times > 0
+                rounds.add(way)
+                self._is_jump = True
+                index = target
+                continue
+            if is_left:
+                self._say(f"the jump of item {item.number} is not judged: no item is its target")
             index += 1
-            if item.command == JUMP:
-                index = self._jumped(item, left, index, index_of)
-                if left[key[0]] < 0:
-                    taken.add(key[0])
-                else:
-                    num_old = 0
-            elif key in self._after:
-                self._state = self._after[key]
-                self._is_jump &= self._state == key[1]
-            else:
-                self._fly(item)
-                self._after[key] = self._state
-                num_old = 0
-                taken.clear()
         if num_flown == MOST_FLOWN:
             self._say("its jumps are flown more often than is followed")
 
-    def _jumped(
-        self, jump: Item, left: dict[int, float], after: int, index_of: dict[int | None, int]
-    ) -> int:
-        """Return the index of the item that comes after a jump, and count that it was flown.
-
-        Args:
-          jump: the jump.
-          left: how often each jump is still flown, by index.
-          after: index of the item after it in the file.
-          index_of: of items, by the keys that jumps name.
-        """
-        times = left[after - 1]
-        if times == 0:
-            return after
-        key = jump.params[0]
-        target = index_of.get(int(key)) if key % 1 == 0 else None
-        if target is None:
-            self._say(f"the jump of item {jump.number} is not judged: no item is its target")
-            left[after - 1] = 0.0
-            return after
-        if times > 0:
-            left[after - 1] = max(times - 1, 0.0)
-        self._is_jump = True
-        return target
+    def _fly_again(self, index: int) -> None:
+        """Fly an item; one that was flown from the same state before adds nothing."""
+        key = index, self._state
+        if key in self._after:
+            self._state = self._after[key]
+            self._is_jump &= self._state == key[1]
+        else:
+            self._fly(self._items[index])
+            self._after[key] = self._state
 
     def _accounts(self) -> list[Account]:
         """Return what became of each item: its legs, or the sentence on it, or that it moves nothing."""
-        legs_of: dict[int, list[int]] = {}
+        legs_of: defaultdict[int, list[int]] = defaultdict(list)
         for index, leg in enumerate(self.legs):
-            legs_of.setdefault(leg.item, []).append(index)
+            legs_of[leg.item].append(index)
         reached = {self._items[index].number for index, _ in self._after}
         accounts = []
         for item in self._items:
-            legs = tuple(legs_of.get(item.number, ()))
+            legs = tuple(legs_of[item.number])
             still = MOVES_NOTHING if item.number in reached else NEVER_REACHED
             why = "" if legs else self._why.get(item.number, still)
             accounts.append(Account(f"item {item.number}", 1, legs, why))
@@ -284,8 +269,6 @@ class Flight:
             self._take_off(item)
         elif command == WAYPOINT:
             self._fly_to(item, has_stop=item.params[0] > 0)
-        elif command == LOITER_TURNS:
-            self._circle(item)
         elif command in LOITERS:
             self._loiter(item)
         elif command in LANDINGS:
@@ -299,10 +282,8 @@ class Flight:
             self._state = self._state._replace(home=None, has_moved_home=True)
         elif command == SPEED and self.speed_m_s is None and item.params[1] > 0:
             self.speed_m_s = item.params[1]
-        elif command in FENCES:
-            self._say("its geofence is not judged")
-        elif command == RALLY:
-            self._say("its rally points are not judged")
+        elif command in BESIDE:
+            self._say(BESIDE[command])
         elif command == SPLINE:
             self._pass_over(item, "a spline waypoint")
         elif command not in STILL:
@@ -344,21 +325,19 @@ class Flight:
           beside: where another autopilot would be then; left out, at the same place.
           has_stop: it stops there.
         """
-        profile: Profile = "straight" if item.is_straight else "frame"
+        at = self._state.at
+        assert at is not None
         if self._is_jump and kind == "leg":
             kind = "jump"
         self._is_jump = False
-        leg = Leg(place, place, kind, item.number, profile=profile, has_stop=has_stop)
-        state = self._state
-        variant = beside or place
-        if (state.beside or beside) and (state.beside or state.at) != variant:
-            start = state.beside or state.at
-            assert start is not None
-            self.legs.append(leg._replace(start=start, end=variant, is_variant=True))
-        if state.at != place:
-            assert state.at is not None
-            self.legs.append(leg._replace(start=state.at))
-        self._state = state._replace(at=place, beside=beside, ground=None)
+        profile: Profile = "straight" if item.is_straight else "frame"
+        leg = Leg(at, place, kind, item.number, profile=profile, has_stop=has_stop)
+        variant = leg._replace(start=self._state.beside or at, end=beside or place, is_variant=True)
+        if variant[:2] != leg[:2] and variant.start != variant.end:
+            self.legs.append(variant)
+        if at != place:
+            self.legs.append(leg)
+        self._state = self._state._replace(at=place, beside=beside, ground=None)
 
     def _place_of(self, item: Item) -> Place | None:
         """Return where an item leads: to its own place and height, or the vehicle's where the item leaves them out.
@@ -380,7 +359,14 @@ class Flight:
         is_open = self._state.has_moved_home and datum == "home"
         return Place(lon, lat, math.nan if is_open else item.height_m, datum)
 
-    def _fly_to(self, item: Item, place: Place | None = None, *, has_stop: bool = False) -> None:
+    def _fly_to(
+        self,
+        item: Item,
+        place: Place | None = None,
+        *,
+        beside: Place | None = None,
+        has_stop: bool = False,
+    ) -> None:
         """Add the straight leg to a place and move the vehicle there.
 
         Where the vehicle's place is not known, there is no leg but a sentence; the vehicle is at the place then too.
@@ -388,6 +374,7 @@ class Flight:
         Args:
           item: by which it flies.
           place: where to; left out, where the item leads.
+          beside: as of `_move`.
           has_stop: it stops there.
         """
         place = place or self._place_of(item)
@@ -398,7 +385,7 @@ class Flight:
             self._begin(item)
             self._state = self._state._replace(at=place, ground=None)
         else:
-            self._move(item, place, has_stop=has_stop)
+            self._move(item, place, beside=beside, has_stop=has_stop)
 
     def _begin(self, item: Item) -> None:
         """Say that the way to an item is not judged: the climb from home, or the way from where the place was lost."""
@@ -410,18 +397,19 @@ class Flight:
             self._say(f"the climb from home is not judged, as {why}")
 
     def _take_off(self, item: Item) -> None:
-        """Climb straight up to the item's height, then fly to its place if it has one.
+        """Climb straight up to the item's height, then fly to its place if it has one; ArduPilot knows of none.
 
         The climb begins where the vehicle is, else on the ground where it stands; where neither is known, it only flies
         to the item.
         """
+        if self._autopilot == "ardupilot":
+            item = item._replace(lon=0.0, lat=0.0)
         start = self._state.at or self._state.ground
         if start is None:
             self._fly_to(item)
             return
         self._leave_circle(item)
-        straight_up = item._replace(lon=start.lon, lat=start.lat)
-        above = self._place_of(straight_up) or start
+        above = self._place_of(item._replace(lon=start.lon, lat=start.lat)) or start
         self._state = self._state._replace(at=start)
         self._move(item, above, "climb")
         if item.has_place:
@@ -436,38 +424,31 @@ class Flight:
             self._state = self._state._replace(beside=None)
 
     def _loiter(self, item: Item) -> None:
-        """Fly to the item and circle there, at the radius that it names; hover where it names none (0 or NaN)."""
-        self._fly_to(item)
-        at = self._state.at
-        if at is not None:
-            radius_m = abs(item.params[LOITERS[item.command]])  # negative ones circle the other way
-            radius_m = radius_m if radius_m > 0 else 0.0  # NaN too
-            self.legs.append(Leg(at, at, "loiter", item.number, radius_m))
+        """Fly to the item and circle there, at the radius that it names; hover where it names none (0 or NaN).
 
-    def _circle(self, item: Item) -> None:
-        """Fly turns around the item: from the nearest point of the circle, from the centre, or either as a variant."""
+        Turns are flown from the nearest point of the circle, from the centre, or from either as a variant.
+        """
         centre = self._place_of(item)
-        start = self._state.beside or self._state.at
-        radius_m = abs(item.params[LOITERS[LOITER_TURNS]])
-        if centre is None or not radius_m > 0:  # NaN too
-            self._loiter(item)
-            if centre is not None:
-                self._say(f"item {item.number} circles at a radius that is the autopilot's own")
+        if centre is None:
+            self._fly_to(item)
             return
+        radius_m = abs(item.params[LOITERS[item.command]])  # negative ones circle the other way
+        radius_m = radius_m if radius_m > 0 else 0.0  # NaN too
+        is_turns = item.command == LOITER_TURNS
+        has_edge = is_turns and radius_m > 0 and self._autopilot != "px4"
         edge = None
-        is_whole = not 0 < item.params[0] < 1
-        if self._autopilot != "px4" and start and is_whole:
+        start = self._state.beside or self._state.at
+        if has_edge and start and not 0 < item.params[0] < 1:
             edge = _edge(start, centre, radius_m)
-        if self._autopilot == "ardupilot" and edge:
-            self._move(item, edge)
-            self.legs.append(Leg(edge, centre, "loiter", item.number, radius_m))
-            return
-        if self._state.at is None:
-            self._loiter(item)
+        if edge and self._autopilot == "ardupilot":
+            begin, beside = edge, None
         else:
-            self._move(item, centre, beside=edge)
-            self.legs.append(Leg(centre, centre, "loiter", item.number, radius_m))
-        if self._autopilot != "px4" and edge is None:
+            begin, beside = centre, edge
+        self._fly_to(item, begin, beside=beside)
+        self.legs.append(Leg(begin, centre, "loiter", item.number, radius_m))
+        if is_turns and not radius_m:
+            self._say(f"item {item.number} circles at a radius that is the autopilot's own")
+        elif has_edge and edge is None:
             self._say(
                 f"the way out of the circle of item {item.number} is not judged: where it begins is not known"
             )
@@ -505,45 +486,37 @@ class Flight:
             self._lose(item)
             return
         # Its own height above home counts where it is more: what it is above the legs know.
-        *lower_m, height_m = self._return_heights_m(_apart_m(at, home))
+        levels_m = self._levels_m(at, home)
         ground = Place(*home, 0.0, "ground")
-        for level_m in (*lower_m, height_m):
+        for level_m in levels_m:
             over_home = Place(*home, level_m, "home")
-            above = over_home._replace(lon=at.lon, lat=at.lat)
-            ways = [
-                (at, above, "return"),
-                (above, over_home, "return"),
-                (over_home, ground, "land"),
-            ]
-            if math.isnan(level_m):
-                ways[:2] = [(at, over_home, "return")]
-            is_variant = level_m != height_m and not math.isnan(level_m)
-            for start, end, kind in ways:
+            above = at if math.isnan(level_m) else over_home._replace(lon=at.lon, lat=at.lat)
+            is_variant = level_m < levels_m[-1]
+            for kind, start, end in (
+                ("return", at, above),
+                ("return", above, over_home),
+                ("land", over_home, ground),
+            ):
                 leg = Leg(start, end, kind, item.number, is_variant=is_variant, not_below=at)
-                self.legs.append(leg)
+                if start != end:
+                    self.legs.append(leg)
         self._lose(item, ground)
 
-    def _return_heights_m(self, apart_m: float) -> list[float]:
+    def _levels_m(self, at: Place, home: LonLat) -> list[float]:
         """Return the heights above home at which a return may be flown, rising; NaN alone where it is not known.
 
-        Args:
-          apart_m: how far from home it begins.
+        ``at`` is where it begins.
         """
         most_m = self._return_altitude_m
         if math.isnan(most_m):
-            return [math.nan]
+            return [most_m]
+        _, _, apart_m = GEOD.inv(at.lon, at.lat, *home)
         heights_m = {most_m}
         if self._autopilot != "px4":
             heights_m.add(min(most_m, max(CONE_SLOPE * apart_m, LEAST_RETURN_M)))
         if self._autopilot != "ardupilot" and apart_m <= CONE_REACH_M:
             heights_m.add(min(most_m, apart_m))
         return sorted(heights_m)
-
-
-def _apart_m(place: Place, lonlat: LonLat) -> float:
-    """Return the distance in plan from a place to another."""
-    _, _, apart_m = GEOD.inv(place.lon, place.lat, *lonlat)
-    return apart_m
 
 
 def _edge(start: Place, centre: Place, radius_m: float) -> Place | None:

@@ -8,7 +8,6 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.mission_flight import (
     FRAMES,
     HAS_HEIGHT,
-    TAKEOFFS,
     WAYPOINT,
     Autopilot,
     Flight,
@@ -69,13 +68,11 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
     items = [_item_of_plan(row, number) for number, row in enumerate(rows, 1)]
     _check_keys(items, "item")
     autopilot = AUTOPILOTS.get(mission.get("firmwareType"), "unknown")
-    if autopilot == "ardupilot":
-        items = [_without_place(item) for item in items]
 
     # The plan's home is a list of latitude, longitude and elevation, of which some or all may be missing.
     position = (*(mission.get("plannedHomePosition") or ()), None, None, None)[:3]
     lat, lon, elevation_m = (number_of("plannedHomePosition", value) for value in position)
-    own_home = _home(lon, lat, elevation_m)
+    start = _home(home, lon, lat, elevation_m)
 
     notes = []
     if kind is None:
@@ -95,8 +92,8 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
     if is_plane:
         notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
     speed_m_s = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
-    flight = Flight(items, home or own_home[0], return_altitude_m, autopilot)
-    return _flown(name, flight, len(rows), home, own_home, notes, speed_m_s)
+    flight = Flight(items, start[0], return_altitude_m, autopilot)
+    return _flown(name, flight, len(rows), start, notes, speed_m_s)
 
 
 def read_waypoints(
@@ -128,26 +125,24 @@ def read_waypoints(
     rows = [line.strip()[:1] for line in data.splitlines()]
     num_rows = sum(row not in (b"", b"#") for row in rows) - 1  # but the header
 
-    own_home: Home = (None, None)
+    start: Home = (home, None)
     autopilot: Autopilot = "unknown"
     if items and items[0].key == 0 and items[0].command in (0, WAYPOINT):
         first = items.pop(0)
         num_rows -= 1
         elevation_m = first.height_m if first.datum == "geoid" else math.nan
-        own_home = _home(first.lon, first.lat, elevation_m)
-        items = [_without_place(item) for item in items]
+        start = _home(home, first.lon, first.lat, elevation_m)
         autopilot = "ardupilot"
     numbered = [item._replace(number=number) for number, item in enumerate(items, 1)]
-    flight = Flight(numbered, home or own_home[0], return_altitude_m, autopilot)
-    return _flown(name, flight, num_rows, home, own_home, [], speed_m_s=math.nan)
+    flight = Flight(numbered, start[0], return_altitude_m, autopilot)
+    return _flown(name, flight, num_rows, start, [], speed_m_s=math.nan)
 
 
 def _flown(
     name: str,
     flight: Flight,
     num_rows: int,
-    home: LonLat | None,
-    own_home: Home,
+    start: Home,
     notes: Sequence[str],
     speed_m_s: float,
 ) -> Mission:
@@ -157,8 +152,7 @@ def _flown(
       name: of the file.
       flight: the items, flown.
       num_rows: how many items the file holds, counted apart from them.
-      home: longitude and latitude in degrees that the user gives; None takes ``own_home``.
-      own_home: the home of the file and its elevation.
+      start: home and its elevation.
       notes: sentences on what else of the file is not judged.
       speed_m_s: that the file plans with where no item sets a speed; NaN or 0 where it has none.
 
@@ -167,19 +161,16 @@ def _flown(
     """
     if not flight.accounts:
         raise InputError(f"{name!r} holds no items: give a mission that has some")
-    start, elevation_m = (home, None) if home else own_home
     sentences = shortened([*flight.not_judged, *notes])
     if not flight.legs and not sentences:
         raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")
     planned_m_s = speed_m_s if speed_m_s > 0 else None
-    first_m_s = flight.speed_m_s or planned_m_s
     return Mission(
         name,
         tuple(flight.legs),
-        start,
-        elevation_m,
+        *start,
         sentences,
-        first_m_s,
+        flight.speed_m_s or planned_m_s,
         accounts=tuple(flight.accounts),
         num_things=num_rows,
     )
@@ -187,12 +178,10 @@ def _flown(
 
 def _check_keys(items: Sequence[Item], what: str) -> None:
     """Raise DamagedError where two items, by messages called ``what``, have one key: where do jumps lead then?"""
-    numbers: dict[int, int] = {}
+    numbers = {item.key: item.number for item in reversed(items)}
     for item in items:
-        if item.key is None:
-            continue
-        other = numbers.setdefault(item.key, item.number)
-        if other != item.number:
+        other = numbers[item.key]
+        if item.key is not None and other != item.number:
             raise DamagedError(
                 f"{what} {other} and {what} {item.number} have the same number {item.key}, which jumps name: change one"
             )
@@ -211,8 +200,10 @@ def _object(value: Any, what: str) -> dict[str, Any]:
     return value
 
 
-def _home(lon: float, lat: float, elevation_m: float) -> Home:
+def _home(home: LonLat | None, lon: float, lat: float, elevation_m: float) -> Home:
     """Return home in degrees and its elevation in metres, None for either of them that is not known.
+
+    A ``home`` that the user gives counts in place of the file's, whose numbers are checked all the same.
 
     Ground stations write 0 for what is not set: home at 0, 0 or NaN is not known, nor is an elevation of 0 or NaN, nor
     one without a home.
@@ -225,15 +216,10 @@ def _home(lon: float, lat: float, elevation_m: float) -> Home:
             f"home is {elevation_m:,.1f} m above the sea, where no ground is: give metres; are these centimetres?"
         )
     check_place("home", lon, lat, elevation_m)
-    if math.isnan(lon) or math.isnan(lat) or (lon, lat) == (0, 0):
-        return None, None
+    if home or math.isnan(lon + lat) or (lon, lat) == (0, 0):
+        return home, None
     has_elevation = abs(elevation_m) > 0  # False of NaN
     return (lon, lat), elevation_m if has_elevation else None
-
-
-def _without_place(item: Item) -> Item:
-    """Return an item as ArduPilot reads it, which takes off where it stands."""
-    return item._replace(lon=0.0, lat=0.0) if item.command in TAKEOFFS else item
 
 
 def _item_of_plan(value: Any, number: int) -> Item:

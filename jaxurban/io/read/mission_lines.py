@@ -138,23 +138,29 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
         )
 
     legs: list[Leg] = []
-    number = 0
+    last = 0  # number of the last point
     for line in lines:
         datum = _datum(name, line.datum, heights)
-        profile: Profile = "both" if datum == "ground" and not line.is_own else "frame"
+        for number, point in enumerate(line.points, last + 1):
+            what = f"point {number}"
+            for part, value in zip(COLUMNS, point, strict=True):
+                if math.isnan(value):
+                    raise DamagedError(f"{what} has no {part}")
+            check_place(what, *point)
+        last += len(line.points)
+        places = [Place(*point, datum) for point in line.points]
         first = len(legs)
-        previous: Place | None = None
-        for point in line.points:
-            number += 1
-            _check(f"point {number}", point)
-            place = Place(*point, datum)
-            if home and number == 1:
-                previous = Place(*home, place.height_m, datum)
-                legs.append(Leg(Place(*home, 0.0, "ground"), previous, "climb", number))
-            if previous and previous != place:
-                legs.append(Leg(previous, place, "leg", number, profile=profile))
-            previous = place
-        legs += _beside(line, number)
+        if home and not legs:
+            over_home = Place(*home, places[0].height_m, datum)
+            legs.append(Leg(Place(*home, 0.0, "ground"), over_home, "climb", 1))
+            places.insert(0, over_home)
+        profile: Profile = "both" if datum == "ground" and not line.is_own else "frame"
+        legs += _ways(places, last, profile)
+        beside = [
+            Place(lon, lat, height_m, "ground")
+            for (lon, lat, _), height_m in zip(line.points, line.beside_m, strict=False)
+        ]
+        legs += [leg._replace(is_variant=True) for leg in _ways(beside, last)]
         accounts.append(Account(line.what, len(line.points), tuple(range(first, len(legs)))))
 
     notes = []
@@ -174,19 +180,12 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
     )
 
 
-def _beside(line: Line, last: int) -> list[Leg]:
-    """Return the legs of a line at its other heights, as variants, which follow the ground.
-
-    ``last`` is the number of its last point.
-    """
-    places = [
-        Place(lon, lat, height_m, "ground")
-        for (lon, lat, _), height_m in zip(line.points, line.beside_m, strict=False)
-    ]
-    first = last - len(places) + 2
+def _ways(places: Sequence[Place], last: int, profile: Profile = "frame") -> list[Leg]:
+    """Return the legs between places, of which the last one has the number ``last``."""
     return [
-        Leg(start, end, "leg", number, is_variant=True)
-        for number, (start, end) in enumerate(pairwise(places), first)
+        Leg(start, end, "leg", number, profile=profile)
+        for number, (start, end) in enumerate(pairwise(places), last - len(places) + 2)
+        if start != end
     ]
 
 
@@ -219,17 +218,6 @@ def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
     )
 
 
-def _check(what: str, point: tuple[float, float, float]) -> None:
-    """Raise DamagedError, which begins with ``what``, unless a point is a place on the Earth with a height.
-
-    The point is longitude and latitude in degrees and height in metres, in the order of `COLUMNS`.
-    """
-    for part, value in zip(COLUMNS, point, strict=True):
-        if math.isnan(value):
-            raise DamagedError(f"{what} has no {part}")
-    check_place(what, *point)
-
-
 class _Plain(TreeBuilder):
     """What XML holds, of a file that defines no words of its own."""
 
@@ -238,10 +226,14 @@ class _Plain(TreeBuilder):
         raise DamagedError("it has a DOCTYPE, which is never read")
 
 
-def _check_crs(path: Path, crs: Any) -> None:
-    """Raise InputError unless a coordinate reference system that a file names is WGS 84 in longitude and latitude."""
-    text = str(crs).strip()
-    if not WGS84.fullmatch(text):
+def _check_crs(path: Path, name: str, value: Any) -> None:
+    """Raise InputError where what has a name names another coordinate reference system than WGS 84 by its value.
+
+    Values of other names than `CRS_NAMES`, and blank ones, pass.
+    """
+    is_crs = name.rpartition("}")[2].lower() in CRS_NAMES
+    text = str(value or "").strip()
+    if is_crs and text and not WGS84.fullmatch(text):
         raise InputError(
             f"{path.name!r} has its positions in {text[:80]!r}: convert them to WGS 84 (EPSG:4326)"
         )
@@ -252,10 +244,14 @@ def _tag(element: Element) -> str:
     return element.tag.rpartition("}")[2]
 
 
+def _words(element: Element) -> str:
+    """Return the text within an element."""
+    return " ".join(element.itertext()).strip()
+
+
 def _text(element: Element, name: str) -> str:
     """Return the text of the children of this name, else an empty text; DamagedError where they differ."""
-    children = [child for child in element if _tag(child) == name]
-    texts = {" ".join(child.itertext()).strip() for child in children}
+    texts = {_words(child) for child in element if _tag(child) == name}
     if len(texts) > 1:
         raise DamagedError(f"a {_tag(element)} has two values of {name}: keep one")
     return next(iter(texts), "")
@@ -282,12 +278,16 @@ def _num_at(element: Element) -> int:
     Raises:
       DamagedError: there are elements among the positions.
     """
-    tag = _tag(element)
-    if tag == "coordinates":
+    if _tag(element) == "coordinates":
         if len(element):
             raise DamagedError("its coordinates hold elements, and not only text")
-        return len((element.text or "").split())
-    return tag == "coord" or "lat" in element.attrib or "lon" in element.attrib
+        return len(_words(element).split())
+    return _tag(element) == "coord" or "lat" in element.attrib or "lon" in element.attrib
+
+
+def _num_in(element: Element) -> int:
+    """Return how many positions an element of KML or GPX holds."""
+    return sum(map(_num_at, element.iter()))
 
 
 def xml_lines(path: Path, data: bytes) -> Shapes:
@@ -309,9 +309,7 @@ def xml_lines(path: Path, data: bytes) -> Shapes:
     for element in root.iter():
         is_own = is_own or element.get("name") == OWN_DATA
         for key, value in ((element.tag, element.text), *element.items()):
-            is_crs = key.rpartition("}")[2].lower() in CRS_NAMES
-            if is_crs and value and value.strip():
-                _check_crs(path, value)
+            _check_crs(path, key, value)
 
     lines = []
     stack = [root]
@@ -321,16 +319,16 @@ def xml_lines(path: Path, data: bytes) -> Shapes:
         strange = {_tag(child) for child in element} - KML_PARTS.get(tag, set())
         if tag in KML_PARTS and strange:
             why = f"has a part {min(strange)}, which is not understood"
-            lines.append(Line(tag, why=why, num=sum(map(_num_at, element.iter()))))
+            lines.append(Line(tag, why=why, num=_num_in(element)))
         elif tag in ("LineString", "Track"):
             lines.append(_kml_line(path, element, is_own))
         elif tag in ("rte", "trkseg"):
             lines.append(_gpx_line(element, is_own))
         elif tag in XML_OTHERS or _num_at(element):
-            lines.append(Line(tag, num=sum(map(_num_at, element.iter()))))
+            lines.append(Line(tag, num=_num_in(element)))
         else:
             stack += reversed(element)
-    return lines, sum(map(_num_at, root.iter()))
+    return lines, _num_in(root)
 
 
 def _kml_line(path: Path, element: Element, is_own: bool) -> Line:
@@ -346,8 +344,7 @@ def _kml_line(path: Path, element: Element, is_own: bool) -> Line:
     # A LineString is one text, "lon,lat,height lon,lat,height"; a Track has a text "lon lat height" for each point.
     texts = [values.split(",") for values in _text(element, "coordinates").split()]
     if _tag(element) == "Track":
-        coords = [child for child in element if _tag(child) == "coord"]
-        texts = [" ".join(coord.itertext()).split() for coord in coords]
+        texts = [_words(child).split() for child in element if _tag(child) == "coord"]
     points = [_point(values) for values in texts]
     return Line(_tag(element), points, KML_MODES.get(mode), is_own)
 
@@ -361,16 +358,16 @@ def _gpx_line(element: Element, is_own: bool) -> Line:
     """
     nodes = [child for child in element if _tag(child) in ("rtept", "trkpt")]
     heights = [_text(node, "ele") for node in nodes]
+    matches = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes]
+    described = [match[1] if match and is_own else "" for match in matches]
     datum: Datum | None = "geoid" if is_own else None
-    matches = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes if is_own]
-    described = [match[1] if match else "" for match in matches]
-    beside_m = [decimal_of("a height", text) for text in described if any(heights) and text]
     if is_own and not any(heights):
-        heights, datum = described, "ground"
+        heights, described, datum = described, [], "ground"
     points = [
         _point((node.get("lon"), node.get("lat"), height))
         for node, height in zip(nodes, heights, strict=True)
     ]
+    beside_m = [decimal_of("a height", text) for text in described if any(described)]
     return Line(_tag(element), points, datum, is_own, beside_m=beside_m)
 
 
@@ -408,8 +405,8 @@ def geojson_lines(path: Path, data: bytes) -> Shapes:
         value, properties = stack.pop()
         value = value or {}
         crs = value.get("crs")
-        for each in crs["properties"].values() if isinstance(crs, dict) else [crs or "WGS 84"]:
-            _check_crs(path, each)
+        for each in crs["properties"].values() if isinstance(crs, dict) else [crs]:
+            _check_crs(path, "crs", each)
         properties = value.get("properties") or properties
         key = next((key for key in ("features", "geometry", "geometries") if key in value), None)
         if key:
@@ -468,8 +465,7 @@ def _geojson_lines(geometry: dict[str, Any], properties: dict[str, Any]) -> list
                 raise DamagedError(
                     f"a position has the height {third_m:g} m, and its feature {beside_m:g} m for it: keep one"
                 )
-            is_beside = above_ground_m or math.isnan(third_m)
-            points.append((lon, lat, beside_m if is_beside else third_m))
+            points.append((lon, lat, third_m if math.isnan(beside_m) else beside_m))
         is_own = bool(above_ground_m)
         lines.append(Line(what, points, "ground" if is_own else None, is_own))
     return lines
@@ -495,22 +491,25 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
     # Cells by column, and its name without the number that pandas adds to one that is there twice.
     columns = list(zip_longest(header, *rows, fillvalue=""))
     names = [re.sub(r"\.\d+$", "", name.strip().lower()) for name in header]
-    for name, (_, *cells) in zip(names, columns, strict=True):
-        for crs in {*cells} - {""} if name in CRS_NAMES else ():
-            _check_crs(path, crs)
+
+    def columns_of(known: Sequence[str]) -> list[tuple[str, ...]]:
+        return [column for name, column in zip(names, columns, strict=True) if name in known]
+
+    for _, *cells in columns_of(CRS_NAMES):
+        for crs in set(cells):
+            _check_crs(path, "crs", crs)
     values = []
     for quantity, known in COLUMNS.items():
-        chosen = [column for name, column in zip(names, columns, strict=True) if name in known]
+        chosen = columns_of(known)
         if not chosen:
             raise InputError(f"{path.name!r} has no column of {quantity}: call it {known[0]}")
         numbers = [[decimal_of(f"a {name}", cell) for cell in cells] for name, *cells in chosen]
         most = SAME_M if quantity == "height" else NEAR_DEG / 100
-        for (other, *_), column in zip(chosen, numbers, strict=True):
-            if not np.allclose(column, numbers[0], rtol=0.0, atol=most, equal_nan=True):
-                raise InputError(
-                    f"{path.name!r} has the columns {chosen[0][0]!r} and {other!r} of {quantity}, which differ: keep "
-                    "the one that is flown"
-                )
+        if not np.allclose(numbers, numbers[0], rtol=0.0, atol=most, equal_nan=True):
+            titles = " and ".join(repr(title) for title, *_ in chosen)
+            raise InputError(
+                f"{path.name!r} has the columns {titles} of {quantity}, which differ: keep the one that is flown"
+            )
         values.append(numbers[0])
     num_rows = sum(bool(text.strip()) for text in data.splitlines()) - 1
     return [Line("table", list(zip(*values, strict=True)))], num_rows

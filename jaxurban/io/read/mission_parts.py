@@ -3,7 +3,6 @@
 import json
 import math
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
@@ -116,9 +115,8 @@ class Mission:
     @property
     def num_lost(self) -> int:
         """How many things of the file are in no account, or in one that names neither a leg nor a reason."""
-        legs = range(len(self.legs))
-        sound = [each for each in self.accounts if each.why or set(each.legs) & set(legs)]
-        return abs(self.num_things - sum(each.num for each in sound))
+        sound = [each.num for each in self.accounts if each.why or each.legs]
+        return abs(self.num_things - sum(sound))
 
 
 def json_of(data: bytes) -> Any:
@@ -138,10 +136,11 @@ def json_of(data: bytes) -> Any:
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return an object of JSON; DamagedError where it has a key twice, of which readers take one or the other."""
-    values = dict(pairs)
-    if len(values) < len(pairs):
-        ((key, _),) = Counter(key for key, _ in pairs).most_common(1)
-        raise DamagedError(f"an object in it has two values of {key[:40]!r}: keep one")
+    values = {}
+    for key, value in pairs:
+        if key in values:
+            raise DamagedError(f"an object in it has two values of {key[:40]!r}: keep one")
+        values[key] = value
     return values
 
 
