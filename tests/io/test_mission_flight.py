@@ -127,6 +127,16 @@ def test_jumps_are_flown_as_often_as_they_say(read):
     ]
 
 
+def test_a_jump_without_end_is_flown_until_the_jumps_within_it_are_spent(read):
+    jumps = [item(JUMP, frame=2, params=(6, 3, 0, 0)), item(JUMP, frame=2, params=(2, -1, 0, 0))]
+    items = [*BOX[:2], item(at=2), jumps[0], item(at=4), item(at=5), jumps[1], item(at=6)]
+    mission = read(items)
+    ways = [(leg.kind, leg.item) for leg in mission.legs[1:]]
+    assert ways[:4] == [("leg", 2), ("leg", 3), ("jump", 6), ("jump", 2)]
+    assert ways[4:] == [("leg", 5), ("leg", 6), ("leg", 8)]
+    assert (mission.not_judged, mission.num_lost) == ((), 0)
+
+
 @pytest.mark.parametrize("command", [84, 85, 3000])
 def test_what_flies_as_an_aeroplane_is_not_judged_whole(read, command):
     mission = read([*BOX[:2], item(command, at=2, params=(4, 0, 0, 0))])
