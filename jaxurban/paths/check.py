@@ -12,7 +12,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.clearance import FILE_MARGIN_M
 from jaxurban.paths.constraints import Bound, Constraints
 from jaxurban.paths.contacts import TOUCH_M, Prisms, contacts, merged
-from jaxurban.paths.corners_cut import CORNER_M, corners_of
+from jaxurban.paths.corners_cut import corners_of
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.legs import Flight, Steps, spans
@@ -20,8 +20,8 @@ from jaxurban.paths.profile import nearest_level_m
 
 # So near an altitude of the maps a step is at it: files round heights up to centimetres.
 LEVEL_M = 0.02
-CUT = f"lie at corners that autopilots cut by up to {CORNER_M:g} m, with a building or a zone there"
 ON_SITE = ("climb", "land")  # kinds of legs between the ground and the height of flight
+CUT = "lie at corners that autopilots cut, with a building or a zone there, or nearer than the clearance"
 NO_DATA = "lie over cells without data"
 NO_CITY = "lie where the source of the buildings does not know what stands"
 GUESSED_ROOFS = "lie over roofs of guessed height, or nearer to them than the clearance"

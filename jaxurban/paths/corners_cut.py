@@ -7,9 +7,7 @@ import numpy as np
 from jaxurban.io.read.mission import Leg, Place
 from jaxurban.paths.legs import Flight, Steps, between
 
-# How near to a waypoint autopilots turn: by default WPNAV_RADIUS of ArduPilot's multicopters, and NAV_ACC_RAD of PX4's.
-CORNER_M = 2.0
-MOST_CUT_M = 10.0  # before and after a slight corner
+MOST_CUT_M = 10.0  # before and after a slight corner, if the vehicle does not turn farther from it
 # Shares of what is cut: chords so far from the corner stand for the area within.
 SHARES = np.array([1 / 3, 2 / 3, 1.0])
 STRAIGHT_RAD = np.radians(1.0)  # less is no corner
@@ -20,8 +18,8 @@ FLOWN_ON = ("leg", "jump")  # kinds of legs between which a corner may be cut
 def corners_of(flight: Flight) -> Steps:
     """Return chords inside of the corners of a mission, as steps: three of each corner.
 
-    A chord joins the two legs at equal distances from the corner; the last is `CORNER_M` from it, but begins and ends
-    no more than `MOST_CUT_M` or half a leg away. Its heights are those of the legs there.
+    A chord joins the two legs at equal distances from the corner; the last is as far from it as the vehicle turns, but
+    begins and ends no more than `MOST_CUT_M` or half a leg away. Its heights are those of the legs there.
     """
     steps = flight.steps
     at = _steps_at_corners(flight.mission.legs, steps)
@@ -34,7 +32,9 @@ def corners_of(flight: Flight) -> Steps:
 
     # How far from the corner each chord begins and ends.
     half_m = np.bincount(steps.leg, over_m)[steps.leg[at]].min(axis=0) / 2
-    cut_m = np.minimum(2 * CORNER_M / bend[is_corner], np.minimum(half_m, MOST_CUT_M))
+    turn_m = np.array([leg.turn_m for leg in flight.mission.legs])[steps.leg[before]]
+    most_m = np.minimum(half_m, np.maximum(turn_m, MOST_CUT_M))
+    cut_m = np.minimum(2 * turn_m / bend[is_corner], most_m)
     back_m = cut_m[:, None] * SHARES
 
     states = np.dstack([steps.ends_m, steps.z_m])
@@ -75,7 +75,7 @@ def _steps_at_corners(legs: Sequence[Leg], steps: Steps) -> np.ndarray:
 
     moving = np.unique(steps.leg[steps.over_m > 0]).tolist()
     flown_on = {number for number in moving if legs[number].kind in FLOWN_ON}
-    corners = [pair for pair in pairs if {*pair} <= flown_on and not legs[pair[0]].has_stop]
+    corners = [pair for pair in pairs if {*pair} <= flown_on and legs[pair[0]].turn_m > 0]
     before, after = np.array(corners, int).reshape(-1, 2).T
     last = np.searchsorted(steps.leg, before, side="right") - 1
     return np.stack([last, np.searchsorted(steps.leg, after)])

@@ -140,6 +140,7 @@ class Segments(NamedTuple):
       lonlat: ``[S, 2, 2]`` longitude, latitude in degrees.
       height_m: ``[S, 2]`` above the zero of its datum; NaN where the file leaves it open.
       datum: ``[S, 2]`` what the height is above.
+      place: ``[S, 2]`` the ends as places.
       follows_ground: ``[S]`` whether it follows the ground, or else is straight.
       is_variant: ``[S]`` whether it is flown beside the next segment that is no variant.
     """
@@ -148,6 +149,7 @@ class Segments(NamedTuple):
     lonlat: np.ndarray
     height_m: np.ndarray
     datum: np.ndarray
+    place: np.ndarray
     follows_ground: np.ndarray
     is_variant: np.ndarray
 
@@ -176,6 +178,7 @@ class Segments(NamedTuple):
             lonlat=table[["lon", "lat"]].to_numpy(float).reshape(-1, 2, 2),
             height_m=table["height_m"].to_numpy(float).reshape(-1, 2),
             datum=table["datum"].to_numpy().reshape(-1, 2),
+            place=pd.Series(ends, dtype=object).to_numpy().reshape(-1, 2),
             follows_ground=follow.astype(bool),
             is_variant=beside.astype(bool),
         )
@@ -206,14 +209,21 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     zeros_m = _zeros_m(mission, ground, geoid_m)
     for name, zero_m in zeros_m.items():
         datum_m[segments.datum == name] = zero_m
-    least_m = _least_m(mission, ground, zeros_m)[segments.leg, None]
+    least = [leg.not_below for leg in mission.legs]
+    least_m = np.array(
+        [-np.inf if place is None else _elevation_m(place, ground, zeros_m) for place in least]
+    )
     elevation_m = segments.height_m + datum_m
-    z_m = np.where(segments.datum == "home", np.maximum(elevation_m, least_m), elevation_m)
+    is_level = np.vectorize(_is_level, otypes=[bool])(segments.place)
+    for end in zip(*np.nonzero(is_level), strict=True):
+        elevation_m[end] = _elevation_m(segments.place[end], ground, zeros_m)
+    z_m = np.where(
+        segments.datum == "home", np.maximum(elevation_m, least_m[segments.leg, None]), elevation_m
+    )
     follows_ground = segments.follows_ground
     z_m[follows_ground] -= ground_m[follows_ground]
-    z_m = np.where(
-        is_above_ground & follows_ground[:, None], segments.height_m, z_m
-    )  # off the maps, too
+    is_given = is_above_ground & follows_ground[:, None] & ~is_level
+    z_m = np.where(is_given, segments.height_m, z_m)  # off the maps, too
     lacks = np.where(follows_ground[:, None] & np.isnan(ground_m), "ground", segments.datum)
     if geoid_m is not None:
         lacks[lacks == "ellipsoid"] = "geoid"  # which is what lacks a height then
@@ -221,7 +231,7 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
 
     # Segments without a height over the ground, by the reason: the first of their ends that has none counts.
     is_known = np.isfinite(z_m).all(axis=1)
-    is_open = np.isnan(segments.height_m).any(axis=1)
+    is_open = (np.isnan(segments.height_m) & ~is_level).any(axis=1)
     unknown = [spans(along_m[is_open], NO_HEIGHT)]
     first = np.isnan(z_m).argmax(axis=1)
     lacks = np.take_along_axis(lacks, first[:, None], axis=1)[:, 0]
@@ -352,7 +362,8 @@ def _corners_of(leg: Leg) -> list[Place]:
     lons, lats, radii_m = np.full((len(azimuths), 3), [leg.end.lon, leg.end.lat, radius_m]).T
     lons, lats, _ = GEOD.fwd(lons, lats, azimuths, radii_m)
     circle = [leg.end._replace(lon=lon, lat=lat) for lon, lat in zip(lons, lats, strict=True)]
-    return [leg.start, *circle, leg.start]
+    is_on_circle = leg.start[:2] != leg.end[:2]
+    return [leg.start, *circle, leg.start] if is_on_circle else circle
 
 
 def _zeros_m(mission: Mission, ground: Elevation, geoid_m: float | None) -> dict[str, float]:
@@ -377,21 +388,27 @@ def _zeros_m(mission: Mission, ground: Elevation, geoid_m: float | None) -> dict
     return {"home": home_m, "geoid": geoid_zero_m, "ellipsoid": ellipsoid_zero_m}
 
 
-def _least_m(mission: Mission, ground: Elevation, zeros_m: dict[str, float]) -> np.ndarray:
-    """Return the least elevation of each leg's heights above home (`Leg.not_below`); -inf where there is none.
+def _is_level(place: Place) -> bool:
+    return place.level_with is not None
+
+
+def _elevation_m(place: Place, ground: Elevation, zeros_m: dict[str, float]) -> float:
+    """Return the elevation of a place, NaN where it is not known.
 
     Args:
-      mission: with the legs.
+      place: that may be level with another one.
       ground: of the maps.
-      zeros_m: elevation of the zero of each datum.
+      zeros_m: elevation of the zero of each datum but the ground.
     """
-    least_m = np.full(len(mission.legs), -np.inf)
-    for number, leg in enumerate(mission.legs):
-        if leg.not_below:
-            lon, lat, height_m, datum = leg.not_below
-            zero_m = ground.at_lonlat(lon, lat) if datum == "ground" else zeros_m[datum]
-            least_m[number] = height_m + zero_m
-    return least_m
+    zero_m = zeros_m.get(place.datum)
+    zero_m = ground.at_lonlat(place.lon, place.lat) if zero_m is None else zero_m
+    other = place.level_with
+    if other is None:
+        return place.height_m + zero_m
+    other_m = _elevation_m(other, ground, zeros_m)
+    if place.datum != "ground":
+        return other_m
+    return other_m - ground.at_lonlat(other.lon, other.lat) + zero_m
 
 
 def _shares_within(ends_m: np.ndarray, bounds_m: Bounds) -> np.ndarray:

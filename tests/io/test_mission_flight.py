@@ -158,4 +158,4 @@ def test_each_item_has_an_account_that_names_its_legs_or_why_there_are_none(read
 def test_a_waypoint_with_a_hold_is_a_stop(read):
     held = item(at=2, params=(3, 0, 0, None))
     legs = read([item(TAKEOFF, at=0), item(at=1), held, item(at=3)]).legs
-    assert [leg.has_stop for leg in legs[-3:]] == [False, True, False]
+    assert [leg.turn_m for leg in legs[-3:]] == [2.0, 0.0, 2.0]

@@ -120,9 +120,6 @@ def test_a_leg_to_a_height_above_the_ground_follows_the_ground_from_its_start(tm
 
 
 def test_heights_above_terrain_that_are_not_known_above_the_sea_are_flown_straight(tmp_path):
-    def ridge_m(x_m, y_m):
-        return 70.0 - ground_m(x_m, y_m)
-
     scene = world((10.0, 10.0, 5.0, 5.0), terrain=ridge_m)
     plan = json.loads(scene.plan((WAYPOINT, 0, (500.0, 300.0), None, ())))
     plan["mission"]["items"][1] |= {
@@ -188,6 +185,72 @@ def test_a_wall_inside_of_a_corner_that_is_cut_is_not_judged(tmp_path, hold_s, s
     result = checked(scene, tmp_path, plan)
     assert result.state == state, result
     assert all("corners that autopilots cut" in text for text in result.not_judged)
+
+
+def ridge_m(x_m, y_m):
+    return 70.0 - ground_m(x_m, y_m)
+
+
+LAND, LOITER_TO_ALT = 21, 31
+
+
+def test_a_landing_is_flown_to_in_its_own_frame(tmp_path):
+    # Level at 40 m above the sea into the ridge of 50 m; or 30 m above the ground of the valley, through the tower.
+    ridge = world((9.0, 9.0, 5.0, 5.0), terrain=ridge_m)
+    items = [(WAYPOINT, 10, (150.0, 300.0), 20.0, ()), (LAND, 3, (500.0, 300.0), 0.0, ())]
+    kinds = set(checked(ridge, tmp_path, ridge.plan(*items)).findings["kind"])
+    assert kinds == {"terrain"}
+    valley = world((300.0, 300.0, 10.0, 40.0), terrain=ground_m)
+    items = [(WAYPOINT, 3, (150.0, 300.0), 30.0, ()), (LAND, 10, (500.0, 300.0), 0.0, ())]
+    assert checked(valley, tmp_path, valley.plan(*items)).state == "findings"
+    assert checked(valley, tmp_path, valley.plan(*items, firmware=12)).state == "clean"
+
+
+@pytest.mark.parametrize(("firmware", "state"), [(3, "clean"), (12, "findings"), (0, "findings")])
+def test_px4_flies_level_to_where_it_climbs_in_a_loiter(tmp_path, firmware, state):
+    scene = world((250.0, 300.0, 10.0, 50.0))
+    climb = (LOITER_TO_ALT, 3, (300.0, 300.0), 150.0, (0, 0, 0, None))
+    assert checked(scene, tmp_path, scene.plan(climb, firmware=firmware)).state == state
+
+
+@pytest.mark.parametrize(("firmware", "state"), [(3, "findings"), (12, "clean"), (0, "findings")])
+def test_a_place_of_a_take_off_counts_where_the_autopilot_reads_it(tmp_path, firmware, state):
+    scene = world((200.0, 300.0, 10.0, 50.0))
+    onward = (WAYPOINT, 3, (300.0, 300.0), 30.0, ())
+    plan = json.loads(scene.plan(onward, firmware=firmware))
+    east, north = scene.lonlat(200.0, 400.0)
+    plan["mission"]["items"][0]["params"][4:6] = [north, east]
+    assert checked(scene, tmp_path, json.dumps(plan)).state == state
+
+
+@pytest.mark.parametrize(("firmware", "state"), [(3, "findings"), (12, "clean"), (0, "findings")])
+def test_a_height_of_zero_is_its_own_for_ardupilot(tmp_path, firmware, state):
+    # It sinks to the ground before the house whose floor is at 20 m, or flies on at 30 m through that.
+    scene = world((250.0, 300.0, 10.0, 50.0))
+    buildings = replace(scene.city.buildings, min_height_m=np.array([20.0]))
+    scene = scene._replace(city=replace(scene.city, buildings=buildings, hanging="slabs"))
+    items = [
+        (WAYPOINT, 3, (x_m, y_m), z_m, ())
+        for x_m, y_m, z_m in ((110, 310, 30), (125, 300, 0), (400, 300, 0))
+    ]
+    assert checked(scene, tmp_path, scene.plan(*items, firmware=firmware)).state == state
+
+
+@pytest.mark.parametrize(("firmware", "state"), [(3, "clean"), (12, "not-judged")])
+def test_px4_cuts_corners_by_the_radius_that_an_item_accepts(tmp_path, firmware, state):
+    scene = world((285.0, 315.0, 6.0, 60.0))
+    items = [
+        (WAYPOINT, 3, (300.0, 300.0), 30.0, (0, 40, 0, None)),
+        (WAYPOINT, 3, (300.0, 500.0), 30.0, ()),
+    ]
+    assert checked(scene, tmp_path, scene.plan(*items, firmware=firmware)).state == state
+
+
+def test_a_radius_that_ardupilot_rounds_is_not_judged(tmp_path):
+    scene = world((9.0, 9.0, 5.0, 5.0))
+    circle = (TURNS, 3, (300.0, 300.0), 60.0, (1, 0, 30.5, None))
+    result = checked(scene, tmp_path, scene.plan(circle))
+    assert (result.state, "rounds down" in result.not_judged[0]) == ("not-judged", True)
 
 
 def bumpy_m(x_m, y_m):

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 from jaxurban.io.read.mission_parts import (
+    CORNER_M,
     GEOD,
     NO_HOME,
     Account,
@@ -66,10 +67,12 @@ FRAMES: dict[int, Datum] = {
 MOVES_NOTHING = "it moves nothing"
 NEVER_REACHED = "jumps pass over it"
 MOST_FLOWN = 1_000_000  # items, each time that one is flown: beyond, jumps are not followed
-NEAR_CENTRE = (
-    0.05  # of a radius: so near to a circle's centre ArduPilot begins wherever it is headed
-)
+# Of a radius: so near to a circle's centre ArduPilot begins wherever it is headed.
+NEAR_CENTRE = 0.05
 NEAR_CENTRE_M = 1.0
+MOST_RADIUS_M = (
+    255.0  # of a circle that ArduPilot keeps to the metre; beyond it keeps tens of metres
+)
 # Heights of a return near home, by the autopilots' defaults: ArduPilot's RTL_CONE_SLOPE and least height, PX4's
 # RTL_CONE_ANG of 45 degrees within RTL_MIN_DIST.
 CONE_SLOPE, LEAST_RETURN_M = 3.0, 2.0
@@ -268,7 +271,7 @@ class Flight:
         elif command in TAKEOFFS:
             self._take_off(item)
         elif command == WAYPOINT:
-            self._fly_to(item, has_stop=item.params[0] > 0)
+            self._fly_to(item, beside=self._beside_zero(item), turn_m=self._turn_m(item))
         elif command in LOITERS:
             self._loiter(item)
         elif command in LANDINGS:
@@ -314,7 +317,7 @@ class Flight:
         kind: str = "leg",
         *,
         beside: Place | None = None,
-        has_stop: bool = False,
+        turn_m: float = CORNER_M,
     ) -> None:
         """Add the leg to a place, if the vehicle is elsewhere, and move it there.
 
@@ -323,7 +326,7 @@ class Flight:
           place: where to.
           kind: of the leg.
           beside: where another autopilot would be then; left out, at the same place.
-          has_stop: it stops there.
+          turn_m: how near to it the vehicle turns.
         """
         at = self._state.at
         assert at is not None
@@ -331,7 +334,7 @@ class Flight:
             kind = "jump"
         self._is_jump = False
         profile: Profile = "straight" if item.is_straight else "frame"
-        leg = Leg(at, place, kind, item.number, profile=profile, has_stop=has_stop)
+        leg = Leg(at, place, kind, item.number, profile=profile, turn_m=turn_m)
         variant = leg._replace(start=self._state.beside or at, end=beside or place, is_variant=True)
         if variant[:2] != leg[:2] and variant.start != variant.end:
             self.legs.append(variant)
@@ -354,10 +357,30 @@ class Flight:
             return None
         keeps_height = math.isnan(item.height_m) or (not item.has_place and item.height_m == 0)
         if at and keeps_height:
-            return Place(lon, lat, at.height_m, at.datum)
+            return at._replace(lon=lon, lat=lat)
+        if at and item.height_m == 0 and self._autopilot == "ardupilot":
+            return _kept(at, lon, lat, item.datum)
         datum = item.datum or "home"
         is_open = self._state.has_moved_home and datum == "home"
         return Place(lon, lat, math.nan if is_open else item.height_m, datum)
+
+    def _beside_zero(self, item: Item) -> Place | None:
+        """Return where ArduPilot would be at a height of 0, which it takes for its own, if it may fly the item."""
+        at = self._state.beside or self._state.at
+        if at is None or item.height_m != 0 or not item.has_place or self._autopilot != "unknown":
+            return None
+        return _kept(at, item.lon, item.lat, item.datum)
+
+    def _turn_m(self, item: Item) -> float:
+        """Return how near to a waypoint the vehicle turns: 0 where it stops; PX4 by a radius of the item, too."""
+        if item.params[0] > 0:
+            return 0.0
+        accepted_m = item.params[1]
+        return (
+            max(CORNER_M, accepted_m)
+            if self._autopilot != "ardupilot" and accepted_m > 0
+            else CORNER_M
+        )
 
     def _fly_to(
         self,
@@ -365,7 +388,7 @@ class Flight:
         place: Place | None = None,
         *,
         beside: Place | None = None,
-        has_stop: bool = False,
+        turn_m: float = CORNER_M,
     ) -> None:
         """Add the straight leg to a place and move the vehicle there.
 
@@ -375,7 +398,7 @@ class Flight:
           item: by which it flies.
           place: where to; left out, where the item leads.
           beside: as of `_move`.
-          has_stop: it stops there.
+          turn_m: how near to it the vehicle turns.
         """
         place = place or self._place_of(item)
         if place is None:
@@ -385,7 +408,7 @@ class Flight:
             self._begin(item)
             self._state = self._state._replace(at=place, ground=None)
         else:
-            self._move(item, place, beside=beside, has_stop=has_stop)
+            self._move(item, place, beside=beside, turn_m=turn_m)
 
     def _begin(self, item: Item) -> None:
         """Say that the way to an item is not judged: the climb from home, or the way from where the place was lost."""
@@ -413,13 +436,13 @@ class Flight:
         self._state = self._state._replace(at=start)
         self._move(item, above, "climb")
         if item.has_place:
-            self._fly_to(item)
+            self._fly_to(item, beside=above if self._autopilot == "unknown" else None)
 
     def _leave_circle(self, item: Item) -> None:
-        """Say, where autopilots differ in where the vehicle is, that the way of another one is not judged."""
+        """Say, where autopilots differ in where the vehicle is, that the way of one of them is not judged."""
         if self._state.beside:
             self._say(
-                f"the way from the circle before item {item.number} is judged from its centre alone"
+                f"the way to item {item.number} is judged from one of two places where it may begin, by autopilot"
             )
             self._state = self._state._replace(beside=None)
 
@@ -444,14 +467,30 @@ class Flight:
             begin, beside = edge, None
         else:
             begin, beside = centre, edge
+        if item.command == LOITER_TO_ALT:
+            self._level_to(item, centre)
         self._fly_to(item, begin, beside=beside)
         self.legs.append(Leg(begin, centre, "loiter", item.number, radius_m))
         if is_turns and not radius_m:
             self._say(f"item {item.number} circles at a radius that is the autopilot's own")
+        elif has_edge and (radius_m % 1 or radius_m > MOST_RADIUS_M):
+            self._say(f"item {item.number} circles at {radius_m:g} m, which ArduPilot rounds down")
         elif has_edge and edge is None:
             self._say(
                 f"the way out of the circle of item {item.number} is not judged: where it begins is not known"
             )
+
+    def _level_to(self, item: Item, centre: Place) -> None:
+        """Fly level to above or below a place, to climb or sink there, as PX4 does before a loiter to a height."""
+        at = self._state.at
+        if at is None or self._autopilot == "ardupilot":
+            return
+        level = _kept(at, centre.lon, centre.lat, "geoid")
+        if self._autopilot == "px4":
+            self._fly_to(item, level)
+        elif level != centre:
+            way = Leg(at, level, "leg", item.number, is_variant=True)
+            self.legs += [way, way._replace(start=level, end=centre)]
 
     def _land(self, item: Item) -> None:
         """Fly level to above the item's place if it has one, and descend to the ground.
@@ -466,8 +505,12 @@ class Flight:
             self._lose(item, ground)
             return
         if item.has_place:
-            at = at._replace(lon=item.lon, lat=item.lat)
-            self._fly_to(item, at)
+            # PX4 flies level; ArduPilot in the frame of the item, so that it may follow the ground.
+            level = _kept(at, item.lon, item.lat, "geoid")
+            in_frame = _kept(at, item.lon, item.lat, item.datum)
+            at = level if self._autopilot == "px4" else in_frame
+            self._fly_to(item, at, beside=level if self._autopilot == "unknown" else None)
+            self._state = self._state._replace(beside=None)  # they descend at the same place
         self._leave_circle(item)
         ground = Place(at.lon, at.lat, 0.0, "ground")
         self._move(item, ground, "land")
@@ -517,6 +560,13 @@ class Flight:
         if self._autopilot != "ardupilot" and apart_m <= CONE_REACH_M:
             heights_m.add(min(most_m, apart_m))
         return sorted(heights_m)
+
+
+def _kept(at: Place, lon: float, lat: float, datum: Datum | None) -> Place:
+    """Return a place at the height of another: above the ground where ``datum`` is the ground, else above the sea."""
+    if (at.datum == "ground") == (datum == "ground"):
+        return at._replace(lon=lon, lat=lat)
+    return Place(lon, lat, math.nan, datum or "geoid", level_with=at)
 
 
 def _edge(start: Place, centre: Place, radius_m: float) -> Place | None:

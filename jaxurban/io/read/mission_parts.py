@@ -17,6 +17,8 @@ NO_HOME = "the file names no home"
 MOST_HEIGHT_M = 100_000.0  # above or below any datum
 MOST = 1e15  # of any number of a file
 MOST_NAMED = 50  # sentences on what is not judged
+# How near to a waypoint autopilots turn: by default WPNAV_RADIUS of ArduPilot's multicopters, and NAV_ACC_RAD of PX4's.
+CORNER_M = 2.0
 GEOD = pyproj.Geod(ellps="WGS84")
 SAME_M = 0.01  # two heights of one place that differ by more are two heights
 # A number as ground stations write it: no underscore, no digits of other scripts.
@@ -34,12 +36,15 @@ class Place(NamedTuple):
       lon, lat: degrees of WGS 84.
       height_m: above its datum; NaN where the file leaves it open, as on the autopilot's own way home.
       datum: what the height is above.
+      level_with: a place whose height it has, above the ground where the datum is the ground, else above the sea; its
+        own height is NaN then.
     """
 
     lon: float
     lat: float
     height_m: float
     datum: Datum
+    level_with: "Place | None" = None
 
 
 class Leg(NamedTuple):
@@ -56,7 +61,7 @@ class Leg(NamedTuple):
         does not say which of the two.
       is_variant: it is not flown after the leg before it, but beside the next leg that is none, as another autopilot or
         another setting of it would fly.
-      has_stop: the vehicle stops at its end, and so does not cut the corner there.
+      turn_m: how near to its end the vehicle turns, and so cuts the corner there; 0 where it stops.
       not_below: of a return: its heights above home are no less than the height of this place.
     """
 
@@ -67,7 +72,7 @@ class Leg(NamedTuple):
     radius_m: float = 0.0
     profile: Profile = "frame"
     is_variant: bool = False
-    has_stop: bool = False
+    turn_m: float = CORNER_M
     not_below: Place | None = None
 
 
