@@ -137,7 +137,9 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
     return record
 
 
-def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str, dict[str, Any]]:
+def hash_inputs(
+    scenario: Scenario, recorded: Inputs | None = None, *, allow_missing: bool = False
+) -> dict[str, dict[str, Any]]:
     """Return path, SHA-256 and bytes of every file that a scenario names, by its role.
 
     Roles are ``buildings``, ``terrain``, ``orbits``, ``orbits_2`` and so on, those of `FILES` and ``layer_NAME``. The
@@ -147,6 +149,7 @@ def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str,
       scenario: the settings.
       recorded: what somebody's run recorded: a file of another size, or of more than `MOST_UNSIZED_BYTES` if its size
         is not on record, is not read and has the SHA-256 "".
+      allow_missing: leave out files that are missing.
 
     Raises:
       InputError: a file that is missing or cannot be read, or one of the system (`SYSTEM_FOLDERS`).
@@ -164,6 +167,8 @@ def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str,
     for role, name in values_given(named).items():
         file = located(scenario.path_of(name))
         record = None if recorded is None else recorded.get(role, {})
+        if allow_missing and not file.exists():
+            continue
         files[role] = {"path": name} | _sum_and_size(file, role, record)
     return files
 

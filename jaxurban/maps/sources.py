@@ -6,7 +6,6 @@ from pathlib import Path
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.files import read_json
-from jaxurban.io.samples import located
 from jaxurban.io.store import RUN_FILE, settings_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
@@ -18,7 +17,7 @@ STANDING = ("buildings", "terrain")  # roles of the files that say what stands, 
 
 
 class ChangedSourcesError(InputError):
-    """Files that say what stands are there, and maps were made of others."""
+    """A file that says what stands is there, and maps were made of another one."""
 
 
 def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
@@ -32,7 +31,7 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
       sources: where relative paths begin; left out, the current folder, that of the maps, or the one above it.
 
     Raises:
-      ChangedSourcesError: files of buildings or terrain are there, and not all are as they were.
+      ChangedSourcesError: a file of buildings or terrain is there, and not as it was.
       InputError: sources that are no folder, maps that no scenario made, a damaged record, or files that are gone.
     """
     if sources is not None and not Path(sources).is_dir():
@@ -44,7 +43,8 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
             "them by that command, or give the City itself where it is taken"
         )
 
-    # The first place where all files are those of the record; otherwise the files that differ at the last place.
+    # The first place where all files are those of the record; otherwise the files that differ at the last place where
+    # any of them are.
     inputs = read_json(folder / RUN_FILE).get("inputs", {})
     if not (isinstance(inputs, dict) and all(isinstance(file, dict) for file in inputs.values())):
         raise InputError(
@@ -56,14 +56,18 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     kind: type[InputError] = InputError
     for place in places:
         scenario = Scenario.from_dict(settings, str(folder / RUN_FILE), place)
-        with suppress(InputError):  # raised where one of the files is missing
-            files = unsized(hash_inputs(scenario, inputs))
+        with suppress(InputError):  # raised where one of the files cannot be read
+            files = unsized(hash_inputs(scenario, inputs, allow_missing=True))
             if files == recorded:
                 return scenario
-            lost = {role: file for role, file in files.items() if recorded.get(role) != file}
-        named = [str(recorded[role].get("path")) for role in STANDING if role in recorded]
-        if any(located(scenario.path_of(name)).exists() for name in named):
-            kind = ChangedSourcesError
+            changed = [role for role in files if recorded.get(role) != files[role]]
+            if files:
+                lost = {
+                    role: inputs.get(role, {})
+                    for role in (*changed, *recorded.keys() - files.keys())
+                }
+            if not {*STANDING}.isdisjoint(changed):
+                kind = ChangedSourcesError
     names = ", ".join(repr(file.get("path")) for file in lost.values())
     raise kind(
         f"what the maps in {str(folder)!r} were made of is no longer there as it was ({names}): "

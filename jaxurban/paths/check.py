@@ -188,7 +188,7 @@ def _buried(steps: Steps) -> pd.DataFrame:
     """Return a row for each stretch of a mission below the ground, with its greatest depth (``by_m``)."""
     z_m = steps.z_m.min(axis=1)
     stretches = _stretches(steps, z_m < -FILE_MARGIN_M, gap_m=z_m)
-    texts = [f"flies up to {-gap_m:.1f} m below the ground" for gap_m in stretches["gap_m"]]
+    texts = [f"lies up to {-gap_m:.1f} m below the ground" for gap_m in stretches["gap_m"]]
     return stretches.assign(kind="terrain", what=texts, by_m=-stretches["gap_m"])
 
 

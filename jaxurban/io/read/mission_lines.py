@@ -4,6 +4,7 @@ How many positions a file holds is counted apart from the lines that are read, a
 """
 
 import csv
+import io
 import math
 import re
 from collections import Counter
@@ -53,6 +54,10 @@ COLUMNS = {
     "latitude": ("lat", "lat_deg", "latitude", "latitude_deg"),
     "height": (ALTITUDE_PROPERTY, "height_m", "alt_m", "altitude", "height", "alt", "ele"),
 }
+# In names of columns and properties that say how others are meant, and values that say what is taken anyway.
+QUALIFIERS = ("unit", "mode", "frame", "datum", "system", "command")
+HARMLESS = ("", "m", "meter", "meters", "metre", "metres", "wgs84", "wgs 84", "epsg:4326")
+HEIGHTS = ("alt", "height", "elev")  # in names of further columns of height
 MOST_COLUMNS, MOST_ROWS = 1000, 1_000_000  # of a table; rows beyond are counted, and not judged
 # What files call a coordinate reference system, and the names of the one that is read.
 CRS_NAMES = ("crs", "datum", "epsg", "mapdatum", "srs", "srsname")
@@ -62,7 +67,7 @@ WGS84 = re.compile(
     re.ASCII | re.IGNORECASE,
 )
 NEAR_DEG = 1e-5  # about a metre, by which lines that are straight in degrees leave those straight in metres
-NO_LINE = "is no part of a line that is read"
+NO_LINE = "is no part of a route, track or line"
 REPEATED = "repeats a part of a route"  # so that it needs no judging
 NOT_REPEATED = "calls itself a segment of a route on which it does not lie"
 
@@ -145,7 +150,10 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
             what = f"point {number}"
             for part, value in zip(COLUMNS, point, strict=True):
                 if math.isnan(value):
-                    raise DamagedError(f"{what} has no {part}")
+                    raise InputError(
+                        f"{name!r} is no way in the air, as {what} has no {part}: give each point a longitude, "
+                        "latitude and height"
+                    )
             check_place(what, *point)
         last += len(line.points)
         places = [Place(*point, datum) for point in line.points]
@@ -357,6 +365,9 @@ def _gpx_line(element: Element, is_own: bool) -> Line:
     count beside them, and alone where it had no terrain.
     """
     nodes = [child for child in element if _tag(child) in ("rtept", "trkpt")]
+    if any(child.attrib for node in nodes for child in node if _tag(child) == "ele"):
+        why = "has an ele with attributes, which are not understood"
+        return Line(_tag(element), why=why, num=len(nodes))
     heights = [_text(node, "ele") for node in nodes]
     matches = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes]
     described = [match[1] if match and is_own else "" for match in matches]
@@ -444,6 +455,10 @@ def _geojson_lines(geometry: dict[str, Any], properties: dict[str, Any]) -> list
       DamagedError: as of `geojson_lines`.
     """
     what = str(geometry.get("type", "a feature without geometry"))[:40]
+    odd = [name for name, value in properties.items() if _is_odd(name, value)]
+    if odd and "settings" not in properties:
+        why = f"has the property {odd[0]!r}, which is not understood"
+        return [Line(what, why=why, num=_num_in_json(geometry))]
     parts = geometry.get("coordinates")
     if what not in ("LineString", "MultiLineString") or not parts:
         return [Line(what, num=_num_in_json(geometry))]
@@ -452,9 +467,11 @@ def _geojson_lines(geometry: dict[str, Any], properties: dict[str, Any]) -> list
 
     # The points of each part, with the heights of a route of jaxurban's, if it is one.
     above_ground_m = properties.get("z_m") if "settings" in properties else None
+    named = [properties[name] for name in COLUMNS["height"] if name in properties]
+    height_m = next(iter(named), None)
     lines = []
     for part in parts:
-        heights_m = above_ground_m or [properties.get(ALTITUDE_PROPERTY)] * len(part)
+        heights_m = above_ground_m or [height_m] * len(part)
         if len(heights_m) != len(part):
             raise DamagedError(f"z_m has {len(heights_m)} heights for {len(part)} positions")
         points = []
@@ -471,6 +488,12 @@ def _geojson_lines(geometry: dict[str, Any], properties: dict[str, Any]) -> list
     return lines
 
 
+def _is_odd(name: str, value: Any) -> bool:
+    """Return whether a column or property says that others are meant in another way than they are taken."""
+    is_qualifier = any(word in name.lower() for word in QUALIFIERS)
+    return is_qualifier and str(value).strip().lower() not in HARMLESS
+
+
 def csv_lines(path: Path, data: bytes) -> Shapes:
     """Return the rows of a table as one line; it does not say what its heights are above.
 
@@ -483,10 +506,13 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
     """
     texts = [text for text in data.decode("utf-8-sig").splitlines() if text.strip()]
     header, *rows = csv.reader(texts[:MOST_ROWS], strict=True)
-    if len(header) > MOST_COLUMNS or any(len(row) > len(header) for row in rows):
-        raise DamagedError(
-            f"it has more than {MOST_COLUMNS:,} columns, or a row with more values than the header has"
-        )
+    if len(header) > MOST_COLUMNS:
+        raise DamagedError(f"it has more than {MOST_COLUMNS:,} columns")
+    if re.search(r"[;\t]", header[0]):
+        raise DamagedError("commas must be between its values, and points in its numbers")
+    for number, row in enumerate(rows, 1):
+        if len(row) > len(header):
+            raise DamagedError(f"row {number} has {len(row)} values, and the header {len(header)}")
 
     # Cells by column, and its name without the number that pandas adds to one that is there twice.
     columns = list(zip_longest(header, *rows, fillvalue=""))
@@ -498,9 +524,19 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
     for _, *cells in columns_of(CRS_NAMES):
         for crs in set(cells):
             _check_crs(path, "crs", crs)
+    for title, *cells in columns:
+        if any(_is_odd(title, cell) for cell in cells):
+            raise InputError(
+                f"{path.name!r} has the column {title!r}, which is not read: take it out if it does not change the way"
+            )
     values = []
+    further = {
+        name for name in names if any(word in name for word in HEIGHTS) and name not in CRS_NAMES
+    }
     for quantity, known in COLUMNS.items():
         chosen = columns_of(known)
+        if chosen and quantity == "height":
+            chosen += columns_of([*further.difference(known)])
         if not chosen:
             raise InputError(f"{path.name!r} has no column of {quantity}: call it {known[0]}")
         numbers = [[decimal_of(f"a {name}", cell) for cell in cells] for name, *cells in chosen]
@@ -511,7 +547,7 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
                 f"{path.name!r} has the columns {titles} of {quantity}, which differ: keep the one that is flown"
             )
         values.append(numbers[0])
-    num_rows = sum(bool(text.strip()) for text in data.splitlines()) - 1
+    num_rows = sum(map(any, csv.reader(io.StringIO(data.decode("utf-8-sig"))))) - 1
     return [Line("table", list(zip(*values, strict=True)))], num_rows
 
 
