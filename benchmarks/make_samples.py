@@ -1,6 +1,7 @@
-"""Makes the sample cities from files of their sources: ``python -m jaxurban.samples.make [DATA]``.
+"""Makes the sample cities from files of their sources: ``python -m benchmarks.make_samples [DATA]``.
 
-DATA is the folder of these files, else ``JAXURBAN_DATA``, else ``../shared/data``. NOTICE.md says what each file is.
+DATA is the folder of these files, else ``JAXURBAN_DATA``, else ``../shared/data``. ``jaxurban/samples/NOTICE.md`` says
+what each file is.
 """
 
 import math
@@ -22,11 +23,10 @@ from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.nominal import GALILEO, GPS, MARK, Constellation, nominal_satellites
 from jaxurban.io.read.osm import OSM_CREDIT, TAGS, header_box, projected, read_osm
 from jaxurban.io.read.receiver import read_receiver_log
-from jaxurban.io.samples import BASE_MAP_FILE, BUILDINGS_FILE, LOG_FILE, SAMPLES
+from jaxurban.io.samples import BASE_MAP_FILE, BUILDINGS_FILE, HOME, LOG_FILE, SAMPLES
 from jaxurban.metrics.population import Population
 from jaxurban.world.grid import WGS84, Bounds, box_of, transformer, utm_of
 
-HERE = Path(__file__).parent
 STEP_DEG = 1e-6  # of coordinates, about 0.1 m
 MARGIN_M = 400.0  # of Shinjuku: so far around the region every roof is kept
 MASK_DEG = 5.0  # beyond, those that hide a satellite above it from some place in the region
@@ -215,7 +215,7 @@ def main(arguments: list[str]) -> None:
         "nihonbashi": make_nihonbashi,
     }
     for name, make in makers.items():
-        home = HERE / name
+        home = HOME / name
         home.mkdir(exist_ok=True)
         make(data, home)
         sizes = {path.name: path.stat().st_size for path in sorted(home.iterdir())}
