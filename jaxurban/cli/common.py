@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.ground_risk import OverflownDensity
-    from jaxurban.report.results import Result
     from jaxurban.settings import CostKind, Preset
+    from jaxurban.studies.results import Result
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]

@@ -60,7 +60,7 @@ def compare(
     """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time, and for routes."""
     from jaxurban.io.tables import records_of
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.report.map_comparison import compare as compare_maps
+    from jaxurban.studies.map_comparison import compare as compare_maps
 
     maps_a = MapsFolder(folder_a, resolution_m, obstacles)
     maps_b = MapsFolder(folder_b, resolution_m, obstacles)
@@ -179,8 +179,8 @@ def validate(
 
     from jaxurban.io.tables import records_of
     from jaxurban.maps.scenario import Scenario
-    from jaxurban.report.receiver import validate as validate_log
     from jaxurban.studies.receiver.prediction import ReceiverSettings
+    from jaxurban.studies.receiver.validate import validate as validate_log
 
     receiver = ReceiverSettings(**settings)  # all other options are its fields
     scenario = Scenario.from_toml(scenario_file, changes)

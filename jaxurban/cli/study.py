@@ -68,9 +68,9 @@ def study(
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.planners.cost import CostModel
     from jaxurban.report.benchmark import check_exportable, export_benchmark
-    from jaxurban.report.montecarlo import study as run_study
     from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
     from jaxurban.studies.montecarlo.study import OF_SAMPLING, land_cover_of, without_sampling
+    from jaxurban.studies.montecarlo.study import study as run_study
 
     # Settings that --set names and that a file of instances fixes.
     fixed = [f"study.{name}" for name in OF_SAMPLING]

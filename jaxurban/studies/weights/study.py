@@ -15,8 +15,8 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import Point
 from jaxurban.progress import Progress, reporting
-from jaxurban.public import FactsRepr
 from jaxurban.studies.queries import RouteQuery, check_flat, outcomes_of, query_between
+from jaxurban.studies.results import Result
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import EXACT, Partition, find_breakpoints, pareto_front
 from jaxurban.studies.weights.sobol import (
@@ -29,8 +29,31 @@ from jaxurban.studies.weights.sobol import (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sensitivity(FactsRepr):
-    """What `jaxurban.report.sensitivity.Sensitivity` holds."""
+class Sensitivity(Result):
+    """What the weights do to one route. ``K`` weights.
+
+    Attributes:
+      maps: on which it is planned.
+      route: the cheapest route under the given weights.
+      names: ``"distance"`` and the metrics.
+      weights: ``[K]`` as given.
+      settings: what was varied, how far, and how finely; what was left out is filled in.
+      cost, outcomes: derivatives at the given weights (`cost_gradient`, `outcome_slopes`).
+      sobol: shares of variance over the whole range (`sobol_indices`).
+      lines: of each varied weight, the routes along its range, the others as given.
+      front: routes between objectives.
+      line_routes: ``[N, 2]`` easting and northing of the routes of each line, in the order of its cells.
+      num_plans, elapsed_s: searches and wall time.
+
+    Examples:
+      >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
+      >>> result = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
+      >>> {name: len(line.cells) for name, line in result.lines.items()}, result.route.status.value
+      ({'gps': 3}, 'optimal')
+    """
+
+    _command = "sensitivity"
+    _report = "sensitivity:sensitivity_outputs"
 
     maps: MetricMaps
     route: PlannedPath
