@@ -453,7 +453,7 @@ def all_cores() -> int:
     """
     from importlib.util import find_spec
 
-    from jaxurban.maps.executors import num_cores
+    from jaxurban.kernels.engine import num_cores
 
     if find_spec("distributed") is not None:
         return num_cores()
