@@ -17,6 +17,7 @@ from jaxurban.cli.common import (
     PATH,
     POSITIVE_COUNT,
     RESOLUTION,
+    SCENARIO,
     SEED,
     SHOWN,
     Numbers,
@@ -97,7 +98,7 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
 
 
 @click.command()
-@click.argument("scenario_file", metavar="SCENARIO", type=PATH)
+@SCENARIO
 @click.argument("log_file", metavar="[LOG]", type=PATH, required=False)
 @OUTPUT
 @click.option(

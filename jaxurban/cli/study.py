@@ -14,6 +14,7 @@ from jaxurban.cli.common import (
     OVERWRITE,
     PATH,
     PRESET,
+    SCENARIO,
     WORKERS,
     Settings,
     all_cores,
@@ -30,7 +31,7 @@ NO_ROUTE = "no planner found a path for any instance: the report says why"
 
 
 @click.command()
-@click.argument("scenario_file", metavar="SCENARIO", type=PATH)
+@SCENARIO
 @click.option("-o", "folder", type=PATH, required=True, help="Folder of the maps and the study.")
 @click.option(
     "--instances", "instances_file", type=PATH, help="File of queries to plan (.parquet, .csv)."
