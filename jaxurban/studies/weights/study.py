@@ -238,7 +238,11 @@ def sensitivity(
     check_flat(cost_map)
     begin_s = time.perf_counter()
     settings = settings or SensitivitySettings()
-    query, route = _plan(cost_map, start, goal, snap)
+    route = cost_map.plan(start, goal, snap=snap)
+    if not route.status.has_path:
+        raise InputError(f"there is no route to study: {route.to_dict()['message']}")
+    snapped_start, snapped_goal = cost_map.ends(start, goal, snap=snap)
+    query = query_between(cost_map, snapped_start.cell, snapped_goal.cell)
     names = query.names
     weights = cost_map.weight_vector
     pool = RoutePool([query])
@@ -316,23 +320,3 @@ def _routes(query: RouteQuery, line: Partition) -> list[np.ndarray]:
     with ThreadPoolExecutor() as threads:
         routes = threads.map(query.cheapest, line.weights_at(line.middles))
         return [points_m + southwest_m for points_m in routes]
-
-
-def _plan(
-    cost_map: CostMap, start: Point, goal: Point, snap: bool | float
-) -> tuple[RouteQuery, PlannedPath]:
-    """Return the query between two places, and its planned route.
-
-    Args:
-      cost_map: with the weights that the route is planned under.
-      start, goal: longitude, latitude in degrees.
-      snap: as in `sensitivity`.
-
-    Raises:
-      InputError: there is no route, or both places are in one cell.
-    """
-    route = cost_map.plan(start, goal, snap=snap)
-    if not route.status.has_path:
-        raise InputError(f"there is no route to study: {route.to_dict()['message']}")
-    snapped_start, snapped_goal = cost_map.ends(start, goal, snap=snap)
-    return query_between(cost_map, snapped_start.cell, snapped_goal.cell), route
