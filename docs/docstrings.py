@@ -1,9 +1,9 @@
-"""How the reference reads docstrings of several arguments a line, and functions that are made from others (Griffe)."""
+"""How the reference reads docstrings of several arguments a line (Griffe)."""
 
 import re
 from typing import Any
 
-from griffe import Alias, ExprCall, Extension, Module, Object
+from griffe import Extension, Object
 
 GROUP = re.compile(r"^( *)(\w+(?:, \w+)+):( .*(?:\n\1 +\S.*)*)$", re.MULTILINE)
 SECTION = re.compile(r"^(Args|Attributes):\n((?:[ ]+\S.*\n?|\n(?=[ ]))+)", re.MULTILINE)
@@ -16,17 +16,6 @@ class SplitGroups(Extension):
         """Split the docstring of a module, class or function before it is parsed."""
         if obj.docstring is not None:
             obj.docstring.value = split_groups(obj.docstring.value)
-
-
-class SavableFunctions(Extension):
-    """Shows ``compare = savable(computed.compare, ...)`` as the function that it is made from."""
-
-    def on_module_members(self, *, mod: Module, **_: Any) -> None:
-        """Put the function in the place of the attribute once a module is read."""
-        for name, member in [*mod.attributes.items()]:
-            if isinstance(member.value, ExprCall) and str(member.value.function) == "savable":
-                module, _, function = str(member.value.arguments[0]).rpartition(".")
-                mod.set_member(name, Alias(name, f"{mod.resolve(module)}.{function}", parent=mod))
 
 
 def split_groups(text: str) -> str:

@@ -41,8 +41,6 @@ from jaxurban.paths.when import Departures as Departures
 from jaxurban.paths.when import when as when
 from jaxurban.planners.cost import CostModel as CostModel
 from jaxurban.programs import keep_programs as keep_programs
-from jaxurban.report.mission import MissionCheck as MissionCheck
-from jaxurban.report.mission import check as check
 from jaxurban.samples.cities import sample_city as sample_city
 from jaxurban.samples.synthetic import demo_city as demo_city
 from jaxurban.settings import Buildings as Buildings
@@ -51,6 +49,8 @@ from jaxurban.settings import HeightStd as HeightStd
 from jaxurban.settings import Planning as Planning
 from jaxurban.settings import Terrain as Terrain
 from jaxurban.settings import Vehicle as Vehicle
+from jaxurban.studies.check import check as check
+from jaxurban.studies.check_result import MissionCheck as MissionCheck
 from jaxurban.viewer.widget import view as view
 from jaxurban.world.grid import Grid as Grid
 

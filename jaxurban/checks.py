@@ -428,17 +428,9 @@ def _is_whole(value: Any) -> bool:
     return isinstance(value, numbers.Integral) and not isinstance(value, bool)
 
 
-def _is_truth(value: Any) -> bool:
-    return type(value).__name__ in ("bool", "bool_")
-
-
 def _is_text(value: Any) -> bool:
     """Whether a value is a text, or a time of any kind, which may stand for one."""
     return isinstance(value, str | datetime) or type(value).__name__ == "datetime64"
-
-
-def _is_sequence(value: Any) -> bool:
-    return isinstance(value, Iterable) and not isinstance(value, str | bytes)
 
 
 def _name_of(kind: Any) -> str:
@@ -462,13 +454,16 @@ HOLDERS: dict[Any, Any] = {
     **dict.fromkeys((Mapping, dict), Mapping),
 }
 KINDS: dict[Any, Kind] = {
-    bool: Kind("True or False", _is_truth),
+    bool: Kind("True or False", lambda value: type(value).__name__ in ("bool", "bool_")),
     int: Kind("a whole number", _is_whole),
     float: Kind("a number", _is_number),
     str: Kind("a text", _is_text),
     Path: Kind("a path", lambda value: isinstance(value, str | os.PathLike)),
     types.NoneType: Kind("None", lambda value: value is None),
-    Iterable: Kind("a sequence", _is_sequence),
+    Iterable: Kind(
+        "a sequence",
+        lambda value: isinstance(value, Iterable) and not isinstance(value, str | bytes),
+    ),
     Mapping: Kind("a dict", lambda value: isinstance(value, Mapping)),
     Callable: Kind("a function", callable),
 }

@@ -21,11 +21,11 @@ NAMESPACES = ("fit", "grad", "metrics", "studies")
 Level = Literal["guess", "note", "limit"]
 Function = TypeVar("Function", bound=Callable)
 LEAST_ALIKE = 0.66  # as two letters of three are
-FORMER = "the former name goes in jaxurban"  # by which commands know these warnings
+FORMER = "the former name goes in jaxurban 2.0"  # by which commands know these warnings
 
 
 def public_names(
-    package: str, file: str, renamed: Mapping[str, str] | None = None, until: str = "2.0"
+    package: str, file: str, renamed: Mapping[str, str] | None = None
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return a module's ``__getattr__``, ``__dir__`` and ``__all__``, as its stub names them.
 
@@ -33,7 +33,6 @@ def public_names(
       package: full name of the module.
       file: its file; the stub lies beside it.
       renamed: public names by their former ones, which still work, and warn (docs/reference/stability.md).
-      until: the release in which the former ones go.
     """
     # The home of each public name: the module that it is imported from. The stub has lines ``from x import y as y``.
     stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
@@ -51,7 +50,7 @@ def public_names(
         # A former name.
         if renamed and name in renamed:
             present = renamed[name]
-            _warn_renamed(f"{package}.{name}", f"{_public_homes()[present]}.{present}", until)
+            _warn_renamed(f"{package}.{name}", f"{_public_homes()[present]}.{present}")
             return find_public(present)
         home = homes.get(name)
         if name == "__version__" and "." not in package:
@@ -65,11 +64,10 @@ def public_names(
     return fetch, lambda: sorted(homes), sorted(homes)
 
 
-def renamed_arguments(until: str, **renamed: str) -> Callable[[Function], Function]:
+def renamed_arguments(**renamed: str) -> Callable[[Function], Function]:
     """Return a decorator under which a function takes arguments by their former names too, and warns of them.
 
     Args:
-      until: the release in which the former names go.
       renamed: the names of arguments by their former ones.
     """
 
@@ -82,7 +80,7 @@ def renamed_arguments(until: str, **renamed: str) -> Callable[[Function], Functi
             for old, new in renamed.items():
                 # With both, the function refuses the former one as unknown.
                 if old in kwargs and new not in kwargs:
-                    _warn_renamed(f"the argument {old} of {function.__name__}", new, until)
+                    _warn_renamed(f"the argument {old} of {function.__name__}", new)
                     kwargs[new] = kwargs.pop(old)
             return function(*args, **kwargs)
 
@@ -91,23 +89,22 @@ def renamed_arguments(until: str, **renamed: str) -> Callable[[Function], Functi
     return decorate
 
 
-def present_name(kind: str, name: str, renamed: Mapping[str, str], until: str = "2.0") -> str:
+def present_name(kind: str, name: str, renamed: Mapping[str, str]) -> str:
     """Return the present name of an option or a key, and warn where the user wrote a former one.
 
     Args:
       kind: what has the name, for the warning, such as ``"option"``.
       name: as the user wrote it.
       renamed: present names by former ones.
-      until: the release in which the former ones go.
     """
     if name in renamed:
-        _warn_renamed(f"the {kind} {name}", renamed[name], until)
+        _warn_renamed(f"the {kind} {name}", renamed[name])
     return renamed.get(name, name)
 
 
-def _warn_renamed(old: str, new: str, until: str) -> None:
+def _warn_renamed(old: str, new: str) -> None:
     """Warn, on the line of the user, that something has another name."""
-    warn(f"{old} is now {new}: {FORMER} {until}", DeprecationWarning)
+    warn(f"{old} is now {new}: {FORMER}", DeprecationWarning)
 
 
 def _elsewhere(name: str) -> str:

@@ -1,5 +1,6 @@
-"""Which form of a kernel runs: JAX's, or Numba's where that stays beside it, being quicker for the job."""
+"""Which form of a kernel runs, JAX's, or Numba's where that stays beside it, being quicker; and on how many cores."""
 
+import os
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Literal
 
@@ -24,6 +25,11 @@ def runs_numba(engine: str, *values: Any) -> bool:
     """Return whether Numba's form runs on values: where it is chosen, and JAX traces none of them."""
     is_traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
     return not is_traced and uses_numba(engine)
+
+
+def num_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def warn_of_jax(engine: str) -> None:

@@ -171,25 +171,24 @@ def shortened(cost_grid: CostGrid, xy: np.ndarray) -> np.ndarray:
     points, is_added = subdivided(xy, SPACING)
     # Between points on borders a segment could run along an obstacle's wall.
     is_near_border = (np.abs(points - np.rint(points)) < MARGIN).any(axis=1)
-    points = shortcut(cost_grid, points[~(is_added & is_near_border)], REACH)
-    return shortcut(cost_grid, points, REACH)
+    points = shortcut(cost_grid, points[~(is_added & is_near_border)])
+    return shortcut(cost_grid, points)
 
 
-def shortcut(cost_grid: CostGrid, xy: np.ndarray, reach: int) -> np.ndarray:
+def shortcut(cost_grid: CostGrid, xy: np.ndarray) -> np.ndarray:
     """Return the cheapest way ``[K, 2]`` through some of the points ``[N, 2]`` in their order, ends included.
 
-    It is the cheapest of all ways whose segments span at most ``reach`` points, by dynamic programming; of equally
+    It is the cheapest of all ways whose segments span at most `REACH` points, by dynamic programming; of equally
     cheap ways it is one with long segments. If every way is blocked, the points themselves come back.
 
     Args:
       cost_grid: the map.
       xy: points in cell sides.
-      reach: see above.
     """
     best = np.full(len(xy), np.inf)
     parent = np.full(len(xy), NO_PARENT)
     best[0] = 0.0
-    _weigh_shortcuts(cost_grid, xy, reach, best, parent)
+    _weigh_shortcuts(cost_grid, xy, best, parent)
     if best[-1] == np.inf:
         return xy
     kept = [len(xy) - 1]
@@ -199,16 +198,16 @@ def shortcut(cost_grid: CostGrid, xy: np.ndarray, reach: int) -> np.ndarray:
 
 
 @compiled()
-def _weigh_shortcuts(cost_grid, xy, reach, best, parent):
+def _weigh_shortcuts(cost_grid, xy, best, parent):
     """Find the cheapest way from the first point to each point, over points before it.
 
     Args:
-      cost_grid, xy, reach: as in `shortcut`.
+      cost_grid, xy: as in `shortcut`.
       best: ``[N]`` costs of these ways: 0 for the first point, inf for all others; filled in place.
       parent: ``[N]`` the point before on each way, NO_PARENT without one; filled in place.
     """
     for k in range(1, len(xy)):
-        for j in range(k - 1, max(-1, k - 1 - reach), -1):
+        for j in range(k - 1, max(-1, k - 1 - REACH), -1):
             # A little more than the best so far, so that of equal ways the one with the longest last segment is kept.
             limit = best[k] * SAME_COST - best[j]
             if limit > 0.0:

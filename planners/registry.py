@@ -1,6 +1,5 @@
 """The planners by name, on one altitude and between levels; many problems at once, in threads or together in JAX."""
 
-import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import numpy as np
 
 from jaxurban.checks import at_least, nearest_name, one_of
 from jaxurban.errors import InputError
+from jaxurban.kernels.engine import num_cores
 from jaxurban.planners.any_angle import ptp, theta_star
 from jaxurban.planners.astar import (
     AUTO,
@@ -192,7 +192,7 @@ def solve_many(
 
     # All else is chosen now, from all problems, and run as the iterator goes on.
     runs_in_jax = _runs_in_jax(backend, planner, heuristic, len(problems))
-    num_threads = num_threads or _num_processors()
+    num_threads = num_threads or num_cores()
     heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
     run = partial(_in_threads, problems, num_threads=num_threads)
 
@@ -293,10 +293,6 @@ def choose_heuristics(
     for indices in others.values():
         choose("landmarks", indices, FEW_QUERIES + 1, NUM_LANDMARKS)
     return heuristics
-
-
-def _num_processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _in_threads(

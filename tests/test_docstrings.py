@@ -51,14 +51,11 @@ def assumed() -> dict[str, Any]:
 def members(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
     """Yield what is public of a public name: itself, and the methods that its class defines."""
     yield name, thing
-    bases = thing.__mro__ if inspect.isclass(thing) else ()
-    for base in bases:
-        if base.__name__ != name:  # of studies, what is saved adds to what is computed
-            continue
-        for each, member in vars(base).items():
-            function = getattr(member, "__func__", member)
-            if not each.startswith("_") and each not in HOOKS and inspect.isfunction(function):
-                yield f"{name}.{each}", function
+    attributes = vars(thing) if inspect.isclass(thing) else {}
+    for each, member in attributes.items():
+        function = getattr(member, "__func__", member)
+        if not each.startswith("_") and each not in HOOKS and inspect.isfunction(function):
+            yield f"{name}.{each}", function
 
 
 NAMES = [

@@ -254,7 +254,7 @@ def test_a_former_name_works_warns_on_the_user_s_line_and_is_not_listed():
 
 
 def test_a_former_argument_works_and_warns_and_with_both_the_former_one_is_unknown():
-    @renamed_arguments("2.0", height_m="altitude_m")
+    @renamed_arguments(height_m="altitude_m")
     def plan(*, altitude_m: float) -> float:
         return altitude_m
 

@@ -87,7 +87,7 @@ def check(
     from jaxurban.maps.saving import open_maps
     from jaxurban.metrics.weights import Weights
     from jaxurban.public import Caution
-    from jaxurban.report.mission import check as check_mission
+    from jaxurban.studies.check import check as check_mission
 
     # Folders are held while it works.
     for output in files:

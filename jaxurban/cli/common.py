@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.ground_risk import OverflownDensity
-    from jaxurban.report.results import Result
     from jaxurban.settings import CostKind, Preset
+    from jaxurban.studies.results import Result
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]
@@ -285,6 +285,7 @@ METRES = partial(NUMBER, metavar="METRES")
 FLAG = partial(click.option, is_flag=True)
 OF_CORRIDOR = partial(METRES, cls=DependentOption, owner="--corridor")
 FOLDER = click.argument("folder", metavar="DIR", type=PATH)
+SCENARIO = click.argument("scenario_file", metavar="SCENARIO", type=PATH)
 FILES = partial(click.option, "-o", "files", type=PATH, multiple=True)
 OUTPUT = click.option("-o", "output", type=PATH, required=True, help="Output folder.")
 OVERWRITE = FLAG("--overwrite", help="Replace what another run wrote to the output folder.")
@@ -453,7 +454,7 @@ def all_cores() -> int:
     """
     from importlib.util import find_spec
 
-    from jaxurban.maps.executors import num_cores
+    from jaxurban.kernels.engine import num_cores
 
     if find_spec("distributed") is not None:
         return num_cores()

@@ -17,6 +17,7 @@ from jaxurban.cli.common import (
     PATH,
     POSITIVE_COUNT,
     RESOLUTION,
+    SCENARIO,
     SEED,
     SHOWN,
     Numbers,
@@ -60,7 +61,7 @@ def compare(
     """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time, and for routes."""
     from jaxurban.io.tables import records_of
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.report.map_comparison import compare as compare_maps
+    from jaxurban.studies.map_comparison import compare as compare_maps
 
     maps_a = MapsFolder(folder_a, resolution_m, obstacles)
     maps_b = MapsFolder(folder_b, resolution_m, obstacles)
@@ -97,7 +98,7 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
 
 
 @click.command()
-@click.argument("scenario_file", metavar="SCENARIO", type=PATH)
+@SCENARIO
 @click.argument("log_file", metavar="[LOG]", type=PATH, required=False)
 @OUTPUT
 @click.option(
@@ -179,8 +180,8 @@ def validate(
 
     from jaxurban.io.tables import records_of
     from jaxurban.maps.scenario import Scenario
-    from jaxurban.report.receiver import validate as validate_log
     from jaxurban.studies.receiver.prediction import ReceiverSettings
+    from jaxurban.studies.receiver.validate import validate as validate_log
 
     receiver = ReceiverSettings(**settings)  # all other options are its fields
     scenario = Scenario.from_toml(scenario_file, changes)

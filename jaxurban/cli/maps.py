@@ -13,7 +13,7 @@ from jaxurban.cli.common import (
     NAMES,
     OUTPUT,
     OVERWRITE,
-    PATH,
+    SCENARIO,
     WORKERS,
     Settings,
     print_json,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("scenario_file", metavar="SCENARIO", type=PATH)
+@SCENARIO
 @OUTPUT
 @CHANGES
 @OVERWRITE

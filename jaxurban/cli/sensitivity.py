@@ -106,9 +106,9 @@ def sensitivity(
     from jaxurban.paths.plan import cost_map
     from jaxurban.report.buildings import write_buildings
     from jaxurban.report.sensitivity import ranges, sensitivity_markdown, sensitivity_outputs
-    from jaxurban.report.sensitivity import sensitivity as study
     from jaxurban.report.write import REPORT_FILE, save
     from jaxurban.studies.weights.study import SensitivitySettings
+    from jaxurban.studies.weights.study import sensitivity as study
 
     if scenario is not None and not buildings:
         raise click.UsageError("--scenario belongs to --buildings: add that")

@@ -14,6 +14,7 @@ from jaxurban.cli.common import (
     OVERWRITE,
     PATH,
     PRESET,
+    SCENARIO,
     WORKERS,
     Settings,
     all_cores,
@@ -30,7 +31,7 @@ NO_ROUTE = "no planner found a path for any instance: the report says why"
 
 
 @click.command()
-@click.argument("scenario_file", metavar="SCENARIO", type=PATH)
+@SCENARIO
 @click.option("-o", "folder", type=PATH, required=True, help="Folder of the maps and the study.")
 @click.option(
     "--instances", "instances_file", type=PATH, help="File of queries to plan (.parquet, .csv)."
@@ -68,9 +69,9 @@ def study(
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.planners.cost import CostModel
     from jaxurban.report.benchmark import check_exportable, export_benchmark
-    from jaxurban.report.montecarlo import study as run_study
     from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
     from jaxurban.studies.montecarlo.study import OF_SAMPLING, land_cover_of, without_sampling
+    from jaxurban.studies.montecarlo.study import study as run_study
 
     # Settings that --set names and that a file of instances fixes.
     fixed = [f"study.{name}" for name in OF_SAMPLING]

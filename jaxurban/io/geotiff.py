@@ -24,7 +24,7 @@ from jaxurban.io.workspace import Each
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
 from jaxurban.metrics.custom import held_metrics, held_variables
 from jaxurban.metrics.variables import CAVEAT, SERIES, no_value
-from jaxurban.world.grid import Grid
+from jaxurban.world.grid import Grid, grid_of
 
 BLOCK = 512  # cells of a block's side
 LEVEL = 1  # of Zstandard: on these maps a predictor takes more time and more bytes, a higher level twice the time
@@ -204,15 +204,7 @@ def write_geotiffs(
         """Return whether a file of this name is written."""
         return only is None or home / name in only
 
-    grid = Grid(
-        ds.attrs["crs"],
-        ds.attrs["resolution_m"],
-        ds.attrs["first_row"],
-        ds.attrs["first_col"],
-        ds.sizes["y"],
-        ds.sizes["x"],
-    )
-    write = partial(_write_layer, ds, grid, folder)
+    write = partial(_write_layer, ds, grid_of(ds), folder)
     chosen = [layer for layer in _layers(ds, layers) if is_chosen(layer.file)]
     for _ in each(write, chosen):  # `map` writes nothing until its results are taken
         pass

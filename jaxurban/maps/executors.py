@@ -1,7 +1,6 @@
 """Who works on the tiles: threads of this process, processes of this machine, or a Dask cluster."""
 
 import logging
-import os
 import uuid
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
@@ -39,11 +38,6 @@ def dask_setup(worker):
 """
 KEEPING_WORKER = f"{WORKER}    keep_programs()\n"
 Tell = Callable[[Any], None]
-
-
-def num_cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def tile_graph(job: TileJob, call: Callable[..., Any]) -> list[Delayed]:

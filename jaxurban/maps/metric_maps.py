@@ -19,7 +19,7 @@ from jaxurban.metrics.custom import held_metrics
 from jaxurban.progress import LOG
 from jaxurban.public import Caution, FactsRepr, caution_of_guesses, listed
 from jaxurban.settings import Obstacles, Planning, iso_utc
-from jaxurban.world.grid import Grid, crs_said
+from jaxurban.world.grid import Grid, crs_said, grid_of
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -218,15 +218,7 @@ class MetricMaps(FactsRepr):
     @property
     def grid(self) -> Grid:
         """The grid of every map."""
-        attrs, sizes = self.ds.attrs, self.ds.sizes
-        return Grid(
-            attrs["crs"],
-            float(attrs["resolution_m"]),
-            int(attrs["first_row"]),
-            int(attrs["first_col"]),
-            num_rows=sizes["y"],
-            num_cols=sizes["x"],
-        )
+        return grid_of(self.ds)
 
     @property
     def altitudes_m(self) -> tuple[float, ...]:

@@ -28,9 +28,9 @@ from jaxurban.io.read.rasterise import bands_of, check_has_data, rasterise
 from jaxurban.io.samples import BASE_MAP_FILE
 from jaxurban.io.store import stored_key
 from jaxurban.io.workspace import Workspace
-from jaxurban.kernels.engine import warn_of_jax
+from jaxurban.kernels.engine import num_cores, warn_of_jax
 from jaxurban.maps.build import view_sky
-from jaxurban.maps.executors import cluster_client, num_cores, work_in_threads, work_on_cluster
+from jaxurban.maps.executors import cluster_client, work_in_threads, work_on_cluster
 from jaxurban.maps.memory import check_disk, plan_run, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import (

@@ -35,13 +35,8 @@ def low_is_bad(m: AnyArray) -> AnyArray:
 COSTS = {"high-is-bad": high_is_bad, "low-is-bad": low_is_bad}
 
 
-def no_reach_m(params: Any) -> float:
-    """Return 0: a metric that looks at nothing beside its own cell."""
-    return 0.0
-
-
-def no_gpu_bytes(params: Any, tile: Grid, has_terrain: bool) -> float:
-    """Return 0: a metric whose form for a GPU keeps nothing beside its cells."""
+def none_of_it(*_: Any) -> float:
+    """Return 0: a metric that looks at nothing beside its own cell, or keeps nothing beside its cells on a GPU."""
     return 0.0
 
 
@@ -277,7 +272,7 @@ class Metric:
     colour_map: str
     unit: str = "1"
     inside: float | None = np.nan
-    reach_m: Callable[[Any], float] = no_reach_m
+    reach_m: Callable[[Any], float] = none_of_it
     traced: Callable[[Scene, Any], dict[str, jax.Array]] | None = None
     ready: "Callable[[Surface, Sequence[float], Any, Blocks | None], Any] | None" = None
     soft: Callable[[SoftScene, Any], jax.Array] | None = None
@@ -288,7 +283,7 @@ class Metric:
     caveat: str = ""
     is_bracketed: bool = False
     is_numba_over_terrain: Callable[[Any], bool] = lambda settings: False
-    gpu_bytes: Callable[[Any, Grid, bool], float] = no_gpu_bytes
+    gpu_bytes: Callable[[Any, Grid, bool], float] = none_of_it
     cell_bytes: int = 16
     section: str = ""
     sources: tuple[str, ...] = ()

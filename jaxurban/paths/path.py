@@ -402,7 +402,7 @@ def over_budget(exposure: Mapping[str, float], budgets: Mapping[str, float]) -> 
     return " and ".join(exceeded)
 
 
-@renamed_arguments("2.0", on="cost_map")
+@renamed_arguments(on="cost_map")
 @typed
 def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> PlannedPath:
     """Return the path with the fewest straight legs that keep within a tolerance of it and to free cells.

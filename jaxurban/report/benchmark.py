@@ -97,59 +97,45 @@ def export_benchmark(
             f"the benchmark's name must be of letters, digits and hyphens, got {name!r}"
         )
     with Workspace.open(folder, "study --benchmark", is_shared=True):
-        return _export(maps, instances, rows, folder, settings, name)
+        # A grid for each altitude, a file of costs for each altitude and time, and the table of all instances.
+        num_shortest = 0
+        for altitude_m in sorted(instances.altitude_m.unique()):
+            file = folder / GRID_FOLDER / f"{name}_{short_number(altitude_m)}m.map"
+            num_shortest += _write_grid(
+                maps, instances, rows, altitude_m, file, settings.constraints
+            )
+        for key, _ in instances.groupby(["altitude_m", "time", "time_of_day"], dropna=False):
+            _write_costs(maps, folder, key, name, settings)
+        table = instances.merge(_references(rows), on=list(KEY), how="left")
+        for suffix in (".parquet", ".csv"):
+            write_table(table, (folder / INSTANCES_FILE).with_suffix(suffix))
+        counts = {
+            "shortest": num_shortest,
+            "weighted": len(table),
+            "proven": int(table.grid_optimum.notna().sum()),
+        }
 
-
-def _export(
-    maps: MetricMaps,
-    instances: pd.DataFrame,
-    rows: pd.DataFrame,
-    folder: Path,
-    settings: Benchmark,
-    name: str,
-) -> dict[str, int]:
-    """Write a public benchmark into a folder that is open for it, and return its numbers of problems by kind.
-
-    Args:
-      maps, instances, rows, folder, settings, name: as in `export_benchmark`.
-    """
-    # A grid for each altitude, a file of costs for each altitude and time, and the table of all instances.
-    num_shortest = 0
-    for altitude_m in sorted(instances.altitude_m.unique()):
-        file = folder / GRID_FOLDER / f"{name}_{short_number(altitude_m)}m.map"
-        num_shortest += _write_grid(maps, instances, rows, altitude_m, file, settings.constraints)
-    for key, _ in instances.groupby(["altitude_m", "time", "time_of_day"], dropna=False):
-        _write_costs(maps, folder, key, name, settings)
-    table = instances.merge(_references(rows), on=list(KEY), how="left")
-    for suffix in (".parquet", ".csv"):
-        write_table(table, (folder / INSTANCES_FILE).with_suffix(suffix))
-    counts = {
-        "shortest": num_shortest,
-        "weighted": len(table),
-        "proven": int(table.grid_optimum.notna().sum()),
-    }
-
-    # The page that describes the format.
-    model = CostModel.of(settings.cost_model)
-    cost_rule = "plus w_j c_j(Q) summed over j, Q the cell in which the step ends"
-    if model.kind == "line":
-        length = f"{model.reference_length_m:g} m"
-        cost_rule = (
-            f"plus the integral of w_j c_j along it over {length}, cut exactly at cell borders"
+        # The page that describes the format.
+        model = CostModel.of(settings.cost_model)
+        cost_rule = "plus w_j c_j(Q) summed over j, Q the cell in which the step ends"
+        if model.kind == "line":
+            length = f"{model.reference_length_m:g} m"
+            cost_rule = (
+                f"plus the integral of w_j c_j along it over {length}, cut exactly at cell borders"
+            )
+        columns = weight_columns(weighed_metrics(instances.columns))
+        page = fill(
+            "benchmark",
+            name=name,
+            grid=maps.grid,
+            credits=[maps.attribution],
+            counts=counts,
+            model=model,
+            cost_rule=cost_rule,
+            weights=Markdown(", ".join(map(code, columns))),
         )
-    columns = weight_columns(weighed_metrics(instances.columns))
-    page = fill(
-        "benchmark",
-        name=name,
-        grid=maps.grid,
-        credits=[maps.attribution],
-        counts=counts,
-        model=model,
-        cost_rule=cost_rule,
-        weights=Markdown(", ".join(map(code, columns))),
-    )
-    write_whole(folder / PAGE_FILE, page)
-    return counts
+        write_whole(folder / PAGE_FILE, page)
+        return counts
 
 
 def check_exportable(cost_model: CostModel, constraints: Constraints) -> None:

@@ -29,7 +29,6 @@ from jaxurban.report.figures.frame import (
 )
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.style import Colours
-from jaxurban.report.results import Result, savable
 from jaxurban.report.write import (
     Figures,
     Markdown,
@@ -44,21 +43,20 @@ from jaxurban.report.write import (
     study_outputs,
     table,
 )
-from jaxurban.studies import map_comparison as computed
-from jaxurban.studies.map_comparison import CLOSED, MASKS, unit_of
+from jaxurban.studies.map_comparison import CLOSED, MASKS, MapComparison, OneMap, unit_of
 from jaxurban.studies.queries import population_norms
 
 SHOWN_SHARE = 0.99  # of the changed cells lie within the colour bar
 
 
-def comparison_figures(result: computed.MapComparison) -> Figures:
+def comparison_figures(result: MapComparison) -> Figures:
     """Return the functions that draw the layers that changed in any cell, by the layer's name."""
     shares = result.most_changed
     changed = [layer for layer in result.layers if shares[layer] > 0]
     return {layer: partial(plot_difference, result, layer) for layer in changed}
 
 
-def heading_of(result: computed.MapComparison, layer: str) -> str:
+def heading_of(result: MapComparison, layer: str) -> str:
     """Return what figures and reports call a layer."""
     if layer == CLOSED:
         return "Cells that no planner enters"
@@ -66,9 +64,7 @@ def heading_of(result: computed.MapComparison, layer: str) -> str:
     return metric.label if metric else str(result.a.ds[layer].attrs.get("long_name", layer))
 
 
-def plot_difference(
-    result: computed.MapComparison, layer: str, *, time: str | None = None
-) -> Figure:
+def plot_difference(result: MapComparison, layer: str, *, time: str | None = None) -> Figure:
     """Return panels of B - A of a layer by altitude or time of day, all on one scale centred at 0.
 
     Cells that are blocked in either are grey, of ``obstacle`` and ``closed`` those that are blocked in both; colours
@@ -113,9 +109,7 @@ def plot_difference(
     return draw_maps(result.grid, panels, heading, note, legend=legend, colours=colours)[0]
 
 
-def _is_grey(
-    result: computed.MapComparison, layer: str, place: computed.OneMap, values: np.ndarray
-) -> np.ndarray:
+def _is_grey(result: MapComparison, layer: str, place: OneMap, values: np.ndarray) -> np.ndarray:
     """Return ``[Y, X]`` bool: the cells that a picture of differences shows as blocked.
 
     They have data in both maps and no difference; of a mask (`MASKS`) at an altitude they are blocked in both.
@@ -153,7 +147,7 @@ def difference_colours(changed: np.ndarray, label: str) -> Colours:
     return Colours("RdBu_r", Normalize(-limit, limit), label, "both", (-limit, 0.0, limit))
 
 
-def _label(result: computed.MapComparison, layer: str) -> str:
+def _label(result: MapComparison, layer: str) -> str:
     """Return the label of a difference's colour bar: layer, unit, which map is the higher one, and what 1 means."""
     unit = unit_of(result.a, layer)
     in_unit = "" if unit == "1" else f" [{unit}]"
@@ -165,7 +159,7 @@ def _label(result: computed.MapComparison, layer: str) -> str:
     return f"{label}\n(m of 1: {meaning})" if meaning else label
 
 
-def _note(result: computed.MapComparison, time: str | None) -> str:
+def _note(result: MapComparison, time: str | None) -> str:
     """Return the lines below a picture of differences: the name of both maps, their times and what they guess.
 
     Args:
@@ -184,7 +178,7 @@ def _note(result: computed.MapComparison, time: str | None) -> str:
     return "\n".join([*lines, joined(*ground_said(result.a))])
 
 
-def comparison_outputs(result: computed.MapComparison) -> Written:
+def comparison_outputs(result: MapComparison) -> Written:
     """Return what a comparison writes, by file name, and the facts that identify it.
 
     A folder whose report has other facts is not replaced unless the user asks for it.
@@ -211,7 +205,7 @@ def comparison_outputs(result: computed.MapComparison) -> Written:
     return outputs | study_outputs(report, tables, figures), key
 
 
-def _write_difference(result: computed.MapComparison, layer: str, file: Path) -> Path:
+def _write_difference(result: MapComparison, layer: str, file: Path) -> Path:
     """Write a layer's differences as a GeoTIFF, a band for each altitude, time and time of day; return the file.
 
     A layer without any of these has one band, named ``B - A``.
@@ -240,7 +234,7 @@ def _write_difference(result: computed.MapComparison, layer: str, file: Path) ->
     return write_bands(file, result.grid, bands, unit_of(result.a, layer), tags)
 
 
-def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> str:
+def comparison_markdown(result: MapComparison, figures: list[str]) -> str:
     """Return the report as Markdown; ``figures`` are the layers whose pictures lie beside it."""
     # The table of values: a row for each map of the layers that differ, at the first time of those that have times.
     rows = result.table
@@ -271,7 +265,7 @@ def comparison_markdown(result: computed.MapComparison, figures: list[str]) -> s
     )
 
 
-def _settings(result: computed.MapComparison) -> str:
+def _settings(result: MapComparison) -> str:
     """Return the section of a report on what the maps were made with, as Markdown.
 
     A table of A's and B's settings that differ, GPS times that differ, and what population is divided by where that
@@ -306,37 +300,3 @@ def _settings(result: computed.MapComparison) -> str:
 
 def _value_text(value: Any) -> str:
     return NOT_SET if value is None else code(value)
-
-
-class MapComparison(computed.MapComparison, Result):
-    """Maps B beside maps A, on the cells, altitudes, times and layers that both hold. ``Y`` rows, ``X`` columns.
-
-    Attributes:
-      names: what A and B are called.
-      a, b: the maps, cut to what both hold.
-      left_out: what only one of them holds.
-      settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
-        of them was not made by `jaxurban maps`.
-      tolerance: up to which values are the same.
-      table: a row per layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
-        hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A in the layer's ``unit``,
-        ``gained`` and ``lost``, the cells that are higher by more than ``tolerance`` in B and in A, and
-        ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the
-        values are 1 where a cell is blocked and 0 elsewhere, and the cells all with data in both.
-      routes: a row for each route of one map under the other (`compared_routes`); empty where none were asked for.
-      seed: of their ends.
-
-    Examples:
-      >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
-      >>> change = ju.studies.compare(maps, higher_mask, progress=False)
-      >>> change.layers[:6], change.grid.shape
-      (('obstacle', 'closed', 'gps', 'lidar', 'population', 'risk'), (30, 30))
-      >>> change.left_out
-      {'altitude 20 m': 'B holds no such map'}
-    """
-
-    _command = "compare"
-    _outputs = comparison_outputs
-
-
-compare = savable(computed.compare, MapComparison)

@@ -6,50 +6,27 @@ import pandas as pd
 
 from jaxurban.paths.rows import CRASHED
 from jaxurban.report.figures.montecarlo import study_figures
-from jaxurban.report.results import Result, savable
 from jaxurban.report.sensitivity_study import weights_said
 from jaxurban.report.write import Written, fill, listed, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
-from jaxurban.studies.montecarlo import study as computed
 from jaxurban.studies.montecarlo.analysis import complementarity
+from jaxurban.studies.montecarlo.study import BenchmarkResult
 
 
-class BenchmarkResult(computed.BenchmarkResult, Result):
-    """What a Monte Carlo benchmark found.
+def benchmark_outputs(result: BenchmarkResult) -> Written:
+    """Return what a benchmark writes, by file name: report, tables (CSV) and figures; and no settings.
 
-    Attributes:
-      folder: where it is kept.
-      maps: what it was made on.
-      instances: the queries (`sample_instances`).
-      rows: what each planner found, one row per planner, objective, instance and altitude.
-      settings: how they were run.
-
-    Examples:
-      >>> chosen = ju.studies.Study(planners="astar-plus", distance_only=(), altitudes_m=[60.0])
-      >>> result = ju.studies.study(maps, "found", 2, settings=chosen, progress=False)
-      >>> result.table.groupby("planner")["has_path"].mean().to_dict()
-      {'astar-plus': 1.0}
+    Settings would guard a folder against other ones; here the rows alone decide what is written.
     """
-
-    _command = "study"
-
-    def _outputs(self) -> Written:
-        """Return what is written, by file name: report, tables (CSV) and figures; and no settings.
-
-        Settings would guard a folder against other ones; here the rows alone decide what is written.
-        """
-        tables = tables_of(self)
-        figures = study_figures(self.maps, self.table, tables)
-        report = report_markdown(self, tables, list(figures))
-        files = {f"{name}.csv": table for name, table in tables.items()}
-        return study_outputs(report, files, figures), {}
+    tables = tables_of(result)
+    figures = study_figures(result.maps, result.table, tables)
+    report = report_markdown(result, tables, list(figures))
+    files = {f"{name}.csv": table for name, table in tables.items()}
+    return study_outputs(report, files, figures), {}
 
 
-study = savable(computed.study, BenchmarkResult)
-
-
-def tables_of(result: computed.BenchmarkResult) -> dict[str, pd.DataFrame]:
+def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
     """Return the tables of a study by name.
 
     ``complementarity``, which compares GPS with lidar, is among them only where the maps hold both.
@@ -71,7 +48,7 @@ def tables_of(result: computed.BenchmarkResult) -> dict[str, pd.DataFrame]:
 
 
 def report_markdown(
-    result: computed.BenchmarkResult, tables: dict[str, pd.DataFrame], figures: Sequence[str] = ()
+    result: BenchmarkResult, tables: dict[str, pd.DataFrame], figures: Sequence[str] = ()
 ) -> str:
     """Return the report as Markdown.
 

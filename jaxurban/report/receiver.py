@@ -16,7 +16,6 @@ from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED, ReceiverLog
 from jaxurban.maps.levels import listed_m
 from jaxurban.maps.track import NUM_VISIBLE
 from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
-from jaxurban.report.results import Result, savable
 from jaxurban.report.satellites import (
     peak_text,
     satellite_figures,
@@ -37,8 +36,13 @@ from jaxurban.report.write import (
 )
 from jaxurban.settings import as_tuple
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.receiver import validate as computed
-from jaxurban.studies.receiver.validate import COEFFICIENTS, MAIN, SPEARMAN, WITHIN
+from jaxurban.studies.receiver.validate import (
+    COEFFICIENTS,
+    MAIN,
+    SPEARMAN,
+    WITHIN,
+    ReceiverValidation,
+)
 
 NAMES = {NUM_VISIBLE: "satellites in view", "gps": "GPS quality m"}
 LABELS = {TRACKED: "satellites tracked", ERROR: "horizontal error (m)"}
@@ -59,7 +63,7 @@ def name_of(prediction: str) -> str:
 
 
 @styled
-def plot_scatter(result: computed.ReceiverValidation) -> Figure:
+def plot_scatter(result: ReceiverValidation) -> Figure:
     """Return what the receiver measured against what the maps predict of it: a panel per measurement.
 
     A point per piece of track; many points on one place are darker. Values that are infinite stand at the edge.
@@ -114,7 +118,7 @@ def _scale_axis(axis: Axis, set_scale: Callable[[str], None], quantity: str) -> 
 
 
 def validation_outputs(
-    result: computed.ReceiverValidation,
+    result: ReceiverValidation,
 ) -> Written:
     """Return what a validation writes, by file name, and the facts that identify it.
 
@@ -141,7 +145,7 @@ def validation_outputs(
     return study_outputs(validation_markdown(result), tables, figures), key
 
 
-def validation_markdown(result: computed.ReceiverValidation) -> str:
+def validation_markdown(result: ReceiverValidation) -> str:
     """Return the report as Markdown; its parts on satellites are empty for a log without a row per satellite."""
     # Scores of each measurement with its own prediction, and with other quantities of the maps.
     is_main = result.scores.prediction == result.scores.witness.map(MAIN)
@@ -182,7 +186,7 @@ def _needs_no_orbits(log: ReceiverLog) -> bool:
     return has_angles and not log.witnesses
 
 
-def _facts(result: computed.ReceiverValidation) -> list[tuple[str, str]]:
+def _facts(result: ReceiverValidation) -> list[tuple[str, str]]:
     """Return the facts on the log and the maps, the rows of a table of the report: name and text.
 
     The orbits are left out where none were needed.
@@ -246,42 +250,3 @@ def score_table(scores: pd.DataFrame) -> str:
 
 def _number(value: float, digits: int = 2) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else ""
-
-
-class ReceiverValidation(computed.ReceiverValidation, Result):
-    """A receiver's log beside what maps say along its track.
-
-    Attributes:
-      log: what the receiver logged.
-      settings: how the two were set beside each other.
-      scenario: the settings that the maps were made with.
-      summary: numbers of the whole: epochs, those in a building, length of the track, means. Metres end in ``_m``.
-      epochs: a row per epoch: time, place, distance along the track, witnesses and predictions; NaN in a building.
-      pieces: a row per piece of track of ``settings.piece_m``: medians of the same.
-      scores: a row per ``witness``, ``prediction`` and ``piece_m``: ``num`` pieces, and for the rank correlation
-        ``within`` blocks and ``spearman`` over the whole track the value, what 95 % of all shifts along the track stay
-        at or below (``_shifts_95``) and the share of all shifts, that of 0 m among them, that score at least as high
-        (``_p``); of ``within`` also the ends of its 95 % interval (``_low``, ``_high``). Above 0 the receiver does
-        better where the maps say so; NaN where a coefficient is not defined.
-      shifts: a row per witness, length of pieces and ``shift`` of the maps along the track, in pieces, with the
-        coefficients.
-      attribution: whom to credit for the city.
-      guesses: what city and sky rest on that no file says, a sentence each.
-      satellites: of a log with a row per satellite, how the maps agree with it, satellite by satellite; else None. Then
-        ``num_visible`` and, where the log has none, ``num_tracked`` count the satellites that are judged.
-
-    Examples:
-      >>> result = ju.studies.validate(scenario, log, progress=False)
-      >>> result.summary["epochs"], result.summary["epochs_left_out"], round(result.summary["length_m"])
-      (40, 7, 338)
-      >>> result.pieces[["piece", "epochs", "num_tracked", "num_visible"]].head(2)
-         piece  epochs  num_tracked  num_visible
-      0      0       3          5.0          5.0
-      1      1       2          5.0          3.5
-    """
-
-    _command = "validate"
-    _outputs = validation_outputs
-
-
-validate = savable(computed.validate, ReceiverValidation)

@@ -10,11 +10,10 @@ from jaxurban.paths.constraints import describe_constraints
 from jaxurban.planners.cost import CostModel
 from jaxurban.report.figures.frame import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
-from jaxurban.report.results import Result, savable
 from jaxurban.report.write import Written, fill, listed, study_outputs
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
-from jaxurban.studies.weights import study as computed
 from jaxurban.studies.weights.sobol import FEW_SAMPLES, NOISE
+from jaxurban.studies.weights.study import Sensitivity
 
 ALIKE = 0.05  # routes are much the same where no outcome differs by more than this share
 MORE = 1.1  # the change of a weight that the report speaks of: 10 %
@@ -23,7 +22,7 @@ TOP_BUILDINGS = 10
 RANKING = "rank", "per_metre", "height_m", "lon", "lat", "distance_m"
 
 
-def sensitivity_outputs(result: computed.Sensitivity) -> Written:
+def sensitivity_outputs(result: Sensitivity) -> Written:
     """Return what a study of one route writes, by file name, and the settings that identify it, as JSON holds them."""
     route = result.route
     settings = {
@@ -37,9 +36,7 @@ def sensitivity_outputs(result: computed.Sensitivity) -> Written:
     return outputs, json.loads(json.dumps(settings, default=str))
 
 
-def sensitivity_markdown(
-    result: computed.Sensitivity, buildings: pd.DataFrame | None = None
-) -> str:
+def sensitivity_markdown(result: Sensitivity, buildings: pd.DataFrame | None = None) -> str:
     """Return the report as Markdown; it names figures and tables as `sensitivity_outputs` does.
 
     Args:
@@ -76,7 +73,7 @@ def sensitivity_markdown(
     )
 
 
-def report_tables(result: computed.Sensitivity) -> dict[str, pd.DataFrame]:
+def report_tables(result: Sensitivity) -> dict[str, pd.DataFrame]:
     """Return the tables of the report by name.
 
     ``outcomes``, ``indices`` and ``changes``: what the route is like, total Sobol shares, and what a larger weight
@@ -109,7 +106,7 @@ def report_tables(result: computed.Sensitivity) -> dict[str, pd.DataFrame]:
     return tables
 
 
-def _changes(result: computed.Sensitivity) -> pd.DataFrame:
+def _changes(result: Sensitivity) -> pd.DataFrame:
     """Return by what share each outcome changes where a weight is `MORE` times as large, as texts.
 
     A row per outcome and a column per weight; ``unclear`` where a slope is not clear of 0 (`CLEAR`).
@@ -123,7 +120,7 @@ def _changes(result: computed.Sensitivity) -> pd.DataFrame:
     return texts.unstack()[[*result.names]]
 
 
-def _sobol_shares(result: computed.Sensitivity) -> pd.DataFrame:
+def _sobol_shares(result: Sensitivity) -> pd.DataFrame:
     """Return the range of each outcome, and the total Sobol share of each varied weight with its interval, as text.
 
     A row per outcome; a share that is not known is an empty text.
@@ -135,7 +132,7 @@ def _sobol_shares(result: computed.Sensitivity) -> pd.DataFrame:
     return spread.join(shares[[*result.lines]])
 
 
-def ranges(result: computed.Sensitivity, name: str) -> dict[str, float]:
+def ranges(result: Sensitivity, name: str) -> dict[str, float]:
     """Return where, along a weight's range, the route stays the same, and where much the same.
 
     Args:
@@ -166,33 +163,3 @@ def ranges(result: computed.Sensitivity, name: str) -> dict[str, float]:
         "alike_from": float(alike["from"].iloc[0]),
         "alike_to": float(alike["to"].iloc[-1]),
     }
-
-
-class Sensitivity(computed.Sensitivity, Result):
-    """What the weights do to one route. ``K`` weights.
-
-    Attributes:
-      maps: on which it is planned.
-      route: the cheapest route under the given weights.
-      names: ``"distance"`` and the metrics.
-      weights: ``[K]`` as given.
-      settings: what was varied, how far, and how finely; what was left out is filled in.
-      cost, outcomes: derivatives at the given weights (`cost_gradient`, `outcome_slopes`).
-      sobol: shares of variance over the whole range (`sobol_indices`).
-      lines: of each varied weight, the routes along its range, the others as given.
-      front: routes between objectives.
-      line_routes: ``[N, 2]`` easting and northing of the routes of each line, in the order of its cells.
-      num_plans, elapsed_s: searches and wall time.
-
-    Examples:
-      >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
-      >>> result = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
-      >>> {name: len(line.cells) for name, line in result.lines.items()}, result.route.status.value
-      ({'gps': 3}, 'optimal')
-    """
-
-    _command = "sensitivity"
-    _outputs = sensitivity_outputs
-
-
-sensitivity = savable(computed.sensitivity, Sensitivity)

@@ -1,1 +1,1 @@
-"""Three real cities in the package, their licences in NOTICE.md, and the script that makes them."""
+"""Three real cities in the package, their licences in NOTICE.md, and a synthetic one."""

@@ -19,10 +19,11 @@ from jaxurban.maps.provenance import Differing, differing
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
-from jaxurban.public import FactsRepr, listed
+from jaxurban.public import listed
 from jaxurban.settings import iso_utc
 from jaxurban.studies.compared_routes import compared_routes, regrets
 from jaxurban.studies.queries import NORMS
+from jaxurban.studies.results import Result
 from jaxurban.world.grid import Grid
 
 # The layer of cells that no planner enters, beside ``obstacle``, the metrics' rule.
@@ -40,8 +41,35 @@ class OneMap(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MapComparison(FactsRepr):
-    """What `jaxurban.report.map_comparison.MapComparison` holds."""
+class MapComparison(Result):
+    """Maps B beside maps A, on the cells, altitudes, times and layers that both hold. ``Y`` rows, ``X`` columns.
+
+    Attributes:
+      names: what A and B are called.
+      a, b: the maps, cut to what both hold.
+      left_out: what only one of them holds.
+      settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
+        of them was not made by `jaxurban maps`.
+      tolerance: up to which values are the same.
+      table: a row per layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
+        hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A in the layer's ``unit``,
+        ``gained`` and ``lost``, the cells that are higher by more than ``tolerance`` in B and in A, and
+        ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the
+        values are 1 where a cell is blocked and 0 elsewhere, and the cells all with data in both.
+      routes: a row for each route of one map under the other (`compared_routes`); empty where none were asked for.
+      seed: of their ends.
+
+    Examples:
+      >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
+      >>> change = ju.studies.compare(maps, higher_mask, progress=False)
+      >>> change.layers[:6], change.grid.shape
+      (('obstacle', 'closed', 'gps', 'lidar', 'population', 'risk'), (30, 30))
+      >>> change.left_out
+      {'altitude 20 m': 'B holds no such map'}
+    """
+
+    _command = "compare"
+    _report = "map_comparison:comparison_outputs"
 
     names: tuple[str, str]
     a: MetricMaps

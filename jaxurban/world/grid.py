@@ -560,3 +560,16 @@ class Grid:
         ):
             raise InputError(f"the grid {self} is not a part of the grid {outer}")
         return slice(row, row + self.num_rows), slice(col, col + self.num_cols)
+
+
+def grid_of(ds: Any) -> Grid:
+    """Return the grid of an `xarray.Dataset` of maps, as its attributes and the lengths of y and x have it."""
+    attrs = ds.attrs
+    return Grid(
+        attrs["crs"],
+        float(attrs["resolution_m"]),
+        int(attrs["first_row"]),
+        int(attrs["first_col"]),
+        num_rows=ds.sizes["y"],
+        num_cols=ds.sizes["x"],
+    )

@@ -13,8 +13,9 @@ from sgp4.exporter import export_omm, export_tle
 from skyfield.api import EarthSatellite, load, wgs84
 from skyfield.framelib import itrs
 
+from benchmarks.make_samples import GALILEO
 from jaxurban.errors import InputError, StaleElementsWarning
-from jaxurban.io.read.nominal import GALILEO, GPS, nominal_satellites
+from jaxurban.io.read.nominal import GPS, nominal_satellites
 from jaxurban.io.read.orbits import NO_SATELLITE, look_angles, matching, middle_epoch, read_orbits
 from jaxurban.settings import parse_time
 from jaxurban.world.sky import Sky

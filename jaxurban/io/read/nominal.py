@@ -1,4 +1,4 @@
-"""Nominal constellations: the published slots of GPS and Galileo, as satellites that can be moved to any day."""
+"""The nominal constellation: the published slots of GPS, as satellites that can be moved to any day."""
 
 import math
 from collections.abc import Mapping
@@ -80,29 +80,6 @@ GPS = Constellation(
     node_rate_deg=-4.4874e-7
     * 86400,  # the same standard's nominal almanac (Table A2-1), -4.4874e-7 deg/s
     turns=2.0,
-)
-
-# Source: European GNSS Service Centre, Orbital and technical parameters (www.gsc-europa.eu), reference constellation:
-# Walker 24/3/1, 17 orbits in 10 sidereal days. Its nodes count from an origin that does not turn, as its rates show
-# (613.72253566 degrees of latitude a day are 1.7 turns of Earth against that origin): the equinox moves away by the
-# precession in right ascension, 4612.157 arcseconds a century since 2000 (IAU 2006).
-PRECESSION_RATE_DEG = 4612.157 / 3600 / 36525
-GALILEO = Constellation(
-    name="GALILEO {}",
-    first_number=101,
-    slots={
-        f"{plane}0{slot}": (
-            317.632 + PRECESSION_RATE_DEG * 6168.5 + 120 * p,
-            180.153 + 45 * (slot - 1) + 15 * p,
-        )
-        for p, plane in enumerate("ABC")
-        for slot in range(1, 9)
-    },
-    table_date=date(2016, 11, 21),  # 6168.5 days after 2000-01-01 12:00
-    inclination_deg=56.0,
-    axis_km=29_600.318,
-    node_rate_deg=-0.02764398 + PRECESSION_RATE_DEG,
-    turns=1.7,
 )
 
 

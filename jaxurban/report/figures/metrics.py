@@ -41,7 +41,7 @@ DISTANCE_COLOUR = "#555555"
 UNITS = {"1": "", "km-2": "", "m": " in metres"}
 EMPTY_COLOUR = "#ffffff"
 Altitudes = float | Sequence[float] | None
-renamed = renamed_arguments("2.0", altitudes_m="altitude_m")
+renamed = renamed_arguments(altitudes_m="altitude_m")
 
 
 def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tuple[str, str]]:
@@ -288,10 +288,9 @@ def plot_epochs(
     note = frame_note(maps, of=name)
     legend = obstacle_patches(maps)
     colours = metric_colours(maps, name)
-    figure, _ = draw_maps(
-        maps.grid, panels, heading, note, legend=legend, colours=colours, width=width
-    )
-    return figure
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours, width=width)[
+        0
+    ]
 
 
 def _panel(
@@ -497,10 +496,9 @@ def plot_population(maps: MapsLike, *, width: Width = "page") -> Figure:
     legend = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
     heading = "Population density"
     note = frame_note(maps, has_sky=False)
-    figure, _ = draw_maps(
-        maps.grid, panels, heading, note, legend=legend, colours=colours, width=width
-    )
-    return figure
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours, width=width)[
+        0
+    ]
 
 
 def layers_above_zero(values: np.ndarray, colours: Colours) -> list[MapLayer]:

@@ -1,10 +1,8 @@
 """Pictures of what weights do to a route: breakpoints along lines, the Pareto front."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
@@ -95,7 +93,6 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     weight; later routes are thinner, so that earlier ones are seen below them. The route under the given weights is
     dashed.
     """
-    titles = [f"{name}, routes: {len(line.cells)}" for name, line in result.lines.items()]
     low, high = result.settings.factors
 
     # A tick at each power of ten, from the low factor to the first one that is not below the high factor. Rounding may
@@ -105,11 +102,31 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     ticks = [10.0**power for power in range(first, last + 1)]
     label = "weight, as a multiple of the given one"
     colours = Colours("viridis", LogNorm(low, high), label, ticks=ticks)
-    legend = [("given weights\n(dashed)", ON_ROUTES_COLOUR)]
+
+    # Equal maps of the normalised cost, on which the routes are drawn, with the ends of the given weights' route.
+    settings = result.route.settings
+    z = result.route.altitude_m
+    layers = cost_layers(result.maps, z, settings["time"], settings["time_of_day"])
+    panels_of = [
+        MapPanel(f"{name}, routes: {len(line.cells)}", layers)
+        for name, line in result.lines.items()
+    ]
     heading = "Cheapest routes along the range of each weight"
-    figure, axes = _maps(result, titles, heading, legend, colours)
+    heading = joined(heading, settings["time_of_day"], by=", ")
+    facts = joined(f"{z:g} m above ground", "grey: normalised cost, black: lowest")
+    note = "\n".join([facts, frame_note(result.maps, settings["time"]), rules_said(settings)])
+    legend: list[LegendEntry] = [
+        *obstacle_patches(result.maps, BLOCKED_COLOUR),
+        ("given weights\n(dashed)", ON_ROUTES_COLOUR),
+        *ENDS,
+    ]
+    figure, axes = draw_maps(
+        result.maps.grid, panels_of, heading, note, legend=legend, colours=colours
+    )
 
     for panel, name in zip(axes, result.lines, strict=True):
+        draw_ends(panel, [result.route])
+
         # A row for each route along the range, with the weights between which it is the cheapest.
         table = result.breakpoints(name)
         given_weight = result.weights[result.names.index(name)]
@@ -166,35 +183,3 @@ def _feature_label(result: Sensitivity, name: str) -> str:
     if settings["cost_model"] == "line":
         unit = f"sum of c per {settings['reference_length_m']:g} m"
     return f"{name} cost ({unit}; lower is better)"
-
-
-def _maps(
-    result: Sensitivity,
-    titles: list[str],
-    heading: str,
-    legend: Sequence[LegendEntry],
-    colours: Colours | None = None,
-) -> tuple[Figure, list[Axes]]:
-    """Return equal maps of the normalised cost with the route's ends, for routes to be drawn over, and their axes.
-
-    Args:
-      result: whose maps and route they show.
-      titles: one for each map.
-      heading: of the figure; the time of day is added.
-      legend: entries beside those of obstacles and ends.
-      colours: of one bar for all maps; None: no bar but those of the cost.
-    """
-    settings = result.route.settings
-    z = result.route.altitude_m
-    layers = cost_layers(result.maps, z, settings["time"], settings["time_of_day"])
-    heading = joined(heading, settings["time_of_day"], by=", ")
-    facts = joined(f"{z:g} m above ground", "grey: normalised cost, black: lowest")
-    note = "\n".join([facts, frame_note(result.maps, settings["time"]), rules_said(settings)])
-    entries = [*obstacle_patches(result.maps, BLOCKED_COLOUR), *legend, *ENDS]
-    panels_of = [MapPanel(title, layers) for title in titles]
-    figure, axes = draw_maps(
-        result.maps.grid, panels_of, heading, note, legend=entries, colours=colours
-    )
-    for panel in axes:
-        draw_ends(panel, [result.route])
-    return figure, axes

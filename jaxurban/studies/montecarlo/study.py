@@ -20,7 +20,6 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.rows import MapsFolder, check_workers, run_rows
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress, reporting
-from jaxurban.public import FactsRepr
 from jaxurban.samples.synthetic import demo_cover_for_bounds
 from jaxurban.settings import CostKind, Preset
 from jaxurban.studies.montecarlo import analysis
@@ -34,6 +33,7 @@ from jaxurban.studies.montecarlo.sampling import (
     with_connection,
 )
 from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
+from jaxurban.studies.results import Result
 from jaxurban.world.grid import Grid
 from jaxurban.world.land_cover import LandCover
 
@@ -46,8 +46,25 @@ OF_SAMPLING = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BenchmarkResult(FactsRepr):
-    """What `jaxurban.report.montecarlo.BenchmarkResult` holds."""
+class BenchmarkResult(Result):
+    """What a Monte Carlo benchmark found.
+
+    Attributes:
+      folder: where it is kept.
+      maps: what it was made on.
+      instances: the queries (`sample_instances`).
+      rows: what each planner found, one row per planner, objective, instance and altitude.
+      settings: how they were run.
+
+    Examples:
+      >>> chosen = ju.studies.Study(planners="astar-plus", distance_only=(), altitudes_m=[60.0])
+      >>> result = ju.studies.study(maps, "found", 2, settings=chosen, progress=False)
+      >>> result.table.groupby("planner")["has_path"].mean().to_dict()
+      {'astar-plus': 1.0}
+    """
+
+    _command = "study"
+    _report = "montecarlo:benchmark_outputs"
 
     folder: Path
     maps: MetricMaps

@@ -29,11 +29,12 @@ from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.track import NUM_VISIBLE, Track, predict
 from jaxurban.progress import Progress, reporting
-from jaxurban.public import Caution, FactsRepr
+from jaxurban.public import Caution
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.studies.receiver.agreement import SatelliteAgreement, agreement_of
 from jaxurban.studies.receiver.prediction import ReceiverSettings, region_of, task_at
 from jaxurban.studies.receiver.satellites import counted, known_of, with_directions
+from jaxurban.studies.results import Result
 
 MAIN = {TRACKED: NUM_VISIBLE, ERROR: "hdop"}
 # Of all else, dilutions of precision and errors, less is better.
@@ -45,8 +46,40 @@ FEWEST_PIECES = 8  # fewer rank nothing
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ReceiverValidation(FactsRepr):
-    """What `jaxurban.report.receiver.ReceiverValidation` holds."""
+class ReceiverValidation(Result):
+    """A receiver's log beside what maps say along its track.
+
+    Attributes:
+      log: what the receiver logged.
+      settings: how the two were set beside each other.
+      scenario: the settings that the maps were made with.
+      summary: numbers of the whole: epochs, those in a building, length of the track, means. Metres end in ``_m``.
+      epochs: a row per epoch: time, place, distance along the track, witnesses and predictions; NaN in a building.
+      pieces: a row per piece of track of ``settings.piece_m``: medians of the same.
+      scores: a row per ``witness``, ``prediction`` and ``piece_m``: ``num`` pieces, and for the rank correlation
+        ``within`` blocks and ``spearman`` over the whole track the value, what 95 % of all shifts along the track stay
+        at or below (``_shifts_95``) and the share of all shifts, that of 0 m among them, that score at least as high
+        (``_p``); of ``within`` also the ends of its 95 % interval (``_low``, ``_high``). Above 0 the receiver does
+        better where the maps say so; NaN where a coefficient is not defined.
+      shifts: a row per witness, length of pieces and ``shift`` of the maps along the track, in pieces, with the
+        coefficients.
+      attribution: whom to credit for the city.
+      guesses: what city and sky rest on that no file says, a sentence each.
+      satellites: of a log with a row per satellite, how the maps agree with it, satellite by satellite; else None. Then
+        ``num_visible`` and, where the log has none, ``num_tracked`` count the satellites that are judged.
+
+    Examples:
+      >>> result = ju.studies.validate(scenario, log, progress=False)
+      >>> result.summary["epochs"], result.summary["epochs_left_out"], round(result.summary["length_m"])
+      (40, 7, 338)
+      >>> result.pieces[["piece", "epochs", "num_tracked", "num_visible"]].head(2)
+         piece  epochs  num_tracked  num_visible
+      0      0       3          5.0          5.0
+      1      1       2          5.0          3.5
+    """
+
+    _command = "validate"
+    _report = "receiver:validation_outputs"
 
     log: ReceiverLog
     settings: ReceiverSettings

@@ -15,8 +15,8 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import Point
 from jaxurban.progress import Progress, reporting
-from jaxurban.public import FactsRepr
 from jaxurban.studies.queries import RouteQuery, check_flat, outcomes_of, query_between
+from jaxurban.studies.results import Result
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import EXACT, Partition, find_breakpoints, pareto_front
 from jaxurban.studies.weights.sobol import (
@@ -29,8 +29,31 @@ from jaxurban.studies.weights.sobol import (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sensitivity(FactsRepr):
-    """What `jaxurban.report.sensitivity.Sensitivity` holds."""
+class Sensitivity(Result):
+    """What the weights do to one route. ``K`` weights.
+
+    Attributes:
+      maps: on which it is planned.
+      route: the cheapest route under the given weights.
+      names: ``"distance"`` and the metrics.
+      weights: ``[K]`` as given.
+      settings: what was varied, how far, and how finely; what was left out is filled in.
+      cost, outcomes: derivatives at the given weights (`cost_gradient`, `outcome_slopes`).
+      sobol: shares of variance over the whole range (`sobol_indices`).
+      lines: of each varied weight, the routes along its range, the others as given.
+      front: routes between objectives.
+      line_routes: ``[N, 2]`` easting and northing of the routes of each line, in the order of its cells.
+      num_plans, elapsed_s: searches and wall time.
+
+    Examples:
+      >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
+      >>> result = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
+      >>> {name: len(line.cells) for name, line in result.lines.items()}, result.route.status.value
+      ({'gps': 3}, 'optimal')
+    """
+
+    _command = "sensitivity"
+    _report = "sensitivity:sensitivity_outputs"
 
     maps: MetricMaps
     route: PlannedPath
@@ -215,7 +238,11 @@ def sensitivity(
     check_flat(cost_map)
     begin_s = time.perf_counter()
     settings = settings or SensitivitySettings()
-    query, route = _plan(cost_map, start, goal, snap)
+    route = cost_map.plan(start, goal, snap=snap)
+    if not route.status.has_path:
+        raise InputError(f"there is no route to study: {route.to_dict()['message']}")
+    snapped_start, snapped_goal = cost_map.ends(start, goal, snap=snap)
+    query = query_between(cost_map, snapped_start.cell, snapped_goal.cell)
     names = query.names
     weights = cost_map.weight_vector
     pool = RoutePool([query])
@@ -293,23 +320,3 @@ def _routes(query: RouteQuery, line: Partition) -> list[np.ndarray]:
     with ThreadPoolExecutor() as threads:
         routes = threads.map(query.cheapest, line.weights_at(line.middles))
         return [points_m + southwest_m for points_m in routes]
-
-
-def _plan(
-    cost_map: CostMap, start: Point, goal: Point, snap: bool | float
-) -> tuple[RouteQuery, PlannedPath]:
-    """Return the query between two places, and its planned route.
-
-    Args:
-      cost_map: with the weights that the route is planned under.
-      start, goal: longitude, latitude in degrees.
-      snap: as in `sensitivity`.
-
-    Raises:
-      InputError: there is no route, or both places are in one cell.
-    """
-    route = cost_map.plan(start, goal, snap=snap)
-    if not route.status.has_path:
-        raise InputError(f"there is no route to study: {route.to_dict()['message']}")
-    snapped_start, snapped_goal = cost_map.ends(start, goal, snap=snap)
-    return query_between(cost_map, snapped_start.cell, snapped_goal.cell), route

@@ -1,6 +1,7 @@
-"""Makes the sample cities from files of their sources: ``python -m jaxurban.samples.make [DATA]``.
+"""Makes the sample cities from files of their sources: ``python -m benchmarks.make_samples [DATA]``.
 
-DATA is the folder of these files, else ``JAXURBAN_DATA``, else ``../shared/data``. NOTICE.md says what each file is.
+DATA is the folder of these files, else ``JAXURBAN_DATA``, else ``../shared/data``. ``jaxurban/samples/NOTICE.md`` says
+what each file is.
 """
 
 import math
@@ -19,14 +20,13 @@ from skyfield.api import load
 from jaxurban.io.geoparquet import write_geoparquet
 from jaxurban.io.read.base_map import read_base_map, write_base_map
 from jaxurban.io.read.census import read_blocks, read_districts
-from jaxurban.io.read.nominal import GALILEO, GPS, MARK, Constellation, nominal_satellites
+from jaxurban.io.read.nominal import GPS, MARK, Constellation, nominal_satellites
 from jaxurban.io.read.osm import OSM_CREDIT, TAGS, header_box, projected, read_osm
 from jaxurban.io.read.receiver import read_receiver_log
-from jaxurban.io.samples import BASE_MAP_FILE, BUILDINGS_FILE, LOG_FILE, SAMPLES
+from jaxurban.io.samples import BASE_MAP_FILE, BUILDINGS_FILE, HOME, LOG_FILE, SAMPLES
 from jaxurban.metrics.population import Population
 from jaxurban.world.grid import WGS84, Bounds, box_of, transformer, utm_of
 
-HERE = Path(__file__).parent
 STEP_DEG = 1e-6  # of coordinates, about 0.1 m
 MARGIN_M = 400.0  # of Shinjuku: so far around the region every roof is kept
 MASK_DEG = 5.0  # beyond, those that hide a satellite above it from some place in the region
@@ -47,6 +47,29 @@ TAG_OF = {  # of the names of `Outlines` that differ from OpenStreetMap's
     "roof_levels": "roof:levels",
     "min_level": "building:min_level",
 }
+
+# Source: European GNSS Service Centre, Orbital and technical parameters (www.gsc-europa.eu), reference constellation:
+# Walker 24/3/1, 17 orbits in 10 sidereal days. Its nodes count from an origin that does not turn, as its rates show
+# (613.72253566 degrees of latitude a day are 1.7 turns of Earth against that origin): the equinox moves away by the
+# precession in right ascension, 4612.157 arcseconds a century since 2000 (IAU 2006).
+PRECESSION_RATE_DEG = 4612.157 / 3600 / 36525
+GALILEO = Constellation(
+    name="GALILEO {}",
+    first_number=101,
+    slots={
+        f"{plane}0{slot}": (
+            317.632 + PRECESSION_RATE_DEG * 6168.5 + 120 * p,
+            180.153 + 45 * (slot - 1) + 15 * p,
+        )
+        for p, plane in enumerate("ABC")
+        for slot in range(1, 9)
+    },
+    table_date=date(2016, 11, 21),  # 6168.5 days after 2000-01-01 12:00
+    inclination_deg=56.0,
+    axis_km=29_600.318,
+    node_rate_deg=-0.02764398 + PRECESSION_RATE_DEG,
+    turns=1.7,
+)
 
 
 def make_lower_manhattan(data: Path, home: Path) -> None:
@@ -215,7 +238,7 @@ def main(arguments: list[str]) -> None:
         "nihonbashi": make_nihonbashi,
     }
     for name, make in makers.items():
-        home = HERE / name
+        home = HOME / name
         home.mkdir(exist_ok=True)
         make(data, home)
         sizes = {path.name: path.stat().st_size for path in sorted(home.iterdir())}

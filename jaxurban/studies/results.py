@@ -1,0 +1,40 @@
+"""What users get from studies: results that write themselves to a folder: tables, figures and report.md."""
+
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import ClassVar
+
+from jaxurban.checks import typed
+from jaxurban.io.workspace import Workspace
+from jaxurban.public import FactsRepr
+
+
+class Result(FactsRepr):
+    """Base of the result of a study.
+
+    Attributes:
+      _command: that writes such results; a folder of one of another command is not replaced.
+      _report: ``module:function`` of `jaxurban.report`, which is imported when a result is saved: it draws, and imports
+        studies. The function returns what is written of a result (`jaxurban.report.write.Written`).
+    """
+
+    _command: ClassVar[str]
+    _report: ClassVar[str]
+
+    @typed
+    def save(self, folder: str | Path, overwrite: bool = False) -> list[Path]:
+        """Write the report, tables (CSV, Parquet), figures (PNG) and maps (GeoTIFF) of a study, and return the files.
+
+        Args:
+          folder: where to; made if it is not there.
+          overwrite: replace another study of the kind in it.
+
+        Raises:
+          InputError: the folder cannot be written to, or holds another study or other files.
+        """
+        folder = Path(folder)
+        write = resolve_name("jaxurban.report.write")
+        outputs, settings = resolve_name(f"jaxurban.report.{self._report}")(self)
+        names = write.files_of(outputs)
+        with Workspace.open(folder, self._command, settings, names=names, overwrite=overwrite):
+            return write.save(folder, outputs)
