@@ -62,10 +62,8 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
                 return scenario
             changed = [role for role in files if recorded.get(role) != files[role]]
             if files:
-                lost = {
-                    role: inputs.get(role, {})
-                    for role in (*changed, *recorded.keys() - files.keys())
-                }
+                gone = recorded.keys() - files.keys()
+                lost = {role: files.get(role, inputs.get(role, {})) for role in (*changed, *gone)}
             if not {*STANDING}.isdisjoint(changed):
                 kind = ChangedSourcesError
     names = ", ".join(repr(file.get("path")) for file in lost.values())

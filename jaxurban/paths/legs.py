@@ -110,6 +110,20 @@ class Flight:
         return f"; over the ground of the maps' cells, which may be off by up to {off_m:.1f} m"
 
     @property
+    def home_off_m(self) -> float:
+        """How far home's elevation in the file is from the ground there; 0 where no height above the sea is flown."""
+        mission = self.mission
+        datums = {place.datum for leg in mission.legs for place in (leg.start, leg.end)}
+        if mission.home is None or mission.home_elevation_m is None or "geoid" not in datums:
+            return 0.0
+        off_m = (
+            0.0
+            if self.ground.is_flat
+            else self.ground.at_lonlat(*mission.home) - mission.home_elevation_m
+        )
+        return abs(np.nan_to_num(off_m))
+
+    @property
     def off_line(self) -> list[str]:
         """What `line_m` leaves out, or knows no height of: a sentence each."""
         over_m = (

@@ -28,6 +28,7 @@ from jaxurban.paths.plan import rules_on
 from jaxurban.settings import as_tuple, iso_utc, not_negative, parse_time
 from jaxurban.studies.check_result import MissionCheck
 
+MOST_HOME_OFF_M = 20.0  # by which elevation models of a place may differ
 CHANGED = "The files that the maps were made of have changed since: what stands now is not judged."
 
 
@@ -154,6 +155,11 @@ def check(
     not_judged += [f"{text[:1].upper()}{text[1:]}." for text in mission.not_judged]
     if not mission.legs:
         not_judged.append("The mission holds no leg.")
+    if flight.home_off_m > MOST_HOME_OFF_M:
+        not_judged.append(
+            f"Home is {flight.home_off_m:.0f} m from the ground of the maps by the elevation in the file, so heights "
+            "above the sea may be off by as much."
+        )
     if mission.num_lost:
         not_judged.append(
             f"{mission.num_lost:,} things of the file are in no leg and in no reason here."

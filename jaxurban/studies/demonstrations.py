@@ -89,12 +89,15 @@ class Demonstration:
         return least
 
     def cheapest_near(self, weights: np.ndarray, within_cells: float = ROUNDED_CELLS) -> np.ndarray:
-        """Return ``[K]`` the features of the cheapest route near this one.
+        """Return the features of the cheapest route near this one.
 
         Args:
           weights: ``[K]`` under which it is the cheapest.
           within_cells: of ``points_m``, and no farther than ``drawn_cells``. Where this is 0 the features are those of
             ``points_m``.
+
+        Returns:
+          ``[K]``, in the order of the weights.
         """
         within_cells = min(within_cells, self.drawn_cells)
         if not within_cells:

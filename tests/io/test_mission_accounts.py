@@ -149,9 +149,9 @@ def test_rows_of_a_table_are_counted_from_its_text(read):
         b"lon,lat,alt\r\n0,50,40\r\n\r\n0,50,40\r\n1,50,40\r\n", "m.csv", heights="geoid"
     )
     assert (mission.num_things, mission.num_lost, mission.not_judged) == (3, 0, (CLIMB,))
-    hidden = b'lon,lat,alt,note\n0,50,40,\n1,50,40,"a\n2,50,10,b"\n2,50,40,\n'
-    mission = read(hidden, "m.csv", heights="geoid")
-    assert "other positions (1 positions)" in mission.not_judged[1]
+    quoted = b'lon,lat,alt,note\n0,50,40,\n1,50,40,"a\n2,50,10,b"\n2,50,40,\n'
+    mission = read(quoted, "m.csv", heights="geoid")
+    assert (mission.num_things, mission.num_lost, mission.not_judged) == (3, 0, (CLIMB,))
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +189,7 @@ def test_heights_of_two_notations_agree_or_are_refused(read):
         properties = {"settings": {}, "z_m": [z_m, z_m]} | more
         return {"type": "Feature", "properties": properties, "geometry": line}
 
-    assert read(own([60.004]), "m.geojson").legs[0].end[2:] == (60.0, "ground")
+    assert read(own([60.004]), "m.geojson").legs[0].end[2:4] == (60.0, "ground")
     with pytest.raises(ju.InputError, match="30 m, and its feature 60 m"):
         read(own([30]), "m.geojson")
     foreign = own([30], altitude_m=60.0)
@@ -205,10 +205,10 @@ def test_heights_of_two_notations_agree_or_are_refused(read):
 def test_elevations_of_a_gpx_of_jaxurban_count_as_other_programs_fly_them(read):
     words = "<desc>60.00 m above ground</desc>"
     flat = read(GPX.format("jaxurban", words, words, ""), "m.gpx")
-    assert (flat.legs[0].end[2:], flat.legs[0].profile) == ((60.0, "ground"), "frame")
+    assert (flat.legs[0].end[2:4], flat.legs[0].profile) == ((60.0, "ground"), "frame")
     changed = "<ele>30</ele>" + words
     leg = read(GPX.format("jaxurban", changed, changed, ""), "m.gpx").legs[0]
-    assert (leg.start[2:], leg.end[2:]) == ((30.0, "geoid"), (30.0, "geoid"))
+    assert (leg.start[2:4], leg.end[2:4]) == ((30.0, "geoid"), (30.0, "geoid"))
     with pytest.raises(ju.InputError, match="point 2 has no height"):
         read(GPX.format("jaxurban", changed, words, ""), "m.gpx")
     with pytest.raises(ju.InputError, match="two values of ele"):
@@ -235,7 +235,7 @@ def test_two_columns_of_one_quantity_agree_or_are_refused(read, header, row):
 
 
 def test_tables_that_do_not_fit_their_header_are_refused_at_once(read):
-    with pytest.raises(ju.InputError, match="more values than the header"):
+    with pytest.raises(ju.InputError, match="and the header 3"):
         read("lon,lat,alt\n0,50,40,1\n0.01,50,40,1\n", "m.csv", heights="ground")
     began = time.process_time()
     wide = ",".join(f"c{number}" for number in range(100_000))

@@ -127,15 +127,19 @@ def read_waypoints(
 
     start: Home = (home, None)
     autopilot: Autopilot = "unknown"
+    first_key = items[0].key or 0 if items else 0
     if items and items[0].key == 0 and items[0].command in (0, WAYPOINT):
         first = items.pop(0)
+        first_key = 1
         num_rows -= 1
         elevation_m = first.height_m if first.datum == "geoid" else math.nan
         start = _home(home, first.lon, first.lat, elevation_m)
         autopilot = "ardupilot"
+    is_ordered = [item.key for item in items] == list(range(first_key, first_key + len(items)))
+    notes = [] if is_ordered else ["its rows are not numbered in their order, so jumps may differ"]
     numbered = [item._replace(number=number) for number, item in enumerate(items, 1)]
     flight = Flight(numbered, start[0], return_altitude_m, autopilot)
-    return _flown(name, flight, num_rows, start, [], speed_m_s=math.nan)
+    return _flown(name, flight, num_rows, start, notes, speed_m_s=math.nan)
 
 
 def _flown(
