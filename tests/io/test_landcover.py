@@ -201,9 +201,7 @@ def test_a_city_keeps_its_bounds_and_a_wreck_does_not_stretch_its_maps(tmp_path)
     )
     city = ju.City.from_files(path, bounds=BOUNDS, crs=UTM)
     assert city.bounds == BOUNDS
-    maps = ju.build_maps(
-        city, resolution_m=20.0, altitudes_m=(20.0,), population=ju.Population(time_of_day=("day",))
-    )
+    maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
     assert maps.grid == ju.Grid.from_bounds(BOUNDS, 20.0, UTM)
     assert 0.5 < outside_share(maps.grid, city.known_area) < 0.9  # the wreck makes nothing known
     x_min, y_min, x_max, y_max = city.extent_m

@@ -40,9 +40,12 @@ def test_the_city_is_found_beside_its_maps_and_where_it_is_named(folder, maps, t
 
 def test_a_file_that_is_gone_or_changed_is_named(folder, maps, tmp_path):
     (tmp_path / "city.geojson").write_bytes((folder / "city.geojson").read_bytes() + b" ")
-    for place in (tmp_path, tmp_path / "none"):
+    (tmp_path / "empty").mkdir()
+    for place in (tmp_path, tmp_path / "empty"):
         with pytest.raises(ju.InputError, match=r"no longer there as it was \('city\.geojson'\)"):
             city_of(maps, place)
+    with pytest.raises(ju.InputError, match="sources must be a folder"):
+        city_of(maps, tmp_path / "none")
 
 
 def test_maps_in_memory_or_saved_from_python_ask_for_the_city(tmp_path):
