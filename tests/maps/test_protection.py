@@ -109,11 +109,11 @@ def test_a_path_keeps_a_bound_on_it_and_its_note_tells(maps):
     )
 
 
-def test_maps_without_it_say_that_its_weight_is_ignored(maps):
+def test_maps_without_it_refuse_its_weight(maps):
     ends = ends_of(maps, ALTITUDE_M)
     without = ju.MetricMaps(maps.ds.drop_vars(["protection", "hpl", "vpl", "within_limits"]))
-    path = ju.plan(without, *ends, altitude_m=ALTITUDE_M, weights={"protection": 2.0})
-    assert "These maps hold no population and no protection" in path.search.note
+    with pytest.raises(ju.InputError, match="weights name protection, of which these maps hold no"):
+        ju.plan(without, *ends, altitude_m=ALTITUDE_M, weights={"protection": 2.0})
     assert "protection" not in ju.plan(without, *ends, altitude_m=ALTITUDE_M).search.note
 
 

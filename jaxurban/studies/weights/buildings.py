@@ -119,8 +119,9 @@ def building_costs(
     # [B] gradients of all buildings, by layer and in sum; the listed ones are numbers of buildings, in their order.
     assert city.buildings is not None
     visits = _visits(soft, planned, params)
-    check_held(weights, soft.names)
-    weights = weights_of(planned) if weights is None else Weights.of(weights).checked(soft.names)
+    named = weights
+    weights = weights_of(planned) if named is None else Weights.of(named).checked(soft.names)
+    check_held(named, soft.names)
     slopes, soft_cost = _slopes(soft, params, weights, visits)
     parts = pd.DataFrame({name: np.asarray(slope, np.float64) for name, slope in slopes.items()})
     per_metre = np.sum([parts[name] for name in parts], axis=0)
