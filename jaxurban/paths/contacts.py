@@ -16,6 +16,8 @@ from jaxurban.paths.profile import GUESSED, TOUCHED
 from jaxurban.settings import SLABS
 
 TOUCH_M = 0.01  # stretches so near along a mission are one
+MOST_PAIRS = 2_000_000  # of steps and prisms beside them: less than a GiB
+NUM_TRIED = 100  # steps by which their number is predicted
 DOT_M = 1e-6  # length that a step straight up or down has in plan
 
 
@@ -83,14 +85,26 @@ def contacts(
     Returns:
       ``step`` and ``prism`` (numbers), ``from_m`` and ``to_m`` along the mission, ``gap_m`` (least height over the top,
       or below the floor; negative inside) and ``apart_m`` (distance to the outline in plan), in the order of travel.
+
+    Raises:
+      InputError: more than about `MOST_PAIRS` pairs that are no farther apart.
     """
+    if not len(prisms.polygons):
+        steps = steps.take(np.arange(0))  # a million lines take two seconds
     # Pairs that meet in plan. A step straight up or down gets a length there, since a line needs one.
     ends_m = steps.ends_m.copy()
     ends_m[steps.over_m == 0, 1, 0] += DOT_M
     lines = shapely.linestrings(ends_m)
-    step, prism = shapely.STRtree(prisms.polygons).query(
-        lines, predicate="dwithin", distance=beside_m
-    )
+    tree = shapely.STRtree(prisms.polygons)
+    if beside_m:
+        some = lines[:: len(lines) // NUM_TRIED + 1]
+        num_near = len(tree.query(some, predicate="dwithin", distance=beside_m)[0])
+        if num_near * len(lines) > MOST_PAIRS * len(some):
+            raise InputError(
+                f"clearance_m of {beside_m:g} m is too far: {num_near / len(some):,.0f} buildings are as near to a "
+                "place of the mission, more than can be looked at; choose a smaller one"
+            )
+    step, prism = tree.query(lines, predicate="dwithin", distance=beside_m)
     outlines = prisms.polygons[prism]
     z_m = steps.z_m[step]
     apart_m = shapely.distance(lines[step], outlines)

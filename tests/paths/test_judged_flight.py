@@ -294,6 +294,15 @@ def test_where_the_files_are_gone_what_the_ground_may_be_off_counts(tmp_path):
     assert state(12.0).state == "clean"
 
 
+def test_a_clearance_that_holds_too_many_buildings_is_refused(tmp_path, monkeypatch):
+    scene = world(*((x_m, 400.0, 2.0, 5.0) for x_m in range(100, 500, 4)))
+    plan = scene.plan((WAYPOINT, 3, (500.0, 300.0), 60.0, ()))
+    monkeypatch.setattr("jaxurban.paths.contacts.MOST_PAIRS", 20_000)
+    assert checked(scene, tmp_path, plan, clearance_m=5.0).state == "clean"
+    with pytest.raises(ju.InputError, match=r"150 m is too far: \d+ buildings are as near"):
+        checked(scene, tmp_path, plan, clearance_m=150.0)
+
+
 def test_the_line_over_people_holds_legs_whose_height_is_open(tmp_path):
     scene = world((9.0, 9.0, 5.0, 5.0))
     items = [(WAYPOINT, 3, (500.0, 300.0), 30.0, ()), (RETURN, 2, None, 0.0, ())]
