@@ -325,6 +325,6 @@ def fitted(**given: Any) -> Any:
 
 def without_times(file: Path) -> str:
     """Return the text of a file that a command wrote, of a table without its columns of times."""
-    if file.suffix != ".csv":
+    if file.suffix != ".csv" or not file.read_text().strip():
         return file.read_text()
     return plain(pd.read_csv(file))

@@ -17,6 +17,9 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.cli.main import COMMANDS
+from jaxurban.maps.build import compute_maps
+from jaxurban.maps.run import tasks_of
+from jaxurban.world.raster import Raster
 from tests import arguments as on
 from tests.arguments import BOX, ENGINE, GOAL, LATER, PROGRESS, START, WORKERS, Case, Same, home
 from tests.cli_runs import run
@@ -122,7 +125,7 @@ def scenario(**region: Any) -> Any:
     bounds = (-74.0, 40.755, -73.995, 40.759)
     settings = {"bounds": bounds, "resolution_m": 50.0, "altitudes_m": [20.0]} | region
     of = ju.Scenario.from_dict({"region": settings, "buildings": {"source": "synthetic"}})
-    return [on.compute_maps(task) for task in on.tasks_of(of)]
+    return [compute_maps(task) for task in tasks_of(of)]
 
 
 def protected(**given: Any) -> ju.MetricMaps:
@@ -138,7 +141,7 @@ def saved(**given: Any) -> bytes:
 
 def raster_city(**given: Any) -> ju.MetricMaps:
     x, y = np.meshgrid(np.arange(8), np.arange(8))
-    roofs = on.Raster(
+    roofs = Raster(
         np.where((x % 3 > 0) & (y % 3 > 0), 30.0, 0.0).astype(np.float32),
         (10.0, 0, 0, 0, -10.0, 80.0),
         "EPSG:32618",
@@ -977,7 +980,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "-o",
             "{out}",
             "--sample=3",
-            "--pilot=gps=1",
+            "--pilot=gps=1,distance=0.1",
             "--rounds=2",
             "--bootstrap=2",
             "--altitude=60",
@@ -986,7 +989,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         | {
             "-o": Case("{home}/town.toml", refused="town.toml"),
             "--sample": "4",
-            "--pilot": "risk=1",
+            "--pilot": "risk=1,distance=0.1",
             "--planner": Case("astar-plus", refused="planner"),
             "--wish": Case("detour<=0.1", refused="--wish"),
             "--metrics": "gps",
@@ -996,7 +999,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--resolution": "40",
             "--cost-model": "cell",
             "--obstacles": "centre",
-            "--scale": "distance",
+            "--scale": Same("the rows of fit_weights and compare_fits have it"),
             "--bootstrap": "4",
             "--hold-out": "0.5",
             "--by-city": Same(
@@ -1016,7 +1019,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         | {
             "--samples": "4",
             "--pareto": "distance,risk",
-            "--tolerance": "0.5",
+            "--tolerance": Case("0.5", ("--pareto=distance,lidar",)),
             "--buildings": "",
             "--scenario": Case("{home}/town.toml", refused="--scenario"),
             "--vary": "risk",

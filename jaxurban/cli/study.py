@@ -74,8 +74,8 @@ def study(
     from jaxurban.studies.montecarlo.study import study as run_study
 
     # Settings that --set names and that a file of instances fixes.
-    fixed = [f"study.{name}" for name in OF_SAMPLING]
-    beside = [change for change in changes if change.partition("=")[0].strip() in fixed]
+    fixed = tuple(f"study.{name}" for name in OF_SAMPLING)
+    beside = [change for change in changes if change.startswith(fixed)]
     if instances_file is not None and beside:
         raise click.UsageError(
             f"--set {beside[0]} belongs to sampled instances: leave it out, or --instances"

@@ -236,13 +236,11 @@ def check_held(
     Raises:
       InputError: a weight of a layer that is not there.
     """
-    numbers = dict(given.values if isinstance(given, Weights) else given or {})
+    numbers: Any = given or {}
     if isinstance(given, Weights):
-        default = dict.fromkeys(METRICS, METRIC_WEIGHT)
-        usual_items = (default | dict(usual or {})).items() | default.items()
-        numbers = {
-            name: value for name, value in numbers.items() if (name, value) not in usual_items
-        }
+        own = usual or {}
+        values = given.to_dict().items()
+        numbers = {name: x for name, x in values if x not in (METRIC_WEIGHT, own.get(name))}
     held = ("distance", *metrics)
     lost = [name for name, value in numbers.items() if value > 0 and name not in held]
     if lost:

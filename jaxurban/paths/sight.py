@@ -109,12 +109,9 @@ class Sight:
         scenario = scenario_of(folder_of(where), sources)
         resolutions_m = scenario.region.resolution_m
         if isinstance(where, MetricMaps):
-            own_m = where.grid.resolution_m
-            if resolution_m not in (None, own_m):
-                raise InputError(
-                    f"resolution_m is {own_m:g} m in these maps, got {resolution_m:g}: leave it out"
-                )
-            resolution_m = own_m
+            if resolution_m not in (None, where.grid.resolution_m):
+                raise InputError("resolution_m is not that of these maps: leave it out")
+            resolution_m = where.grid.resolution_m
         if resolution_m is None:
             resolution_m = resolutions_m[0]
         if resolution_m not in resolutions_m:

@@ -110,7 +110,7 @@ def run_tuning(
         source: _files_of(source, files, settings.sample) for source, files in sources.items()
     }
     files = list(chain.from_iterable(files_by_source.values()))
-    if files and all(map(_holds_lines, files)) and (settings.pilot or settings.planner):
+    if (settings.pilot or settings.planner) and files and all(map(_holds_lines, files)):
         raise InputError(
             "a pilot and a planner are of sampled instances, studies and tables, and the files hold lines: leave "
             "--pilot and --planner out"

@@ -168,8 +168,9 @@ def study(
         instances = with_connection(instances, opened, model, constraints)
         _check_places(instances, opened, constraints)
     else:
-        cover = "sample with ju.studies.sample_instances(cover=...), which takes water and parks, and give its table"
-        _check_samples(chosen, ("land_cover",), cover)
+        _check_samples(
+            chosen, ("land_cover",), "sample_instances(cover=...) takes it: give its table"
+        )
         instances = sample_instances(
             opened,
             job.study.instances,

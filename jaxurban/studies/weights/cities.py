@@ -140,7 +140,7 @@ def open_cities(
             f"the maps have cells of {listed}, on which the 'cell' cost model costs differently: use cost_model='line'"
         )
     cities = Cities(opened, all_maps, common_settings, common_weights)
-    check_held(weights, cities.metrics, all_maps[first].recorded.get("weights"))
+    check_held(weights, cities.metrics)
     return cities
 
 
