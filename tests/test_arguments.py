@@ -995,12 +995,12 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--metrics": "gps",
             "--altitude": "20",
             "--time-of-day": "night",
-            "--time": LATER,
+            "--time": "2020-04-27T16:00:00Z",
             "--resolution": "40",
             "--cost-model": "cell",
             "--obstacles": "centre",
             "--scale": Same("the rows of fit_weights and compare_fits have it"),
-            "--bootstrap": "4",
+            "--bootstrap": "0",
             "--hold-out": "0.5",
             "--by-city": Same(
                 "one city is fitted alone as it is with all: compare_fits has a row of two"
