@@ -116,11 +116,9 @@ class Flight:
         datums = {place.datum for leg in mission.legs for place in (leg.start, leg.end)}
         if mission.home is None or mission.home_elevation_m is None or "geoid" not in datums:
             return 0.0
-        off_m = (
-            0.0
-            if self.ground.is_flat
-            else self.ground.at_lonlat(*mission.home) - mission.home_elevation_m
-        )
+        if self.ground.is_flat:
+            return 0.0
+        off_m = self.ground.at_lonlat(*mission.home) - mission.home_elevation_m
         return abs(np.nan_to_num(off_m))
 
     @property
@@ -223,17 +221,10 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     zeros_m = _zeros_m(mission, ground, geoid_m)
     for name, zero_m in zeros_m.items():
         datum_m[segments.datum == name] = zero_m
-    least = [leg.not_below for leg in mission.legs]
-    least_m = np.array(
-        [-np.inf if place is None else _elevation_m(place, ground, zeros_m) for place in least]
-    )
-    elevation_m = segments.height_m + datum_m
+    z_m = segments.height_m + datum_m
     is_level = np.vectorize(_is_level, otypes=[bool])(segments.place)
     for end in zip(*np.nonzero(is_level), strict=True):
-        elevation_m[end] = _elevation_m(segments.place[end], ground, zeros_m)
-    z_m = np.where(
-        segments.datum == "home", np.maximum(elevation_m, least_m[segments.leg, None]), elevation_m
-    )
+        z_m[end] = _elevation_m(segments.place[end], ground, zeros_m)
     follows_ground = segments.follows_ground
     z_m[follows_ground] -= ground_m[follows_ground]
     is_given = is_above_ground & follows_ground[:, None] & ~is_level
@@ -420,9 +411,9 @@ def _elevation_m(place: Place, ground: Elevation, zeros_m: dict[str, float]) -> 
     if other is None:
         return place.height_m + zero_m
     other_m = _elevation_m(other, ground, zeros_m)
-    if place.datum != "ground":
-        return other_m
-    return other_m - ground.at_lonlat(other.lon, other.lat) + zero_m
+    if place.datum == "ground":
+        other_m += zero_m - ground.at_lonlat(other.lon, other.lat)
+    return other_m if math.isnan(place.height_m) else np.maximum(place.height_m + zero_m, other_m)
 
 
 def _shares_within(ends_m: np.ndarray, bounds_m: Bounds) -> np.ndarray:

@@ -8,6 +8,7 @@ at `Flight`, after their sources: of ArduCopter ``mode_auto.cpp`` (circles), ``m
 import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 from jaxurban.io.read.mission_parts import (
@@ -375,12 +376,7 @@ class Flight:
         """Return how near to a waypoint the vehicle turns: 0 where it stops; PX4 by a radius of the item, too."""
         if item.params[0] > 0:
             return 0.0
-        accepted_m = item.params[1]
-        return (
-            max(CORNER_M, accepted_m)
-            if self._autopilot != "ardupilot" and accepted_m > 0
-            else CORNER_M
-        )
+        return CORNER_M if self._autopilot == "ardupilot" else max(CORNER_M, item.params[1])
 
     def _fly_to(
         self,
@@ -528,21 +524,19 @@ class Flight:
             self._say(f"the return of item {item.number} is not judged: {why} is not known")
             self._lose(item)
             return
-        # Its own height above home counts where it is more: what it is above the legs know.
+        # The height that it has counts where it is more.
         levels_m = self._levels_m(at, home)
         ground = Place(*home, 0.0, "ground")
         for level_m in levels_m:
-            over_home = Place(*home, level_m, "home")
-            above = at if math.isnan(level_m) else over_home._replace(lon=at.lon, lat=at.lat)
-            is_variant = level_m < levels_m[-1]
-            for kind, start, end in (
-                ("return", at, above),
-                ("return", above, over_home),
-                ("land", over_home, ground),
-            ):
-                leg = Leg(start, end, kind, item.number, is_variant=is_variant, not_below=at)
+            over_home = Place(*home, level_m, "home", at)
+            above = over_home._replace(lon=at.lon, lat=at.lat)
+            if math.isnan(level_m):
+                above, over_home = at, over_home._replace(level_with=None)
+            places = pairwise((at, above, over_home, ground))
+            for kind, (start, end) in zip(("return", "return", "land"), places, strict=True):
+                is_variant = level_m < levels_m[-1]
                 if start != end:
-                    self.legs.append(leg)
+                    self.legs.append(Leg(start, end, kind, item.number, is_variant=is_variant))
         self._lose(item, ground)
 
     def _levels_m(self, at: Place, home: LonLat) -> list[float]:

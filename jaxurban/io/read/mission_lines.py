@@ -58,7 +58,7 @@ COLUMNS = {
 QUALIFIERS = ("unit", "mode", "frame", "datum", "system", "command")
 HARMLESS = ("", "m", "meter", "meters", "metre", "metres", "wgs84", "wgs 84", "epsg:4326")
 HEIGHTS = ("alt", "height", "elev")  # in names of further columns of height
-MOST_COLUMNS, MOST_ROWS = 1000, 1_000_000  # of a table; rows beyond are counted, and not judged
+MOST_COLUMNS = 1000  # of a table
 # What files call a coordinate reference system, and the names of the one that is read.
 CRS_NAMES = ("crs", "datum", "epsg", "mapdatum", "srs", "srsname")
 WGS84 = re.compile(
@@ -120,14 +120,12 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
     # Lines, and what is none: positions by what it is and why it is not judged.
     lines = []
     others: Counter[tuple[str, str]] = Counter()
-    num_more = num_positions
     for shape in shapes:
-        num = shape.num or len(shape.points)
-        num_more -= num
         if not shape.why and len(set(shape.points)) > 1:
             lines.append(shape)
         else:
-            others[shape.what, shape.why or NO_LINE] += num
+            others[shape.what, shape.why or NO_LINE] += shape.num or len(shape.points)
+    num_more = num_positions - others.total() - sum(len(line.points) for line in lines)
     if num_more:
         others["other positions", NO_LINE] = num_more
     accounts = [Account(what, num, (), why) for (what, why), num in others.items()]
@@ -137,7 +135,7 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
         if each.why != REPEATED
     ]
     if not lines:
-        why = "".join(f" ({sentence})" for sentence in sentences[:1])
+        why = f" ({sentences[0]})" if sentences else ""
         raise InputError(
             f"{name!r} holds no line of two places that is read{why}: give the mission's way as a line"
         )
@@ -165,8 +163,8 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
         profile: Profile = "both" if datum == "ground" and not line.is_own else "frame"
         legs += _ways(places, last, profile)
         beside = [
-            Place(lon, lat, height_m, "ground")
-            for (lon, lat, _), height_m in zip(line.points, line.beside_m, strict=False)
+            Place(*lonlat, height_m, "ground")
+            for (*lonlat, _), height_m in zip(line.points, line.beside_m, strict=False)
         ]
         legs += [leg._replace(is_variant=True) for leg in _ways(beside, last)]
         accounts.append(Account(line.what, len(line.points), tuple(range(first, len(legs)))))
@@ -210,20 +208,16 @@ def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
     Raises:
       InputError: neither says it, or they contradict each other otherwise.
     """
-    if heights is not None and own in (None, heights):
-        return heights
-    if own is None:
+    if (own, heights) == (None, None):
         *others, last = map(repr, DATUMS)
         raise InputError(
             f"{name!r} does not say what its heights are above: give heights as {', '.join(others)} or {last}"
         )
-    if heights is None:
-        return own
-    if (own, heights) == ("geoid", "ellipsoid"):
-        return "ellipsoid"
-    raise InputError(
-        f"{name!r} says that its heights are above the {own}: leave heights={heights!r} out"
-    )
+    if heights and own not in (None, heights) and (own, heights) != ("geoid", "ellipsoid"):
+        raise InputError(
+            f"{name!r} says that its heights are above the {own}: leave heights={heights!r} out"
+        )
+    return heights or own
 
 
 class _Plain(TreeBuilder):
@@ -504,8 +498,8 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
       InputError: the table lacks one of the three, has two that differ, or names another CRS than WGS 84.
       ValueError: the table cannot be read, a row has more values than the header, or one that is no number.
     """
-    texts = [text for text in data.decode("utf-8-sig").splitlines() if text.strip()]
-    header, *rows = csv.reader(texts[:MOST_ROWS], strict=True)
+    text = io.StringIO(data.decode("utf-8-sig"), newline=None)
+    header, *rows = filter(None, csv.reader(text, strict=True))
     if len(header) > MOST_COLUMNS:
         raise DamagedError(f"it has more than {MOST_COLUMNS:,} columns")
     if re.search(r"[;\t]", header[0]):
@@ -514,32 +508,26 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
         if len(row) > len(header):
             raise DamagedError(f"row {number} has {len(row)} values, and the header {len(header)}")
 
-    # Cells by column, and its name without the number that pandas adds to one that is there twice.
-    columns = list(zip_longest(header, *rows, fillvalue=""))
+    # Columns, and their names without the number that pandas adds to one that is there twice.
+    columns = [*zip_longest(header, *rows, fillvalue="")]
     names = [re.sub(r"\.\d+$", "", name.strip().lower()) for name in header]
+    for name, (title, *cells) in zip(names, columns, strict=True):
+        for cell in set(cells):
+            _check_crs(path, name, cell)
+            if _is_odd(title, cell):
+                raise InputError(
+                    f"{path.name!r} has the column {title!r}, which is not read: take it out if it does not change the way"
+                )
 
-    def columns_of(known: Sequence[str]) -> list[tuple[str, ...]]:
-        return [column for name, column in zip(names, columns, strict=True) if name in known]
-
-    for _, *cells in columns_of(CRS_NAMES):
-        for crs in set(cells):
-            _check_crs(path, "crs", crs)
-    for title, *cells in columns:
-        if any(_is_odd(title, cell) for cell in cells):
-            raise InputError(
-                f"{path.name!r} has the column {title!r}, which is not read: take it out if it does not change the way"
-            )
     values = []
-    further = {
-        name for name in names if any(word in name for word in HEIGHTS) and name not in CRS_NAMES
-    }
-    for quantity, known in COLUMNS.items():
-        chosen = columns_of(known)
-        if chosen and quantity == "height":
-            chosen += columns_of([*further.difference(known)])
-        if not chosen:
-            raise InputError(f"{path.name!r} has no column of {quantity}: call it {known[0]}")
-        numbers = [[decimal_of(f"a {name}", cell) for cell in cells] for name, *cells in chosen]
+    for quantity, (first, *_) in COLUMNS.items():
+        known = set(COLUMNS[quantity]).intersection(names)
+        if not known:
+            raise InputError(f"{path.name!r} has no column of {quantity}: call it {first}")
+        if quantity == "height":
+            known.update(name for name in names if any(word in name for word in HEIGHTS))
+        chosen = [column for name, column in zip(names, columns, strict=True) if name in known]
+        numbers = [[decimal_of(f"a {title}", cell) for cell in cells] for title, *cells in chosen]
         most = SAME_M if quantity == "height" else NEAR_DEG / 100
         if not np.allclose(numbers, numbers[0], rtol=0.0, atol=most, equal_nan=True):
             titles = " and ".join(repr(title) for title, *_ in chosen)
@@ -547,8 +535,7 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
                 f"{path.name!r} has the columns {titles} of {quantity}, which differ: keep the one that is flown"
             )
         values.append(numbers[0])
-    num_rows = sum(map(any, csv.reader(io.StringIO(data.decode("utf-8-sig"))))) - 1
-    return [Line("table", list(zip(*values, strict=True)))], num_rows
+    return [Line("table", list(zip(*values, strict=True)))], len(rows)
 
 
 READERS: dict[str, Callable[[Path, bytes], Shapes]] = {
