@@ -57,7 +57,7 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     for place in places:
         scenario = Scenario.from_dict(settings, str(folder / RUN_FILE), place)
         with suppress(InputError):  # raised where one of the files cannot be read
-            files = unsized(hash_inputs(scenario, inputs, allow_missing=True))
+            files = unsized(hash_inputs(scenario, inputs))
             if files == recorded:
                 return scenario
             changed = [role for role in files if recorded.get(role) != files[role]]

@@ -237,14 +237,12 @@ def check_held(
       InputError: a weight of a layer that is not there.
     """
     numbers = dict(given.values if isinstance(given, Weights) else given or {})
-    if isinstance(given, Weights):
-        default = dict.fromkeys(METRICS, METRIC_WEIGHT)
-        usual_items = (default | dict(usual or {})).items() | default.items()
-        numbers = {
-            name: value for name, value in numbers.items() if (name, value) not in usual_items
-        }
+    default = dict.fromkeys(METRICS, METRIC_WEIGHT)
     held = ("distance", *metrics)
     lost = [name for name, value in numbers.items() if value > 0 and name not in held]
+    if isinstance(given, Weights):
+        for spared in (default, default | dict(usual or {})):
+            lost = [name for name in lost if spared.get(name) != numbers[name]]
     if lost:
         raise InputError(
             f"weights name {' and '.join(lost)}, of which these maps hold no layer (they hold {', '.join(metrics)}): "

@@ -451,8 +451,8 @@ class Flight:
         if centre is None:
             self._fly_to(item)
             return
-        radius_m = abs(item.params[LOITERS[item.command]])  # negative ones circle the other way
-        radius_m = radius_m if radius_m > 0 else 0.0  # NaN too
+        # Negative radii circle the other way; NaN becomes 0, too.
+        radius_m = max(0.0, abs(item.params[LOITERS[item.command]]))
         is_turns = item.command == LOITER_TURNS
         has_edge = is_turns and radius_m > 0 and self._autopilot != "px4"
         edge = None
@@ -528,12 +528,12 @@ class Flight:
         levels_m = self._levels_m(at, home)
         ground = Place(*home, 0.0, "ground")
         for level_m in levels_m:
+            above = Place(at.lon, at.lat, level_m, "home", at)
             over_home = Place(*home, level_m, "home", at)
-            above = over_home._replace(lon=at.lon, lat=at.lat)
             if math.isnan(level_m):
-                above, over_home = at, over_home._replace(level_with=None)
-            places = pairwise((at, above, over_home, ground))
-            for kind, (start, end) in zip(("return", "return", "land"), places, strict=True):
+                above, over_home = at, Place(*home, level_m, "home")
+            for start, end in pairwise((at, above, over_home, ground)):
+                kind = "land" if end is ground else "return"
                 is_variant = level_m < levels_m[-1]
                 if start != end:
                     self.legs.append(Leg(start, end, kind, item.number, is_variant=is_variant))

@@ -310,6 +310,8 @@ def xml_lines(path: Path, data: bytes) -> Shapes:
     is_own = root.get("creator") == OWN
     for element in root.iter():
         is_own = is_own or element.get("name") == OWN_DATA
+        if _tag(element) == "ele" and element.attrib:
+            raise DamagedError("an ele has attributes: take them out if it is in metres")
         for key, value in ((element.tag, element.text), *element.items()):
             _check_crs(path, key, value)
 
@@ -319,15 +321,15 @@ def xml_lines(path: Path, data: bytes) -> Shapes:
         element = stack.pop()
         tag = _tag(element)
         strange = {_tag(child) for child in element} - KML_PARTS.get(tag, set())
+        why = ""
         if tag in KML_PARTS and strange:
             why = f"has a part {min(strange)}, which is not understood"
+        if why or tag in XML_OTHERS or _num_at(element):
             lines.append(Line(tag, why=why, num=_num_in(element)))
         elif tag in ("LineString", "Track"):
             lines.append(_kml_line(path, element, is_own))
         elif tag in ("rte", "trkseg"):
             lines.append(_gpx_line(element, is_own))
-        elif tag in XML_OTHERS or _num_at(element):
-            lines.append(Line(tag, num=_num_in(element)))
         else:
             stack += reversed(element)
     return lines, _num_in(root)
@@ -359,9 +361,6 @@ def _gpx_line(element: Element, is_own: bool) -> Line:
     count beside them, and alone where it had no terrain.
     """
     nodes = [child for child in element if _tag(child) in ("rtept", "trkpt")]
-    if any(child.attrib for node in nodes for child in node if _tag(child) == "ele"):
-        why = "has an ele with attributes, which are not understood"
-        return Line(_tag(element), why=why, num=len(nodes))
     heights = [_text(node, "ele") for node in nodes]
     matches = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes]
     described = [match[1] if match and is_own else "" for match in matches]
@@ -426,13 +425,11 @@ def geojson_lines(path: Path, data: bytes) -> Shapes:
     routes = [np.array(line.points)[:, :2] for line in lines if line.is_own]
     routes = [route for route in routes if len(route) > 1 and np.isfinite(route).all()]
     near = shapely.buffer(shapely.MultiLineString(routes), NEAR_DEG)
-    shapely.prepare(near)
     for segment in segments:
         points = np.array(segment.points)
         if routes and len(points) > 1:
-            lonlat = points[:, :2]
-            is_flat = np.isfinite(lonlat).all() and np.isnan(points[:, 2]).all()
-            is_repeated = is_flat and near.covers(shapely.LineString(lonlat))
+            is_flat = (np.isfinite(points) == [True, True, False]).all()
+            is_repeated = is_flat and near.covers(shapely.LineString(points[:, :2]))
             segment = segment._replace(why=REPEATED if is_repeated else NOT_REPEATED)
         lines.append(segment)
     return lines, _num_in_json(whole)
