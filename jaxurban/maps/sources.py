@@ -52,7 +52,7 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
         )
     recorded = unsized(inputs)
     places = [folder, folder.parent, Path()] if sources is None else [Path(sources)]
-    lost = inputs
+    lost = list(inputs.values())
     kind: type[InputError] = InputError
     for place in places:
         scenario = Scenario.from_dict(settings, str(folder / RUN_FILE), place)
@@ -63,10 +63,10 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
             changed = [role for role in files if recorded.get(role) != files[role]]
             if files:
                 gone = recorded.keys() - files.keys()
-                lost = {role: files.get(role, inputs.get(role, {})) for role in (*changed, *gone)}
+                lost = [(inputs | files)[role] for role in (*changed, *gone)]
             if not {*STANDING}.isdisjoint(changed):
                 kind = ChangedSourcesError
-    names = ", ".join(repr(file.get("path")) for file in lost.values())
+    names = ", ".join(repr(file.get("path")) for file in lost)
     raise kind(
         f"what the maps in {str(folder)!r} were made of is no longer there as it was ({names}): "
         "name the folder of these files (sources, --sources) or the scenario in it (scenario, --scenario), or make the "

@@ -67,8 +67,11 @@ def _steps_at_corners(legs: Sequence[Leg], steps: Steps) -> np.ndarray:
         departs.setdefault(leg.start, number)
         arrived[leg.start if leg.kind == "loiter" else leg.end] = number
     # Where a jump leads, the mission goes on as it did before.
-    jumps = [number for number, leg in enumerate(legs) if leg.kind == "jump"]
-    pairs += [(number, departs.get(legs[number].end, NO_LEG)) for number in jumps]
+    pairs += [
+        (number, departs.get(leg.end, NO_LEG))
+        for number, leg in enumerate(legs)
+        if leg.kind == "jump"
+    ]
 
     moving = np.unique(steps.leg[steps.over_m > 0]).tolist()
     flown_on = {number for number in moving if legs[number].kind in FLOWN_ON}

@@ -272,7 +272,7 @@ class Flight:
         elif command in TAKEOFFS:
             self._take_off(item)
         elif command == WAYPOINT:
-            self._fly_to(item, beside=self._beside_zero(item), turn_m=self._turn_m(item))
+            self._fly_to(item, beside=self._beside_zero(item))
         elif command in LOITERS:
             self._loiter(item)
         elif command in LANDINGS:
@@ -318,7 +318,6 @@ class Flight:
         kind: str = "leg",
         *,
         beside: Place | None = None,
-        turn_m: float = CORNER_M,
     ) -> None:
         """Add the leg to a place, if the vehicle is elsewhere, and move it there.
 
@@ -327,7 +326,6 @@ class Flight:
           place: where to.
           kind: of the leg.
           beside: where another autopilot would be then; left out, at the same place.
-          turn_m: how near to it the vehicle turns.
         """
         at = self._state.at
         assert at is not None
@@ -335,7 +333,7 @@ class Flight:
             kind = "jump"
         self._is_jump = False
         profile: Profile = "straight" if item.is_straight else "frame"
-        leg = Leg(at, place, kind, item.number, profile=profile, turn_m=turn_m)
+        leg = Leg(at, place, kind, item.number, profile=profile, turn_m=self._turn_m(item))
         variant = leg._replace(start=self._state.beside or at, end=beside or place, is_variant=True)
         if variant[:2] != leg[:2] and variant.start != variant.end:
             self.legs.append(variant)
@@ -350,12 +348,10 @@ class Flight:
         of the vehicle is not known.
         """
         at = self._state.at
-        if item.has_place:
-            lon, lat = item.lon, item.lat
-        elif at:
-            lon, lat = at.lon, at.lat
-        else:
+        where = item if item.has_place else at
+        if where is None:
             return None
+        lon, lat = where.lon, where.lat
         keeps_height = math.isnan(item.height_m) or (not item.has_place and item.height_m == 0)
         if at and keeps_height:
             return at._replace(lon=lon, lat=lat)
@@ -373,7 +369,9 @@ class Flight:
         return _kept(at, item.lon, item.lat, item.datum)
 
     def _turn_m(self, item: Item) -> float:
-        """Return how near to a waypoint the vehicle turns: 0 where it stops; PX4 by a radius of the item, too."""
+        """Return how near to an item the vehicle turns: 0 where it stops; PX4 by a waypoint's radius, too."""
+        if item.command != WAYPOINT:
+            return CORNER_M
         if item.params[0] > 0:
             return 0.0
         return CORNER_M if self._autopilot == "ardupilot" else max(CORNER_M, item.params[1])
@@ -384,7 +382,6 @@ class Flight:
         place: Place | None = None,
         *,
         beside: Place | None = None,
-        turn_m: float = CORNER_M,
     ) -> None:
         """Add the straight leg to a place and move the vehicle there.
 
@@ -394,7 +391,6 @@ class Flight:
           item: by which it flies.
           place: where to; left out, where the item leads.
           beside: as of `_move`.
-          turn_m: how near to it the vehicle turns.
         """
         place = place or self._place_of(item)
         if place is None:
@@ -404,7 +400,7 @@ class Flight:
             self._begin(item)
             self._state = self._state._replace(at=place, ground=None)
         else:
-            self._move(item, place, beside=beside, turn_m=turn_m)
+            self._move(item, place, beside=beside)
 
     def _begin(self, item: Item) -> None:
         """Say that the way to an item is not judged: the climb from home, or the way from where the place was lost."""

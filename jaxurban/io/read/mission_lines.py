@@ -163,8 +163,8 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
         profile: Profile = "both" if datum == "ground" and not line.is_own else "frame"
         legs += _ways(places, last, profile)
         beside = [
-            Place(*lonlat, height_m, "ground")
-            for (*lonlat, _), height_m in zip(line.points, line.beside_m, strict=False)
+            Place(lon, lat, height_m, "ground")
+            for (lon, lat, _), height_m in zip(line.points, line.beside_m, strict=False)
         ]
         legs += [leg._replace(is_variant=True) for leg in _ways(beside, last)]
         accounts.append(Account(line.what, len(line.points), tuple(range(first, len(legs)))))
@@ -208,7 +208,8 @@ def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
     Raises:
       InputError: neither says it, or they contradict each other otherwise.
     """
-    if (own, heights) == (None, None):
+    datum = heights or own
+    if datum is None:
         *others, last = map(repr, DATUMS)
         raise InputError(
             f"{name!r} does not say what its heights are above: give heights as {', '.join(others)} or {last}"
@@ -217,7 +218,7 @@ def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
         raise InputError(
             f"{name!r} says that its heights are above the {own}: leave heights={heights!r} out"
         )
-    return heights or own
+    return datum
 
 
 class _Plain(TreeBuilder):
@@ -412,9 +413,10 @@ def geojson_lines(path: Path, data: bytes) -> Shapes:
         for each in crs["properties"].values() if isinstance(crs, dict) else [crs]:
             _check_crs(path, "crs", each)
         properties = value.get("properties") or properties
-        key = next((key for key in ("features", "geometry", "geometries") if key in value), None)
-        if key:
-            inner = [value[key]] if key == "geometry" else value[key]
+        inner = value.get("features", value.get("geometries"))
+        if "geometry" in value:
+            inner = [value["geometry"]]
+        if inner is not None:
             stack += [(part, properties) for part in reversed(inner)]
         elif properties.get(SEGMENT_PROPERTY) is None:
             lines += _geojson_lines(value, properties)
@@ -458,8 +460,7 @@ def _geojson_lines(geometry: dict[str, Any], properties: dict[str, Any]) -> list
 
     # The points of each part, with the heights of a route of jaxurban's, if it is one.
     above_ground_m = properties.get("z_m") if "settings" in properties else None
-    named = [properties[name] for name in COLUMNS["height"] if name in properties]
-    height_m = next(iter(named), None)
+    height_m = next((properties[name] for name in COLUMNS["height"] if name in properties), None)
     lines = []
     for part in parts:
         heights_m = above_ground_m or [height_m] * len(part)
@@ -513,7 +514,8 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
             _check_crs(path, name, cell)
             if _is_odd(title, cell):
                 raise InputError(
-                    f"{path.name!r} has the column {title!r}, which is not read: take it out if it does not change the way"
+                    f"{path.name!r} has the column {title!r}, which is not read: "
+                    "take it out if it does not change the way"
                 )
 
     values = []
