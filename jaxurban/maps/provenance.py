@@ -163,11 +163,9 @@ def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str,
     files = {}
     for role, name in values_given(named).items():
         file = located(scenario.path_of(name))
-        record = None
-        if recorded is not None:
-            if not file.exists():
-                continue
-            record = recorded.get(role, {})
+        if recorded is not None and not file.exists():
+            continue
+        record = recorded and recorded.get(role, {})
         files[role] = {"path": name} | _sum_and_size(file, role, record)
     return files
 
