@@ -137,9 +137,7 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
     return record
 
 
-def hash_inputs(
-    scenario: Scenario, recorded: Inputs | None = None, *, allow_missing: bool = False
-) -> dict[str, dict[str, Any]]:
+def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str, dict[str, Any]]:
     """Return path, SHA-256 and bytes of every file that a scenario names, by its role.
 
     Roles are ``buildings``, ``terrain``, ``orbits``, ``orbits_2`` and so on, those of `FILES` and ``layer_NAME``. The
@@ -148,11 +146,10 @@ def hash_inputs(
     Args:
       scenario: the settings.
       recorded: what somebody's run recorded: a file of another size, or of more than `MOST_UNSIZED_BYTES` if its size
-        is not on record, is not read and has the SHA-256 "".
-      allow_missing: leave out files that are missing.
+        is not on record, is not read and has the SHA-256 "". Files that are missing are left out then.
 
     Raises:
-      InputError: a file that is missing or cannot be read, or one of the system (`SYSTEM_FOLDERS`).
+      InputError: a file that is missing (without a record) or cannot be read, or one of the system (`SYSTEM_FOLDERS`).
     """
     buildings = None if scenario.is_synthetic else scenario.buildings.source
     named: dict[str, Any] = {"buildings": buildings, "terrain": scenario.terrain.source}
@@ -166,9 +163,9 @@ def hash_inputs(
     files = {}
     for role, name in values_given(named).items():
         file = located(scenario.path_of(name))
-        record = None if recorded is None else recorded.get(role, {})
-        if allow_missing and not file.exists():
+        if recorded is not None and not file.exists():
             continue
+        record = recorded and recorded.get(role, {})
         files[role] = {"path": name} | _sum_and_size(file, role, record)
     return files
 

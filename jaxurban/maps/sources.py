@@ -52,21 +52,21 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
         )
     recorded = unsized(inputs)
     places = [folder, folder.parent, Path()] if sources is None else [Path(sources)]
-    lost = inputs
+    lost = list(inputs.values())
     kind: type[InputError] = InputError
     for place in places:
         scenario = Scenario.from_dict(settings, str(folder / RUN_FILE), place)
         with suppress(InputError):  # raised where one of the files cannot be read
-            files = unsized(hash_inputs(scenario, inputs, allow_missing=True))
+            files = unsized(hash_inputs(scenario, inputs))
             if files == recorded:
                 return scenario
             changed = [role for role in files if recorded.get(role) != files[role]]
             if files:
                 gone = recorded.keys() - files.keys()
-                lost = {role: files.get(role, inputs.get(role, {})) for role in (*changed, *gone)}
+                lost = [(inputs | files)[role] for role in (*changed, *gone)]
             if not {*STANDING}.isdisjoint(changed):
                 kind = ChangedSourcesError
-    names = ", ".join(repr(file.get("path")) for file in lost.values())
+    names = ", ".join(repr(file.get("path")) for file in lost)
     raise kind(
         f"what the maps in {str(folder)!r} were made of is no longer there as it was ({names}): "
         "name the folder of these files (sources, --sources) or the scenario in it (scenario, --scenario), or make the "

@@ -116,11 +116,9 @@ class Flight:
         datums = {place.datum for leg in mission.legs for place in (leg.start, leg.end)}
         if mission.home is None or mission.home_elevation_m is None or "geoid" not in datums:
             return 0.0
-        off_m = (
-            0.0
-            if self.ground.is_flat
-            else self.ground.at_lonlat(*mission.home) - mission.home_elevation_m
-        )
+        if self.ground.is_flat:
+            return 0.0
+        off_m = self.ground.at_lonlat(*mission.home) - mission.home_elevation_m
         return abs(np.nan_to_num(off_m))
 
     @property
@@ -218,25 +216,15 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
 
     # Their heights: above the zero of the terrain, or above the ground for segments that follow it.
     ground_m = ground.at(ends_m)
-    is_above_ground = segments.datum == "ground"
-    datum_m = np.where(is_above_ground, ground_m, np.nan)  # elevation of each datum
     zeros_m = _zeros_m(mission, ground, geoid_m)
-    for name, zero_m in zeros_m.items():
-        datum_m[segments.datum == name] = zero_m
-    least = [leg.not_below for leg in mission.legs]
-    least_m = np.array(
-        [-np.inf if place is None else _elevation_m(place, ground, zeros_m) for place in least]
-    )
-    elevation_m = segments.height_m + datum_m
-    is_level = np.vectorize(_is_level, otypes=[bool])(segments.place)
+    zero_m = np.vectorize(zeros_m.get, otypes=[float])(segments.datum, ground_m)
+    z_m = segments.height_m + zero_m
+    is_level = np.vectorize(lambda place: bool(place.level_with), otypes=[bool])(segments.place)
     for end in zip(*np.nonzero(is_level), strict=True):
-        elevation_m[end] = _elevation_m(segments.place[end], ground, zeros_m)
-    z_m = np.where(
-        segments.datum == "home", np.maximum(elevation_m, least_m[segments.leg, None]), elevation_m
-    )
+        z_m[end] = _elevation_m(segments.place[end], ground, zeros_m)
     follows_ground = segments.follows_ground
     z_m[follows_ground] -= ground_m[follows_ground]
-    is_given = is_above_ground & follows_ground[:, None] & ~is_level
+    is_given = (segments.datum == "ground") & follows_ground[:, None] & ~is_level
     z_m = np.where(is_given, segments.height_m, z_m)  # off the maps, too
     lacks = np.where(follows_ground[:, None] & np.isnan(ground_m), "ground", segments.datum)
     if geoid_m is not None:
@@ -247,8 +235,7 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     is_known = np.isfinite(z_m).all(axis=1)
     is_open = (np.isnan(segments.height_m) & ~is_level).any(axis=1)
     unknown = [spans(along_m[is_open], NO_HEIGHT)]
-    first = np.isnan(z_m).argmax(axis=1)
-    lacks = np.take_along_axis(lacks, first[:, None], axis=1)[:, 0]
+    lacks = np.where(np.isnan(z_m[:, 0]), lacks[:, 0], lacks[:, 1])
     for datum, reason in NO_ZERO.items():
         unknown.append(spans(along_m[~is_known & ~is_open & (lacks == datum)], reason))
 
@@ -292,10 +279,10 @@ def _along_m(segments: Segments, z_m: np.ndarray) -> np.ndarray:
     length_m = np.hypot(over_m, np.nan_to_num(z_m[:, 1] - z_m[:, 0]))
     flown_m = np.where(segments.is_variant, 0.0, length_m)
     begin_m = np.cumsum(flown_m) - flown_m
-    for number in np.flatnonzero(segments.is_variant[1:]) + 1:
-        goes_on = (lonlat[number, 0] == lonlat[number - 1, 1]).all()
-        if segments.is_variant[number - 1] and goes_on:
-            begin_m[number] = begin_m[number - 1] + length_m[number - 1]
+    goes_on = (lonlat[1:, 0] == lonlat[:-1, 1]).all(axis=1)
+    goes_on &= segments.is_variant[1:] & segments.is_variant[:-1]
+    for number in np.flatnonzero(goes_on):
+        begin_m[number + 1] = begin_m[number] + length_m[number]
     return np.stack([begin_m, begin_m + length_m], axis=1)
 
 
@@ -402,10 +389,6 @@ def _zeros_m(mission: Mission, ground: Elevation, geoid_m: float | None) -> dict
     return {"home": home_m, "geoid": geoid_zero_m, "ellipsoid": ellipsoid_zero_m}
 
 
-def _is_level(place: Place) -> bool:
-    return place.level_with is not None
-
-
 def _elevation_m(place: Place, ground: Elevation, zeros_m: dict[str, float]) -> float:
     """Return the elevation of a place, NaN where it is not known.
 
@@ -414,15 +397,14 @@ def _elevation_m(place: Place, ground: Elevation, zeros_m: dict[str, float]) -> 
       ground: of the maps.
       zeros_m: elevation of the zero of each datum but the ground.
     """
-    zero_m = zeros_m.get(place.datum)
-    zero_m = ground.at_lonlat(place.lon, place.lat) if zero_m is None else zero_m
+    zero_m = zeros_m.get(place.datum, ground.at_lonlat(place.lon, place.lat))
     other = place.level_with
     if other is None:
         return place.height_m + zero_m
     other_m = _elevation_m(other, ground, zeros_m)
-    if place.datum != "ground":
-        return other_m
-    return other_m - ground.at_lonlat(other.lon, other.lat) + zero_m
+    if place.datum == "ground":
+        other_m += zero_m - ground.at_lonlat(other.lon, other.lat)
+    return other_m if math.isnan(place.height_m) else np.maximum(place.height_m + zero_m, other_m)
 
 
 def _shares_within(ends_m: np.ndarray, bounds_m: Bounds) -> np.ndarray:

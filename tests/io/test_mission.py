@@ -206,9 +206,11 @@ def test_the_return_is_open_unless_its_altitude_is_given(read):
     assert str(over.end.height_m) == "nan"
     assert (ground.kind, ground.end) == ("land", here(0, 0.0, "ground"))
     up, level, down = read(items, return_altitude_m=80.0).legs[-3:]
-    assert (up.end, level.end, down.end) == (here(1, 80.0), here(0, 80.0), here(0, 0.0, "ground"))
+    at = here(1, 50.0)
+    rises = [here(where, 80.0)._replace(level_with=at) for where in (1, 0)]
+    assert (up.end, level.end, down.end) == (*rises, here(0, 0.0, "ground"))
     *_, level, _ = read(items, return_altitude_m=20.0).legs
-    assert (level.end, level.not_below) == (here(0, 20.0), here(1, 50.0))  # none goes down for it
+    assert level.end == here(0, 20.0)._replace(level_with=at)  # none goes down for it
 
 
 def test_a_jump_is_one_leg_back_from_the_item_before_it(read):

@@ -213,6 +213,8 @@ def test_elevations_of_a_gpx_of_jaxurban_count_as_other_programs_fly_them(read):
         read(GPX.format("jaxurban", changed, words, ""), "m.gpx")
     with pytest.raises(ju.InputError, match="two values of ele"):
         read(GPX.format("a watch", ELE + "<ele>4</ele>", ELE, ""), "m.gpx", heights="geoid")
+    with pytest.raises(ju.InputError, match="an ele has attributes: take them out"):
+        read(GPX.format("a watch", '<ele unit="ft">4</ele>', ELE, ""), "m.gpx", heights="geoid")
 
 
 @pytest.mark.parametrize(

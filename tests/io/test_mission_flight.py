@@ -106,7 +106,7 @@ def test_a_return_near_home_is_judged_with_and_without_a_cone(read, firmware, at
     level = [leg for leg in mission.legs if leg.kind == "return" and leg.end[:2] == mission.home]
     assert [leg.end.height_m for leg in level] == pytest.approx(heights_m, abs=0.3)
     assert [leg.is_variant for leg in level] == [True] * (len(level) - 1) + [False]
-    assert {leg.not_below for leg in level} == {here(at, 50.0)}
+    assert {leg.end.level_with for leg in level} == {here(at, 50.0)}
 
 
 def test_a_jump_over_an_item_leaves_it_out_and_its_account_says_so(read):

@@ -8,6 +8,7 @@ at `Flight`, after their sources: of ArduCopter ``mode_auto.cpp`` (circles), ``m
 import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 from jaxurban.io.read.mission_parts import (
@@ -271,7 +272,7 @@ class Flight:
         elif command in TAKEOFFS:
             self._take_off(item)
         elif command == WAYPOINT:
-            self._fly_to(item, beside=self._beside_zero(item), turn_m=self._turn_m(item))
+            self._fly_to(item, beside=self._beside_zero(item))
         elif command in LOITERS:
             self._loiter(item)
         elif command in LANDINGS:
@@ -317,7 +318,6 @@ class Flight:
         kind: str = "leg",
         *,
         beside: Place | None = None,
-        turn_m: float = CORNER_M,
     ) -> None:
         """Add the leg to a place, if the vehicle is elsewhere, and move it there.
 
@@ -326,7 +326,6 @@ class Flight:
           place: where to.
           kind: of the leg.
           beside: where another autopilot would be then; left out, at the same place.
-          turn_m: how near to it the vehicle turns.
         """
         at = self._state.at
         assert at is not None
@@ -334,7 +333,7 @@ class Flight:
             kind = "jump"
         self._is_jump = False
         profile: Profile = "straight" if item.is_straight else "frame"
-        leg = Leg(at, place, kind, item.number, profile=profile, turn_m=turn_m)
+        leg = Leg(at, place, kind, item.number, profile=profile, turn_m=self._turn_m(item))
         variant = leg._replace(start=self._state.beside or at, end=beside or place, is_variant=True)
         if variant[:2] != leg[:2] and variant.start != variant.end:
             self.legs.append(variant)
@@ -349,12 +348,10 @@ class Flight:
         of the vehicle is not known.
         """
         at = self._state.at
-        if item.has_place:
-            lon, lat = item.lon, item.lat
-        elif at:
-            lon, lat = at.lon, at.lat
-        else:
+        where = item if item.has_place else at
+        if where is None:
             return None
+        lon, lat = where.lon, where.lat
         keeps_height = math.isnan(item.height_m) or (not item.has_place and item.height_m == 0)
         if at and keeps_height:
             return at._replace(lon=lon, lat=lat)
@@ -372,15 +369,12 @@ class Flight:
         return _kept(at, item.lon, item.lat, item.datum)
 
     def _turn_m(self, item: Item) -> float:
-        """Return how near to a waypoint the vehicle turns: 0 where it stops; PX4 by a radius of the item, too."""
+        """Return how near to an item the vehicle turns: 0 where it stops; PX4 by a waypoint's radius, too."""
+        if item.command != WAYPOINT:
+            return CORNER_M
         if item.params[0] > 0:
             return 0.0
-        accepted_m = item.params[1]
-        return (
-            max(CORNER_M, accepted_m)
-            if self._autopilot != "ardupilot" and accepted_m > 0
-            else CORNER_M
-        )
+        return CORNER_M if self._autopilot == "ardupilot" else max(CORNER_M, item.params[1])
 
     def _fly_to(
         self,
@@ -388,7 +382,6 @@ class Flight:
         place: Place | None = None,
         *,
         beside: Place | None = None,
-        turn_m: float = CORNER_M,
     ) -> None:
         """Add the straight leg to a place and move the vehicle there.
 
@@ -398,7 +391,6 @@ class Flight:
           item: by which it flies.
           place: where to; left out, where the item leads.
           beside: as of `_move`.
-          turn_m: how near to it the vehicle turns.
         """
         place = place or self._place_of(item)
         if place is None:
@@ -408,7 +400,7 @@ class Flight:
             self._begin(item)
             self._state = self._state._replace(at=place, ground=None)
         else:
-            self._move(item, place, beside=beside, turn_m=turn_m)
+            self._move(item, place, beside=beside)
 
     def _begin(self, item: Item) -> None:
         """Say that the way to an item is not judged: the climb from home, or the way from where the place was lost."""
@@ -455,8 +447,8 @@ class Flight:
         if centre is None:
             self._fly_to(item)
             return
-        radius_m = abs(item.params[LOITERS[item.command]])  # negative ones circle the other way
-        radius_m = radius_m if radius_m > 0 else 0.0  # NaN too
+        # Negative radii circle the other way; NaN becomes 0, too.
+        radius_m = max(0.0, abs(item.params[LOITERS[item.command]]))
         is_turns = item.command == LOITER_TURNS
         has_edge = is_turns and radius_m > 0 and self._autopilot != "px4"
         edge = None
@@ -528,21 +520,19 @@ class Flight:
             self._say(f"the return of item {item.number} is not judged: {why} is not known")
             self._lose(item)
             return
-        # Its own height above home counts where it is more: what it is above the legs know.
+        # The height that it has counts where it is more.
         levels_m = self._levels_m(at, home)
         ground = Place(*home, 0.0, "ground")
         for level_m in levels_m:
-            over_home = Place(*home, level_m, "home")
-            above = at if math.isnan(level_m) else over_home._replace(lon=at.lon, lat=at.lat)
-            is_variant = level_m < levels_m[-1]
-            for kind, start, end in (
-                ("return", at, above),
-                ("return", above, over_home),
-                ("land", over_home, ground),
-            ):
-                leg = Leg(start, end, kind, item.number, is_variant=is_variant, not_below=at)
+            above = Place(at.lon, at.lat, level_m, "home", at)
+            over_home = Place(*home, level_m, "home", at)
+            if math.isnan(level_m):
+                above, over_home = at, Place(*home, level_m, "home")
+            for start, end in pairwise((at, above, over_home, ground)):
+                kind = "land" if end is ground else "return"
+                is_variant = level_m < levels_m[-1]
                 if start != end:
-                    self.legs.append(leg)
+                    self.legs.append(Leg(start, end, kind, item.number, is_variant=is_variant))
         self._lose(item, ground)
 
     def _levels_m(self, at: Place, home: LonLat) -> list[float]:

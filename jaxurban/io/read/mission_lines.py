@@ -58,7 +58,7 @@ COLUMNS = {
 QUALIFIERS = ("unit", "mode", "frame", "datum", "system", "command")
 HARMLESS = ("", "m", "meter", "meters", "metre", "metres", "wgs84", "wgs 84", "epsg:4326")
 HEIGHTS = ("alt", "height", "elev")  # in names of further columns of height
-MOST_COLUMNS, MOST_ROWS = 1000, 1_000_000  # of a table; rows beyond are counted, and not judged
+MOST_COLUMNS = 1000  # of a table
 # What files call a coordinate reference system, and the names of the one that is read.
 CRS_NAMES = ("crs", "datum", "epsg", "mapdatum", "srs", "srsname")
 WGS84 = re.compile(
@@ -120,14 +120,12 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
     # Lines, and what is none: positions by what it is and why it is not judged.
     lines = []
     others: Counter[tuple[str, str]] = Counter()
-    num_more = num_positions
     for shape in shapes:
-        num = shape.num or len(shape.points)
-        num_more -= num
         if not shape.why and len(set(shape.points)) > 1:
             lines.append(shape)
         else:
-            others[shape.what, shape.why or NO_LINE] += num
+            others[shape.what, shape.why or NO_LINE] += shape.num or len(shape.points)
+    num_more = num_positions - others.total() - sum(len(line.points) for line in lines)
     if num_more:
         others["other positions", NO_LINE] = num_more
     accounts = [Account(what, num, (), why) for (what, why), num in others.items()]
@@ -137,7 +135,7 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
         if each.why != REPEATED
     ]
     if not lines:
-        why = "".join(f" ({sentence})" for sentence in sentences[:1])
+        why = f" ({sentences[0]})" if sentences else ""
         raise InputError(
             f"{name!r} holds no line of two places that is read{why}: give the mission's way as a line"
         )
@@ -210,20 +208,17 @@ def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
     Raises:
       InputError: neither says it, or they contradict each other otherwise.
     """
-    if heights is not None and own in (None, heights):
-        return heights
-    if own is None:
+    datum = heights or own
+    if datum is None:
         *others, last = map(repr, DATUMS)
         raise InputError(
             f"{name!r} does not say what its heights are above: give heights as {', '.join(others)} or {last}"
         )
-    if heights is None:
-        return own
-    if (own, heights) == ("geoid", "ellipsoid"):
-        return "ellipsoid"
-    raise InputError(
-        f"{name!r} says that its heights are above the {own}: leave heights={heights!r} out"
-    )
+    if heights and own not in (None, heights) and (own, heights) != ("geoid", "ellipsoid"):
+        raise InputError(
+            f"{name!r} says that its heights are above the {own}: leave heights={heights!r} out"
+        )
+    return datum
 
 
 class _Plain(TreeBuilder):
@@ -316,6 +311,8 @@ def xml_lines(path: Path, data: bytes) -> Shapes:
     is_own = root.get("creator") == OWN
     for element in root.iter():
         is_own = is_own or element.get("name") == OWN_DATA
+        if _tag(element) == "ele" and element.attrib:
+            raise DamagedError("an ele has attributes: take them out if it is in metres")
         for key, value in ((element.tag, element.text), *element.items()):
             _check_crs(path, key, value)
 
@@ -325,15 +322,15 @@ def xml_lines(path: Path, data: bytes) -> Shapes:
         element = stack.pop()
         tag = _tag(element)
         strange = {_tag(child) for child in element} - KML_PARTS.get(tag, set())
+        why = ""
         if tag in KML_PARTS and strange:
             why = f"has a part {min(strange)}, which is not understood"
+        if why or tag in XML_OTHERS or _num_at(element):
             lines.append(Line(tag, why=why, num=_num_in(element)))
         elif tag in ("LineString", "Track"):
             lines.append(_kml_line(path, element, is_own))
         elif tag in ("rte", "trkseg"):
             lines.append(_gpx_line(element, is_own))
-        elif tag in XML_OTHERS or _num_at(element):
-            lines.append(Line(tag, num=_num_in(element)))
         else:
             stack += reversed(element)
     return lines, _num_in(root)
@@ -365,9 +362,6 @@ def _gpx_line(element: Element, is_own: bool) -> Line:
     count beside them, and alone where it had no terrain.
     """
     nodes = [child for child in element if _tag(child) in ("rtept", "trkpt")]
-    if any(child.attrib for node in nodes for child in node if _tag(child) == "ele"):
-        why = "has an ele with attributes, which are not understood"
-        return Line(_tag(element), why=why, num=len(nodes))
     heights = [_text(node, "ele") for node in nodes]
     matches = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes]
     described = [match[1] if match and is_own else "" for match in matches]
@@ -419,9 +413,10 @@ def geojson_lines(path: Path, data: bytes) -> Shapes:
         for each in crs["properties"].values() if isinstance(crs, dict) else [crs]:
             _check_crs(path, "crs", each)
         properties = value.get("properties") or properties
-        key = next((key for key in ("features", "geometry", "geometries") if key in value), None)
-        if key:
-            inner = [value[key]] if key == "geometry" else value[key]
+        inner = value.get("features", value.get("geometries"))
+        if "geometry" in value:
+            inner = [value["geometry"]]
+        if inner is not None:
             stack += [(part, properties) for part in reversed(inner)]
         elif properties.get(SEGMENT_PROPERTY) is None:
             lines += _geojson_lines(value, properties)
@@ -432,13 +427,11 @@ def geojson_lines(path: Path, data: bytes) -> Shapes:
     routes = [np.array(line.points)[:, :2] for line in lines if line.is_own]
     routes = [route for route in routes if len(route) > 1 and np.isfinite(route).all()]
     near = shapely.buffer(shapely.MultiLineString(routes), NEAR_DEG)
-    shapely.prepare(near)
     for segment in segments:
         points = np.array(segment.points)
         if routes and len(points) > 1:
-            lonlat = points[:, :2]
-            is_flat = np.isfinite(lonlat).all() and np.isnan(points[:, 2]).all()
-            is_repeated = is_flat and near.covers(shapely.LineString(lonlat))
+            is_flat = (np.isfinite(points) == [True, True, False]).all()
+            is_repeated = is_flat and near.covers(shapely.LineString(points[:, :2]))
             segment = segment._replace(why=REPEATED if is_repeated else NOT_REPEATED)
         lines.append(segment)
     return lines, _num_in_json(whole)
@@ -467,8 +460,7 @@ def _geojson_lines(geometry: dict[str, Any], properties: dict[str, Any]) -> list
 
     # The points of each part, with the heights of a route of jaxurban's, if it is one.
     above_ground_m = properties.get("z_m") if "settings" in properties else None
-    named = [properties[name] for name in COLUMNS["height"] if name in properties]
-    height_m = next(iter(named), None)
+    height_m = next((properties[name] for name in COLUMNS["height"] if name in properties), None)
     lines = []
     for part in parts:
         heights_m = above_ground_m or [height_m] * len(part)
@@ -504,8 +496,8 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
       InputError: the table lacks one of the three, has two that differ, or names another CRS than WGS 84.
       ValueError: the table cannot be read, a row has more values than the header, or one that is no number.
     """
-    texts = [text for text in data.decode("utf-8-sig").splitlines() if text.strip()]
-    header, *rows = csv.reader(texts[:MOST_ROWS], strict=True)
+    text = io.StringIO(data.decode("utf-8-sig"), newline=None)
+    header, *rows = filter(None, csv.reader(text, strict=True))
     if len(header) > MOST_COLUMNS:
         raise DamagedError(f"it has more than {MOST_COLUMNS:,} columns")
     if re.search(r"[;\t]", header[0]):
@@ -514,32 +506,27 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
         if len(row) > len(header):
             raise DamagedError(f"row {number} has {len(row)} values, and the header {len(header)}")
 
-    # Cells by column, and its name without the number that pandas adds to one that is there twice.
-    columns = list(zip_longest(header, *rows, fillvalue=""))
+    # Columns, and their names without the number that pandas adds to one that is there twice.
+    columns = [*zip_longest(header, *rows, fillvalue="")]
     names = [re.sub(r"\.\d+$", "", name.strip().lower()) for name in header]
+    for name, (title, *cells) in zip(names, columns, strict=True):
+        for cell in set(cells):
+            _check_crs(path, name, cell)
+            if _is_odd(title, cell):
+                raise InputError(
+                    f"{path.name!r} has the column {title!r}, which is not read: "
+                    "take it out if it does not change the way"
+                )
 
-    def columns_of(known: Sequence[str]) -> list[tuple[str, ...]]:
-        return [column for name, column in zip(names, columns, strict=True) if name in known]
-
-    for _, *cells in columns_of(CRS_NAMES):
-        for crs in set(cells):
-            _check_crs(path, "crs", crs)
-    for title, *cells in columns:
-        if any(_is_odd(title, cell) for cell in cells):
-            raise InputError(
-                f"{path.name!r} has the column {title!r}, which is not read: take it out if it does not change the way"
-            )
     values = []
-    further = {
-        name for name in names if any(word in name for word in HEIGHTS) and name not in CRS_NAMES
-    }
-    for quantity, known in COLUMNS.items():
-        chosen = columns_of(known)
-        if chosen and quantity == "height":
-            chosen += columns_of([*further.difference(known)])
-        if not chosen:
-            raise InputError(f"{path.name!r} has no column of {quantity}: call it {known[0]}")
-        numbers = [[decimal_of(f"a {name}", cell) for cell in cells] for name, *cells in chosen]
+    for quantity, (first, *_) in COLUMNS.items():
+        known = set(COLUMNS[quantity]).intersection(names)
+        if not known:
+            raise InputError(f"{path.name!r} has no column of {quantity}: call it {first}")
+        if quantity == "height":
+            known.update(name for name in names if any(word in name for word in HEIGHTS))
+        chosen = [column for name, column in zip(names, columns, strict=True) if name in known]
+        numbers = [[decimal_of(f"a {title}", cell) for cell in cells] for title, *cells in chosen]
         most = SAME_M if quantity == "height" else NEAR_DEG / 100
         if not np.allclose(numbers, numbers[0], rtol=0.0, atol=most, equal_nan=True):
             titles = " and ".join(repr(title) for title, *_ in chosen)
@@ -547,8 +534,7 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
                 f"{path.name!r} has the columns {titles} of {quantity}, which differ: keep the one that is flown"
             )
         values.append(numbers[0])
-    num_rows = sum(map(any, csv.reader(io.StringIO(data.decode("utf-8-sig"))))) - 1
-    return [Line("table", list(zip(*values, strict=True)))], num_rows
+    return [Line("table", list(zip(*values, strict=True)))], len(rows)
 
 
 READERS: dict[str, Callable[[Path, bytes], Shapes]] = {

@@ -36,8 +36,8 @@ class Place(NamedTuple):
       lon, lat: degrees of WGS 84.
       height_m: above its datum; NaN where the file leaves it open, as on the autopilot's own way home.
       datum: what the height is above.
-      level_with: a place whose height it has, above the ground where the datum is the ground, else above the sea; its
-        own height is NaN then.
+      level_with: a place whose height it has, above the ground where the datum is the ground, else above the sea;
+        its own height counts where it is not NaN and more than that.
     """
 
     lon: float
@@ -62,7 +62,6 @@ class Leg(NamedTuple):
       is_variant: it is not flown after the leg before it, but beside the next leg that is none, as another autopilot or
         another setting of it would fly.
       turn_m: how near to its end the vehicle turns, and so cuts the corner there; 0 where it stops.
-      not_below: of a return: its heights above home are no less than the height of this place.
     """
 
     start: Place
@@ -73,7 +72,6 @@ class Leg(NamedTuple):
     profile: Profile = "frame"
     is_variant: bool = False
     turn_m: float = CORNER_M
-    not_below: Place | None = None
 
 
 class Account(NamedTuple):
