@@ -14,9 +14,10 @@ import shapely
 from skyfield.api import load
 
 import jaxurban as ju
+from benchmarks.make_samples import GALILEO
 from jaxurban.io.files import digest_of
 from jaxurban.io.read.guesses import NOMINAL_SKY
-from jaxurban.io.read.nominal import GALILEO, GPS
+from jaxurban.io.read.nominal import GPS
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.io.read.receiver import ReceiverLog, read_receiver_log
 from jaxurban.io.samples import SAMPLES, located, log_of
