@@ -14,6 +14,7 @@ import shapely
 from skyfield.api import load
 
 import jaxurban as ju
+from benchmarks import make_samples as make
 from benchmarks.make_samples import GALILEO
 from jaxurban.io.files import digest_of
 from jaxurban.io.read.guesses import NOMINAL_SKY
@@ -23,7 +24,7 @@ from jaxurban.io.read.receiver import ReceiverLog, read_receiver_log
 from jaxurban.io.samples import SAMPLES, located, log_of
 from jaxurban.maps.run import load_city, run_scenario
 from jaxurban.maps.scenario import Scenario
-from jaxurban.samples import cities, make
+from jaxurban.samples import cities
 from jaxurban.world.grid import WGS84, transformer
 from tests.io.test_orbits import places_of, separation_deg
 
