@@ -204,7 +204,7 @@ def test_maps_of_lower_manhattan_are_those_of_its_sources(data_dir):
 @pytest.mark.data
 @pytest.mark.slow
 def test_the_script_makes_the_files_that_are_here(data_dir, tmp_path, monkeypatch):
-    monkeypatch.setattr(make, "HERE", tmp_path)
+    monkeypatch.setattr(make, "HOME", tmp_path)
     make.main([str(data_dir)])
     for name in CITIES:
         home = located(f"sample:{name}").parent
