@@ -252,20 +252,21 @@ def label_apart(panel: Axes, names: Iterable[str], marks: np.ndarray) -> None:
     dots_per_pt = figure.dpi / 72
     line = {"arrowstyle": "-", "linewidth": 0.5, "shrinkA": 0}
     middles = panel.transData.transform(marks)
-    taken = [Bbox([place, place]).padded(MARK_PT * dots_per_pt) for place in middles]
+    mark_boxes = [Bbox([place, place]).padded(MARK_PT * dots_per_pt) for place in middles]
+    taken = mark_boxes.copy()
     for name, place in zip(names, marks, strict=False):
         text = panel.annotate(name, place, (0, 0), textcoords=POINTS)
 
-        # The nearest free place.
-        for away_pt, right, up in product(AWAY_PT, STEPS, STEPS):
+        # The nearest free place: if there is one, such that no mark but its own is as near.
+        for most, away_pt, right, up in product((1, len(marks)), AWAY_PT, STEPS, STEPS):
             text.set(ha=ACROSS[right], va=UPWARD[up])
             text.xyann = right * away_pt, up * away_pt
             box = text.get_window_extent().padded(dots_per_pt / 2)
+            num_near = box.padded((away_pt - MARK_PT) * dots_per_pt).count_overlaps(mark_boxes)
             is_inside = panel.bbox.count_contains([box.min, box.max]) == 2
-            if is_inside and not box.count_overlaps(taken):
+            if is_inside and num_near <= most and not box.count_overlaps(taken):
                 taken.append(box)
-                around = box.padded((away_pt - MARK_PT) * dots_per_pt)
-                if away_pt > BESIDE_PT or around.count_overlaps(taken[: len(marks)]) > 1:
+                if num_near > 1 or away_pt > BESIDE_PT:
                     panel.annotate("", place, text.xyann, textcoords=POINTS, arrowprops=line)
                 break
         else:
