@@ -98,6 +98,11 @@ class Demonstration:
 
         Returns:
           ``[K]``, in the order of the weights.
+
+        Examples:
+          >>> (planned,) = ju.fit.demonstrations_from_paths(path, maps)  # on the grid, so the same
+          >>> bool((planned.cheapest_near(planned.features) == planned.features).all())
+          True
         """
         within_cells = min(within_cells, self.drawn_cells)
         if not within_cells:
