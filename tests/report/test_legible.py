@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib import __version_info__ as version_info
 from matplotlib.figure import Figure
 
 import jaxurban as ju
@@ -46,6 +47,9 @@ def covered(panel, boxes, marks: np.ndarray) -> list[str]:
     return [name for name, box in boxes if box.count_contains(middles)]
 
 
+@pytest.mark.skipif(
+    version_info < (3, 11), reason="Matplotlib before 3.11 lets a polar panel's title meet its N"
+)
 @pytest.mark.parametrize(("num", "name"), [(45, "G{:02}"), (45, "STARLINK-{:04}")])
 def test_pictures_beside_a_receiver_can_be_read(num, name):
     of = agreement(num, name)
