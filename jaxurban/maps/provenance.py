@@ -4,6 +4,7 @@ import glob
 import hashlib
 import importlib.metadata
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -163,7 +164,7 @@ def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str,
     files = {}
     for role, name in values_given(named).items():
         file = located(scenario.path_of(name))
-        if recorded is not None and not file.exists():
+        if recorded is not None and not os.path.exists(file):
             continue
         record = recorded and recorded.get(role, {})
         files[role] = {"path": name} | _sum_and_size(file, role, record)

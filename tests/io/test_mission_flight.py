@@ -5,6 +5,7 @@ import json
 import pyproj
 import pytest
 
+from jaxurban.errors import reason_of
 from jaxurban.io.read.mission import Leg, Place, read_mission
 from tests.io.test_mission import BOX, JUMP, RETURN, TAKEOFF, here, item, plan_of
 
@@ -135,6 +136,22 @@ def test_a_jump_without_end_is_flown_until_the_jumps_within_it_are_spent(read):
     assert ways[:4] == [("leg", 2), ("leg", 3), ("jump", 6), ("jump", 2)]
     assert ways[4:] == [("leg", 5), ("leg", 6), ("leg", 8)]
     assert (mission.not_judged, mission.num_lost) == ((), 0)
+
+
+def test_a_landing_of_an_unknown_autopilot_comes_down_from_either_height(read):
+    legs = read([*BOX[:2], item(21, at=3, frame=10, z_m=0)], GENERIC).legs
+    down = [leg for leg in legs if leg.kind == "land"]
+    assert [(leg.start.datum, leg.is_variant) for leg in down] == [
+        ("home", True),
+        ("ground", False),
+    ]
+    assert {leg.end for leg in down} == {here(3, 0.0, "ground")}
+
+
+def test_words_of_python_are_replaced_and_names_of_files_are_not():
+    assert reason_of(ValueError("zip() argument 2 is shorter")).startswith("lists that belong")
+    missing = FileNotFoundError(2, "No such file or directory", "recursion.plan")
+    assert reason_of(missing) == "No such file or directory"
 
 
 @pytest.mark.parametrize("command", [84, 85, 3000])

@@ -502,8 +502,8 @@ class Flight:
             in_frame = _kept(at, item.lon, item.lat, item.datum)
             at = level if self._autopilot == "px4" else in_frame
             self._fly_to(item, at, beside=level if self._autopilot == "unknown" else None)
-            self._state = self._state._replace(beside=None)  # they descend at the same place
-        self._leave_circle(item)
+        else:
+            self._leave_circle(item)
         ground = Place(at.lon, at.lat, 0.0, "ground")
         self._move(item, ground, "land")
         self._lose(item, ground)
