@@ -434,3 +434,30 @@ def test_many_lines_and_many_things_are_read_in_seconds(read):
     deep = "<gx:MultiTrack>" * 50_000 + "</gx:MultiTrack>" * 50_000
     assert len(read(kml(deep), "m.kml").legs) == 1
     assert time.process_time() - began < 5
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "is_read"),
+    [
+        *(("unit", "m", True), ("community", "Harlem", True), ("model", "M300", True)),
+        *(("unit", "ft", False), ("altitude_units", "feet", False), ("altitudemode", "1", False)),
+        *(("horizontal_datum", "NAD27", False), ("frame", "3", False), ("alt_agl", "30", False)),
+    ],
+)
+def test_columns_that_say_how_others_are_meant_are_read_or_refused(read, name, value, is_read):
+    table = f"lon,lat,alt,{name}\n0,50,40,{value}\n1,50,40,{value}\n".encode()
+    if is_read:
+        assert len(read(table, "m.csv", heights="geoid").legs) == 1
+    else:
+        with pytest.raises(ju.InputError, match=name):
+            read(table, "m.csv", heights="geoid")
+
+
+@pytest.mark.parametrize(("name", "is_read"), [("units", False), ("community", True)])
+def test_properties_that_say_how_others_are_meant_are_not_judged(read, name, is_read):
+    geometry = {"type": "LineString", "coordinates": [[0, 50, 40], [1, 50, 40]]}
+    feature = {"type": "Feature", "properties": {name: "feet"}, "geometry": geometry}
+    plain = {**feature, "properties": {}}
+    whole = json.dumps({"type": "FeatureCollection", "features": [plain, feature]}).encode()
+    words = " ".join(read(whole, "m.geojson", heights="geoid").not_judged)
+    assert ("which is not understood" in words) != is_read

@@ -55,7 +55,7 @@ COLUMNS = {
     "height": (ALTITUDE_PROPERTY, "height_m", "alt_m", "altitude", "height", "alt", "ele"),
 }
 # In names of columns and properties that say how others are meant, and values that say what is taken anyway.
-QUALIFIERS = ("unit", "mode", "frame", "datum", "system", "command")
+QUALIFIER = re.compile(r"(units?|mode|frame|datum|system|command)(?![a-z])", re.IGNORECASE)
 HARMLESS = ("", "m", "meter", "meters", "metre", "metres", "wgs84", "wgs 84", "epsg:4326")
 HEIGHTS = ("alt", "height", "elev")  # in names of further columns of height
 MOST_COLUMNS = 1000  # of a table
@@ -482,8 +482,7 @@ def _geojson_lines(geometry: dict[str, Any], properties: dict[str, Any]) -> list
 
 def _is_odd(name: str, value: Any) -> bool:
     """Return whether a column or property says that others are meant in another way than they are taken."""
-    is_qualifier = any(word in name.lower() for word in QUALIFIERS)
-    return is_qualifier and str(value).strip().lower() not in HARMLESS
+    return bool(QUALIFIER.search(name)) and str(value).strip().lower() not in HARMLESS
 
 
 def csv_lines(path: Path, data: bytes) -> Shapes:
