@@ -84,6 +84,13 @@ def test_a_height_left_open_is_that_of_the_start_each_time_it_is_flown(read):
     assert ways[6:] == [("jump", 3, 30.0, 30.0), ("leg", 4, 30.0, 30.0), ("leg", 5, 30.0, 60.0)]
 
 
+@pytest.mark.parametrize(("frame", "is_known"), [(3, True), (0, True), (10, False)])
+def test_a_height_left_open_in_another_frame_is_not_judged(read, frame, is_known):
+    mission = read([*BOX[:2], item(at=2, z_m=None, frame=frame), item(at=3)])
+    assert (mission.not_judged == ()) == is_known
+    assert mission.legs[-1].start == here(2, 50.0)
+
+
 def test_jumps_within_jumps_end_and_each_leg_is_flown_once(read):
     jumps = [item(JUMP, frame=2, params=(2, -1, 0, 0)), item(JUMP, frame=2, params=(3, -1, 0, 0))]
     legs = read([*BOX[:3], jumps[0], item(at=5, z_m=None), jumps[1], item(at=6)]).legs

@@ -354,6 +354,10 @@ class Flight:
         lon, lat = where.lon, where.lat
         keeps_height = math.isnan(item.height_m) or (not item.has_place and item.height_m == 0)
         if at and keeps_height:
+            if item.has_place and (at.datum == "ground") != (item.datum == "ground"):
+                self._say(
+                    f"item {item.number} keeps its height, and whether above the ground or level is not known"
+                )
             return at._replace(lon=lon, lat=lat)
         if at and item.height_m == 0 and self._autopilot == "ardupilot":
             return _kept(at, lon, lat, item.datum)
