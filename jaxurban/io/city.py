@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import shapely
@@ -38,6 +39,8 @@ class City(FactsRepr):
       extent_m: x_min, y_min, x_max, y_max that the building source covers: beyond it no building is known.
       terrain_extent_m: the same of the terrain, None for flat ground.
       buildings: outlines with heights, or None where ``roofs`` is given.
+      structures: what else stands (chimneys, masts, tanks ...), and where something of unknown extent does; None or
+        empty for nothing.
       roofs: raster of roof heights above ground, or None.
       blocks: census blocks, or None without population data.
       terrain: raster of ground elevation, or None for flat ground.
@@ -79,6 +82,7 @@ class City(FactsRepr):
     gps: Gps | None = None
     population: Population | None = None
     heights: settings.Heights | None = None
+    structures: Footprints | None = None
 
     def __post_init__(self) -> None:
         """Check that there is one kind of roofs; errors as of the class."""
@@ -86,6 +90,11 @@ class City(FactsRepr):
             raise InputError(
                 "a City needs either buildings (outlines) or roofs (a height raster), and not both"
             )
+
+    @cached_property
+    def standing(self) -> Footprints | None:
+        """All outlines that stand: the buildings and, after them, the structures; None where ``roofs`` is given."""
+        return None if self.buildings is None else self.buildings.joined(self.structures)
 
     @property
     def facts(self) -> dict[str, str]:

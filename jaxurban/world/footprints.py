@@ -1,4 +1,4 @@
-"""Building outlines, and where their heights came from."""
+"""Outlines of what stands, and where their heights came from."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -17,25 +17,32 @@ class HeightOrigin(IntEnum):
     RASTER = 3  # a height raster
     GENERATED = 4  # the synthetic city
     LAYER = 5  # of a bridge's deck: its layer x a clearance
+    UNKNOWN = 6  # not even by rule: what stands there is not known, and the height is 0
 
 
 GUESSED_BY = {  # the origins of heights that are guesses, as reports say them with the settings of the buildings
     HeightOrigin.LEVELS: "from the number of levels at {level_height_m:g} m each",
     HeightOrigin.DEFAULT: "by the default of {default_height_m:g} m",
     HeightOrigin.LAYER: "decks of bridges from their layer at {layer_clearance_m:g} m each",
+    HeightOrigin.UNKNOWN: "of unknown extent",
 }
+BUILDING, UNKNOWN = "building", "unknown"  # kinds
 
 
 @dataclass(frozen=True)
 class Footprints(Rows):
-    """Building outlines as prisms with a flat roof. ``B`` buildings.
+    """Outlines of buildings, or of what else stands, as prisms with a flat roof. ``B`` of them.
 
     Attributes:
       polygons: ``[B]`` object array of valid shapely Polygons or MultiPolygons, in the city's CRS.
-      height_m: ``[B]`` float64 roof height above ground, > 0.
+      height_m: ``[B]`` float64 roof height above ground, > 0; 0 of kind ``"unknown"``.
       min_height_m: ``[B]`` float64 height of the underside, 0 for most; `City.hanging` says what it means.
       origin: ``[B]`` uint8, a `HeightOrigin` each.
       is_part: ``[B]`` bool, from ``building:part``.
+      kind: ``[B]`` objects: ``"building"``, ``"chimney"``, ``"mast"`` ...; ``"unknown"`` where something stands whose
+        extent is not known. None: all are buildings.
+      limit_m: ``[B]`` float64 height that a roof of guessed height does not exceed, inf where nothing says; of no
+        meaning where the height is known. None: inf for all.
     """
 
     polygons: np.ndarray
@@ -43,11 +50,32 @@ class Footprints(Rows):
     min_height_m: np.ndarray
     origin: np.ndarray
     is_part: np.ndarray
+    kind: np.ndarray | None = None
+    limit_m: np.ndarray | None = None
+
+    @property
+    def kinds(self) -> np.ndarray:
+        """``[B]`` objects: the kind of each."""
+        return np.full(len(self), BUILDING, object) if self.kind is None else self.kind
 
     @property
     def is_guessed(self) -> np.ndarray:
         """``[B]`` bool: no height is known, and what `GUESSED_BY` names stands in."""
         return np.isin(self.origin, list(GUESSED_BY))
+
+    @property
+    def upper_m(self) -> np.ndarray:
+        """``[B]`` float64 height above ground that nothing there exceeds: ``height_m`` where it is known."""
+        limit_m = np.inf if self.limit_m is None else self.limit_m
+        return np.where(self.is_guessed, np.maximum(limit_m, self.height_m), self.height_m)
+
+    def joined(self, other: "Footprints | None") -> "Footprints":
+        """Return these outlines and, after them, others."""
+        if other is None or not len(other):
+            return self
+        names = ("polygons", "height_m", "min_height_m", "origin", "is_part", "kinds", "upper_m")
+        columns = (np.concatenate([getattr(self, name), getattr(other, name)]) for name in names)
+        return Footprints(*columns)
 
     def origin_counts(self) -> dict[str, int]:
         """Return the number of buildings by the origin of their height, only origins that occur."""
