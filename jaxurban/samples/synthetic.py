@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -456,13 +457,10 @@ def _build(extent_m: Box, crs: str, seed: int) -> City:
     district = np.concatenate(districts)
     zoning = np.where(district <= NUM_COMMERCIAL, Zoning.COMMERCIAL, Zoning.RESIDENTIAL)
     zoning[district == OTHER_DISTRICT] = Zoning.OTHER
-    columns = {}
-    for field in fields(Footprints):
-        columns[field.name] = np.concatenate([getattr(houses, field.name) for houses in buildings])
     return City(
         crs=crs,
         extent_m=extent_m,
-        buildings=Footprints(**columns),
+        buildings=reduce(Footprints.joined, buildings),
         blocks=Blocks(
             polygons=np.concatenate(outlines),
             night_count=np.concatenate(people),
