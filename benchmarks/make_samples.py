@@ -81,7 +81,7 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     """
     # Outlines and their tags.
     osm = data / "osm/lower-manhattan.osm.pbf"
-    outlines = read_osm(osm, has_decks=True)
+    outlines = read_osm(osm)
     columns = {TAG_OF.get(name, name): values for name, values in outlines.tags.items()}
     frame = gpd.GeoDataFrame(columns, geometry=outlines.polygons, crs=WGS84)
     assert set(frame.columns) - {"geometry"} <= set(TAGS)

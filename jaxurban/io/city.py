@@ -1,5 +1,6 @@
 """City: what stands and who lives in a region, as vectors in one projected CRS."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,7 +11,7 @@ import shapely
 from jaxurban import settings
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.io.read.issues import ReadIssues
+from jaxurban.io.read.issues import LEFT_OUT, ReadIssues, listed_counts
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import Population
 from jaxurban.public import Caution, FactsRepr, caution_of_guesses
@@ -115,10 +116,16 @@ class City(FactsRepr):
                 buildings += f", and {num_around:,} around"
             extent = self.bounds or transformer(self.crs, WGS84).transform_bounds(*region_m)
             main = main_bounds(self.buildings.polygons, self.crs, extent)
+        inside = self.structures and self.structures.take(
+            shapely.intersects(self.structures.polygons, shapely.box(*region_m))
+        )
+        left_out: dict[str, int] = {reason: self.read_issues.get(reason, 0) for reason in LEFT_OUT}
         return {
             "CRS": self.crs,
             "extent": f"{(x_max - x_min) / 1000:.3g} x {(y_max - y_min) / 1000:.3g} km",
             "buildings": buildings,
+            "structures": listed_counts(Counter(inside.kinds)) if inside else "",
+            "left out": listed_counts(left_out),
             MOST_IN: "" if main is None else str(list(main)),
             "census blocks": "" if self.blocks is None else f"{len(self.blocks):,}",
             "terrain": "flat" if self.terrain is None else "a raster",

@@ -18,6 +18,7 @@ class HeightOrigin(IntEnum):
     GENERATED = 4  # the synthetic city
     LAYER = 5  # of a bridge's deck: its layer x a clearance
     UNKNOWN = 6  # not even by rule: what stands there is not known, and the height is 0
+    BESIDE_PARTS = 7  # of an outline beside its parts: that of its lowest one
 
 
 GUESSED_BY = {  # the origins of heights that are guesses, as reports say them with the settings of the buildings
@@ -25,6 +26,7 @@ GUESSED_BY = {  # the origins of heights that are guesses, as reports say them w
     HeightOrigin.DEFAULT: "by the default of {default_height_m:g} m",
     HeightOrigin.LAYER: "decks of bridges from their layer at {layer_clearance_m:g} m each",
     HeightOrigin.UNKNOWN: "of unknown extent",
+    HeightOrigin.BESIDE_PARTS: "of outlines beside their parts, by their lowest part",
 }
 BUILDING, UNKNOWN = "building", "unknown"  # kinds
 

@@ -16,7 +16,8 @@ import jaxurban as ju
 from jaxurban.io.city import City
 from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.osm import read_osm
-from jaxurban.io.read.outlines import polygonal, to_buildings
+from jaxurban.io.read.buildings import to_buildings
+from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.rasterise import build_surface, burn, rasterise
 from jaxurban.io.read.zone import cell_boxes, touched_cells
 from jaxurban.metrics.visibility import visibility
@@ -322,11 +323,11 @@ def test_an_osm_file_gives_bridges_only_where_slabs_are_asked(tmp_path):
     squares = [shapely.box(-74 + i, 40, -74 + i + 1e-3, 40.001).exterior.coords for i in range(3)]
     path = tmp_path / "city.osm"
     path.write_text(osm(*(line(1 + i, squares[i], **kinds[i]) for i in range(3))))
-    plain, slabs = read_osm(path), read_osm(path, has_decks=True)
-    assert (len(plain.polygons), len(slabs.polygons)) == (1, 2)
-    for hanging, floors_m in ((SLABS, [0, 5]), (TO_GROUND, [0])):
-        buildings, _, _ = to_buildings(ju.Buildings(path, hanging=hanging), slabs, "EPSG:32618")
+    for hanging, floors_m, kinds in ((SLABS, [0, 5], []), (TO_GROUND, [0], ["unknown"])):
+        file = ju.Buildings(path, hanging=hanging)
+        buildings, structures, _, _ = to_buildings(file, read_osm(path), "EPSG:32618")
         assert sorted(buildings.min_height_m.tolist()) == floors_m
+        assert structures.kinds.tolist() == kinds
 
 
 def test_an_outline_stays_as_a_podium_under_hanging_parts_where_no_part_stands(tmp_path):

@@ -9,7 +9,8 @@ import shapely
 import jaxurban as ju
 from jaxurban.io.read.heights import is_given, parse_count, parse_length_m
 from jaxurban.io.read.osm import read_osm
-from jaxurban.io.read.outlines import Outlines, to_buildings
+from jaxurban.io.read.buildings import to_buildings
+from jaxurban.io.read.outlines import Outlines
 from jaxurban.world.footprints import HeightOrigin
 from tests.io.made_files import (
     LAT,
@@ -76,7 +77,7 @@ def stand(polygons, boxes=(), crs=UTM, **columns):
     """Return the buildings of outlines, the declared boxes, and what was counted beside the reader's own count."""
     tags = {name: np.array(values, object) for name, values in columns.items()}
     outlines = Outlines(np.array(polygons, object), tags, crs, boxes, {"open_ways": 7})
-    buildings, boxes_m, issues = to_buildings(ju.Buildings("city.osm"), outlines, UTM)
+    buildings, _, boxes_m, issues = to_buildings(ju.Buildings("city.osm"), outlines, UTM)
     assert issues.pop("open_ways") == 7
     return buildings, boxes_m, {name: count for name, count in issues.items() if count}
 
@@ -387,7 +388,7 @@ def test_counts_of_a_real_file_agree_with_its_readme(data_dir, name):
     crs, known, issues = FILES[name]
     path = data_dir / "osm" / f"{name}.osm.pbf"
     outlines = read_osm(path)
-    buildings, _, found = to_buildings(ju.Buildings(path), outlines, crs)
+    buildings, _, _, found = to_buildings(ju.Buildings(path), outlines, crs)
     building, part, height, levels = (
         is_given(outlines.column(n)) for n in ("building", "part", "height", "levels")
     )
@@ -430,6 +431,6 @@ def test_an_outline_with_a_vertex_that_is_no_number_is_left_out_and_counted():
     bad = shapely.transform(SQUARE, lambda lonlat: np.where(is_second, np.nan, lonlat))
     polygons = np.array([SQUARE, bad])
     outlines = Outlines(polygons, {}, "EPSG:4326", (), "")
-    buildings, _, issues = to_buildings(ju.Buildings("city.osm"), outlines, "EPSG:32618")
+    buildings, _, _, issues = to_buildings(ju.Buildings("city.osm"), outlines, "EPSG:32618")
     assert len(buildings) == 1
     assert issues["outside_crs"] == 1

@@ -18,11 +18,18 @@ import shapely
 from jaxurban import settings
 from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.city import City, joined_credits
+from jaxurban.io.read.buildings import to_buildings
 from jaxurban.io.read.census import read_blocks
-from jaxurban.io.read.guesses import FLAT_GROUND, census_guesses, height_guesses, warn_of
+from jaxurban.io.read.guesses import (
+    FLAT_GROUND,
+    census_guesses,
+    height_guesses,
+    structure_guesses,
+    warn_of,
+)
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
-from jaxurban.io.read.outlines import Near, Outlines, meets, to_buildings
+from jaxurban.io.read.outlines import Near, Outlines, meets
 from jaxurban.io.read.raster import (
     RASTER_SUFFIXES,
     check_is_no_surface,
@@ -50,13 +57,11 @@ from jaxurban.world.grid import (
 )
 from jaxurban.world.raster import Raster
 
-OutlineReader = Callable[[Path, Near | None, bool], Outlines]
+OutlineReader = Callable[[Path, Near | None], Outlines]
 OUTLINE_READERS: dict[str, OutlineReader] = {
     # Nodes of OSM lie anywhere before their ways.
-    **dict.fromkeys(
-        OSM_SUFFIXES, lambda path, near, has_decks: read_osm(path, has_decks=has_decks)
-    ),
-    **dict.fromkeys(VECTOR_SUFFIXES, lambda path, near, has_decks: read_vector(path, near)),
+    **dict.fromkeys(OSM_SUFFIXES, lambda path, near: read_osm(path)),
+    **dict.fromkeys(VECTOR_SUFFIXES, read_vector),
 }
 FILE_FIELDS = ("source", *FILES)
 GEOD = pyproj.Geod(ellps="WGS84")
@@ -126,6 +131,7 @@ def read_city(
 
     # People, and what was guessed of heights, of people and of the ground.
     guesses = height_guesses(source.buildings, box_m, buildings)
+    guesses |= structure_guesses(source.structures, source.read_issues, box_m)
     blocks = None
     if people.has_blocks:
         blocks, block_issues = read_blocks(people, crs, wide_m, box_m)
@@ -226,12 +232,12 @@ def read_buildings(
             f'[buildings] kind = "surface" is for rasters, and {str(path)!r} is not one: leave it out'
         )
     if bounds_m is not None:
-        outlines = read(path, Near(bounds_m, crs), is_slabs)
+        outlines = read(path, Near(bounds_m, crs))
         city = _city_of(file, outlines, crs, bounds_m)
         if not outlines.is_part or len(city.buildings or ()):
             return city
     # A file without a building near the region is read whole, so that all it covers is known.
-    return _city_of(file, read(path, None, is_slabs), crs, bounds_m)
+    return _city_of(file, read(path, None), crs, bounds_m)
 
 
 def _reader_of(path: Path) -> OutlineReader | None:
@@ -267,7 +273,7 @@ def lonlat_extent(path: str | Path) -> Bounds:
     box = header_box(path) if file.suffix.lower() in OSM_SUFFIXES else None
     if box is not None:
         return box
-    outlines = read(file, None, False)  # all of it, without decks
+    outlines = read(file, None)
     if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
         raise InputError(
             f"{str(path)!r} holds no outline that would say where it lies: give bounds"
@@ -333,10 +339,11 @@ def _city_of(
         near; None keeps all. Without building and declared box there the area is that of the whole file, empty if only
         a part of it was read.
     """
-    buildings, boxes_m, issues = to_buildings(file, outlines, crs)
+    buildings, structures, boxes_m, issues = to_buildings(file, outlines, crs)
     area = shapely.Polygon() if outlines.is_part else area_of_outlines(buildings.polygons, boxes_m)
     if bounds_m is not None:
         buildings = buildings.take(meets(buildings.boxes_m.T, bounds_m))
+        structures = structures.take(meets(structures.boxes_m.T, bounds_m))
         near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
         near_area = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
         area = area if near_area.is_empty else near_area
@@ -348,6 +355,7 @@ def _city_of(
         read_issues=issues,
         attribution=outlines.attribution,
         hanging=file.hanging,
+        structures=structures,
     )
 
 

@@ -4,6 +4,7 @@ They are written down where they are made: on the `City` by what reads it, on th
 `jaxurban.maps.guesses` what a region's maps add. The maps hold all (`MetricMaps.guesses`), and each is warned of once.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import shapely
 from jaxurban import settings
 from jaxurban.errors import GuessWarning, warn
 from jaxurban.io.read.heights import LAYER_CLEARANCE_M
-from jaxurban.io.read.issues import ReadIssue, ReadIssues
+from jaxurban.io.read.issues import NOT_READ, ReadIssue, ReadIssues, listed_counts
 from jaxurban.metrics.population import Population
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.footprints import GUESSED_BY, Footprints
@@ -89,6 +90,36 @@ def height_guesses(
         f"the heights of the {len(inside):,} buildings in the region are guessed ({kinds}): give a source with "
         "heights, or set [buildings] level_height_m and default_height_m",
     )
+
+
+def structure_guesses(
+    structures: Footprints | None, issues: ReadIssues, bounds_m: Bounds
+) -> Guesses:
+    """Return the guess on structures in a box whose height or extent is not known, and on what is not read.
+
+    Args:
+      structures: None of a raster.
+      issues: of what reads them.
+      bounds_m: x_min, y_min, x_max, y_max of the box in the structures' CRS.
+    """
+    if structures is None:
+        return {}
+    is_inside = shapely.intersects(structures.polygons, shapely.box(*bounds_m))
+    unknown = structures.take(is_inside & structures.is_guessed)
+    kinds = listed_counts(Counter(unknown.kinds))
+    not_read = listed_counts({reason: issues.get(reason, 0) for reason in NOT_READ})
+    guesses = {}
+    if kinds:
+        guesses[f"{len(unknown):,} structures of unknown height"] = (
+            f"the height or the extent of {len(unknown):,} structures in the region is not known ({kinds}): paths keep "
+            "away from them and checks do not judge what flies near them, up to what their kind may reach; give them "
+            "heights, or a file in which they are whole"
+        )
+    if not_read:
+        guesses["what is not read"] = (
+            f"what the file of buildings has of these is not read, so that nothing keeps away from it: {not_read}"
+        )
+    return guesses
 
 
 def census_guesses(issues: ReadIssues, blocks: Blocks, files: Population) -> Guesses:

@@ -1,5 +1,6 @@
 """What the readers of a city repaired, guessed or left out, counted."""
 
+from collections.abc import Mapping
 from enum import StrEnum
 
 
@@ -16,7 +17,14 @@ class ReadIssue(StrEnum):
       POLYGONS_DROPPED: empty, or beyond repair.
       OUTSIDE_CRS: where the city's CRS does not reach.
       NOT_BUILDINGS: building=no without building:part, left out.
-      UNDERGROUND: location=underground or layer below 0, left out.
+      UNDERGROUND: location=underground, level below 0, no level above the ground, or parking below it, left out.
+      RAZED, PLANNED: buildings that do not stand any more, or not yet, left out.
+      NOT_STANDING: piers, cameras, sites of plants, low things, left out.
+      NOT_IN_TABLE: of a kind that no table knows, without an area or a height, left out.
+      WIRES: lines of power and aerialways, left out.
+      TREES: with a height, left out.
+      UNKNOWN_EXTENT: something stands there, but its extent or kind is not known.
+      UNKNOWN_HEIGHT: structures without a height.
       OUTLINES_REPLACED_BY_PARTS: covered by their own parts to 90 % or more.
       OUTLINES_KEPT_AS_PODIUMS: of these, under hanging parts where no part stands, up to the lowest floor.
       PARTS_GIVEN_OUTLINE_HEIGHT: parts without a height of their own.
@@ -47,6 +55,14 @@ class ReadIssue(StrEnum):
     OUTSIDE_CRS = "outside_crs"
     NOT_BUILDINGS = "not_buildings"
     UNDERGROUND = "underground"
+    RAZED = "razed"
+    PLANNED = "planned"
+    NOT_STANDING = "not_standing"
+    NOT_IN_TABLE = "not_in_table"
+    WIRES = "wires"
+    TREES = "trees"
+    UNKNOWN_EXTENT = "unknown_extent"
+    UNKNOWN_HEIGHT = "unknown_height"
     OUTLINES_REPLACED_BY_PARTS = "outlines_replaced_by_parts"
     OUTLINES_KEPT_AS_PODIUMS = "outlines_kept_as_podiums"
     PARTS_GIVEN_OUTLINE_HEIGHT = "parts_given_outline_height"
@@ -68,3 +84,14 @@ class ReadIssue(StrEnum):
 
 
 ReadIssues = dict[ReadIssue, int]
+LEFT_OUT = (  # why nothing stands where a file names something
+    *(ReadIssue.NOT_BUILDINGS, ReadIssue.UNDERGROUND, ReadIssue.RAZED, ReadIssue.PLANNED),
+    *(ReadIssue.NOT_STANDING, ReadIssue.NOT_IN_TABLE, ReadIssue.WIRES, ReadIssue.TREES),
+)
+NOT_READ = LEFT_OUT[-3:]  # of these, what may stand all the same
+
+
+def listed_counts(counts: Mapping[str, int]) -> str:
+    """Return counts as a text, the largest first: ``"12 masts, 3 tanks"``; those of 0 are left out."""
+    largest_first = sorted(counts.items(), key=lambda item: -item[1])
+    return ", ".join(f"{num:,} {name.replace('_', ' ')}" for name, num in largest_first if num)

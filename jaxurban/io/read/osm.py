@@ -3,7 +3,7 @@
 Water and parks are what the strata of a study need beside the maps.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,27 +16,29 @@ from osmium.filter import IdFilter, KeyFilter, TagFilter
 
 from jaxurban.errors import readable, warn
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.outlines import DECK, Outlines, tags_of
+from jaxurban.io.read.outlines import Outlines, tags_of
+from jaxurban.world.footprints import BUILDING
 from jaxurban.world.grid import WGS84, Bounds, transformer
 from jaxurban.world.land_cover import LandCover
 
-TAGS = (  # that say something of buildings, as `COLUMNS` sorts them
-    "building",
-    "building:part",
-    "height",
-    "building:levels",
-    "levels",
-    "roof:levels",
-    "min_height",
-    "building:min_level",
-    "location",
-    "layer",
-    "man_made",
+BUILDINGS = ("building", "building:part")  # keys
+MAYBE = (  # keys of what may stand
+    *(*BUILDINGS, "height", "man_made", "power", "aerialway"),
+    *("abandoned:building", "disused:building", "ruins:building", "construction:building"),
+    *("demolished:building", "razed:building", "removed:building", "destroyed:building"),
+    *("proposed:building", "planned:building"),
 )
+OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
+    *(*BUILDINGS, "height", "building:levels", "levels", "roof:levels", "min_height"),
+    *("building:min_level", "building:levels:underground", "location", "layer", "level"),
+    *("parking", "man_made"),
+)
+OF_OTHERS = ("barrier", "natural", "diameter", "width", "rotor:diameter", "height:hub")
+TAGS = tuple(dict.fromkeys((*OF_BUILDINGS, *MAYBE, *OF_OTHERS)))
+Key = tuple[str, int]  # "n", "w" or "r", and an id
 OSM_SUFFIXES = (".pbf", ".osm")
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
-HAS_BUILDING = KeyFilter("building", "building:part")
-HAS_BUILDING_OR_DECK = KeyFilter("building", "building:part", "man_made")
+MAY_STAND = KeyFilter(*MAYBE, "type")  # the type of relations
 WATER = (
     ("natural", "water"),
     ("waterway", "riverbank"),
@@ -51,95 +53,142 @@ COAST = ("natural", "coastline")
 MIXED = 0.2  # share of the shore on a face's other side, above which land and sea were not parted
 GAP_M = 500.0  # a coast that ends nearer than this to the region's border was cut there
 _AREA_RELATIONS = ("multipolygon", "boundary")  # what libosmium makes areas of
+_OUTLINE_ROLES = ("outline", "outer", "")  # of members of a relation of the type building
 
 
-def read_osm(path: str | Path, *, has_decks: bool = False) -> Outlines:
-    """Return the areas tagged ``building`` or ``building:part`` of an OSM file, ways and multipolygon relations.
+def read_osm(path: str | Path) -> Outlines:
+    """Return what may stand of an OSM file: areas, lines and points with a key of `MAYBE`, with their tags.
 
     Coordinates are longitude and latitude; the box is the file header's (of several the first). Areas that
-    libosmium cannot assemble (rings that cross themselves) are rebuilt from their lines, each loop filled.
+    libosmium cannot assemble (rings that cross themselves) are rebuilt from their lines, each loop filled; where
+    these do not close, the lines are given as far as the file has them. Outlines of relations of the type building
+    have the relations' tags beside their own.
     Nodes and ways with negative ids (an editor's, not yet uploaded) are unknown to pyosmium: their nodes are missing.
 
     Args:
       path: the file.
-      has_decks: with the areas tagged ``man_made=bridge`` too.
 
     Raises:
       InputError: the file cannot be read to its end.
     """
     remedy = "it is damaged, cut short or of another kind; fetch it again, or put it in order with `osmium sort`"
     with readable(path, "OpenStreetMap data", remedy, RuntimeError, osmium.InvalidLocationError):
-        return _read(path, has_decks)
+        return _read(path)
 
 
-def _read(path: str | Path, has_decks: bool) -> Outlines:
-    """Return the outlines of an OSM file; arguments as of `read_osm`, errors as pyosmium raises them.
-
-    An area is an outline that libosmium makes of a closed way, or of the ways of a relation.
-    """
-    # Areas, an entry of each list for each, and the ids of the ways and relations that the file has.
-    areas: list[tuple[bool, int]] = []  # whether it is of a way, and the id of way or relation
-    shapes = []  # WKB in hexadecimal, None where libosmium could not make it
-    tags = []
-    ways = set()
-    open_ways = set()
-    missing = set()  # ways that lack nodes
-    relations = {}  # for each relation its ways
+def _read(path: str | Path) -> Outlines:
+    """Return the outlines of an OSM file; arguments as of `read_osm`, errors as pyosmium raises them."""
+    # By kind and id: the tags of what may stand, and its shape: WKB in hexadecimal of areas, else a geometry.
+    tags: dict[Key, dict[str, str]] = {}
+    shapes: dict[Key, Any] = {}
+    areas = set()  # whether libosmium could assemble them or not
+    ways_of: dict[Key, list[int]] = {}  # of what may have no area
+    lines: dict[int, shapely.Geometry] = {}  # of ways that close no area
+    closed, open_ways, missing = set[Key](), set[Key](), set[Key]()  # the last lack nodes
+    of_members: dict[
+        Key, dict[str, str]
+    ] = {}  # what the relation of a building says of its outlines
     to_wkb = osmium.geom.WKBFactory()
-    chosen = HAS_BUILDING_OR_DECK if has_decks else HAS_BUILDING
-    for item in open_osm(path).with_areas(chosen).with_filter(chosen):
-        if has_decks and not _is_building_or_deck(item.tags):
-            continue
+    for item in open_osm(path).with_areas(MAY_STAND).with_filter(MAY_STAND):
+        key = (item.type_str(), item.id)
         if isinstance(item, osmium.osm.Area):
-            areas.append((item.from_way(), item.orig_id()))
-            tags.append([item.tags.get(tag) for tag in TAGS])
-            is_assembled = item.num_rings()[0] > 0
-            shapes.append(to_wkb.create_multipolygon(item) if is_assembled else None)
+            key = ("w" if item.from_way() else "r", item.orig_id())
+            areas.add(key)
+            ways_of.setdefault(key, [key[1]])
+            if item.num_rings()[0] > 0:
+                shapes[key] = to_wkb.create_multipolygon(item)
+        elif isinstance(item, osmium.osm.Node):
+            shapes[key] = shapely.Point(item.lon, item.lat)
         elif isinstance(item, osmium.osm.Way):
-            ways.add(item.id)
+            is_whole = all(node.location.valid() for node in item.nodes)
+            if is_whole and item.is_closed():  # its area has its tags
+                if "building" in item.tags or "building:part" in item.tags:
+                    closed.add(key)
+                continue
+            ways_of[key] = [item.id]
+            lines[item.id] = _line_of(item)
             if not item.is_closed():
-                open_ways.add(item.id)
-            if not all(node.location.valid() for node in item.nodes):
-                missing.add(item.id)
-        elif isinstance(item, osmium.osm.Relation) and item.tags.get("type") in _AREA_RELATIONS:
-            relations[item.id] = _ways_of(item)
+                open_ways.add(key)
+            if not is_whole:
+                missing.add(key)
+        own = _tags_of(item)
+        if isinstance(item, osmium.osm.Relation):
+            kind = item.tags.get("type")
+            if kind == BUILDING:
+                outlines = (member for member in item.members if member.role in _OUTLINE_ROLES)
+                of_members |= {(member.type, member.ref): own for member in outlines}
+            if kind not in _AREA_RELATIONS or own.keys().isdisjoint(MAYBE):
+                continue
+            ways_of[key] = _ways_of(item)
+        tags[key] = own
 
-    # Areas that libosmium could not assemble are built from the lines of their ways, as far as the file has them.
-    polygons = shapely.from_wkb(np.array(shapes, object))
-    broken = np.flatnonzero(shapely.is_missing(polygons))
-    ways_of = {}
-    for index in broken:
-        is_way, item_id = areas[index]
-        ways_of[index] = [item_id] if is_way else relations[item_id]
-    lines = _read_lines(path, set().union(*ways_of.values())) if ways_of else {}
-    for index, ids in ways_of.items():
-        known = [lines[way_id] for way_id in ids if way_id in lines]
-        polygons[index] = shapely.build_area(shapely.union_all(known))
+    # Outlines have what their relation says beside their own tags.
+    for key, own in of_members.items():
+        tags[key] = {"building": "yes"} | own | tags.get(key, {})
+        if key[0] == "w":
+            ways_of.setdefault(key, [key[1]])
 
-    # The outlines. Ways and relations that made no area are counted by what is wrong with them.
-    of_ways = {item_id for is_way, item_id in areas if is_way}
-    of_relations = {item_id for is_way, item_id in areas if not is_way}
-    columns = np.array(tags, object).reshape(-1, len(TAGS)).T
+    # What is no area is built from the lines of its ways; what does not close is these lines.
+    broken = [key for key in ways_of.keys() & tags.keys() if key not in shapes]
+    to_read = {way for key in broken for way in ways_of[key]} - lines.keys()
+    lines |= _read_lines(path, to_read) if to_read else {}
+    num_repaired = 0
+    for key in sorted(broken):
+        known = shapely.union_all([lines[way] for way in ways_of[key] if way in lines])
+        built = shapely.build_area(known)
+        is_built = not built.is_empty and (key in areas or key in of_members)
+        num_repaired += is_built
+        if not known.is_empty or key in areas:
+            shapes[key] = built if is_built else known
+    shapes = {key: shape for key, shape in shapes.items() if key in tags}
+
+    # Buildings that made no area are counted by what is wrong with them.
+    columns = {tag: np.full(len(shapes), None, object) for tag in TAGS}
+    for index, key in enumerate(shapes):
+        for tag, value in tags[key].items():
+            columns[tag][index] = value
+    not_areas = {key for key in tags if any(name in tags[key] for name in BUILDINGS)} - areas
     box = header_box(path)
     return Outlines(
-        polygons=polygons,
-        tags=tags_of(dict(zip(TAGS, columns, strict=True))),
+        polygons=_geometries(shapes),
+        tags=tags_of(columns),
         crs=WGS84,
         boxes=() if box is None else (box,),
         attribution=OSM_CREDIT,
         issues={
-            ReadIssue.OPEN_WAYS: len(open_ways),
-            ReadIssue.WAYS_WITH_MISSING_NODES: len(missing),
-            ReadIssue.DEGENERATE_WAYS: len(ways - open_ways - missing - of_ways),
-            ReadIssue.RELATIONS_INCOMPLETE: len(relations.keys() - of_relations),
-            ReadIssue.POLYGONS_REPAIRED: int(np.sum(~shapely.is_empty(polygons[broken]))),
+            ReadIssue.OPEN_WAYS: len(open_ways & not_areas),
+            ReadIssue.WAYS_WITH_MISSING_NODES: len(missing & not_areas),
+            ReadIssue.DEGENERATE_WAYS: len(closed - areas),
+            ReadIssue.RELATIONS_INCOMPLETE: sum(key[0] == "r" for key in not_areas),
+            ReadIssue.POLYGONS_REPAIRED: num_repaired,
         },
     )
 
 
-def _is_building_or_deck(tags: Any) -> bool:
-    """Return whether an object with these tags is a building, a part of one, or the deck of a bridge."""
-    return "building" in tags or "building:part" in tags or tags.get("man_made") == DECK
+def _tags_of(item: Any) -> dict[str, str]:
+    """Return the tags of an object that say what stands."""
+    tags = item.tags
+    names = OF_BUILDINGS if "building" in tags else TAGS
+    return {name: value for name in names if (value := tags.get(name)) is not None}
+
+
+def _geometries(shapes: Mapping[Key, Any]) -> np.ndarray:
+    """Return shapes as geometries; texts are WKB in hexadecimal."""
+    geometries = np.fromiter(shapes.values(), object, len(shapes))
+    is_text = np.array([isinstance(shape, str) for shape in geometries], bool)
+    geometries[is_text] = shapely.from_wkb(geometries[is_text])
+    return geometries
+
+
+def _line_of(way: osmium.osm.Way) -> shapely.Geometry:
+    """Return the line of a way in longitude and latitude, without nodes that are missing: a point of one, or empty."""
+    points = [(node.lon, node.lat) for node in way.nodes if node.location.valid()]
+    return shapely.Point(points[0]) if len(points) == 1 else shapely.LineString(points)
+
+
+def _may_stand(tags: Any) -> bool:
+    """Return whether an object with these tags may stand, or is the relation of a building."""
+    return tags.get("type") == BUILDING or any(key in tags for key in MAYBE)
 
 
 def format_of(path: str | Path) -> str:
@@ -182,7 +231,7 @@ def _read_lines(path: str | Path, ids: set[int]) -> dict[int, shapely.Geometry]:
         if isinstance(way, osmium.osm.Way):  # nodes may bear the same numbers
             points = [(node.lon, node.lat) for node in way.nodes if node.location.valid()]
             sides = {tuple(sorted(side)) for side in pairwise(points) if side[0] != side[1]}
-            lines[way.id] = shapely.LineString(points if len(points) > 1 else [])
+            lines[way.id] = _line_of(way)
             if len(sides) < len(points) - 1:
                 lines[way.id] = shapely.MultiLineString(sorted(sides))
     return lines
@@ -205,7 +254,7 @@ def header_box(path: str | Path) -> Bounds | None:
 
 
 def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
-    """Write the ways and relations of buildings and decks that have a node in a box, with all that they refer to.
+    """Write what may stand and has a node in a box, with all that it refers to.
 
     Args:
       source: a PBF file, nodes before ways before relations.
@@ -217,30 +266,32 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
     # The member ways of a building relation need not bear the tag themselves.
     ways_of = {relation.id: _ways_of(relation) for relation in _relations(file)}
     members = set().union(*ways_of.values())
-    near = {way.id for way in _ways_in(file, IdFilter(members), box)} if members else set()
+    near = set()
+    if members:
+        near = {item.id for item in _in_box(file, IdFilter(members), box) if item.is_way()}
 
     with osmium.BackReferenceWriter(
         _file(target), ref_src=file, overwrite=True, remove_tags=False
     ) as writer:
-        for way in _ways_in(file, HAS_BUILDING_OR_DECK, box):
-            if _is_building_or_deck(way.tags):
-                writer.add(way)
+        for item in _in_box(file, MAY_STAND, box):
+            if _may_stand(item.tags):
+                writer.add(item)
         for relation in _relations(file):
             if not near.isdisjoint(ways_of[relation.id]):
                 writer.add(relation)
 
 
 def _relations(file: osmium.io.File) -> Iterator[osmium.osm.Relation]:
-    """Yield the relations of buildings and decks in a file."""
-    for item in osmium.FileProcessor(file, osmium.osm.RELATION).with_filter(HAS_BUILDING_OR_DECK):
-        if isinstance(item, osmium.osm.Relation) and _is_building_or_deck(item.tags):
+    """Yield the relations of a file that may stand."""
+    for item in osmium.FileProcessor(file, osmium.osm.RELATION).with_filter(MAY_STAND):
+        if isinstance(item, osmium.osm.Relation) and _may_stand(item.tags):
             yield item
 
 
-def _ways_in(
+def _in_box(
     file: osmium.io.File, chosen: IdFilter | KeyFilter, box: Bounds
-) -> Iterator[osmium.osm.Way]:
-    """Yield the ways of a file that pass a filter and have a node in a box.
+) -> Iterator[osmium.osm.Node | osmium.osm.Way]:
+    """Yield the nodes and ways of a file that pass a filter and lie or have a node in a box.
 
     Args:
       file: sorted, with nodes before ways.
@@ -250,8 +301,9 @@ def _ways_in(
     west, south, east, north = box
     processor = osmium.FileProcessor(file, osmium.osm.NODE | osmium.osm.WAY).with_locations()
     for item in processor.with_filter(chosen):
-        if isinstance(item, osmium.osm.Way):
-            places = (node.location for node in item.nodes if node.location.valid())
+        if isinstance(item, osmium.osm.Node | osmium.osm.Way):
+            nodes = item.nodes if isinstance(item, osmium.osm.Way) else [item]
+            places = (node.location for node in nodes if node.location.valid())
             if any(west <= place.lon <= east and south <= place.lat <= north for place in places):
                 yield item
 

@@ -1,0 +1,382 @@
+"""The rules that make of features Footprints: buildings and their parts, and what else stands."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban import settings
+from jaxurban.errors import InputError
+from jaxurban.io.read.heights import estimate_heights, parse_length_m, with_decks
+from jaxurban.io.read.issues import LEFT_OUT, ReadIssue, ReadIssues
+from jaxurban.io.read.kinds import (
+    ABOVE_LEVELS_M,
+    HULL,
+    LEVEL_LIMIT_M,
+    LIMIT_M,
+    LOW_BUILDINGS,
+    LOW_LIMIT_M,
+    TURBINE,
+)
+from jaxurban.io.read.outlines import Outlines, polygonal
+from jaxurban.io.read.stands import texts, what_stands
+from jaxurban.settings import SLABS
+from jaxurban.world.footprints import BUILDING, UNKNOWN, Footprints, HeightOrigin
+from jaxurban.world.grid import Bounds, transformer
+
+# An outline covered at least so far by its parts is dropped (design, section 3).
+REPLACED_SHARE = 0.9
+BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it lies inside
+PODIUM_M2 = 1.0  # less than this between two drawings of one wall is no podium
+SAME_HEIGHT_M = 0.5  # an outline and its highest part
+MOST_RADIUS_M = 100.0  # of what is a point: more is a slip of the unit
+RESHAPED = ("polygons", "height_m", "origin", "limit_m")
+
+
+def to_buildings(
+    file: settings.Buildings, outlines: Outlines, crs: str
+) -> tuple[Footprints, Footprints, list[Bounds], ReadIssues]:
+    """Return buildings, other structures, the boxes in ``crs`` that the file declares to cover, and read issues.
+
+    What stands is decided by `what_stands`. An outline that its own parts cover to at least 90 % gives way to them; one
+    that is tagged ``building:part`` as well is a part itself and stands. A part without usable height takes that of its
+    highest outline, if it is known. An underside at or above the roof raises a roof that was only estimated from levels
+    or by default, and is set to 0 under a roof with a height. Where parts hang, an outline stays below those that no
+    part stands under (`_podiums`). An outline as high as its highest part ends beside its parts (`_beside_parts`).
+
+    Args:
+      file: the file of the outlines and what to make of it; with hanging ``"slabs"`` areas of bridges
+        (``man_made=bridge``) that are no buildings are decks (see `with_decks`).
+      outlines: from a reader.
+      crs: projected CRS of the buildings.
+
+    Raises:
+      InputError: no building and no declared box, in a file that was read as a whole.
+    """
+    # What stands, and the valid shapes of it.
+    issues = dict(outlines.issues)
+    verdict, is_part, is_deck = what_stands(outlines, file.hanging == SLABS, issues)
+    index = np.flatnonzero(~np.isin(verdict, LEFT_OUT))
+    shapes, is_sound = _project(outlines.polygons[index], outlines.crs, crs, issues)
+    shapes = shapes[is_sound]
+    index = index[is_sound]
+    to_city = transformer(outlines.crs, crs)
+    boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
+    if not (boxes_m or len(index) or outlines.is_part):
+        raise InputError(
+            f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
+        )
+    is_building = (verdict[index] == BUILDING) & (shapely.get_dimensions(shapes) == 2)
+    of_building = index[is_building]
+    polygons = shapes[is_building]
+
+    # Heights of buildings.
+    is_part = is_part[of_building]
+    is_deck = is_deck[of_building]
+    tags = outlines.take(of_building).tags
+    buildings = estimate_heights(tags, polygons, is_part, file, issues)
+    if is_deck.any():
+        layer = pd.to_numeric(
+            pd.Series(texts(outlines.column("layer")[of_building])), errors="coerce"
+        ).to_numpy(float)
+        buildings = with_decks(buildings, is_deck, layer)
+
+    # Outlines and their parts: heights of one for the other, and which outlines the parts replace.
+    outline, part, shared = _own_parts(polygons, ~is_part & ~is_deck, is_part)
+    buildings = _above_underside(_with_outline_heights(buildings, outline, part, issues), issues)
+    is_replaced = _covered_share(polygons, outline, shared) >= REPLACED_SHARE
+    issues[ReadIssue.OUTLINES_REPLACED_BY_PARTS] = int(np.sum(is_replaced))
+    if file.hanging == SLABS:
+        buildings, is_podium = _podiums(buildings, outline, part, is_replaced)
+        issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = int(np.sum(is_podium))
+        is_replaced &= ~is_podium
+    kinds = texts(outlines.column("building")[of_building])
+    buildings = replace(buildings, limit_m=_limits_m(buildings, kinds, file))
+    buildings = _beside_parts(buildings, outline, part, is_replaced).take(~is_replaced)
+    issues[ReadIssue.PARTS_HANGING] = int(np.sum(buildings.min_height_m > 0))
+
+    # What else stands.
+    others = outlines.take(index[~is_building])
+    structures = _structures(shapes[~is_building], others, verdict[index[~is_building]], file)
+    is_same = _within(structures, shapes[~is_building], buildings)
+    is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
+    issues[ReadIssue.NOT_STANDING] += int(np.sum(is_left_out))
+    structures = structures.take(~is_left_out & ~is_same)
+    is_unknown = structures.kinds == UNKNOWN
+    issues[ReadIssue.UNKNOWN_EXTENT] = int(np.sum(is_unknown))
+    issues[ReadIssue.UNKNOWN_HEIGHT] = int(np.sum(structures.is_guessed & ~is_unknown))
+    return buildings, structures, boxes_m, issues
+
+
+def _structures(
+    shapes: np.ndarray, outlines: Outlines, kinds: np.ndarray, rules: settings.Buildings
+) -> Footprints:
+    """Return structures with their heights: points as discs, lines as strips, and hulls of what is not whole.
+
+    Their height is 0 where it is unknown and their kind has none.
+
+    Args:
+      shapes: ``[N]`` in a projected CRS.
+      outlines: their tags.
+      kinds: ``[N]`` a `Kind` each, or `BUILDING` for a polygon without area.
+      rules: height of one level.
+    """
+    kinds = np.array([HULL if kind == BUILDING else kind for kind in kinds], object)
+    building = texts(outlines.column("building"))
+
+    def lengths_m(name: str) -> np.ndarray:
+        """Return ``[N]`` the lengths that a tag says, NaN where it says none."""
+        return np.array([parse_length_m(text) for text in texts(outlines.column(name))], float)
+
+    def of_kinds(field: str) -> np.ndarray:
+        """Return ``[N]`` a number of each kind."""
+        return np.array([getattr(kind, field) for kind in kinds], float)
+
+    # Shapes. A closed fence encloses what it does not fill.
+    is_hull = np.array([kind is HULL for kind in kinds], bool)
+    shapes = np.where(is_hull, shapely.convex_hull(shapes), shapes)
+    is_fence = texts(outlines.column("barrier")) != ""
+    shapes[is_fence] = shapely.boundary(shapes[is_fence])
+    is_areal = shapely.get_dimensions(shapes) == 2
+    rotor_m = lengths_m("rotor")
+    radius_m = np.fmin(np.fmax(lengths_m("diameter"), rotor_m) / 2, MOST_RADIUS_M)
+    radius_m = np.where(np.isfinite(radius_m), radius_m, of_kinds("radius_m"))
+    polygons = np.where(is_areal & ~is_hull, shapes, shapely.buffer(shapes, radius_m))
+
+    # Heights. The blades of a turbine reach above its hub.
+    whole = estimate_heights(outlines.tags, polygons, np.zeros(len(kinds), bool), rules, {})
+    tip_m = lengths_m("hub") + np.nan_to_num(rotor_m) / 2
+    has_tip = np.isfinite(tip_m) & np.array([kind is TURBINE for kind in kinds], bool)
+    origin = np.where(has_tip, HeightOrigin.HEIGHT, whole.origin)
+    has_height = origin != HeightOrigin.DEFAULT
+    height_m = np.where(has_height, np.fmax(whole.height_m, tip_m), of_kinds("height_m"))
+    names = np.array([kind.name for kind in kinds], object)
+    names[has_height & (names == UNKNOWN)] = "structure"
+    origin[names == UNKNOWN] = HeightOrigin.UNKNOWN
+    limit_m = np.where(is_hull, _limits_by_name_m(building), of_kinds("limit_m"))
+    return replace(
+        whole, height_m=height_m, origin=origin.astype(np.uint8), kind=names, limit_m=limit_m
+    )
+
+
+def _within(structures: Footprints, shapes: np.ndarray, buildings: Footprints) -> np.ndarray:
+    """Return ``[N]`` whether structures of unknown extent are points within buildings, which they then name."""
+    is_within = np.zeros(len(shapes), bool)
+    is_point = (shapely.get_dimensions(shapes) == 0) & (structures.kinds == UNKNOWN)
+    point, _ = shapely.STRtree(buildings.polygons).query(shapes, predicate="within")
+    is_within[point] = True
+    return is_within & is_point
+
+
+def _limits_by_name_m(building: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` the height that buildings of unknown height do not exceed, by what their tag calls them."""
+    return np.where(np.isin(building.astype(str), LOW_BUILDINGS), LOW_LIMIT_M, LIMIT_M)
+
+
+def _limits_m(buildings: Footprints, building: np.ndarray, rules: settings.Buildings) -> np.ndarray:
+    """Return ``[B]`` the height that buildings of guessed height do not exceed; of decks it is not known.
+
+    Args:
+      buildings: with their heights.
+      building: ``[B]`` what their tag calls them.
+      rules: height of one level.
+    """
+    num_levels = (buildings.height_m - buildings.min_height_m) / rules.level_height_m
+    by_levels_m = LEVEL_LIMIT_M * num_levels + ABOVE_LEVELS_M
+    origins = [HeightOrigin.LEVELS, HeightOrigin.DEFAULT]
+    of_origin = [buildings.origin == origin for origin in origins]
+    above_m = np.select(of_origin, [by_levels_m, _limits_by_name_m(building)], np.inf)
+    return buildings.min_height_m + above_m
+
+
+def _beside_parts(
+    buildings: Footprints, outline: np.ndarray, part: np.ndarray, is_replaced: np.ndarray
+) -> Footprints:
+    """Return buildings in which an outline with the height of its highest part covers what its parts leave.
+
+    As mappers give an outline the height of its tower, the rest of it is guessed to be as high as the lowest part that
+    stands on the ground, and no higher than the outline's height.
+
+    Args:
+      buildings: ``N`` outlines and parts.
+      outline, part: ``[P]`` indices of outlines and their own parts.
+      is_replaced: ``[N]`` bool, which outlines give way to their parts.
+    """
+    columns: Any = {name: getattr(buildings, name).copy() for name in RESHAPED}
+    is_known = buildings.origin == HeightOrigin.HEIGHT
+    is_own = is_known[outline] & is_known[part] & ~is_replaced[outline]
+    for owner in np.unique(outline[is_own]):
+        own = part[is_own & (outline == owner)]
+        top_m = buildings.height_m[own]
+        standing_m = top_m[buildings.min_height_m[own] == 0]
+        height_m = buildings.height_m[owner]
+        lowest_m = standing_m.min(initial=height_m)
+        if abs(top_m.max() - height_m) > SAME_HEIGHT_M or lowest_m >= height_m - SAME_HEIGHT_M:
+            continue
+        own_parts = shapely.union_all(buildings.polygons[part[outline == owner]])
+        rest = polygonal(shapely.difference(buildings.polygons[owner], own_parts))
+        if rest.is_empty:
+            continue
+        columns["polygons"][owner] = rest
+        columns["height_m"][owner] = lowest_m
+        columns["origin"][owner] = HeightOrigin.BESIDE_PARTS
+        columns["limit_m"][owner] = height_m
+    return replace(buildings, **columns)
+
+
+def _project(
+    polygons: np.ndarray, source: str, crs: str, issues: ReadIssues
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return polygons in another CRS, valid and without heights, and which of them could be made, ``[N]`` bool.
+
+    Args:
+      polygons: ``[N]`` of any kind, None where there is none.
+      source: their CRS.
+      crs: projected CRS of the result.
+      issues: gets how many were repaired, were beyond repair, or lie where ``crs`` does not reach.
+    """
+    to_city = transformer(source, crs).transform
+    if shapely.has_z(polygons).any():
+        polygons = shapely.force_2d(polygons)
+    polygons = shapely.transform(polygons, to_city, interleaved=False)
+    is_there = ~shapely.is_missing(polygons) & ~shapely.is_empty(polygons)
+    vertices, polygon = shapely.get_coordinates(polygons, return_index=True)
+    is_finite = np.ones(len(polygons), bool)
+    is_finite[polygon[~np.isfinite(vertices).all(axis=1)]] = False
+    is_sound = is_there & is_finite
+
+    # What has no area left stays as the line or the point that it is.
+    to_repair = np.flatnonzero(is_sound & ~shapely.is_valid(polygons))
+    made = [polygonal(valid) for valid in shapely.make_valid(polygons[to_repair])]
+    is_flat = shapely.is_empty(made)
+    polygons[to_repair] = np.where(is_flat, shapely.convex_hull(polygons[to_repair]), made)
+    is_sound &= ~shapely.is_empty(polygons)
+
+    issues[ReadIssue.OUTSIDE_CRS] = int(np.sum(is_there & ~is_finite))
+    num_repaired = int(np.sum(~is_flat))
+    issues[ReadIssue.POLYGONS_REPAIRED] = issues.get(ReadIssue.POLYGONS_REPAIRED, 0) + num_repaired
+    issues[ReadIssue.POLYGONS_DROPPED] = int(np.sum(~is_there)) + len(to_repair) - num_repaired
+    return polygons, is_sound
+
+
+def _own_parts(
+    polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return every pair of an outline and a part of its own: `BELONGING_SHARE` of the part at least lies inside it.
+
+    Args:
+      polygons: ``[N]`` valid polygons.
+      is_outline, is_part: ``[N]`` bool, which of them are outlines, and which are parts.
+
+    Returns:
+      ``[P]`` indices of the outlines and of the parts, and ``[P]`` geometries, what each pair shares.
+    """
+    outlines = np.flatnonzero(is_outline)
+    parts = np.flatnonzero(is_part)
+    near_outline, near_part = shapely.STRtree(polygons[parts]).query(
+        polygons[outlines], predicate="intersects"
+    )
+    outline = outlines[near_outline]
+    part = parts[near_part]
+    shared = shapely.intersection(polygons[outline], polygons[part])
+    is_own = shapely.area(shared) >= BELONGING_SHARE * shapely.area(polygons[part])
+    return outline[is_own], part[is_own], shared[is_own]
+
+
+def _covered_share(polygons: np.ndarray, outline: np.ndarray, shared: np.ndarray) -> np.ndarray:
+    """Return how much of each polygon the union of its own parts covers, ``[N]`` in [0, 1], 0 without a part.
+
+    Args:
+      polygons: ``[N]`` valid polygons.
+      outline, shared: ``[P]`` from `_own_parts`.
+    """
+    share = np.zeros(len(polygons))
+    order = np.argsort(outline, kind="stable")  # the pairs of each outline one after the other
+    owners, starts, counts = np.unique(outline[order], return_index=True, return_counts=True)
+    for owner, start, count in zip(owners, starts, counts, strict=True):
+        covered = shapely.union_all(shared[order[start : start + count]])
+        share[owner] = shapely.area(covered) / shapely.area(polygons[owner])
+    return share
+
+
+def _podiums(
+    buildings: Footprints, outline: np.ndarray, part: np.ndarray, is_replaced: np.ndarray
+) -> tuple[Footprints, np.ndarray]:
+    """Return buildings in which replaced outlines are podiums where they have one, and which these are, ``[N]`` bool.
+
+    A podium lies under an outline's own hanging parts where none of its parts stands, up to their lowest floor.
+
+    Args:
+      buildings: ``N`` outlines and parts.
+      outline, part: ``[P]`` indices of outlines and their own parts.
+      is_replaced: ``[N]`` bool, which outlines give way to their parts.
+    """
+    polygons = buildings.polygons.copy()
+    height_m = buildings.height_m.copy()
+    origin = buildings.origin.copy()
+    is_podium = np.zeros(len(polygons), bool)
+    hangs = buildings.min_height_m > 0
+    for owner in np.unique(outline[is_replaced[outline] & hangs[part]]):
+        own = part[outline == owner]
+        hanging = own[hangs[own]]
+        standing = shapely.union_all(polygons[own[~hangs[own]]])
+        below = shapely.intersection(polygons[hanging], buildings.polygons[owner])
+        bare = shapely.difference(below, standing)
+        is_wide = shapely.area(bare) > PODIUM_M2
+        hanging = hanging[is_wide]
+        # Without a part over bare ground the owner itself, which is no higher than itself.
+        lowest = hanging[np.argmin(buildings.min_height_m[hanging])] if len(hanging) else owner
+        if buildings.min_height_m[lowest] > buildings.min_height_m[owner]:
+            polygons[owner] = polygonal(shapely.union_all(bare[is_wide]))
+            is_podium[owner] = True
+            height_m[owner] = buildings.min_height_m[lowest]
+            origin[owner] = buildings.origin[lowest]
+    return replace(buildings, polygons=polygons, height_m=height_m, origin=origin), is_podium
+
+
+def _with_outline_heights(
+    buildings: Footprints, outline: np.ndarray, part: np.ndarray, issues: ReadIssues
+) -> Footprints:
+    """Return buildings in which parts without a height have that of their highest outline whose height is known.
+
+    Args:
+      buildings: ``N`` outlines and parts.
+      outline, part: ``[P]`` indices of outlines and their own parts.
+      issues: gets how many parts were given a height.
+    """
+    height_m = buildings.height_m.copy()
+    origin = buildings.origin.copy()
+    is_default = origin == HeightOrigin.DEFAULT
+    # A part that hangs above its outline's roof is not as high as it but higher.
+    takes = (
+        is_default[part] & ~is_default[outline] & (height_m[outline] > buildings.min_height_m[part])
+    )
+    # From the lowest outline up, so that of several outlines of a part the highest is written last.
+    lowest_first = np.flatnonzero(takes)[np.argsort(height_m[outline[takes]], kind="stable")]
+    outline = outline[lowest_first]
+    part = part[lowest_first]
+    height_m[part] = buildings.height_m[outline]
+    origin[part] = buildings.origin[outline]
+    issues[ReadIssue.PARTS_GIVEN_OUTLINE_HEIGHT] = len(np.unique(part))
+    return replace(buildings, height_m=height_m, origin=origin)
+
+
+def _above_underside(buildings: Footprints, issues: ReadIssues) -> Footprints:
+    """Return buildings every roof of which is above its underside.
+
+    A roof at or below its underside is raised by the underside's height if it is an estimate, by levels or by default;
+    if its height is known, the underside is set to 0, and ``issues`` gets how many these were.
+    """
+    height_m = buildings.height_m
+    min_height_m = buildings.min_height_m
+    is_wrong = min_height_m >= height_m
+    is_estimate = buildings.origin != HeightOrigin.HEIGHT
+    issues[ReadIssue.MIN_HEIGHTS_ABOVE_ROOF] = int(np.sum(is_wrong & ~is_estimate))
+    raised_m = np.where(is_wrong & is_estimate, height_m + min_height_m, height_m)
+    return replace(
+        buildings,
+        height_m=raised_m,
+        min_height_m=np.where(is_wrong & ~is_estimate, 0.0, min_height_m),
+    )

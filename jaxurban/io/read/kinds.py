@@ -1,0 +1,106 @@
+"""What stands beside buildings: for each value of a tag its kind, or that nothing stands there.
+
+Values as https://wiki.openstreetmap.org/wiki/Map_features lists them. A bound holds for what has no height of its own:
+tanks by API 650, whose shells seldom exceed 64 ft; poles, canopies and gantries by what carries them over streets;
+nothing bounds masts, towers, chimneys and cranes.
+"""
+
+import math
+from dataclasses import dataclass
+
+from jaxurban.io.read.issues import ReadIssue
+from jaxurban.world.footprints import UNKNOWN
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of structure; one of unknown height and no `height_m` is left out, unless it is of unknown kind too.
+
+    Attributes:
+      name: as `Footprints.kind` has it.
+      height_m: with which one of unknown height stands in the maps; 0: it stands only with a height of its own.
+      limit_m: height above ground that one of unknown height does not exceed, inf where nothing says.
+      radius_m: of one that is a point or a line, without a width or a diameter.
+    """
+
+    name: str
+    height_m: float
+    limit_m: float = math.inf
+    radius_m: float = 1.0
+
+
+SITE = Kind("structure", 0.0)  # the ground of a plant, or what only a height makes stand
+OTHER = Kind(UNKNOWN, 0.0)  # an area of a value that is in no table
+HULL = Kind(UNKNOWN, 0.0, radius_m=2.0)  # an outline that is not whole
+LOW_M = 6.0  # fences, doors, statues: what no table names stands from this height on
+TURBINE = Kind("turbine", 100.0, radius_m=50.0)
+NOTHING, WIRES = ReadIssue.NOT_STANDING, ReadIssue.WIRES
+KINDS: dict[str, dict[str, Kind | ReadIssue]] = {
+    "man_made": {
+        **dict.fromkeys(("chimney", "stack", "flare"), Kind("chimney", 30.0, radius_m=3.0)),
+        **dict.fromkeys(
+            ("tower", "communications_tower", "water_tower", "lighthouse", "obelisk"),
+            Kind("tower", 30.0, radius_m=5.0),
+        ),
+        **dict.fromkeys(("mast", "antenna", "beacon"), Kind("mast", 20.0)),
+        "crane": Kind("crane", 30.0, radius_m=5.0),
+        **dict.fromkeys(("tank", "storage_tank"), Kind("tank", 10.0, 30.0, 8.0)),
+        **dict.fromkeys(("silo", "gasometer"), Kind("tank", 20.0, radius_m=10.0)),
+        **dict.fromkeys(("windmill", "telescope", "radar"), Kind("tower", 20.0, radius_m=10.0)),
+        **dict.fromkeys(("flagpole", "utility_pole", "pole"), Kind("pole", 10.0, 30.0, 0.5)),
+        **dict.fromkeys(("canopy", "gantry", "goods_conveyor"), Kind("canopy", 6.0, 20.0)),
+        "bridge": Kind(UNKNOWN, 0.0, 100.0, 3.0),
+        **dict.fromkeys(
+            (
+                *("pier", "breakwater", "groyne", "dyke", "embankment", "cutline", "cutting"),
+                *("survey_point", "surveillance", "manhole", "pipeline", "tunnel", "cable"),
+                *("adit", "quay", "courtyard", "excavation", "water_tap", "drinking_fountain"),
+                *("street_cabinet", "planter", "water_well", "compass_rose", "satellite_dish"),
+                *("monitoring_station", "reservoir_covered", "petroleum_well", "bunker_silo"),
+                *("clearcut", "carpet_hanger", "insect_hotel", "cross", "cairn", "advertising"),
+            ),
+            NOTHING,
+        ),
+        **dict.fromkeys(
+            (
+                "works",
+                "wastewater_plant",
+                "water_works",
+                "pumping_station",
+                "mineshaft",
+                "spoil_heap",
+            ),
+            SITE,
+        ),
+        "wire": WIRES,
+    },
+    "power": {
+        "tower": Kind("pylon", 30.0, radius_m=4.0),
+        **dict.fromkeys(("pole", "portal", "catenary_mast"), Kind("pole", 10.0, 30.0, 0.5)),
+        **dict.fromkeys(("generator", "plant", "substation", "transformer"), SITE),
+        **dict.fromkeys(("line", "minor_line"), WIRES),
+        **dict.fromkeys(("cable", "terminal", "insulator", "switch", "connection", "box"), NOTHING),
+    },
+    "aerialway": {
+        "pylon": Kind("pylon", 30.0, radius_m=3.0),
+        "station": Kind("structure", 10.0, 30.0, 10.0),
+        **dict.fromkeys(
+            ("cable_car", "gondola", "chair_lift", "mixed_lift", "drag_lift", "goods", "zip_line"),
+            WIRES,
+        ),
+    },
+}
+# A building whose height nothing says. Of those of Lower Manhattan, Boston and Helsinki that have a height, houses and
+# their like end below 20 m, and all others but some 1 % below 100 m; of those with levels too 99 % end below 6 m for
+# each level and 10 m.
+LOW_BUILDINGS = (
+    *("house", "detached", "semidetached_house", "terrace", "bungalow", "cabin", "hut", "shed"),
+    *("garage", "garages", "carport", "farm", "farm_auxiliary", "barn", "stable", "greenhouse"),
+    *("kiosk", "static_caravan", "houseboat", "allotment_house", "boathouse", "toilets"),
+)
+LOW_LIMIT_M, LIMIT_M = 25.0, 100.0
+LEVEL_LIMIT_M, ABOVE_LEVELS_M = 6.0, 10.0
+NOT_BUILT: dict[str, ReadIssue] = {  # values of `building`, and why nothing stands
+    **dict.fromkeys(("demolished", "razed", "removed", "destroyed"), ReadIssue.RAZED),
+    **dict.fromkeys(("proposed", "planned"), ReadIssue.PLANNED),
+}
