@@ -49,15 +49,16 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
       InputError: a city in another CRS than the maps, or maps that hold no touched roofs.
     """
     grid = maps.grid
-    if city is not None and city.buildings is not None:
+    if city is not None and city.standing is not None:
         if city.crs != grid.crs:
             raise InputError(
                 f"sources is a city in {city.crs}, and the maps are in {grid.crs}: give the City that they are of"
             )
-        buildings = city.buildings
-        is_slab = (buildings.min_height_m > 0) & (city.hanging == SLABS)
-        floor_m = np.where(is_slab, buildings.min_height_m, -np.inf)
-        return Prisms(buildings.polygons, floor_m, buildings.height_m, buildings.is_guessed)
+        standing = city.standing
+        is_slab = (standing.min_height_m > 0) & (city.hanging == SLABS)
+        floor_m = np.where(is_slab, standing.min_height_m, -np.inf)
+        top_m = np.where(standing.height_m > 0, standing.height_m, -np.inf)
+        return Prisms(standing.polygons, floor_m, top_m, standing.is_guessed)
     if TOUCHED not in maps.ds:
         raise InputError(
             f"maps hold no {TOUCHED!r}, and no City that they are of is there: make them again, or name it (sources)"

@@ -35,8 +35,8 @@ def highest_top_m(city: City) -> float:
 
     It is the height of the highest roof above its own ground, plus the relief of the terrain.
     """
-    if city.buildings is not None:
-        roof_m = float(city.buildings.height_m.max(initial=0.0))
+    if city.standing is not None:
+        roof_m = float(city.standing.height_m.max(initial=0.0))
     else:
         assert city.roofs is not None
         roof_m = float(np.nanmax(city.roofs.values, initial=0.0))
@@ -86,8 +86,8 @@ def rasterise(
     has_data = terrain_m = guessed = slabs = None  # `has_data` stays None where all cells have data
 
     # Roofs, by centres and by touch.
-    if city.buildings is not None:
-        centre_m, touched_m, guessed = _burn_roofs(city.buildings, grid, has_guessed)
+    if city.standing is not None:
+        centre_m, touched_m, guessed = _burn_roofs(city.standing, grid, has_guessed)
         roof_m = touched_m if all_touched else centre_m
     else:
         assert city.roofs is not None
@@ -106,11 +106,11 @@ def rasterise(
     if has_data is not None and has_data.all():
         has_data = None
 
-    # What hangs. Roofs are then those of standing buildings, and `burn_hanging` raises the roofs that carry slabs.
-    if city.buildings is not None and city.hanging == SLABS:
-        standing = city.buildings.take(city.buildings.min_height_m == 0)
-        roof_m = _burn_heights(standing, grid)[all_touched]
-        slabs = burn_hanging(city.buildings, grid, roof_m, terrain_m, all_touched)
+    # What hangs. Roofs are then of what stands on the ground, and `burn_hanging` raises the roofs that carry slabs.
+    if city.standing is not None and city.hanging == SLABS:
+        on_ground = city.standing.take(city.standing.min_height_m == 0)
+        roof_m = _burn_heights(on_ground, grid)[all_touched]
+        slabs = burn_hanging(city.standing, grid, roof_m, terrain_m, all_touched)
     rasters: dict[str, Any] = {
         "roof_m": roof_m,
         "terrain_m": terrain_m,
@@ -164,10 +164,10 @@ def _burn_ranks(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarr
 
 
 def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndarray:
-    """Return the index of the building whose roof is the highest in each cell, ``[Y, X]`` int32.
+    """Return the index in `City.standing` of what has the highest roof in each cell, ``[Y, X]`` int32.
 
-    It is `NO_BUILDING` where none stands. With the buildings' heights `jaxurban.world.surface.roofs_of` makes of it the
-    roofs that `rasterise` burns.
+    Buildings come first there, then structures. It is `NO_BUILDING` where nothing stands. With the heights of all
+    `jaxurban.world.surface.roofs_of` makes of it the roofs that `rasterise` burns.
 
     Args:
       city: with outlines.
@@ -177,11 +177,11 @@ def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndar
     Raises:
       InputError: a city without outlines, whose roofs are a raster.
     """
-    if city.buildings is None:
+    if city.standing is None:
         raise InputError(
             "this city's roofs are a height raster: gradients by building need outlines as its source"
         )
-    by_height, centre, touched = _burn_ranks(city.buildings, grid)
+    by_height, centre, touched = _burn_ranks(city.standing, grid)
     return np.append(by_height, NO_BUILDING).astype(np.int32)[touched if all_touched else centre]
 
 
