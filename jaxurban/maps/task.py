@@ -296,6 +296,7 @@ def variables(task: MapTask) -> dict[str, Variable]:
     is_needed = {
         "obstacle_share": task.params.heights.height_samples,
         "roof_guessed": task.has_guessed_roofs,
+        "roof_limit": task.has_guessed_roofs,
         UNDERSIDE: task.city.hanging == SLABS and task.city.buildings is not None,
         "terrain": task.has_terrain,
     }

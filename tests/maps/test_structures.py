@@ -8,11 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+import rasterio
 import shapely
 
 import jaxurban as ju
 from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import highest_top_m, rasterise
+from jaxurban.io.read.zone import cell_boxes
 from jaxurban.maps.provenance import _building_record
 from jaxurban.maps.uncertain_heights import perturbed_cities
 from jaxurban.paths.hiding import Hiding
@@ -21,6 +23,7 @@ from jaxurban.viewer.outlines import outlines_of
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
+from tests import tiled_runs
 from tests.made_maps import city_of_boxes, made_maps
 from tests.viewer.browser import unpacked
 
@@ -111,3 +114,33 @@ def test_the_viewer_outlines_structures_and_what_is_unknown():
     assert (counts == 5).all()
     assert heights_m.tolist() == [20.0, 30.0, 90.0, 35.0, 0.0]
     assert is_guessed.tolist() == [0, 0, 0, 0, 1]
+
+
+def test_the_bound_of_a_cell_is_the_highest_of_the_guessed_outlines_that_touch_it(tmp_path):
+    of = tiled_runs.task(tiled_runs.city())
+    buildings = of.city.buildings
+    rng = np.random.default_rng(5)
+    origin = rng.choice([HeightOrigin.HEIGHT, HeightOrigin.LEVELS], len(buildings))
+    limit_m = rng.choice([25.0, 60.0, np.inf], len(buildings))
+    city = replace(
+        of.city, buildings=replace(buildings, origin=origin.astype(np.uint8), limit_m=limit_m)
+    )
+    maps = tiled_runs.check_tiles(replace(of, city=city), tmp_path)
+
+    # The witness: the area that cells share with outlines.
+    guessed = city.buildings.take(city.buildings.is_guessed)
+    cells = cell_boxes(of.region, np.argwhere(np.ones(of.region.shape)), 1)
+    cell, outline = shapely.STRtree(guessed.polygons).query(cells, predicate="intersects")
+    shared_m2 = shapely.area(shapely.intersection(cells[cell], guessed.polygons[outline]))
+    expected = np.zeros(len(cells))
+    is_touched = shared_m2 > 1e-6
+    np.maximum.at(expected, cell[is_touched], guessed.upper_m[outline[is_touched]])
+    np.testing.assert_array_equal(
+        maps["roof_limit"], expected.reshape(of.region.shape).astype(np.float32)
+    )
+
+    # Files hold it.
+    ju.MetricMaps(maps).save(tmp_path / "saved", layers=("roof_limit",))
+    (file,) = (tmp_path / "saved/geotiff").glob("roof_limit_*.tif")
+    with rasterio.open(file) as raster:
+        np.testing.assert_array_equal(raster.read(1)[::-1], maps["roof_limit"])
