@@ -1,6 +1,7 @@
 """jaxurban info."""
 
 import warnings
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -103,7 +104,13 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
             name = origin.name.lower()
             facts[f"heights by {name}"] = f"{num:,} ({num / len(city.buildings):.1%})"
             num_by_origin[name] = num
-    return facts, {"num_buildings": len(city.buildings), "num_by_height_origin": num_by_origin}
+    num_by_kind = Counter(() if city.structures is None else city.structures.kinds.tolist())
+    facts |= {f"{kind} (not a building)": f"{num:,}" for kind, num in num_by_kind.items()}
+    return facts, {
+        "num_buildings": len(city.buildings),
+        "num_by_height_origin": num_by_origin,
+        "num_structures_by_kind": dict(num_by_kind),
+    }
 
 
 def _range_of(values: Any) -> tuple[Settings, Settings]:

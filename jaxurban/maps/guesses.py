@@ -87,9 +87,9 @@ def _hanging_guesses(city: City, region: Grid) -> Guesses:
 
     It is empty where nothing hangs there, or where everything that hangs is taken to reach the ground.
     """
-    if city.buildings is None or city.hanging != SLABS:
+    if city.standing is None or city.hanging != SLABS:
         return {}
-    hanging = city.buildings.take(city.buildings.min_height_m > 0)
+    hanging = city.standing.take(city.standing.min_height_m > 0)
     number = int(shapely.intersects(hanging.polygons, shapely.box(*region.bounds_m)).sum())
     if not number:
         return {}

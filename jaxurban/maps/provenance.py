@@ -5,6 +5,7 @@ import hashlib
 import importlib.metadata
 import json
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -361,24 +362,27 @@ def versions() -> dict[str, str]:
 def _building_record(city: City, region: Grid) -> dict[str, Any]:
     """Return what `run.json` says of the buildings in a region.
 
-    This is where their heights come from (counts and shares), the highest one in metres, how many hang, and the faults
-    of the file; for a city whose roofs are a raster, only the faults and the highest roof.
+    This is where their heights come from (counts and shares), and the faults of the file; for a city whose roofs are a
+    raster, only the faults and the highest roof. The kinds of all that stands, what of it is the highest in metres and
+    how many hang count structures too.
     """
     record: dict[str, Any] = {"faults": dict(city.read_issues)}
-    if city.buildings is None:
+    if city.buildings is None or city.standing is None:
         assert city.roofs is not None
         highest_m = float(np.nanmax(city.roofs.values, initial=0.0))
         return record | {"height_origin_shares": {"raster": 1.0}, "highest_m": highest_m}
     box = shapely.box(*region.bounds_m)
     inside = city.buildings.take(shapely.intersects(city.buildings.polygons, box))
+    standing = city.standing.take(shapely.intersects(city.standing.polygons, box))
     counts = inside.origin_counts()
     num = max(len(inside), 1)
     return record | {
         "in_region": len(inside),
         "height_origin_counts": counts,
         "height_origin_shares": {name: round(count / num, 4) for name, count in counts.items()},
-        "highest_m": float(inside.height_m.max(initial=0.0)),
-        "hanging_parts": int((inside.min_height_m > 0).sum()),
+        "kinds": dict(Counter(standing.kinds.tolist())),
+        "highest_m": float(standing.height_m.max(initial=0.0)),
+        "hanging_parts": int((standing.min_height_m > 0).sum()),
     }
 
 

@@ -255,5 +255,6 @@ def _rasters(tile: TileScene) -> Iterator[MapLayer]:
         yield MapLayer(UNDERSIDE, (), surface.slabs.lowest_floors(surface.region))
     if surface.roof_guessed is not None:
         yield MapLayer("roof_guessed", (), surface.roof_guessed)
+        yield MapLayer("roof_limit", (), surface.roof_limit_m)
     if surface.terrain_m is not None:
         yield MapLayer("terrain", (), surface.crop(surface.terrain_m))

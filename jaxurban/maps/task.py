@@ -230,9 +230,9 @@ class MapTask:
 
     @cached_property
     def has_guessed_roofs(self) -> bool:
-        """Whether the height of any building in the region is guessed: maps then mark such roofs."""
-        buildings = self.city.buildings
-        return buildings is not None and guessed_share(buildings, self.region.bounds_m) > 0
+        """Whether the height of anything that stands in the region is guessed: maps then mark such roofs."""
+        standing = self.city.standing
+        return standing is not None and guessed_share(standing, self.region.bounds_m) > 0
 
     def in_view(self, time_index: int) -> InView:
         """Return the satellites in view at a time, and their receiver clocks as the settings of GPS have them."""
@@ -296,6 +296,7 @@ def variables(task: MapTask) -> dict[str, Variable]:
     is_needed = {
         "obstacle_share": task.params.heights.height_samples,
         "roof_guessed": task.has_guessed_roofs,
+        "roof_limit": task.has_guessed_roofs,
         UNDERSIDE: task.city.hanging == SLABS and task.city.buildings is not None,
         "terrain": task.has_terrain,
     }

@@ -262,13 +262,13 @@ def _name(kind: str, *parts: int | str) -> str:
     return "_".join(map(str, (kind, *parts)))
 
 
-RASTERS = ("roof_m", "terrain_m", "has_data", "roof_guessed")  # of a `Surface`, that are kept
+RASTERS = ("roof_m", "terrain_m", "has_data", "roof_guessed", "roof_limit_m")  # of a `Surface`
 
 
 def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     """Rasterise a tile into the work folder, unless that is done, and return the ``seconds`` it took by stage.
 
-    A tile of the region also gets its touched roofs and census blocks, and which roofs are guessed.
+    A tile of the region also gets its touched roofs and census blocks, which roofs are guessed, and their bounds.
 
     Args:
       job: what the tiles need, and the work folder.
@@ -438,7 +438,7 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
     rasters["has_data"][:, west_cols : grid.num_cols - halo] = False
 
     own: dict[str, Any] = job.work.load_arrays(
-        _name("raster", *tile), "block", "roof_touched_m", "roof_guessed"
+        _name("raster", *tile), "block", "roof_touched_m", "roof_guessed", "roof_limit_m"
     )
     return Surface(
         roof_m=rasters["roof_m"],
@@ -449,6 +449,7 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
         region=region,
         roof_touched_m=own["roof_touched_m"],
         roof_guessed=own.get("roof_guessed"),
+        roof_limit_m=own.get("roof_limit_m"),
         slabs=_slabs(job, tile) if job.task.city.hanging == SLABS else None,
     )
 

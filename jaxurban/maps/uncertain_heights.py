@@ -22,7 +22,8 @@ def perturbed_cities(
 ) -> Iterator[City]:
     """Yield the city with heights drawn again for each sample; the same seed gives the same cities.
 
-    In a city whose roofs are a raster, each connected set of cells with a roof counts as one building.
+    Structures keep their heights. In a city whose roofs are a raster, each connected set of cells with a roof counts as
+    one building.
 
     Args:
       city: with outlines or with a raster of roofs.
@@ -53,7 +54,12 @@ def perturbed_cities(
 
 def _std_of_buildings(buildings: Footprints, height_std_m: HeightStd) -> np.ndarray:
     """Return the standard deviation of the height of each building, ``[B]`` metres, by its origin."""
-    by_origin = {**asdict(height_std_m), "layer": height_std_m.default, "generated": 0.0}
+    by_origin = {
+        **asdict(height_std_m),
+        "layer": height_std_m.default,
+        "generated": 0.0,
+        "unknown": 0.0,
+    }
     std_m = np.array([by_origin[origin.name.lower()] for origin in HeightOrigin])
     return std_m[buildings.origin]
 

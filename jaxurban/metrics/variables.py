@@ -47,6 +47,14 @@ AUXILIARY_VARIABLES = {
             dtype=np.bool_,
             classes=(("height known, or no roof", FREE_COLOUR), ("height guessed", GUESSED_COLOUR)),
         ),
+        Variable(
+            "roof_limit",
+            "height above the ground that no roof of guessed height that touches the cell exceeds",
+            unit="m",
+            scale=Scale(high=None, stretch="sqrt", zero="height known, or no roof"),
+            title="Bound of guessed heights",
+            is_averaged=False,
+        ),
         _roof(
             UNDERSIDE,
             "height of the lowest underside of what hangs over the cell's centre above the ground",

@@ -9,7 +9,7 @@ import shapely
 
 from jaxurban.io.read.zone import Zone
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.clearance import FILE_MARGIN_M
+from jaxurban.paths.clearance import FILE_MARGIN_M, reach_said
 from jaxurban.paths.constraints import Bound, Constraints
 from jaxurban.paths.contacts import TOUCH_M, Prisms, contacts, merged
 from jaxurban.paths.corners_cut import corners_of
@@ -24,7 +24,7 @@ ON_SITE = ("climb", "land")  # kinds of legs between the ground and the height o
 CUT = "lie at corners that autopilots cut, with a building or a zone there, or nearer than the clearance"
 NO_DATA = "lie over cells without data"
 NO_CITY = "lie where the source of the buildings does not know what stands"
-GUESSED_ROOFS = "lie over roofs of guessed height, or nearer to them than the clearance"
+GUESSED_ROOFS = "lie over roofs of guessed height, or nearer to them than the clearance: what is there ({kind}) {reach}"
 SPAN = ["from_m", "to_m"]
 PLACE = ["lon", "lat", "along_m", "to_m", "height_m"]
 COLUMNS = ["kind", "what", "item", *PLACE, "building_m", "by_m", "is_guessed"]
@@ -61,11 +61,10 @@ def judged(
         is_known = has_data & np.isfinite(way.z_m).all(axis=1)
         steps = way.take(is_known)
         near = contacts(steps, buildings, ground, limits.horizontal_m)
-        is_guessed = buildings.is_guessed[near["prism"]]
         unknown.append(spans(way.along_m[~is_known], NO_DATA))
         unknown += _unsure(flight, steps, near, limits)
         unknown += _beyond(flight, steps, maps, known, limits.horizontal_m)
-        unknown.append(near.loc[is_guessed, SPAN].assign(reason=GUESSED_ROOFS))
+        unknown += _guessed(near, buildings, limits)
 
         # What the other steps meet.
         findings = [
@@ -118,7 +117,7 @@ def _unsure(
         return
     off_m = flight.ground.off_m[tuple(steps.cell.T)]
     least_m = limits.vertical_m - FILE_MARGIN_M
-    spare_m = near["gap_m"] - least_m
+    spare_m = near[["gap_m", "spare_m"]].min(axis=1) - least_m
     is_open = (spare_m >= 0) & (spare_m < off_m[near["step"]])
     is_low = (steps.z_m.min(axis=1) < off_m) & ~_is_on_site(flight, steps)
     is_low[near.loc[is_open, "step"].to_numpy(int)] = True
@@ -128,6 +127,26 @@ def _unsure(
         "name the files of the maps (sources, --sources)"
     )
     yield spans(steps.along_m[is_low], reason)
+
+
+def _may_meet(near: pd.DataFrame, limits: Constraints) -> pd.Series:
+    """Return whether each step near a building may be in what is of guessed height there, or too near above it."""
+    return near["spare_m"] <= max(limits.vertical_m - FILE_MARGIN_M, 0.0)
+
+
+def _guessed(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> Iterator[pd.DataFrame]:
+    """Yield, for each kind of what is of guessed height, a table of the stretches that may meet it.
+
+    Args:
+      near: the steps in and near buildings (`contacts`).
+      buildings: that they are near.
+      limits: the clearances.
+    """
+    rows = near[_may_meet(near, limits)]
+    limit_m = buildings.limit_m[rows["prism"]]
+    for kind, of_kind in rows.assign(limit_m=limit_m).groupby(buildings.kind[rows["prism"]]):
+        reach = reach_said(of_kind["limit_m"].max())
+        yield of_kind[SPAN].assign(reason=GUESSED_ROOFS.format(kind=kind, reach=reach))
 
 
 def _is_on_site(flight: Flight, steps: Steps) -> np.ndarray:
@@ -147,7 +166,7 @@ def _at_corners(flight: Flight, buildings: Prisms, limits: Constraints) -> Itera
     corners = corners_of(flight)
     ground = flight.ground
     near = contacts(corners, buildings, ground, limits.horizontal_m)
-    is_close = near["gap_m"] < limits.vertical_m - FILE_MARGIN_M
+    is_close = (near["gap_m"] < limits.vertical_m - FILE_MARGIN_M) | _may_meet(near, limits)
     in_zone = contacts(corners, _prisms_of(limits.zones, ground.maps), ground)
     for rows in (near[is_close], in_zone[in_zone["gap_m"] <= 0]):
         yield rows[SPAN].assign(reason=CUT)
@@ -247,10 +266,10 @@ def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> li
     hits = merged(near[is_hit])
     over = merged(close[close["gap_m"] > 0])
     beside = merged(close[close["gap_m"].isna()])
-    over_text = "passes {:.1f} m over or under a building"
-    beside_text = "passes {:.1f} m beside a building"
+    over_text = "passes {:.1f} m over or under a {}"
+    beside_text = "passes {:.1f} m beside a {}"
     return [
-        _described(hits, buildings, "flies up to {:.1f} m into a building", -hits["gap_m"]),
+        _described(hits, buildings, "flies up to {:.1f} m into a {}", -hits["gap_m"]),
         _described(over, buildings, over_text, over["gap_m"], limits.vertical_m),
         _described(beside, buildings, beside_text, beside["apart_m"], limits.horizontal_m),
     ]
@@ -264,14 +283,17 @@ def _described(
     Args:
       rows: the stretches; ``prism`` is the number of the building.
       buildings: that the numbers are of.
-      text: what happens, with a place for the metres.
+      text: what happens, with places for the metres and the kind.
       metres: of each row, inside a building or apart from it.
       asked_m: the clearance from which ``by_m`` counts: what the metres are short of it, or 0 for what is inside.
     """
     prism = rows["prism"].to_numpy(int)
     is_guessed = buildings.is_guessed[prism]
     endings = np.where(is_guessed, " of guessed height", "")
-    what = [text.format(number) + ending for number, ending in zip(metres, endings, strict=True)]
+    kinds = buildings.kind[prism]
+    what = [
+        text.format(*facts) + ending for *facts, ending in zip(metres, kinds, endings, strict=True)
+    ]
     return rows.assign(
         what=what,
         is_guessed=is_guessed,
@@ -288,6 +310,8 @@ def _prisms_of(zones: Sequence[Zone], maps: MetricMaps) -> Prisms:
         floor_m=np.array([zone.floor_m for zone in zones], float),
         top_m=np.array([zone.ceiling_m for zone in zones], float),
         is_guessed=np.zeros(len(zones), bool),
+        limit_m=np.full(len(zones), -np.inf),
+        kind=np.full(len(zones), "zone", object),
     )
 
 

@@ -14,6 +14,8 @@ from scipy.ndimage import binary_dilation, distance_transform_edt, minimum_filte
 from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import SAME_LENGTH
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.rules import roof_limits_m
+from jaxurban.planners.base import Cell
 
 # What a file may take from a clearance: 8 mm by the seventh decimal of a degree, and up to 35 mm where a program draws
 # a leg of 1 km straight in degrees instead of in the maps' CRS (length^2 / 8 R x tan of a latitude up to 60 degrees).
@@ -29,9 +31,10 @@ def obstacles_within(
     """Return ``[Y, X]`` bool: whether a roof in the cell reaches an altitude, or ends less than ``vertical_m`` below.
 
     Where a horizontal distance is kept, a roof counts in every cell that it touches; otherwise where the maps' rule of
-    obstacles counts it. Cells without data and roofs of unknown height are obstacles too, bare ground is none. Over
-    terrain the height of a roof is measured from the lowest ground within ``horizontal_m``, since a path may pass it
-    there. No margin is added to ``vertical_m`` for what a file may change, as files round heights up.
+    obstacles counts it. One of guessed height counts in every cell that it touches, up to its bound. Cells without data
+    and roofs of unknown height are obstacles too, bare ground is none. Over terrain the height of a roof is measured
+    from the lowest ground within ``horizontal_m``, since a path may pass it there. No margin is added to ``vertical_m``
+    for what a file may change, as files round heights up.
 
     Args:
       maps: the metric maps.
@@ -48,7 +51,7 @@ def obstacles_within(
             "these maps hold no 'roof_touched', from which a clearance is measured: make them again, or keep none "
             "(clearance_m and vertical_clearance_m 0, no radius of the vehicle)"
         )
-    roof_m = maps.m(name)
+    roof_m = np.maximum(maps.m(name), roof_limits_m(maps))  # NaN where either is
     top_m = roof_m  # above the ground from which a path may pass it
     if "terrain" in maps.ds:
         top_m = roof_m + _over_lowest_ground_m(maps, horizontal_m)
@@ -72,6 +75,31 @@ def _over_lowest_ground_m(maps: MetricMaps, reach_m: float) -> np.ndarray:
     reach_cells = min(reach_cells, max(ground_m.shape))
     lowest_m = minimum_filter(ground_m, 2 * reach_cells + 1, mode="nearest")
     return np.subtract(ground_m, lowest_m, out=np.zeros_like(ground_m), where=np.isfinite(ground_m))
+
+
+def limit_near_m(maps: MetricMaps, cell: Cell, horizontal_m: float) -> float:
+    """Return up to which height roofs of guessed height may reach that stand in a cell or nearer than a clearance.
+
+    The highest counts; 0 without such a roof, inf where nothing bounds one.
+
+    Args:
+      maps: the metric maps.
+      cell: row and column.
+      horizontal_m: the clearance.
+    """
+    limit_m = roof_limits_m(maps)
+    offset = np.abs(np.indices(limit_m.shape) - np.reshape(cell, (2, 1, 1)))
+    apart_m = np.hypot(*np.maximum(offset - 1, 0)) * maps.grid.resolution_m
+    step_m, _ = closing_step_m(horizontal_m, maps.grid.resolution_m)
+    is_near = (apart_m < step_m * (1 - SAME_LENGTH)) | (offset.max(axis=0) == 0)
+    return float(np.nanmax(limit_m[is_near], initial=0.0))
+
+
+def reach_said(limit_m: float) -> str:
+    """Return how high what is of guessed height may reach, with the remedies, in words that go after "that"."""
+    if math.isfinite(limit_m):
+        return f"may reach {limit_m:g} m (fly higher, or give its height)"
+    return "may reach any height (give its height)"
 
 
 def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:

@@ -16,7 +16,14 @@ from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import known_metrics
-from jaxurban.paths.clearance import FILE_MARGIN_M, closed_by_clearance, closing_step_m, kept_m
+from jaxurban.paths.clearance import (
+    FILE_MARGIN_M,
+    closed_by_clearance,
+    closing_step_m,
+    kept_m,
+    limit_near_m,
+    reach_said,
+)
 from jaxurban.paths.export.base import number_or_none
 from jaxurban.planners.base import Cell
 from jaxurban.public import listed
@@ -142,7 +149,8 @@ class Constraints:
 
     Closed are cells that a zone touches, where a bound is not kept, or that lie nearer to an obstacle than the
     clearance (`closed_by_clearance`). A horizontal one is measured from the roofs that touch a cell under every rule of
-    obstacles, a vertical one alone from those that the maps' rule counts.
+    obstacles, a vertical one alone from those that the maps' rule counts. A roof of guessed height counts up to its
+    bound in every cell that it touches, also where no clearance is kept.
 
     Attributes:
       zones: from `jaxurban.io.read.airspace`; with times of their own they are closed until `at` knows better.
@@ -362,7 +370,8 @@ class Constraints:
           time, time_of_day: of the GPS and the population map; the first if left out.
 
         Returns:
-          ``[Y, X]`` bool; ``[K, Y, X]`` of levels. Obstacles are closed too where a clearance is kept from them.
+          ``[Y, X]`` bool; ``[K, Y, X]`` of levels. Obstacles are closed too where a clearance is kept from them, or
+          where heights of roofs are guessed.
 
         Raises:
           InputError: a bound on a map that is not there, or an unknown altitude, time or time of day.
@@ -380,7 +389,7 @@ class Constraints:
         for level_closed, z_m in zip(closed, levels_m.tolist(), strict=True):
             for bound in self.bounds:
                 level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
-            if self.keeps_clear:
+            if self.keeps_clear or "roof_guessed" in maps.ds:
                 level_closed |= closed_by_clearance(maps, z_m, self.horizontal_m, self.vertical_m)
         return closed if np.ndim(altitude_m) else closed[0]
 
@@ -425,7 +434,8 @@ class Constraints:
           time, time_of_day: of the GPS and the population map; the first if left out.
 
         Returns:
-          Texts for people, zones first, then bounds and clearances; empty where no constraint closes the cell.
+          Texts for people, zones first, then bounds, and a guessed height or else the clearances; empty where no
+          constraint closes the cell.
 
         Examples:
           >>> ju.Constraints.read(require="gps>=0.999").reasons(maps, 60.0, (2, 2))
@@ -445,7 +455,10 @@ class Constraints:
             if not is_kept[cell]:
                 reasons.append(f"the bound {bound}")
 
-        if self.keeps_clear:
+        limit_m = limit_near_m(maps, cell, self.horizontal_m)
+        if limit_m > 0 and limit_m >= altitude_m - self.vertical_m:
+            reasons.append(f"a roof of guessed height that {reach_said(limit_m)}")
+        elif self.keeps_clear:
             is_near = closed_by_clearance(maps, altitude_m, self.horizontal_m, self.vertical_m)
             if is_near[cell]:
                 clearances = " and the ".join(describe_clearances(self.to_dict()))

@@ -10,10 +10,12 @@ from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.rules import roof_limits_m
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.legs import Steps
 from jaxurban.paths.profile import GUESSED, TOUCHED
 from jaxurban.settings import SLABS
+from jaxurban.world.footprints import BUILDING
 
 TOUCH_M = 0.01  # stretches so near along a mission are one
 MOST_PAIRS = 2_000_000  # of steps and prisms beside them: less than a GiB
@@ -28,47 +30,62 @@ class Prisms(NamedTuple):
       polygons: ``[B]`` outlines.
       floor_m, top_m: ``[B]`` heights above the ground that they reach from and to, both included.
       is_guessed: ``[B]`` the height is not known.
+      limit_m: ``[B]`` height that what is of guessed height does not exceed, inf where nothing bounds it; -inf where
+        nothing is guessed.
+      kind: ``[B]`` of `Footprints`.
     """
 
     polygons: np.ndarray
     floor_m: np.ndarray
     top_m: np.ndarray
     is_guessed: np.ndarray
+    limit_m: np.ndarray
+    kind: np.ndarray
 
 
 def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
-    """Return the buildings of a city as prisms; without a city, a prism for each cell of the maps that a roof touches.
+    """Return what stands in a city as prisms; without a city, a prism for each cell of the maps that a roof touches.
 
-    Prisms begin far below the ground (-inf), save those of buildings that hang in the air over a slab's floor.
+    Prisms begin far below the ground (-inf), save those of what hangs in the air over a slab's floor. What is known not
+    to have a roof, but not how high it is, ends there too.
 
     Args:
       maps: the maps.
-      city: that the maps are of; None, or without buildings, for the cells.
+      city: that the maps are of; None, or without outlines, for the cells.
 
     Raises:
       InputError: a city in another CRS than the maps, or maps that hold no touched roofs.
     """
     grid = maps.grid
-    if city is not None and city.buildings is not None:
+    if city is not None and city.standing is not None:
         if city.crs != grid.crs:
             raise InputError(
                 f"sources is a city in {city.crs}, and the maps are in {grid.crs}: give the City that they are of"
             )
-        buildings = city.buildings
-        is_slab = (buildings.min_height_m > 0) & (city.hanging == SLABS)
-        floor_m = np.where(is_slab, buildings.min_height_m, -np.inf)
-        return Prisms(buildings.polygons, floor_m, buildings.height_m, buildings.is_guessed)
+        standing = city.standing
+        is_slab = (standing.min_height_m > 0) & (city.hanging == SLABS)
+        floor_m = np.where(is_slab, standing.min_height_m, -np.inf)
+        top_m = np.where(standing.height_m > 0, standing.height_m, -np.inf)
+        limit_m = np.where(standing.is_guessed, standing.upper_m, -np.inf)
+        return Prisms(
+            standing.polygons, floor_m, top_m, standing.is_guessed, limit_m, standing.kinds
+        )
     if TOUCHED not in maps.ds:
         raise InputError(
             f"maps hold no {TOUCHED!r}, and no City that they are of is there: make them again, or name it (sources)"
         )
-    roof_m = maps.m(TOUCHED)
-    cells = np.argwhere(roof_m > 0)
+    roofs_m, limits_m = maps.m(TOUCHED), roof_limits_m(maps)
+    cells = np.argwhere((roofs_m > 0) | (limits_m > 0))
     rows, cols = cells.T
     guessed = maps.m(GUESSED) if GUESSED in maps.ds else np.zeros(grid.shape)
     floor_m = np.full(len(cells), -np.inf)
-    top_m = roof_m[rows, cols].astype(float)
-    return Prisms(cell_boxes(grid, cells, 1), floor_m, top_m, guessed[rows, cols].astype(bool))
+    top_m, limit_m = (
+        np.where(values > 0, values, -np.inf)
+        for values in (roofs_m[rows, cols], limits_m[rows, cols])
+    )
+    is_guessed = guessed[rows, cols].astype(bool)
+    kind = np.full(len(cells), BUILDING, object)
+    return Prisms(cell_boxes(grid, cells, 1), floor_m, top_m, is_guessed, limit_m, kind)
 
 
 def contacts(
@@ -84,7 +101,8 @@ def contacts(
 
     Returns:
       ``step`` and ``prism`` (numbers), ``from_m`` and ``to_m`` along the mission, ``gap_m`` (least height over the top,
-      or below the floor; negative inside) and ``apart_m`` (distance to the outline in plan), in the order of travel.
+      or below the floor; negative inside), ``spare_m`` (least height over the limit, inf where nothing is guessed) and
+      ``apart_m`` (distance to the outline in plan), in the order of travel.
 
     Raises:
       InputError: more than about `MOST_PAIRS` pairs that are no farther apart.
@@ -119,9 +137,10 @@ def contacts(
     gap_m = np.maximum(
         z_m.min(axis=1) - prisms.top_m[prism], prisms.floor_m[prism] - z_m.max(axis=1)
     )
+    spare_m = z_m.min(axis=1) - prisms.limit_m[prism]
     from_m, to_m = steps.along_m[step].T
     rows = {"step": step, "prism": prism, "from_m": from_m, "to_m": to_m}
-    table = pd.DataFrame(rows | {"gap_m": gap_m, "apart_m": apart_m})
+    table = pd.DataFrame(rows | {"gap_m": gap_m, "spare_m": spare_m, "apart_m": apart_m})
     return table.sort_values("from_m", kind="stable", ignore_index=True)
 
 

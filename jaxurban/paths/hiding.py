@@ -52,17 +52,18 @@ class Hiding:
 
     @cached_property
     def outlines(self) -> Outlines | None:
-        """The outlines of the city's buildings, for rays to meet; None where a raster holds its roofs.
+        """The outlines of all that stands with a height, for rays to meet; None where a raster holds the city's roofs.
 
         Over terrain they stand on the ground, whose greatest height they are given too.
         """
         city = self.city
-        if city.buildings is None:
+        if city.standing is None:
             return None
+        standing = city.standing.take(city.standing.height_m > 0)
         if city.terrain is None:
-            return Outlines(city.buildings, city.hanging)
+            return Outlines(standing, city.hanging)
         highest_m = float(np.nanmax(city.terrain.values))
-        return Outlines(city.buildings, city.hanging, self.known_ground_at, highest_m)
+        return Outlines(standing, city.hanging, self.known_ground_at, highest_m)
 
     def ground_at(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         """Return the ground's elevation at places in the city's CRS: NaN where it is not known, 0 without terrain."""

@@ -246,7 +246,7 @@ def islands_at(cost_map: "CostMap", levels_m: tuple[float, ...]) -> np.ndarray:
 
 
 def what_would_join(cost_map: "CostMap", start: Cell, goal: Cell) -> str:
-    """Return sentences on what would join a start and a goal that nothing joins: a greater altitude, or finer maps.
+    """Return sentences on what would join a start and a goal that nothing joins: a greater altitude, or other maps.
 
     Args:
       cost_map: on which they are not joined.
@@ -270,6 +270,8 @@ def what_would_join(cost_map: "CostMap", start: Cell, goal: Cell) -> str:
     others = "Finer maps"
     if cost_map.constraints.keeps_clear:
         others = "A smaller clearance or finer maps"
+    if "roof_guessed" in cost_map.maps.ds:
+        others += ", or known heights of roofs that are guessed,"
     return f"{answer}{others} may join them too."
 
 

@@ -1,4 +1,4 @@
-"""Outlines of all buildings as the page draws them: of the city behind the maps, else of the roofs in the maps."""
+"""Outlines of all that stands as the page draws them: of the city behind the maps, else of the roofs in the maps."""
 
 import numpy as np
 import shapely
@@ -13,8 +13,8 @@ STEP_M = 0.5  # of corners
 MOST_CORNERS = 400_000  # that are sent, of the largest buildings first
 
 
-def outlines_of(maps: MetricMaps, buildings: Footprints | None) -> bytes:
-    """Return the outlines of buildings as `packed` numbers, of the largest ones where all have over `MOST_CORNERS`.
+def outlines_of(maps: MetricMaps, standing: Footprints | None) -> bytes:
+    """Return the outlines of what stands as `packed` numbers, of the largest ones where all have over `MOST_CORNERS`.
 
     The number of rings, R, comes first. Then come three rows of R numbers: how many corners each ring has, its height
     in metres above the ground, and 1 where that height is guessed, else 0. Last come two rows with a number for each
@@ -23,16 +23,16 @@ def outlines_of(maps: MetricMaps, buildings: Footprints | None) -> bytes:
 
     Args:
       maps: whose region is drawn.
-      buildings: of the city, in the maps' CRS; None: outlines are drawn around the roofs in the maps.
+      standing: of the city, in the maps' CRS; None: outlines are drawn around the roofs in the maps.
     """
-    # The buildings in the region.
-    if buildings is None:
+    # What stands in the region.
+    if standing is None:
         polygons, height_m, is_guessed = _from_roofs(maps)
     else:
-        is_inside = shapely.intersects(buildings.polygons, shapely.box(*maps.grid.bounds_m))
-        polygons = shapely.simplify(buildings.polygons[is_inside], TOLERANCE_M)
-        height_m = buildings.height_m[is_inside]
-        is_guessed = buildings.is_guessed[is_inside]
+        is_inside = shapely.intersects(standing.polygons, shapely.box(*maps.grid.bounds_m))
+        polygons = shapely.simplify(standing.polygons[is_inside], TOLERANCE_M)
+        height_m = standing.height_m[is_inside]
+        is_guessed = standing.is_guessed[is_inside]
 
     # The largest ones, in their order.
     order = np.argsort(-shapely.area(polygons), kind="stable")

@@ -235,13 +235,13 @@ class Viewer:
         return base_of(self.maps)
 
     def outlines(self, _: Request) -> bytes:
-        """Return the outlines of all buildings (`outlines_of`): exact ones where the city can be read again."""
+        """Return the outlines of all that stands (`outlines_of`): exact ones where the city can be read again."""
         try:
-            buildings = self._sight.city.buildings  # reads the city
+            standing = self._sight.city.standing  # reads the city
         except (JaxurbanError, OSError) as error:
             LOG.info(f"buildings are outlined by the cells of the maps: {error}")
-            buildings = None
-        return outlines_of(self.maps, buildings)
+            standing = None
+        return outlines_of(self.maps, standing)
 
     def _texts(self, north_deg: float) -> dict[str, str]:
         """Return the texts and lists of the page as HTML, by the names of their places.

@@ -22,7 +22,7 @@ NO_BUILDING = -1  # in a raster of building indices
 PER_CELL = 5
 RASTERS = (
     *("roof_m", "terrain_m", "has_data", "block"),
-    *("roof_touched_m", "roof_guessed", "slabs"),
+    *("roof_touched_m", "roof_guessed", "roof_limit_m", "slabs"),
 )
 
 
@@ -149,11 +149,14 @@ class Surface:
       block: index of the census block under each cell of the region, or under samples of it, -1 without one; None
         without blocks.
       grid: grid of ``roof_m``, ``terrain_m`` and ``has_data``.
-      region: the part of ``grid`` that maps report, grid of ``block``, ``roof_touched_m`` and ``roof_guessed``.
+      region: the part of ``grid`` that maps report, grid of ``block`` and of all below but ``slabs``.
       roof_touched_m: height of the highest roof that shares area with each cell of the region, what planners keep
         clear of; None where nobody plans (on supersampled surfaces, and those made by hand).
       roof_guessed: whether the height of a cell's roof in the region, by its centre or by touch, is guessed; None where
         no height is.
+      roof_limit_m: height above the ground up to which a roof of guessed height that touches a cell of the region may
+        reach, the highest of these bounds, inf where one has none, 0 without such a roof; None where ``roof_guessed``
+        is.
       most_halo: cells beyond the region that `crop_with_halo` gives at most; None for any number.
       slabs: what hangs over the grid, and beyond it whatever can shadow the region; None where everything reaches the
         ground, as ``roof_m`` then says.
@@ -167,6 +170,7 @@ class Surface:
     region: Grid
     roof_touched_m: Float[Array, "y x"] | None = None
     roof_guessed: Bool[Array, "y x"] | None = None
+    roof_limit_m: Float[Array, "y x"] | None = None
     most_halo: int | None = None
     slabs: Slabs | None = None
 
@@ -216,6 +220,7 @@ class Surface:
             roof_m=roofs_of(height_m, building),
             roof_touched_m=None,
             roof_guessed=None,
+            roof_limit_m=None,
             slabs=None,
         )
 

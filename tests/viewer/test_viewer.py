@@ -202,7 +202,7 @@ def test_outlines_of_a_city_are_exact_to_a_metre_with_their_heights_and_guesses(
     origin = np.array([HeightOrigin.HEIGHT, HeightOrigin.DEFAULT, HeightOrigin.HEIGHT], np.uint8)
     viewer = Viewer(MAPS)
     viewer.__dict__["_sight"] = SimpleNamespace(
-        city=SimpleNamespace(buildings=replace(buildings, origin=origin))
+        city=SimpleNamespace(standing=replace(buildings, origin=origin))
     )
     rings = rings_of(viewer)  # the third one lies outside
     assert [(height_m, is_guessed) for _, height_m, is_guessed in rings] == [(8, False), (40, True)]

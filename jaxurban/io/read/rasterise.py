@@ -35,8 +35,8 @@ def highest_top_m(city: City) -> float:
 
     It is the height of the highest roof above its own ground, plus the relief of the terrain.
     """
-    if city.buildings is not None:
-        roof_m = float(city.buildings.height_m.max(initial=0.0))
+    if city.standing is not None:
+        roof_m = float(city.standing.height_m.max(initial=0.0))
     else:
         assert city.roofs is not None
         roof_m = float(np.nanmax(city.roofs.values, initial=0.0))
@@ -80,15 +80,19 @@ def rasterise(
       city: with outlines or a height raster.
       grid: where to burn; the surface's region too.
       all_touched: ``roof_m`` is ``roof_touched_m`` too.
-      has_guessed: for a city with outlines, also return ``roof_guessed``: whether the height of a cell's roof is
-        guessed.
+      has_guessed: for a city with outlines, also return ``roof_guessed`` and ``roof_limit_m``: whether the height of a
+        cell's roof is guessed, and how high guessed ones there may be.
     """
-    has_data = terrain_m = guessed = slabs = None  # `has_data` stays None where all cells have data
+    has_data = terrain_m = guessed = limit_m = slabs = (
+        None  # `has_data` stays None where all cells have data
+    )
 
     # Roofs, by centres and by touch.
-    if city.buildings is not None:
-        centre_m, touched_m, guessed = _burn_roofs(city.buildings, grid, has_guessed)
+    if city.standing is not None:
+        centre_m, touched_m, guessed = _burn_roofs(city.standing, grid, has_guessed)
         roof_m = touched_m if all_touched else centre_m
+        if has_guessed:
+            limit_m = _burn_limits(city.standing, grid)
     else:
         assert city.roofs is not None
         touched_m = resample_raster(city.roofs, grid, "max")
@@ -106,11 +110,11 @@ def rasterise(
     if has_data is not None and has_data.all():
         has_data = None
 
-    # What hangs. Roofs are then those of standing buildings, and `burn_hanging` raises the roofs that carry slabs.
-    if city.buildings is not None and city.hanging == SLABS:
-        standing = city.buildings.take(city.buildings.min_height_m == 0)
-        roof_m = _burn_heights(standing, grid)[all_touched]
-        slabs = burn_hanging(city.buildings, grid, roof_m, terrain_m, all_touched)
+    # What hangs. Roofs are then of what stands on the ground, and `burn_hanging` raises the roofs that carry slabs.
+    if city.standing is not None and city.hanging == SLABS:
+        on_ground = city.standing.take(city.standing.min_height_m == 0)
+        roof_m = _burn_heights(on_ground, grid)[all_touched]
+        slabs = burn_hanging(city.standing, grid, roof_m, terrain_m, all_touched)
     rasters: dict[str, Any] = {
         "roof_m": roof_m,
         "terrain_m": terrain_m,
@@ -118,6 +122,7 @@ def rasterise(
         "block": None,
         "roof_touched_m": touched_m,
         "roof_guessed": guessed,
+        "roof_limit_m": limit_m,
         "slabs": slabs,
     }
     return Surface(**rasters, grid=grid, region=grid)
@@ -146,6 +151,20 @@ def _burn_roofs(
     return roofs_m[centre], roofs_m[touched], is_guessed[touched] | is_guessed[centre]
 
 
+def _burn_limits(standing: Footprints, grid: Grid) -> np.ndarray:
+    """Return the highest bound of the outlines of guessed height that touch each cell, ``[Y, X]`` float32 metres."""
+    is_guessed = standing.is_guessed
+    _, limit_m = burn(
+        standing.polygons[is_guessed],
+        standing.upper_m[is_guessed],
+        grid,
+        0.0,
+        "float32",
+        boxes_m=standing.boxes_m[:, is_guessed],
+    )
+    return limit_m
+
+
 def _burn_ranks(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the buildings from low to high, and the rank in this order of the highest one over each cell.
 
@@ -164,10 +183,10 @@ def _burn_ranks(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarr
 
 
 def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndarray:
-    """Return the index of the building whose roof is the highest in each cell, ``[Y, X]`` int32.
+    """Return the index in `City.standing` of what has the highest roof in each cell, ``[Y, X]`` int32.
 
-    It is `NO_BUILDING` where none stands. With the buildings' heights `jaxurban.world.surface.roofs_of` makes of it the
-    roofs that `rasterise` burns.
+    Buildings come first there, then structures. It is `NO_BUILDING` where nothing stands. With the heights of all
+    `jaxurban.world.surface.roofs_of` makes of it the roofs that `rasterise` burns.
 
     Args:
       city: with outlines.
@@ -177,11 +196,11 @@ def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndar
     Raises:
       InputError: a city without outlines, whose roofs are a raster.
     """
-    if city.buildings is None:
+    if city.standing is None:
         raise InputError(
             "this city's roofs are a height raster: gradients by building need outlines as its source"
         )
-    by_height, centre, touched = _burn_ranks(city.buildings, grid)
+    by_height, centre, touched = _burn_ranks(city.standing, grid)
     return np.append(by_height, NO_BUILDING).astype(np.int32)[touched if all_touched else centre]
 
 
@@ -241,17 +260,17 @@ def build_surface(
 
     Args:
       city: what stands there.
-      region: a part of ``grid``; blocks, ``roof_touched_m`` and ``roof_guessed`` have its shape.
+      region: a part of ``grid``; blocks, ``roof_touched_m``, ``roof_guessed`` and ``roof_limit_m`` have its shape.
       grid: of roofs and terrain.
       all_touched: a roof covers every cell that its outline shares area with, and not only those whose centre it holds.
-      has_guessed: with ``roof_guessed``, where the height of the roof is guessed.
+      has_guessed: with ``roof_guessed`` and ``roof_limit_m``, as `rasterise`.
 
     Raises:
       InputError: the terrain or the height raster does not cover any of the region.
     """
     surface = replace(rasterise(city, grid, all_touched, has_guessed), region=region)
     has_data = surface.has_data
-    guessed = surface.roof_guessed
+    guessed, limit_m = surface.roof_guessed, surface.roof_limit_m
     check_has_data([None if has_data is None else surface.crop(has_data)], city)
     block: Any = rasterise_blocks(city, region)
     return replace(
@@ -259,6 +278,7 @@ def build_surface(
         block=block,
         roof_touched_m=surface.crop(surface.roof_touched_m),
         roof_guessed=None if guessed is None else surface.crop(guessed),
+        roof_limit_m=None if limit_m is None else surface.crop(limit_m),
     )
 
 

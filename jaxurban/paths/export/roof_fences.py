@@ -140,11 +140,11 @@ def _roofs_near(maps: "MetricMaps", line: shapely.Geometry, near_m: float) -> _R
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GuessWarning)  # the maps hold what the city guesses
         try:
-            buildings = city_of(maps).buildings
+            standing = city_of(maps).standing
         except InputError:
-            buildings = None
-    if buildings is not None:
-        near = buildings.take(shapely.dwithin(buildings.polygons, line, near_m))
+            standing = None
+    if standing is not None:
+        near = standing.take(shapely.dwithin(standing.polygons, line, near_m))
         return _Roofs(near.polygons, near.height_m, near.is_guessed, "roofs", "by their outlines")
 
     # Cells of the maps instead.

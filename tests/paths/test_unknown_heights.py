@@ -1,0 +1,216 @@
+"""Where no height is known there are two: planners close, and check does not judge, what lies between them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+import jaxurban as ju
+from jaxurban.io.read.rasterise import build_surface
+from jaxurban.world.footprints import Footprints, HeightOrigin
+from jaxurban.world.surface import obstacles_on
+from tests.made_maps import city_of_boxes, made_maps
+from tests.paths.test_judged_flight import WAYPOINT, World, checked
+from tests.paths.volumes import ends_at
+
+SIDE_M, CELL_M = 600.0, 5.0
+ALTITUDES_M = (10.0, 20.0, 40.0, 60.0, 200.0)
+LIMIT_M, NOTHING = 35.0, {"clearance_m": 0.0, "vertical_clearance_m": 0.0}
+HOUSE, MAST, UNKNOWN = (280, 280, 320, 320), (395, 295, 405, 305), (490, 280, 520, 320)
+
+
+def town(boxes, heights_m, is_guessed, limit_m, structures=None) -> World:
+    """Return a city of boxes, some of guessed height with bounds, and made maps with its roofs."""
+    num = round(SIDE_M / CELL_M)
+    maps = made_maps(num, num, ALTITUDES_M, CELL_M)
+    grid = maps.grid
+    corner_m = np.array(grid.bounds_m[:2])
+    city = city_of_boxes(boxes, heights_m, SIDE_M, tuple(corner_m.tolist()))
+    origin = np.where(is_guessed, HeightOrigin.DEFAULT, HeightOrigin.HEIGHT).astype(np.uint8)
+    limits_m = np.broadcast_to(limit_m, len(boxes)).astype(float)
+    buildings = replace(city.buildings, origin=origin, limit_m=limits_m)
+    if structures is not None:
+        moved = shapely.transform(structures.polygons, lambda xy: xy + corner_m)
+        structures = replace(structures, polygons=moved)
+    city = replace(city, buildings=buildings, structures=structures)
+
+    surface = build_surface(city, grid, grid, has_guessed=True)
+    rasters = {
+        "roof": surface.roof_m,
+        "roof_touched": surface.roof_touched_m,
+        "roof_guessed": surface.roof_guessed,
+        "roof_limit": surface.roof_limit_m,
+    }
+    ds = maps.ds.assign({name: (("y", "x"), values) for name, values in rasters.items()})
+    obstacle = obstacles_on(surface, ALTITUDES_M).astype(np.uint8)
+    return World(replace(maps, ds=ds.assign(obstacle=ds["obstacle"].copy(data=obstacle))), city)
+
+
+def street(limit_m: float = LIMIT_M) -> World:
+    """Return a house of guessed height, 10 m, a mast of 50 m, and something unknown that reaches 35 m at most."""
+    beside = Footprints(
+        shapely.box(*np.transpose([MAST, UNKNOWN])),
+        np.array([50.0, 0.0]),
+        np.zeros(2),
+        np.array([HeightOrigin.HEIGHT, HeightOrigin.UNKNOWN], np.uint8),
+        np.zeros(2, bool),
+        np.array(["mast", "unknown"], object),
+        np.array([np.inf, limit_m]),
+    )
+    return town([HOUSE], [10.0], [True], limit_m, beside)
+
+
+def across(scene: World, box, height_m: float) -> str:
+    """Return a .plan across the middle of a box from south to north."""
+    x_m = (box[0] + box[2]) / 2
+    return scene.plan(
+        (WAYPOINT, 3, (100.0, 200.0), height_m, ()),
+        (WAYPOINT, 3, (x_m, 200.0), height_m, ()),
+        (WAYPOINT, 3, (x_m, 500.0), height_m, ()),
+    )
+
+
+@pytest.mark.parametrize("by_outlines", [True, False])
+@pytest.mark.parametrize(
+    ("box", "height_m", "state"),
+    [
+        (HOUSE, 8.0, "findings"),
+        (HOUSE, 14.0, "not-judged"),
+        (HOUSE, LIMIT_M + 2.9, "not-judged"),
+        (HOUSE, LIMIT_M + 3.1, "clean"),
+        (UNKNOWN, 14.0, "not-judged"),
+        (UNKNOWN, LIMIT_M + 2.9, "not-judged"),
+        (UNKNOWN, LIMIT_M + 3.1, "clean"),
+        (MAST, 48.0, "findings"),
+        (MAST, 54.0, "clean"),
+    ],
+)
+def test_what_lies_between_the_two_heights_is_not_judged_and_all_above_is(
+    tmp_path, box, height_m, state, by_outlines
+):
+    scene = street()
+    (tmp_path / "m.plan").write_text(across(scene, box, height_m))
+    sources = scene.city if by_outlines else None
+    result = ju.check(scene.maps, tmp_path / "m.plan", sources=sources)
+    assert result.state == state, result
+    if box == MAST and by_outlines and state == "findings":
+        assert result.findings["what"].tolist() == ["flies up to 2.0 m into a mast"]
+
+
+def test_what_is_not_judged_says_its_kind_and_up_to_where(tmp_path):
+    for box, kind in ((HOUSE, "building"), (UNKNOWN, "unknown")):
+        said = f"({kind}) may reach 35 m (fly higher, or give its height)."
+        (sentence,) = checked(street(), tmp_path, across(street(), box, 14.0)).not_judged
+        assert sentence.endswith(said)
+        # 40 m across, in steps of about a metre.
+        assert int(sentence.split()[0]) == pytest.approx(40, abs=2)
+    endless = street(np.inf)
+    (sentence,) = checked(endless, tmp_path, across(endless, HOUSE, 190.0)).not_judged
+    assert sentence.endswith("(building) may reach any height (give its height).")
+
+
+def test_beside_a_guessed_house_the_clearance_counts_up_to_its_bound(tmp_path):
+    scene = street()
+    for beside_m, height_m, state in (
+        (10.5, 20.0, "clean"),
+        (9.5, 20.0, "not-judged"),
+        (9.5, 9.0, "findings"),
+        (9.5, LIMIT_M + 3.1, "clean"),
+    ):
+        y_m = HOUSE[3] + beside_m
+        items = [(WAYPOINT, 3, (x_m, y_m), height_m, ()) for x_m in (100.0, 350.0)]
+        result = checked(scene, tmp_path, scene.plan(*items), clearance_m=10.0)
+        assert result.state == state, (beside_m, height_m, result)
+
+
+@pytest.mark.parametrize("limits", [NOTHING, {}, {"clearance_m": 12.0}])
+@pytest.mark.parametrize("altitude_m", [20.0, 40.0])
+def test_planned_routes_never_enter_between_the_heights_and_pass_their_own_check(
+    tmp_path, limits, altitude_m
+):
+    rng = np.random.default_rng(3)
+    corner_m = np.stack(np.meshgrid(np.arange(40, 560, 65), np.arange(40, 560, 65)), -1)
+    corner_m = corner_m.reshape(-1, 2) + rng.uniform(0, 20, (64, 2))
+    boxes = np.hstack([corner_m, corner_m + rng.uniform(8, 30, (64, 2))])
+    boxes = np.vstack([boxes, [240.0, 260.0, 330.0, 340.0]])  # the last is a guessed one in the way
+    heights_m, is_guessed = rng.uniform(6, 50, 65), np.append(rng.random(64) < 0.5, True)
+    heights_m[-1] = 5.0
+    limits_m = np.append(rng.choice([12.0, 25.0, 38.0, np.inf], 64), np.inf)
+    scene = town(boxes, heights_m, is_guessed, limits_m)
+    constraints = ju.Constraints(**limits)
+    is_free = constraints.is_free(scene.maps, altitude_m)
+    on_ground = (scene.maps.m("roof_touched") == 0) & (scene.maps.m("roof_limit") == 0)
+    cells = np.argwhere(is_free & on_ground)
+    far = [cells[np.argmin(np.abs(cells - place).sum(axis=1))] for place in ([9, 9], [110, 105])]
+    path = ju.plan(
+        scene.maps,
+        altitude_m=altitude_m,
+        constraints=constraints,
+        objective="distance",
+        **ends_at(scene.maps, *far),
+    )
+    assert path.status.has_path, path.message
+
+    # The witness: the distance of the line to every outline that may reach it.
+    standing = scene.city.standing
+    may_reach = standing.upper_m >= altitude_m - constraints.vertical_m
+    line = shapely.LineString(path.xy_m)
+    away_m = shapely.distance(standing.polygons[may_reach], line).min()
+    assert away_m >= constraints.horizontal_m
+    assert away_m > 0
+    # Without the bounds the route would be shorter, over what may reach it.
+    known = replace(scene.maps, ds=scene.maps.ds.drop_vars(["roof_guessed", "roof_limit"]))
+    bold = ju.plan(
+        known,
+        altitude_m=altitude_m,
+        constraints=constraints,
+        objective="distance",
+        **ends_at(scene.maps, *far),
+    )
+    assert bold.length_m < path.length_m
+
+    path.save(tmp_path / "m.plan")
+    for sources in (scene.city, None):
+        result = ju.check(scene.maps, tmp_path / "m.plan", sources=sources, constraints=constraints)
+        assert result.state == "clean", result
+
+
+def test_maps_of_earlier_versions_have_no_bound_for_what_they_mark_as_guessed(tmp_path):
+    scene = street()
+    earlier = replace(scene.maps, ds=scene.maps.ds.drop_vars("roof_limit"))
+    cell = (60, 60)  # in the middle of the house
+    for altitude_m in (20.0, 60.0, 200.0):
+        assert not ju.Constraints(**NOTHING).is_free(earlier, altitude_m)[cell]
+        assert ju.Constraints().is_free(scene.maps, altitude_m)[cell] == (altitude_m > LIMIT_M)
+    (tmp_path / "m.plan").write_text(across(scene, HOUSE, 190.0))
+    assert ju.check(earlier, tmp_path / "m.plan").state == "not-judged"
+    assert ju.check(scene.maps, tmp_path / "m.plan").state == "clean"
+
+
+def test_why_a_cell_is_closed_names_the_bound_and_the_remedies():
+    scene = street()
+    beside = (60, 65)  # 7.5 m east of the house
+    assert ju.Constraints(**NOTHING).reasons(scene.maps, 20.0, beside) == []
+    for limits, cell in (({"clearance_m": 12.0}, beside), (NOTHING, (60, 60))):
+        (reason,) = ju.Constraints(**limits).reasons(scene.maps, 20.0, cell)
+        said = "a roof of guessed height that may reach 35 m (fly higher, or give its height)"
+        assert reason == said
+    endless = ju.Constraints().reasons(street(np.inf).maps, 60.0, (60, 60))
+    assert endless == ["a roof of guessed height that may reach any height (give its height)"]
+    mast = ju.Constraints(clearance_m=12.0).reasons(scene.maps, 40.0, (60, 82))
+    assert mast == [
+        "the clearance of 12 m and the vertical clearance of 3 m that is kept from obstacles and the border"
+    ]
+
+
+def test_over_falling_ground_the_bound_is_measured_from_where_a_path_may_pass_it():
+    scene = street()
+    ground_m = np.zeros(scene.maps.grid.shape, np.float32)
+    ground_m[:, 56:64] = 12.0  # under the house, which stands on a terrace
+    hilly = replace(scene.maps, ds=scene.maps.ds.assign(terrain=(("y", "x"), ground_m)))
+    limits = ju.Constraints(clearance_m=10.0, vertical_clearance_m=0.0)
+    beside = (60, 65)
+    for altitude_m, is_free in ((LIMIT_M + 11.0, False), (LIMIT_M + 13.0, True)):
+        assert limits.is_free(hilly, altitude_m)[beside] == is_free
+    assert limits.is_free(scene.maps, LIMIT_M + 11.0)[beside]
