@@ -59,6 +59,7 @@ def _std_of_buildings(buildings: Footprints, height_std_m: HeightStd) -> np.ndar
         "layer": height_std_m.default,
         "generated": 0.0,
         "unknown": 0.0,
+        "beside_parts": height_std_m.default,
     }
     std_m = np.array([by_origin[origin.name.lower()] for origin in HeightOrigin])
     return std_m[buildings.origin]

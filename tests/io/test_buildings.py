@@ -119,7 +119,8 @@ def test_info_says_what_a_file_or_a_folder_of_maps_holds_and_where(town, capsys)
     assert (code, err) == (0, "")
     assert facts["bounds"] == pytest.approx(EXTENT, abs=1e-6)
     assert (facts["buildings"], facts["heights by height"]) == ("2", "2 (100.0%)")
-    assert facts["numbers"] == [{"num_buildings": 2, "num_by_height_origin": {"height": 2}}]
+    counts = {"num_buildings": 2, "num_by_height_origin": {"height": 2}}
+    assert facts["numbers"] == [counts | {"num_structures_by_kind": {}}]
     maps = ju.build_maps(ju.demo_city(500, 500), resolution_m=50, altitudes_m=[20.0])
     maps.save(town.with_name("maps"))
     (numbers,) = json.loads(run(capsys, "info", town.with_name("maps"), "--json")[1])["numbers"]
@@ -181,7 +182,7 @@ KINDS = {
             {"underground": 1},
         ),
         (ONE_MEANING, [9, 6, 10], {"heights_unusable": 1}),  # they fill each other's gaps
-        (KINDS, [8], {"outlines_replaced_by_parts": 1, "not_buildings": 1}),
+        (KINDS, [8], {"outlines_replaced_by_parts": 1}),  # the last is no building, and stands
     ],
 )
 def test_common_columns_are_understood(tmp_path, columns, height_m, issues):

@@ -251,9 +251,7 @@ def test_an_extract_is_checked_and_cut_to_the_region(server, tmp_path, capsys):
 def test_a_cut_extract_holds_the_same_buildings_and_the_decks(data_dir, tmp_path):
     source, cut = data_dir / "osm/lower-manhattan.osm.pbf", tmp_path / "cut.osm.pbf"
     cut_buildings(source, cut, (-74.02, 40.70, -73.99, 40.72))
-    assert (
-        20 < np.sum(read_osm(cut).column("man_made") == "bridge") < 58
-    )  # of the whole
+    assert 20 < np.sum(read_osm(cut).column("man_made") == "bridge") < 58  # of the whole
     inside_m = (583_400.0, 4_506_200.0, 583_700.0, 4_506_600.0)
     whole = read_buildings(ju.Buildings(source), "EPSG:32618").buildings
     near = whole.take(shapely.intersects(shapely.box(*whole.boxes_m), shapely.box(*inside_m)))

@@ -59,7 +59,7 @@ def to_buildings(
     issues = dict(outlines.issues)
     verdict, is_part, is_deck = what_stands(outlines, file.hanging == SLABS, issues)
     index = np.flatnonzero(~np.isin(verdict, LEFT_OUT))
-    shapes, is_sound = _project(outlines.polygons[index], outlines.crs, crs, issues)
+    shapes, is_sound, is_whole = _project(outlines.polygons[index], outlines.crs, crs, issues)
     shapes = shapes[is_sound]
     index = index[is_sound]
     to_city = transformer(outlines.crs, crs)
@@ -68,7 +68,7 @@ def to_buildings(
         raise InputError(
             f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
         )
-    is_building = (verdict[index] == BUILDING) & (shapely.get_dimensions(shapes) == 2)
+    is_building = (verdict[index] == BUILDING) & is_whole[is_sound]
     of_building = index[is_building]
     polygons = shapes[is_building]
 
@@ -141,7 +141,7 @@ def _structures(
     shapes[is_fence] = shapely.boundary(shapes[is_fence])
     is_areal = shapely.get_dimensions(shapes) == 2
     rotor_m = lengths_m("rotor")
-    radius_m = np.fmin(np.fmax(lengths_m("diameter"), rotor_m) / 2, MOST_RADIUS_M)
+    radius_m = np.minimum(np.fmax(lengths_m("diameter"), rotor_m) / 2, MOST_RADIUS_M)
     radius_m = np.where(np.isfinite(radius_m), radius_m, of_kinds("radius_m"))
     polygons = np.where(is_areal & ~is_hull, shapes, shapely.buffer(shapes, radius_m))
 
@@ -227,38 +227,45 @@ def _beside_parts(
 
 
 def _project(
-    polygons: np.ndarray, source: str, crs: str, issues: ReadIssues
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return polygons in another CRS, valid and without heights, and which of them could be made, ``[N]`` bool.
+    shapes: np.ndarray, source: str, crs: str, issues: ReadIssues
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return shapes in another CRS, valid and without heights, which of them could be made, and which are whole.
+
+    A shape is not whole if it lacks a vertex, or if an area has become a line or a point. The latter are ``[N]`` bool.
 
     Args:
-      polygons: ``[N]`` of any kind, None where there is none.
+      shapes: ``[N]`` of any kind, None where there is none.
       source: their CRS.
       crs: projected CRS of the result.
       issues: gets how many were repaired, were beyond repair, or lie where ``crs`` does not reach.
     """
     to_city = transformer(source, crs).transform
-    if shapely.has_z(polygons).any():
-        polygons = shapely.force_2d(polygons)
-    polygons = shapely.transform(polygons, to_city, interleaved=False)
-    is_there = ~shapely.is_missing(polygons) & ~shapely.is_empty(polygons)
-    vertices, polygon = shapely.get_coordinates(polygons, return_index=True)
-    is_finite = np.ones(len(polygons), bool)
-    is_finite[polygon[~np.isfinite(vertices).all(axis=1)]] = False
-    is_sound = is_there & is_finite
+    if shapely.has_z(shapes).any():
+        shapes = shapely.force_2d(shapes)
+    shapes = shapely.transform(shapes, to_city, interleaved=False)
+    is_there = ~shapely.is_missing(shapes) & ~shapely.is_empty(shapes)
 
-    # What has no area left stays as the line or the point that it is.
-    to_repair = np.flatnonzero(is_sound & ~shapely.is_valid(polygons))
-    made = [polygonal(valid) for valid in shapely.make_valid(polygons[to_repair])]
+    # Of a shape that lacks vertices the hull of the others is left.
+    vertices, shape = shapely.get_coordinates(shapes, return_index=True)
+    is_finite = np.isfinite(vertices).all(axis=1)
+    is_whole = np.ones(len(shapes), bool)
+    is_whole[shape[~is_finite]] = False
+    for index in np.flatnonzero(~is_whole):
+        known = vertices[is_finite & (shape == index)]
+        shapes[index] = shapely.convex_hull(shapely.multipoints(known))
+    is_sound = is_there & ~shapely.is_empty(shapes)
+
+    to_repair = np.flatnonzero(is_sound & ~shapely.is_valid(shapes))
+    made = [polygonal(valid) for valid in shapely.make_valid(shapes[to_repair])]
     is_flat = shapely.is_empty(made)
-    polygons[to_repair] = np.where(is_flat, shapely.convex_hull(polygons[to_repair]), made)
-    is_sound &= ~shapely.is_empty(polygons)
+    shapes[to_repair] = np.where(is_flat, shapely.convex_hull(shapes[to_repair]), made)
+    is_whole[to_repair] &= ~is_flat
 
-    issues[ReadIssue.OUTSIDE_CRS] = int(np.sum(is_there & ~is_finite))
+    issues[ReadIssue.OUTSIDE_CRS] = int(np.sum(is_there & ~is_sound))
     num_repaired = int(np.sum(~is_flat))
     issues[ReadIssue.POLYGONS_REPAIRED] = issues.get(ReadIssue.POLYGONS_REPAIRED, 0) + num_repaired
     issues[ReadIssue.POLYGONS_DROPPED] = int(np.sum(~is_there)) + len(to_repair) - num_repaired
-    return polygons, is_sound
+    return shapes, is_sound, is_whole
 
 
 def _own_parts(

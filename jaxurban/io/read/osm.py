@@ -53,7 +53,7 @@ COAST = ("natural", "coastline")
 MIXED = 0.2  # share of the shore on a face's other side, above which land and sea were not parted
 GAP_M = 500.0  # a coast that ends nearer than this to the region's border was cut there
 _AREA_RELATIONS = ("multipolygon", "boundary")  # what libosmium makes areas of
-_OUTLINE_ROLES = ("outline", "outer", "")  # of members of a relation of the type building
+_OUTLINE_ROLES = ("outline", "outer")  # of members of a relation of the type building
 
 
 def read_osm(path: str | Path) -> Outlines:
@@ -123,8 +123,11 @@ def _read(path: str | Path) -> Outlines:
         tags[key] = own
 
     # Outlines have what their relation says beside their own tags.
-    for key, own in of_members.items():
-        tags[key] = {"building": "yes"} | own | tags.get(key, {})
+    for key, of_relation in of_members.items():
+        own = tags.get(key, {})
+        if "building:part" in own:
+            continue
+        tags[key] = {"building": "yes"} | of_relation | own
         if key[0] == "w":
             ways_of.setdefault(key, [key[1]])
 

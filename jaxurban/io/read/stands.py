@@ -42,7 +42,7 @@ def what_stands(outlines: Outlines, has_decks: bool, issues: ReadIssues) -> Stan
       has_decks: whether areas of bridges that are no buildings are decks.
       issues: gets how many are left out, by reason.
     """
-    is_areal = shapely.get_dimensions(outlines.polygons) == 2
+    is_areal = ~np.isin(shapely.get_dimensions(outlines.polygons), (0, 1))
     building = texts(outlines.column("building"))
     is_part = _says_yes(outlines, "part")
     verdict = _kinds(outlines, is_areal)
@@ -97,7 +97,8 @@ def _kinds(outlines: Outlines, is_areal: np.ndarray) -> np.ndarray:
     kind = np.full(len(is_areal), None, object)
     if "building" in outlines.tags:  # otherwise areas are buildings, whatever their height
         height = outlines.column("height")
-        for index in np.flatnonzero(is_given(height)):
+        is_said = texts(outlines.column("building")) != ""
+        for index in np.flatnonzero(is_given(height) & ~is_said):
             is_high = parse_length_m(str(height[index])) >= LOW_M
             kind[index] = SITE if is_high else ReadIssue.NOT_STANDING
         kind[texts(outlines.column("natural")) != ""] = ReadIssue.TREES
