@@ -1,0 +1,158 @@
+"""What of a file's features stands: buildings, other structures, the unknown, and what is left out and why."""
+
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import LineString, Point, box
+
+import jaxurban as ju
+from jaxurban.io.read.buildings import to_buildings
+from jaxurban.io.read.outlines import Outlines, tags_of
+from jaxurban.world.footprints import HeightOrigin
+
+UTM = "EPSG:32618"
+AREA = box(0, 0, 10, 10)
+WAY = LineString([(0, 0), (30, 0)])
+PLACE = Point(5, 5)
+
+
+def stand(*features, **rules):
+    """Return buildings, structures and what was counted, of features: a shape in metres and its tags each."""
+    names = {"building", *(name for _, tags in features for name in tags)}
+    columns = {
+        name: np.array([tags.get(name) for _, tags in features], object) for name in sorted(names)
+    }
+    shapes = np.array([shape for shape, _ in features], object)
+    outlines = Outlines(shapes, tags_of(columns), UTM, ((0.0, 0.0, 1.0, 1.0),), {})
+    file = ju.Buildings("city.osm", **rules)
+    buildings, structures, _, issues = to_buildings(file, outlines, UTM)
+    return buildings, structures, {name: count for name, count in issues.items() if count}
+
+
+@pytest.mark.parametrize(
+    ("shape", "tags", "kind", "height_m", "upper_m", "area_m2"),
+    [
+        (AREA, {"man_made": "chimney", "height": "180"}, "chimney", 180, 180, 100),
+        (AREA, {"man_made": "storage_tank", "height": "18 m"}, "tank", 18, 18, 100),
+        (AREA, {"man_made": "tower"}, "tower", 30, np.inf, 100),
+        (AREA, {"man_made": "storage_tank"}, "tank", 10, 30, 100),
+        (PLACE, {"man_made": "crane", "height": "60"}, "crane", 60, 60, np.pi * 25),
+        (PLACE, {"man_made": "silo", "diameter": "8"}, "tank", 20, np.inf, np.pi * 16),
+        (PLACE, {"power": "tower"}, "pylon", 30, np.inf, np.pi * 16),
+        (
+            PLACE,
+            {"power": "generator", "height:hub": "90", "rotor:diameter": "100"},
+            "turbine",
+            140,
+            140,
+            np.pi * 2500,
+        ),
+        (WAY, {"man_made": "gantry", "height": "8"}, "canopy", 8, 8, 60 + np.pi),
+        # What no table knows stands with a height, and is unknown where it has an area alone.
+        (AREA, {"man_made": "monument_of_a_kind", "height": "40"}, "structure", 40, 40, 100),
+        (AREA, {"man_made": "monument_of_a_kind"}, "unknown", 0, np.inf, 100),
+        (PLACE, {"historic": "memorial", "height": "25"}, "structure", 25, 25, np.pi),
+        (AREA, {"man_made": "works", "height": "12"}, "structure", 12, 12, 100),
+        # A fence around a yard stands on its border.
+        (AREA, {"barrier": "fence", "height": "30"}, "structure", 30, 30, 80 - 4 + np.pi),
+        # A bridge is known to stand, but not how high.
+        (AREA, {"man_made": "bridge"}, "unknown", 0, 100, 100),
+        # A building that is not whole: the hull of what is known of it.
+        (LineString([(0, 0), (10, 0), (10, 10)]), {"building": "yes"}, "unknown", 0, 100, 130.8),
+        (PLACE, {"building": "garage"}, "unknown", 0, 25, np.pi * 4),
+    ],
+)
+def test_structures_stand_with_a_height_or_an_upper_bound(
+    shape, tags, kind, height_m, upper_m, area_m2
+):
+    buildings, structures, _ = stand((shape, tags))
+    assert len(buildings) == 0
+    assert structures.kinds.tolist() == [kind]
+    assert structures.height_m.tolist() == pytest.approx([height_m])
+    assert structures.upper_m.tolist() == pytest.approx([upper_m])
+    assert shapely.area(structures.polygons) == pytest.approx([area_m2], rel=0.02)
+    is_known = upper_m == height_m
+    assert structures.is_guessed.tolist() == [not is_known]
+
+
+@pytest.mark.parametrize(
+    ("tags", "reason"),
+    [
+        ({"building": "no"}, "not_buildings"),
+        ({"building": "yes", "location": "underground"}, "underground"),
+        ({"building:part": "yes", "level": "-1"}, "underground"),
+        ({"building:part": "yes", "level": "-2;-1"}, "underground"),
+        ({"building": "yes", "building:levels": "0", "building:levels:underground": "2"},
+         "underground"),
+        ({"building": "parking", "parking": "underground"}, "underground"),
+        ({"demolished:building": "yes", "height": "40"}, "razed"),
+        ({"building": "razed"}, "razed"),
+        ({"proposed:building": "yes"}, "planned"),
+        ({"man_made": "pier"}, "not_standing"),
+        ({"man_made": "surveillance", "height": "8"}, "not_standing"),
+        ({"power": "substation"}, "not_standing"),
+        ({"barrier": "wall", "height": "2"}, "not_standing"),
+        ({"power": "minor_line"}, "wires"),
+        ({"natural": "tree", "height": "20"}, "trees"),
+    ],
+)  # fmt: skip
+def test_what_does_not_stand_is_counted_by_its_reason(tags, reason):
+    buildings, structures, issues = stand((AREA, tags))
+    assert (len(buildings), len(structures)) == (0, 0)
+    assert issues == {reason: 1}
+
+
+def test_points_and_lines_that_no_table_knows_are_counted():
+    assert stand((PLACE, {"man_made": "thing"}))[2] == {"not_in_table": 1}
+    assert stand((WAY, {"man_made": "beam"}))[2] == {"not_in_table": 1}
+
+
+@pytest.mark.parametrize(
+    "tags",
+    [
+        {"building": "yes", "layer": "-1"},  # orders, as under a viaduct
+        {"building": "yes", "level": "-1;0;1"},
+        {"building": "ruins"},
+        {"abandoned:building": "yes"},
+        {"building": "yes", "man_made": "tower"},
+        {"building": "yes", "demolished:building": "yes"},
+        {"building": "yes", "parking": "underground", "height": "20"},
+    ],
+)
+def test_what_may_stand_stands(tags):
+    buildings, structures, issues = stand((AREA, tags))
+    assert (len(buildings), len(structures), issues) == (1, 0, {})
+
+
+def test_a_roof_of_guessed_height_has_an_upper_bound_by_levels_or_by_its_kind():
+    kinds = ({"building": "yes"}, {"building": "house"}, {"building": "yes", "height": "9"})
+    levels = {"building": "yes", "building:levels": "5"}
+    hanging = {"building:part": "yes", "building:levels": "1", "min_height": "30"}
+    features = [(box(20 * i, 0, 20 * i + 10, 10), tags) for i, tags in enumerate(kinds)]
+    features += [(box(80, 0, 90, 10), levels), (box(100, 0, 110, 10), hanging)]
+    buildings, *_ = stand(*features)
+    assert buildings.height_m.tolist() == [10, 10, 9, 15, 33]
+    # The part on 30 m has one level of at most 6 m, and 10 m on it.
+    assert buildings.upper_m.tolist() == [100, 25, 9, 40, 46]
+
+
+def test_an_outline_with_the_height_of_its_tower_ends_beside_its_parts():
+    church = (box(0, 0, 60, 60), {"building": "church", "height": "80"})
+    tower = (box(0, 0, 10, 10), {"building:part": "yes", "height": "80"})
+    nave = (box(10, 0, 50, 60), {"building:part": "yes", "height": "15"})
+    buildings, *_ = stand(church, tower, nave)
+    assert buildings.height_m.tolist() == [15, 80, 15]
+    assert buildings.upper_m.tolist() == [80, 80, 15]
+    assert buildings.origin[0] == HeightOrigin.BESIDE_PARTS
+    assert shapely.area(buildings.polygons).tolist() == [3600 - 100 - 2400, 100, 2400]
+    # Higher than every part of it an outline is believed.
+    higher, *_ = stand((church[0], church[1] | {"height": "90"}), tower, nave)
+    assert higher.height_m.tolist() == [90, 80, 15]
+
+
+def test_a_point_within_a_building_names_it():
+    house = (AREA, {"building": "yes", "height": "12"})
+    _, structures, _ = stand(house, (PLACE, {"building": "yes"}))
+    assert len(structures) == 0
+    _, structures, _ = stand(house, (Point(50, 50), {"building": "yes"}))
+    assert structures.kinds.tolist() == ["unknown"]
