@@ -190,13 +190,6 @@ def soft_returns(
     )
 
 
-def one_by_one(
-    roof_m: jax.Array, scan: Scan, offsets: jax.Array, softness_m: jax.Array
-) -> jax.Array:
-    """Return `soft_returns`, by the form for a CPU."""
-    return _returns(roof_m, scan, offsets, softness_m, at_once=1, unroll=STEPS_PER_PASS)
-
-
 def together(roof_m: jax.Array, scan: Scan, offsets: jax.Array, softness_m: jax.Array) -> jax.Array:
     """Return `soft_returns`, by the form for a GPU."""
     num_azimuths, steps, _ = offsets.shape
@@ -285,6 +278,9 @@ def _returns(
     )
 
 
+one_by_one = partial(_returns, at_once=1, unroll=STEPS_PER_PASS)
+
+
 class ScansAt(NamedTuple):
     """Scan positions at chosen cells, and what stands around them. Scalars may be traced.
 
@@ -350,20 +346,12 @@ def soft_returns_at(at: ScansAt) -> Float[Array, " P"]:
     Over terrain receivers and roofs stand on it, and a beam's height where it enters a segment is the least that it
     has had above the ground of the cells before.
     """
-    return lax.platform_dependent(at, cpu=one_by_one_at, default=together_at)
+    alone = partial(in_batches, at_once=1)
+    beside = partial(in_batches, at_once=azimuths_at_once(len(at.offsets)))
+    return lax.platform_dependent(at, cpu=alone, default=beside)
 
 
-def one_by_one_at(at: ScansAt) -> jax.Array:
-    """Return `soft_returns_at`, by the form for a CPU."""
-    return _in_batches(at, at_once=1)
-
-
-def together_at(at: ScansAt) -> jax.Array:
-    """Return `soft_returns_at`, by the form for a GPU."""
-    return _in_batches(at, at_once=azimuths_at_once(len(at.offsets)))
-
-
-def _in_batches(at: ScansAt, *, at_once: int) -> jax.Array:
+def in_batches(at: ScansAt, *, at_once: int) -> jax.Array:
     """Return `soft_returns_at`, with `CELLS_AT_ONCE` cells and ``at_once`` azimuths together."""
     of_cell = jax.checkpoint(partial(_returns_of_cell, at, at_once=at_once))
     return lax.map(of_cell, (at.altitude_m, at.cells), batch_size=CELLS_AT_ONCE)
