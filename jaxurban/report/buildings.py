@@ -18,7 +18,6 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.maps.differentiable import SoftParams, soften
 from jaxurban.maps.run import tasks_of
 from jaxurban.maps.sources import scenario_of
-from jaxurban.paths.corridor import grid_over
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.frame import (
     ENDS,
@@ -34,7 +33,7 @@ from jaxurban.report.figures.paths import draw_ends
 from jaxurban.report.figures.style import Colours
 from jaxurban.report.write import Look, save
 from jaxurban.studies.weights.buildings import building_costs
-from jaxurban.world.grid import Grid
+from jaxurban.world.grid import Grid, covering_grid
 
 ROUTE_COLOUR, LAND_COLOUR = "#111111", "#d9d9d9"
 MARGIN_M = 250.0  # around the route
@@ -69,11 +68,10 @@ def plot_building_costs(
     norm = SymLogNorm(most / 1000, vmin=-most, vmax=most)
     colours = Colours("RdBu_r", norm, "cost per metre of height", ticks=ticks)
 
-    # The part of the region around the route. The small number keeps a corner on the edge of a cell from rounding into
-    # the next one.
+    # The part of the region around the route.
     low = np.maximum(planned.xy_m.min(axis=0) - MARGIN_M, grid.bounds_m[:2])
     high = np.minimum(planned.xy_m.max(axis=0) + MARGIN_M, grid.bounds_m[2:])
-    near = grid_over(grid.crs, grid.resolution_m, low + 1e-6, high - 1e-6)
+    near = covering_grid((*low, *high), grid.resolution_m, grid.crs)
 
     # The map with its heading, note and legend.
     panels = [MapPanel(f"{planned.search.planner}, cost {planned.cost:,.1f}")]

@@ -522,8 +522,9 @@ class Viewer:
         Raises:
           InputError: maps in memory, or whose files are gone.
         """
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # the page shows what the maps guess
+        with warnings.catch_warnings(
+            action="ignore", category=UserWarning
+        ):  # the page shows what the maps guess
             return Sight.of(self.maps, None, self.sources, None)
 
     def sky(self, query: Sky) -> str:
@@ -634,8 +635,7 @@ class Viewer:
     def _on_page(self, lonlat: np.ndarray) -> np.ndarray:
         """Return places ``[N, 2]``, given by longitude and latitude, as x and y in metres from the southwest corner."""
         grid = self.maps.grid
-        x_m, y_m = grid.xy_of_lonlat(*lonlat.T)
-        return np.round(np.stack([x_m - grid.x_min_m, y_m - grid.y_min_m], axis=-1), 1)
+        return np.round(grid.xy_at(lonlat) - grid.bounds_m[:2], 1)
 
     def save(self, query: Save) -> bytes:
         """Return a route as the bytes of a file (`Plans.file`).

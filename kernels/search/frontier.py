@@ -1,7 +1,7 @@
 """Exact search of many grid queries at once: all open cells near each query's lowest f are expanded together."""
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp

@@ -77,7 +77,7 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
     reaching = np.unique(roof[stands_at(roofs.top_m[roof], floor_m[leg])])
 
     # Their fences, with the vertices that zones leave, around the path as the file holds it.
-    flown = line_of(np.stack(grid.xy_of_lonlat(*waypoints(route).lonlat.T), axis=-1))
+    flown = line_of(grid.xy_at(waypoints(route).lonlat))
     zone_rings, _ = exclusions(route)
     most_vertices = MOST_VERTICES - sum(map(len, zone_rings))
     fences, num_met = _fewest(roofs.polygons[reaching], flown, grid, most_vertices)
@@ -113,8 +113,9 @@ def _roofs_of(maps: "MetricMaps") -> tuple[Prisms, str, str]:
     """
     from jaxurban.maps.sources import city_of
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GuessWarning)  # the maps hold what the city guesses
+    with warnings.catch_warnings(
+        action="ignore", category=GuessWarning
+    ):  # the maps hold what the city guesses
         try:
             city = city_of(maps)
         except InputError:
@@ -190,4 +191,4 @@ def _fences(
 
 def _as_written(polygon: shapely.Polygon, grid: Grid) -> shapely.Polygon:
     """Return a polygon in the grid's CRS as a file holds it, its corners rounded in degrees."""
-    return shapely.Polygon(np.stack(grid.xy_of_lonlat(*ring_of(polygon, grid).T), axis=-1))
+    return shapely.Polygon(grid.xy_at(ring_of(polygon, grid)))
