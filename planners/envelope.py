@@ -103,8 +103,8 @@ def planned_cost(
 def call_on_host(
     function: Callable[..., Sequence[np.ndarray]],
     shapes: Sequence[jax.ShapeDtypeStruct],
-    *arrays: jax.Array,
-) -> tuple[jax.Array, ...]:
+    *arrays: Array,
+) -> tuple[Array, ...]:
     """Return the results of a host function of float arrays, called from JAX.
 
     `jax.pure_callback` may run it in a thread that does not know of ``jax.enable_x64(True)``, where arguments and
@@ -132,7 +132,7 @@ def call_on_host(
     )
 
 
-def _bits(values: jax.Array) -> jax.Array:
+def _bits(values: Array) -> Array:
     return lax.bitcast_convert_type(values, jnp.uint32)  # float64: a last axis of two words
 
 

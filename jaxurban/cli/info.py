@@ -79,7 +79,6 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     from jaxurban.io.read.city import lonlat_extent
     from jaxurban.io.read.raster import RASTER_SUFFIXES, read_raster
     from jaxurban.settings import Buildings
-    from jaxurban.world.footprints import HeightOrigin
     from jaxurban.world.grid import WGS84
 
     facts: Settings = {"bounds": _rounded(lonlat_extent(file))}  # as [region] bounds takes them
@@ -91,21 +90,15 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
         return facts, {"num_rows": num_rows, "num_cols": num_cols} | range_numbers
 
     # Buildings: guesses are among the facts, so that their warnings are not needed.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
+    with warnings.catch_warnings(action="ignore", category=UserWarning):
         city = City.from_files(Buildings(file, allow_none=True))
     facts |= {name: value for name, value in city.facts.items() if value and name != "terrain"}
     if city.buildings is None:
         return facts, {}
-    num_by_origin: dict[str, int] = {}
-    for origin in HeightOrigin:
-        num = int((city.buildings.origin == origin).sum())
-        if num > 0:
-            name = origin.name.lower()
-            facts[f"heights by {name}"] = f"{num:,} ({num / len(city.buildings):.1%})"
-            num_by_origin[name] = num
+    num_by_origin = city.buildings.origin_counts()
+    for name, num in num_by_origin.items():
+        facts[f"heights by {name}"] = f"{num:,} ({num / len(city.buildings):.1%})"
     num_by_kind = Counter(() if city.structures is None else city.structures.kinds.tolist())
-    facts |= {f"{kind} (not a building)": f"{num:,}" for kind, num in num_by_kind.items()}
     return facts, {
         "num_buildings": len(city.buildings),
         "num_by_height_origin": num_by_origin,

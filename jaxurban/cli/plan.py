@@ -286,8 +286,10 @@ def plan(
     if planned.status.has_path and (with_report or profile is not None):
         density = None
         if corridor is not None:
+            from jaxurban.paths.detours import density_detours
+
             density = corridor(costs.maps, planned, time_of_day=time_of_day)
-            density = _with_detours(density, planned, costs)
+            density = replace(density, detours=density_detours(planned, costs, density))
         report = explain(planned, costs.maps, density=density, **flight)
     for file in outputs.files:
         _write(file, planned, costs, report if with_report else None, outputs)
@@ -339,15 +341,6 @@ def _check_files(outputs: RouteFiles, is_when: bool) -> None:
     for option, value in (("--end", outputs.end), ("--fence-roofs", outputs.fence_roofs_m)):
         if value is not None and MISSION not in suffixes:
             raise click.UsageError(f"{option} is of a mission: add -o FILE.plan")
-
-
-def _with_detours(
-    density: "OverflownDensity", planned: "PlannedPath", costs: "CostMap"
-) -> "OverflownDensity":
-    """Return the density of people beneath a path's corridor, completed by the detours that would lower it."""
-    from jaxurban.paths.detours import density_detours
-
-    return replace(density, detours=density_detours(planned, costs, density))
 
 
 def _write_departures(

@@ -39,16 +39,16 @@ def recorder_of(path: Path) -> "Workspace | None":
 
 
 @contextmanager
-def recorded_by(recorder: "Workspace | None") -> Iterator[None]:
-    """Let a workspace record what is written in the block; None: nothing is recorded.
+def during(variable: ContextVar, value: Any) -> Iterator[None]:
+    """Give a variable such as `RECORDER` a value during the block.
 
     It holds for this thread alone: other threads and processes that write must enter such a block themselves.
     """
-    token = RECORDER.set(recorder)
+    token = variable.set(value)
     try:
         yield
     finally:
-        RECORDER.reset(token)
+        variable.reset(token)
 
 
 @contextmanager

@@ -19,14 +19,15 @@ from jaxurban.io.files import (
     ELSEWHERE,
     HELD,
     LOCK_FILE,
+    RECORDER,
     SCRATCH_NAME,
     SCRATCH_SUFFIX,
     check_writable,
     checksum_of,
+    during,
     is_as_written,
     only_writer,
     read_json,
-    recorded_by,
     recorder_of,
     remove,
     write_json,
@@ -96,40 +97,33 @@ class Workspace:
         """
         # The settings as they will be read from the record: JSON makes lists of tuples.
         new_settings = json.loads(json.dumps(settings or {}))
-        is_new = not folder.exists()
-        check_writable(folder)
-        try:
-            with only_writer(folder, ELSEWHERE):
-                sections = _sections(folder)
-                is_first = command not in sections
-                section = sections.setdefault(command, {"settings": {}, "written": {}})
-                # The workspace alters the two dictionaries of its section in place, and `_save` writes them.
-                workspace = cls(folder, command, section["settings"], section["written"], is_mended)
+        with _held(folder):
+            sections = _sections(folder)
+            is_first = command not in sections
+            section = sections.setdefault(command, {"settings": {}, "written": {}})
+            # The workspace alters the two dictionaries of its section in place, and `_save` writes them.
+            workspace = cls(folder, command, section["settings"], section["written"], is_mended)
 
-                # Checks come first, so that files of an earlier run are removed only if nothing is wrong.
-                if not is_shared:
-                    workspace._check_alone(sections, is_first)
-                workspace.check_way((folder / name for name in names), is_mended=is_mended)
-                if not is_first:
-                    workspace._replace(new_settings, overwrite)
-                if new_settings:
-                    workspace.settings.clear()
-                    workspace.settings.update(new_settings)
+            # Checks come first, so that files of an earlier run are removed only if nothing is wrong.
+            if not is_shared:
+                workspace._check_alone(sections, is_first)
+            workspace.check_way((folder / name for name in names), is_mended=is_mended)
+            if not is_first:
+                workspace._replace(new_settings, overwrite)
+            if new_settings:
+                workspace.settings.clear()
+                workspace.settings.update(new_settings)
+            _save(folder, sections)
+
+            # The block of the caller, after which the record has what it wrote.
+            try:
+                with during(RECORDER, workspace):
+                    yield workspace
+            finally:
+                _recover(folder, sections)
+                if is_first and not workspace.written:
+                    del sections[command]
                 _save(folder, sections)
-
-                # The block of the caller, after which the record has what it wrote.
-                try:
-                    with recorded_by(workspace):
-                        yield workspace
-                finally:
-                    _recover(folder, sections)
-                    if is_first and not workspace.written:
-                        del sections[command]
-                    _save(folder, sections)
-        finally:
-            if is_new:
-                with suppress(OSError):  # it holds what was written
-                    folder.rmdir()
 
     @classmethod
     @contextmanager
@@ -174,20 +168,9 @@ class Workspace:
         Raises:
           InputError: as of `check`.
         """
-        is_new = not folder.exists()
         cls.check(folder, command)
-        check_writable(folder)
-        try:
-            with only_writer(folder, ELSEWHERE):
-                token = HELD.set(HELD.get() | {folder.resolve()})
-                try:
-                    yield
-                finally:
-                    HELD.reset(token)
-        finally:
-            if is_new:
-                with suppress(OSError):  # it holds what was written
-                    folder.rmdir()
+        with _held(folder), during(HELD, HELD.get() | {folder.resolve()}):
+            yield
 
     def _check_alone(self, sections: Sections, is_first: bool) -> None:
         """Raise InputError unless the folder is this command's alone.
@@ -500,6 +483,24 @@ def _files_under(folder: Path) -> list[str]:
     names = {path.relative_to(folder).as_posix() for path in files}
     names -= {RECORD_FILE, JOURNAL_FILE, LOCK_FILE}
     return sorted(name for name in names if SCRATCH_SUFFIX not in name)
+
+
+@contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Hold a folder during the block; it is made, and removed afterwards if it was not there and nothing is in it.
+
+    Raises:
+      InputError: the folder cannot be written to, or another run holds it.
+    """
+    is_new = not folder.exists()
+    check_writable(folder)
+    try:
+        with only_writer(folder, ELSEWHERE):
+            yield
+    finally:
+        if is_new:
+            with suppress(OSError):  # it holds what was written
+                folder.rmdir()
 
 
 def recorded(folder: Path) -> dict[str, set[str]]:

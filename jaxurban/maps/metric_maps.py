@@ -190,9 +190,8 @@ class MetricMaps(FactsRepr):
             source = base_map_source(self.base)
             if source is None:
                 return None
-            with warnings.catch_warnings():
-                # A coast with a gap matters little to the ground of a picture.
-                warnings.simplefilter("ignore", UserWarning)
+            # A coast with a gap matters little to the ground of a picture.
+            with warnings.catch_warnings(action="ignore", category=UserWarning):
                 frame = read_base_map(source, self.grid.crs, self.grid.bounds_m)
         except Exception as error:  # whatever a damaged file raises: maps are whole without it
             LOG.warning(f"no streets and names below the maps: {error}")

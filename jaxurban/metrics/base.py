@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -204,7 +203,7 @@ class SoftScene(NamedTuple):
     reception: ReceptionCurve | None = None
 
 
-def on_scene(soft: Callable[..., jax.Array], scene: SoftScene, params: Any) -> jax.Array:
+def on_scene(soft: Callable[..., Array], scene: SoftScene, params: Any) -> Array:
     """Return a soft metric of a scene, by a function that takes parts of the scene as arguments.
 
     Args:
@@ -273,9 +272,9 @@ class Metric:
     unit: str = "1"
     inside: float | None = np.nan
     reach_m: Callable[[Any], float] = none_of_it
-    traced: Callable[[Scene, Any], dict[str, jax.Array]] | None = None
+    traced: Callable[[Scene, Any], dict[str, Array]] | None = None
     ready: "Callable[[Surface, Sequence[float], Any, Blocks | None], Any] | None" = None
-    soft: Callable[[SoftScene, Any], jax.Array] | None = None
+    soft: Callable[[SoftScene, Any], Array] | None = None
     also: tuple[Variable, ...] = ()
     available: str = ""
     recorded: Mapping[str, str] = field(default_factory=dict)

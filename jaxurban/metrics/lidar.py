@@ -127,7 +127,7 @@ def _num_steps(params: Lidar, resolution_m: float) -> int:
 
 def compute_lidar(
     surface: Surface,
-    altitudes_m: Sequence[float] | jax.Array,
+    altitudes_m: Sequence[float] | Array,
     params: Lidar,
     engine: Engine = "auto",
 ) -> Float[AnyArray, "A y x"]:
@@ -428,9 +428,7 @@ def soft_lidar(
 
     # Rasters with all that rays can reach, and the roofs of the receivers' own cells.
     roof_m = surface.crop_with_halo(surface.roof_m, steps - 1)
-    terrain_m = None
-    if surface.terrain_m is not None:
-        terrain_m = surface.crop_with_halo(surface.terrain_m, steps - 1)
+    terrain_m = surface.crop_with_halo(surface.terrain_m, steps - 1)
     own_roof_m = surface.crop(surface.roof_m)
     if cells is not None:
         own_roof_m = own_roof_m[cells[:, 0], cells[:, 1]]

@@ -72,7 +72,7 @@ def halo_cells(params: Risk, resolution_m: float, reach_m: float | None = None) 
 
 def compute_risk(
     surface: Surface,
-    altitudes_m: Sequence[float] | jax.Array,
+    altitudes_m: Sequence[float] | Array,
     params: Risk,
     reach_m: float | None = None,
 ) -> Float[AnyArray, "A y x"]:
@@ -243,9 +243,7 @@ def soft_risk(
 
     # Rasters on the region and its halo; only `solid` measures heights from the terrain.
     roof_m = surface.crop_with_halo(surface.roof_m, halo)
-    terrain_m = None
-    if is_solid and surface.terrain_m is not None:
-        terrain_m = surface.crop_with_halo(surface.terrain_m, halo)
+    terrain_m = surface.crop_with_halo(surface.terrain_m, halo) if is_solid else None
 
     # The whole region over flat ground has a kernel of its own; otherwise cells are searched around one by one.
     if cells is None and terrain_m is None:

@@ -118,8 +118,7 @@ def visible_words(
     """
     rows, cols = surface.window
     window = rows.start, rows.stop, cols.start, cols.stop, 1  # 1: every cell is kept
-    ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
-    height_m = _heights(ground_m, altitudes_m)
+    height_m = _heights(surface.crop(surface.terrain_m), altitudes_m)
     return sweep.visible_words(surface.top_m, height_m, sky.lines, sky.num, window=window)
 
 

@@ -32,7 +32,6 @@ COLUMNS = ["kind", "what", "item", *PLACE, "building_m", "by_m", "is_guessed"]
 
 def judged(
     flight: Flight,
-    maps: MetricMaps,
     buildings: Prisms,
     known: shapely.Geometry,
     limits: Constraints,
@@ -46,13 +45,13 @@ def judged(
 
     Args:
       flight: the mission over the maps.
-      maps: the maps.
       buildings: what stands there.
       known: the area in which all buildings are known, in the maps' CRS.
       limits: the zones in force, the bounds and the clearances, none of which is left out.
       times, time_of_day: of the maps that the bounds must hold on; None for a map that has no times.
     """
     ground = flight.ground
+    maps = ground.maps
     tables, unknown = [], [flight.unknown, *_at_corners(flight, buildings, limits)]
     for way in (flight.steps, flight.variants):
         # What cannot be judged: steps without data, beyond what is known, near roofs of guessed height, or nearer to
@@ -63,7 +62,7 @@ def judged(
         near = contacts(steps, buildings, ground, limits.horizontal_m)
         unknown.append(spans(way.along_m[~is_known], NO_DATA))
         unknown += _unsure(flight, steps, near, limits)
-        unknown += _beyond(flight, steps, maps, known, limits.horizontal_m)
+        unknown += _beyond(flight, steps, known, limits.horizontal_m)
         unknown += _guessed(near, buildings, limits)
 
         # What the other steps meet.
@@ -173,7 +172,7 @@ def _at_corners(flight: Flight, buildings: Prisms, limits: Constraints) -> Itera
 
 
 def _beyond(
-    flight: Flight, steps: Steps, maps: MetricMaps, known: shapely.Geometry, horizontal_m: float
+    flight: Flight, steps: Steps, known: shapely.Geometry, horizontal_m: float
 ) -> Iterator[pd.DataFrame]:
     """Yield tables of stretches (`spans`) beyond what is known: in plan, below and above the maps' altitudes.
 
@@ -184,7 +183,6 @@ def _beyond(
     Args:
       flight: the mission over the maps.
       steps: those of its steps that have data.
-      maps: the maps.
       known: the area in which all buildings are known, in the maps' CRS.
       horizontal_m: the clearance.
     """
@@ -195,8 +193,9 @@ def _beyond(
 
     is_on_site = _is_on_site(flight, steps)
     z_m = steps.z_m.mean(axis=1)
-    low_m = min(maps.altitudes_m)
-    high_m = max(maps.altitudes_m)
+    altitudes_m = flight.ground.maps.altitudes_m
+    low_m = min(altitudes_m)
+    high_m = max(altitudes_m)
     is_below = (z_m < low_m - GROUND_TOLERANCE_M) & ~is_on_site
     is_above = z_m > high_m + GROUND_TOLERANCE_M
     yield spans(steps.along_m[is_below], f"lie below the maps, which begin at {low_m:g} m")

@@ -8,7 +8,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.zone import cell_boxes
-from jaxurban.world.grid import Grid
+from jaxurban.world.grid import Grid, covering_grid
 
 MOST_CELLS = 1_000_000  # of a grid around a line
 
@@ -27,19 +27,6 @@ class Cells(NamedTuple):
     boxes: np.ndarray
 
 
-def grid_over(crs: str, side_m: float, low_m: np.ndarray, high_m: np.ndarray) -> Grid:
-    """Return the grid of the fewest cells that covers a box. Its cells begin at multiples of their side in the CRS.
-
-    Args:
-      crs: of the grid and the box.
-      side_m: of a cell.
-      low_m, high_m: ``[2]`` x, y of the southwest and the northeast corner of the box.
-    """
-    first_col, first_row = np.floor(low_m / side_m).astype(int).tolist()
-    end_col, end_row = np.ceil(high_m / side_m).astype(int).tolist()
-    return Grid(crs, side_m, first_row, first_col, end_row - first_row, end_col - first_col)
-
-
 def cells_within(shape: shapely.Geometry, reach_m: float, side_m: float, grid: Grid) -> Cells:
     """Return the cells of a coarse grid that are within a distance of a line or a box, borders included.
 
@@ -52,8 +39,8 @@ def cells_within(shape: shapely.Geometry, reach_m: float, side_m: float, grid: G
     Raises:
       InputError: more than `MOST_CELLS` cells in the box around the shape.
     """
-    low_m, high_m = np.reshape(shape.bounds, (2, 2))
-    coarse = grid_over(grid.crs, side_m, low_m - reach_m, high_m + reach_m)
+    box_m = tuple(np.add(shape.bounds, [-reach_m, -reach_m, reach_m, reach_m]))
+    coarse = covering_grid(box_m, side_m, grid.crs)
     coarse = coarse.padded(1, 1, 1, 1)  # for cells that touch the reach with their border
     num = math.prod(coarse.shape)
     if num > MOST_CELLS:

@@ -273,8 +273,7 @@ def explain(
     rows = [route.row(first, last, metrics) for first, last in parts]
     numbers = pd.RangeIndex(1, len(parts) + 1, name="segment")
 
-    x_m, y_m = (route.states[:, :2] + maps.grid.bounds_m[:2]).T
-    lonlat = np.stack(maps.grid.lonlat_of_xy(x_m, y_m), axis=-1)
+    lonlat = maps.grid.lonlat_at(route.states[:, :2] + maps.grid.bounds_m[:2])
     not_of_whole = ("from_", "to_", "min_", "max_")
     return RouteReport(
         totals={name: whole[name] for name in whole if not name.startswith(not_of_whole)},

@@ -146,7 +146,7 @@ def costs_of(
     at_m = float(np.clip(median_m, min(maps.altitudes_m), max(maps.altitudes_m)))
     legs = [leg for leg in flight.mission.legs if not leg.is_variant]
     ends = [place[:2] for leg in legs for place in (leg.start, leg.end)]
-    xy_m = np.stack(grid.xy_of_lonlat(*np.transpose(ends)), axis=-1)
+    xy_m = grid.xy_at(np.array(ends))
     points_m = xy_m - grid.bounds_m[:2]
     figures: dict[str, Any] = {"compared_at_m": at_m}
     side_m = np.array(grid.shape[::-1]) * grid.resolution_m

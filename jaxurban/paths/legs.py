@@ -114,9 +114,9 @@ class Flight:
         """How far home's elevation in the file is from the ground there; 0 where no height above the sea is flown."""
         mission = self.mission
         datums = {place.datum for leg in mission.legs for place in (leg.start, leg.end)}
-        if mission.home is None or mission.home_elevation_m is None or "geoid" not in datums:
+        if mission.home is None or mission.home_elevation_m is None:
             return 0.0
-        if self.ground.is_flat:
+        if self.ground.is_flat or "geoid" not in datums:
             return 0.0
         off_m = self.ground.at_lonlat(*mission.home) - mission.home_elevation_m
         return abs(np.nan_to_num(off_m))
@@ -210,9 +210,7 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     # Where the segments of the mission begin and end.
     maps = ground.maps
     segments = Segments.of(mission, ground.is_flat)
-    lon, lat = np.moveaxis(segments.lonlat, -1, 0)
-    ends_m = np.stack(maps.grid.xy_of_lonlat(lon, lat), axis=-1)
-    ends_m = np.nan_to_num(ends_m, posinf=NOWHERE_M)
+    ends_m = np.nan_to_num(maps.grid.xy_at(segments.lonlat), posinf=NOWHERE_M)
 
     # Their heights: above the zero of the terrain, or above the ground for segments that follow it.
     ground_m = ground.at(ends_m)

@@ -274,7 +274,7 @@ def measured(cost_map: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
     exposures = (features.mean_costs * features.length_m.sum() / reference_m).tolist()
     return {
         "xy_m": xy_m,
-        "lonlat": np.stack(grid.lonlat_of_xy(*xy_m.T), axis=-1),
+        "lonlat": grid.lonlat_at(xy_m),
         "z_m": z_m,
         "cost": features.cost(weights),
         "cost_by_layer": dict(zip(cost_map.weight_names, costs, strict=True)),

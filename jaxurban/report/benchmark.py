@@ -9,13 +9,12 @@ import pandas as pd
 from jaxurban.errors import InputError
 from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.store import short_number
-from jaxurban.io.tables import INSTANCES_FILE, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.planners.base import Status
 from jaxurban.planners.cost import CostModel
-from jaxurban.report.write import Markdown, code, fill
+from jaxurban.report.write import Markdown, code, fill, save
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics, weight_columns
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED, Benchmark
 
@@ -107,8 +106,7 @@ def export_benchmark(
         for key, _ in instances.groupby(["altitude_m", "time", "time_of_day"], dropna=False):
             _write_costs(maps, folder, key, name, settings)
         table = instances.merge(_references(rows), on=list(KEY), how="left")
-        for suffix in (".parquet", ".csv"):
-            write_table(table, (folder / INSTANCES_FILE).with_suffix(suffix))
+        save(folder, {"instances": table})
         counts = {
             "shortest": num_shortest,
             "weighted": len(table),

@@ -24,8 +24,8 @@ from jaxurban.report.figures.frame import (
     LegendEntry,
     MapPanel,
     draw_maps,
+    ground_said,
     joined,
-    place_said,
     rules_said,
     time_said,
 )
@@ -33,7 +33,7 @@ from jaxurban.report.figures.paths import draw_ends
 from jaxurban.report.figures.style import Colours
 from jaxurban.report.write import Look, save
 from jaxurban.studies.weights.buildings import building_costs
-from jaxurban.world.grid import Grid, crs_said
+from jaxurban.world.grid import Grid, covering_grid
 
 ROUTE_COLOUR, LAND_COLOUR = "#111111", "#d9d9d9"
 MARGIN_M = 250.0  # around the route
@@ -59,10 +59,7 @@ def plot_building_costs(
         f"{planned.altitude_m:g} m above ground",
         time_said(settings["time"]),
         f"softness {table.attrs['softness_m']:g} m",
-        f"{grid.resolution_m:g} m cells",
-        crs_said(grid.crs),
-        place_said(grid),
-        city.attribution,
+        *ground_said(grid, city.attribution),
     )
 
     # The scale of colours ends at the largest cost or gain on both sides, and is linear up to a thousandth of that.
@@ -71,15 +68,10 @@ def plot_building_costs(
     norm = SymLogNorm(most / 1000, vmin=-most, vmax=most)
     colours = Colours("RdBu_r", norm, "cost per metre of height", ticks=ticks)
 
-    # The part of the region around the route, as a grid: its corners in metres become columns and rows. The small
-    # number keeps a corner on the edge of a cell from rounding into the next one.
+    # The part of the region around the route.
     low = np.maximum(planned.xy_m.min(axis=0) - MARGIN_M, grid.bounds_m[:2])
     high = np.minimum(planned.xy_m.max(axis=0) + MARGIN_M, grid.bounds_m[2:])
-    first = np.floor(low / grid.resolution_m + 1e-6).astype(int)
-    end = np.ceil(high / grid.resolution_m - 1e-6).astype(int)
-    first_col, first_row = first.tolist()
-    num_cols, num_rows = (end - first).tolist()
-    near = Grid(grid.crs, grid.resolution_m, first_row, first_col, num_rows, num_cols)
+    near = covering_grid((*low, *high), grid.resolution_m, grid.crs)
 
     # The map with its heading, note and legend.
     panels = [MapPanel(f"{planned.search.planner}, cost {planned.cost:,.1f}")]

@@ -175,7 +175,7 @@ def _note(result: MapComparison, time: str | None) -> str:
         if guesses:
             facts.append(f"guessed: {guesses}")
         lines.append(joined(*facts))
-    return "\n".join([*lines, joined(*ground_said(result.a))])
+    return "\n".join([*lines, joined(*ground_said(result.grid, result.a.attribution))])
 
 
 def comparison_outputs(result: MapComparison) -> Written:

@@ -6,7 +6,6 @@
 import math
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -163,13 +162,8 @@ def _with_digits(table: pd.DataFrame) -> pd.DataFrame:
     columns = without_ends(table)
     texts = table[columns].reset_index(drop=True)
     for name in texts.columns.intersection([*SCORES]):
-        texts[name] = [score_text(row, name) for row in rows]
+        texts[name] = [interval(row, name, _three_digits) for row in rows]
     return texts
-
-
-def score_text(row: Mapping[Any, Any], name: str) -> str:
-    """Return a score, gain or loss of a table's row with its interval, with three digits behind the point."""
-    return interval(row, name, _three_digits)
 
 
 def _three_digits(value: float) -> str:

@@ -141,9 +141,8 @@ def check(
     known = city.known_ground if city and is_outlined else shapely.box(*maps.grid.bounds_m)
     flight = flight_of(mission, Elevation(maps, city), geoid_m)
     outlines += flight.ground_note
-    findings, unknown = judged(
-        flight, maps, buildings_of(maps, city), known, limits, times, time_of_day
-    )
+    buildings = buildings_of(maps, city)
+    findings, unknown = judged(flight, buildings, known, limits, times, time_of_day)
     figures |= figures_of(flight, maps, times, time_of_day, swath_m)
     figures |= costs_of(flight, maps, weights, limits, times[0], time_of_day)
     exceeded, open_limits = _limits(figures, max_no_fix_m, max_people)

@@ -197,7 +197,7 @@ def read_demonstrations(
                     "it has no altitude: give it a property altitude_m, or pass --altitude (altitude_m=)"
                 )
             cost_map = map_of(float(z_m), time or route.time, time_of_day or route.time_of_day)
-            xy_m = np.stack(maps.grid.xy_of_lonlat(*route.lonlat.T), axis=-1)
+            xy_m = maps.grid.xy_at(route.lonlat)
             demonstrations.append(demonstration_from_line(cost_map, xy_m, route.name))
         except InputError as error:
             reasons.append(f"{label}: {error}")

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.metrics.variables import BUILT_COLOUR
-from jaxurban.paths.export.base import Format
+from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.profile import CLEARANCE, GUESSED
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR
 
@@ -40,11 +40,11 @@ def options(items: Sequence[str], chosen: int = 0) -> str:
     return html
 
 
-def save_buttons(formats: Mapping[str, Format], *, of_waypoints: bool) -> str:
+def save_buttons(*, of_waypoints: bool) -> str:
     """Return a button for each format of paths (by suffix) that holds waypoints, or for each that does not."""
     return " ".join(
         f'<button data-format="{suffix}">{escape(path_format.label)}</button>'
-        for suffix, path_format in formats.items()
+        for suffix, path_format in FORMATS.items()
         if path_format.is_of_waypoints == of_waypoints
     )
 

@@ -8,7 +8,7 @@ import pandas as pd
 
 from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN
 from jaxurban.paths.sky import SkyAt
-from jaxurban.report.figures.sky import EDGE_DEG, MARKS, ROOFS
+from jaxurban.report.figures.sky import EDGE_DEG, MARKS, ROOFS, short_name
 from jaxurban.report.figures.style import INK, SERIES_COLOURS
 from jaxurban.viewer.markup import dot, number, rows, sentences
 
@@ -60,7 +60,7 @@ def _listed(table: pd.DataFrame) -> str:
         if np.isfinite(away_m):
             away = f"{away_m:.0f} m"
         up = f"{row['elevation_deg']:.0f}°"
-        lines.append((_short(row), up, row["state"], roof, away))
+        lines.append((short_name(row["satellite"]), up, row["state"], roof, away))
     return "\n".join("{:5}{:>4}  {:8}{:>7}{:>8}".format(*line) for line in lines)
 
 
@@ -100,10 +100,11 @@ def _picture(sky: SkyAt, colours: dict[str, str]) -> str:
         fill = colour if row["state"] == SEEN else "#fff"
         dash = ' stroke-dasharray="2"' if row["state"] == UNKNOWN else ""
         title = escape(f"{row['satellite']}, {row['state']}")
+        name = escape(short_name(row["satellite"]))
         parts.append(
             f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{fill}" stroke="{colour}" '
             f'stroke-width="1.5"{dash}><title>{title}</title></circle>'
-            f'<text x="{x + 5:.1f}" y="{y - 3:.1f}">{escape(_short(row))}</text>'
+            f'<text x="{x + 5:.1f}" y="{y - 3:.1f}">{name}</text>'
         )
 
     side = RADIUS + RIM
@@ -111,11 +112,6 @@ def _picture(sky: SkyAt, colours: dict[str, str]) -> str:
     label = f"Sky over {sky.facts['place']}: {sky.facts['satellites']}"
     head = f'class="jv-sky" font-size="8" viewBox="{box}" role="img" aria-label="{escape(label)}"'
     return f"<svg {head}>{''.join(parts)}</svg>"
-
-
-def _short(row: pd.Series) -> str:
-    """Return the last word of a satellite's name, without brackets, such as 13 of "GPS BIIR-2 (PRN 13)"."""
-    return row["satellite"].removesuffix(" (nominal)").split()[-1].strip("()")
 
 
 def _places(azimuth_deg: np.ndarray, elevation_deg: np.ndarray) -> np.ndarray:

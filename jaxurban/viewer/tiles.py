@@ -80,8 +80,7 @@ def lonlat_fit(grid: Grid) -> dict[str, np.ndarray]:
     line = np.linspace(-1, 1, NUM_FITTED)
     uv = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
     low_m, high_m = np.reshape(grid.bounds_m, (2, 2))  # x and y at the southwest and northeast
-    x_m, y_m = ((low_m + high_m) / 2 + uv * (high_m - low_m) / 2).T
-    lonlat = np.stack(grid.lonlat_of_xy(x_m, y_m), axis=-1)
+    lonlat = grid.lonlat_at((low_m + high_m) / 2 + uv * (high_m - low_m) / 2)
 
     # The value of each term at each place, and the coefficients of the terms.
     terms = np.prod(uv[:, None] ** powers, axis=-1)

@@ -23,8 +23,7 @@ from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.explain import RouteReport
-from jaxurban.paths.export.base import waypoints
-from jaxurban.paths.export.write import FORMATS
+from jaxurban.paths.export.base import number_or_none, waypoints
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, cautious_profile, without_fix
 from jaxurban.paths.sight import Sight
@@ -277,8 +276,8 @@ class Viewer:
             "credit": escape(maps.attribution),
             "sliders": markup.sliders(self._labels, self._colours),
             "planners": markup.planners(summaries, PLANNER_LINES, "astar-plus"),
-            "formats": markup.save_buttons(FORMATS, of_waypoints=False),
-            "formats-of-waypoints": markup.save_buttons(FORMATS, of_waypoints=True),
+            "formats": markup.save_buttons(of_waypoints=False),
+            "formats-of-waypoints": markup.save_buttons(of_waypoints=True),
             **lists,
             **{f"minus-{name}": text for name, text in lists.items()},
             "layer": markup.layer_options(headings, first),
@@ -475,7 +474,7 @@ class Viewer:
             layer, _ = self._layer(cell.view)
             value = float(self.values(cell.view)[cell.row, cell.col])
             words = {"told": "Difference", "classes": [], "unit": unit_of(layer)}
-            rows.append({"name": "difference", "value": _number(value), **words})
+            rows.append({"name": "difference", "value": number_or_none(value), **words})
 
         # The layers; those that are hidden inside obstacles have no value there.
         for name, layer in self.layers.items():
@@ -484,11 +483,11 @@ class Viewer:
                 continue
             is_hidden = is_inside and layer.is_hidden
             value = math.nan if is_hidden else self._value_in(layer, cell)
-            rows.append({"name": name, "value": _number(value), **words})
+            rows.append({"name": name, "value": number_or_none(value), **words})
             if name == "density":
                 words |= {"told": "People in the cell", "unit": ""}
                 people = value * grid.resolution_m**2 / 1e6  # of people per km²
-                rows.append({"name": "people", "value": _number(people), **words})
+                rows.append({"name": "people", "value": number_or_none(people), **words})
         return rows
 
     def _value_in(self, layer: DrawnLayer, cell: Cell) -> float:
@@ -523,8 +522,9 @@ class Viewer:
         Raises:
           InputError: maps in memory, or whose files are gone.
         """
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # the page shows what the maps guess
+        with warnings.catch_warnings(
+            action="ignore", category=UserWarning
+        ):  # the page shows what the maps guess
             return Sight.of(self.maps, None, self.sources, None)
 
     def sky(self, query: Sky) -> str:
@@ -556,7 +556,7 @@ class Viewer:
             "planner": query.planner,
             "has_path": planned.status.has_path,
             "xy_m": planned.xy_m,
-            "cost": _number(planned.cost),
+            "cost": number_or_none(planned.cost),
             "cost_by_layer": dict(planned.cost_by_layer),
             "button": markup.route_button(query.planner, PLANNER_LINES[query.planner], text, notes),
             "html": markup.costs(planned.cost_by_layer, self._labels, self._colours),
@@ -635,8 +635,7 @@ class Viewer:
     def _on_page(self, lonlat: np.ndarray) -> np.ndarray:
         """Return places ``[N, 2]``, given by longitude and latitude, as x and y in metres from the southwest corner."""
         grid = self.maps.grid
-        x_m, y_m = grid.xy_of_lonlat(*lonlat.T)
-        return np.round(np.stack([x_m - grid.x_min_m, y_m - grid.y_min_m], axis=-1), 1)
+        return np.round(grid.xy_at(lonlat) - grid.bounds_m[:2], 1)
 
     def save(self, query: Save) -> bytes:
         """Return a route as the bytes of a file (`Plans.file`).
@@ -714,8 +713,3 @@ def as_json(value: Any) -> bytes:
     return json.dumps(
         value, allow_nan=False, separators=(",", ":"), default=lambda array: array.tolist()
     ).encode()
-
-
-def _number(value: float) -> float | None:
-    """Return a number as JSON holds it: None for one that is not finite."""
-    return float(value) if math.isfinite(value) else None

@@ -444,6 +444,30 @@ class Grid:
         lon, lat = transformer(self.crs, WGS84).transform(x_m, y_m)
         return np.asarray(lon), np.asarray(lat)
 
+    def xy_at(self, lonlat: np.ndarray) -> np.ndarray:
+        """Return CRS coordinates of longitudes and latitudes (WGS 84, degrees), pairs in the last dimension.
+
+        Returns:
+          ``[..., 2]`` easting and northing in metres, inf where the projection has no value.
+
+        Examples:
+          >>> maps.grid.xy_at(np.array([[-73.97, 40.78]])).round().tolist()
+          [[586913.0, 4514846.0]]
+        """
+        return np.stack(self.xy_of_lonlat(lonlat[..., 0], lonlat[..., 1]), axis=-1)
+
+    def lonlat_at(self, xy_m: np.ndarray) -> np.ndarray:
+        """Return longitudes and latitudes (WGS 84, degrees) of CRS coordinates in metres, pairs in the last dimension.
+
+        Returns:
+          ``[..., 2]``, inf where the projection has no value.
+
+        Examples:
+          >>> maps.grid.lonlat_at(np.array([[586_650.0, 4_514_550.0]])).round(5).tolist()
+          [[-73.97315, 40.77736]]
+        """
+        return np.stack(self.lonlat_of_xy(xy_m[..., 0], xy_m[..., 1]), axis=-1)
+
     def cell_of_lonlat(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> tuple[Any, Any]:
         """Return the cells that hold geographic points (WGS 84, degrees).
 

@@ -261,7 +261,7 @@ class Surface:
             )
 
     def part(self, values: Any, halo: int = 0, reach: int | None = None) -> Any:
-        """Return the region's part of an array with more cells around it, 0 where the surface ends.
+        """Return the region's part of an array with more cells around it, 0 where the surface ends; None of None.
 
         Beyond the surface nothing stands. An array of NumPy gives one of NumPy, for which nothing is compiled.
 
@@ -274,6 +274,8 @@ class Surface:
           InputError: more cells than ``most_halo`` matter.
         """
         self.check_reach(halo if reach is None else reach)
+        if values is None:
+            return None
 
         # Along each axis of the grid: the cells that the surface has, and how many 0 must stand before and after them.
         slices = []
@@ -330,7 +332,7 @@ def over_blocks(
 
 def in_type(values: Any, dtype: DTypeLike) -> Array | np.ndarray:
     """Return numbers as an array of a type: JAX's if any of them is JAX's, else NumPy's, which compiles nothing."""
-    is_held = any(isinstance(value, jax.Array) for value in jax.tree.leaves(values))
+    is_held = any(isinstance(value, Array) for value in jax.tree.leaves(values))
     return jnp.asarray(values, dtype) if is_held else np.asarray(values, dtype)
 
 

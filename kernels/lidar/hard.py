@@ -183,8 +183,8 @@ def count_returns(
 
 
 def count_returns_by_azimuths(
-    roof_m: jax.Array, thresholds_m: jax.Array, starts: jax.Array, *, halo: int
-) -> jax.Array:
+    roof_m: Array, thresholds_m: Array, starts: Array, *, halo: int
+) -> Array:
     """Return `count_returns`, by the form for a CPU: altitude by altitude, block by block, azimuth by azimuth.
 
     Arguments and result are those of `count_returns`. Blocks are equal, at most `BLOCK` receivers, and their rows a
@@ -202,7 +202,7 @@ def count_returns_by_azimuths(
     blocks = np.array([(0, *block) for block in np.ndindex(*num_blocks)], np.int32)
     corners = blocks * np.array([1, rows, cols], np.int32)
 
-    def count_block(threshold_m: jax.Array, corner: jax.Array) -> jax.Array:
+    def count_block(threshold_m: Array, corner: Array) -> Array:
         """Return the counts ``[rows, cols]`` of the block at one corner, zeros where no roof is high enough."""
         around = len(padded_m), rows + 2 * halo, cols + 2 * halo
         around_m = lax.dynamic_slice(padded_m, corner, around)
@@ -215,7 +215,7 @@ def count_returns_by_azimuths(
             lambda: jnp.zeros((rows, cols), jnp.int32),
         )
 
-    def count_at(threshold_m: jax.Array) -> jax.Array:
+    def count_at(threshold_m: Array) -> Array:
         """Return the counts ``[Y, X]`` at one altitude, whose blocks are put side by side."""
         counts = lax.map(partial(count_block, threshold_m), corners)
         whole = counts.reshape(*num_blocks, rows, cols).swapaxes(1, 2)
@@ -225,8 +225,8 @@ def count_returns_by_azimuths(
 
 
 def _count_block(
-    roof_m: jax.Array, threshold_m: jax.Array, is_live: jax.Array, starts: jax.Array, halo: int
-) -> jax.Array:
+    roof_m: Array, threshold_m: Array, is_live: Array, starts: Array, halo: int
+) -> Array:
     """Return how many azimuths return the scan to each receiver of a block at one altitude, ``[8 * band, x]`` int32.
 
     One bit for each receiver and azimuth says whether the scan has returned. A few steps at a time are made into
@@ -250,13 +250,13 @@ def _count_block(
     first, after_last = (lax.argmax(live, 0, jnp.int32) for live in (is_live, is_live[::-1]))
     num_passes = -(-(steps - after_last - first) // at_once)  # rounded up
 
-    def look(i: jax.Array, returned: jax.Array) -> jax.Array:
+    def look(i: Array, returned: Array) -> Array:
         """Join what all azimuths look at in the next few steps."""
         n = jnp.minimum(first + i * at_once, steps - at_once)  # some again at the end: no harm
         bitmaps = _bitmaps(roof_m, lax.dynamic_slice_in_dim(threshold_m, n, at_once), band)
         corners = lax.dynamic_slice_in_dim(starts, n, at_once, axis=1)
 
-        def look_along(k: jax.Array, returned: jax.Array) -> jax.Array:
+        def look_along(k: Array, returned: Array) -> Array:
             """Join what azimuth k looks at: a shift by rows and columns is another corner of the same bitmap."""
             words = lax.dynamic_index_in_dim(returned, k, keepdims=False)
             for bitmap, corner in zip(bitmaps, corners[k], strict=True):
@@ -269,7 +269,7 @@ def _count_block(
     return _sum_bits(lax.fori_loop(0, num_passes, look, nothing)).reshape(rows, cols)
 
 
-def _bitmaps(roof_m: jax.Array, least_m: jax.Array, band: int) -> jax.Array:
+def _bitmaps(roof_m: Array, least_m: Array, band: int) -> Array:
     """Return bitmaps of the roofs that reach each of n heights, ``[n, P, y, X]`` bytes packed as by `pack`.
 
     A roof reaches a height exactly if its rank (how many of the n heights it reaches) is not below the height's rank
@@ -298,7 +298,7 @@ def _sum_bits(words: UInt[Array, "K y x"]) -> Int[Array, "8 y x"]:
     places = jnp.arange(0, BYTE_BITS, 2, dtype=jnp.uint8)[:, None, None]
     none = jnp.zeros((len(places), *words.shape[1:]), dtype)
 
-    def sum_every_other(first: int) -> jax.Array:
+    def sum_every_other(first: int) -> Array:
         """Return the counts ``[4, y, x]`` of bits ``first``, ``first + 2`` and so on."""
         one, two, three = ((threes[:, i] >> first) & 0b01010101 for i in range(3))
         total, _ = lax.scan(
@@ -360,7 +360,7 @@ def count_returns_by_steps(
     band = -(-rows // WORD_BITS)
     padded_m = jnp.pad(roof_m, ((0, 0), (0, WORD_BITS * band - rows), (0, 0)))
 
-    def count_at(threshold_m: jax.Array) -> jax.Array:
+    def count_at(threshold_m: Array) -> Array:
         """Return the counts ``[Y, X]`` at one altitude, of which ``threshold_m`` ``[N]`` gives the steps' roofs."""
 
         def step(returned, of_step):
@@ -408,7 +408,7 @@ def count_returns_on_terrain_by_steps(
     has_returned = num_beams + 1
     dtype = jnp.int8 if has_returned <= np.iinfo(np.int8).max else jnp.int32
 
-    def count_at(beams_m: jax.Array) -> jax.Array:
+    def count_at(beams_m: Array) -> Array:
         """Return the counts ``[Y, X]`` at one altitude, of which ``beams_m`` ``[N, B]`` gives the lowest heights."""
 
         def step(ended, of_step):
@@ -431,16 +431,16 @@ def count_returns_on_terrain_by_steps(
     return lax.map(count_at, lowest_m)
 
 
-def _looks(rasters: jax.Array, start: jax.Array, shape: tuple[int, int]) -> jax.Array:
+def _looks(rasters: Array, start: Array, shape: tuple[int, int]) -> Array:
     """Return the values of ``[P, Y, X]`` rasters at the cells that receivers look at by one step, ``[K, *shape]``."""
 
-    def look(corner: jax.Array) -> jax.Array:
+    def look(corner: Array) -> Array:
         return lax.dynamic_slice(rasters, tuple(corner), (1, *shape))[0]
 
     return jax.vmap(look)(start)
 
 
-def _num_not_above(heights_m: jax.Array, level_m: jax.Array, dtype: jnp.dtype) -> jax.Array:
+def _num_not_above(heights_m: Array, level_m: Array, dtype: jnp.dtype) -> Array:
     """Return how many beams, ``[B]``, are not above a level."""
     count = jnp.zeros(level_m.shape, dtype)
     for height_m in heights_m:

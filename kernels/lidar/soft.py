@@ -43,11 +43,11 @@ class Scan(NamedTuple):
       cosine: ``[B]`` cosine of each beam's elevation.
     """
 
-    altitude_m: jax.Array
-    range_m: jax.Array
-    resolution_m: jax.Array
-    slope: jax.Array
-    cosine: jax.Array
+    altitude_m: Array
+    range_m: Array
+    resolution_m: Array
+    slope: Array
+    cosine: Array
 
 
 class Margins(NamedTuple):
@@ -59,9 +59,9 @@ class Margins(NamedTuple):
       in_range_m: horizontal range left there; negative beyond the range.
     """
 
-    lowest_m: jax.Array
-    in_air_m: jax.Array
-    in_range_m: jax.Array
+    lowest_m: Array
+    in_air_m: Array
+    in_range_m: Array
 
 
 def scan_of(
@@ -108,13 +108,13 @@ def all_margins(scan: Scan, steps: int) -> Margins:
     return margins_at(scan, *jnp.indices((steps, len(scan.slope))))
 
 
-def _least(roof_m: jax.Array, at: Margins) -> jax.Array:
+def _least(roof_m: Array, at: Margins) -> Array:
     """Return by how many metres a beam meets a roof; where there is none it misses by far."""
     margin_m = jnp.minimum(roof_m - at.lowest_m, jnp.minimum(at.in_air_m, at.in_range_m))
     return jnp.where(roof_m > 0, margin_m, NO_BUILDING_M)
 
 
-def _best_looks(roof_m: jax.Array, scan: Scan, steps: int) -> tuple[jax.Array, jax.Array]:
+def _best_looks(roof_m: Array, scan: Scan, steps: int) -> tuple[Array, Array]:
     """Return for each step and cell the clearance of a scan that looks at the cell, and the beam that has it.
 
     Args:
@@ -143,15 +143,15 @@ def _best_looks(roof_m: jax.Array, scan: Scan, steps: int) -> tuple[jax.Array, j
 class _Deciding(NamedTuple):
     """Who decided each scan position of an azimuth: step, beam, cell looked at, and the clearance found, ``[Y, X]``."""
 
-    n: jax.Array
-    b: jax.Array
-    row: jax.Array
-    col: jax.Array
-    clearance_m: jax.Array
+    n: Array
+    b: Array
+    row: Array
+    col: Array
+    clearance_m: Array
 
 
 @jax.custom_jvp
-def _clearance(roof_m: jax.Array, scan: Scan, deciding: _Deciding) -> jax.Array:
+def _clearance(roof_m: Array, scan: Scan, deciding: _Deciding) -> Array:
     """Return the clearance that was found; its derivative is that of the margin that decided."""
     return deciding.clearance_m
 
@@ -190,14 +190,7 @@ def soft_returns(
     )
 
 
-def one_by_one(
-    roof_m: jax.Array, scan: Scan, offsets: jax.Array, softness_m: jax.Array
-) -> jax.Array:
-    """Return `soft_returns`, by the form for a CPU."""
-    return _returns(roof_m, scan, offsets, softness_m, at_once=1, unroll=STEPS_PER_PASS)
-
-
-def together(roof_m: jax.Array, scan: Scan, offsets: jax.Array, softness_m: jax.Array) -> jax.Array:
+def together(roof_m: Array, scan: Scan, offsets: Array, softness_m: Array) -> Array:
     """Return `soft_returns`, by the form for a GPU."""
     num_azimuths, steps, _ = offsets.shape
     return _returns(
@@ -211,9 +204,7 @@ def azimuths_at_once(num_azimuths: int) -> int:
     return -(-num_azimuths // num_groups)
 
 
-def _total_of_groups(
-    of_azimuth: Callable, rays: jax.Array, none: jax.Array, at_once: int
-) -> jax.Array:
+def _total_of_groups(of_azimuth: Callable, rays: Array, none: Array, at_once: int) -> Array:
     """Return the sum of what a function gives for each azimuth; a gradient computes it again and keeps none of it.
 
     Args:
@@ -237,14 +228,14 @@ def _total_of_groups(
 
 
 def _returns(
-    roof_m: jax.Array,
+    roof_m: Array,
     scan: Scan,
-    offsets: jax.Array,
-    softness_m: jax.Array,
+    offsets: Array,
+    softness_m: Array,
     *,
     at_once: int,
     unroll: int,
-) -> jax.Array:
+) -> Array:
     """Return `soft_returns`, ``[Y, X]``, with ``at_once`` azimuths together and ``unroll`` steps a turn of the loop.
 
     Arguments are otherwise those of `soft_returns`.
@@ -285,6 +276,9 @@ def _returns(
     )
 
 
+one_by_one = partial(_returns, at_once=1, unroll=STEPS_PER_PASS)
+
+
 class ScansAt(NamedTuple):
     """Scan positions at chosen cells, and what stands around them. Scalars may be traced.
 
@@ -298,16 +292,16 @@ class ScansAt(NamedTuple):
       cells: ``[P, 2]`` row and column of each cell, of those without the halo.
     """
 
-    roof_m: jax.Array
-    terrain_m: jax.Array | None
-    altitude_m: jax.Array
+    roof_m: Array
+    terrain_m: Array | None
+    altitude_m: Array
     scan: Scan
-    offsets: jax.Array
-    softness_m: jax.Array
-    cells: jax.Array
+    offsets: Array
+    softness_m: Array
+    cells: Array
 
 
-def _returns_of_cell(at: ScansAt, receiver: tuple[jax.Array, jax.Array], at_once: int) -> jax.Array:
+def _returns_of_cell(at: ScansAt, receiver: tuple[Array, Array], at_once: int) -> Array:
     """Return the share of azimuths that return softly to one receiver, a number from 0 to 1.
 
     Args:
@@ -350,20 +344,12 @@ def soft_returns_at(at: ScansAt) -> Float[Array, " P"]:
     Over terrain receivers and roofs stand on it, and a beam's height where it enters a segment is the least that it
     has had above the ground of the cells before.
     """
-    return lax.platform_dependent(at, cpu=one_by_one_at, default=together_at)
+    alone = partial(in_batches, at_once=1)
+    beside = partial(in_batches, at_once=azimuths_at_once(len(at.offsets)))
+    return lax.platform_dependent(at, cpu=alone, default=beside)
 
 
-def one_by_one_at(at: ScansAt) -> jax.Array:
-    """Return `soft_returns_at`, by the form for a CPU."""
-    return _in_batches(at, at_once=1)
-
-
-def together_at(at: ScansAt) -> jax.Array:
-    """Return `soft_returns_at`, by the form for a GPU."""
-    return _in_batches(at, at_once=azimuths_at_once(len(at.offsets)))
-
-
-def _in_batches(at: ScansAt, *, at_once: int) -> jax.Array:
+def in_batches(at: ScansAt, *, at_once: int) -> Array:
     """Return `soft_returns_at`, with `CELLS_AT_ONCE` cells and ``at_once`` azimuths together."""
     of_cell = jax.checkpoint(partial(_returns_of_cell, at, at_once=at_once))
     return lax.map(of_cell, (at.altitude_m, at.cells), batch_size=CELLS_AT_ONCE)

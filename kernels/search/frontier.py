@@ -1,7 +1,7 @@
 """Exact search of many grid queries at once: all open cells near each query's lowest f are expanded together."""
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -126,21 +126,15 @@ def begin(
     """
     f = _bound(grids, map_index, start, goal)
     place = frontier.num_open
-    return frontier._replace(
-        map_index=frontier.map_index.at[query].set(map_index),
-        start=frontier.start.at[query].set(start),
-        goal=frontier.goal.at[query].set(goal),
-        band=frontier.band.at[query].set(band),
-        g=frontier.g.at[query].set(jnp.inf).at[query, start].set(0.0),
-        reached_by=frontier.reached_by.at[query].set(NO_STEP),
-        lowest_f=frontier.lowest_f.at[query].set(f),
-        num_expanded=frontier.num_expanded.at[query].set(0),
-        open_query=frontier.open_query.at[place].set(query),
-        open_cell=frontier.open_cell.at[place].set(start),
-        open_g=frontier.open_g.at[place].set(0.0),
-        open_f=frontier.open_f.at[place].set(f),
-        num_open=place + 1,
-    )
+    of_query: dict[str, Any] = {"map_index": map_index, "start": start, "goal": goal, "band": band}
+    of_query |= {"g": jnp.inf, "reached_by": NO_STEP, "lowest_f": f, "num_expanded": 0}
+    of_place: dict[str, Any] = {"open_query": query, "open_cell": start, "open_g": 0.0, "open_f": f}
+    fields = frontier._asdict()
+    for index, values in ((query, of_query), (place, of_place)):
+        for name, value in values.items():
+            fields[name] = fields[name].at[index].set(value)
+    begun = Frontier(**fields)
+    return begun._replace(g=begun.g.at[query, start].set(0.0), num_open=place + 1)
 
 
 @partial(jax.jit, donate_argnums=0)
@@ -187,7 +181,8 @@ def advance(frontier: Frontier, grids: Grids, max_rounds: Array, num_together: i
         return _round(carry[0], grids, num_together), carry[1] + 1
 
     frontier, _ = jax.lax.while_loop(may_go_on, go_on, (frontier, jnp.int32(0)))
-    return frontier._replace(lowest_f=_lowest_f(frontier)[0])
+    lowest_f, *_ = _lowest_f(frontier)
+    return frontier._replace(lowest_f=lowest_f)
 
 
 def is_crowded(frontier: Frontier, grids: Grids, num_together: int) -> Array:
@@ -196,12 +191,15 @@ def is_crowded(frontier: Frontier, grids: Grids, num_together: int) -> Array:
     return frontier.num_open + needed > frontier.open_f.size
 
 
-def _lowest_f(frontier: Frontier) -> tuple[Array, Array]:
-    """Return ``[Q]`` the lowest open f of each query, and ``[B]`` each entry's f, inf where it cannot help any more."""
+def _lowest_f(frontier: Frontier) -> tuple[Array, Array, Array]:
+    """Return ``[Q]`` the lowest open f of each query, ``[B]`` each entry's f, and ``[Q]`` the g of each query's goal.
+
+    An entry's f is inf where it cannot help any more. The goals' g are a little less (`CHEAPER`).
+    """
     num_queries = frontier.goal.size
     goal_g = frontier.g[jnp.arange(num_queries), frontier.goal] * CHEAPER
     f = jnp.where(frontier.open_f < goal_g[frontier.open_query], frontier.open_f, jnp.inf)
-    return jnp.full(num_queries, jnp.inf).at[frontier.open_query].min(f), f
+    return jnp.full(num_queries, jnp.inf).at[frontier.open_query].min(f), f, goal_g
 
 
 def _round(frontier: Frontier, grids: Grids, num_together: int) -> Frontier:
@@ -212,8 +210,7 @@ def _round(frontier: Frontier, grids: Grids, num_together: int) -> Frontier:
     """
     num_queries = frontier.goal.size
     list_size = frontier.open_f.size
-    goal_g = frontier.g[jnp.arange(num_queries), frontier.goal] * CHEAPER
-    lowest_f, f = _lowest_f(frontier)
+    lowest_f, f, goal_g = _lowest_f(frontier)
     is_open = f < jnp.inf
     is_near = is_open & (f <= (lowest_f + frontier.band)[frontier.open_query])
 

@@ -92,7 +92,6 @@ class Trees(NamedTuple):
       g, parent, edge_cost: ``[N]`` as in `Samples`; where ``most_candidates`` or ``num_edges`` are more than there is
         room for, they are what was given.
       num_costed: ``[N]`` int32 edges to each node whose cost was computed.
-      num_rounds: of relaxation.
       most_candidates, num_edges: the room that would do (``num_edges`` is known only where candidates have room).
     """
 
@@ -100,7 +99,6 @@ class Trees(NamedTuple):
     parent: Array
     edge_cost: Array
     num_costed: Array
-    num_rounds: Array
     most_candidates: Array
     num_edges: Array
 
@@ -146,7 +144,7 @@ def search_samples(
     edges = costed(
         edges, ordered, cell_cost, per_side, passes_corners, is_line=is_line, sizes=sizes
     )
-    g, parent, edge_cost, num_rounds = relaxed(edges, ordered, sizes.edges_together)
+    g, parent, edge_cost = relaxed(edges, ordered, sizes.edges_together)
 
     # Back to the order in which nodes were given.
     return Trees(
@@ -154,7 +152,6 @@ def search_samples(
         renumbered(parent[place], order),
         edge_cost[place],
         num_of_node[place],
-        num_rounds,
         most_candidates,
         num_edges,
     )
@@ -346,7 +343,7 @@ def costed(
     return _in_turns(turn, carry, edges.num, num_places // sizes.edges_together)[0]
 
 
-def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Array, Array, Array]:
+def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Array, Array]:
     """Return the costs and the parents that are left when neither an edge nor the tree lowers a cost any more.
 
     Each round looks at the edges of the tree, then at all others, ``edges_together`` of them together. Parents change
@@ -358,7 +355,7 @@ def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Ar
       edges_together: edges of one turn.
 
     Returns:
-      ``g``, ``parent`` and ``edge_cost``, ``[N]`` each as in `Samples`, and the number of rounds.
+      ``g``, ``parent`` and ``edge_cost``, ``[N]`` each as in `Samples`.
     """
     is_child = tree.parent != NO_PARENT
     tree_parent = jnp.maximum(tree.parent, 0)
@@ -380,28 +377,28 @@ def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Ar
         reached_by = reached_by.at[jnp.where(is_better, target, g.size)].set(edge, mode="drop")
         return lowest, reached_by, first + edges_together
 
-    def go_on(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+    def go_on(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         """Lower all costs once, along the tree and along every edge.
 
-        The carry is ``g``, the edge by which each node was reached, whether a cost fell, and the rounds done.
+        The carry is ``g``, the edge by which each node was reached, and whether a cost fell.
         """
-        before, reached_by, _, num_rounds = carry
+        before, reached_by, _ = carry
         along_tree = before[tree_parent] + tree_cost
         reached_by = jnp.where(along_tree < before, BY_TREE, reached_by)
         g = jnp.minimum(before, along_tree)
         g, reached_by, _ = lax.while_loop(
             lambda turn: turn[2] < edges.num, one_turn, (g, reached_by, jnp.int32(0))
         )
-        return g, reached_by, jnp.any(g < before), num_rounds + 1
+        return g, reached_by, jnp.any(g < before)
 
-    to_begin = (tree.g, jnp.full(tree.g.size, BY_TREE, jnp.int32), jnp.array(True), jnp.int32(0))
-    g, reached_by, _, num_rounds = lax.while_loop(lambda carry: carry[2], go_on, to_begin)
+    to_begin = (tree.g, jnp.full(tree.g.size, BY_TREE, jnp.int32), jnp.array(True))
+    g, reached_by, _ = lax.while_loop(lambda carry: carry[2], go_on, to_begin)
 
     # A node whose cost no edge lowered keeps its parent in the tree.
     is_by_tree = reached_by == BY_TREE
     edge = jnp.clip(reached_by, 0, edges.cost.size - 1)
     parent = jnp.where(is_by_tree, tree.parent, edges.origin[edge])
-    return g, parent, jnp.where(is_by_tree, tree.edge_cost, edges.cost[edge]), num_rounds
+    return g, parent, jnp.where(is_by_tree, tree.edge_cost, edges.cost[edge])
 
 
 def _in_turns(turn: Callable[[Any], Any], carry: Any, num: Array, most_turns: int) -> Any:

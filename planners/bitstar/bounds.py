@@ -3,7 +3,7 @@
 Their distance part is Euclidean: octile lengths are those of grid paths, and up to 8.24 % longer.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -141,15 +141,15 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
         )
 
     # Under `cell`, of the start and of the goal: what rows, and columns, between cost at least.
-    ends = [
+    ends: list[Any] = [
         tuple(_entered_between(m, index) for m, index in zip(minima, cell, strict=True))
         for cell in (problem.start, problem.goal)
     ]
     return bounds._replace(
         per_side=bounds.per_side + cheapest / DIAGONAL_SIDES,
         enter=np.where(is_reachable, problem.cost - cheapest, 0.0),
-        from_start=(ends[0][0], ends[0][1]),
-        to_goal=(ends[1][0], ends[1][1]),
+        from_start=ends[0],
+        to_goal=ends[1],
     )
 
 

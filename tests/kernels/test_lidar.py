@@ -342,7 +342,10 @@ def test_soft_returns_of_both_forms_are_the_same_for_any_number_of_azimuths(
 
     forms, forms_at = (
         (soft_lidar.one_by_one, soft_lidar.together),
-        (soft_lidar.one_by_one_at, soft_lidar.together_at),
+        [
+            partial(soft_lidar.in_batches, at_once=at_once)
+            for at_once in (1, soft_lidar.azimuths_at_once(num_azimuths))
+        ],
     )
 
     def mean_return(roof_m, altitude_m, range_m, hills_m, number):

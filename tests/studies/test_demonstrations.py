@@ -7,8 +7,8 @@ import shapely
 import jaxurban as ju
 from jaxurban.errors import SkippedRouteWarning
 from jaxurban.paths.export.write import write_path
+from jaxurban.paths.queries import IN_METRES
 from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
-from jaxurban.studies.montecarlo.sampling import PLACES
 from jaxurban.studies.queries import check_alike
 from jaxurban.studies.route_pool import RoutePool
 from tests.studies.routes_made import HIDDEN, made_queries, thinned, write_geojson, write_lines
@@ -45,7 +45,7 @@ def test_planned_paths_are_demonstrations_of_zero_regret_and_their_files_bring_c
     instances = ju.studies.sample_instances(small, 6, weights=[HIDDEN], seed=2).query(
         "is_connected"
     )
-    queries = instances[[*PLACES, "altitude_m"]]
+    queries = instances[[*IN_METRES, "altitude_m"]]
     paths = ju.plan_many(small, queries, weights=HIDDEN, cost_model="line", progress=False)
     costs, taken = [path.cost for path in paths], ju.fit.demonstrations_from_paths(paths, small)
     weights = HIDDEN.vector(taken[0].query.names)

@@ -18,7 +18,6 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import polygonal
-from jaxurban.paths.corridor import grid_over
 from jaxurban.paths.export.base import (
     DECIMALS,
     GROUND_TOLERANCE_M,
@@ -31,7 +30,7 @@ from jaxurban.paths.export.base import (
     waypoints,
 )
 from jaxurban.paths.lines import line_of
-from jaxurban.world.grid import Grid
+from jaxurban.world.grid import Grid, covering_grid
 
 if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
@@ -250,7 +249,7 @@ def exclusions(route: "PlannedPath") -> tuple[list[np.ndarray], str]:
 def ring_of(polygon: shapely.Polygon, grid: Grid) -> np.ndarray:
     """Return a polygon's corners ``[N, 2]`` in longitude and latitude, as files hold them."""
     corners = np.asarray(polygon.exterior.coords)[:-1]
-    return np.round(np.stack(grid.lonlat_of_xy(*corners.T), axis=-1), DECIMALS)
+    return np.round(grid.lonlat_at(corners), DECIMALS)
 
 
 def without_holes(polygon: shapely.Geometry) -> list[shapely.Polygon]:
@@ -279,4 +278,4 @@ def _surroundings(route: "PlannedPath") -> Grid:
     """Return the land within `NEAR_M` of a path's box, as a coarse grid."""
     low_m = route.xy_m.min(axis=0) - NEAR_M
     high_m = route.xy_m.max(axis=0) + NEAR_M
-    return grid_over(route.crs, NEAR_M / 10, low_m, high_m)
+    return covering_grid((*low_m, *high_m), NEAR_M / 10, route.crs)

@@ -16,8 +16,9 @@ import shapely
 from jaxurban.checks import positive
 from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.read.outlines import polygonal
-from jaxurban.io.read.zone import cell_boxes, made_valid, touched_cells
+from jaxurban.io.read.zone import made_valid
 from jaxurban.paths.clearance import FILE_MARGIN_M
+from jaxurban.paths.contacts import Prisms, buildings_of
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.export.qgc_plan import exclusions, ring_of, without_holes
 from jaxurban.paths.lines import line_of
@@ -34,7 +35,6 @@ REACHES_M = (0.5, 2.0, 5.0, 10.0, 20.0, 40.0)
 APART_M = 3.0  # that outlines keep from the path as they grow
 # Of the reach: half of it is taken back from what was grown, so outlines stay covered.
 SIMPLER = 0.45
-ROUND = 1.01  # by how much a polygon lies within its circle, and a little more
 ROUNDED_M = 0.02  # by which the nearest ones grow, for the digits of a degree
 
 
@@ -43,24 +43,6 @@ class RoofFences(NamedTuple):
 
     rings: list[np.ndarray]
     note: str
-
-
-class _Roofs(NamedTuple):
-    """Roofs near a path. ``R`` of them.
-
-    Attributes:
-      polygons: ``[R]`` in the maps' CRS.
-      height_m: ``[R]`` above the ground.
-      is_guessed: ``[R]`` whether the height is a guess.
-      name: what a polygon is, for messages: a roof, or a cell with one.
-      origin: a phrase on where the polygons come from, or why no better ones are there.
-    """
-
-    polygons: np.ndarray
-    height_m: np.ndarray
-    is_guessed: np.ndarray
-    name: str
-    origin: str
 
 
 def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
@@ -90,12 +72,12 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
     legs = shapely.linestrings(xy_m[ends])
     vertical_m = route.settings.get("limits", {}).get("vertical_clearance_m", 0.0)
     floor_m = route.z_m[ends].min(axis=1) - vertical_m
-    roofs = _roofs_near(route.maps, shapely.union_all(legs), near_m)
+    roofs, name, origin = _roofs_of(route.maps)
     leg, roof = shapely.STRtree(roofs.polygons).query(legs, predicate="dwithin", distance=near_m)
-    reaching = np.unique(roof[stands_at(roofs.height_m[roof], floor_m[leg])])
+    reaching = np.unique(roof[stands_at(roofs.top_m[roof], floor_m[leg])])
 
     # Their fences, with the vertices that zones leave, around the path as the file holds it.
-    flown = line_of(np.stack(grid.xy_of_lonlat(*waypoints(route).lonlat.T), axis=-1))
+    flown = line_of(grid.xy_at(waypoints(route).lonlat))
     zone_rings, _ = exclusions(route)
     most_vertices = MOST_VERTICES - sum(map(len, zone_rings))
     fences, num_met = _fewest(roofs.polygons[reaching], flown, grid, most_vertices)
@@ -103,15 +85,15 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
     num_vertices = sum(map(len, rings))
     if num_vertices > most_vertices:
         raise InputError(
-            f"{len(reaching)} {roofs.name} within {near_m:g} m of the route take {num_vertices} vertices of a fence, "
+            f"{len(reaching)} {name} within {near_m:g} m of the route take {num_vertices} vertices of a fence, "
             f"and autopilots hold {MOST_VERTICES}, zones included: name a smaller distance, fly higher, or split the "
             "mission"
         )
 
     # The sentence.
     note = (
-        f"The geofence keeps out of the {roofs.name} within {near_m:g} m that reach the flight: "
-        f"{len(reaching) - num_met}, {roofs.origin}"
+        f"The geofence keeps out of the {name} within {near_m:g} m that reach the flight: "
+        f"{len(reaching) - num_met}, {origin}"
     )
     num_guessed = roofs.is_guessed[reaching].sum()
     if num_guessed:
@@ -124,45 +106,25 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
     return RoofFences(rings, f"{note}.")
 
 
-def _roofs_near(maps: "MetricMaps", line: shapely.Geometry, near_m: float) -> _Roofs:
-    """Return the roofs within a distance of a line in the maps' CRS.
+def _roofs_of(maps: "MetricMaps") -> tuple[Prisms, str, str]:
+    """Return the roofs of the city that maps were made of, what each is, and a phrase on where they come from.
 
-    They are outlines of the city that the maps were made of. Where that city cannot be read again they are the cells of
-    the maps that a roof touches, some of them a little farther away.
-
-    Args:
-      maps: the maps.
-      line: in their CRS.
-      near_m: the distance.
+    Where that city cannot be read again the roofs are the cells of the maps that a roof touches.
     """
     from jaxurban.maps.sources import city_of
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GuessWarning)  # the maps hold what the city guesses
+    with warnings.catch_warnings(
+        action="ignore", category=GuessWarning
+    ):  # the maps hold what the city guesses
         try:
-            standing = city_of(maps).standing
+            city = city_of(maps)
         except InputError:
-            standing = None
-    if standing is not None:
-        near = standing.take(shapely.dwithin(standing.polygons, line, near_m))
-        return _Roofs(near.polygons, near.height_m, near.is_guessed, "roofs", "by their outlines")
-
-    # Cells of the maps instead.
-    grid = maps.grid
-    roof_m = maps.m("roof_touched")
-    near_cells = touched_cells(shapely.buffer(line, near_m * ROUND), grid)
-    cells = np.argwhere(near_cells & (roof_m > 0))
-    rows, cols = cells.T
-    is_guessed = np.zeros(len(cells), bool)
-    if "roof_guessed" in maps.ds:
-        is_guessed = maps.m("roof_guessed")[rows, cols] == 1
-    return _Roofs(
-        cell_boxes(grid, cells, 1),
-        roof_m[rows, cols].astype(float),
-        is_guessed,
-        f"cells of {grid.resolution_m:g} m with roofs",
-        "as the city that the maps were made of cannot be read again",
-    )
+            city = None
+    roofs = buildings_of(maps, city)
+    if city is not None and city.buildings is not None:
+        return roofs, "roofs", "by their outlines"
+    name = f"cells of {maps.grid.resolution_m:g} m with roofs"
+    return roofs, name, "as the city that the maps were made of cannot be read again"
 
 
 def _fewest(
@@ -229,4 +191,4 @@ def _fences(
 
 def _as_written(polygon: shapely.Polygon, grid: Grid) -> shapely.Polygon:
     """Return a polygon in the grid's CRS as a file holds it, its corners rounded in degrees."""
-    return shapely.Polygon(np.stack(grid.xy_of_lonlat(*ring_of(polygon, grid).T), axis=-1))
+    return shapely.Polygon(grid.xy_at(ring_of(polygon, grid)))

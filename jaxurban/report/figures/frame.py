@@ -425,7 +425,8 @@ def frame_note(
     caveats = caveats_said(maps, of) if has_sky else []
     guesses = guesses_said(maps, has_sky)
     guessed = f"Guessed: {guesses}" if guesses else ""
-    return joined(*caveats, guessed, joined(sky, *ground_said(maps)), by="\n")
+    ground = ground_said(maps.grid, maps.attribution)
+    return joined(*caveats, guessed, joined(sky, *ground), by="\n")
 
 
 def rules_said(*settings: Mapping[str, Any]) -> str:
@@ -477,14 +478,9 @@ def guesses_said(maps: MetricMaps, has_sky: bool) -> str:
     return ", ".join(name for name in maps.guesses if has_sky or not is_of_sky(name))
 
 
-def ground_said(maps: MetricMaps) -> tuple[str, ...]:
-    """Return the size of a cell, the CRS, where on Earth the maps lie, and whom to credit."""
-    return (
-        f"{maps.grid.resolution_m:g} m cells",
-        crs_said(maps.grid.crs),
-        place_said(maps.grid),
-        maps.attribution,
-    )
+def ground_said(grid: Grid, credit: str) -> tuple[str, ...]:
+    """Return the size of a cell, the CRS, where on Earth maps lie, and whom to credit."""
+    return f"{grid.resolution_m:g} m cells", crs_said(grid.crs), place_said(grid), credit
 
 
 def joined(*facts: str | None, by: str = GAP) -> str:

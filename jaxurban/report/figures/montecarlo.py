@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -25,7 +25,7 @@ from jaxurban.report.figures.style import (
     styled,
 )
 from jaxurban.report.write import Figures, Look, listed
-from jaxurban.studies.montecarlo.analysis import range_names, rows_of, weighted_rows
+from jaxurban.studies.montecarlo.analysis import range_names, weighted_rows
 
 SHARES = Colours(
     "Greys",
@@ -153,7 +153,8 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
     bins = np.linspace(0, 1, 41)  # edges of 40 squares along each axis
 
     # Each panel: every free cell adds its share to a square, and squares without a cell stay white.
-    for panel, row in zip(axes, rows_of(table), strict=True):
+    rows: Any = table.itertuples()
+    for panel, row in zip(axes, rows, strict=True):
         is_free = maps.is_free(row.altitude_m, "centre")
         x, y = (maps.m(name, row.altitude_m)[is_free] for name in names)
         share_of_a_cell = np.full(len(x), 1 / max(len(x), 1))

@@ -67,10 +67,8 @@ def plot_profile(
 
     # The heading: planner, length, altitude, time of day and cost of the route.
     edges_km = np.append(profile["from_m"], profile["to_m"].iloc[-1]) / 1000
-    low_m = float(planned.z_m.min())
-    high_m = float(planned.z_m.max())
-    altitude = f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m"
-    facts = planned.search.planner, f"{planned.length_m / 1000:.2f} km", f"{altitude} above ground"
+    altitude = f"{planned.facts['altitude']} above ground"
+    facts = planned.search.planner, f"{planned.length_m / 1000:.2f} km", altitude
     day = planned.settings["time_of_day"]
     cost = f"cost {planned.cost:,.1f}"
     summary = joined(*facts, day, cost, by=", ")

@@ -87,10 +87,14 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
     # Names in short: "05" of "GPS BIIF-9 (PRN 05)".
     names = []
     for name, state in zip(now["satellite"], now["state"], strict=True):
-        short = name.removesuffix(" (nominal)").split()[-1].strip("()")
-        names.append(short + MARKS[state])
+        names.append(short_name(name) + MARKS[state])
     label_apart(panel, names, sky_places(now))
     return figure
+
+
+def short_name(satellite: str) -> str:
+    """Return the last word of a satellite's name, which may stand in brackets: ``E11`` of ``GSAT0101 (E11)``."""
+    return satellite.removesuffix(" (nominal)").split()[-1].strip("()")
 
 
 def sky_places(rows: pd.DataFrame) -> np.ndarray:

@@ -6,7 +6,7 @@ benchmark's cost model.
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -65,11 +65,6 @@ def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
 def facts_of(table: pd.DataFrame) -> list[str]:
     """Return the columns of a path's length and of the mean of each metric along it."""
     return ["length_m", *(name for name in map(str, table.columns) if name.startswith("m_"))]
-
-
-def rows_of(table: pd.DataFrame) -> Iterator[Any]:
-    """Yield the rows of a table, columns as attributes."""
-    return iter(table.itertuples())
 
 
 def weighted_rows(table: pd.DataFrame) -> pd.DataFrame:

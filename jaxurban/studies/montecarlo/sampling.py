@@ -20,7 +20,7 @@ from jaxurban.metrics.weights import METRIC_WEIGHT, MOST_WEIGHT, Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import weights_on
 from jaxurban.paths.plan import rules_on
-from jaxurban.paths.queries import WEIGHT_PREFIX, Query
+from jaxurban.paths.queries import IN_METRES, WEIGHT_PREFIX, Query
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import CostKind, Preset, iso_utc
@@ -40,7 +40,6 @@ NUM_DOUBLINGS = 5  # of the pairs drawn, until so many are joined as are wanted
 # Starts, and goals for each, before a kind of instance is passed over.
 NUM_TRIES, NUM_GOALS = 200, 256
 
-PLACES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
 KEY = ("instance", "altitude_m")
 TIMES = ("time", "time_of_day")
 # None where a file holds none.
@@ -68,7 +67,7 @@ def as_columns(weights: Weights, metrics: Iterable[str]) -> dict[str, Any]:
 
 def query_columns(columns: Iterable[Any]) -> list[str]:
     """Return the columns, of these of a table of instances, that planners depend on; all else describes them."""
-    return ["crs", *PLACES, *weight_columns(weighed_metrics(columns)), *TIMES]
+    return ["crs", *IN_METRES, *weight_columns(weighed_metrics(columns)), *TIMES]
 
 
 @typed
@@ -512,7 +511,7 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
     # The columns that a table must have.
     table = table.reset_index(drop=True)
     weights = weight_columns(weighed_metrics(table.columns))
-    needed = ("instance", "altitude_m", "crs", *PLACES, *weights)
+    needed = ("instance", "altitude_m", "crs", *IN_METRES, *weights)
     lost = [column for column in needed if column not in table]
     if lost:
         raise InputError(f"{name} lacks the column {lost[0]!r}: it needs {', '.join(needed)}")
@@ -520,7 +519,7 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
         raise InputError(f"{name} holds no row: give at least one instance")
 
     # The numbers in them, of which texts are parsed. What is no number becomes NaN, which no column accepts.
-    for column in ("instance", "altitude_m", *PLACES, *weights):
+    for column in ("instance", "altitude_m", *IN_METRES, *weights):
         values = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
         is_valid = np.isfinite(values)
         kind = "a number"

@@ -92,15 +92,6 @@ def trust_of(regret: np.ndarray, usual: float) -> np.ndarray:
     return 1 / (1 + (np.maximum(regret, 0) / usual) ** 2) ** 2
 
 
-def redescending_trust(regret: np.ndarray, patience: float) -> np.ndarray:
-    """Return ``[Q]`` trust, little where a regret is far above most.
-
-    Patience falls to 1 over the rounds (graduated non-convexity): doubt at first sight would make wrong weights
-    believe only the demonstrations that suit them.
-    """
-    return trust_of(regret, usual_regret(regret) * patience)
-
-
 def adam(
     objective: Callable[[Array, Array], Array],
     start: Float[Array, " K"],

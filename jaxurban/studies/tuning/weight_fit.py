@@ -32,8 +32,9 @@ from jaxurban.studies.tuning.fenchel_young import (
     draw_log_noise,
     fenchel_young_loss,
     mean_regret,
-    redescending_trust,
     regrets,
+    trust_of,
+    usual_regret,
     weights_of,
 )
 
@@ -346,7 +347,9 @@ class _Fit:
             objective = mean_regret
             patience = FIRST_DOUBT ** max(0.0, 1 - (number - TRUST_ROUNDS) / DOUBT_ROUNDS)
             regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), task))
-            self.trust = redescending_trust(regret, patience)
+            # Patience falls to 1 over the rounds (graduated non-convexity): doubt at first sight would make wrong
+            # weights believe only the demonstrations that suit them.
+            self.trust = trust_of(regret, usual_regret(regret) * patience)
             task = task._replace(trust=jnp.asarray(self.trust))
         log_weights, loss = descend(jnp.asarray(self.log_weights), task, objective, STEPS)
         self.log_weights = np.asarray(log_weights)
@@ -375,15 +378,18 @@ class _Fit:
           scale: ``[K]`` a: ones where weights sum to 1, or 1 for the distance alone.
           least: ``[Q, K]`` features that the demonstrations have at least (`Demonstration.least_features`).
         """
-        # In the units of the task, whose noise plays no part here.
+        # In the units of the task.
         unit = self.unit[self.is_fitted]
-        task = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
-        task = task._replace(demo=(least / self.unit)[:, self.is_fitted])
+        task = self._task_without_noise()._replace(demo=(least / self.unit)[:, self.is_fitted])
         scaled = (self.weights * self.unit)[self.is_fitted]
         sides = scale[self.is_fitted] / unit
         ends = np.zeros((2, len(self.unit)))
         ends[:, self.is_fitted] = near_optimal_range(scaled, task, sides, SETTLED) / unit
         return ends
+
+    def _task_without_noise(self) -> FitTask:
+        """Return the task for what noise plays no part in, such as the regret; two noises are the fewest."""
+        return self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
 
     def least_mean_regret(self, best: float) -> float:
         """Return the least mean regret, over all demonstrations alike, that any weights are found to reach.
@@ -396,9 +402,7 @@ class _Fit:
         """
         lowest = self.log_weights
         for _ in range(REGRET_ROUNDS):
-            # The noise plays no part in the regret; two noises are the fewest.
-            task = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
-            task = task._replace(trust=jnp.ones(len(self.demo)))
+            task = self._task_without_noise()._replace(trust=jnp.ones(len(self.demo)))
             ended, expected = descend(jnp.asarray(lowest), task, mean_regret, STEPS)
             lowest = np.asarray(ended)
             reached = float(self.searched_regret(lowest).mean())

@@ -129,8 +129,7 @@ def _add_city(
 def _made(task: MapTask) -> MetricMaps:
     """Return the maps of a task whose guesses were reported when the nominal maps were made."""
     check_fits(task)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GuessWarning)
+    with warnings.catch_warnings(action="ignore", category=GuessWarning):
         return compute_maps(task)
 
 
@@ -151,8 +150,9 @@ def _map_task(source: Source, maps: MetricMaps, scenario: Scenario | None) -> Ma
                 "maps in memory do not name their sources: give the scenario, or a folder of maps"
             )
         scenario = scenario_of(Path(source.folder))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GuessWarning)  # reported when the maps were made
+    with warnings.catch_warnings(
+        action="ignore", category=GuessWarning
+    ):  # reported when the maps were made
         tasks = maps_tasks_of(scenario)
     for task in tasks:
         if task.region == maps.grid and set(maps.metrics) == set(task.metrics):
