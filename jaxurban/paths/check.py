@@ -142,9 +142,8 @@ def _guessed(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> Iter
       limits: the clearances.
     """
     rows = near[_may_meet(near, limits)]
-    limit_m = buildings.limit_m[rows["prism"]]
-    for kind, of_kind in rows.assign(limit_m=limit_m).groupby(buildings.kind[rows["prism"]]):
-        reach = reach_said(of_kind["limit_m"].max())
+    for kind, of_kind in rows.groupby(buildings.kind[rows["prism"]]):
+        reach = reach_said(buildings.limit_m[of_kind["prism"]].max())
         yield of_kind[SPAN].assign(reason=GUESSED_ROOFS.format(kind=kind, reach=reach))
 
 
@@ -308,7 +307,6 @@ def _prisms_of(zones: Sequence[Zone], maps: MetricMaps) -> Prisms:
         polygons=np.array([zone.on(maps.grid) for zone in zones], object),
         floor_m=np.array([zone.floor_m for zone in zones], float),
         top_m=np.array([zone.ceiling_m for zone in zones], float),
-        is_guessed=np.zeros(len(zones), bool),
         limit_m=np.full(len(zones), -np.inf),
         kind=np.full(len(zones), "zone", object),
     )

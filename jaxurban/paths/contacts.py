@@ -13,7 +13,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.rules import roof_limits_m
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.legs import Steps
-from jaxurban.paths.profile import GUESSED, TOUCHED
+from jaxurban.paths.profile import TOUCHED
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING
 
@@ -29,7 +29,6 @@ class Prisms(NamedTuple):
     Attributes:
       polygons: ``[B]`` outlines.
       floor_m, top_m: ``[B]`` heights above the ground that they reach from and to, both included.
-      is_guessed: ``[B]`` the height is not known.
       limit_m: ``[B]`` height that what is of guessed height does not exceed, inf where nothing bounds it; -inf where
         nothing is guessed.
       kind: ``[B]`` of `Footprints`.
@@ -38,9 +37,13 @@ class Prisms(NamedTuple):
     polygons: np.ndarray
     floor_m: np.ndarray
     top_m: np.ndarray
-    is_guessed: np.ndarray
     limit_m: np.ndarray
     kind: np.ndarray
+
+    @property
+    def is_guessed(self) -> np.ndarray:
+        """``[B]`` the height is not known."""
+        return self.limit_m >= self.top_m
 
 
 def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
@@ -67,9 +70,7 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
         floor_m = np.where(is_slab, standing.min_height_m, -np.inf)
         top_m = np.where(standing.height_m > 0, standing.height_m, -np.inf)
         limit_m = np.where(standing.is_guessed, standing.upper_m, -np.inf)
-        return Prisms(
-            standing.polygons, floor_m, top_m, standing.is_guessed, limit_m, standing.kinds
-        )
+        return Prisms(standing.polygons, floor_m, top_m, limit_m, standing.kinds)
     if TOUCHED not in maps.ds:
         raise InputError(
             f"maps hold no {TOUCHED!r}, and no City that they are of is there: make them again, or name it (sources)"
@@ -77,15 +78,13 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
     roofs_m, limits_m = maps.m(TOUCHED), roof_limits_m(maps)
     cells = np.argwhere((roofs_m > 0) | (limits_m > 0))
     rows, cols = cells.T
-    guessed = maps.m(GUESSED) if GUESSED in maps.ds else np.zeros(grid.shape)
     floor_m = np.full(len(cells), -np.inf)
     top_m, limit_m = (
         np.where(values > 0, values, -np.inf)
         for values in (roofs_m[rows, cols], limits_m[rows, cols])
     )
-    is_guessed = guessed[rows, cols].astype(bool)
     kind = np.full(len(cells), BUILDING, object)
-    return Prisms(cell_boxes(grid, cells, 1), floor_m, top_m, is_guessed, limit_m, kind)
+    return Prisms(cell_boxes(grid, cells, 1), floor_m, top_m, limit_m, kind)
 
 
 def contacts(

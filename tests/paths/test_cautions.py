@@ -50,10 +50,11 @@ def straight(maps, first=10, last=90, **options) -> ju.PlannedPath:
 
 
 def with_guesses(maps, part) -> ju.MetricMaps:
-    """Return maps whose roofs in a part of the grid are guessed, and whose sky is nominal."""
+    """Return maps whose roofs in a part are guessed, each bounded 3 m above its guess, and whose sky is nominal."""
     is_guessed = np.zeros(maps.grid.shape, bool)
     is_guessed[part] = True
-    ds = maps.ds.assign(roof_guessed=(("y", "x"), is_guessed))
+    limit_m = (maps.m("roof_touched") + 3) * is_guessed
+    ds = maps.ds.assign(roof_guessed=(("y", "x"), is_guessed), roof_limit=(("y", "x"), limit_m))
     return ju.MetricMaps(
         ds.assign_attrs(guesses=json.dumps({"40 % of heights": "", "nominal satellites": ""}))
     )

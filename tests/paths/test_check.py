@@ -483,7 +483,8 @@ def test_a_planned_mission_is_clean_without_guesses(town, tmp_path):
     assert result.figures["saved_cost"] == pytest.approx(0.0, abs=0.5)
     assert json.loads(json.dumps(result.to_dict()))["state"] == "clean"
     origin = np.full(len(city.buildings), HeightOrigin.DEFAULT, np.uint8)
-    guessed = replace(city, buildings=replace(city.buildings, origin=origin))
+    buildings = replace(city.buildings, origin=origin, limit_m=None)
+    guessed = replace(city, buildings=buildings)
     ends = on_ground[[len(on_ground) // 3, -10]]
     high = ju.plan(town, altitude_m=600.0, objective="distance", **ends_at(town, *ends))
     high.save(tmp_path / "high.plan")
