@@ -13,6 +13,7 @@ from jaxurban import settings
 from jaxurban.errors import InputError
 from jaxurban.io.read.heights import estimate_heights, is_given, with_decks
 from jaxurban.io.read.issues import ReadIssue, ReadIssues
+from jaxurban.io.read.solids import prisms_of_solids, with_solids
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds, transformer
@@ -199,9 +200,11 @@ def to_buildings(
     issues = dict(outlines.issues)
     stands, is_part, is_deck = _stands_as_what(outlines, file.hanging == SLABS, issues)
     index = np.flatnonzero(stands)
-    polygons, is_sound = _project(outlines.polygons[index], outlines.crs, crs, issues)
+    prisms = prisms_of_solids(outlines.polygons[index], outlines.crs)
+    polygons, is_sound = _project(prisms["polygon"].to_numpy(), outlines.crs, crs, issues)
     polygons = polygons[is_sound]
-    index = index[is_sound]
+    prisms = prisms[is_sound]
+    index = index[prisms["feature"]]
     to_city = transformer(outlines.crs, crs)
     boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
     if not (boxes_m or len(index) or outlines.is_part):
@@ -213,6 +216,7 @@ def to_buildings(
     is_part = is_part[index]
     is_deck = is_deck[index]
     tags = {name: column[index] for name, column in outlines.tags.items()}
+    tags["height"] = with_solids(outlines.column("height")[index], prisms, issues)
     buildings = estimate_heights(tags, polygons, is_part, file, issues)
     if is_deck.any():
         buildings = with_decks(buildings, is_deck, _layers(outlines.column("layer")[index]))
@@ -297,7 +301,9 @@ def _project(
     is_sound = is_there & is_finite
 
     to_repair = np.flatnonzero(is_sound & ~shapely.is_valid(polygons))
-    polygons[to_repair] = [polygonal(made) for made in shapely.make_valid(polygons[to_repair])]
+    polygons[to_repair] = [
+        polygonal(made) for made in shapely.make_valid(polygons[to_repair], method="structure")
+    ]
     is_sound &= ~shapely.is_empty(polygons)
 
     issues[ReadIssue.OUTSIDE_CRS] = int(np.sum(is_there & ~is_finite))
