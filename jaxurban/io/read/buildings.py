@@ -21,6 +21,7 @@ from jaxurban.io.read.kinds import (
     TURBINE,
 )
 from jaxurban.io.read.outlines import Outlines, polygonal
+from jaxurban.io.read.solids import prisms_of_solids, with_solids
 from jaxurban.io.read.stands import texts, what_stands
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING, UNKNOWN, Footprints, HeightOrigin
@@ -55,33 +56,36 @@ def to_buildings(
     Raises:
       InputError: no building and no declared box, in a file that was read as a whole.
     """
-    # What stands, and the valid shapes of it.
+    # What stands, the valid shapes of it, and the heights that solids have by their faces.
     issues = dict(outlines.issues)
     verdict, is_part, is_deck = what_stands(outlines, file.hanging == SLABS, issues)
     index = np.flatnonzero(~np.isin(verdict, LEFT_OUT))
-    shapes, is_sound, is_whole = _project(outlines.polygons[index], outlines.crs, crs, issues)
+    prisms = prisms_of_solids(outlines.polygons[index], outlines.crs)
+    shapes, is_sound, is_whole = _project(prisms["polygon"].to_numpy(), outlines.crs, crs, issues)
+    prisms = prisms[is_sound]
     shapes = shapes[is_sound]
-    index = index[is_sound]
+    index = index[prisms["feature"]]
     to_city = transformer(outlines.crs, crs)
     boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
     if not (boxes_m or len(index) or outlines.is_part):
         raise InputError(
             f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
         )
-    is_building = (verdict[index] == BUILDING) & is_whole[is_sound]
-    of_building = index[is_building]
-    polygons = shapes[is_building]
+    features = outlines.take(index)
+    height = with_solids(features.column("height"), prisms, issues)
+    features = replace(features, tags={**features.tags, "height": height})
+    is_closed = prisms["height_m"].to_numpy() != 0  # walls alone close nothing
+    is_building = (verdict[index] == BUILDING) & is_whole[is_sound] & is_closed
 
     # Heights of buildings.
-    is_part = is_part[of_building]
-    is_deck = is_deck[of_building]
-    tags = outlines.take(of_building).tags
-    buildings = estimate_heights(tags, polygons, is_part, file, issues)
+    found = features.take(is_building)
+    polygons = shapes[is_building]
+    is_part = is_part[index][is_building]
+    is_deck = is_deck[index][is_building]
+    buildings = estimate_heights(found.tags, polygons, is_part, file, issues)
     if is_deck.any():
-        layer = pd.to_numeric(
-            pd.Series(texts(outlines.column("layer")[of_building])), errors="coerce"
-        ).to_numpy(float)
-        buildings = with_decks(buildings, is_deck, layer)
+        layer = pd.to_numeric(pd.Series(texts(found.column("layer"))), errors="coerce")
+        buildings = with_decks(buildings, is_deck, layer.to_numpy(float))
 
     # Outlines and their parts: heights of one for the other, and which outlines the parts replace.
     outline, part, shared = _own_parts(polygons, ~is_part & ~is_deck, is_part)
@@ -92,14 +96,14 @@ def to_buildings(
         buildings, is_podium = _podiums(buildings, outline, part, is_replaced)
         issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = int(np.sum(is_podium))
         is_replaced &= ~is_podium
-    kinds = texts(outlines.column("building")[of_building])
-    buildings = replace(buildings, limit_m=_limits_m(buildings, kinds, file))
+    limit_m = _limits_m(buildings, texts(found.column("building")), file)
+    buildings = replace(buildings, limit_m=limit_m)
     buildings = _beside_parts(buildings, outline, part, is_replaced).take(~is_replaced)
     issues[ReadIssue.PARTS_HANGING] = int(np.sum(buildings.min_height_m > 0))
 
     # What else stands.
-    others = outlines.take(index[~is_building])
-    structures = _structures(shapes[~is_building], others, verdict[index[~is_building]], file)
+    others = features.take(~is_building)
+    structures = _structures(shapes[~is_building], others, verdict[index][~is_building], file)
     is_same = _within(structures, shapes[~is_building], buildings)
     is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
     issues[ReadIssue.NOT_STANDING] += int(np.sum(is_left_out))
@@ -256,7 +260,7 @@ def _project(
     is_sound = is_there & ~shapely.is_empty(shapes)
 
     to_repair = np.flatnonzero(is_sound & ~shapely.is_valid(shapes))
-    made = [polygonal(valid) for valid in shapely.make_valid(shapes[to_repair])]
+    made = [polygonal(valid) for valid in shapely.make_valid(shapes[to_repair], method="structure")]
     is_flat = shapely.is_empty(made)
     shapes[to_repair] = np.where(is_flat, shapely.convex_hull(shapes[to_repair]), made)
     is_whole[to_repair] &= ~is_flat

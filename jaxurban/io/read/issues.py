@@ -30,6 +30,9 @@ class ReadIssue(StrEnum):
       PARTS_GIVEN_OUTLINE_HEIGHT: parts without a height of their own.
       PARTS_HANGING: underside above the ground.
       MIN_HEIGHTS_ABOVE_ROOF: underside at or above the roof, set to 0.
+      SOLIDS: bodies of three dimensions, read as the prisms of their faces.
+      SOLIDS_UNCLOSED: of these, with walls alone: what they enclose is unknown.
+      SOLIDS_BELOW_COLUMN: of these, lower by a tenth or more than their column says.
       HEIGHTS_UNUSABLE: unreadable, 0, negative or too high.
       LEVELS_UNUSABLE: the same of levels.
       MIN_HEIGHTS_UNUSABLE: the same of the heights of undersides.
@@ -68,6 +71,9 @@ class ReadIssue(StrEnum):
     PARTS_GIVEN_OUTLINE_HEIGHT = "parts_given_outline_height"
     PARTS_HANGING = "parts_hanging"
     MIN_HEIGHTS_ABOVE_ROOF = "min_heights_above_roof"
+    SOLIDS = "solids"
+    SOLIDS_UNCLOSED = "solids_unclosed"
+    SOLIDS_BELOW_COLUMN = "solids_below_column"
     HEIGHTS_UNUSABLE = "heights_unusable"
     LEVELS_UNUSABLE = "levels_unusable"
     MIN_HEIGHTS_UNUSABLE = "min_heights_unusable"

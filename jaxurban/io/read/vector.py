@@ -23,6 +23,7 @@ from jaxurban.io.read.outlines import (
     polygonal,
     tags_of,
 )
+from jaxurban.io.read.solids import openable
 from jaxurban.world.grid import check_on_earth
 
 PARQUET_SUFFIXES = (".parquet", ".geoparquet")
@@ -101,15 +102,16 @@ def _read(
         if suffix in PARQUET_SUFFIXES:
             frames = [_read_parquet(path, for_buildings=role == BUILDINGS)]
         else:
+            source = path if every_layer else openable(path)
             options: dict[str, Any] = {"on_invalid": "ignore", "fid_as_index": True}
             if every_layer:
                 options["on_invalid"] = "raise"
-                layers = [layer for layer, _ in pyogrio.list_layers(path)]
+                layers = [layer for layer, _ in pyogrio.list_layers(source)]
             else:
-                layers = [_polygon_layer(path, role)]
+                layers = [_polygon_layer(path, source, role)]
             if near is not None and suffix in INDEXED_SUFFIXES:
-                options |= _only_near(path, layers[0], near)
-            frames = [pyogrio.read_dataframe(path, layer=layer, **options) for layer in layers]
+                options |= _only_near(source, layers[0], near)
+            frames = [pyogrio.read_dataframe(source, layer=layer, **options) for layer in layers]
             # In the order of the file, also where its index gave them in another.
             frames = [frame.sort_index().reset_index(drop=True) for frame in frames]
 
@@ -205,14 +207,14 @@ def _check(name: str, frame: gpd.GeoDataFrame) -> None:
         )
 
 
-def _only_near(path: str | Path, layer: str, near: Near) -> dict[str, Any]:
+def _only_near(source: str | Path | bytes, layer: str, near: Near) -> dict[str, Any]:
     """Return the options by which pyogrio reads only buildings near a region, and only columns that describe buildings.
 
     The box to read is the one around all features that touch the region's surroundings: so everything that touches one
     of these features is read too (see `near_rows`). Without a CRS or geometry, or where no box holds the region, there
     are no options.
     """
-    facts = pyogrio.read_info(path, layer=layer)
+    facts = pyogrio.read_info(source, layer=layer)
     if not (facts["crs"] and facts["geometry_type"]):
         return {}
     box = near.box_in(facts["crs"])
@@ -220,22 +222,22 @@ def _only_near(path: str | Path, layer: str, near: Near) -> dict[str, Any]:
         return {}
 
     # The features that touch the surroundings, by their boxes: `sides` is [4, N].
-    _, sides = pyogrio.read_bounds(path, layer=layer, bbox=box)
+    _, sides = pyogrio.read_bounds(source, layer=layer, bbox=box)
     return {
         "bbox": extent_of(sides.T) if sides.size else box,
         "columns": [column for column in facts["fields"] if is_of_buildings(column)],
     }
 
 
-def _polygon_layer(path: str | Path, wanted: str) -> str:
-    """Return the name of the layer of polygons in a file.
+def _polygon_layer(path: str | Path, source: str | Path | bytes, wanted: str) -> str:
+    """Return the name of the layer of polygons in a file, which pyogrio opens as ``source``.
 
     It is the only layer, else the only one that may hold polygons, else the one of these that is called ``wanted``.
 
     Raises:
       InputError: there is no such layer.
     """
-    layers = {str(layer): str(kind) for layer, kind in pyogrio.list_layers(path)}
+    layers = {str(layer): str(kind) for layer, kind in pyogrio.list_layers(source)}
     if len(layers) == 1:
         return next(iter(layers))
     areal = [

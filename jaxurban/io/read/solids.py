@@ -1,0 +1,112 @@
+"""Bodies of three dimensions among outlines: files that hold them, and the prisms that their faces make."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyogrio
+import pyproj
+import shapely
+from pyogrio.errors import GeometryError
+
+from jaxurban.io.read.issues import ReadIssue, ReadIssues
+
+RELIEF_M = 0.5  # a body is higher; what of it is not is its ground
+STEP_M = 0.1  # roofs of one body between two multiples of it are one prism
+MIN_WALLS = 3  # of a body whose faces do not lie above each other
+COVERED_TWICE = (
+    1.5  # faces lie above each other if together they are so many times the area that they cover
+)
+SAME_HEIGHT = 1.1  # times the body: a column may say so much
+
+
+def openable(path: str | Path) -> str | Path | bytes:
+    """Return what pyogrio opens of a file of polygons: its path, or a stream that makes MultiPolygons of its features.
+
+    A layer of collections needs a stream, and so do PolyhedralSurfaces and TINs, which pyogrio refuses.
+    """
+    try:
+        if not any("Collection" in str(kind) for _, kind in pyogrio.list_layers(path)):
+            return path
+    except GeometryError:
+        pass
+    quoted = json.dumps(str(Path(path).absolute()), ensure_ascii=False)
+    command = (
+        f"gdal vector pipeline ! read {quoted} ! set-geom-type --geometry-type MULTIPOLYGONZ "
+        "! write --output-format stream streamed"
+    )
+    return json.dumps({"type": "gdal_streamed_alg", "command_line": command}).encode()
+
+
+def prisms_of_solids(outlines: np.ndarray, crs: str) -> pd.DataFrame:
+    """Return the prisms of the faces of solids, and other outlines as they are, ``P`` in all, in order.
+
+    A solid is a MultiPolygon whose vertices differ by more than `RELIEF_M` in height, and that has vertical faces or
+    faces above each other. Outlines beside each other whose heights follow the ground are no solid, nor is a Polygon.
+
+    Seen from above, a face stands up to its highest vertex, and of faces above each other the highest counts. Ground
+    that no roof covers stands up to the lowest roof, and without any roof as high as the walls.
+
+    Args:
+      outlines: ``[N]`` shapely geometries or None.
+      crs: of their coordinates. Heights are in the unit of its height axis; without one in that of its other axes, in
+        metres where these are degrees.
+
+    Returns:
+      ``feature``, which outline each is of; ``height_m`` above the lowest vertex of the solid, rising, 0 of the hull of
+      one that has walls alone, and NaN of an outline that is no solid; and ``polygon``. Prisms of a solid may overlap.
+    """
+    axis = pyproj.CRS(crs).axis_info[-1]
+    unit_m = 1.0 if axis.unit_name == "degree" else axis.unit_conversion_factor
+    may_be = shapely.has_z(outlines) & (shapely.get_num_geometries(outlines) > 1)
+    prisms = [{math.nan: outline} for outline in outlines]
+    for feature in np.flatnonzero(may_be):
+        prisms[feature] = _prisms(outlines[feature], unit_m)
+    rows = [(feature, *prism) for feature, of_it in enumerate(prisms) for prism in of_it.items()]
+    return pd.DataFrame(rows, columns=["feature", "height_m", "polygon"])
+
+
+def _prisms(outline: shapely.Geometry, unit_m: float) -> dict[float, shapely.Geometry]:
+    """Return the polygon of each height of a solid, or an outline that is none at a height of NaN."""
+    faces = shapely.get_parts(outline)
+    vertices, face = shapely.get_coordinates(faces, include_z=True, return_index=True)
+    height_m = vertices[:, 2] * unit_m
+    top_m = np.zeros(len(faces))
+    np.maximum.at(top_m, face, height_m - height_m.min())
+
+    # In plan vertical faces are empty.
+    plan = shapely.make_valid(shapely.force_2d(faces), method="structure", keep_collapsed=False)
+    is_wall = shapely.is_empty(plan)
+    is_double = shapely.area(plan).sum() > COVERED_TWICE * shapely.union_all(plan).area
+    if not (top_m.max() > RELIEF_M and (is_double or is_wall.sum() >= MIN_WALLS)):
+        return {math.nan: outline}
+    if is_wall.all():
+        return {0.0: outline.convex_hull.buffer(0)}  # empty of walls in one line
+
+    is_roof = ~is_wall & (top_m > RELIEF_M)
+    top_m = np.where(is_roof, top_m, top_m[is_roof].min(initial=top_m.max()))
+    step = np.ceil(top_m / STEP_M)
+    steps = [step == one for one in np.unique(step)]
+    return {top_m[same].max(): shapely.union_all(plan[same]) for same in steps}
+
+
+def with_solids(column: np.ndarray, prisms: pd.DataFrame, issues: ReadIssues) -> np.ndarray:
+    """Return a column of heights with those of solids in metres in place of what it says of them.
+
+    Of walls alone the height is 0, which no reader takes for a height: what they enclose is not known.
+
+    Args:
+      column: ``[P]`` numbers, or objects: texts, numbers and None.
+      prisms: ``P`` from `prisms_of_solids`.
+      issues: gets how many solids there are, how many have walls alone, and how many are lower than their column says.
+    """
+    height_m = prisms["height_m"].to_numpy(float)
+    feature = prisms["feature"]
+    top_m = prisms["height_m"].groupby(feature).transform("max")
+    told_m = pd.to_numeric(pd.Series(column, prisms.index), errors="coerce")
+    issues[ReadIssue.SOLIDS] = feature[height_m >= 0].nunique()
+    issues[ReadIssue.SOLIDS_UNCLOSED] = int(np.sum(height_m == 0))
+    issues[ReadIssue.SOLIDS_BELOW_COLUMN] = feature[told_m > SAME_HEIGHT * top_m].nunique()
+    return np.where(np.isnan(height_m), column, height_m)
