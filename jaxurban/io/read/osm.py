@@ -16,7 +16,9 @@ from osmium.filter import IdFilter, KeyFilter, TagFilter
 
 from jaxurban.errors import readable, warn
 from jaxurban.io.read.issues import ReadIssue
+from jaxurban.io.read.osm_plain import plain_osm
 from jaxurban.io.read.outlines import DECK, Outlines, tags_of
+from jaxurban.io.read.sniff import in_own_words, sniff, unpacked
 from jaxurban.world.grid import WGS84, Bounds, transformer
 from jaxurban.world.land_cover import LandCover
 
@@ -33,7 +35,7 @@ TAGS = (  # that say something of buildings, as `COLUMNS` sorts them
     "layer",
     "man_made",
 )
-OSM_SUFFIXES = (".pbf", ".osm")
+OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
 HAS_BUILDING = KeyFilter("building", "building:part")
 HAS_BUILDING_OR_DECK = KeyFilter("building", "building:part", "man_made")
@@ -58,18 +60,18 @@ def read_osm(path: str | Path, *, has_decks: bool = False) -> Outlines:
 
     Coordinates are longitude and latitude; the box is the file header's (of several the first). Areas that
     libosmium cannot assemble (rings that cross themselves) are rebuilt from their lines, each loop filled.
-    Nodes and ways with negative ids (an editor's, not yet uploaded) are unknown to pyosmium: their nodes are missing.
+    What pyosmium cannot read itself is read as `plain_osm` writes it.
 
     Args:
-      path: the file.
+      path: the file: PBF, XML or JSON of the Overpass API, packed or not, of an editor too.
       has_decks: with the areas tagged ``man_made=bridge`` too.
 
     Raises:
       InputError: the file cannot be read to its end.
     """
-    remedy = "it is damaged, cut short or of another kind; fetch it again, or put it in order with `osmium sort`"
-    with readable(path, "OpenStreetMap data", remedy, RuntimeError, osmium.InvalidLocationError):
-        return _read(path, has_decks)
+    remedy = "fetch it again, or put it in order with `osmium sort`"
+    with plain_osm(path, remedy) as plain:
+        return _read(plain, has_decks)
 
 
 def _read(path: str | Path, has_decks: bool) -> Outlines:
@@ -142,13 +144,19 @@ def _is_building_or_deck(tags: Any) -> bool:
     return "building" in tags or "building:part" in tags or tags.get("man_made") == DECK
 
 
+def is_osm(path: str | Path) -> bool:
+    """Return whether a file is one of OpenStreetMap by its name or its content."""
+    is_named = str(path).lower().endswith(OSM_SUFFIXES)
+    return is_named or (Path(path).is_file() and sniff(path) in OSM_SUFFIXES)
+
+
 def format_of(path: str | Path) -> str:
-    """Return pyosmium's name of the format that a file's name ends in."""
-    return "osm" if str(path).lower().endswith(".osm") else "pbf"
+    """Return pyosmium's name of the format of a file that it can read, by the content."""
+    return "pbf" if sniff(path) == ".pbf" else "osm"
 
 
 def _file(path: str | Path) -> osmium.io.File:
-    """Return a file for pyosmium, whose format its name says."""
+    """Return a file for pyosmium, whose format its content says."""
     return osmium.io.File(str(path), format_of(path))
 
 
@@ -191,12 +199,18 @@ def _read_lines(path: str | Path, ids: set[int]) -> dict[int, shapely.Geometry]:
 def header_box(path: str | Path) -> Bounds | None:
     """Return west, south, east, north in degrees of an OSM file by its header, None where the header does not say.
 
+    JSON has no header.
+
     Raises:
       InputError: the file cannot be read.
     """
+    if sniff(path) == ".osm.json":
+        return None
     with (
-        readable(path, "OpenStreetMap data", "fetch it again", RuntimeError),
-        osmium.io.Reader(_file(path), osmium.osm.NOTHING) as reader,
+        readable(path, "OpenStreetMap data", "fetch it again"),
+        in_own_words(RuntimeError),
+        unpacked(path) as plain,
+        osmium.io.Reader(_file(plain), osmium.osm.NOTHING) as reader,
     ):
         box = reader.header().box()
     if not box.valid():
@@ -220,7 +234,7 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
     near = {way.id for way in _ways_in(file, IdFilter(members), box)} if members else set()
 
     with osmium.BackReferenceWriter(
-        _file(target), ref_src=file, overwrite=True, remove_tags=False
+        osmium.io.File(str(target), "pbf"), ref_src=file, overwrite=True, remove_tags=False
     ) as writer:
         for way in _ways_in(file, HAS_BUILDING_OR_DECK, box):
             if _is_building_or_deck(way.tags):
@@ -264,7 +278,7 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     grounds. Areas that cannot be assembled are left out.
 
     Args:
-      path: ``.osm.pbf`` or ``.osm``.
+      path: as of `read_osm`.
       crs: projected CRS of the result, metres.
       bounds_m: x_min, y_min, x_max, y_max of the box in that CRS.
 
@@ -272,8 +286,8 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
       InputError: the file cannot be read to its end.
     """
     remedy = "fetch it again, or name another file in [study] land_cover"
-    with readable(path, "OpenStreetMap data", remedy, RuntimeError):
-        rows, coast = areas_and_coast(path)
+    with plain_osm(path, remedy) as plain:
+        rows, coast = areas_and_coast(plain)
     box = shapely.box(*bounds_m)
 
     def joined(kind: str) -> shapely.Geometry:
