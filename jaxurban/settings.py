@@ -161,9 +161,11 @@ class Buildings(Heights):
     """A file of buildings, and how it is read.
 
     Attributes:
-      source: ``.osm.pbf``, ``.osm``, ``.geojson``, ``.gpkg``, ``.shp``, ``.parquet``, or a height raster (``.tif``,
-        ``.asc``, ``.img``), in any CRS that the file declares; ``"sample:lower-manhattan"``, ``"sample:shinjuku"`` or
-        ``"sample:nihonbashi"``, which are in the package; of a scenario ``"synthetic"`` too.
+      source: OpenStreetMap (``.osm.pbf``, ``.osm``, JSON of the Overpass API), outlines (``.geojson``, ``.geojsonl``,
+        ``.gpkg``, ``.shp``, ``.fgb``, ``.parquet``, ``.csv`` with WKT), packed as ``.gz`` or ``.bz2`` or not, or a
+        height raster (``.tif``, ``.asc``, ``.img``), in any CRS that the file declares;
+        ``"sample:lower-manhattan"``, ``"sample:shinjuku"`` or ``"sample:nihonbashi"``, which are in the package; of a
+        scenario ``"synthetic"`` too.
       kind: of a raster: ``"height"`` above ground, or ``"surface"`` (a DSM), elevations from which the terrain is
         taken; trees are in it too.
       default_height_m: height of a building without a usable height or levels.

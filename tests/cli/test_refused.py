@@ -182,4 +182,4 @@ def test_a_damaged_extract_without_bounds_is_refused_in_a_sentence(capsys, tmp_p
         (tmp_path / name).write_bytes(b"<html>no extract</html>")
         code, _, err = run(capsys, "info", tmp_path / name)
         assert code == 2
-        assert_one_sentence(err, name, "cannot be read as OpenStreetMap data")
+        assert_one_sentence(err, name, "is a web page: fetch the file again")

@@ -7,9 +7,9 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban.io.read.buildings import to_buildings
 from jaxurban.io.read.heights import is_given, parse_count, parse_length_m
 from jaxurban.io.read.osm import read_osm
-from jaxurban.io.read.buildings import to_buildings
 from jaxurban.io.read.outlines import Outlines
 from jaxurban.world.footprints import HeightOrigin
 from tests.io.made_files import (

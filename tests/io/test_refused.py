@@ -140,13 +140,14 @@ BROKEN_OSM = (
             read_vector,
             "table.parquet",
             pd.DataFrame({"height": [1.0]}).to_parquet,
-            "cannot be read as a vector file",
+            "without the metadata `geo`",
         ),
         (read_vector, "layers.gpkg", layered, "layers, parcels.*buildings"),
         *(
-            (read_layers, name, b"PK\x03\x04 and more", UNREAD)
+            (read_layers, name, b"PK\x03\x04 and more", "is an archive: unpack it with `unzip ")
             for name in ("blocks.zip", "blocks.tab")
         ),
+        (read_layers, "blocks.tab", b"!table", UNREAD),
         (read_layers, "blocks.gdb", Path.mkdir, UNREAD),
         (read_layers, "a.shp", of([SQUARE], crs=None), "declares no CRS"),
         (buildings, "trees.geojson", of([SQUARE.centroid], crs=WGS84), "holds no building"),

@@ -15,13 +15,14 @@ from jaxurban.errors import readable
 from jaxurban.io.geoparquet import facts_of, write_geoparquet
 from jaxurban.io.read.osm import (
     OSM_CREDIT,
-    OSM_SUFFIXES,
     areas_and_coast,
+    is_osm,
     open_osm,
     projected,
     runs_of,
     sea,
 )
+from jaxurban.io.read.osm_plain import plain_osm
 from jaxurban.io.samples import BASE_MAP_FILE, is_sample, located
 from jaxurban.io.workspace import Workspace
 from jaxurban.world.grid import WGS84, Bounds
@@ -70,7 +71,8 @@ def base_map_source(source: str | Path | None) -> Path | None:
     if is_sample(source):
         path = located(source).with_name(BASE_MAP_FILE)
         return path if path.is_file() else None
-    return Path(source) if str(source).lower().endswith((*OSM_SUFFIXES, BASE_MAP_FILE)) else None
+    is_base = str(source).lower().endswith(BASE_MAP_FILE) or is_osm(source)
+    return Path(source) if is_base else None
 
 
 def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
@@ -94,7 +96,7 @@ def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFr
     Raises:
       InputError: the file cannot be read.
     """
-    if str(path).lower().endswith(OSM_SUFFIXES):
+    if is_osm(path):
         frame = _from_osm(path, crs, bounds_m)
         frame.attrs = {"credit": OSM_CREDIT, "licence": LICENCE}
     else:
@@ -163,11 +165,9 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
       InputError: the file cannot be read.
     """
     to_wkb = osmium.geom.WKBFactory()
-    with readable(
-        path, "OpenStreetMap data", "fetch it again", RuntimeError, osmium.InvalidLocationError
-    ):
-        rows, coast = areas_and_coast(path)
-        for item in open_osm(path).with_filter(KeyFilter("highway", "railway", "place")):
+    with plain_osm(path, "fetch it again") as plain:
+        rows, coast = areas_and_coast(plain)
+        for item in open_osm(plain).with_filter(KeyFilter("highway", "railway", "place")):
             if not isinstance(item, osmium.osm.Node | osmium.osm.Way):
                 continue
             kind = _kind_of(item)

@@ -1,7 +1,7 @@
-"""Files to City; of buildings from any file that knows them the reader is chosen by the file's suffix.
+"""Files to City; of buildings from any file that knows them the reader is chosen by the file's content.
 
 A further format of outlines is a file of its own, with a function that returns the `Outlines` of a path, those near a
-region at least, and a line in `OUTLINE_READERS`.
+region at least, a line in `OUTLINE_READERS`, and one in `jaxurban.io.read.sniff`.
 """
 
 import math
@@ -28,7 +28,7 @@ from jaxurban.io.read.guesses import (
     warn_of,
 )
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
+from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, is_osm, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets
 from jaxurban.io.read.raster import (
     RASTER_SUFFIXES,
@@ -39,7 +39,8 @@ from jaxurban.io.read.raster import (
     read_raster,
 )
 from jaxurban.io.read.sampling import pixel_xy
-from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
+from jaxurban.io.read.sniff import sniff
+from jaxurban.io.read.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
 from jaxurban.io.samples import SAMPLES, located, sample_name
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES, Population, check_has_people
@@ -58,10 +59,10 @@ from jaxurban.world.grid import (
 from jaxurban.world.raster import Raster
 
 OutlineReader = Callable[[Path, Near | None], Outlines]
-OUTLINE_READERS: dict[str, OutlineReader] = {
+OUTLINE_READERS: dict[str, OutlineReader] = {  # by `sniff`, or by the file's own suffix
     # Nodes of OSM lie anywhere before their ways.
     **dict.fromkeys(OSM_SUFFIXES, lambda path, near: read_osm(path)),
-    **dict.fromkeys(VECTOR_SUFFIXES, read_vector),
+    **dict.fromkeys((*VECTOR_SUFFIXES, *OTHER_SUFFIXES), read_vector),
 }
 FILE_FIELDS = ("source", *FILES)
 GEOD = pyproj.Geod(ellps="WGS84")
@@ -209,8 +210,8 @@ def read_buildings(
       terrain: elevation of the ground, for a surface.
 
     Raises:
-      InputError: no such file, an unknown suffix, a file that cannot be read or is in a wrong CRS, (raster) cells that
-        are not heights or look like elevations, or a surface without terrain or that is not a raster.
+      InputError: no such file, a format that is not read, a file that cannot be read or is in a wrong CRS, (raster)
+        cells that are not heights or look like elevations, or a surface without terrain or that is not a raster.
     """
     projected_crs(crs)
     path = Path(file.source)
@@ -244,17 +245,21 @@ def _reader_of(path: Path) -> OutlineReader | None:
     """Return what reads a file of outlines, None for a raster.
 
     Raises:
-      InputError: no such file, or an unknown suffix.
+      InputError: no such file, or a format that is not read.
     """
     if not path.is_file():
         raise InputError(f"{str(path)!r} does not exist: check the path")
     suffix = path.suffix.lower()
-    if suffix not in (*OUTLINE_READERS, *RASTER_SUFFIXES):
+    if suffix in RASTER_SUFFIXES:
+        return None
+    read = OUTLINE_READERS.get(sniff(path)) or OUTLINE_READERS.get(suffix)
+    if read is None:
         known = ", ".join((*OUTLINE_READERS, *RASTER_SUFFIXES))
         raise InputError(
-            f"{str(path)!r} has the suffix {suffix!r}: buildings are read from {known}"
+            f"{str(path)!r} has the suffix {suffix!r} and no content that is known: buildings are read from {known}, "
+            "and from outlines packed as .gz or .bz2"
         )
-    return OUTLINE_READERS.get(suffix)
+    return read
 
 
 def lonlat_extent(path: str | Path) -> Bounds:
@@ -270,7 +275,7 @@ def lonlat_extent(path: str | Path) -> Bounds:
     read = _reader_of(file)
     if read is None:
         return raster_extent_m(path, WGS84)
-    box = header_box(path) if file.suffix.lower() in OSM_SUFFIXES else None
+    box = header_box(path) if is_osm(path) else None
     if box is not None:
         return box
     outlines = read(file, None)

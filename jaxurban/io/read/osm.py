@@ -16,7 +16,9 @@ from osmium.filter import IdFilter, KeyFilter, TagFilter
 
 from jaxurban.errors import readable, warn
 from jaxurban.io.read.issues import ReadIssue
+from jaxurban.io.read.osm_plain import plain_osm
 from jaxurban.io.read.outlines import Outlines, tags_of
+from jaxurban.io.read.sniff import in_own_words, sniff, unpacked
 from jaxurban.world.footprints import BUILDING
 from jaxurban.world.grid import WGS84, Bounds, transformer
 from jaxurban.world.land_cover import LandCover
@@ -36,7 +38,7 @@ OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
 OF_OTHERS = ("barrier", "natural", "diameter", "width", "rotor:diameter", "height:hub")
 TAGS = tuple(dict.fromkeys((*OF_BUILDINGS, *MAYBE, *OF_OTHERS)))
 Key = tuple[str, int]  # "n", "w" or "r", and an id
-OSM_SUFFIXES = (".pbf", ".osm")
+OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
 MAY_STAND = KeyFilter(*MAYBE, "type")  # the type of relations
 WATER = (
@@ -62,18 +64,17 @@ def read_osm(path: str | Path) -> Outlines:
     Coordinates are longitude and latitude; the box is the file header's (of several the first). Areas that
     libosmium cannot assemble (rings that cross themselves) are rebuilt from their lines, each loop filled; where
     these do not close, the lines are given as far as the file has them. Outlines of relations of the type building
-    have the relations' tags beside their own.
-    Nodes and ways with negative ids (an editor's, not yet uploaded) are unknown to pyosmium: their nodes are missing.
+    have the relations' tags beside their own. What pyosmium cannot read itself is read as `plain_osm` writes it.
 
     Args:
-      path: the file.
+      path: the file: PBF, XML or JSON of the Overpass API, packed or not, of an editor too.
 
     Raises:
       InputError: the file cannot be read to its end.
     """
-    remedy = "it is damaged, cut short or of another kind; fetch it again, or put it in order with `osmium sort`"
-    with readable(path, "OpenStreetMap data", remedy, RuntimeError, osmium.InvalidLocationError):
-        return _read(path)
+    remedy = "fetch it again, or put it in order with `osmium sort`"
+    with plain_osm(path, remedy) as plain:
+        return _read(plain)
 
 
 def _read(path: str | Path) -> Outlines:
@@ -194,13 +195,19 @@ def _may_stand(tags: Any) -> bool:
     return tags.get("type") == BUILDING or any(key in tags for key in MAYBE)
 
 
+def is_osm(path: str | Path) -> bool:
+    """Return whether a file is one of OpenStreetMap by its name or its content."""
+    is_named = str(path).lower().endswith(OSM_SUFFIXES)
+    return is_named or (Path(path).is_file() and sniff(path) in OSM_SUFFIXES)
+
+
 def format_of(path: str | Path) -> str:
-    """Return pyosmium's name of the format that a file's name ends in."""
-    return "osm" if str(path).lower().endswith(".osm") else "pbf"
+    """Return pyosmium's name of the format of a file that it can read, by the content."""
+    return "pbf" if sniff(path) == ".pbf" else "osm"
 
 
 def _file(path: str | Path) -> osmium.io.File:
-    """Return a file for pyosmium, whose format its name says."""
+    """Return a file for pyosmium, whose format its content says."""
     return osmium.io.File(str(path), format_of(path))
 
 
@@ -243,12 +250,18 @@ def _read_lines(path: str | Path, ids: set[int]) -> dict[int, shapely.Geometry]:
 def header_box(path: str | Path) -> Bounds | None:
     """Return west, south, east, north in degrees of an OSM file by its header, None where the header does not say.
 
+    JSON has no header.
+
     Raises:
       InputError: the file cannot be read.
     """
+    if sniff(path) == ".osm.json":
+        return None
     with (
-        readable(path, "OpenStreetMap data", "fetch it again", RuntimeError),
-        osmium.io.Reader(_file(path), osmium.osm.NOTHING) as reader,
+        readable(path, "OpenStreetMap data", "fetch it again"),
+        in_own_words(RuntimeError),
+        unpacked(path) as plain,
+        osmium.io.Reader(_file(plain), osmium.osm.NOTHING) as reader,
     ):
         box = reader.header().box()
     if not box.valid():
@@ -274,7 +287,7 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
         near = {item.id for item in _in_box(file, IdFilter(members), box) if item.is_way()}
 
     with osmium.BackReferenceWriter(
-        _file(target), ref_src=file, overwrite=True, remove_tags=False
+        osmium.io.File(str(target), "pbf"), ref_src=file, overwrite=True, remove_tags=False
     ) as writer:
         for item in _in_box(file, MAY_STAND, box):
             if _may_stand(item.tags):
@@ -319,7 +332,7 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     grounds. Areas that cannot be assembled are left out.
 
     Args:
-      path: ``.osm.pbf`` or ``.osm``.
+      path: as of `read_osm`.
       crs: projected CRS of the result, metres.
       bounds_m: x_min, y_min, x_max, y_max of the box in that CRS.
 
@@ -327,8 +340,8 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
       InputError: the file cannot be read to its end.
     """
     remedy = "fetch it again, or name another file in [study] land_cover"
-    with readable(path, "OpenStreetMap data", remedy, RuntimeError):
-        rows, coast = areas_and_coast(path)
+    with plain_osm(path, remedy) as plain:
+        rows, coast = areas_and_coast(plain)
     box = shapely.box(*bounds_m)
 
     def joined(kind: str) -> shapely.Geometry:

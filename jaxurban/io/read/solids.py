@@ -22,7 +22,7 @@ COVERED_TWICE = (
 SAME_HEIGHT = 1.1  # times the body: a column may say so much
 
 
-def openable(path: str | Path) -> str | Path | bytes:
+def openable(path: str) -> str | bytes:
     """Return what pyogrio opens of a file of polygons: its path, or a stream that makes MultiPolygons of its features.
 
     A layer of collections needs a stream, and so do PolyhedralSurfaces and TINs, which pyogrio refuses.

@@ -11,7 +11,7 @@ import pandas as pd
 import pyogrio
 import shapely
 
-from jaxurban.errors import InputError, readable
+from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.geoparquet import facts_of
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.outlines import (
@@ -23,42 +23,41 @@ from jaxurban.io.read.outlines import (
     polygonal,
     tags_of,
 )
+from jaxurban.io.read.sniff import HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
 from jaxurban.io.read.solids import openable
-from jaxurban.world.grid import check_on_earth
+from jaxurban.world.grid import WGS84, check_on_earth
 
-PARQUET_SUFFIXES = (".parquet", ".geoparquet")
-INDEXED_SUFFIXES = (".gpkg", ".shp")  # whose features are found by their boxes
-VECTOR_SUFFIXES = (".geojson", ".json", *INDEXED_SUFFIXES, *PARQUET_SUFFIXES)
+INDEXED_SUFFIXES = (".gpkg", ".shp", ".fgb")  # whose features are found by their boxes
+JSON_SUFFIXES = (".geojson", ".geojsonl")
+# What is read as outlines, by `sniff`; and other names of these formats.
+VECTOR_SUFFIXES = (*JSON_SUFFIXES, ".csv", *INDEXED_SUFFIXES, ".parquet")
+OTHER_SUFFIXES = (".json", ".geoparquet")
+# Of any other format GDAL may read what the file names, even from a server.
+FORMATS = (*VECTOR_SUFFIXES, ".kml", ".gpx")
+DRIVERS = {".geojsonl": "GeoJSONSeq:", ".csv": "CSV:"}  # which GDAL would choose by the file's name
+CSV_OPTIONS = {"GEOM_POSSIBLE_NAMES": ",".join(WKT_COLUMNS), "KEEP_GEOM_COLUMNS": "NO"}
 BUILDINGS = "buildings"  # the role, and the layer of several
 WHOLE = "give a whole one, with its companions"
 # Raised by readers.
 OF_DAMAGED = (RuntimeError, LookupError, TypeError, AttributeError, shapely.errors.ShapelyError)
-# How a file of a format begins. GDAL takes any format under any name, and some of them read other files, even from a
-# server: by their first bytes such are refused before GDAL sees them.
-BEGINNINGS = {
-    **dict.fromkeys((".geojson", ".json"), b"{"),
-    **dict.fromkeys((".kml", ".gpx"), b"<"),
-    **dict.fromkeys(PARQUET_SUFFIXES, b"PAR1"),
-    ".gpkg": b"SQLite format 3",
-    ".shp": bytes.fromhex("0000270a"),
-    ".fgb": b"fgb",
-}
+# Files that refer to others are refused before GDAL sees them.
 REFERRING = (
     b"<OGRVRTDataSource",
     b"gdal_streamed_alg",
     b"<OGRWFSDataSource",
     b"<OGRElasticDataSource",
 )
-HEAD_BYTES = 1 << 16  # GDAL looks at fewer
+BLOCK_BYTES = 1 << 20
 ESCAPE = re.compile(rb"\\u00([2-7][0-9a-fA-F])")  # a plain letter of JSON in digits
-LINK = re.compile(rb'"type"\s*:\s*"(link|url)"')  # of a CRS, by the GeoJSON of 2008
+LINK = re.compile(rb'"type":"(link|url)"')  # of a CRS, by the GeoJSON of 2008
+LONGEST_LINK = 100  # bytes, with every letter as an escape
 POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
 def open_frame(
     path: str | Path, role: str, *, allow_empty: bool = False, near: Near | None = None
 ) -> gpd.GeoDataFrame:
-    """Return the features of a vector file (of a format in `BEGINNINGS`), those without geometry too.
+    """Return the features of a vector file (of `FORMATS`, packed or not), those without geometry too.
 
     A ring of too few points becomes an empty geometry, and no error.
 
@@ -66,7 +65,8 @@ def open_frame(
       path: the file.
       role: what it holds, for messages; the layer of this name is taken where several hold polygons.
       allow_empty: accept a file without a single feature.
-      near: a region; features of GeoPackages and Shapefiles that are not near it are left out, for buildings only.
+      near: a region; features of GeoPackages, Shapefiles and FlatGeobuf that are not near it are left out, for
+        buildings only.
 
     Raises:
       InputError: no such file, not a readable vector file, no geometry, no CRS, coordinates beyond the globe though
@@ -96,42 +96,69 @@ def _read(
 ) -> list[gpd.GeoDataFrame]:
     """Return the features of the one layer of polygons, or of every layer, checked; see `open_frame`, `open_layers`."""
     name = f"the {role} file {str(path)!r}"
-    suffix = Path(path).suffix.lower()
-    with readable(path, "a vector file", WHOLE, *OF_DAMAGED, what=name):
-        _check_format(Path(path))
-        if suffix in PARQUET_SUFFIXES:
-            frames = [_read_parquet(path, for_buildings=role == BUILDINGS)]
-        else:
-            source = path if every_layer else openable(path)
-            options: dict[str, Any] = {"on_invalid": "ignore", "fid_as_index": True}
-            if every_layer:
-                options["on_invalid"] = "raise"
-                layers = [layer for layer, _ in pyogrio.list_layers(source)]
+    with readable(path, "a vector file", WHOLE, what=name), unpacked(path) as plain:
+        kind = _checked_format(Path(path), plain)
+        with in_own_words(*OF_DAMAGED):
+            if kind == ".parquet":
+                frames = [_read_parquet(plain, name, for_buildings=role == BUILDINGS)]
             else:
-                layers = [_polygon_layer(path, source, role)]
-            if near is not None and suffix in INDEXED_SUFFIXES:
-                options |= _only_near(source, layers[0], near)
-            frames = [pyogrio.read_dataframe(source, layer=layer, **options) for layer in layers]
-            # In the order of the file, also where its index gave them in another.
-            frames = [frame.sort_index().reset_index(drop=True) for frame in frames]
+                options: dict[str, Any] = {"on_invalid": "ignore", "fid_as_index": True}
+                source: str | bytes = DRIVERS.get(kind, "") + str(plain)
+                if kind == ".csv":
+                    options |= CSV_OPTIONS
+                if kind not in DRIVERS and not every_layer:
+                    source = openable(str(plain))
+                if every_layer:
+                    options["on_invalid"] = "raise"
+                    layers = [layer for layer, _ in pyogrio.list_layers(source)]
+                else:
+                    layers = [_polygon_layer(source, name, role)]
+                if near is not None and kind in INDEXED_SUFFIXES:
+                    options |= _only_near(source, layers[0], near)
+                frames = [
+                    pyogrio.read_dataframe(source, layer=layer, **options) for layer in layers
+                ]
+                # In the order of the file, also where its index gave them in another.
+                frames = [frame.sort_index().reset_index(drop=True) for frame in frames]
 
     frames = [frame for frame in frames if isinstance(frame, gpd.GeoDataFrame)]
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
     for frame in frames:
+        if kind == ".csv" and frame.crs is None:
+            frame.set_crs(WGS84, inplace=True)
+            warn(
+                f"{name} cannot say its CRS: its coordinates are taken for longitude and latitude (EPSG:4326)",
+                GuessWarning,
+            )
         _check(name, frame)
     return frames
 
 
-def _read_parquet(path: str | Path, *, for_buildings: bool) -> gpd.GeoDataFrame:
+def _read_parquet(path: Path, file: str, *, for_buildings: bool) -> gpd.GeoDataFrame:
     """Return the features of a GeoParquet file, with the facts of its metadata as ``attrs``.
 
-    With ``for_buildings`` only geometries and the columns that describe buildings (`is_of_buildings`) are read.
+    Args:
+      path: to read.
+      file: its name, for messages.
+      for_buildings: read only geometries and the columns that describe buildings (`is_of_buildings`).
+
+    Raises:
+      InputError: it has no metadata on geometry.
     """
     import pyarrow.parquet as pq  # imported here: it takes 0.1 s to load, for which other formats need not wait
 
     schema = pq.read_schema(path)
-    shapes = json.loads((schema.metadata or {}).get(b"geo", b"{}")).get("columns", {})
+    facts = (schema.metadata or {}).get(b"geo")
+    if facts is None:
+        binary = (field.name for field in schema if "binary" in str(field.type))
+        column = next(binary, "geometry")
+        raise InputError(
+            f"{file} is Parquet without the metadata `geo`: if {column!r} is its WKB in longitude and latitude, write "
+            "it again with `python -c \"import geopandas as g, pandas as p; t = p.read_parquet('IN'); t['geometry'] = "
+            f"g.GeoSeries.from_wkb(t['{column}']); g.GeoDataFrame(t, crs=4326).to_parquet('OUT')\"`"
+        )
+    shapes = json.loads(facts).get("columns", {})
     columns = [
         name
         for name in schema.names
@@ -143,40 +170,46 @@ def _read_parquet(path: str | Path, *, for_buildings: bool) -> gpd.GeoDataFrame:
     return frame.reset_index(level=index)  # pandas wrote it as an index
 
 
-def _check_format(path: Path) -> None:
-    """Check that a file begins as the format of its suffix does, and that it refers to no other file or server.
+def _checked_format(path: Path, plain: Path) -> str:
+    """Return the format of a file, one of `FORMATS`, that refers to no other file or server.
 
-    A file whose suffix is not in `BEGINNINGS` may be of any of these formats.
+    Args:
+      path: of the file.
+      plain: of its content, unpacked.
 
     Raises:
-      InputError: a folder, or a file of such another suffix and of none of the formats.
+      InputError: a folder, or another format.
       ValueError: it does not begin as its suffix says, or refers to others.
     """
-    suffix = path.suffix.lower()
-    beginnings = tuple(BEGINNINGS.values())
-    if suffix in BEGINNINGS:
-        beginnings = (BEGINNINGS[suffix],)
-    other = InputError(
-        f"{str(path)!r} is of a format that is not read: unpack it, or make a GeoPackage of it with `ogr2ogr`"
-    )
-    if path.is_dir():
-        raise other
-    with path.open("rb") as file:
+    kind = "" if path.is_dir() else sniff(plain)
+    if kind not in FORMATS:
+        suffix = path.suffix.lower()
+        if not kind and suffix == ".csv":
+            raise ValueError(f"it has no column {' or '.join(WKT_COLUMNS)} of polygons as WKT")
+        if not kind and suffix in (*FORMATS, *OTHER_SUFFIXES):
+            raise ValueError(f"it does not begin as a {suffix} file does")
+        raise InputError(
+            f"{str(path)!r} is of a format that is not read: unpack it, or make a GeoPackage of it with `ogr2ogr`"
+        )
+    with plain.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()  # without the mark of UTF-8
-    if not text.startswith(beginnings):
-        if suffix not in BEGINNINGS:
-            raise other
-        raise ValueError(f"it does not begin as a {suffix} file does")
-    may_be_json = beginnings[0] == b"{"
-    if any(word in head for word in REFERRING) or (may_be_json and _links_crs(path.read_bytes())):
+    if any(word in head for word in REFERRING) or (kind in JSON_SUFFIXES and _links_crs(plain)):
         raise ValueError("it refers to other files or servers, which are never opened")
+    return kind
 
 
-def _links_crs(text: bytes) -> bool:
-    """Return whether a ``crs`` in a text of JSON may be a link, which GDAL would follow to a server."""
-    plain = ESCAPE.sub(lambda match: bytes.fromhex(match[1].decode()), text).lower()
-    return b'"crs"' in plain and LINK.search(plain) is not None
+def _links_crs(path: Path) -> bool:
+    """Return whether a ``crs`` in a file of JSON may be a link, which GDAL would follow to a server."""
+    has_crs = has_link = False
+    rest = b""
+    with path.open("rb") as file:
+        while block := file.read(BLOCK_BYTES):
+            text = rest + block.translate(None, b" \t\r\n")
+            rest = text[-LONGEST_LINK:]
+            plain = ESCAPE.sub(lambda match: bytes.fromhex(match[1].decode()), text).lower()
+            has_crs |= b'"crs"' in plain
+            has_link |= LINK.search(plain) is not None
+    return has_crs and has_link
 
 
 def _check(name: str, frame: gpd.GeoDataFrame) -> None:
@@ -207,7 +240,7 @@ def _check(name: str, frame: gpd.GeoDataFrame) -> None:
         )
 
 
-def _only_near(source: str | Path | bytes, layer: str, near: Near) -> dict[str, Any]:
+def _only_near(source: str | bytes, layer: str, near: Near) -> dict[str, Any]:
     """Return the options by which pyogrio reads only buildings near a region, and only columns that describe buildings.
 
     The box to read is the one around all features that touch the region's surroundings: so everything that touches one
@@ -229,8 +262,8 @@ def _only_near(source: str | Path | bytes, layer: str, near: Near) -> dict[str, 
     }
 
 
-def _polygon_layer(path: str | Path, source: str | Path | bytes, wanted: str) -> str:
-    """Return the name of the layer of polygons in a file, which pyogrio opens as ``source``.
+def _polygon_layer(source: str | bytes, name: str, wanted: str) -> str:
+    """Return the name of the layer of polygons in what pyogrio opens, which messages call ``name``.
 
     It is the only layer, else the only one that may hold polygons, else the one of these that is called ``wanted``.
 
@@ -249,7 +282,7 @@ def _polygon_layer(path: str | Path, source: str | Path | bytes, wanted: str) ->
         areal = [layer for layer in areal if layer.lower() == wanted]
     if len(areal) != 1:
         raise InputError(
-            f"{str(path)!r} has the layers {', '.join(layers) or 'none'}: call the one of polygons "
+            f"{name} has the layers {', '.join(layers) or 'none'}: call the one of polygons "
             f"{wanted!r}, or write it to a file of its own with `ogr2ogr OUT IN LAYER`"
         )
     return areal[0]
@@ -263,8 +296,8 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
 
     Args:
       path: the file.
-      near: the region whose surroundings are needed: what lies elsewhere may be left out. Of GeoPackages and
-        Shapefiles it is not even decoded. None reads all.
+      near: the region whose surroundings are needed: what lies elsewhere may be left out. Of GeoPackages,
+        Shapefiles and FlatGeobuf it is not even decoded. None reads all.
 
     Raises:
       InputError: a file that cannot be read, has no CRS, or holds coordinates beyond the globe though its CRS is in

@@ -10,7 +10,7 @@ import pandas as pd
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.base_map import base_map_source, land_cover_in
-from jaxurban.io.read.osm import OSM_SUFFIXES, read_land_cover
+from jaxurban.io.read.osm import is_osm, read_land_cover
 from jaxurban.io.samples import is_sample
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, records_of, write_table
 from jaxurban.io.workspace import Workspace
@@ -249,10 +249,11 @@ def land_cover_of(scenario: Scenario) -> LandCover | None:
     if is_sample(source):
         base = base_map_source(source)
         return None if base is None else land_cover_in(base, grid.crs, grid.bounds_m)
-    if not source.lower().endswith(OSM_SUFFIXES):
+    if not is_osm(scenario.path_of(source)):
         if named is not None:
             raise InputError(
-                f"[study] land_cover must be an OpenStreetMap file (.osm.pbf or .osm), got {named!r}"
+                f"[study] land_cover must be an OpenStreetMap file (.osm.pbf, .osm, or JSON of the Overpass API), "
+                f"got {named!r}"
             )
         return None
     return read_land_cover(scenario.path_of(source), grid.crs, grid.bounds_m)

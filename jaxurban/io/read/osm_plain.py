@@ -1,0 +1,165 @@
+"""OpenStreetMap files that pyosmium cannot read as they are, as plain ones.
+
+These are packed files, JSON of the Overpass API, XML and JSON of its ``out geom``, where places stand in ways and
+members, XML with ways after relations, and that of an editor, whose new objects have ids below 0 and whose deleted ones
+are marked.
+"""
+
+import json
+import mmap
+import re
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from itertools import count, zip_longest
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import osmium
+from osmium.osm.mutable import Node, Relation, Way
+
+from jaxurban.errors import InputError, readable
+from jaxurban.io.read.sniff import in_own_words, sniff, unpacked
+
+OF_DAMAGED = (LookupError, TypeError, AttributeError, ElementTree.ParseError)
+OBJECTS = ("node", "way", "relation")  # in the order of a file
+EDITED = (b' id="-', b" id='-", b'action="delete"', b"action='delete'")
+PLACED = re.compile(rb"<nd [^/]*\blat=")  # a place in a way or a member
+OWN_IDS = 2**40  # the first id of what has none above 0; OpenStreetMap's are far below
+MOST_JSON = 2**30  # bytes; JSON is held in memory as a whole, in ten times as many
+
+
+@contextmanager
+def plain_osm(path: str | Path, remedy: str) -> Iterator[Path]:
+    """Yield a file of the same content that pyosmium reads: the file itself, or a temporary one.
+
+    XML is written again only if a search in its bytes finds what needs it.
+
+    Args:
+      path: of the file.
+      remedy: ends the message of a damaged file.
+
+    Raises:
+      InputError: a file that is damaged, also by what pyosmium raises in the block, JSON of more than `MOST_JSON`, or
+        ways or relations without one place.
+    """
+    name = repr(str(path))
+    with (
+        readable(path, "OpenStreetMap data", remedy),
+        in_own_words(RuntimeError, osmium.InvalidLocationError),
+        unpacked(path) as file,
+        tempfile.TemporaryDirectory(prefix="jaxurban-") as folder,
+    ):
+        kind = sniff(file)
+        plain = Path(folder, "plain.osm")
+        with in_own_words(*OF_DAMAGED):
+            if kind == ".osm.json":
+                if file.stat().st_size > MOST_JSON:
+                    raise InputError(
+                        f"{name} is JSON of more than {MOST_JSON / 2**30:g} GiB: ask for XML (`[out:xml]`)"
+                    )
+                elements = json.loads(file.read_bytes())["elements"]
+                _write(name, plain, elements, osmium.io.Header())
+            elif kind == ".osm" and _needs_writing(file):
+                source = osmium.io.File(str(file), "osm")
+                with osmium.io.Reader(source, osmium.osm.NOTHING) as reader:
+                    _write(name, plain, _of_xml(file), reader.header())
+            else:
+                plain = file
+        yield plain
+
+
+def _needs_writing(file: Path) -> bool:
+    """Return whether XML holds no node, ways after relations, ids below 0, deleted objects, or places in ways."""
+    with (
+        file.open("rb") as source,
+        mmap.mmap(source.fileno(), 0, access=mmap.ACCESS_READ) as text,
+    ):
+        return (
+            text.find(b"<node") < 0
+            or text.rfind(b"<way") > text.find(b"<relation") >= 0
+            or any(text.find(mark) >= 0 for mark in EDITED)
+            or PLACED.search(text) is not None
+        )
+
+
+def _of_xml(file: Path) -> Iterator[dict[str, Any]]:
+    """Yield the objects of XML as the Overpass API's JSON has them, all numbers as text; deleted ones are left out."""
+    for _, item in ElementTree.iterparse(file):
+        if item.tag not in OBJECTS:
+            continue
+        if item.get("action") != "delete":
+            yield {
+                **_line_of(item),
+                "tags": {tag.get("k"): tag.get("v") for tag in item.iterfind("tag")},
+                "members": list(map(_line_of, item.iterfind("member"))),
+            }
+        item.clear()
+
+
+def _line_of(item: ElementTree.Element) -> dict[str, Any]:
+    """Return the attributes of an object or a member, its type, its nodes, and the places that it has of them."""
+    corners = item.findall("nd")
+    return {
+        "type": item.tag,
+        **item.attrib,
+        "nodes": [corner.get("ref") for corner in corners],
+        "geometry": [corner.attrib for corner in corners],
+    }
+
+
+def _write(
+    name: str, plain: Path, elements: Iterable[dict[str, Any]], header: osmium.io.Header
+) -> None:
+    """Write objects, as the Overpass API's JSON has them, as plain XML in order; errors as of `plain_osm`.
+
+    Nodes and ways that the file has in ways and members alone become nodes and ways too. Of an object that comes
+    several times (with its tags, and again as what another one refers to) the last one with tags counts.
+    """
+    own: defaultdict[tuple[str, str], int] = defaultdict(count(OWN_IDS).__next__)
+    objects: dict[tuple[int, int], Any] = {}  # by the place of their type in `OBJECTS`, and id
+
+    def number(kind: str, ref: Any, _: Any = None) -> int:
+        """Return an object's id, above 0."""
+        return int(ref) if str(ref).isdigit() else own[kind, str(ref)]
+
+    def keep(kind: str, ref: Any, about: dict[str, Any]) -> int:
+        """Keep an object with all that it holds, unless there is one that says more; return its id."""
+        item: Any
+        if kind == "node":
+            item = Node(location=(float(about["lon"]), float(about["lat"])))
+        elif kind == "way":
+            nodes = []
+            # A node without an id is known by its place.
+            for node, place in zip_longest(about.get("nodes", ()), about.get("geometry", ())):
+                hold = keep if place and "lat" in place else number
+                nodes.append(hold("node", node or str(place), place))
+            item = Way(nodes=nodes)
+        else:
+            members = []
+            for member in about.get("members", ()):
+                hold = keep if member.get("geometry") else number
+                member_id = hold(member["type"], member["ref"], member)
+                members.append((member["type"][0], member_id, member["role"]))
+            item = Relation(members=members)
+        item.id = number(kind, ref)
+        item.tags = about.get("tags")
+        key = OBJECTS.index(kind), item.id
+        if item.tags or key not in objects:
+            objects[key] = item
+        return key[1]
+
+    for element in elements:
+        if element["type"] in OBJECTS:
+            keep(element["type"], element["id"], element)
+    order = sorted(objects)
+    if order and order[0][0] > 0:
+        raise InputError(
+            f"{name} holds ways or relations and not one node, so that their places are not known: end the query in "
+            "`(._;>;); out;`, or in `out geom;`"
+        )
+    with osmium.SimpleWriter(str(plain), header=header) as writer:
+        for key in order:
+            writer.add(objects[key])

@@ -1,0 +1,144 @@
+"""What a file is: by its first bytes and keys, not by its name alone. Packed files are unpacked."""
+
+import bz2
+import gzip
+import re
+import shlex
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from jaxurban.errors import InputError, readable
+
+HEAD_BYTES = 1 << 16  # that are looked at; GDAL looks at fewer
+MOST_UNPACKED = 20 * 2**30  # bytes
+PACKED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open}
+BEFORE = b"\xef\xbb\xbf \t\r\n\x1e"  # may come before a text, the mark of UTF-8 too
+PROLOG = re.compile(rb"<!--.*?-->|<[?!][^>]*>", re.DOTALL)  # of XML, before its first element
+WKT_COLUMNS = ("wkt", "geometry", "geom", "the_geom", "wkt_geom", "geometry_wkt")  # in tables
+# Any JSON before the first key or word that shows that it is GeoJSON.
+_JSON = rb'\{(?:(?!"(?:Feature|FeatureCollection|features|geometry|properties|coordinates)").)*'
+_ROOT = rb"<[<\s]*(?:[\w.-]+:)?"
+_ARCHIVE = "an archive: unpack it with `%s FILE`, and name the file that was in it"
+# How a file begins: the suffix that such files bear, or what it is and the line that helps.
+FORMATS = {
+    rb"PAR1": ".parquet",
+    rb"fgb": ".fgb",
+    rb"\0\0\x27\x0a": ".shp",
+    rb"....\n\tOSMHeader": ".pbf",
+    rb"SQLite format 3\0.{52}\0{4}": "a database of SpatiaLite or SQLite: make a GeoPackage of it with `ogr2ogr "
+    "buildings.gpkg FILE`",
+    rb"SQLite format 3": ".gpkg",
+    rb"PK\x03\x04": _ARCHIVE % "unzip",
+    rb"7z\xbc\xaf\x27\x1c": _ARCHIVE % "7z x",
+    rb".{257}ustar": _ARCHIVE % "tar -xf",
+    rb"LASF": "a cloud of lidar points: make a raster of their highest ones with `pdal translate FILE surface.tif "
+    '--writers.gdal.resolution=1 --writers.gdal.output_type=max`, and read it with kind = "surface" over a terrain',
+    _ROOT + rb"osm\b": ".osm",
+    _ROOT + rb"kml\b": ".kml",
+    _ROOT + rb"gpx\b": ".gpx",
+    _ROOT
+    + rb"CityModel\b": "CityGML: make outlines of it with `ogr2ogr -nlt MULTIPOLYGON buildings.gpkg FILE`",
+    rb"(?i:<[<\s]*html\b)": "a web page: fetch the file again, and look at what the server says",
+    _JSON
+    + rb'"City(?:JSON|JSONFeature|Objects)"': "CityJSON: make CityGML of it with `citygml-tools from-cityjson "
+    "FILE`, and outlines of that with `ogr2ogr -nlt MULTIPOLYGON buildings.gpkg` and the name of the new file",
+    _JSON + rb'"(?:osm3s|elements)"\s*:': ".osm.json",
+    # A whole feature in the first line, or one that is longer than what is looked at.
+    _JSON + rb'(?<!\n)"Feature"[^\n]*(?:\}\r?\n|\Z)': ".geojsonl",
+    rb"\{": ".geojson",
+    rb"(?i:[^\r\n\0]*\b(?:%s)\b[^\r\n]*[\r\n].*\bPOLYGON\b)"
+    % "|".join(WKT_COLUMNS).encode(): ".csv",
+}
+# What libraries say of files that are not damaged, by a part of it, and what messages say instead.
+OF_LIBRARIES = {
+    "out of order": "its objects are out of order",
+    "type is not supported": "it holds solids or meshes, of which `ogr2ogr -nlt MULTIPOLYGON OUT IN` makes polygons",
+}
+
+
+@contextmanager
+def in_own_words(*errors: type[Exception]) -> Iterator[None]:
+    """Say that a file is damaged, in place of what a library says of it; what the system says passes.
+
+    Args:
+      errors: what the block raises of a damaged file, beside OSError, ValueError and RecursionError.
+
+    Raises:
+      ValueError: the file is damaged.
+    """
+    caught: tuple[type[Exception], ...] = (OSError, ValueError, RecursionError, *errors)
+    try:
+        yield
+    except caught as error:
+        if isinstance(error, InputError) or getattr(error, "errno", None):
+            raise
+        reasons = (OF_LIBRARIES[part] for part in OF_LIBRARIES if part in str(error))
+        raise ValueError(next(reasons, "it is damaged or cut short")) from error
+
+
+def sniff(path: str | Path) -> str:
+    """Return the suffix that files with such content bear, of a packed file that of what is in it.
+
+    It is one of ``.osm``, ``.pbf`` and ``.osm.json`` (OpenStreetMap), ``.geojson``, ``.geojsonl`` (one feature a
+    line), ``.csv`` (with outlines as WKT), ``.fgb``, ``.gpkg``, ``.parquet``, ``.shp``, ``.kml``, ``.gpx``; empty for
+    any other content.
+
+    Raises:
+      InputError: no such file, a packed one that is damaged, or a format that is known and not read; the message
+        names it and the line that converts it.
+    """
+    path = Path(path)
+    with (
+        readable(path, "a file", "fetch it again"),
+        in_own_words(EOFError, zlib.error),
+        (_opener(path) or open)(path, "rb") as file,
+    ):
+        head = file.read(HEAD_BYTES)
+    text = PROLOG.sub(b"<", head.lstrip(BEFORE))
+    for beginning, what in FORMATS.items():
+        if re.match(beginning, text, re.DOTALL):
+            if not what.startswith("."):
+                raise InputError(f"{str(path)!r} is {what.replace('FILE', shlex.quote(str(path)))}")
+            return what
+    return ""
+
+
+def _opener(path: Path) -> Callable[..., Any] | None:
+    """Return what opens a packed file, by its first bytes; None of any other."""
+    with path.open("rb") as file:
+        start = file.read(3)
+    return next((PACKED[mark] for mark in PACKED if start.startswith(mark)), None)
+
+
+@contextmanager
+def unpacked(path: str | Path) -> Iterator[Path]:
+    """Yield the path of a file with the content of another: itself, or a temporary one if it is packed.
+
+    Raises:
+      InputError: as `sniff`, or a packed file with more in it than `MOST_UNPACKED`.
+      ValueError: a packed file that is damaged.
+    """
+    path = Path(path)
+    opener = None if path.is_dir() else _opener(path)
+    if opener is None:
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="jaxurban-") as folder:
+        plain = Path(folder, f"unpacked{sniff(path)}")
+        with (
+            in_own_words(EOFError, zlib.error),
+            opener(path) as source,
+            plain.open("wb") as target,
+        ):
+            while block := source.read(HEAD_BYTES):
+                target.write(block)
+                if target.tell() > MOST_UNPACKED:
+                    raise InputError(
+                        f"{str(path)!r} unpacks to more than {MOST_UNPACKED / 2**30:g} GiB: unpack it yourself if you "
+                        "trust it"
+                    )
+        yield plain
