@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,9 +40,13 @@ class Truth(NamedTuple):
 
 
 def points_along(ends_m: np.ndarray) -> np.ndarray:
-    """Return ``[N, 3]`` points of a straight flight."""
-    num = max(2, int(np.linalg.norm(ends_m[1] - ends_m[0]) / STEP_M))
-    return ends_m[0] + np.linspace(0, 1, num)[:, None] * (ends_m[1] - ends_m[0])
+    """Return ``[N, 3]`` points of a straight flight, and of the climb before it."""
+    ends_m = np.concatenate([ends_m[:1] * (1, 1, 0), ends_m])
+    parts = []
+    for begin_m, end_m in pairwise(ends_m):
+        num = max(2, int(np.linalg.norm(end_m - begin_m) / STEP_M))
+        parts.append(begin_m + np.linspace(0, 1, num)[:, None] * (end_m - begin_m))
+    return np.concatenate(parts)
 
 
 def margins_m(

@@ -25,8 +25,8 @@ from tests.io.cities.plant import (
 from tests.io.cities.verdicts import Verdict, verdicts_of
 from tests.io.cities.write import BOUNDS, CORNER_M, CRS, STYLES, TO_LONLAT, write
 
-# Through a thing, beside it, over it, and away from all: some as often again.
-AIMS = (*("through",) * 4, *("free",) * 3, "beside", "over")
+# Through a thing, from one place in it to another, beside it, over it, and away from all: some as often again.
+AIMS = (*("through",) * 4, *("free",) * 3, "inside", "beside", "over")
 # Of twenty cities so many are of a style.
 TURNS = (
     *("osm", "tags", "osm", "faces", "osm", "overture", "tags, ten letters", "nested tags"),
@@ -159,18 +159,24 @@ def _flight(draw: Draw, things: Sequence[Thing], num_edited: int, aim: str) -> F
     low_m = max(2.0, prism.floor_m + 0.6)
     z_m = draw.uniform(low_m, max(low_m, min(prism.top_m, 150.0) - 0.6))
     if aim == "beside":
+        if across @ (SIDE_M / 2 - through_m) < 0:  # on the side of the city's middle
+            across = -across
         reach_m = (shapely.get_coordinates(prism.outline) @ across).max()
         gap_m = draw.one_of(clearance_m / 2, clearance_m + draw.uniform(1.5, 8.0))
         through_m = through_m + across * (reach_m + gap_m - through_m @ across)
     elif aim == "over":
         over_m = draw.one_of(1.0, VERTICAL_M + draw.uniform(1.5, 8.0))
         z_m = (prism.top_m if prism.top_m < 150 else 140.0) + over_m
+    elif aim == "inside":
+        places_m = (through_m, _place_in(draw, prism.outline))
+        ends_m = np.array([[*place_m, z_m] for place_m in places_m])
+        return Flight(aim, thing.edit, ends_m, clearance_m)
 
     # Both ends within the city, so far beyond the thing that the flight passes it whole, and sometimes sloping.
     ends_m = []
+    inside = shapely.box(INSET_M, INSET_M, SIDE_M - INSET_M, SIDE_M - INSET_M)
     for sign in (-1, 1):
         away_m = draw.uniform(45, 90)
-        inside = shapely.box(INSET_M, INSET_M, SIDE_M - INSET_M, SIDE_M - INSET_M)
         line = shapely.LineString([through_m, through_m + sign * away_m * along])
         end_m = np.array(shapely.get_coordinates(line & inside))
         end_m = end_m[-1] if len(end_m) else through_m
