@@ -19,6 +19,7 @@ from jaxurban import settings
 from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.city import City, joined_credits
 from jaxurban.io.read.census import read_blocks
+from jaxurban.io.read.columns import named_columns
 from jaxurban.io.read.guesses import FLAT_GROUND, census_guesses, height_guesses, warn_of
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
@@ -50,13 +51,16 @@ from jaxurban.world.grid import (
 )
 from jaxurban.world.raster import Raster
 
-OutlineReader = Callable[[Path, Near | None, bool], Outlines]
+OutlineReader = Callable[[Path, Near | None, settings.Buildings | None], Outlines]
 OUTLINE_READERS: dict[str, OutlineReader] = {
     # Nodes of OSM lie anywhere before their ways.
     **dict.fromkeys(
-        OSM_SUFFIXES, lambda path, near, has_decks: read_osm(path, has_decks=has_decks)
+        OSM_SUFFIXES,
+        lambda path, near, file: read_osm(
+            path, has_decks=file is not None and file.hanging == SLABS
+        ),
     ),
-    **dict.fromkeys(VECTOR_SUFFIXES, lambda path, near, has_decks: read_vector(path, near)),
+    **dict.fromkeys(VECTOR_SUFFIXES, read_vector),
 }
 FILE_FIELDS = ("source", *FILES)
 GEOD = pyproj.Geod(ellps="WGS84")
@@ -211,6 +215,12 @@ def read_buildings(
     is_slabs = file.hanging == SLABS
     read = _reader_of(path)
 
+    if named_columns(file) and path.suffix.lower() not in VECTOR_SUFFIXES:
+        raise InputError(
+            f"[buildings] height_column, ground_column and levels_column are for tables of outlines, and "
+            f"{str(path)!r} is none: leave them out"
+        )
+
     # A raster.
     if read is None and is_slabs:
         raise InputError(
@@ -226,12 +236,12 @@ def read_buildings(
             f'[buildings] kind = "surface" is for rasters, and {str(path)!r} is not one: leave it out'
         )
     if bounds_m is not None:
-        outlines = read(path, Near(bounds_m, crs), is_slabs)
+        outlines = read(path, Near(bounds_m, crs), file)
         city = _city_of(file, outlines, crs, bounds_m)
         if not outlines.is_part or len(city.buildings or ()):
             return city
     # A file without a building near the region is read whole, so that all it covers is known.
-    return _city_of(file, read(path, None, is_slabs), crs, bounds_m)
+    return _city_of(file, read(path, None, file), crs, bounds_m)
 
 
 def _reader_of(path: Path) -> OutlineReader | None:
@@ -267,7 +277,7 @@ def lonlat_extent(path: str | Path) -> Bounds:
     box = header_box(path) if file.suffix.lower() in OSM_SUFFIXES else None
     if box is not None:
         return box
-    outlines = read(file, None, False)  # all of it, without decks
+    outlines = read(file, None, None)  # all of it, without decks
     if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
         raise InputError(
             f"{str(path)!r} holds no outline that would say where it lies: give bounds"

@@ -15,8 +15,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from osmium.filter import IdFilter, KeyFilter, TagFilter
 
 from jaxurban.errors import readable, warn
+from jaxurban.io.read.columns import tags_of
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.outlines import DECK, Outlines, tags_of
+from jaxurban.io.read.outlines import DECK, Outlines
 from jaxurban.world.grid import WGS84, Bounds, transformer
 from jaxurban.world.land_cover import LandCover
 
