@@ -27,6 +27,7 @@ MOST_SAMPLES = 1000
 # The tallest building stands at 828 m: more is a slip of the keyboard or of the unit.
 MAX_HEIGHT_M = 1000.0
 Hanging = Literal["to_ground", "slabs"]
+Unit = Literal["m", "ft", "cm"]
 TO_GROUND, SLABS = get_args(Hanging)
 FULL_TURN_DEG = 180.0
 PREFIX = "vehicle_"  # of its entries among the constraints that a path was planned under
@@ -174,9 +175,15 @@ class Buildings(Heights):
       hanging: ``"slabs"``: parts above an underside and areas of bridges hang over the ground (see the page on the
         model); ``"to_ground"``: parts reach it, and bridges are not read.
       credit: what the licence of the file asks for; OSM's is known.
+      height_column: of a table of outlines: the column of roofs above the ground, or, with ``ground_column``, above the
+        sea; left out, known by its name or its publisher (`jaxurban.io.read.columns`), else asked for.
+      ground_column: elevation of the ground, in the same unit.
+      levels_column: number of levels; left out, known by its name.
+      unit: of numbers in ``height_column`` that name none.
 
     Raises:
-      InputError: a height setting that is not above 0, or above `MAX_HEIGHT_M`, or an unknown kind.
+      InputError: a height setting that is not above 0, or above `MAX_HEIGHT_M`, an unknown kind or unit, a
+        ``height_column`` without its ``unit``, or that or ``ground_column`` without it.
 
     Examples:
       >>> file = ju.Buildings("sample:shinjuku", hanging="slabs")
@@ -191,9 +198,18 @@ class Buildings(Heights):
     allow_none: bool = False
     hanging: Hanging = TO_GROUND
     credit: str = ""
+    height_column: str | None = None
+    ground_column: str | None = None
+    levels_column: str | None = None
+    unit: Unit | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        is_whole = bool(self.height_column) == bool(self.unit)
+        if not is_whole or (self.ground_column and not self.unit):
+            raise InputError(
+                "height_column and unit go together, and ground_column only with them: give both, or none of the three"
+            )
         for name in ("default_height_m", "level_height_m"):
             height_m = getattr(self, name)
             if not 0 < height_m <= MAX_HEIGHT_M:

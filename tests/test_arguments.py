@@ -349,6 +349,10 @@ TABLE: dict[str, dict[str, Any]] = {
         "allow_none": Case(True, {"bounds": (-73.9, 40.7, -73.899, 40.701)}),
         "hanging": "slabs",
         "credit": "a surveyor",
+        "height_column": Case("height", refused="height_column and unit go together"),
+        "ground_column": Case("min_height", {"height_column": "height", "unit": "m"}),
+        "levels_column": "height",
+        "unit": Case("ft", refused="height_column and unit go together"),
     },
     "City.from_files": {
         "bounds": (-74.0, 40.7548, -73.9985, 40.757),
@@ -477,6 +481,7 @@ TABLE: dict[str, dict[str, Any]] = {
             {"use": with_people, "blocks": None, "blocks_day": lambda: home() / "day.tif"},
         ),
         "credit": Case("a census", {"use": with_people}),
+        "column": Case("other_id", {"use": with_people}),
         "commercial": Case(
             [110], {"use": with_people, "districts": lambda: home() / "districts.geojson"}
         ),

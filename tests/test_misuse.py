@@ -241,6 +241,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     (-1.0, "known"),
     ((0.0, 1e-4), "Protection.tolerance_m"),
     ([5], "pairs"),
+    ("none such", "height_column ground_column Population.column"),
     ({"gsp": 1.0}, "weights SoftParams.sections"),
     ({"connectivity": 5}, "CostModel.from_settings.settings"),
     ({**SETTINGS, "reigon": {}}, "Scenario.from_dict.settings"),
@@ -248,7 +249,8 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     (pd.DataFrame({"start": [1]}), "plan_many.queries"),
     (
         RIGHT,
-        "credit block_field district_field commercial Scenario.from_dict.name Scenario.from_dict.folder zones",
+        "credit block_field district_field commercial levels_column zones "
+        "Scenario.from_dict.name Scenario.from_dict.folder",
     ),
     # Known only with the maps, the files or the folder, or as good as none.
     (

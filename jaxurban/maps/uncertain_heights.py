@@ -54,14 +54,9 @@ def perturbed_cities(
 
 def _std_of_buildings(buildings: Footprints, height_std_m: HeightStd) -> np.ndarray:
     """Return the standard deviation of the height of each building, ``[B]`` metres, by its origin."""
-    by_origin = {
-        **asdict(height_std_m),
-        "layer": height_std_m.default,
-        "generated": 0.0,
-        "unknown": 0.0,
-        "beside_parts": height_std_m.default,
-    }
-    std_m = np.array([by_origin[origin.name.lower()] for origin in HeightOrigin])
+    by_origin = {**asdict(height_std_m), "generated": 0.0, "unknown": 0.0}
+    others_m = height_std_m.default
+    std_m = np.array([by_origin.get(origin.name.lower(), others_m) for origin in HeightOrigin])
     return std_m[buildings.origin]
 
 

@@ -37,7 +37,7 @@ HOUR_OF_WEEK = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
 FILES = ("blocks", "table", "districts", "blocks_day", "blocks_night")
 FACTORS = (
     *("gamma_commercial", "gamma_residential", "weekday", "weekend"),
-    *("districts", "commercial", "blocks", "table"),
+    *("districts", "commercial", "blocks", "table", "column"),
 )
 
 # Share of the change from night to day that has happened at each hour, 0 to 23. Full from 9 to 17 (the paper's
@@ -73,6 +73,7 @@ class Population:
       table: CSV of population with one header row or two (the second is words where the first names columns); its
         columns of ids and of counts are found by what they hold (`jaxurban.io.read.census`). None: the count is a
         field of the blocks file.
+      column: of the table, or of the blocks file without one, that holds the people; left out, known by its name.
       districts: district polygons, blocks take the one of largest overlap; left out, every block is in district 13.
       district_field: the districts' label, a whole number.
       blocks_day, blocks_night: instead of ``blocks``, two rasters of people as measured by day and by night, on grids
@@ -108,6 +109,7 @@ class Population:
     credit: str = ""
     commercial: Sequence[int] | None = None
     time_of_day: str | Sequence[str] = ("day", "night")
+    column: str | None = None
 
     def __post_init__(self) -> None:
         """Check the settings, and write labels and times of day, in place, as tuples; errors as of the class."""
@@ -123,9 +125,11 @@ class Population:
                 )
 
         # Files that need polygons of blocks.
-        needs_blocks = self.table is not None or self.districts is not None
+        needs_blocks = (self.table, self.districts, self.column) != (None, None, None)
         if needs_blocks and not self.has_blocks:
-            raise InputError("table and districts need blocks, the polygons of the census blocks")
+            raise InputError(
+                "table, column and districts need blocks, the polygons of the census blocks"
+            )
 
         # Labels of districts, and times of day.
         if self.commercial is not None:
@@ -602,5 +606,5 @@ METRIC = Metric(
     colour_map="magma_r",
     also=(DENSITY,),
     attributes=_attributes,
-    sources=(*FILES, "block_field", "district_field", "commercial", "credit"),
+    sources=(*FILES, "block_field", "column", "district_field", "commercial", "credit"),
 )

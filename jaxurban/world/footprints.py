@@ -19,6 +19,7 @@ class HeightOrigin(IntEnum):
     LAYER = 5  # of a bridge's deck: its layer x a clearance
     UNKNOWN = 6  # not even by rule: what stands there is not known, and the height is 0
     BESIDE_PARTS = 7  # of an outline beside its parts: that of its lowest one
+    ROUGH = 8  # a rough figure, such as "about 30" or "30-40"
 
 
 GUESSED_BY = {  # the origins of heights that are guesses, as reports say them with the settings of the buildings
@@ -27,6 +28,7 @@ GUESSED_BY = {  # the origins of heights that are guesses, as reports say them w
     HeightOrigin.LAYER: "decks of bridges from their layer at {layer_clearance_m:g} m each",
     HeightOrigin.UNKNOWN: "of unknown extent",
     HeightOrigin.BESIDE_PARTS: "of outlines beside their parts, by their lowest part",
+    HeightOrigin.ROUGH: "by rough figures such as 30-40",
 }
 BUILDING, UNKNOWN = "building", "unknown"  # kinds
 

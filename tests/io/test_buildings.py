@@ -142,8 +142,9 @@ def read(path, shapes=None, **columns):
 @pytest.mark.parametrize("suffix", [".geojson", ".gpkg", ".shp", ".parquet"])
 @pytest.mark.parametrize("crs", [WGS84, UTM, "EPSG:2263"])
 def test_every_format_in_every_crs_gives_the_same_building(tmp_path, suffix, crs):
-    write_vector(tmp_path / f"city{suffix}", [SQUARE], WGS84, crs, height=[21.5])
-    source = read_buildings(ju.Buildings(tmp_path / f"city{suffix}"), UTM)
+    write_vector(tmp_path / f"city{suffix}", [SQUARE], WGS84, crs, tall=[21.5])
+    file = ju.Buildings(tmp_path / f"city{suffix}", height_column="tall", unit="m")
+    source = read_buildings(file, UTM)
     expected = gpd.GeoSeries([SQUARE], crs=WGS84).to_crs(UTM)[0]
     assert source.buildings.height_m.tolist() == [21.5]
     assert (
@@ -175,7 +176,7 @@ KINDS = {
         ({"levels": [4]}, [12.0], {}),
         ({"num_floors": [4.0]}, [12.0], {}),
         ({"roof:height": ["4"]}, [10.0], {}),  # the height of the roof alone
-        ({"heightroof": [4]}, [10.0], {}),  # New York's, in feet
+        ({"heightroof": [40]}, [12.192], {}),  # New York's, in feet
         (
             {"height": [5.0, 6.0, 7.0], "is_underground": [True, False, None]},
             [6, 7],

@@ -8,7 +8,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.io.read.buildings import to_buildings
-from jaxurban.io.read.heights import is_given, parse_count, parse_length_m
+from jaxurban.io.read.heights import is_given, is_rough, parse_count, parse_length_m
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.outlines import Outlines
 from jaxurban.world.footprints import HeightOrigin
@@ -32,22 +32,23 @@ from tests.io.made_files import (
 SPELLINGS = {
     0.0: ("0",),
     0.5: (".5",),
-    3.6576: ("12'",),
-    3.81: ("12'6\"", "12' 6", "12′6″", "12’6”", "12'6''", "12 ft 6 in"),
+    3.6576: ("12'", "10-12 ft"),
+    3.81: ("12'6\"", "12' 6", "12′6″", "12’6”", "12'6''", "12 ft 6 in", "12'-6\""),
     5.0: ("3;5", "unknown;5"),
     6.096: ("3 m; 20 ft",),
     7.0: ("7 metres", "7 meter"),
-    12.0: ("12",),
+    3.0: ("+3",),
+    12.0: ("12", "10-12", "12 - 10 m"),
     12.192: ("40 ft", "40ft", "40 feet"),
     12.5: ("12.5 m", "12,5"),
-    30.0: ("~30", "ca. 30 m"),
+    30.0: ("~30", "ca. 30 m", ">30", "≥ 30", "about 30", "approx 30", "approx. 30 m", "20 to 30"),
     228.6: ("228.6M",),
     241.0: (" 241m ",),
+    1230.5: ("1 230.5", "1\u2009230,5 m"),
     math.nan: (
         "",
         "high",
         "-5",
-        "10-12",
         "1e2",
         "12 km",
         "12 6",
@@ -56,7 +57,7 @@ SPELLINGS = {
         "nan",
         '6"',
         ";",
-        "+3",
+        "10-",
     ),
 }
 
@@ -66,6 +67,17 @@ SPELLINGS = {
 )
 def test_a_spelling_gives_its_length_in_metres(text, length_m):
     assert parse_length_m(text) == pytest.approx(length_m, abs=1e-12, nan_ok=True)
+
+
+def test_what_is_rough_by_its_own_words_is_known():
+    rough = ("~30", "ca. 30", "about 30 ft", ">30", "+30", "30-40", "3; 4-5")
+    exact = ("30", "30 m", "12'6\"", "3;5", "1 230", "-5", "high")
+    assert [is_rough(text) for text in rough + exact] == [True] * len(rough) + [False] * len(exact)
+
+
+def test_numbers_alone_are_in_the_unit_of_their_column():
+    lengths_m = [parse_length_m(text, 0.3048) for text in ("100", "80-100", "100 m", "100 ft")]
+    assert lengths_m == pytest.approx([30.48, 30.48, 100, 30.48], abs=1e-12)
 
 
 def test_levels_are_bare_numbers():

@@ -198,7 +198,12 @@ BROKEN_OSM = (
             for text in BROKEN_OSM
         ),
         (counts, "a.csv", b"id,population\n", "joins no block"),
-        (counts, "a.csv", f"id,a,b\n{BLOCK},1,2\n".encode(), "name one of 'a', 'b' 'population'"),
+        (
+            counts,
+            "a.csv",
+            f"id,a,b\n{BLOCK},1,2\n".encode(),
+            "name one of 'a', 'b' in .population. column",
+        ),
         (
             counts,
             "a.csv",
@@ -212,7 +217,12 @@ BROKEN_OSM = (
             r"no field of population .* set \[population\] table",
         ),
         (blocks, "people.tif", pixels(1, -200), "1 pixels of less than 0 people: declare"),
-        (partial(blocks, table="a.csv"), "people.tif", pixels(1), "leave .population. table out"),
+        (
+            partial(blocks, table="a.csv"),
+            "people.tif",
+            pixels(1),
+            "leave .population. table and column out",
+        ),
         (
             partial(blocks, bounds_m=(0, 0, 10, 10)),
             "people.tif",

@@ -12,7 +12,8 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.io.read.outlines import Near, to_buildings
+from jaxurban.io.read.buildings import to_buildings
+from jaxurban.io.read.outlines import Near
 from jaxurban.io.read.vector import read_vector
 from jaxurban.world.footprints import HeightOrigin
 from tests.io.made_files import FEET, UTM, WGS84, box, write_vector
@@ -94,7 +95,7 @@ FACTS = {
 
 def stand(path, crs=UTM):
     """Return the buildings of a file and what was counted."""
-    buildings, _, issues = to_buildings(ju.Buildings(path), read_vector(path), crs)
+    buildings, _, _, issues = to_buildings(ju.Buildings(path), read_vector(path), crs)
     return buildings, {name: count for name, count in issues.items() if count}
 
 

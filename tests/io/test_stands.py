@@ -7,7 +7,8 @@ from shapely.geometry import LineString, Point, box
 
 import jaxurban as ju
 from jaxurban.io.read.buildings import to_buildings
-from jaxurban.io.read.outlines import Outlines, tags_of
+from jaxurban.io.read.columns import tags_of
+from jaxurban.io.read.outlines import Outlines
 from jaxurban.world.footprints import HeightOrigin
 
 UTM = "EPSG:32618"

@@ -18,6 +18,7 @@ from jaxurban.io.read.kinds import (
     LIMIT_M,
     LOW_BUILDINGS,
     LOW_LIMIT_M,
+    ROUGH_LIMIT,
     TURBINE,
 )
 from jaxurban.io.read.outlines import Outlines, polygonal
@@ -188,10 +189,14 @@ def _limits_m(buildings: Footprints, building: np.ndarray, rules: settings.Build
       rules: height of one level.
     """
     num_levels = (buildings.height_m - buildings.min_height_m) / rules.level_height_m
-    by_levels_m = LEVEL_LIMIT_M * num_levels + ABOVE_LEVELS_M
-    origins = [HeightOrigin.LEVELS, HeightOrigin.DEFAULT]
-    of_origin = [buildings.origin == origin for origin in origins]
-    above_m = np.select(of_origin, [by_levels_m, _limits_by_name_m(building)], np.inf)
+    by_name_m = _limits_by_name_m(building)
+    limits_m = {
+        HeightOrigin.LEVELS: LEVEL_LIMIT_M * num_levels + ABOVE_LEVELS_M,
+        HeightOrigin.DEFAULT: by_name_m,
+        HeightOrigin.ROUGH: np.maximum(ROUGH_LIMIT * buildings.height_m, by_name_m),
+    }
+    of_origin = [buildings.origin == origin for origin in limits_m]
+    above_m = np.select(of_origin, list(limits_m.values()), np.inf)
     return buildings.min_height_m + above_m
 
 

@@ -21,25 +21,11 @@ from jaxurban.metrics.population import Population
 from jaxurban.world.blocks import OTHER_DISTRICT, Blocks, Zoning
 from jaxurban.world.grid import Bounds, projected_crs, transformer
 
-# Names of the column of total population, the first found wins, case ignored: 2010 SF1 (data.census.gov, American
-# FactFinder), 2020 P1 and DHC, TIGER with counts, GIS joins, and plain tables.
-COUNT_COLUMNS = (
-    "p001001",
-    "d001",
-    "p1_001n",
-    "p0010001",
-    "pop10",
-    "pop20",
-    "pop100",
-    "u7h001",
-    "h7v001",
-    "population",
-    "total_population",
-    "pop_total",
-    "pop",
-    "people",
-    "total",
-    "count",
+# Names of the column of total population, in small letters: 2010 SF1 (data.census.gov, American FactFinder), 2020 P1
+# and DHC, GIS joins; TIGER with counts (pop20, pop100), Eurostat's census grids (tot_p_2021), and plain tables.
+COUNT_COLUMN = re.compile(
+    r"p001001|d001|p1_001n|p0010001|u7h001|h7v001|"
+    r"(tot(al)?_)?(pop|population|people)(_total)?_?\d{0,4}|tot_p(_\d{4})?|total|count"
 )
 # Summary level, variant and component, before the digits of the id.
 GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")
@@ -74,9 +60,9 @@ def read_blocks(
         day = read_people(files.blocks_day, crs, bounds_m, region_m)
         frame = _by_night_and_day(night, day)
     elif Path(str(files.blocks)).suffix.lower() in RASTER_SUFFIXES:
-        if files.table is not None:
+        if files.table is not None or files.column is not None:
             raise InputError(
-                f"{str(files.blocks)!r} holds its people itself: leave [population] table out"
+                f"{str(files.blocks)!r} holds its people itself: leave [population] table and column out"
             )
         frame = read_people(str(files.blocks), crs, bounds_m)
     else:
@@ -213,9 +199,9 @@ def _polygons(
 
     # Join the counts, by key.
     if files.table is None:
-        counts = _counts_in_blocks(frame.drop(columns=[field, "geometry"]), key, path)
+        counts = _counts_in_blocks(frame.drop(columns=[field, "geometry"]), key, files)
     else:
-        counts = _counts_in_table(files.table, key, f"{field!r} of {path!r}")
+        counts = _counts_in_table(files, key, f"{field!r} of {path!r}")
     issues[ReadIssue.COUNTS_WITHOUT_BLOCK] = int((~counts.index.isin(key)).sum())
     frame = frame.assign(_id=block_id, _count=key.map(counts), _has_row=key.isin(counts.index))
 
@@ -298,7 +284,7 @@ def _keys(column: pd.Series) -> pd.Series:
     return _ids(column).str.lstrip("0")
 
 
-def _parse_counts(column: pd.Series, key: pd.Series) -> pd.Series:
+def _parse_counts(column: pd.Series, key: pd.Series | pd.Index) -> pd.Series:
     """Return counts of people, float64 by key, NaN for what is no number as in `COUNT` or above `MOST_PEOPLE`.
 
     Args:
@@ -312,46 +298,65 @@ def _parse_counts(column: pd.Series, key: pd.Series) -> pd.Series:
     return pd.Series(people, index=pd.Index(key, name="key"))
 
 
-def _count_column(columns: pd.Index) -> str | None:
-    """Return the first column that `COUNT_COLUMNS` names, None where it names none."""
-    by_name = {str(column).lower(): str(column) for column in columns[::-1]}
-    return next((by_name[name] for name in COUNT_COLUMNS if name in by_name), None)
+def _count_column(table: pd.DataFrame, column: str | None, name: str) -> str | None:
+    """Return the column of people: the one that the settings name, else that of `COUNT_COLUMN`; None without one.
+
+    Args:
+      table: with a row for each block.
+      column: that the settings name.
+      name: of the file, for messages.
+
+    Raises:
+      InputError: several columns may be it, and their counts differ.
+    """
+    if column is not None:
+        return column if column in table else None
+    known = [str(column) for column in table if COUNT_COLUMN.fullmatch(str(column).lower())]
+    counts = [_parse_counts(table[column], table.index) for column in known]
+    if not all(count.equals(counts[0]) for count in counts):
+        raise InputError(
+            f"{name} has several columns that may be of people, {', '.join(known)}: name the one in [population] column"
+        )
+    return known[0] if known else None
 
 
-def _counts_in_blocks(fields: pd.DataFrame, key: pd.Series, path: str | Path) -> pd.Series:
+def _counts_in_blocks(fields: pd.DataFrame, key: pd.Series, files: Population) -> pd.Series:
     """Return the counts that the blocks file itself holds, by key.
 
     Args:
       fields: ``[N]`` its columns without ids and shapes.
       key: ``[N]`` of its rows, from `_keys`.
-      path: of the file, for messages.
+      files: the path, and the column that the settings name.
 
     Raises:
-      InputError: it has no column of population.
+      InputError: it has no column of population, or several.
     """
-    column = _count_column(fields.columns)
+    name = f"[population] blocks {str(files.blocks)!r}"
+    column = _count_column(fields, files.column, name)
     if column is None:
         raise InputError(
-            f"[population] blocks {str(path)!r} has no field of population (such as POP10): set [population] table "
-            f"to the table that has it; the file's fields are {', '.join(fields.columns)}"
+            f"{name} has no field {files.column or 'of population (such as POP10)'}: name it in [population] column, "
+            f"or set [population] table to the table that has it; the file's fields are {', '.join(fields.columns)}"
         )
     return _parse_counts(fields[column], key)
 
 
-def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd.Series:
+def _counts_in_table(files: Population, block_keys: pd.Series, wanted: str) -> pd.Series:
     """Return the counts of a CSV table, float64 by key, each key once.
 
-    The column of ids is the one that most rows join by; the column of counts is known by its name.
+    The column of ids is the one that most rows join by; the column of counts is named, or known by its name.
 
     Args:
-      path: of the table.
+      files: the path of the table, and the column that the settings name.
       block_keys: of the blocks, from `_keys`.
       wanted: the field of the blocks that the table is to join, for messages.
 
     Raises:
-      InputError: the table cannot be read, joins no block, has no column of population, or two counts of one block.
+      InputError: the table cannot be read, joins no block, has no column of population or several, or two counts of one
+        block.
     """
-    name = f"[population] table {str(path)!r}"
+    path = str(files.table)
+    name = f"[population] table {path!r}"
     # Pandas' parser errors are ValueErrors.
     with readable(path, "CSV", "check the path and the file", what=name):
         table = pd.read_csv(
@@ -365,7 +370,7 @@ def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd
 
     # Which column holds the ids, and which the counts.
     num_joined = {str(column): int(_keys(table[column]).isin(block_keys).sum()) for column in table}
-    count = _count_column(table.columns)
+    count = _count_column(table, files.column, name)
     others = [column for column in num_joined if column != count]
     id_column = max(others, key=num_joined.__getitem__, default=None)
     if id_column is None or num_joined[id_column] == 0:
@@ -377,8 +382,8 @@ def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd
     if count is None:
         candidates = ", ".join(repr(column) for column in num_joined if column != id_column)
         raise InputError(
-            f"{name} has no column of population that its name makes known: "
-            f"name one of {candidates} 'population'"
+            f"{name} has no column {files.column or 'of population that its name makes known'}: "
+            f"name one of {candidates} in [population] column"
         )
 
     # Tables of the census may have a second header row, which is of no block and holds no count.

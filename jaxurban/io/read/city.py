@@ -20,6 +20,7 @@ from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.city import City, joined_credits
 from jaxurban.io.read.buildings import to_buildings
 from jaxurban.io.read.census import read_blocks
+from jaxurban.io.read.columns import named_columns
 from jaxurban.io.read.guesses import (
     FLAT_GROUND,
     census_guesses,
@@ -58,10 +59,10 @@ from jaxurban.world.grid import (
 )
 from jaxurban.world.raster import Raster
 
-OutlineReader = Callable[[Path, Near | None], Outlines]
+OutlineReader = Callable[[Path, Near | None, settings.Buildings | None], Outlines]
 OUTLINE_READERS: dict[str, OutlineReader] = {  # by `sniff`, or by the file's own suffix
     # Nodes of OSM lie anywhere before their ways.
-    **dict.fromkeys(OSM_SUFFIXES, lambda path, near: read_osm(path)),
+    **dict.fromkeys(OSM_SUFFIXES, lambda path, near, file: read_osm(path)),
     **dict.fromkeys((*VECTOR_SUFFIXES, *OTHER_SUFFIXES), read_vector),
 }
 FILE_FIELDS = ("source", *FILES)
@@ -218,6 +219,12 @@ def read_buildings(
     is_slabs = file.hanging == SLABS
     read = _reader_of(path)
 
+    if named_columns(file) and path.suffix.lower() not in VECTOR_SUFFIXES:
+        raise InputError(
+            f"[buildings] height_column, ground_column and levels_column are for tables of outlines, and "
+            f"{str(path)!r} is none: leave them out"
+        )
+
     # A raster.
     if read is None and is_slabs:
         raise InputError(
@@ -233,12 +240,12 @@ def read_buildings(
             f'[buildings] kind = "surface" is for rasters, and {str(path)!r} is not one: leave it out'
         )
     if bounds_m is not None:
-        outlines = read(path, Near(bounds_m, crs))
+        outlines = read(path, Near(bounds_m, crs), file)
         city = _city_of(file, outlines, crs, bounds_m)
         if not outlines.is_part or len(city.buildings or ()):
             return city
     # A file without a building near the region is read whole, so that all it covers is known.
-    return _city_of(file, read(path, None), crs, bounds_m)
+    return _city_of(file, read(path, None, file), crs, bounds_m)
 
 
 def _reader_of(path: Path) -> OutlineReader | None:
@@ -278,7 +285,7 @@ def lonlat_extent(path: str | Path) -> Bounds:
     box = header_box(path) if is_osm(path) else None
     if box is not None:
         return box
-    outlines = read(file, None)
+    outlines = read(file, None, None)
     if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
         raise InputError(
             f"{str(path)!r} holds no outline that would say where it lies: give bounds"

@@ -23,28 +23,39 @@ INCH_M = 0.0254  # international inch, exact
 LAYER_CLEARANCE_M = 5.0
 # Girder, slab and pavement of spans of some 25 m, at a depth of a 25th of the span.
 DECK_DEPTH_M = 1.0
-
-_NUMBER = r"(\d+(?:[.,]\d+)?|[.,]\d+)"
-_ABOUT = r"(?:~|≈|ca\.?|approx\.?)?\s*"
-_METRES = re.compile(rf"{_ABOUT}{_NUMBER}\s*(?:m|met(?:re|er)s?)?\.?")
-_FEET = re.compile(
-    rf"{_ABOUT}{_NUMBER}\s*(?:'|ft\.?|feet|foot)\s*(?:{_NUMBER}\s*(?:\"|in\.?|inch(?:es)?)?)?"
+LEAST_LEVEL_M = (
+    1.5  # half a storey: levels that a height leaves less each, not even attics, contradict it
 )
-_COUNT = re.compile(rf"{_ABOUT}{_NUMBER}")
+
+# Thousands may stand apart: 1 230.
+_NUMBER = r"((?:\d{1,3}(?:[ \u00a0\u2009\u202f]\d{3})+|\d+)(?:[.,]\d+)?|[.,]\d+)"
+_ABOUT = r"(~|≈|[<>]=?|[≤≥+]|about|around|circa|ca\.?|approx(?:\.|imately)?|)\s*"
+_METRE = r"m|met(?:re|er)s?"
+_FOOT = r"'|ft\.?|feet|foot"
+_LOW = rf"(?:{_NUMBER}\s*(?:-|–|to)\s*)?"  # end of a range
+# Inches follow feet alone, group 5.
+_LENGTH = re.compile(
+    rf"{_ABOUT}{_LOW}{_NUMBER}\s*(?:({_METRE})|({_FOOT}))?\.?\s*"
+    rf"(?(5)(?:-?{_NUMBER}\s*(?:\"|in\.?|inch(?:es)?)?)?)"
+)
+_COUNT = re.compile(rf"(?:~|≈|ca\.?|approx\.?)?\s*{_NUMBER}")
 _QUOTES = str.maketrans({"’": "'", "′": "'", "”": '"', "″": '"'})
 
 
-def _number(text: str) -> float:
-    return float(text.replace(",", "."))
+def _number(text: str | None) -> float:
+    """Return the number that a text spells, 0 without one."""
+    return float("".join((text or "0").split()).replace(",", "."))
 
 
-def _metres(text: str) -> float:
+def _metres(text: str, unit_m: float) -> float:
     """Return the metres that one entry spells, in metres or in feet and inches, NaN where it is unreadable."""
-    if match := _METRES.fullmatch(text):
-        return _number(match[1])
-    if match := _FEET.fullmatch(text):
-        return _number(match[1]) * FOOT_M + _number(match[2] or "0") * INCH_M
-    return math.nan
+    match = _LENGTH.fullmatch(text)
+    if match is None:
+        return math.nan
+    _, low, high, metre, foot, inches = match.groups()
+    if metre or foot:
+        unit_m = FOOT_M if foot else 1.0
+    return max(_number(low), _number(high)) * unit_m + _number(inches) * INCH_M
 
 
 def _count(text: str) -> float:
@@ -53,28 +64,45 @@ def _count(text: str) -> float:
     return _number(match[1]) if match else math.nan
 
 
+def _entries(text: str) -> list[str]:
+    """Return the entries of a list separated by semicolons, in small letters and with plain quotes."""
+    entries = text.lower().translate(_QUOTES).replace("''", '"').split(";")
+    return [entry.strip() for entry in entries]
+
+
 def _highest(text: str, parse_one: Callable[[str], float]) -> float:
     """Return the highest readable value of a list separated by semicolons, NaN without one.
 
-    ``parse_one`` returns the value of one entry, in small letters and with plain quotes, NaN where it is unreadable.
+    ``parse_one`` returns the value of one of the `_entries`, NaN where it is unreadable.
     """
-    entries = text.strip().lower().translate(_QUOTES).replace("''", '"').split(";")
-    values = [parse_one(entry.strip()) for entry in entries]
+    values = map(parse_one, _entries(text))
     return max((value for value in values if not math.isnan(value)), default=math.nan)
 
 
 @lru_cache(maxsize=2**16)
-def parse_length_m(text: str) -> float:
+def parse_length_m(text: str, unit_m: float = 1.0) -> float:
     """Return the length in metres that ``text`` spells, NaN where it cannot be read.
 
-    Read are ``12``, ``12.5 m``, ``12,5`` (a decimal comma), ``241m``, ``40 ft``, ``12'6"``, ``12'``, typographic
-    quotes, ``~30`` and ``ca. 30`` (a rough figure is better than a default), and lists such as ``3;5``,
-    of which the **highest** readable value counts (an obstacle is better too high than too low).
-    A sign, a range (``10-12``) or any other word makes a value unreadable.
+    Read are ``12``, ``12.5 m``, ``12,5`` (a decimal comma), ``1 230``, ``241m``, ``40 ft``, ``12'6"``, ``12'``,
+    typographic quotes, and lists such as ``3;5``, of which the **highest** readable value counts (an obstacle is better
+    too high than too low). A rough figure is better than a default: ``~30``, ``ca. 30``, ``about 30``, ``approx 30``,
+    ``>30``, ``+30`` and ranges such as ``30-40``, of which the higher end counts; `is_rough` knows them. A minus sign
+    or any other word makes a value unreadable.
+
+    Args:
+      text: one or several lengths.
+      unit_m: length of the unit of numbers that name none.
 
     Source: https://wiki.openstreetmap.org/wiki/Key:height and .../Map_features/Units.
     """
-    return _highest(text, _metres)
+    return _highest(text, lambda entry: _metres(entry, unit_m))
+
+
+@lru_cache(maxsize=2**16)
+def is_rough(text: str) -> bool:
+    """Return whether a length that `parse_length_m` reads is a guess by its own words: about 30, >30, or 30-40."""
+    matches = map(_LENGTH.fullmatch, _entries(text))
+    return any(match and (match[1] or match[2]) for match in matches)
 
 
 @lru_cache(maxsize=2**16)
@@ -96,7 +124,7 @@ def is_given(column: np.ndarray) -> np.ndarray:
     return given
 
 
-def _read_column(column: np.ndarray, parse: Callable[[str], float]) -> np.ndarray:
+def read_column(column: np.ndarray, parse: Callable[[str], float]) -> np.ndarray:
     """Return ``[N]`` float64 values of a column, NaN where it cannot be read.
 
     Args:
@@ -128,7 +156,8 @@ def estimate_heights(
     """Return every outline with its height: that of its tag, else that of its levels, else the default.
 
     A value that cannot be read, or a height that is zero, negative or above `MAX_HEIGHT_M`, falls to the next
-    origin and is counted; an unusable ``min_height`` falls to ``min_level``, then to 0.
+    origin and is counted; an unusable ``min_height`` falls to ``min_level``, then to 0. A height that leaves its levels
+    less than `LEAST_LEVEL_M` each gives way to them and is counted.
 
     Args:
       tags: ``[N]`` arrays of numbers, or of objects (text, numbers or None), by name: ``height``, ``levels``,
@@ -145,7 +174,7 @@ def estimate_heights(
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return where a tag holds something, and its values in metres."""
         column = tags.get(name, empty)
-        return is_given(column), _read_column(column, parse) * unit_m
+        return is_given(column), read_column(column, parse) * unit_m
 
     # Where each tag holds something, and its values.
     given_height, height_m = read("height", parse_length_m)
@@ -159,24 +188,32 @@ def estimate_heights(
         (value_m >= 0) & (value_m <= MAX_HEIGHT_M)
         for value_m in (roof_m, min_height_m, min_level_m)
     )
+    least_m = levels_m * LEAST_LEVEL_M / rules.level_height_m
     levels_m = levels_m + np.where(has_roof, roof_m, 0.0)
     has_height, has_levels = (
         (value_m > 0) & (value_m <= MAX_HEIGHT_M) for value_m in (height_m, levels_m)
     )
+    is_too_low = has_height & has_levels & (height_m < np.minimum(least_m, levels_m))
 
     # What holds something that is not usable.
     num_levels = np.sum(given_levels & ~has_levels) + np.sum(given_roof & ~has_roof)
     num_min = np.sum(given_min & ~has_min) + np.sum(given_min_level & ~has_min_level)
     issues[ReadIssue.HEIGHTS_UNUSABLE] = int(np.sum(given_height & ~has_height))
+    issues[ReadIssue.HEIGHTS_BELOW_LEVELS] = int(np.sum(is_too_low))
     issues[ReadIssue.LEVELS_UNUSABLE] = int(num_levels)
     issues[ReadIssue.MIN_HEIGHTS_UNUSABLE] = int(num_min)
 
-    origins = [HeightOrigin.HEIGHT, HeightOrigin.LEVELS]
+    has_height &= ~is_too_low
+    words = tags.get("height", empty)
+    says_rough = np.array([isinstance(text, str) and is_rough(text) for text in words], bool)
+    has_rough = has_height & says_rough
+    origins = [HeightOrigin.ROUGH, HeightOrigin.HEIGHT, HeightOrigin.LEVELS]
+    origin = np.select([has_rough, has_height, has_levels], origins, HeightOrigin.DEFAULT)
     return Footprints(
         polygons,
         np.select([has_height, has_levels], [height_m, levels_m], rules.default_height_m),
         np.select([has_min, has_min_level], [min_height_m, min_level_m], 0.0),
-        np.select([has_height, has_levels], origins, HeightOrigin.DEFAULT).astype(np.uint8),
+        origin.astype(np.uint8),
         is_part,
     )
 

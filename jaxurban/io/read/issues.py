@@ -36,6 +36,7 @@ class ReadIssue(StrEnum):
       HEIGHTS_UNUSABLE: unreadable, 0, negative or too high.
       LEVELS_UNUSABLE: the same of levels.
       MIN_HEIGHTS_UNUSABLE: the same of the heights of undersides.
+      HEIGHTS_BELOW_LEVELS: less than 1.5 m for each level: the levels count instead.
       CELLS_BELOW_GROUND: taken for ground.
       CELLS_NEAR_GROUND: of a surface model: taken for ground.
       BLOCKS_WITHOUT_COUNT: kept with 0 people: no row, or a count that cannot be read.
@@ -77,6 +78,7 @@ class ReadIssue(StrEnum):
     HEIGHTS_UNUSABLE = "heights_unusable"
     LEVELS_UNUSABLE = "levels_unusable"
     MIN_HEIGHTS_UNUSABLE = "min_heights_unusable"
+    HEIGHTS_BELOW_LEVELS = "heights_below_levels"
     CELLS_BELOW_GROUND = "cells_below_ground"
     CELLS_NEAR_GROUND = "cells_near_ground"
     BLOCKS_WITHOUT_COUNT = "blocks_without_count"

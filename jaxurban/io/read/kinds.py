@@ -100,6 +100,7 @@ LOW_BUILDINGS = (
 )
 LOW_LIMIT_M, LIMIT_M = 25.0, 100.0
 LEVEL_LIMIT_M, ABOVE_LEVELS_M = 6.0, 10.0
+ROUGH_LIMIT = 1.5  # times a rough figure
 NOT_BUILT: dict[str, ReadIssue] = {  # values of `building`, and why nothing stands
     **dict.fromkeys(("demolished", "razed", "removed", "destroyed"), ReadIssue.RAZED),
     **dict.fromkeys(("proposed", "planned"), ReadIssue.PLANNED),

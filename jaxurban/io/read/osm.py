@@ -15,9 +15,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from osmium.filter import IdFilter, KeyFilter, TagFilter
 
 from jaxurban.errors import readable, warn
+from jaxurban.io.read.columns import tags_of
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.osm_plain import plain_osm
-from jaxurban.io.read.outlines import Outlines, tags_of
+from jaxurban.io.read.outlines import Outlines
 from jaxurban.io.read.sniff import in_own_words, sniff, unpacked
 from jaxurban.world.footprints import BUILDING
 from jaxurban.world.grid import WGS84, Bounds, transformer

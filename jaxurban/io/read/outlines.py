@@ -2,14 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import shapely
 from pyproj.exceptions import ProjError
 
-from jaxurban.io.read.heights import is_given
-from jaxurban.io.read.issues import ReadIssue, ReadIssues
+from jaxurban.io.read.issues import ReadIssues
 from jaxurban.world.grid import Bounds, transformer
 
 MARGIN_M = 1000.0  # more than projections tilt boxes against each other, and than most outlines and their parts reach
@@ -18,44 +17,6 @@ REPLACED_SHARE = 0.9
 BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it lies inside
 PODIUM_M2 = 1.0  # less than this between two drawings of one wall is no podium
 DECK = "bridge"  # of the tag man_made
-# Tags and columns by what they hold: in any case, with ":", "." and "_" the same; names of ten letters are cut, as
-# Shapefiles cut them. Where several are there, the first that is filled counts, row by row. Column names in feet or of
-# roof shapes ("roof:height" is the height of the roof alone) are left out on purpose.
-COLUMNS = {
-    "building": (
-        "building",
-        *("abandoned_building", "disused_building", "ruins_building", "construction_building"),
-    ),
-    "part": ("building_part", "building_p"),
-    "razed": ("demolished_building", "razed_building", "removed_building", "destroyed_building"),
-    "planned": ("proposed_building", "planned_building"),
-    "height": (
-        "height",
-        "height_m",
-        "building_height",
-        "measuredheight",
-        "measured_height",
-        "measuredhe",
-    ),
-    "levels": ("building_levels", "building_l", "levels", "num_floors", "storeysaboveground"),
-    "roof_levels": ("roof_levels", "roof_level"),
-    "min_height": ("min_height", "building_min_height"),
-    "min_level": ("building_min_level", "min_level", "min_floor"),
-    "location": ("location",),
-    "layer": ("layer",),
-    "level": ("level",),
-    "levels_below": ("building_levels_underground", "levels_underground", "num_floors_underground"),
-    "parking": ("parking",),
-    "man_made": ("man_made",),
-    "power": ("power",),
-    "aerialway": ("aerialway",),
-    "barrier": ("barrier",),
-    "natural": ("natural",),
-    "diameter": ("diameter", "width"),
-    "rotor": ("rotor_diameter",),
-    "hub": ("height_hub",),
-}
-UNDERGROUND_COLUMN = "is_underground"  # of Overture Maps: true or false
 _NO = ("no", "false", "0", "0.0")
 
 
@@ -151,44 +112,6 @@ def near_rows(boxes: np.ndarray, box: Bounds) -> np.ndarray:
     """
     is_near = meets(boxes, box)
     return meets(boxes, extent_of(boxes[is_near])) if is_near.any() else is_near
-
-
-def _plain(column: object) -> str:
-    """Return a column's name as `COLUMNS` has it."""
-    return str(column).lower().replace(":", "_").replace(".", "_")
-
-
-def is_of_buildings(column: object) -> bool:
-    """Return whether a column or a tag says something of buildings by its name."""
-    name = _plain(column)
-    return name == UNDERGROUND_COLUMN or any(name in names for names in COLUMNS.values())
-
-
-def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return columns, or OpenStreetMap's tags, of outlines under the names that `Outlines` knows.
-
-    Of several columns that hold one tag the first that is filled counts, row by row.
-
-    Args:
-      columns: ``[N]`` values by name; columns of other names are left out.
-    """
-    values = {_plain(name): column for name, column in columns.items()}
-    tags: dict[str, np.ndarray] = {}
-    for tag, names in COLUMNS.items():
-        for name in names:
-            if tag in tags and name in values:
-                tags[tag] = np.where(is_given(tags[tag]), tags[tag], values[name])
-            elif name in values:
-                tags[tag] = values[name]
-
-    # A column of true and false becomes a tag as OpenStreetMap writes it.
-    if UNDERGROUND_COLUMN in values:
-        texts = [str(value).lower() for value in values[UNDERGROUND_COLUMN]]
-        others = tags.get("location", np.array(None)).astype(object)
-        is_below = np.isin(texts, ("true", "1"))
-        tags["location"] = np.where(is_below, ReadIssue.UNDERGROUND, others)
-        tags.pop("level", None)  # Overture's orders, as a layer does
-    return tags
 
 
 def polygonal(geometry: shapely.Geometry) -> shapely.Geometry:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +12,14 @@ import pandas as pd
 import pyogrio
 import shapely
 
+from jaxurban import settings
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.geoparquet import facts_of
+from jaxurban.io.read.columns import is_of_buildings, named_columns, tags_of, tags_of_table
+from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.outlines import (
-    Near,
-    Outlines,
-    extent_of,
-    is_of_buildings,
-    near_rows,
-    polygonal,
-    tags_of,
-)
+from jaxurban.io.read.kinds import KINDS
+from jaxurban.io.read.outlines import Near, Outlines, extent_of, near_rows, polygonal
 from jaxurban.io.read.sniff import HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
 from jaxurban.io.read.solids import openable
 from jaxurban.world.grid import WGS84, check_on_earth
@@ -55,7 +52,12 @@ POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
 def open_frame(
-    path: str | Path, role: str, *, allow_empty: bool = False, near: Near | None = None
+    path: str | Path,
+    role: str,
+    *,
+    allow_empty: bool = False,
+    near: Near | None = None,
+    named: Collection[str] = (),
 ) -> gpd.GeoDataFrame:
     """Return the features of a vector file (of `FORMATS`, packed or not), those without geometry too.
 
@@ -67,12 +69,13 @@ def open_frame(
       allow_empty: accept a file without a single feature.
       near: a region; features of GeoPackages, Shapefiles and FlatGeobuf that are not near it are left out, for
         buildings only.
+      named: columns that are read beside those that describe buildings (`is_of_buildings`), for buildings only.
 
     Raises:
       InputError: no such file, not a readable vector file, no geometry, no CRS, coordinates beyond the globe though
         the CRS is in degrees, or several layers of polygons and not one of them called ``role``.
     """
-    (frame,) = _read(path, role, near=near)
+    (frame,) = _read(path, role, near=near, named=named)
     if not allow_empty and (frame.empty or frame.geometry.isna().all()):
         raise InputError(
             f"the {role} file {str(path)!r} holds no polygons: give a file of polygons"
@@ -92,7 +95,12 @@ def open_layers(path: str | Path, role: str) -> list[gpd.GeoDataFrame]:
 
 
 def _read(
-    path: str | Path, role: str, *, every_layer: bool = False, near: Near | None = None
+    path: str | Path,
+    role: str,
+    *,
+    every_layer: bool = False,
+    near: Near | None = None,
+    named: Collection[str] = (),
 ) -> list[gpd.GeoDataFrame]:
     """Return the features of the one layer of polygons, or of every layer, checked; see `open_frame`, `open_layers`."""
     name = f"the {role} file {str(path)!r}"
@@ -100,7 +108,7 @@ def _read(
         kind = _checked_format(Path(path), plain)
         with in_own_words(*OF_DAMAGED):
             if kind == ".parquet":
-                frames = [_read_parquet(plain, name, for_buildings=role == BUILDINGS)]
+                frames = [_read_parquet(plain, name, named if role == BUILDINGS else None)]
             else:
                 options: dict[str, Any] = {"on_invalid": "ignore", "fid_as_index": True}
                 source: str | bytes = DRIVERS.get(kind, "") + str(plain)
@@ -114,7 +122,7 @@ def _read(
                 else:
                     layers = [_polygon_layer(source, name, role)]
                 if near is not None and kind in INDEXED_SUFFIXES:
-                    options |= _only_near(source, layers[0], near)
+                    options |= _only_near(source, layers[0], near, named)
                 frames = [
                     pyogrio.read_dataframe(source, layer=layer, **options) for layer in layers
                 ]
@@ -135,13 +143,13 @@ def _read(
     return frames
 
 
-def _read_parquet(path: Path, file: str, *, for_buildings: bool) -> gpd.GeoDataFrame:
+def _read_parquet(path: Path, file: str, named: Collection[str] | None) -> gpd.GeoDataFrame:
     """Return the features of a GeoParquet file, with the facts of its metadata as ``attrs``.
 
     Args:
       path: to read.
       file: its name, for messages.
-      for_buildings: read only geometries and the columns that describe buildings (`is_of_buildings`).
+      named: read only geometries, these columns, and those that describe buildings (`is_of_buildings`); None: all.
 
     Raises:
       InputError: it has no metadata on geometry.
@@ -162,7 +170,7 @@ def _read_parquet(path: Path, file: str, *, for_buildings: bool) -> gpd.GeoDataF
     columns = [
         name
         for name in schema.names
-        if name in shapes or not for_buildings or is_of_buildings(name)
+        if name in shapes or named is None or is_of_buildings(name, named)
     ]
     frame = gpd.read_parquet(path, columns=columns)
     frame.attrs = facts_of(schema.metadata)
@@ -240,8 +248,10 @@ def _check(name: str, frame: gpd.GeoDataFrame) -> None:
         )
 
 
-def _only_near(source: str | bytes, layer: str, near: Near) -> dict[str, Any]:
-    """Return the options by which pyogrio reads only buildings near a region, and only columns that describe buildings.
+def _only_near(
+    source: str | bytes, layer: str, near: Near, named: Collection[str]
+) -> dict[str, Any]:
+    """Return the options by which pyogrio reads buildings near a region, and columns of buildings or named.
 
     The box to read is the one around all features that touch the region's surroundings: so everything that touches one
     of these features is read too (see `near_rows`). Without a CRS or geometry, or where no box holds the region, there
@@ -258,7 +268,7 @@ def _only_near(source: str | bytes, layer: str, near: Near) -> dict[str, Any]:
     _, sides = pyogrio.read_bounds(source, layer=layer, bbox=box)
     return {
         "bbox": extent_of(sides.T) if sides.size else box,
-        "columns": [column for column in facts["fields"] if is_of_buildings(column)],
+        "columns": [column for column in facts["fields"] if is_of_buildings(column, named)],
     }
 
 
@@ -288,22 +298,28 @@ def _polygon_layer(source: str | bytes, name: str, wanted: str) -> str:
     return areal[0]
 
 
-def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
-    """Return the polygons of a vector file, with what its columns say of heights (see `tags_of`).
+def read_vector(
+    path: str | Path, near: Near | None = None, file: settings.Buildings | None = None
+) -> Outlines:
+    """Return the polygons of a vector file, with what its columns say of heights (see `tags_of_table`).
 
-    Numbers are metres (or levels); text is read as OpenStreetMap's tags are. A collection counts as the
-    polygons that it holds. Points and lines are left out and counted.
+    Text is read as OpenStreetMap's tags are. A collection counts as the polygons that it holds. Points and lines whose
+    columns do not say what stands there are left out and counted.
 
     Args:
       path: the file.
       near: the region whose surroundings are needed: what lies elsewhere may be left out. Of GeoPackages,
         Shapefiles and FlatGeobuf it is not even decoded. None reads all.
+      file: what the settings say of its columns. None: columns are known by name alone (`tags_of`), and nothing of
+        their heights is checked.
 
     Raises:
       InputError: a file that cannot be read, has no CRS, or holds coordinates beyond the globe though its CRS is in
-        degrees; a GeoPackage with several layers of polygons and not one of them called ``buildings``.
+        degrees; a GeoPackage with several layers of polygons and not one of them called ``buildings``; as of
+        `tags_of_table`.
     """
-    frame = open_frame(path, BUILDINGS, allow_empty=True, near=near)
+    named = [] if file is None else named_columns(file)
+    frame = open_frame(path, BUILDINGS, allow_empty=True, near=near, named=named)
     facts = frame.attrs  # empty of files that are not ours
     box = None if near is None else near.box_in(frame.crs.to_wkt())
     if box is not None:
@@ -315,13 +331,16 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
     shapes[is_mixed] = [polygonal(shape) for shape in shapes[is_mixed]]
     is_polygon = np.isin(shapely.get_type_id(shapes), POLYGONS) | shapely.is_missing(shapes)
 
-    names = filter(is_of_buildings, frame)
-    columns = {name: _values(frame.loc[is_polygon, name]) for name in names}
+    names = [name for name in frame if is_of_buildings(name, named)]
+    columns = {name: _values(frame[name]) for name in names}
+    tags = tags_of(columns) if file is None else tags_of_table(columns, file, frame.crs)
+    named_kinds = [is_given(tags[key]) for key in ("building", *KINDS) if key in tags]
+    is_kept = np.logical_or.reduce([is_polygon, *named_kinds])
     issues = {ReadIssue(name): count for name, count in facts.get("issues", {}).items()}
-    issues[ReadIssue.NON_POLYGONS] = int(np.sum(~is_polygon))
+    issues[ReadIssue.NON_POLYGONS] = int(np.sum(~is_kept))
     return Outlines(
-        polygons=shapes[is_polygon],
-        tags=tags_of(columns),
+        polygons=shapes[is_kept],
+        tags={name: column[is_kept] for name, column in tags.items()},
         crs=frame.crs.to_wkt(),
         boxes=tuple(tuple(box) for box in facts.get("boxes", ())),
         issues=issues,
