@@ -179,7 +179,7 @@ def test_tags_in_one_column_are_opened(tmp_path):
     path = write_features(tmp_path / "nested.geojson", *nested)
     city = read_buildings(ju.Buildings(path), UTM)
     assert city.buildings.height_m.tolist() == pytest.approx([120, 40.5 * 0.3048])
-    assert (city.read_issues["not_buildings"], city.read_issues["underground"]) == (1, 1)
+    assert (city.read_issues["not_standing"], city.read_issues["underground"]) == (1, 1)
 
     rows = []
     for tags in NESTED.values():
@@ -188,7 +188,7 @@ def test_tags_in_one_column_are_opened(tmp_path):
         rows.append({"building": tags.get("building"), "other_tags": hstore})
     found, issues = heights(tmp_path / "gdal.gpkg", rows, near=(0.0, 0.0, 1e6, 1e7))
     assert found == pytest.approx([120, 40.5 * 0.3048])
-    assert (issues["not_buildings"], issues["underground"]) == (1, 1)
+    assert (issues["not_standing"], issues["underground"]) == (1, 1)
 
 
 @pytest.mark.parametrize("text", ["see below", "{", "[1, 2]", "[" * 100_000, "7", None])

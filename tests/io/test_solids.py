@@ -234,11 +234,12 @@ def test_ground_outside_the_roofs_stands_as_high_as_the_lowest(tmp_path):
 
 def test_walls_alone_enclose_what_is_unknown(tmp_path):
     path = write_vector(tmp_path / "walls.gpkg", [shapely.MultiPolygon(walls(HOUSE, 0, 6))])
-    buildings, issues = stand(path)
-    assert issues == {"solids": 1, "solids_unclosed": 1, "heights_unusable": 1}
-    assert buildings.is_guessed.all()
-    assert buildings.upper_m.tolist() == [np.inf]
-    assert buildings.polygons[0].covers(HOUSE)
+    file = ju.Buildings(path)
+    _, unknown, _, issues = to_buildings(file, read_vector(path), UTM)
+    counts = {name: count for name, count in issues.items() if count}
+    assert counts == {"solids": 1, "solids_unclosed": 1, "unknown_extent": 1}
+    assert unknown.kinds.tolist() == ["unknown"]
+    assert unknown.polygons[0].covers(HOUSE)
 
 
 def test_a_body_counts_more_than_its_columns(tmp_path):
