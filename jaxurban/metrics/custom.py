@@ -54,6 +54,8 @@ RESERVED_NAMES = {
     *(f"{name}_{what}" for name in OF_RELEASE_1 for what in DERIVED),
 }
 LAYERS = "layers"  # section of a scenario
+MOST_BEYOND = 0.01  # of a layer's values at one number beyond its scale
+FAR = 10.0
 LONG = "metric_"  # begins the names of a built-in metric whose own are those of layers
 # What a file's name holds behind that of its variable: an altitude, a time of day, a time.
 _OF_A_FILE = re.compile(r"\w+_(\d+m|day|night|\d{8}T\d{6}Z)")
@@ -145,6 +147,32 @@ class Layer:
         """
         low, high = self.scale
         return jnp.clip((jnp.asarray(values) - low) / (high - low), 0, 1)
+
+
+def check_values(name: str, layer: Layer, values: np.ndarray) -> None:
+    """Raise InputError if one number far beyond the good end of a layer's scale stands for no value in it.
+
+    It alone lies beyond that end, in more than `MOST_BEYOND` of the values, and is negative though the scale is not, or
+    `FAR` times larger than its ends. Cut to the scale it would count as the best. Values of many kinds beyond the scale
+    pass: to cut these is what a scale is for.
+
+    Args:
+      name: of the layer.
+      layer: its settings.
+      values: of one band, NaN without one.
+    """
+    low, high = layer.scale
+    beyond = values[values < low] if layer.cost == "high-is-bad" else values[values > high]
+    share = beyond.size / values.size
+    if share <= MOST_BEYOND or np.ptp(beyond):
+        return
+    value = float(beyond[0])
+    if value < 0 <= low or abs(value) > FAR * np.abs(layer.scale).max():
+        raise InputError(
+            f"layer {name!r} holds {value:g} in {share:.0%} of its values, beyond its scale {[low, high]}, where it "
+            f"would count as the best: declare it as nodata with `gdal_edit.py -a_nodata {value:g}` (in an array: NaN),"
+            " or cut the values to the scale yourself if it is one"
+        )
 
 
 def check_layers(layers: Any) -> Mapping[str, Layer]:

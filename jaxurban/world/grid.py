@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyproj
+import shapely
 from numpy.typing import ArrayLike
 from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
@@ -18,6 +19,8 @@ from jaxurban.errors import InputError, shortened
 
 WGS84 = "EPSG:4326"
 MAX_SCALE_ERROR = 0.01  # of a projection at the region: within a UTM zone it stays below 0.001
+# Beyond the area that a CRS is made for: some countries use one zone for all, and Norway does UTM 33 to 13 degrees.
+MOST_BEYOND_DEG = 15.0
 MOST_CELLS = 1e12
 MOST_OF_CODE = 60  # characters of a CRS that is a code or short parameters, no definition
 MAX_SNAP_CELLS = 1000  # of the coarsest resolution that the region may be snapped to
@@ -101,15 +104,17 @@ def crs_said(crs: str) -> str:
     return crs if len(crs) <= MOST_OF_CODE else shortened(pyproj.CRS(crs).name)
 
 
-def check_on_earth(name: str, crs: Any) -> None:
-    """Check that a file's CRS places it on the Earth, by longitude and latitude or by a map projection.
+def check_on_earth(name: str, crs: Any, box: Sequence[float]) -> None:
+    """Check that a file's CRS places it on the Earth, by longitude and latitude or by a map projection made for there.
 
     Args:
       name: of the file, for the message.
       crs: whatever pyproj understands as a CRS.
+      box: x_min, y_min, x_max, y_max of the file in it; its middle counts.
 
     Raises:
-      InputError: the CRS is geocentric, or a local one that no map projection ties to the Earth.
+      InputError: the CRS is geocentric, or a local one that no map projection ties to the Earth, or the file lies far
+        outside the area of use of its projection.
     """
     parsed = pyproj.CRS.from_user_input(crs)
     horizontal = parsed.sub_crs_list[0] if parsed.is_compound else parsed
@@ -117,6 +122,19 @@ def check_on_earth(name: str, crs: Any) -> None:
         raise InputError(
             f"the CRS of {name} is {horizontal.type_name} {horizontal.name!r}, which no map projection places on the "
             "Earth: declare the CRS that it is in, as with `ogr2ogr -a_srs EPSG:...` or `gdal_edit.py -a_srs EPSG:...`"
+        )
+    area = parsed.area_of_use
+    if horizontal.is_geographic or area is None:
+        return
+    middle = shapely.box(*box).centroid
+    lon, lat = transformer(parsed.to_wkt(), WGS84).transform(middle.x, middle.y)
+    # Across the antimeridian distances in degrees say nothing.
+    beyond_deg = shapely.box(*area.bounds).distance(shapely.Point(lon, lat))
+    if beyond_deg > MOST_BEYOND_DEG and abs(lon) < 180 - MOST_BEYOND_DEG:
+        raise InputError(
+            f"{name} declares the CRS {shortened(parsed.name)!r} and so lies at {lon:.2f}, {lat:.2f} (lon, lat), far "
+            f"from the area for which that is made, {area.bounds} (west, south, east, north): declare "
+            "the CRS that its coordinates are in, as with `ogr2ogr -a_srs EPSG:...` or `gdal_edit.py -a_srs EPSG:...`"
         )
 
 
@@ -163,6 +181,11 @@ def check_bounds(bounds: Sequence[float]) -> Bounds:
         raise InputError(
             f"bounds {list(bounds)} have a latitude beyond 90 degrees: the order is west, south, east, north "
             "(longitude first)"
+        )
+    if west - east > 180:
+        raise InputError(
+            f"bounds {list(bounds)} reach across the antimeridian, as no region may: let them end at 180 or begin at "
+            "-180; what stands on the other side counts too"
         )
     if abs(west) > 180 or abs(east) > 180 or west >= east or south >= north:
         raise InputError(

@@ -308,7 +308,7 @@ def test_maps_by_day_and_by_night_hold_the_people_that_each_raster_has_in_the_re
             tmp_path / f"{name}.tif", seed, step, 16 if step > ARC_S else 48, mean=mean
         )
         for name, seed, step, mean in zip(
-            ("day", "night"), (1, 2), steps, (200.0, 50.0), strict=True
+            ("day", "night"), (1, 2), steps, (200.0, 20.0), strict=True
         )
     }
     blocks, _ = read_blocks(ju.Population(**files), UTM)

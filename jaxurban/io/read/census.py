@@ -14,6 +14,7 @@ from jaxurban.checks import nearest_name
 from jaxurban.errors import InputError, readable
 from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.outlines import polygonal
+from jaxurban.io.read.plausible import check_people
 from jaxurban.io.read.raster import RASTER_SUFFIXES, read_bands
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.vector import POLYGONS, open_frame
@@ -92,6 +93,7 @@ def read_blocks(
     people = counts.fillna(0.0).to_numpy(np.float64).T
     by_day = people[1] if len(people) > 1 else None
     ids = frame["_id"].to_numpy(object)
+    check_people(people.max(axis=0), shapely.area(polygons))
     return Blocks(polygons, people[0], district, zoning, ids, by_day), issues
 
 

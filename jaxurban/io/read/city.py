@@ -23,6 +23,8 @@ from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.columns import named_columns
 from jaxurban.io.read.guesses import (
     FLAT_GROUND,
+    HIGHEST_M,
+    Guesses,
     census_guesses,
     height_guesses,
     structure_guesses,
@@ -31,6 +33,7 @@ from jaxurban.io.read.guesses import (
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, is_osm, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets
+from jaxurban.io.read.plausible import filled_terrain, pixel_guesses, terrain_guesses
 from jaxurban.io.read.raster import (
     RASTER_SUFFIXES,
     check_is_no_surface,
@@ -38,6 +41,7 @@ from jaxurban.io.read.raster import (
     heights_of_surface,
     raster_extent_m,
     read_raster,
+    zero_is_ground,
 )
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.sniff import sniff
@@ -45,7 +49,7 @@ from jaxurban.io.read.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
 from jaxurban.io.samples import SAMPLES, located, sample_name
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES, Population, check_has_people
-from jaxurban.settings import MAX_HEIGHT_M, SLABS
+from jaxurban.settings import SLABS
 from jaxurban.world.extent import MAIN_SHARE, main_bounds
 from jaxurban.world.grid import (
     WGS84,
@@ -117,9 +121,11 @@ def read_city(
 
     # The ground, and the buildings on it.
     ground = ground_extent_m = None
+    guesses: Guesses = {}
     if terrain.source is not None:
         ground = read_raster(terrain.source, crs, wide_m)
         ground_extent_m = raster_extent_m(terrain.source, crs)
+        ground, guesses = filled_terrain(repr(str(terrain.source)), ground, crs, box_m)
     source = read_buildings(buildings, crs, bounds_m=wide_m, terrain=ground)
     if not buildings.allow_none:
         _check_has_building(buildings, source, region, box_m)
@@ -132,15 +138,14 @@ def read_city(
             warn(covers_too_much(buildings.source, region, main), GuessWarning)
 
     # People, and what was guessed of heights, of people and of the ground.
-    guesses = height_guesses(source.buildings, box_m, buildings)
+    guesses |= dict(source.guesses) | height_guesses(source.buildings, box_m, buildings, crs)
     guesses |= structure_guesses(source.structures, source.read_issues, box_m)
     blocks = None
     if people.has_blocks:
         blocks, block_issues = read_blocks(people, crs, wide_m, box_m)
         issues |= block_issues
         guesses |= census_guesses(block_issues, blocks, people)
-    if terrain.source is None:
-        guesses |= FLAT_GROUND
+    guesses |= FLAT_GROUND if ground is None else terrain_guesses(source, ground, box_m)
     warn_of(guesses)
 
     return replace(
@@ -291,7 +296,13 @@ def lonlat_extent(path: str | Path) -> Bounds:
             f"{str(path)!r} holds no outline that would say where it lies: give bounds"
         )
     box = shapely.total_bounds(outlines.polygons)
-    return transformer(outlines.crs, WGS84).transform_bounds(*box)
+    extent = transformer(outlines.crs, WGS84).transform_bounds(*box)
+    if not 0 <= extent[2] - extent[0] <= 180:
+        raise InputError(
+            f"{str(path)!r} covers half the Earth, or lies on both sides of the antimeridian, across which no region "
+            "reaches: give bounds, there on one side, to 180 or from -180; what stands on the other counts too"
+        )
+    return extent
 
 
 def proposed_bounds(
@@ -388,17 +399,20 @@ def _read_roofs(
     """
     name = repr(str(path))
     raster = read_raster(path, crs, bounds_m)
+    guesses: Guesses = {}
     if kind == "surface":
         roofs, issues = heights_of_surface(name, raster, terrain, crs)
     else:
+        raster, guesses = zero_is_ground(path, raster)
         check_is_no_surface(name, raster, crs)
         is_below = raster.values < 0
         roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
         issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
     heights = raster if kind == "height" else roofs
-    check_range(name, heights.values, (LOWEST_ROOF_M, MAX_HEIGHT_M))
+    check_range(name, heights.values, (LOWEST_ROOF_M, HIGHEST_M))
     area = area_of_raster(roofs, crs)
-    return City(crs, area.bounds, roofs=roofs, area=area, read_issues=issues)
+    guesses |= pixel_guesses(roofs, crs)
+    return City(crs, area.bounds, roofs=roofs, area=area, read_issues=issues, guesses=guesses)
 
 
 def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.Geometry:

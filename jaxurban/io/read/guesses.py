@@ -17,6 +17,7 @@ from jaxurban.io.read.heights import LAYER_CLEARANCE_M
 from jaxurban.io.read.issues import NOT_READ, ReadIssue, ReadIssues, listed_counts
 from jaxurban.metrics.population import Population
 from jaxurban.world.blocks import Blocks
+from jaxurban.world.extent import lonlat_boxes
 from jaxurban.world.footprints import GUESSED_BY, Footprints
 from jaxurban.world.grid import Bounds
 
@@ -30,6 +31,7 @@ NOMINAL_SKY = "nominal satellites"
 ELEMENTS_TIME = "time of the elements"
 BEYOND_DATA = "lines of sight to satellites leave the data"
 WITHOUT_DATA = "the region without data"  # of which the share is said
+HIGHEST_M = 828.0  # Burj Khalifa, the highest building of the world
 LEAST_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
 
 
@@ -69,14 +71,17 @@ def guessed_share(buildings: Footprints, bounds_m: Bounds) -> float:
 
 
 def height_guesses(
-    buildings: Footprints | None, bounds_m: Bounds, file: settings.Buildings
+    buildings: Footprints | None, bounds_m: Bounds, file: settings.Buildings, crs: str
 ) -> Guesses:
-    """Return the guess on the heights of the buildings in a box, empty if none or few are guessed.
+    """Return the guesses on the heights of the buildings in a box: on those that are guessed, and on impossible ones.
+
+    There is none if few are guessed and none is above `HIGHEST_M`.
 
     Args:
       buildings: None of a height raster, of which nothing is guessed.
       bounds_m: x_min, y_min, x_max, y_max of the box in the buildings' CRS.
       file: the rules by which heights were guessed.
+      crs: of the buildings.
     """
     if buildings is None:
         return {}
@@ -84,12 +89,20 @@ def height_guesses(
     numbers = vars(file) | {"layer_clearance_m": LAYER_CLEARANCE_M}
     counts = {words: int((inside.origin == origin).sum()) for origin, words in GUESSED_BY.items()}
     kinds = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
-    return share_guess(
+    guesses = share_guess(
         guessed_share(buildings, bounds_m),
         "heights",
         f"the heights of the {len(inside):,} buildings in the region are guessed ({kinds}): give a source with "
         "heights, or set [buildings] level_height_m and default_height_m",
     )
+    high = inside.take(inside.height_m > HIGHEST_M)
+    if len(high):
+        lon, lat = lonlat_boxes(high.polygons, crs)[0, :2]
+        guesses[f"{len(high):,} roofs above {HIGHEST_M:g} m"] = (
+            f"{len(high):,} buildings are above {HIGHEST_M:g} m, the highest of the world, such as that of "
+            f"{high.height_m[0]:g} m at {lon:.5f}, {lat:.5f} (lon, lat): mend their heights"
+        )
+    return guesses
 
 
 def structure_guesses(

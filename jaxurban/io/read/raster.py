@@ -16,6 +16,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from jaxurban.errors import InputError, readable, warn
+from jaxurban.io.read.guesses import Guesses, share_guess
 from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.sampling import heights_above, pixel_xy, transformed
 from jaxurban.world.grid import WGS84, Bounds, check_on_earth, transformer, where_it_lies
@@ -181,7 +182,8 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
 
     Raises:
       InputError: no raster of these formats, several bands, values that are not real numbers, no CRS or no position,
-        pixels without area, a place that is not on the Earth, or a mask beside it that may name other files.
+        pixels without area, a place that is not on the Earth or far from where its CRS is used, or a mask beside it
+        that may name other files.
     """
     name = repr(str(path))
     with (
@@ -218,7 +220,7 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
                     f"{name} has pixels without area, or out of range, by its geotransform "
                     f"{source.transform[:6]}: set its position with `gdal_edit.py -a_ullr ...`"
                 )
-            check_on_earth(name, source.crs.to_wkt())
+            check_on_earth(name, source.crs.to_string(), source.bounds)
             yield source
 
 
@@ -362,6 +364,25 @@ def heights_of_surface(
     return replace(above, values=np.where(is_ground, np.float32(0), above.values)), issues
 
 
+def zero_is_ground(path: str | Path, heights: Raster) -> tuple[Raster, Guesses]:
+    """Return heights above ground whose cells without data are ground if the file's nodata value is 0, and that guess.
+
+    Args:
+      path: of the file.
+      heights: that were read from it.
+    """
+    with open_raster(path) as source:
+        if source.nodata != 0:
+            return heights, {}
+    guesses = share_guess(
+        np.isnan(heights.values).mean(),
+        "heights by the nodata value 0",
+        f"the cells of {str(path)!r} hold its nodata value 0 and are taken as ground on which nothing stands: give "
+        "those another nodata value where heights are not known",
+    )
+    return replace(heights, values=np.nan_to_num(heights.values)), guesses
+
+
 def check_is_no_surface(name: str, heights: Raster, crs: str) -> None:
     """Raise InputError if a raster of heights above ground looks like a surface model.
 
@@ -377,7 +398,8 @@ def check_is_no_surface(name: str, heights: Raster, crs: str) -> None:
         raise InputError(
             f"{name} looks like a surface model, elevations and not heights above ground: {raised:.0%} of its blocks "
             f'of {BLOCK_M:g} m with something on them have no ground near 0; set [buildings] kind = "surface" and give '
-            "the elevation of the ground as [terrain] source, or give heights above ground (0 where nothing stands)"
+            "the elevation of the ground as [terrain] source, or give heights above ground (0 where nothing stands, "
+            "also in streets that hold no data)"
         )
 
 
@@ -385,6 +407,20 @@ def _raised_share(raster: Raster, crs: str) -> float:
     """Return which share of the blocks on which something stands have no ground near 0; 0 where nothing stands."""
     level_m = low_levels(raster, crs)
     return float(np.mean(np.abs(level_m) > GROUND_M)) if len(level_m) else 0.0
+
+
+def pixel_m(raster: Raster, crs: str) -> np.ndarray:
+    """Return how far the pixel in the middle of a raster reaches down and to the right, two lengths in metres.
+
+    Args:
+      raster: on any grid.
+      crs: projected CRS in metres, to measure in.
+    """
+    num_rows, num_cols = raster.values.shape
+    row = num_rows / 2 + np.array([0, 1, 0])
+    col = num_cols / 2 + np.array([0, 0, 1])
+    x_m, y_m = pixel_xy(raster, row, col, crs)
+    return np.hypot(x_m[1:] - x_m[0], y_m[1:] - y_m[0])
 
 
 def low_levels(raster: Raster, crs: str) -> np.ndarray:
@@ -397,12 +433,8 @@ def low_levels(raster: Raster, crs: str) -> np.ndarray:
       raster: elevations or heights, metres.
       crs: projected CRS in metres, to measure pixels in.
     """
-    # The size of a block in pixels, by the middle of the raster and the places a pixel below and to the right of it.
     num_rows, num_cols = raster.values.shape
-    row = num_rows / 2 + np.array([0, 1, 0])
-    col = num_cols / 2 + np.array([0, 0, 1])
-    x_m, y_m = pixel_xy(raster, row, col, crs)
-    down_m, right_m = np.hypot(x_m[1:] - x_m[0], y_m[1:] - y_m[0])
+    down_m, right_m = pixel_m(raster, crs)
     height = max(1, round(BLOCK_M / down_m))
     width = max(1, round(BLOCK_M / right_m))
 

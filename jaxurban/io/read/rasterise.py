@@ -15,7 +15,7 @@ from jaxurban.io.read.outlines import meets
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.kernels.blocks import part_of, rounded_up
 from jaxurban.kernels.outlines import burn_outlines, settle
-from jaxurban.metrics.custom import Layer
+from jaxurban.metrics.custom import Layer, check_values
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import Footprints
 from jaxurban.world.grid import WGS84, Grid, transformer
@@ -463,6 +463,8 @@ def _bands(
         bands = read_bands(folder / layer.source, region.crs, region.bounds_m)
     else:
         bands = _bands_of_array(name, layer.source, region)
+    for band in bands:
+        check_values(name, layer, band.values if isinstance(band, Raster) else band)
     num = 1 if layer.altitudes_m is None else len(layer.altitudes_m)
     if len(bands) != num:
         raise InputError(

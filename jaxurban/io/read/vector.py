@@ -238,7 +238,7 @@ def _check(name: str, frame: gpd.GeoDataFrame) -> None:
             f"{name} declares no CRS: write it into the file, as with `ogr2ogr -a_srs EPSG:... OUT IN` "
             "(a Shapefile has it in its .prj)"
         )
-    check_on_earth(name, frame.crs.to_wkt())
+    check_on_earth(name, frame.crs.to_wkt(), frame.total_bounds)
     x_min, y_min, x_max, y_max = frame.total_bounds
     if frame.crs.is_geographic and (max(-x_min, x_max) > 360 or max(-y_min, y_max) > 90):
         raise InputError(
