@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
 
+import numpy as np
 import shapely
 import tomli_w
 
@@ -20,6 +21,7 @@ from jaxurban.errors import InputError, readable
 from jaxurban.io.download import Source, cache_folder, download
 from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, only_writer, sweep_scraps
 from jaxurban.io.read.census import read_blocks, read_districts
+from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.orbits import WARN_AGE_DAYS, middle_epoch, read_orbits
 from jaxurban.io.read.osm import cut_buildings, format_of, header_box, read_osm
 from jaxurban.io.read.vector import OF_DAMAGED
@@ -95,7 +97,8 @@ NOTHING = {  # reported where a file holds nothing for the region or the day
 }
 OVERPASS = (
     "[out:xml][timeout:180][bbox:{south},{west},{north},{east}];"
-    '(way["building"];way["building:part"];relation["building"];relation["building:part"];);(._;>;);out body;'
+    '(nwr["building"];nwr["building:part"];nwr["man_made"];nwr["power"];nwr["aerialway"];'
+    'relation["type"="building"];);(._;>;);out body;'
 )
 Settings = dict[str, Any]
 
@@ -371,7 +374,8 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
         LOG.info(f"osm: cutting the region and {job.margin_m:g} m around it out of the extract")
         cut_buildings(path, target, job.box(job.margin_m))
     outlines = read_osm(target if target.exists() else path)
-    if not shapely.get_num_coordinates(outlines.polygons).any():  # an outline may be empty
+    is_building = np.logical_or(*(is_given(outlines.column(tag)) for tag in ("building", "part")))
+    if not shapely.get_num_coordinates(outlines.polygons[is_building]).any():
         raise InputError(
             f"{str(path)!r} has no building in the region: check --bounds, longitude first"
         )

@@ -124,7 +124,7 @@ def check_on_earth(name: str, crs: Any, box: Sequence[float]) -> None:
             "Earth: declare the CRS that it is in, as with `ogr2ogr -a_srs EPSG:...` or `gdal_edit.py -a_srs EPSG:...`"
         )
     area = parsed.area_of_use
-    if horizontal.is_geographic or area is None:
+    if horizontal.is_geographic or area is None or not np.isfinite(box).all():
         return
     middle = shapely.box(*box).centroid
     lon, lat = transformer(parsed.to_wkt(), WGS84).transform(middle.x, middle.y)

@@ -12,7 +12,7 @@ from jaxurban.io.read.city import read_buildings
 from jaxurban.metrics.population import Population
 from tests.io.made_files import SQUARE, UTM, WGS84, box, osm, write_features, write_vector
 
-LOS_ANGELES = "EPSG:2229"  # US survey feet
+NEW_YORK = "EPSG:2263"  # US survey feet, where the square lies
 # A row of each publisher's table, named as in its dictionary, and the height of its roof above the ground in metres.
 PUBLISHED: dict[str, tuple[Mapping[str, Any], float]] = {
     "New York": (
@@ -85,14 +85,14 @@ def test_tables_of_publishers_are_known_by_their_columns(tmp_path, name):
 
 def test_the_feet_of_a_shapefile_of_los_angeles_are_no_metres(tmp_path):
     rows = [{"BLD_ID": "1", "ELEV": 290.1, "HEIGHT": feet} for feet in (310.5, 45.2, 1018.0, 22.0)]
-    found, issues = heights(tmp_path / "lariac.shp", rows, LOS_ANGELES)
+    found, issues = heights(tmp_path / "lariac.shp", rows, NEW_YORK)
     assert found == pytest.approx([94.6404, 13.77696, 310.2864, 6.7056])
     assert issues == {}
 
 
 ASKED: dict[str, tuple[Mapping[str, Any], str, str]] = {
-    "beside feet": ({"HEIGHT": 30.0}, LOS_ANGELES, "HEIGHT"),
-    "beside feet, above any height in metres": ({"HEIGHT": 1018.0}, LOS_ANGELES, "HEIGHT"),
+    "beside feet": ({"HEIGHT": 30.0}, NEW_YORK, "HEIGHT"),
+    "beside feet, above any height in metres": ({"HEIGHT": 1018.0}, NEW_YORK, "HEIGHT"),
     "of no known publisher": ({"BLDG_HGT": 30.0}, UTM, "BLDG_HGT"),
     "as text": ({"Hoehe": "30,5"}, WGS84, "Hoehe"),
     "cut by a Shapefile": ({"BLDG_HEIGH": 30.0}, WGS84, "BLDG_HEIGH"),
