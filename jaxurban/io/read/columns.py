@@ -27,7 +27,10 @@ COLUMNS = {
         *("abandoned_building", "disused_building", "ruins_building", "construction_building"),
     ),
     "part": ("building_part", "building_p"),
-    "razed": ("demolished_building", "razed_building", "removed_building", "destroyed_building"),
+    "razed": (
+        *("demolished_building", "razed_building", "removed_building", "destroyed_building"),
+        "was_building",
+    ),
     "planned": ("proposed_building", "planned_building"),
     "height": (
         "height",

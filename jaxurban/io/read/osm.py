@@ -29,7 +29,7 @@ MAYBE = (  # keys of what may stand
     *(*BUILDINGS, "height", "man_made", "power", "aerialway"),
     *("abandoned:building", "disused:building", "ruins:building", "construction:building"),
     *("demolished:building", "razed:building", "removed:building", "destroyed:building"),
-    *("proposed:building", "planned:building"),
+    *("was:building", "proposed:building", "planned:building"),
 )
 OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
     *(*BUILDINGS, "height", "building:levels", "levels", "roof:levels", "min_height"),
