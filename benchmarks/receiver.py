@@ -5,6 +5,7 @@ all roofs of the district; then three logs of counts.
 """
 
 import argparse
+import math
 import os
 import time
 import warnings
@@ -19,8 +20,8 @@ from jaxurban.io.read.receiver import ERROR, TRACKED
 from jaxurban.maps.scenario import changed
 from jaxurban.maps.track import NUM_VISIBLE
 from jaxurban.report.receiver import name_of, with_interval
-from jaxurban.report.satellites import ROWS, score_text
-from jaxurban.report.write import table
+from jaxurban.report.satellites import ROWS
+from jaxurban.report.write import interval, table
 from jaxurban.studies.receiver.agreement import SatelliteAgreement
 from jaxurban.studies.receiver.validate import SPEARMAN, WITHIN, ReceiverValidation
 
@@ -105,6 +106,11 @@ def beside(
         ["", *heads],
         [[name, *(text for each in cells for text in each[name])] for name in cells[0]],
     )
+
+
+def score_text(row: Mapping[Any, Any], name: str) -> str:
+    """Return a score, gain or loss with its interval, with three digits behind the point; nothing for NaN."""
+    return interval(row, name, lambda value: "" if math.isnan(value) else f"{value:z.3f}")
 
 
 def scores_of(of: SatelliteAgreement) -> dict[str, list[str]]:

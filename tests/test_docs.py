@@ -255,10 +255,12 @@ def test_the_scenario_page_names_every_setting_with_its_default():
         if block.language == "toml"
     )
     shown = tomllib.loads(block.text)
-    left_out = {"region": {"bounds", "crs"}, "buildings": {"source"}, "terrain": {"source"}}
+    columns = {"height_column", "ground_column", "levels_column", "unit"}
+    left_out = {"region": {"bounds", "crs"}, "buildings": {"source", *columns}}
+    left_out |= {"terrain": {"source"}}
     left_out |= {"gps": {"times", "start", "stop", "step_s", "reference"}}
     left_out |= {
-        "population": {"blocks", "table", "districts", "commercial"}
+        "population": {"blocks", "table", "column", "districts", "commercial"}
     }  # without a default: examples are shown
     left_out |= {"vehicle": set(shown["vehicle"]) - {"radius_m"}}
     whole = Scenario.from_dict(shown).model_dump(mode="python")

@@ -120,14 +120,18 @@ def _read(
                     options["on_invalid"] = "raise"
                     layers = [layer for layer, _ in pyogrio.list_layers(source)]
                 else:
-                    layers = [_polygon_layer(source, name, role)]
-                if near is not None and kind in INDEXED_SUFFIXES:
-                    options |= _only_near(source, layers[0], near, named)
-                frames = [
-                    pyogrio.read_dataframe(source, layer=layer, **options) for layer in layers
-                ]
-                # In the order of the file, also where its index gave them in another.
-                frames = [frame.sort_index().reset_index(drop=True) for frame in frames]
+                    layers = _layers_of(source, name, role)
+                frames = []
+                for layer in layers:
+                    chosen = options
+                    if near is not None and kind in INDEXED_SUFFIXES:
+                        chosen = options | _only_near(source, layer, near, named)
+                    frame = pyogrio.read_dataframe(source, layer=layer, **chosen)
+                    # In the order of the file, also where its index gave them in another.
+                    frames.append(frame.sort_index().reset_index(drop=True))
+                if len(frames) > 1 and not every_layer:
+                    filled = [frame.dropna(axis=1, how="all") for frame in frames if len(frame)]
+                    frames = [pd.concat(filled, ignore_index=True)] if filled else frames[:1]
 
     frames = [frame for frame in frames if isinstance(frame, gpd.GeoDataFrame)]
     if not frames:
@@ -270,6 +274,15 @@ def _only_near(
         "bbox": extent_of(sides.T) if sides.size else box,
         "columns": [column for column in facts["fields"] if is_of_buildings(column, named)],
     }
+
+
+def _layers_of(source: str | bytes, name: str, role: str) -> list[str]:
+    """Return the layer of polygons, and with that of buildings those of points and lines that GDAL makes of OSM."""
+    layers = [_polygon_layer(source, name, role)]
+    if role == BUILDINGS and layers == ["multipolygons"]:
+        names = [layer for layer, _ in pyogrio.list_layers(source)]
+        layers += [layer for layer in ("lines", "points") if layer in names]
+    return layers
 
 
 def _polygon_layer(source: str | bytes, name: str, wanted: str) -> str:
