@@ -37,7 +37,7 @@ OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
     *("parking", "man_made"),
 )
 OF_OTHERS = ("barrier", "natural", "diameter", "width", "rotor:diameter", "height:hub")
-TAGS = tuple(dict.fromkeys((*OF_BUILDINGS, *MAYBE, *OF_OTHERS)))
+TAGS = dict.fromkeys((*OF_BUILDINGS, *MAYBE, *OF_OTHERS))
 Key = tuple[str, int]  # "n", "w" or "r", and an id
 OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
@@ -139,12 +139,14 @@ def _read(path: str | Path) -> Outlines:
     lines |= _read_lines(path, to_read) if to_read else {}
     num_repaired = 0
     for key in sorted(broken):
-        known = shapely.union_all([lines[way] for way in ways_of[key] if way in lines])
-        built = shapely.build_area(known)
-        is_built = not built.is_empty and (key in areas or key in of_members)
-        num_repaired += is_built
-        if not known.is_empty or key in areas:
-            shapes[key] = built if is_built else known
+        known = [lines[way] for way in ways_of[key] if way in lines]
+        shape = known[0] if len(known) == 1 else shapely.union_all(known)
+        if key in areas or key in of_members:
+            built = shapely.build_area(shapely.union_all(known))
+            num_repaired += not built.is_empty
+            shape = shape if built.is_empty else built
+        if not shape.is_empty or key in areas:
+            shapes[key] = shape
     shapes = {key: shape for key, shape in shapes.items() if key in tags}
 
     # Buildings that made no area are counted by what is wrong with them.
@@ -173,8 +175,9 @@ def _read(path: str | Path) -> Outlines:
 def _tags_of(item: Any) -> dict[str, str]:
     """Return the tags of an object that say what stands."""
     tags = item.tags
-    names = OF_BUILDINGS if "building" in tags else TAGS
-    return {name: value for name in names if (value := tags.get(name)) is not None}
+    if "building" in tags:  # with many others
+        return {name: value for name in OF_BUILDINGS if (value := tags.get(name)) is not None}
+    return {tag.k: tag.v for tag in tags if tag.k in TAGS}
 
 
 def _geometries(shapes: Mapping[Key, Any]) -> np.ndarray:
