@@ -12,6 +12,7 @@ from matplotlib.text import Text
 import jaxurban as ju
 from jaxurban.errors import GuessWarning
 from jaxurban.io.city import City
+from jaxurban.io.files import read_json, write_json
 from jaxurban.io.read.guesses import FLAT_GROUND, guessed_share
 from jaxurban.io.read.rasterise import build_surface, burn
 from jaxurban.maps.build import view_sky
@@ -104,6 +105,13 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     texts = texts_of(maps)
     assert "(b) height guessed: 50 % of roofs" in texts
     assert any(text.startswith("Guessed: 50 % of heights") for text in texts)
+
+    # A folder of 1.1 says that it may lack what stands.
+    record = read_json(tmp_path / "out/run.json")
+    del record["buildings"]["kinds"]
+    write_json(tmp_path / "out/run.json", record)
+    with pytest.warns(ju.GuessWarning, match="1.1 or before.*make them again"):
+        ju.open_maps(tmp_path / "out")
 
 
 def test_of_known_heights_without_terrain_only_the_ground_is_guessed_and_over_terrain_nothing(
