@@ -84,7 +84,11 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     outlines = read_osm(osm)
     columns = {TAG_OF.get(name, name): values for name, values in outlines.tags.items()}
     frame = gpd.GeoDataFrame(columns, geometry=outlines.polygons, crs=WGS84)
-    assert set(frame.columns) - {"geometry"} <= set(TAGS)
+    # Areas of buildings and bridges, with the tags that these have.
+    is_kept = frame["building"].notna() | frame["building:part"].notna()
+    is_kept |= frame["man_made"] == "bridge"
+    is_area = frame.geom_type.isin(["Polygon", "MultiPolygon"])
+    frame = frame.loc[is_kept & is_area, [*TAGS, "geometry"]]
     issues = {issue.value: count for issue, count in outlines.issues.items() if count}
     facts = {"credit": OSM_CREDIT, "licence": ODBL, "boxes": outlines.boxes, "issues": issues}
     # Not rounded: its maps are those of the extract itself.

@@ -277,12 +277,12 @@ def clears_m(of: ju.City, place: ju.XY, row: dict) -> np.ndarray:
     end = np.array(place[:2]) + 5000.0 * np.array([np.sin(azimuth), np.cos(azimuth)])
     line = shapely.LineString([place[:2], end])
     shapely.prepare(line)
-    polygons = of.buildings.polygons
+    polygons = of.standing.polygons
     crosses = shapely.intersects(line, polygons)
     entry_m = np.full(len(polygons), np.nan)
     crossed = shapely.intersection(line, polygons[crosses])
     entry_m[crosses] = shapely.distance(shapely.Point(place[:2]), crossed)
-    return 20.0 + entry_m * slope - of.buildings.height_m
+    return 20.0 + entry_m * slope - of.standing.height_m
 
 
 @pytest.mark.slow
@@ -308,7 +308,7 @@ def test_at_200_centres_of_a_sample_the_answer_by_the_map_is_the_maps(name):
 @pytest.mark.parametrize("name", ["lower-manhattan", "shinjuku"])
 def test_at_200_places_of_a_sample_embree_agrees_and_50_roofs_are_those_of_brute_force(name):
     of = sample(name)
-    polygons, height_m = of.buildings.polygons, of.buildings.height_m
+    polygons, height_m = of.standing.polygons, of.standing.height_m
     scene, tree = CityScene(polygons, height_m), shapely.STRtree(polygons)
     grid, rng = region_of(of, None, 5.0), np.random.default_rng(2)
     sight = Sight.of(of, OF_BOTH, None, None)
