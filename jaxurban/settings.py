@@ -205,8 +205,8 @@ class Buildings(Heights):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        is_whole = bool(self.height_column) == bool(self.unit)
-        if not is_whole or (self.ground_column and not self.unit):
+        has_unit = bool(self.unit)
+        if bool(self.height_column) != has_unit or (self.ground_column and not has_unit):
             raise InputError(
                 "height_column and unit go together, and ground_column only with them: give both, or none of the three"
             )

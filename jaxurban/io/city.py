@@ -149,10 +149,8 @@ class City(FactsRepr):
         """The box that holds everything known, buildings and terrain: beyond it nothing can shadow."""
         if self.terrain_extent_m is None:
             return self.extent_m
-        pairs = list(zip(self.extent_m, self.terrain_extent_m, strict=True))
-        x_min, y_min = map(min, pairs[:2])
-        x_max, y_max = map(max, pairs[2:])
-        return x_min, y_min, x_max, y_max
+        boxes = shapely.box(*self.extent_m), shapely.box(*self.terrain_extent_m)
+        return shapely.MultiPolygon(boxes).bounds
 
     @property
     def known_area(self) -> shapely.Geometry:

@@ -363,12 +363,12 @@ class Grid:
     @property
     def x_m(self) -> np.ndarray:
         """Eastings of the column centres, ``[X]`` float64."""
-        return (self.first_col + np.arange(self.num_cols) + 0.5) * self.resolution_m
+        return self.xy_of_cell(0, np.arange(self.num_cols))[0]
 
     @property
     def y_m(self) -> np.ndarray:
         """Northings of the row centres, south to north, ``[Y]`` float64."""
-        return (self.first_row + np.arange(self.num_rows) + 0.5) * self.resolution_m
+        return self.xy_of_cell(np.arange(self.num_rows), 0)[1]
 
     @property
     def centre_lonlat(self) -> tuple[float, float]:
@@ -576,11 +576,13 @@ class Grid:
           >>> maps.grid.padded(west=1, south=1, east=2, north=2).shape
           (33, 33)
         """
-        first_row = self.first_row - south
-        first_col = self.first_col - west
-        num_rows = self.num_rows + south + north
-        num_cols = self.num_cols + west + east
-        return Grid(self.crs, self.resolution_m, first_row, first_col, num_rows, num_cols)
+        return replace(
+            self,
+            first_row=self.first_row - south,
+            first_col=self.first_col - west,
+            num_rows=self.num_rows + south + north,
+            num_cols=self.num_cols + west + east,
+        )
 
     def window_in(self, outer: "Grid") -> tuple[slice, slice]:
         """Return the slices that cut this grid out of an array on ``outer``.

@@ -202,7 +202,7 @@ BROKEN_OSM = (
             counts,
             "a.csv",
             f"id,a,b\n{BLOCK},1,2\n".encode(),
-            "name one of 'a', 'b' in .population. column",
+            "name one of 'id', 'a', 'b' in .population. column",
         ),
         (
             counts,

@@ -237,7 +237,7 @@ def test_walls_alone_enclose_what_is_unknown(tmp_path):
     file = ju.Buildings(path)
     _, unknown, _, issues = to_buildings(file, read_vector(path), UTM)
     counts = {name: count for name, count in issues.items() if count}
-    assert counts == {"solids": 1, "solids_unclosed": 1, "unknown_extent": 1}
+    assert counts == {"solids": 1, "unknown_extent": 1}
     assert unknown.kinds.tolist() == ["unknown"]
     assert unknown.polygons[0].covers(HOUSE)
 
@@ -247,7 +247,7 @@ def test_a_body_counts_more_than_its_columns(tmp_path):
     path = write_vector(tmp_path / "columns.gpkg", blocks, height=["80", "65", None, "high"])
     buildings, issues = stand(path)
     assert set(buildings.height_m) == {60}
-    assert issues == {"solids": 4, "solids_below_column": 1}
+    assert issues == {"solids": 4}
 
 
 def test_heights_of_bodies_are_in_the_unit_of_the_file(tmp_path):

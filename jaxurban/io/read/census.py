@@ -13,11 +13,10 @@ import shapely
 from jaxurban.checks import nearest_name
 from jaxurban.errors import InputError, readable
 from jaxurban.io.read.issues import ReadIssue, ReadIssues
-from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.plausible import check_people
 from jaxurban.io.read.raster import RASTER_SUFFIXES, read_bands
 from jaxurban.io.read.sampling import pixel_xy
-from jaxurban.io.read.vector import POLYGONS, open_frame
+from jaxurban.io.read.vector import POLYGONS, open_frame, without_collections
 from jaxurban.metrics.population import Population
 from jaxurban.world.blocks import OTHER_DISTRICT, Blocks, Zoning
 from jaxurban.world.grid import Bounds, projected_crs, transformer
@@ -201,7 +200,9 @@ def _polygons(
 
     # Join the counts, by key.
     if files.table is None:
-        counts = _counts_in_blocks(frame.drop(columns=[field, "geometry"]), key, files)
+        fields = frame.drop(columns=[field, "geometry"])
+        count = _count_column(fields, files.column, f"[population] blocks {path!r}")
+        counts = _parse_counts(fields[count], key)
     else:
         counts = _counts_in_table(files, key, f"{field!r} of {path!r}")
     issues[ReadIssue.COUNTS_WITHOUT_BLOCK] = int((~counts.index.isin(key)).sum())
@@ -260,8 +261,7 @@ def clean_polygons(
     polygons = frame.geometry.to_numpy().copy()
     is_invalid = ~shapely.is_valid(polygons) & ~shapely.is_missing(polygons)
     polygons[is_invalid] = shapely.make_valid(polygons[is_invalid], method="structure")
-    is_mixed = shapely.get_type_id(polygons) == shapely.GeometryType.GEOMETRYCOLLECTION
-    polygons[is_mixed] = [polygonal(shape) for shape in polygons[is_mixed]]
+    polygons = without_collections(polygons)
     polygons[~np.isin(shapely.get_type_id(polygons), POLYGONS)] = None
     is_kept = shapely.area(polygons) > 0
     num_lost = int((~is_kept).sum())
@@ -300,8 +300,8 @@ def _parse_counts(column: pd.Series, key: pd.Series | pd.Index) -> pd.Series:
     return pd.Series(people, index=pd.Index(key, name="key"))
 
 
-def _count_column(table: pd.DataFrame, column: str | None, name: str) -> str | None:
-    """Return the column of people: the one that the settings name, else that of `COUNT_COLUMN`; None without one.
+def _count_column(table: pd.DataFrame, column: str | None, name: str) -> str:
+    """Return the column of people: the one that the settings name, else that of `COUNT_COLUMN`.
 
     Args:
       table: with a row for each block.
@@ -309,38 +309,22 @@ def _count_column(table: pd.DataFrame, column: str | None, name: str) -> str | N
       name: of the file, for messages.
 
     Raises:
-      InputError: several columns may be it, and their counts differ.
+      InputError: there is none, or several may be it, and their counts differ.
     """
-    if column is not None:
-        return column if column in table else None
     known = [str(column) for column in table if COUNT_COLUMN.fullmatch(str(column).lower())]
+    if column is not None:
+        known = [column] if column in table else []
+    if not known:
+        raise InputError(
+            f"{name} has no field {column or 'of population (such as POP10)'}: name one of "
+            f"{', '.join(map(repr, table))} in [population] column, or set [population] table to the table that has it"
+        )
     counts = [_parse_counts(table[column], table.index) for column in known]
     if not all(count.equals(counts[0]) for count in counts):
         raise InputError(
             f"{name} has several columns that may be of people, {', '.join(known)}: name the one in [population] column"
         )
-    return known[0] if known else None
-
-
-def _counts_in_blocks(fields: pd.DataFrame, key: pd.Series, files: Population) -> pd.Series:
-    """Return the counts that the blocks file itself holds, by key.
-
-    Args:
-      fields: ``[N]`` its columns without ids and shapes.
-      key: ``[N]`` of its rows, from `_keys`.
-      files: the path, and the column that the settings name.
-
-    Raises:
-      InputError: it has no column of population, or several.
-    """
-    name = f"[population] blocks {str(files.blocks)!r}"
-    column = _count_column(fields, files.column, name)
-    if column is None:
-        raise InputError(
-            f"{name} has no field {files.column or 'of population (such as POP10)'}: name it in [population] column, "
-            f"or set [population] table to the table that has it; the file's fields are {', '.join(fields.columns)}"
-        )
-    return _parse_counts(fields[column], key)
+    return known[0]
 
 
 def _counts_in_table(files: Population, block_keys: pd.Series, wanted: str) -> pd.Series:
@@ -381,13 +365,6 @@ def _counts_in_table(files: Population, block_keys: pd.Series, wanted: str) -> p
             f"{name} joins no block: no column holds ids such as {block_keys.iloc[0]!r} from {wanted}; "
             f"its last row is {shown}: check [population] block_field and that the table is of the same census"
         )
-    if count is None:
-        candidates = ", ".join(repr(column) for column in num_joined if column != id_column)
-        raise InputError(
-            f"{name} has no column {files.column or 'of population that its name makes known'}: "
-            f"name one of {candidates} in [population] column"
-        )
-
     # Tables of the census may have a second header row, which is of no block and holds no count.
     is_first_a_block = _keys(table[id_column][:1]).isin(block_keys).any()
     if not COUNT.fullmatch(table[count].iloc[0]) and not is_first_a_block:

@@ -31,7 +31,7 @@ from jaxurban.io.read.guesses import (
     warn_of,
 )
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, is_osm, read_osm
+from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets
 from jaxurban.io.read.plausible import filled_terrain, pixel_guesses, terrain_guesses
 from jaxurban.io.read.raster import (
@@ -70,6 +70,7 @@ OUTLINE_READERS: dict[str, OutlineReader] = {  # by `sniff`, or by the file's ow
     **dict.fromkeys((*VECTOR_SUFFIXES, *OTHER_SUFFIXES), read_vector),
 }
 FILE_FIELDS = ("source", *FILES)
+COLUMNS_SAID = "height_column, ground_column and levels_column are for tables of outlines"
 GEOD = pyproj.Geod(ellps="WGS84")
 GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
 BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
@@ -221,29 +222,20 @@ def read_buildings(
     """
     projected_crs(crs)
     path = Path(file.source)
-    is_slabs = file.hanging == SLABS
     read = _reader_of(path)
 
-    if named_columns(file) and path.suffix.lower() not in VECTOR_SUFFIXES:
-        raise InputError(
-            f"[buildings] height_column, ground_column and levels_column are for tables of outlines, and "
-            f"{str(path)!r} is none: leave them out"
-        )
+    # Settings that are for files of another kind.
+    is_misplaced = {
+        'hanging = "slabs" is for outlines': file.hanging == SLABS and read is None,
+        'kind = "surface" is for rasters': file.kind == "surface" and read is not None,
+        COLUMNS_SAID: len(named_columns(file)) > 0 and read is not read_vector,
+    }
+    for what, is_wrong in is_misplaced.items():
+        if is_wrong:
+            raise InputError(f"[buildings] {what}, and {str(path)!r} is none: leave it out")
 
-    # A raster.
-    if read is None and is_slabs:
-        raise InputError(
-            f'[buildings] hanging = "slabs" is for outlines, and {str(path)!r} is a raster, in which nothing '
-            "hangs: leave it out"
-        )
     if read is None:
         return _read_roofs(path, crs, bounds_m, file.kind, terrain)
-
-    # Outlines.
-    if file.kind == "surface":
-        raise InputError(
-            f'[buildings] kind = "surface" is for rasters, and {str(path)!r} is not one: leave it out'
-        )
     if bounds_m is not None:
         outlines = read(path, Near(bounds_m, crs), file)
         city = _city_of(file, outlines, crs, bounds_m)
@@ -287,7 +279,7 @@ def lonlat_extent(path: str | Path) -> Bounds:
     read = _reader_of(file)
     if read is None:
         return raster_extent_m(path, WGS84)
-    box = header_box(path) if is_osm(path) else None
+    box = None if read is read_vector else header_box(path)
     if box is not None:
         return box
     outlines = read(file, None, None)
@@ -434,23 +426,17 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
     if not len(bounds):
         return declared
 
-    # The square bin of each other outline by its centre, and the bins that hold any: `bin_of` is each outline's.
+    # Settlements: the square bins that hold the centre of any other outline and touch each other, grown by a metre so
+    # that those that touch at a corner are joined too.
     centre = (bounds[:, :2] + bounds[:, 2:]) / 2
-    col, row = np.floor(centre / GAP_M).astype(np.int64).T
-    key = col * 2**32 + row  # one number for both: rows and columns stay far below 2**31
-    _, first, bin_of = np.unique(key, return_index=True, return_inverse=True)
-    corner = np.stack([col[first], row[first]], axis=1) * GAP_M
-
-    # Settlements: bins that touch, grown by a metre so that those that touch at a corner are joined too.
+    corner = pd.DataFrame(np.floor(centre / GAP_M)).drop_duplicates().to_numpy() * GAP_M
     grown = shapely.box(*(corner - 1.0).T, *(corner + GAP_M + 1.0).T)
     settlements = shapely.get_parts(shapely.union_all(grown))
-    settlement_of = np.empty(len(corner), int)  # of each bin
-    centres = shapely.points(corner + GAP_M / 2)
-    bins, settlement = shapely.STRtree(settlements).query(centres, predicate="within")
-    settlement_of[bins] = settlement
 
     # The box around all outlines of each settlement.
-    by_settlement = pd.DataFrame(bounds).groupby(settlement_of[bin_of])
+    places = shapely.STRtree(shapely.points(centre))
+    settlement, outline = places.query(settlements, predicate="contains")
+    by_settlement = pd.DataFrame(bounds[outline]).groupby(settlement)
     hulls = by_settlement.agg({0: "min", 1: "min", 2: "max", 3: "max"})
     return shapely.union_all([declared, *shapely.box(*hulls.to_numpy().T)])
 

@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Collection, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,8 @@ from jaxurban import settings
 from jaxurban.errors import InputError
 from jaxurban.io.read.heights import FOOT_M, is_given, parse_length_m, read_column
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.settings import MAX_HEIGHT_M
+from jaxurban.io.read.kinds import KINDS
+from jaxurban.settings import MAX_HEIGHT_M, Unit
 
 Columns = Mapping[str, np.ndarray]
 
@@ -22,107 +23,70 @@ Columns = Mapping[str, np.ndarray]
 # roof shapes ("roof:height" is the height of the roof alone) are left out on purpose. Levels also as France (BD TOPO),
 # INSPIRE (bu-base), Germany (ALKIS, simplified), Korea (road name addresses) and Chicago publish them.
 COLUMNS = {
-    "building": (
-        "building",
-        *("abandoned_building", "disused_building", "ruins_building", "construction_building"),
-    ),
-    "part": ("building_part", "building_p"),
-    "razed": (
-        *("demolished_building", "razed_building", "removed_building", "destroyed_building"),
-        "was_building",
-    ),
-    "planned": ("proposed_building", "planned_building"),
-    "height": (
-        "height",
-        "height_m",
-        "building_height",
-        "measuredheight",
-        "measured_height",
-        "measuredhe",
-    ),
-    "levels": (
-        *("building_levels", "building_l", "levels", "num_floors", "storeysaboveground"),
-        *("nb_etages", "nombre_d_etages", "numberoffloorsaboveground", "numberoffl"),
-        *("anzahlgs", "gro_flo_co", "stories"),
-    ),
-    "roof_levels": ("roof_levels", "roof_level"),
-    "min_height": ("min_height", "building_min_height"),
-    "min_level": ("building_min_level", "min_level", "min_floor"),
-    "location": ("location",),
-    "layer": ("layer",),
-    "level": ("level",),
-    "levels_below": ("building_levels_underground", "levels_underground", "num_floors_underground"),
-    "parking": ("parking",),
-    "man_made": ("man_made",),
-    "power": ("power",),
-    "aerialway": ("aerialway",),
-    "barrier": ("barrier",),
-    "natural": ("natural",),
-    "diameter": ("diameter", "width"),
-    "rotor": ("rotor_diameter",),
-    "hub": ("height_hub",),
+    "building": "building abandoned_building disused_building ruins_building construction_building",
+    "part": "building_part building_p",
+    "razed": "demolished_building razed_building removed_building destroyed_building was_building",
+    "planned": "proposed_building planned_building",
+    "height": "height height_m building_height measuredheight measured_height measuredhe",
+    "levels": "building_levels building_l levels num_floors storeysaboveground nb_etages nombre_d_etages "
+    "numberoffloorsaboveground numberoffl anzahlgs gro_flo_co stories",
+    "roof_levels": "roof_levels roof_level",
+    "min_height": "min_height building_min_height",
+    "min_level": "building_min_level min_level min_floor",
+    "levels_below": "building_levels_underground levels_underground num_floors_underground",
+    "location": "is_underground location",
+    "diameter": "diameter width",
+    "rotor": "rotor_diameter",
+    "hub": "height_hub",
 }
+# Columns that are named as what they hold.
+COLUMNS |= {name: name for name in ("layer", "level", "parking", "barrier", "natural", *KINDS)}
 UNDERGROUND_COLUMN = "is_underground"  # of Overture Maps: true or false
+BELOW = dict.fromkeys(("true", "1"), ReadIssue.UNDERGROUND.value)  # as OpenStreetMap writes it
 OF_OVERTURE = "building_id"  # beside it: a part names its building
 NESTED = ("tags", "other_tags", "all_tags")  # of query-overpass and GDAL: all tags in one text
 UNITS_M = {"m": 1.0, "ft": FOOT_M, "cm": 0.01}
 
 
-class Schema(NamedTuple):
-    """How a publisher's table names what it holds; all but the unit are names of columns, plain as in `COLUMNS`.
-
-    Attributes:
-      unit: of its heights, one of `UNITS_M`.
-      height: of roofs above the ground, or, if there is a ``ground``, above where that counts from.
-      ground: of the elevation of the ground.
-      beside: of other columns by which the table is known, with blanks between.
-    """
-
-    unit: str
-    height: str
-    ground: str = ""
-    beside: str = ""
-
-
-SCHEMAS = (
-    # New York, above the ground: github.com/CityOfNewYork/nyc-geo-metadata, Metadata_BuildingFootprints.md.
-    Schema("ft", "height_roof"),
-    Schema("ft", "height_roo"),
-    Schema("ft", "heightroof"),
+# How publishers name what they hold, plain as in `COLUMNS`: the column of roofs and others by which the table is known,
+# and the unit of its heights, which are above the ground but for those of `GROUNDS`.
+SCHEMAS: dict[str, Unit] = {
+    # New York: github.com/CityOfNewYork/nyc-geo-metadata, Metadata_BuildingFootprints.md.
+    "height_roof": "ft",
+    "height_roo": "ft",
+    "heightroof": "ft",
     # Los Angeles County, LARIAC: its data dictionary as in github.com/osmlab/labuildings, convert.py.
-    Schema("ft", "height", beside="bld_id elev"),
+    "height bld_id elev": "ft",
     # Philadelphia, above the lowest ground: pasda.psu.edu, PhiladelphiaBuildings2017.xml, and metadata.phila.gov.
-    Schema("ft", "max_hgt", beside="approx_hgt"),
-    Schema("ft", "approx_hgt"),
-    Schema("ft", "max_hgt", beside="base_hgt avg_hgt"),
-    # San Francisco, above the ground: data.sfgov.org/d/ynuv-fyni.
-    Schema("cm", "hgt_maxcm"),
+    "max_hgt approx_hgt": "ft",
+    "approx_hgt": "ft",
+    "max_hgt base_hgt avg_hgt": "ft",
+    # San Francisco: data.sfgov.org/d/ynuv-fyni.
+    "hgt_maxcm": "cm",
     # Vancouver: opendata.vancouver.ca/explore/dataset/building-footprints-2009.
-    Schema("m", "hgt_agl"),
+    "hgt_agl": "m",
     # Toronto, 3D Massing: open.toronto.ca/dataset/3d-massing.
-    Schema("m", "max_height", beside="avg_height height_msl surf_elev"),
+    "max_height avg_height height_msl surf_elev": "m",
     # Melbourne: data.melbourne.vic.gov.au/explore/dataset/2020-building-footprints.
-    Schema("m", "structure_extrusion"),
+    "structure_extrusion": "m",
     # BD TOPO, up to the gutter: geoservices.ign.fr/documentation/donnees/vecteur/bdtopo.
-    Schema("m", "hauteur"),
+    "hauteur": "m",
     # 3DBAG, above NAP: docs.3dbag.nl/en/schema/attributes.
-    Schema("m", "b3_h_dak_max", ground="b3_h_maaiveld"),
+    "b3_h_dak_max b3_h_maaiveld": "m",
     # Hong Kong, Lands Department, above Principal Datum: portal.csdi.gov.hk, "Building".
-    Schema("m", "topheight", ground="baseheight"),
+    "topheight baseheight": "m",
     # Ordnance Survey: docs.os.uk, Building Height Attribute, and NGD Buildings.
-    Schema("m", "relhmax"),
-    Schema("m", "height_relativemax_m"),
+    "relhmax": "m",
+    "height_relativemax_m": "m",
     # swissBUILDINGS3D: swisstopo.admin.ch, its object catalogue.
-    Schema("m", "gesamthoehe", beside="dach_max"),
-    Schema("ft", "height_ft"),  # by its own name
-)
-NONE = Schema("m", "")
+    "gesamthoehe dach_max": "m",
+    "height_ft": "ft",  # by its own name
+}
+GROUNDS = {"b3_h_dak_max": "b3_h_maaiveld", "topheight": "baseheight"}
 # Overture Maps, Microsoft, GlobalBuildingAtlas and USA Structures call theirs ``height``, in metres; Google's outlines
 # have none.
-KNOWN = {UNDERGROUND_COLUMN, OF_OVERTURE, *NESTED}.union(
-    *COLUMNS.values(),
-    *(" ".join(schema[1:]).split() for schema in SCHEMAS),
-)
+KNOWN = {OF_OVERTURE, *NESTED}
+KNOWN |= set(" ".join([*COLUMNS.values(), *SCHEMAS]).split())
 # Words for height in names of columns, and those by which it is not that of the roof.
 HEIGHT = re.compile(
     "heigh|hgt|hght|hoehe|höhe|hauteur|altura|altezza|hoogte|höjd|hojd|høyde|hoyde|korkeus|korgus|kõrgus|wysoko|vysk|"
@@ -159,25 +123,22 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
       columns: ``[N]`` values by name; columns of other names are left out.
     """
     values = {_plain(name): column for name, column in columns.items()}
+    if UNDERGROUND_COLUMN in values:
+        is_below = pd.Series(values[UNDERGROUND_COLUMN]).astype(str).str.lower()
+        values[UNDERGROUND_COLUMN] = is_below.map(BELOW).to_numpy(object)
+        values.pop("level", None)  # Overture's orders, as a layer does
+        if OF_OVERTURE in values:
+            values["building_part"] = values[OF_OVERTURE]
+
     tags: dict[str, np.ndarray] = {}
     for tag, names in COLUMNS.items():
-        for name in names:
+        for name in names.split():
             if tag in tags and name in values:
                 tags[tag] = np.where(is_given(tags[tag]), tags[tag], values[name])
             elif name in values:
                 tags[tag] = values[name]
     if "max_height" in values:
         tags.pop("min_height", None)  # it is that of the lowest roof
-
-    # A column of true and false becomes a tag as OpenStreetMap writes it.
-    if UNDERGROUND_COLUMN in values:
-        texts = [str(value).lower() for value in values[UNDERGROUND_COLUMN]]
-        others = tags.get("location", np.array(None)).astype(object)
-        is_below = np.isin(texts, ("true", "1"))
-        tags["location"] = np.where(is_below, ReadIssue.UNDERGROUND, others)
-        tags.pop("level", None)  # Overture's orders, as a layer does
-        if OF_OVERTURE in values:
-            tags["part"] = values[OF_OVERTURE]
     return tags
 
 
@@ -209,25 +170,23 @@ def tags_of_table(
         tags["levels"] = columns[file.levels_column]
 
     # Lengths: as the settings say, as a publisher does, or in metres.
-    if file.height_column is not None:
-        schema = Schema(
-            str(file.unit), _plain(file.height_column), _plain(file.ground_column or "")
-        )
-    else:
-        schemas = (schema for schema in SCHEMAS if {*" ".join(schema[1:]).split()} <= {*values})
-        schema = next(schemas, NONE)
-    if schema is NONE:
+    roof = _plain(file.height_column or "")
+    ground = _plain(file.ground_column or "")
+    unit = file.unit
+    schema = next((names for names in SCHEMAS if set(names.split()) <= values.keys()), None)
+    if not roof and schema is not None:
+        roof = schema.split()[0]
+        ground = GROUNDS.get(roof, "")
+        unit = SCHEMAS[schema]
+    if not roof:
         _check_metric(columns, tags, file, crs)
+    elif ground:
+        tops, bottoms = (pd.to_numeric(values[name], errors="coerce") for name in (roof, ground))
+        tags["height"] = tops - bottoms
     else:
-        tags["height"] = values[schema.height]
-    if schema.ground:
-        roof, ground = (
-            pd.to_numeric(pd.Series(values[name]), errors="coerce")
-            for name in (schema.height, schema.ground)
-        )
-        tags["height"] = (roof - ground).to_numpy()
+        tags["height"] = values[roof]
     for tag in {"height", "min_height"}.intersection(tags):
-        tags[tag] = _in_metres(tags[tag], UNITS_M[schema.unit])
+        tags[tag] = _in_metres(tags[tag], UNITS_M[unit or "m"])
     return tags
 
 

@@ -23,20 +23,21 @@ INCH_M = 0.0254  # international inch, exact
 LAYER_CLEARANCE_M = 5.0
 # Girder, slab and pavement of spans of some 25 m, at a depth of a 25th of the span.
 DECK_DEPTH_M = 1.0
-LEAST_LEVEL_M = (
-    1.5  # half a storey: levels that a height leaves less each, not even attics, contradict it
-)
+# Half a storey: levels that a height leaves less each, not even attics, contradict it.
+LEAST_LEVEL_M = 1.5
 
 # Thousands may stand apart: 1 230.
 _NUMBER = r"((?:\d{1,3}(?:[ \u00a0\u2009\u202f]\d{3})+|\d+)(?:[.,]\d+)?|[.,]\d+)"
-_ABOUT = r"(~|≈|[<>]=?|[≤≥+]|about|around|circa|ca\.?|approx(?:\.|imately)?|)\s*"
+_ABOUT = r"~|≈|[<>]=?|[≤≥+]|about|around|circa|ca\.?|approx(?:\.|imately)?"
+_TO = r"\s*(?:-|–|to)\s*"  # in a range
+# What says that a length is a guess: ~30, about 30, 30-40.
+ROUGH = re.compile(rf"(?:^|;)\s*(?:{_ABOUT})|\d{_TO}\d", re.IGNORECASE)
 _METRE = r"m|met(?:re|er)s?"
 _FOOT = r"'|ft\.?|feet|foot"
-_LOW = rf"(?:{_NUMBER}\s*(?:-|–|to)\s*)?"  # end of a range
-# Inches follow feet alone, group 5.
+# Inches follow feet alone, group 4.
 _LENGTH = re.compile(
-    rf"{_ABOUT}{_LOW}{_NUMBER}\s*(?:({_METRE})|({_FOOT}))?\.?\s*"
-    rf"(?(5)(?:-?{_NUMBER}\s*(?:\"|in\.?|inch(?:es)?)?)?)"
+    rf"(?:{_ABOUT})?\s*(?:{_NUMBER}{_TO})?{_NUMBER}\s*(?:({_METRE})|({_FOOT}))?\.?\s*"
+    rf"(?(4)(?:-?{_NUMBER}\s*(?:\"|in\.?|inch(?:es)?)?)?)"
 )
 _COUNT = re.compile(rf"(?:~|≈|ca\.?|approx\.?)?\s*{_NUMBER}")
 _QUOTES = str.maketrans({"’": "'", "′": "'", "”": '"', "″": '"'})
@@ -52,7 +53,7 @@ def _metres(text: str, unit_m: float) -> float:
     match = _LENGTH.fullmatch(text)
     if match is None:
         return math.nan
-    _, low, high, metre, foot, inches = match.groups()
+    low, high, metre, foot, inches = match.groups()
     if metre or foot:
         unit_m = FOOT_M if foot else 1.0
     return max(_number(low), _number(high)) * unit_m + _number(inches) * INCH_M
@@ -64,18 +65,13 @@ def _count(text: str) -> float:
     return _number(match[1]) if match else math.nan
 
 
-def _entries(text: str) -> list[str]:
-    """Return the entries of a list separated by semicolons, in small letters and with plain quotes."""
-    entries = text.lower().translate(_QUOTES).replace("''", '"').split(";")
-    return [entry.strip() for entry in entries]
-
-
 def _highest(text: str, parse_one: Callable[[str], float]) -> float:
     """Return the highest readable value of a list separated by semicolons, NaN without one.
 
-    ``parse_one`` returns the value of one of the `_entries`, NaN where it is unreadable.
+    ``parse_one`` returns the value of one entry, in small letters and with plain quotes, NaN where it is unreadable.
     """
-    values = map(parse_one, _entries(text))
+    entries = text.lower().translate(_QUOTES).replace("''", '"').split(";")
+    values = [parse_one(entry.strip()) for entry in entries]
     return max((value for value in values if not math.isnan(value)), default=math.nan)
 
 
@@ -86,8 +82,8 @@ def parse_length_m(text: str, unit_m: float = 1.0) -> float:
     Read are ``12``, ``12.5 m``, ``12,5`` (a decimal comma), ``1 230``, ``241m``, ``40 ft``, ``12'6"``, ``12'``,
     typographic quotes, and lists such as ``3;5``, of which the **highest** readable value counts (an obstacle is better
     too high than too low). A rough figure is better than a default: ``~30``, ``ca. 30``, ``about 30``, ``approx 30``,
-    ``>30``, ``+30`` and ranges such as ``30-40``, of which the higher end counts; `is_rough` knows them. A minus sign
-    or any other word makes a value unreadable.
+    ``>30``, ``+30`` and ranges such as ``30-40``, of which the higher end counts. A minus sign or any other word makes
+    a value unreadable.
 
     Args:
       text: one or several lengths.
@@ -96,13 +92,6 @@ def parse_length_m(text: str, unit_m: float = 1.0) -> float:
     Source: https://wiki.openstreetmap.org/wiki/Key:height and .../Map_features/Units.
     """
     return _highest(text, lambda entry: _metres(entry, unit_m))
-
-
-@lru_cache(maxsize=2**16)
-def is_rough(text: str) -> bool:
-    """Return whether a length that `parse_length_m` reads is a guess by its own words: about 30, >30, or 30-40."""
-    matches = map(_LENGTH.fullmatch, _entries(text))
-    return any(match and (match[1] or match[2]) for match in matches)
 
 
 @lru_cache(maxsize=2**16)
@@ -204,9 +193,8 @@ def estimate_heights(
     issues[ReadIssue.MIN_HEIGHTS_UNUSABLE] = int(num_min)
 
     has_height &= ~is_too_low
-    words = tags.get("height", empty)
-    says_rough = np.array([isinstance(text, str) and is_rough(text) for text in words], bool)
-    has_rough = has_height & says_rough
+    words = pd.Series(tags.get("height", empty)).astype(str)
+    has_rough = has_height & words.str.contains(ROUGH).to_numpy()
     origins = [HeightOrigin.ROUGH, HeightOrigin.HEIGHT, HeightOrigin.LEVELS]
     origin = np.select([has_rough, has_height, has_levels], origins, HeightOrigin.DEFAULT)
     return Footprints(

@@ -31,8 +31,6 @@ class ReadIssue(StrEnum):
       PARTS_HANGING: underside above the ground.
       MIN_HEIGHTS_ABOVE_ROOF: underside at or above the roof, set to 0.
       SOLIDS: bodies of three dimensions, read as the prisms of their faces.
-      SOLIDS_UNCLOSED: of these, with walls alone: what they enclose is unknown.
-      SOLIDS_BELOW_COLUMN: of these, lower by a tenth or more than their column says.
       HEIGHTS_UNUSABLE: unreadable, 0, negative or too high.
       LEVELS_UNUSABLE: the same of levels.
       MIN_HEIGHTS_UNUSABLE: the same of the heights of undersides.
@@ -73,8 +71,6 @@ class ReadIssue(StrEnum):
     PARTS_HANGING = "parts_hanging"
     MIN_HEIGHTS_ABOVE_ROOF = "min_heights_above_roof"
     SOLIDS = "solids"
-    SOLIDS_UNCLOSED = "solids_unclosed"
-    SOLIDS_BELOW_COLUMN = "solids_below_column"
     HEIGHTS_UNUSABLE = "heights_unusable"
     LEVELS_UNUSABLE = "levels_unusable"
     MIN_HEIGHTS_UNUSABLE = "min_heights_unusable"
@@ -93,8 +89,14 @@ class ReadIssue(StrEnum):
 
 ReadIssues = dict[ReadIssue, int]
 LEFT_OUT = (  # why nothing stands where a file names something
-    *(ReadIssue.NOT_BUILDINGS, ReadIssue.UNDERGROUND, ReadIssue.RAZED, ReadIssue.PLANNED),
-    *(ReadIssue.NOT_STANDING, ReadIssue.NOT_IN_TABLE, ReadIssue.WIRES, ReadIssue.TREES),
+    ReadIssue.NOT_BUILDINGS,
+    ReadIssue.UNDERGROUND,
+    ReadIssue.RAZED,
+    ReadIssue.PLANNED,
+    ReadIssue.NOT_STANDING,
+    ReadIssue.NOT_IN_TABLE,
+    ReadIssue.WIRES,
+    ReadIssue.TREES,
 )
 NOT_READ = LEFT_OUT[-3:]  # of these, what may stand all the same
 

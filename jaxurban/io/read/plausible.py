@@ -11,8 +11,9 @@ from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.guesses import Guesses, share_guess
 from jaxurban.io.read.raster import GROUND_M, pixel_m
-from jaxurban.io.read.rasterise import burn
+from jaxurban.io.read.rasterise import rasterise
 from jaxurban.io.read.sampling import resample_raster
+from jaxurban.settings import TO_GROUND
 from jaxurban.world.grid import Bounds, covering_grid
 from jaxurban.world.raster import Raster
 
@@ -106,20 +107,16 @@ def terrain_guesses(city: City, terrain: Raster, box_m: Bounds) -> Guesses:
     """
     around_m = shapely.box(*box_m).centroid.buffer(AROUND_M).bounds
     grid = covering_grid(around_m, CELL_M, city.crs)
-    terrain_m = resample_raster(terrain, grid, "bilinear")
-    if city.roofs is not None:
-        roof_m = resample_raster(city.roofs, grid)
-    else:
-        assert city.buildings is not None
-        roof_m, _ = burn(city.buildings.polygons, city.buildings.height_m, grid, 0.0, "float64")
+    surface = rasterise(replace(city, terrain=terrain, hanging=TO_GROUND), grid)
+    has_data = np.ones(grid.shape) if surface.has_data is None else surface.has_data
 
-    # Terrain and roofs above their mean around, where all ground around is known.
-    is_known = binary_erosion(np.isfinite(terrain_m), np.ones((NEAR_CELLS, NEAR_CELLS)))
+    # Terrain and roofs above their mean around, where all around is known.
+    is_known = binary_erosion(has_data, np.ones((NEAR_CELLS, NEAR_CELLS)))
     if is_known.sum() < LEAST_CELLS:
         return {}
     rise_m, height_m = (
         (values - uniform_filter(values, NEAR_CELLS))[is_known]
-        for values in (np.nan_to_num(terrain_m), np.nan_to_num(roof_m))
+        for values in (surface.terrain_m, surface.roof_m)
     )
     (of_rise, both), (_, of_height) = np.cov(rise_m, height_m)
     is_related = both > LEAST_CORRELATION * np.sqrt(of_rise * of_height)

@@ -49,13 +49,12 @@ _MARGIN_PIXELS = 2
 MOST_PIXEL = 1e16  # area of a pixel, in its CRS's units: of a millionth of a metre to the Earth's
 
 # What a file may call its vertical unit (lower case), in metres.
-_METRES = dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0)
-_FEET = dict.fromkeys(("ft", "foot", "feet", "international foot", "international feet"), 0.3048)
-_SURVEY_FEET = dict.fromkeys(
-    ("us-ft", "ftus", "us survey foot", "us survey feet", "foot_us", "us foot", "survey foot"),
-    1200 / 3937,
-)
-UNITS_M = {**_METRES, **_FEET, **_SURVEY_FEET}
+_NAMES = {
+    1.0: "m, metre, metres, meter, meters",
+    0.3048: "ft, foot, feet, international foot, international feet",
+    1200 / 3937: "us-ft, ftus, us survey foot, us survey feet, foot_us, us foot, survey foot",
+}
+UNITS_M = {name: unit_m for unit_m, names in _NAMES.items() for name in names.split(", ")}
 
 # Surface models.
 # Nothing this low above the terrain is a building: noise of two models, cars, hedges.
@@ -234,18 +233,12 @@ def _check_mask(path: Path) -> None:
     with suppress(PermissionError):
         names = [name for name in os.listdir(path.parent) if name.lower() == names[0].lower()]
     for mask in map(path.with_name, names):
-        is_tiff = mask.is_file() and _first_bytes(mask) in TIFF_MARKS
+        is_tiff = mask.is_file() and np.fromfile(mask, np.uint8, 4).tobytes() in TIFF_MARKS
         if os.path.lexists(mask) and not is_tiff:
             raise InputError(
                 f"{str(mask)!r}, the mask of {str(path)!r}, is no GeoTIFF and may name other files: remove it, or "
                 "convert it with `gdal_translate`"
             )
-
-
-def _first_bytes(path: Path) -> bytes:
-    """Return as many bytes of the begin of a file as a mark of `TIFF_MARKS` has."""
-    with path.open("rb") as file:
-        return file.read(len(TIFF_MARKS[0]))
 
 
 def _horizontal_crs(source: rasterio.DatasetReader) -> str:

@@ -83,16 +83,16 @@ def rasterise(
       has_guessed: for a city with outlines, also return ``roof_guessed`` and ``roof_limit_m``: whether the height of a
         cell's roof is guessed, and how high guessed ones there may be.
     """
-    has_data = terrain_m = guessed = limit_m = slabs = (
-        None  # `has_data` stays None where all cells have data
-    )
+    # `has_data` stays None where all cells have data.
+    has_data = terrain_m = guessed = limit_m = slabs = None
 
     # Roofs, by centres and by touch.
     if city.standing is not None:
         centre_m, touched_m, guessed = _burn_roofs(city.standing, grid, has_guessed)
         roof_m = touched_m if all_touched else centre_m
         if has_guessed:
-            limit_m = _burn_limits(city.standing, grid)
+            unsure = city.standing.take(city.standing.is_guessed)
+            _, limit_m = _burn_heights(replace(unsure, height_m=unsure.upper_m), grid)
     else:
         assert city.roofs is not None
         touched_m = resample_raster(city.roofs, grid, "max")
@@ -149,20 +149,6 @@ def _burn_roofs(
     roofs_m = np.append(buildings.height_m[by_height], 0.0).astype(np.float32)
     is_guessed = np.append(buildings.is_guessed[by_height], False)
     return roofs_m[centre], roofs_m[touched], is_guessed[touched] | is_guessed[centre]
-
-
-def _burn_limits(standing: Footprints, grid: Grid) -> np.ndarray:
-    """Return the highest bound of the outlines of guessed height that touch each cell, ``[Y, X]`` float32 metres."""
-    is_guessed = standing.is_guessed
-    _, limit_m = burn(
-        standing.polygons[is_guessed],
-        standing.upper_m[is_guessed],
-        grid,
-        0.0,
-        "float32",
-        boxes_m=standing.boxes_m[:, is_guessed],
-    )
-    return limit_m
 
 
 def _burn_ranks(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -269,16 +255,14 @@ def build_surface(
       InputError: the terrain or the height raster does not cover any of the region.
     """
     surface = replace(rasterise(city, grid, all_touched, has_guessed), region=region)
-    has_data = surface.has_data
-    guessed, limit_m = surface.roof_guessed, surface.roof_limit_m
-    check_has_data([None if has_data is None else surface.crop(has_data)], city)
+    check_has_data([surface.crop(surface.has_data)], city)
     block: Any = rasterise_blocks(city, region)
     return replace(
         surface,
         block=block,
         roof_touched_m=surface.crop(surface.roof_touched_m),
-        roof_guessed=None if guessed is None else surface.crop(guessed),
-        roof_limit_m=None if limit_m is None else surface.crop(limit_m),
+        roof_guessed=surface.crop(surface.roof_guessed),
+        roof_limit_m=surface.crop(surface.roof_limit_m),
     )
 
 

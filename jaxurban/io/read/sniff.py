@@ -18,7 +18,7 @@ MOST_UNPACKED = 20 * 2**30  # bytes
 PACKED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open}
 BEFORE = b"\xef\xbb\xbf \t\r\n\x1e"  # may come before a text, the mark of UTF-8 too
 PROLOG = re.compile(rb"<!--.*?-->|<[?!][^>]*>", re.DOTALL)  # of XML, before its first element
-WKT_COLUMNS = ("wkt", "geometry", "geom", "the_geom", "wkt_geom", "geometry_wkt")  # in tables
+WKT_COLUMNS = "wkt,geometry,geom,the_geom,wkt_geom,geometry_wkt"  # in tables, as GDAL takes them
 # Any JSON before the first key or word that shows that it is GeoJSON.
 _JSON = rb'\{(?:(?!"(?:Feature|FeatureCollection|features|geometry|properties|coordinates)").)*'
 _ROOT = rb"<[<\s]*(?:[\w.-]+:)?"
@@ -51,12 +51,7 @@ FORMATS = {
     _JSON + rb'(?<!\n)"Feature"[^\n]*(?:\}\r?\n|\Z)': ".geojsonl",
     rb"\{": ".geojson",
     rb"(?i:[^\r\n\0]*\b(?:%s)\b[^\r\n]*[\r\n].*\bPOLYGON\b)"
-    % "|".join(WKT_COLUMNS).encode(): ".csv",
-}
-# What libraries say of files that are not damaged, by a part of it, and what messages say instead.
-OF_LIBRARIES = {
-    "out of order": "its objects are out of order",
-    "type is not supported": "it holds solids or meshes, of which `ogr2ogr -nlt MULTIPOLYGON OUT IN` makes polygons",
+    % WKT_COLUMNS.replace(",", "|").encode(): ".csv",
 }
 
 
@@ -76,8 +71,7 @@ def in_own_words(*errors: type[Exception]) -> Iterator[None]:
     except caught as error:
         if isinstance(error, InputError) or getattr(error, "errno", None):
             raise
-        reasons = (OF_LIBRARIES[part] for part in OF_LIBRARIES if part in str(error))
-        raise ValueError(next(reasons, "it is damaged or cut short")) from error
+        raise ValueError("it is damaged or cut short, or holds what is not read") from error
 
 
 def sniff(path: str | Path) -> str:

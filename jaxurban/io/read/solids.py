@@ -16,10 +16,8 @@ from jaxurban.io.read.issues import ReadIssue, ReadIssues
 RELIEF_M = 0.5  # a body is higher; what of it is not is its ground
 STEP_M = 0.1  # roofs of one body between two multiples of it are one prism
 MIN_WALLS = 3  # of a body whose faces do not lie above each other
-COVERED_TWICE = (
-    1.5  # faces lie above each other if together they are so many times the area that they cover
-)
-SAME_HEIGHT = 1.1  # times the body: a column may say so much
+# Faces lie above each other if together they are so many times the area that they cover.
+COVERED_TWICE = 1.5
 
 
 def openable(path: str) -> str | bytes:
@@ -61,10 +59,10 @@ def prisms_of_solids(outlines: np.ndarray, crs: str) -> pd.DataFrame:
     axis = pyproj.CRS(crs).axis_info[-1]
     unit_m = 1.0 if axis.unit_name == "degree" else axis.unit_conversion_factor
     may_be = shapely.has_z(outlines) & (shapely.get_num_geometries(outlines) > 1)
-    prisms = [{math.nan: outline} for outline in outlines]
-    for feature in np.flatnonzero(may_be):
-        prisms[feature] = _prisms(outlines[feature], unit_m)
-    rows = [(feature, *prism) for feature, of_it in enumerate(prisms) for prism in of_it.items()]
+    rows: list[tuple] = []
+    for feature, outline in enumerate(outlines):
+        prisms = _prisms(outline, unit_m) if may_be[feature] else {math.nan: outline}
+        rows += [(feature, *prism) for prism in prisms.items()]
     return pd.DataFrame(rows, columns=["feature", "height_m", "polygon"])
 
 
@@ -100,13 +98,8 @@ def with_solids(column: np.ndarray, prisms: pd.DataFrame, issues: ReadIssues) ->
     Args:
       column: ``[P]`` numbers, or objects: texts, numbers and None.
       prisms: ``P`` from `prisms_of_solids`.
-      issues: gets how many solids there are, how many have walls alone, and how many are lower than their column says.
+      issues: gets how many solids there are.
     """
     height_m = prisms["height_m"].to_numpy(float)
-    feature = prisms["feature"]
-    top_m = prisms["height_m"].groupby(feature).transform("max")
-    told_m = pd.to_numeric(pd.Series(column, prisms.index), errors="coerce")
-    issues[ReadIssue.SOLIDS] = feature[height_m >= 0].nunique()
-    issues[ReadIssue.SOLIDS_UNCLOSED] = int(np.sum(height_m == 0))
-    issues[ReadIssue.SOLIDS_BELOW_COLUMN] = feature[told_m > SAME_HEIGHT * top_m].nunique()
+    issues[ReadIssue.SOLIDS] = prisms["feature"][height_m >= 0].nunique()
     return np.where(np.isnan(height_m), column, height_m)

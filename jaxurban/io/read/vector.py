@@ -32,7 +32,7 @@ OTHER_SUFFIXES = (".json", ".geoparquet")
 # Of any other format GDAL may read what the file names, even from a server.
 FORMATS = (*VECTOR_SUFFIXES, ".kml", ".gpx")
 DRIVERS = {".geojsonl": "GeoJSONSeq:", ".csv": "CSV:"}  # which GDAL would choose by the file's name
-CSV_OPTIONS = {"GEOM_POSSIBLE_NAMES": ",".join(WKT_COLUMNS), "KEEP_GEOM_COLUMNS": "NO"}
+CSV_OPTIONS = {"GEOM_POSSIBLE_NAMES": WKT_COLUMNS, "KEEP_GEOM_COLUMNS": "NO"}
 BUILDINGS = "buildings"  # the role, and the layer of several
 WHOLE = "give a whole one, with its companions"
 # Raised by readers.
@@ -44,21 +44,12 @@ REFERRING = (
     b"<OGRWFSDataSource",
     b"<OGRElasticDataSource",
 )
-BLOCK_BYTES = 1 << 20
 ESCAPE = re.compile(rb"\\u00([2-7][0-9a-fA-F])")  # a plain letter of JSON in digits
-LINK = re.compile(rb'"type":"(link|url)"')  # of a CRS, by the GeoJSON of 2008
-LONGEST_LINK = 100  # bytes, with every letter as an escape
+LINK = re.compile(rb'"type"\s*:\s*"(link|url)"')  # of a CRS, by the GeoJSON of 2008
 POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
-def open_frame(
-    path: str | Path,
-    role: str,
-    *,
-    allow_empty: bool = False,
-    near: Near | None = None,
-    named: Collection[str] = (),
-) -> gpd.GeoDataFrame:
+def open_frame(path: str | Path, role: str) -> gpd.GeoDataFrame:
     """Return the features of a vector file (of `FORMATS`, packed or not), those without geometry too.
 
     A ring of too few points becomes an empty geometry, and no error.
@@ -66,17 +57,13 @@ def open_frame(
     Args:
       path: the file.
       role: what it holds, for messages; the layer of this name is taken where several hold polygons.
-      allow_empty: accept a file without a single feature.
-      near: a region; features of GeoPackages, Shapefiles and FlatGeobuf that are not near it are left out, for
-        buildings only.
-      named: columns that are read beside those that describe buildings (`is_of_buildings`), for buildings only.
 
     Raises:
       InputError: no such file, not a readable vector file, no geometry, no CRS, coordinates beyond the globe though
         the CRS is in degrees, or several layers of polygons and not one of them called ``role``.
     """
-    (frame,) = _read(path, role, near=near, named=named)
-    if not allow_empty and (frame.empty or frame.geometry.isna().all()):
+    (frame,) = _read(path, role)
+    if frame.empty or frame.geometry.isna().all():
         raise InputError(
             f"the {role} file {str(path)!r} holds no polygons: give a file of polygons"
         )
@@ -100,15 +87,23 @@ def _read(
     *,
     every_layer: bool = False,
     near: Near | None = None,
-    named: Collection[str] = (),
+    named: Collection[str] | None = None,
 ) -> list[gpd.GeoDataFrame]:
-    """Return the features of the one layer of polygons, or of every layer, checked; see `open_frame`, `open_layers`."""
+    """Return the features of the one layer of polygons, or of every layer, checked; see `open_frame`, `open_layers`.
+
+    Args:
+      path, role: as of `open_frame`.
+      every_layer: as of `open_layers`.
+      near: a region: features of GeoPackages, Shapefiles and FlatGeobuf that are not near it are left out.
+      named: the only columns to read, with those that describe buildings (`is_of_buildings`); None: all. Only Parquet,
+        and files that are read near a region, leave columns out.
+    """
     name = f"the {role} file {str(path)!r}"
     with readable(path, "a vector file", WHOLE, what=name), unpacked(path) as plain:
         kind = _checked_format(Path(path), plain)
         with in_own_words(*OF_DAMAGED):
             if kind == ".parquet":
-                frames = [_read_parquet(plain, name, named if role == BUILDINGS else None)]
+                frames = [_read_parquet(plain, name, named)]
             else:
                 options: dict[str, Any] = {"on_invalid": "ignore", "fid_as_index": True}
                 source: str | bytes = DRIVERS.get(kind, "") + str(plain)
@@ -123,10 +118,10 @@ def _read(
                     layers = _layers_of(source, name, role)
                 frames = []
                 for layer in layers:
-                    chosen = options
+                    fewer = {}
                     if near is not None and kind in INDEXED_SUFFIXES:
-                        chosen = options | _only_near(source, layer, near, named)
-                    frame = pyogrio.read_dataframe(source, layer=layer, **chosen)
+                        fewer = _only_near(source, layer, near, named or ())
+                    frame = pyogrio.read_dataframe(source, layer=layer, **options, **fewer)
                     # In the order of the file, also where its index gave them in another.
                     frames.append(frame.sort_index().reset_index(drop=True))
                 if len(frames) > 1 and not every_layer:
@@ -197,7 +192,9 @@ def _checked_format(path: Path, plain: Path) -> str:
     if kind not in FORMATS:
         suffix = path.suffix.lower()
         if not kind and suffix == ".csv":
-            raise ValueError(f"it has no column {' or '.join(WKT_COLUMNS)} of polygons as WKT")
+            raise ValueError(
+                f"it has no column {WKT_COLUMNS.replace(',', ' or ')} of polygons as WKT"
+            )
         if not kind and suffix in (*FORMATS, *OTHER_SUFFIXES):
             raise ValueError(f"it does not begin as a {suffix} file does")
         raise InputError(
@@ -205,23 +202,17 @@ def _checked_format(path: Path, plain: Path) -> str:
         )
     with plain.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    if any(word in head for word in REFERRING) or (kind in JSON_SUFFIXES and _links_crs(plain)):
+    if any(word in head for word in REFERRING) or (
+        kind in JSON_SUFFIXES and _links_crs(plain.read_bytes())
+    ):
         raise ValueError("it refers to other files or servers, which are never opened")
     return kind
 
 
-def _links_crs(path: Path) -> bool:
-    """Return whether a ``crs`` in a file of JSON may be a link, which GDAL would follow to a server."""
-    has_crs = has_link = False
-    rest = b""
-    with path.open("rb") as file:
-        while block := file.read(BLOCK_BYTES):
-            text = rest + block.translate(None, b" \t\r\n")
-            rest = text[-LONGEST_LINK:]
-            plain = ESCAPE.sub(lambda match: bytes.fromhex(match[1].decode()), text).lower()
-            has_crs |= b'"crs"' in plain
-            has_link |= LINK.search(plain) is not None
-    return has_crs and has_link
+def _links_crs(text: bytes) -> bool:
+    """Return whether a ``crs`` in a text of JSON may be a link, which GDAL would follow to a server."""
+    plain = ESCAPE.sub(lambda match: bytes.fromhex(match[1].decode()), text).lower()
+    return b'"crs"' in plain and LINK.search(plain) is not None
 
 
 def _check(name: str, frame: gpd.GeoDataFrame) -> None:
@@ -277,38 +268,32 @@ def _only_near(
 
 
 def _layers_of(source: str | bytes, name: str, role: str) -> list[str]:
-    """Return the layer of polygons, and with that of buildings those of points and lines that GDAL makes of OSM."""
-    layers = [_polygon_layer(source, name, role)]
-    if role == BUILDINGS and layers == ["multipolygons"]:
-        names = [layer for layer, _ in pyogrio.list_layers(source)]
-        layers += [layer for layer in ("lines", "points") if layer in names]
-    return layers
+    """Return the layer of polygons in what pyogrio opens, which messages call ``name``.
 
-
-def _polygon_layer(source: str | bytes, name: str, wanted: str) -> str:
-    """Return the name of the layer of polygons in what pyogrio opens, which messages call ``name``.
-
-    It is the only layer, else the only one that may hold polygons, else the one of these that is called ``wanted``.
+    It is the only layer, else the only one that may hold polygons, else the one of these that is called ``role``. With
+    that of buildings go those of lines and points that GDAL makes of OpenStreetMap.
 
     Raises:
       InputError: there is no such layer.
     """
     layers = {str(layer): str(kind) for layer, kind in pyogrio.list_layers(source)}
     if len(layers) == 1:
-        return next(iter(layers))
+        return list(layers)
     areal = [
         layer
         for layer, kind in layers.items()
         if "Polygon" in kind or "Unknown" in kind or "Surface" in kind
     ]
     if len(areal) != 1:
-        areal = [layer for layer in areal if layer.lower() == wanted]
+        areal = [layer for layer in areal if layer.lower() == role]
     if len(areal) != 1:
         raise InputError(
             f"{name} has the layers {', '.join(layers) or 'none'}: call the one of polygons "
-            f"{wanted!r}, or write it to a file of its own with `ogr2ogr OUT IN LAYER`"
+            f"{role!r}, or write it to a file of its own with `ogr2ogr OUT IN LAYER`"
         )
-    return areal[0]
+    if role == BUILDINGS and areal == ["multipolygons"]:
+        areal += [layer for layer in ("lines", "points") if layer in layers]
+    return areal
 
 
 def read_vector(
@@ -332,16 +317,14 @@ def read_vector(
         `tags_of_table`.
     """
     named = [] if file is None else named_columns(file)
-    frame = open_frame(path, BUILDINGS, allow_empty=True, near=near, named=named)
+    (frame,) = _read(path, BUILDINGS, near=near, named=named)
     facts = frame.attrs  # empty of files that are not ours
     box = None if near is None else near.box_in(frame.crs.to_wkt())
     if box is not None:
         frame = frame[near_rows(shapely.bounds(frame.geometry.to_numpy()), box)]
 
     # Polygons, also those in collections, and places where a geometry is missing.
-    shapes = np.array(frame.geometry, object)
-    is_mixed = shapely.get_type_id(shapes) == shapely.GeometryType.GEOMETRYCOLLECTION
-    shapes[is_mixed] = [polygonal(shape) for shape in shapes[is_mixed]]
+    shapes = without_collections(np.array(frame.geometry, object))
     is_polygon = np.isin(shapely.get_type_id(shapes), POLYGONS) | shapely.is_missing(shapes)
 
     names = [name for name in frame if is_of_buildings(name, named)]
@@ -360,6 +343,14 @@ def read_vector(
         attribution=facts.get("credit", ""),
         is_part=box is not None,
     )
+
+
+def without_collections(shapes: np.ndarray) -> np.ndarray:
+    """Return shapes ``[N]``, in place of each collection the polygons that it holds."""
+    is_mixed = shapely.get_type_id(shapes) == shapely.GeometryType.GEOMETRYCOLLECTION
+    polygons = shapes.copy()
+    polygons[is_mixed] = [polygonal(shape) for shape in shapes[is_mixed]]
+    return polygons
 
 
 def _scalar(value: Any) -> Any:
