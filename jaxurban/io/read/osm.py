@@ -3,7 +3,8 @@
 Water and parks are what the strata of a study need beside the maps.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,8 @@ TAGS = dict.fromkeys((*OF_BUILDINGS, *MAYBE, *OF_OTHERS))
 Key = tuple[str, int]  # "n", "w" or "r", and an id
 OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
-MAY_STAND = KeyFilter(*MAYBE, "type")  # the type of relations
+MAY_STAND = KeyFilter(*MAYBE)
+MAY_STAND_OR_TYPE = KeyFilter(*MAYBE, "type")  # of relations
 WATER = (
     ("natural", "water"),
     ("waterway", "riverbank"),
@@ -56,7 +58,7 @@ COAST = ("natural", "coastline")
 MIXED = 0.2  # share of the shore on a face's other side, above which land and sea were not parted
 GAP_M = 500.0  # a coast that ends nearer than this to the region's border was cut there
 _AREA_RELATIONS = ("multipolygon", "boundary")  # what libosmium makes areas of
-_OUTLINE_ROLES = ("outline", "outer")  # of members of a relation of the type building
+_OUTER = ("outline", "outer")  # of members of a relation of the type building
 
 
 def read_osm(path: str | Path) -> Outlines:
@@ -80,65 +82,68 @@ def read_osm(path: str | Path) -> Outlines:
 
 def _read(path: str | Path) -> Outlines:
     """Return the outlines of an OSM file; arguments as of `read_osm`, errors as pyosmium raises them."""
-    # By kind and id: the tags of what may stand, and its shape: WKB in hexadecimal of areas, else a geometry.
+    # By kind and id: the tags of what may stand, and its shape as WKB in hexadecimal.
     tags: dict[Key, dict[str, str]] = {}
-    shapes: dict[Key, Any] = {}
+    shapes: dict[Key, str] = {}
     areas = set()  # whether libosmium could assemble them or not
-    ways_of: dict[Key, list[int]] = {}  # of what may have no area
-    lines: dict[int, shapely.Geometry] = {}  # of ways that close no area
-    closed, open_ways, missing = set[Key](), set[Key](), set[Key]()  # the last lack nodes
-    of_members: dict[
-        Key, dict[str, str]
-    ] = {}  # what the relation of a building says of its outlines
+    closed, open_ways = set[Key](), set[Key]()
+    ways_of: dict[Key, list[int]] = {}  # of what has no shape
+    of_members: dict[Key, dict[str, str]] = {}  # what relations of buildings say of their outlines
     to_wkb = osmium.geom.WKBFactory()
-    for item in open_osm(path).with_areas(MAY_STAND).with_filter(MAY_STAND):
+    processor = open_osm(path).with_areas(MAY_STAND).with_filter(MAY_STAND_OR_TYPE)
+    for item in processor:
         key = (item.type_str(), item.id)
         if isinstance(item, osmium.osm.Area):
             key = ("w" if item.from_way() else "r", item.orig_id())
             areas.add(key)
-            ways_of.setdefault(key, [key[1]])
             if item.num_rings()[0] > 0:
                 shapes[key] = to_wkb.create_multipolygon(item)
         elif isinstance(item, osmium.osm.Node):
-            shapes[key] = shapely.Point(item.lon, item.lat)
+            shapes[key] = to_wkb.create_point(item)
         elif isinstance(item, osmium.osm.Way):
-            is_whole = all(node.location.valid() for node in item.nodes)
-            if is_whole and item.is_closed():  # its area has its tags
-                if "building" in item.tags or "building:part" in item.tags:
-                    closed.add(key)
+            if item.is_closed():  # its area has its tags
+                closed.add(key)
                 continue
-            ways_of[key] = [item.id]
-            lines[item.id] = _line_of(item)
-            if not item.is_closed():
-                open_ways.add(key)
-            if not is_whole:
-                missing.add(key)
-        own = _tags_of(item)
-        if isinstance(item, osmium.osm.Relation):
+            open_ways.add(key)
+        elif isinstance(item, osmium.osm.Relation):
             kind = item.tags.get("type")
             if kind == BUILDING:
-                outlines = (member for member in item.members if member.role in _OUTLINE_ROLES)
-                of_members |= {(member.type, member.ref): own for member in outlines}
-            if kind not in _AREA_RELATIONS or own.keys().isdisjoint(MAYBE):
+                outlines = [(each.type, each.ref) for each in item.members if each.role in _OUTER]
+                of_members |= dict.fromkeys(outlines, _tags_of(item))
+            if kind not in _AREA_RELATIONS or not _may_stand(item.tags):
                 continue
             ways_of[key] = _ways_of(item)
-        tags[key] = own
+        tags[key] = _tags_of(item)
+
+    # The lines of what is no area, as far as the file has their nodes.
+    lines: dict[int, shapely.Geometry] = {}
+    missing = set()  # ways that lack nodes
+    lost = closed - areas
+    no_shape = (tags.keys() | lost | of_members.keys()) - shapes.keys()
+    ways_of |= {key: [key[1]] for key in no_shape if key[0] == "w"}
+    ids = {way for key in no_shape for way in ways_of.get(key, ())}
+    # An IdFilter takes 4 MiB for each range of ids.
+    for way in osmium.FileProcessor(_file(path), osmium.osm.WAY) if ids else ():
+        if not isinstance(way, osmium.osm.Way) or way.id not in ids:
+            continue
+        key = ("w", way.id)
+        points = _points_of(way, processor.node_location_storage)
+        lines[way.id] = _line_of(points)
+        if len(points) < len(way.nodes):
+            missing.add(key)
+        if key in lost:
+            tags[key] = _tags_of(way)
 
     # Outlines have what their relation says beside their own tags.
     for key, of_relation in of_members.items():
         own = tags.get(key, {})
-        if "building:part" in own:
-            continue
-        tags[key] = {"building": "yes"} | of_relation | own
-        if key[0] == "w":
-            ways_of.setdefault(key, [key[1]])
+        if "building:part" not in own:
+            tags[key] = {"building": "yes"} | of_relation | own
 
-    # What is no area is built from the lines of its ways; what does not close is these lines.
-    broken = [key for key in ways_of.keys() & tags.keys() if key not in shapes]
-    to_read = {way for key in broken for way in ways_of[key]} - lines.keys()
-    lines |= _read_lines(path, to_read) if to_read else {}
+    # What is no area is built from its lines; what does not close is these lines.
+    degenerate = lost - missing - of_members.keys()
     num_repaired = 0
-    for key in sorted(broken):
+    for key in sorted(ways_of.keys() & tags.keys() - shapes.keys() - degenerate):
         known = [lines[way] for way in ways_of[key] if way in lines]
         shape = known[0] if len(known) == 1 else shapely.union_all(known)
         if key in areas or key in of_members:
@@ -146,27 +151,27 @@ def _read(path: str | Path) -> Outlines:
             num_repaired += not built.is_empty
             shape = shape if built.is_empty else built
         if not shape.is_empty or key in areas:
-            shapes[key] = shape
-    shapes = {key: shape for key, shape in shapes.items() if key in tags}
+            shapes[key] = shape.wkb_hex
 
     # Buildings that made no area are counted by what is wrong with them.
-    columns = {tag: np.full(len(shapes), None, object) for tag in TAGS}
+    names = {"building"}.union(*map(tags.__getitem__, shapes))
+    columns = {name: np.full(len(shapes), None, object) for name in names}
     for index, key in enumerate(shapes):
-        for tag, value in tags[key].items():
-            columns[tag][index] = value
-    not_areas = {key for key in tags if any(name in tags[key] for name in BUILDINGS)} - areas
+        for name, value in tags[key].items():
+            columns[name][index] = value
+    buildings = {key for key in tags.keys() - areas if not tags[key].keys().isdisjoint(BUILDINGS)}
     box = header_box(path)
     return Outlines(
-        polygons=_geometries(shapes),
+        polygons=shapely.from_wkb(np.array([*map(bytes.fromhex, shapes.values())], object)),
         tags=tags_of(columns),
         crs=WGS84,
         boxes=() if box is None else (box,),
         attribution=OSM_CREDIT,
         issues={
-            ReadIssue.OPEN_WAYS: len(open_ways & not_areas),
-            ReadIssue.WAYS_WITH_MISSING_NODES: len(missing & not_areas),
-            ReadIssue.DEGENERATE_WAYS: len(closed - areas),
-            ReadIssue.RELATIONS_INCOMPLETE: sum(key[0] == "r" for key in not_areas),
+            ReadIssue.OPEN_WAYS: len(open_ways & buildings),
+            ReadIssue.WAYS_WITH_MISSING_NODES: len(missing & buildings),
+            ReadIssue.DEGENERATE_WAYS: len(degenerate & buildings),
+            ReadIssue.RELATIONS_INCOMPLETE: sum(kind == "r" for kind, _ in buildings),
             ReadIssue.POLYGONS_REPAIRED: num_repaired,
         },
     )
@@ -180,23 +185,29 @@ def _tags_of(item: Any) -> dict[str, str]:
     return {tag.k: tag.v for tag in tags if tag.k in TAGS}
 
 
-def _geometries(shapes: Mapping[Key, Any]) -> np.ndarray:
-    """Return shapes as geometries; texts are WKB in hexadecimal."""
-    geometries = np.fromiter(shapes.values(), object, len(shapes))
-    is_text = np.array([isinstance(shape, str) for shape in geometries], bool)
-    geometries[is_text] = shapely.from_wkb(geometries[is_text])
-    return geometries
-
-
-def _line_of(way: osmium.osm.Way) -> shapely.Geometry:
-    """Return the line of a way in longitude and latitude, without nodes that are missing: a point of one, or empty."""
-    points = [(node.lon, node.lat) for node in way.nodes if node.location.valid()]
-    return shapely.Point(points[0]) if len(points) == 1 else shapely.LineString(points)
-
-
 def _may_stand(tags: Any) -> bool:
-    """Return whether an object with these tags may stand, or is the relation of a building."""
-    return tags.get("type") == BUILDING or any(key in tags for key in MAYBE)
+    """Return whether an object with these tags may stand."""
+    return any(key in tags for key in MAYBE)
+
+
+def _points_of(way: osmium.osm.Way, places: Any) -> list[tuple[float, float]]:
+    """Return longitude and latitude of the nodes of a way, those left out that a store of places lacks."""
+    points = []
+    for node in way.nodes:
+        with suppress(KeyError):
+            place = places.get(node.ref)
+            points.append((place.lon, place.lat))
+    return points
+
+
+def _line_of(points: list[tuple[float, float]]) -> shapely.Geometry:
+    """Return the line of points: a point of one, or empty; of a line that comes to a place again each side once."""
+    if len(points) == 1:
+        return shapely.Point(points)
+    if len({*points}) < len(points) - 1:
+        sides = {tuple(sorted(side)) for side in pairwise(points) if side[0] != side[1]}
+        return shapely.MultiLineString(sorted(sides))
+    return shapely.LineString(points)
 
 
 def is_osm(path: str | Path) -> bool:
@@ -234,23 +245,6 @@ def _ways_of(relation: osmium.osm.Relation) -> list[int]:
     return [member.ref for member in relation.members if member.type == "w"]
 
 
-def _read_lines(path: str | Path, ids: set[int]) -> dict[int, shapely.Geometry]:
-    """Return the lines of the ways with these ids, by id, in longitude and latitude, without nodes that are missing.
-
-    A way with less than two nodes has an empty line; one that the file lacks has none. Of what a way passes several
-    times it has one line.
-    """
-    lines = {}
-    for way in open_osm(path).with_filter(IdFilter(ids)):
-        if isinstance(way, osmium.osm.Way):  # nodes may bear the same numbers
-            points = [(node.lon, node.lat) for node in way.nodes if node.location.valid()]
-            sides = {tuple(sorted(side)) for side in pairwise(points) if side[0] != side[1]}
-            lines[way.id] = _line_of(way)
-            if len(sides) < len(points) - 1:
-                lines[way.id] = shapely.MultiLineString(sorted(sides))
-    return lines
-
-
 def header_box(path: str | Path) -> Bounds | None:
     """Return west, south, east, north in degrees of an OSM file by its header, None where the header does not say.
 
@@ -281,31 +275,25 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
       target: the PBF file to write; an old one is replaced.
       box: west, south, east, north in degrees.
     """
-    file = _file(source)
-
     # The member ways of a building relation need not bear the tag themselves.
-    ways_of = {relation.id: _ways_of(relation) for relation in _relations(file)}
-    members = set().union(*ways_of.values())
-    near = set()
-    if members:
-        near = {item.id for item in _in_box(file, IdFilter(members), box) if item.is_way()}
-
+    file = _file(source)
+    of_relations = osmium.FileProcessor(file, osmium.osm.RELATION)
+    ways_of = {
+        relation.id: {*_ways_of(relation)}
+        for relation in of_relations.with_filter(MAY_STAND_OR_TYPE)
+        if isinstance(relation, osmium.osm.Relation)
+        and (relation.tags.get("type") == BUILDING or _may_stand(relation.tags))
+    }
+    members = set[int]().union(*ways_of.values())
+    near = {item.id for item in _in_box(file, IdFilter(members), box) if item.is_way()}
+    to_cut = {relation for relation, ways in ways_of.items() if not near.isdisjoint(ways)}
     with osmium.BackReferenceWriter(
         osmium.io.File(str(target), "pbf"), ref_src=file, overwrite=True, remove_tags=False
     ) as writer:
         for item in _in_box(file, MAY_STAND, box):
-            if _may_stand(item.tags):
-                writer.add(item)
-        for relation in _relations(file):
-            if not near.isdisjoint(ways_of[relation.id]):
-                writer.add(relation)
-
-
-def _relations(file: osmium.io.File) -> Iterator[osmium.osm.Relation]:
-    """Yield the relations of a file that may stand."""
-    for item in osmium.FileProcessor(file, osmium.osm.RELATION).with_filter(MAY_STAND):
-        if isinstance(item, osmium.osm.Relation) and _may_stand(item.tags):
-            yield item
+            writer.add(item)
+        for item in of_relations.with_filter(IdFilter(to_cut)):
+            writer.add(item)
 
 
 def _in_box(
