@@ -62,10 +62,10 @@ def read_rinex(
 ) -> ReceiverLog:
     """Return the log of a receiver from its RINEX 3 files, at the places of a better reference.
 
-    A row is an epoch that the reference and the observations have (within `MATCH_S`) and a satellite whose
-    broadcast orbit stands at least `LOWEST_HEARD_DEG` above the horizon there. Its C/N0 is the strongest S observable of
-    L1, E1 or B1, 0 where there is none. A satellite that its navigation message calls unhealthy has no row, nor has one without a
-    message that is valid at the time.
+    A row is an epoch that the reference and the observations have (within `MATCH_S`) and a satellite whose broadcast
+    orbit stands at least `LOWEST_HEARD_DEG` above the horizon there. Its C/N0 is the strongest S observable of L1, E1
+    or B1, 0 where there is none. A satellite that its navigation message calls unhealthy has no row, nor has one
+    without a message that is valid at the time.
 
     Args:
       observations: RINEX 3 (or 4) file of observations.
