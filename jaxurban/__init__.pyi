@@ -19,6 +19,8 @@ from jaxurban.metrics.population import Population as Population
 from jaxurban.metrics.risk import Risk as Risk
 from jaxurban.metrics.weights import Weights as Weights
 from jaxurban.paths.batch import plan_many as plan_many
+from jaxurban.paths.check import check as check
+from jaxurban.paths.check_result import MissionCheck as MissionCheck
 from jaxurban.paths.constraints import Constraints as Constraints
 from jaxurban.paths.cost_map import CostMap as CostMap
 from jaxurban.paths.detours import density_detours as density_detours
@@ -49,8 +51,6 @@ from jaxurban.settings import HeightStd as HeightStd
 from jaxurban.settings import Planning as Planning
 from jaxurban.settings import Terrain as Terrain
 from jaxurban.settings import Vehicle as Vehicle
-from jaxurban.studies.check import check as check
-from jaxurban.studies.check_result import MissionCheck as MissionCheck
 from jaxurban.viewer.widget import view as view
 from jaxurban.world.grid import Grid as Grid
 

@@ -12,13 +12,13 @@ import numpy as np
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import CostGrid, is_pinched, segment_cost
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, drop_top, place
+from jaxurban.kernels.search.sample_graph import NO_PARENT
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status, index_of
 from jaxurban.planners.bitstar.bounds import Bounds, cost_grid_of, make_bounds, reachable_cells
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.cost import sample_segment
 from jaxurban.planners.refine import check_line_model, shortened
 
-NO_PARENT = -1
 STEPS_PER_NODE = 8
 CHUNK = 10_000  # expansions between two looks at the clock: some 5 to 50 ms
 FIRST_HEAP = 4096  # entries; doubled when full

@@ -13,7 +13,7 @@ from jaxurban.kernels.search.heap import (
     EXHAUSTED,
     FOUND,
     FULL,
-    NO_PARENT,
+    NO_STEP,
     NUM_FAR,
     PARENT_STEP,
     PAUSED,
@@ -382,7 +382,7 @@ class GridSearch:
         self._state = np.zeros(num_nodes, np.uint8)
         self._queue = queue
         self._g[self.start] = 0.0
-        self._state[self.start] = NO_PARENT | REACHED
+        self._state[self.start] = NO_STEP | REACHED
         insert(queue, 0.0 if goal is None else estimate(heuristic, *start, *goal), self.start)
 
     @property

@@ -11,12 +11,12 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
+from jaxurban.kernels.search.sample_graph import NO_PARENT
 from jaxurban.kernels.tolerances import CHEAPER, INSIDE, SAME_COST
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import cost_grid_of, make_bounds
 from jaxurban.planners.compiled_first import compiled_first
 
-NO_PARENT = -1
 # Cell sides that waypoints keep from borders, lest rounding puts them in the cell beyond.
 MARGIN = 1e-6
 GROW, SHRINK = 1.5, 0.5  # of a waypoint's step, where it helped and where it did not

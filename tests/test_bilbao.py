@@ -10,7 +10,7 @@ import jaxurban as ju
 from benchmarks.random_routes import read_plan
 from jaxurban.cli.main import app
 from jaxurban.io.read.raster import read_raster
-from jaxurban.paths.export.qgc_plan import GROUND_TOLERANCE_M
+from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.export.write import write_path
 from jaxurban.paths.ground import elevation_at
 from jaxurban.paths.plan import cost_map

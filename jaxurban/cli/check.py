@@ -86,8 +86,8 @@ def check(
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.saving import open_maps
     from jaxurban.metrics.weights import Weights
+    from jaxurban.paths.check import check as check_mission
     from jaxurban.public import Caution
-    from jaxurban.studies.check import check as check_mission
 
     # Folders are held while it works.
     for output in files:

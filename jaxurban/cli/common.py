@@ -20,10 +20,10 @@ from jaxurban.progress import LOG, Report, reporting
 if TYPE_CHECKING:
     import pandas as pd
 
+    from jaxurban.io.results import Result
     from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.ground_risk import OverflownDensity
     from jaxurban.settings import CostKind, Preset
-    from jaxurban.studies.results import Result
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]

@@ -5,6 +5,7 @@ import hashlib
 import io
 import json
 import lzma
+import math
 import time
 import uuid
 import zipfile
@@ -109,6 +110,16 @@ def records_of(table: pd.DataFrame) -> list[dict[str, Any]]:
     """Return the rows of a table as plain values, None where there is no value or no number."""
     rows = table.astype(object).where(table.notna(), None).to_dict("records")
     return [{str(name): value for name, value in row.items()} for row in rows]
+
+
+def number_or_none(value: float | None) -> float | None:
+    """Return a number as JSON takes it: None for one that is missing or not finite."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def numbers_or_none(values: Mapping[Any, float | None]) -> dict[str, float | None]:
+    """Return numbers by name as JSON takes them (`number_or_none`)."""
+    return {str(name): number_or_none(value) for name, value in values.items()}
 
 
 def _suffix(file: Path) -> str:

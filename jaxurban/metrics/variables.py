@@ -10,7 +10,7 @@ import numpy as np
 from jaxurban.metrics.base import ALTITUDE, TIME, UNDERSIDE, Metric, Scale, Variable
 
 FREE_COLOUR, BUILT_COLOUR = "#f4f4ee", "#4a4a4a"
-GUESSED_COLOUR, NO_DATA_COLOUR = "#d55e00", "#bdbdbd"
+GUESSED_CELL_COLOUR, NO_DATA_COLOUR = "#d55e00", "#bdbdbd"
 CAVEAT = "comment"  # attribute: what whoever reads the values must know; the name is that of the CF conventions
 NEEDED = ("obstacle", "has_data")  # without these maps it is not a folder of maps
 # What is kept of a long series, behind the metric's name.
@@ -45,7 +45,10 @@ AUXILIARY_VARIABLES = {
             "the height of the highest roof that touches the cell, or is over its centre, is guessed",
             title="Guessed heights",
             dtype=np.bool_,
-            classes=(("height known, or no roof", FREE_COLOUR), ("height guessed", GUESSED_COLOUR)),
+            classes=(
+                ("height known, or no roof", FREE_COLOUR),
+                ("height guessed", GUESSED_CELL_COLOUR),
+            ),
         ),
         Variable(
             "roof_limit",

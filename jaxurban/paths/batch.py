@@ -12,12 +12,11 @@ import pandas as pd
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.io.tables import RowStore, fingerprint
+from jaxurban.io.tables import RowStore, fingerprint, number_or_none
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.export.base import number_or_none
 from jaxurban.paths.path import PlannedPath, finish
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.queries import NOT_RUN, PlannedPaths, Query, path_of, read_queries, row_of

@@ -12,14 +12,11 @@ import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt, minimum_filter
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.tolerances import SAME_LENGTH
+from jaxurban.kernels.tolerances import FILE_MARGIN_M, SAME_LENGTH
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.rules import roof_limits_m
 from jaxurban.planners.base import Cell
 
-# What a file may take from a clearance: 8 mm by the seventh decimal of a degree, and up to 35 mm where a program draws
-# a leg of 1 km straight in degrees instead of in the maps' CRS (length^2 / 8 R x tan of a latitude up to 60 degrees).
-FILE_MARGIN_M = 0.05
 # Cell sides: steps between the centres of cells keep half a side from closed cells.
 MOST_LEG_MARGIN = 0.49
 MOST_STEPS = 10**5  # sides, more than maps have: their border is an obstacle, so all is closed

@@ -14,17 +14,17 @@ from jaxurban.checks import nearest_name, typed
 from jaxurban.errors import IgnoredZoneWarning, InputError, warn
 from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
+from jaxurban.io.tables import number_or_none
+from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import known_metrics
 from jaxurban.paths.clearance import (
-    FILE_MARGIN_M,
     closed_by_clearance,
     closing_step_m,
     kept_m,
     limit_near_m,
     reach_said,
 )
-from jaxurban.paths.export.base import number_or_none
 from jaxurban.planners.base import Cell
 from jaxurban.public import listed
 from jaxurban.settings import (

@@ -11,6 +11,7 @@ import pandas as pd
 
 from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
+from jaxurban.io.tables import numbers_or_none
 from jaxurban.kernels.line.traversal import Crossings
 from jaxurban.maps.levels import Levels
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
@@ -19,7 +20,6 @@ from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.export.base import numbers_or_none
 from jaxurban.paths.ground_risk import DENSITY, OverflownDensity
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import map_at

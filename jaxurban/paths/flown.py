@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from jaxurban.errors import InputError
+from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.export.base import GROUND_TOLERANCE_M
 from jaxurban.paths.legs import Flight, Steps
 from jaxurban.paths.path import measured
 from jaxurban.paths.plan import cost_map

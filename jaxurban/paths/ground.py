@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from jaxurban.kernels.line.traversal import crossed_cells
-from jaxurban.paths.export.base import MOST_BULGE_M
+from jaxurban.kernels.tolerances import MOST_BULGE_M
 from jaxurban.world.grid import Grid
 
 

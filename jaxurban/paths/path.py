@@ -12,9 +12,9 @@ import numpy as np
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
+from jaxurban.io.tables import number_or_none, numbers_or_none
 from jaxurban.kernels.tolerances import SAME_EXPOSURE, SAME_PLACE_M
 from jaxurban.paths.constraints import describe_kept
-from jaxurban.paths.export.base import number_or_none, numbers_or_none
 from jaxurban.paths.export.write import MISSION, check_is_mission, write_path
 from jaxurban.paths.ground import Ground, ground_along
 from jaxurban.paths.snapping import End, pocket_note, snap_note, what_would_join

@@ -17,7 +17,7 @@ from jaxurban.paths.snapping import Point
 from jaxurban.public import Caution, FactsRepr, listed
 from jaxurban.settings import as_tuple
 
-LOWEST_DEG = 1.0  # of a horizon, where the elevation mask is lower
+LOWEST_HORIZON_DEG = 1.0  # of a horizon, where the elevation mask is lower
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -88,7 +88,7 @@ class SkyAt(FactsRepr):
         grid = sight.region
         # From true north to grid north, from which rays are counted.
         azimuth_rad = np.radians(np.arange(360.0)) - grid.convergence_rad(*self.lonlat)
-        lowest_deg = max(sight.params.gps.mask_deg, LOWEST_DEG)
+        lowest_deg = max(sight.params.gps.mask_deg, LOWEST_HORIZON_DEG)
         x_m, y_m = grid.xy_of_lonlat(*self.lonlat)
         return sight.hiding.horizon_deg(x_m, y_m, self.altitude_m, azimuth_rad, lowest_deg)
 

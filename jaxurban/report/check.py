@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxurban.metrics.variables import BUILT_COLOUR
+from jaxurban.paths.check_result import MissionCheck
 from jaxurban.paths.constraints import describe_constraints
 from jaxurban.paths.profile import TOUCHED
 from jaxurban.report.figures.frame import MapPanel, draw_maps, frame_note
@@ -18,7 +19,6 @@ from jaxurban.report.figures.metrics import roof_layers
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
 from jaxurban.report.figures.style import chart, dress, legend_above, styled
 from jaxurban.report.write import Figures, Look, Outputs, Written, bullets, fill, study_outputs
-from jaxurban.studies.check_result import MissionCheck
 
 FOUND: Look = {
     "color": "#d00000",

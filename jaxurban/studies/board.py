@@ -15,6 +15,7 @@ from jaxurban.errors import InputError, readable
 from jaxurban.io.files import digest_of, whole_file, write_whole
 from jaxurban.io.tables import read_table, records_of, write_table
 from jaxurban.io.workspace import Workspace
+from jaxurban.kernels.tolerances import SAME_RECORDED_COST
 from jaxurban.maps.build import build_maps
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
@@ -44,8 +45,8 @@ ENDS = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
 KEYS, CLAIMED = ["track", "query", "route"], ["cost", "cpu_s"]  # columns of a submission
 LINE = ["method", "bundle", "track", "city"]  # what names a line of the board
 NEAR_M = 1e-3  # of ends, and on the grid of corners, to the centres of cells
-# Relative: an exposure that much above its budget keeps it; a claimed cost is true.
-SAME, SAME_COST = 1e-9, 1e-6
+# Relative: an exposure that much above its budget keeps it.
+SAME = 1e-9
 VALID, MISSING = "valid", "missing"
 
 
@@ -461,7 +462,7 @@ def _summary(routes: pd.DataFrame) -> dict[str, Any]:
     failed = routes.loc[~is_valid, "outcome"].value_counts()
     gap = routes["gap"]
     claims = routes["claimed_cost"]
-    is_true = np.isclose(claims, routes["cost"], rtol=SAME_COST, atol=0)
+    is_true = np.isclose(claims, routes["cost"], rtol=SAME_RECORDED_COST, atol=0)
     return {
         "asked": len(routes),
         "valid": is_valid.sum(),

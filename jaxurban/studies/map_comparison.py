@@ -13,6 +13,7 @@ import pyproj
 from jaxurban.checks import at_least, finite, one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.io.files import read_json
+from jaxurban.io.results import Result
 from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps
 from jaxurban.maps.provenance import Differing, differing
@@ -23,7 +24,6 @@ from jaxurban.public import listed
 from jaxurban.settings import iso_utc
 from jaxurban.studies.compared_routes import compared_routes, regrets
 from jaxurban.studies.queries import NORMS
-from jaxurban.studies.results import Result
 from jaxurban.world.grid import Grid
 
 # The layer of cells that no planner enters, beside ``obstacle``, the metrics' rule.

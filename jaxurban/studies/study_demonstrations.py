@@ -19,6 +19,7 @@ from jaxurban.checks import finite, one_of, typed
 from jaxurban.errors import InputError, SkippedRouteWarning, warn
 from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, Row, read_table, records_of
 from jaxurban.io.workspace import Workspace
+from jaxurban.kernels.tolerances import SAME_RECORDED_COST
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.scenario import Study
 from jaxurban.metrics.weights import Weights
@@ -43,7 +44,6 @@ from jaxurban.studies.montecarlo.study import BenchmarkResult
 from jaxurban.studies.montecarlo.trial import WEIGHTED, Benchmark, draws_samples, located
 
 EXACT = "astar-plus"  # plans the routes of tables
-SAME_COST = 1e-6  # relative: a route that is planned again costs as its row says
 ALIKE = 1e-9  # relative: weights of rows, scaled to sum 1, that are one W
 STARTS = {"start_lon", "start_x_m"}  # one of them is a column of every table of routes
 OF_ROW = ("status", "cost", "num_samples")  # what a study says of a route
@@ -377,7 +377,7 @@ def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.nda
 
     # A route that costs otherwise than its row says is another one. A row that says no cost agrees with any.
     cost = cost_map.shortest.features(result.points_m, cost_map.cost_model.kind).cost(weights)
-    if not math.isclose(cost, row.get("cost", cost), rel_tol=SAME_COST):
+    if not math.isclose(cost, row.get("cost", cost), rel_tol=SAME_RECORDED_COST):
         raise InputError(
             "planned again they cost otherwise than their rows say, as where seconds ended the search"
         )

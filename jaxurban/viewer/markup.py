@@ -17,7 +17,7 @@ from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR
 WIDE, HIGH = 1000, 150
 TOP, MIDDLE, BOTTOM = 7, 62, 134
 METRICS_HIGH, LETTERS = 52, 14
-GUESSED_COLOUR = "#b9a473"
+GUESSED_STRIP_COLOUR = "#b9a473"
 MOST_STEPS = 1000  # of a line of the profile
 
 
@@ -182,7 +182,7 @@ def profile(
     roofs_m = table["roof_m"].fillna(0.0)
     roofs = {"roofs beneath": (BUILT_COLOUR, roofs_m)}
     if GUESSED in table:
-        roofs["of guessed height"] = GUESSED_COLOUR, roofs_m * table[GUESSED]
+        roofs["of guessed height"] = GUESSED_STRIP_COLOUR, roofs_m * table[GUESSED]
     beneath = "".join(
         f'<path d="{trace(values_m, MIDDLE, per_m)}L{WIDE} {MIDDLE}L0 {MIDDLE}Z" fill="{colour}" stroke="none"/>'
         for colour, values_m in roofs.values()

@@ -18,12 +18,13 @@ import numpy as np
 from jaxurban.checks import one_of
 from jaxurban.errors import InputError, JaxurbanError, RemadeError
 from jaxurban.io.store import OPENED
+from jaxurban.io.tables import number_or_none
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.explain import RouteReport
-from jaxurban.paths.export.base import number_or_none, waypoints
+from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, cautious_profile, without_fix
 from jaxurban.paths.sight import Sight

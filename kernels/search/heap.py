@@ -13,7 +13,7 @@ from jaxurban.kernels.compiled import compiled
 FOUND, EXHAUSTED, PAUSED, FULL = range(4)
 UNREACHED = 0  # a node's state as long as no way to it is known: its g is not written yet
 PARENT_STEP = 0x1F  # bits of the state after that: the step by which it was reached ...
-NO_PARENT = 0x1F  # ... or this, at the start
+NO_STEP = 0x1F  # ... or this, at the start
 CLOSED = 0x20
 REACHED = 0x40
 NUM_BUCKETS = 2048

@@ -14,12 +14,8 @@ from scipy.ndimage import label
 import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.io.read.zone import cell_boxes, touched_cells
-from jaxurban.paths.clearance import (
-    FILE_MARGIN_M,
-    closing_step_m,
-    distance_to_obstacles_m,
-    kept_m,
-)
+from jaxurban.kernels.tolerances import FILE_MARGIN_M
+from jaxurban.paths.clearance import closing_step_m, distance_to_obstacles_m, kept_m
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.frame import rules_said

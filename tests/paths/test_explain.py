@@ -19,7 +19,7 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.profile import clearance_m, cut_evenly, nearest_level_m
 from jaxurban.planners.cost import path_states
 from jaxurban.report.figures import plot_profile, save_profile
-from jaxurban.report.figures.frame import GUESSED_COLOUR
+from jaxurban.report.figures.frame import GUESSED_ROOF_COLOUR
 from jaxurban.report.figures.profile import NO_FIX_COLOUR
 from tests.cli_runs import run
 from tests.made_maps import missing_inside
@@ -388,7 +388,7 @@ def test_roofs_of_guessed_height_and_stretches_above_every_obstacle_are_told_apa
     profile = report.profile.assign(roof_m=12.0, roof_guessed=is_first, nearest_wall_m=clear_m)
     heights, *_, walls = plot_profile(planned, maps, replace(report, profile=profile)).axes
     guessed = steps(heights)["of guessed height"]
-    assert to_hex(guessed.get_facecolor()) == GUESSED_COLOUR
+    assert to_hex(guessed.get_facecolor()) == GUESSED_ROOF_COLOUR
     np.testing.assert_array_equal(guessed.get_data().values, np.where(is_first, 12.0, 0.0))
     assert "of guessed height" not in steps(plot_profile(planned, maps, report).axes[0])
     np.testing.assert_array_equal(

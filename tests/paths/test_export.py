@@ -15,7 +15,7 @@ import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.cli.plan import plan
 from jaxurban.io.read.zone import Zone
-from jaxurban.paths.export.base import GROUND_TOLERANCE_M
+from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.export.qgc_plan import height_note
 from jaxurban.paths.export.write import FORMATS, write_path
 from jaxurban.paths.ground import elevation_at, ground_along

@@ -32,7 +32,7 @@ from jaxurban.io.samples import located
 from jaxurban.io.tables import read_table
 from jaxurban.world.grid import transformer
 
-LOWEST_DEG = 5.0  # of a satellite in a log
+LOWEST_HEARD_DEG = 5.0  # of a satellite in a log
 MATCH_S = 0.02  # between a reference and its observation: a receiver's clock is kept to a millisecond or some
 HEIGHT = "height_m"
 WEEK = "gps_week"
@@ -63,9 +63,9 @@ def read_rinex(
     """Return the log of a receiver from its RINEX 3 files, at the places of a better reference.
 
     A row is an epoch that the reference and the observations have (within `MATCH_S`) and a satellite whose broadcast
-    orbit stands at least `LOWEST_DEG` above the horizon there. Its C/N0 is the strongest S observable of L1, E1 or B1,
-    0 where there is none. A satellite that its navigation message calls unhealthy has no row, nor has one without a
-    message that is valid at the time.
+    orbit stands at least `LOWEST_HEARD_DEG` above the horizon there. Its C/N0 is the strongest S observable of L1, E1
+    or B1, 0 where there is none. A satellite that its navigation message calls unhealthy has no row, nor has one
+    without a message that is valid at the time.
 
     Args:
       observations: RINEX 3 (or 4) file of observations.
@@ -102,7 +102,7 @@ def read_rinex(
     # A row for each satellite above the horizon, of systems whose C/N0 the file has.
     angles = messages.angles(track)
     is_heard = angles[SATELLITE].str[0].isin(letters)
-    rows = angles[is_heard & (angles[ELEVATION] >= LOWEST_DEG)].join(track, on=EPOCH)
+    rows = angles[is_heard & (angles[ELEVATION] >= LOWEST_HEARD_DEG)].join(track, on=EPOCH)
     rows = rows.merge(strengths, "left", ["observation", SATELLITE]).fillna({CN0: 0.0})
 
     left_out = messages.left_out(set(angles[SATELLITE]), set(strengths[SATELLITE]))

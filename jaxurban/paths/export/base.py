@@ -6,12 +6,12 @@ thousands. No straight line between waypoints is lower than planned: these are r
 Over maps with terrain points are added until no line is more than `GROUND_TOLERANCE_M` higher.
 """
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M, MOST_BULGE_M
 from jaxurban.paths.lines import along_of
 from jaxurban.public import sentences_of
 from jaxurban.settings import Vehicle
@@ -26,9 +26,7 @@ FAR_DECIMALS = 6  # of a centimetre: what is so near to a whole one is that
 HEIGHT_REFERENCE = (
     "altitude_m and z_m are metres above the ground below each point, not above sea level"
 )
-MOST_BULGE_M = 0.05  # between two places of a `Ground`, by which it leaves the straight line
 STRAIGHT_M = 0.01  # a waypoint that straight lines miss by no more, in x, y and height, is left out
-GROUND_TOLERANCE_M = 1.0  # by which the straight lines may exceed the planned height above ground
 # Twice, and the rest is for the ground's cover and for rounding up.
 MISSED_M = GROUND_TOLERANCE_M / 2 - MOST_BULGE_M
 
@@ -49,16 +47,6 @@ class Format(NamedTuple):
     encode: Encode
     label: str
     is_of_waypoints: bool = False
-
-
-def number_or_none(value: float | None) -> float | None:
-    """Return a number as JSON takes it: None for one that is missing or not finite."""
-    return None if value is None or not math.isfinite(value) else float(value)
-
-
-def numbers_or_none(values: Mapping[Any, float | None]) -> dict[str, float | None]:
-    """Return numbers by name as JSON takes them (`number_or_none`)."""
-    return {str(name): number_or_none(value) for name, value in values.items()}
 
 
 def positions(points: np.ndarray) -> list[list[float]]:

@@ -18,9 +18,9 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import polygonal
+from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.export.base import (
     DECIMALS,
-    GROUND_TOLERANCE_M,
     Z_DECIMALS,
     Named,
     Waypoints,

@@ -17,7 +17,7 @@ from jaxurban.checks import positive
 from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.zone import made_valid
-from jaxurban.paths.clearance import FILE_MARGIN_M
+from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.paths.contacts import Prisms, buildings_of
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.export.qgc_plan import exclusions, ring_of, without_holes

@@ -19,7 +19,7 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR, derived
 from jaxurban.public import renamed_arguments
 from jaxurban.report.figures.frame import (
-    GUESSED_COLOUR,
+    GUESSED_ROOF_COLOUR,
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
     LegendEntry,
@@ -549,9 +549,9 @@ def plot_heights(maps: MapsLike, *, width: Width = "page") -> Figure:
         layers = [
             flat_layer(roof_m == 0, EMPTY_COLOUR),
             flat_layer(is_roof, OBSTACLE_COLOUR),
-            flat_layer(is_guessed, GUESSED_COLOUR),
+            flat_layer(is_guessed, GUESSED_ROOF_COLOUR),
         ]
         panels.append(MapPanel(f"height guessed: {share} of roofs", layers))
-        legend.append(("height guessed", GUESSED_COLOUR))
+        legend.append(("height guessed", GUESSED_ROOF_COLOUR))
     note = frame_note(maps, has_sky=False)
     return draw_maps(maps.grid, panels, "Heights (m)", note, legend=legend, width=width)[0]

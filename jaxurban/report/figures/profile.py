@@ -14,7 +14,7 @@ from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
-from jaxurban.report.figures.frame import GUESSED_COLOUR, frame_note, joined
+from jaxurban.report.figures.frame import GUESSED_ROOF_COLOUR, frame_note, joined
 from jaxurban.report.figures.style import (
     FAINT_INK,
     SMALL_PT,
@@ -135,7 +135,7 @@ def _draw_heights(
     if GUESSED in profile and profile[GUESSED].any():
         guessed_m = profile["roof_m"].where(profile[GUESSED], 0.0)
         panel.stairs(
-            guessed_m, edges_km, fill=True, color=GUESSED_COLOUR, label="of guessed height"
+            guessed_m, edges_km, fill=True, color=GUESSED_ROOF_COLOUR, label="of guessed height"
         )
 
     # The flight: legs are measured in the air, as climbs have a length too.

@@ -11,6 +11,7 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.base_map import base_map_source, land_cover_in
 from jaxurban.io.read.osm import is_osm, read_land_cover
+from jaxurban.io.results import Result
 from jaxurban.io.samples import is_sample
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, records_of, write_table
 from jaxurban.io.workspace import Workspace
@@ -33,7 +34,6 @@ from jaxurban.studies.montecarlo.sampling import (
     with_connection,
 )
 from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
-from jaxurban.studies.results import Result
 from jaxurban.world.grid import Grid
 from jaxurban.world.land_cover import LandCover
 

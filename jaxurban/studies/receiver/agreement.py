@@ -40,7 +40,7 @@ from jaxurban.world.known import Rays
 MOST_MOVED = 20_000  # rows that are set against displaced cities and other roofs, of a longer log every n-th epoch
 FEWEST_SEEN = 8  # judged rows of a block that may be drawn as a place
 FEWEST_CITIES = 50  # displaced ones that could be scored, for a verdict
-LOWEST_DEG = 0.1  # a ray along the horizon never rises
+LOWEST_RAY_DEG = 0.1  # a ray along the horizon never rises
 STREET_M, STILL_M = 20.0, 1.0  # each way, for the street's direction; a car that moves less stands
 
 
@@ -381,7 +381,7 @@ def _rows_of(
     """
     assert log.satellites is not None
     system = log.satellites.satellite.astype(str).str[0]
-    is_kept = log.satellites.elevation_deg >= max(mask_deg, LOWEST_DEG)
+    is_kept = log.satellites.elevation_deg >= max(mask_deg, LOWEST_RAY_DEG)
     if settings.systems:
         is_kept &= system.isin(list(settings.systems))
     rows = log.satellites[is_kept].assign(system=system[is_kept]).reset_index(drop=True)

@@ -24,6 +24,7 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED, UTC, ReceiverLog, read_receiver_log
 from jaxurban.io.read.rinex import read_rinex
+from jaxurban.io.results import Result
 from jaxurban.io.samples import log_of
 from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
@@ -34,7 +35,6 @@ from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.studies.receiver.agreement import SatelliteAgreement, agreement_of
 from jaxurban.studies.receiver.prediction import ReceiverSettings, region_of, task_at
 from jaxurban.studies.receiver.satellites import counted, known_of, with_directions
-from jaxurban.studies.results import Result
 
 MAIN = {TRACKED: NUM_VISIBLE, ERROR: "hdop"}
 # Of all else, dilutions of precision and errors, less is better.

@@ -10,13 +10,13 @@ import pandas as pd
 
 from jaxurban.checks import at_least, one_of, typed
 from jaxurban.errors import InputError
+from jaxurban.io.results import Result
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import Point
 from jaxurban.progress import Progress, reporting
 from jaxurban.studies.queries import RouteQuery, check_flat, outcomes_of, query_between
-from jaxurban.studies.results import Result
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import EXACT, Partition, find_breakpoints, pareto_front
 from jaxurban.studies.weights.sobol import (

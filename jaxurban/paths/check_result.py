@@ -11,11 +11,11 @@ import pandas as pd
 
 from jaxurban.checks import typed
 from jaxurban.io.files import write_whole
+from jaxurban.io.results import Result
 from jaxurban.io.tables import SUFFIXES, records_of, write_table
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.legs import Flight
 from jaxurban.public import Caution, caution_of_guesses
-from jaxurban.studies.results import Result
 
 State = Literal["clean", "findings", "not-judged"]
 STATES: dict[State, str] = {

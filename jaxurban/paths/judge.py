@@ -1,0 +1,371 @@
+"""What a mission meets: buildings, the ground, no-fly zones and closed cells; and what of it cannot be judged."""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban.io.read.zone import Zone
+from jaxurban.kernels.tolerances import FILE_MARGIN_M, GROUND_TOLERANCE_M
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.clearance import reach_said
+from jaxurban.paths.constraints import Bound, Constraints
+from jaxurban.paths.contacts import TOUCH_M, Prisms, contacts, merged
+from jaxurban.paths.corners_cut import corners_of
+from jaxurban.paths.elevation import Elevation
+from jaxurban.paths.legs import Flight, Steps, spans
+from jaxurban.paths.profile import nearest_level_m
+
+# So near an altitude of the maps a step is at it: files round heights up to centimetres.
+LEVEL_M = 0.02
+ON_SITE = ("climb", "land")  # kinds of legs between the ground and the height of flight
+CUT = "lie at corners that autopilots cut, with a building or a zone there, or nearer than the clearance"
+NO_DATA = "lie over cells without data"
+NO_CITY = "lie where the source of the buildings does not know what stands"
+GUESSED_ROOFS = "lie over roofs of guessed height, or nearer to them than the clearance: what is there ({kind}) {reach}"
+SPAN = ["from_m", "to_m"]
+PLACE = ["lon", "lat", "along_m", "to_m", "height_m"]
+COLUMNS = ["kind", "what", "item", *PLACE, "building_m", "by_m", "is_guessed"]
+
+
+def judged(
+    flight: Flight,
+    buildings: Prisms,
+    known: shapely.Geometry,
+    limits: Constraints,
+    times: Sequence[str | None],
+    time_of_day: str | None,
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return two tables of a mission: what it meets, and what of it cannot be judged.
+
+    The first has a row for each finding, with the columns `COLUMNS`, in the order of travel. The second has a row for
+    each stretch, with the columns of ``flight.unknown``: ``reason``, and ``from_m`` and ``to_m`` along the mission.
+
+    Args:
+      flight: the mission over the maps.
+      buildings: what stands there.
+      known: the area in which all buildings are known, in the maps' CRS.
+      limits: the zones in force, the bounds and the clearances, none of which is left out.
+      times, time_of_day: of the maps that the bounds must hold on; None for a map that has no times.
+    """
+    ground = flight.ground
+    maps = ground.maps
+    tables, unknown = [], [flight.unknown, *_at_corners(flight, buildings, limits)]
+    for way in (flight.steps, flight.variants):
+        # What cannot be judged: steps without data, beyond what is known, near roofs of guessed height, or nearer to
+        # what they clear than the ground is known.
+        has_data = maps.ds["has_data"].values[tuple(way.cell.T)]
+        is_known = has_data & np.isfinite(way.z_m).all(axis=1)
+        steps = way.take(is_known)
+        near = contacts(steps, buildings, ground, limits.horizontal_m)
+        unknown.append(spans(way.along_m[~is_known], NO_DATA))
+        unknown += _unsure(flight, steps, near, limits)
+        unknown += _beyond(flight, steps, known, limits.horizontal_m)
+        unknown += _guessed(near, buildings, limits)
+
+        # What the other steps meet.
+        findings = [
+            *_buildings(near, buildings, limits),
+            _buried(steps),
+            _zones(steps, ground, limits),
+            *_closed(steps, maps, limits, times, time_of_day),
+        ]
+        tables.append(_placed(pd.concat(findings, ignore_index=True), flight, steps))
+    return _with_variants(*tables), pd.concat(unknown, ignore_index=True)
+
+
+def _placed(table: pd.DataFrame, flight: Flight, steps: Steps) -> pd.DataFrame:
+    """Return findings with the place and the item at which each begins, in the order of travel."""
+    begins = steps.take(table["step"].to_numpy(int))
+    lon, lat = flight.ground.maps.grid.lonlat_of_xy(*begins.ends_m[:, 0].T)
+    items = [flight.mission.legs[leg].item for leg in begins.leg]
+    table = table.assign(item=items, lon=lon, lat=lat, height_m=begins.z_m[:, 0])
+    table = table.rename(columns={"from_m": "along_m"}).sort_values("along_m", ignore_index=True)
+    return table.reindex(columns=COLUMNS)
+
+
+def _with_variants(main: pd.DataFrame, beside: pd.DataFrame) -> pd.DataFrame:
+    """Return the findings of a mission, with those of its variants that are no finding of the mission itself.
+
+    A finding of a variant is one of the mission's if they are of a kind and of one building, and overlap.
+    """
+    same = main.merge(beside.reset_index(), on=["kind", "building_m"])
+    overlaps = (same["along_m_x"] <= same["to_m_y"]) & (same["along_m_y"] <= same["to_m_x"])
+    new = beside.drop(same.loc[overlaps, "index"])
+    if main.empty or new.empty:
+        return new if main.empty else main
+    return pd.concat([main, new]).sort_values("along_m", ignore_index=True)
+
+
+def _unsure(
+    flight: Flight, steps: Steps, near: pd.DataFrame, limits: Constraints
+) -> Iterator[pd.DataFrame]:
+    """Yield a table of stretches that keep clear, but by less than the ground of the maps' cells may be off.
+
+    Take-off, landing and steps straight up or down do not count as near the ground.
+
+    Args:
+      flight: whose ground it is.
+      steps: some of its steps.
+      near: the steps in and near buildings (`contacts`).
+      limits: the clearances.
+    """
+    if flight.ground.is_exact:
+        return
+    off_m = flight.ground.off_m[tuple(steps.cell.T)]
+    least_m = limits.vertical_m - FILE_MARGIN_M
+    spare_m = near[["gap_m", "spare_m"]].min(axis=1) - least_m
+    is_open = (spare_m >= 0) & (spare_m < off_m[near["step"]])
+    is_low = (steps.z_m.min(axis=1) < off_m) & ~_is_on_site(flight, steps)
+    is_low[near.loc[is_open, "step"].to_numpy(int)] = True
+    most_m = off_m[is_low].max(initial=0.0)
+    reason = (
+        f"lie nearer to roofs or the ground than the ground is known, by up to {most_m:.1f} m: "
+        "name the files of the maps (sources, --sources)"
+    )
+    yield spans(steps.along_m[is_low], reason)
+
+
+def _may_meet(near: pd.DataFrame, limits: Constraints) -> pd.Series:
+    """Return whether each step near a building may be in what is of guessed height there, or too near above it."""
+    return near["spare_m"] <= max(limits.vertical_m - FILE_MARGIN_M, 0.0)
+
+
+def _guessed(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> Iterator[pd.DataFrame]:
+    """Yield, for each kind of what is of guessed height, a table of the stretches that may meet it.
+
+    Args:
+      near: the steps in and near buildings (`contacts`).
+      buildings: that they are near.
+      limits: the clearances.
+    """
+    rows = near[_may_meet(near, limits)]
+    for kind, of_kind in rows.groupby(buildings.kind[rows["prism"]]):
+        reach = reach_said(buildings.limit_m[of_kind["prism"]].max())
+        yield of_kind[SPAN].assign(reason=GUESSED_ROOFS.format(kind=kind, reach=reach))
+
+
+def _is_on_site(flight: Flight, steps: Steps) -> np.ndarray:
+    """Return ``[P]`` whether steps lead between the ground and the height of flight, or straight up or down."""
+    leg_kinds = np.array([leg.kind for leg in flight.mission.legs], object)
+    return np.isin(leg_kinds[steps.leg], ON_SITE) | (steps.over_m == 0)
+
+
+def _at_corners(flight: Flight, buildings: Prisms, limits: Constraints) -> Iterator[pd.DataFrame]:
+    """Yield tables of the corners whose inside, which autopilots may fly over, comes too near to a building or a zone.
+
+    Args:
+      flight: whose corners they are (`corners_of`).
+      buildings: that stand there.
+      limits: the clearances and zones.
+    """
+    corners = corners_of(flight)
+    ground = flight.ground
+    near = contacts(corners, buildings, ground, limits.horizontal_m)
+    is_close = (near["gap_m"] < limits.vertical_m - FILE_MARGIN_M) | _may_meet(near, limits)
+    in_zone = contacts(corners, _prisms_of(limits.zones, ground.maps), ground)
+    for rows in (near[is_close], in_zone[in_zone["gap_m"] <= 0]):
+        yield rows[SPAN].assign(reason=CUT)
+
+
+def _beyond(
+    flight: Flight, steps: Steps, known: shapely.Geometry, horizontal_m: float
+) -> Iterator[pd.DataFrame]:
+    """Yield tables of stretches (`spans`) beyond what is known: in plan, below and above the maps' altitudes.
+
+    A step is beyond in plan if it lies outside ``known``, or nearer to its border than the clearance. Take-off, landing
+    and steps straight up or down do not count as below the maps, as they lead between the ground and the height of
+    flight.
+
+    Args:
+      flight: the mission over the maps.
+      steps: those of its steps that have data.
+      known: the area in which all buildings are known, in the maps' CRS.
+      horizontal_m: the clearance.
+    """
+    judged_area = shapely.buffer(known, -horizontal_m) if horizontal_m else known
+    shapely.prepare(judged_area)
+    is_off = ~shapely.intersects_xy(judged_area, *steps.ends_m.mean(axis=1).T)
+    yield spans(steps.along_m[is_off], NO_CITY)
+
+    is_on_site = _is_on_site(flight, steps)
+    z_m = steps.z_m.mean(axis=1)
+    altitudes_m = flight.ground.maps.altitudes_m
+    low_m = min(altitudes_m)
+    high_m = max(altitudes_m)
+    is_below = (z_m < low_m - GROUND_TOLERANCE_M) & ~is_on_site
+    is_above = z_m > high_m + GROUND_TOLERANCE_M
+    yield spans(steps.along_m[is_below], f"lie below the maps, which begin at {low_m:g} m")
+    yield spans(steps.along_m[is_above], f"lie above the maps, which reach to {high_m:g} m")
+
+
+def _buried(steps: Steps) -> pd.DataFrame:
+    """Return a row for each stretch of a mission below the ground, with its greatest depth (``by_m``)."""
+    z_m = steps.z_m.min(axis=1)
+    stretches = _stretches(steps, z_m < -FILE_MARGIN_M, gap_m=z_m)
+    texts = [f"lies up to {-gap_m:.1f} m below the ground" for gap_m in stretches["gap_m"]]
+    return stretches.assign(kind="terrain", what=texts, by_m=-stretches["gap_m"])
+
+
+def _closed(
+    steps: Steps,
+    maps: MetricMaps,
+    limits: Constraints,
+    times: Sequence[str | None],
+    time_of_day: str | None,
+) -> Iterator[pd.DataFrame]:
+    """Yield, for each bound and each layer of the user, a table of the stretches in cells that it closes.
+
+    A bound closes cells where it is not kept, a layer those where it has no value.
+
+    Args:
+      steps: of the mission.
+      maps: on which the bounds are.
+      limits: whose bounds count.
+      times, time_of_day: of the maps; a bound must be kept at each of the times.
+    """
+    bounds = {f"do not keep {bound}": bound for bound in limits.bounds}
+    for name in maps.metrics:
+        if "layer" in maps.ds[maps.variable(name)].attrs:
+            # Every value keeps this bound, so that only missing ones do not.
+            bounds[f"have no value of {name}"] = Bound(name, ">=", 0.0)
+    for fault, bound in bounds.items():
+        stretches = _stretches(steps, _is_closed(steps, maps, bound, times, time_of_day))
+        yield stretches.assign(kind="closed", what=f"enters cells that {fault}")
+
+
+def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> list[pd.DataFrame]:
+    """Return the stretches of a mission in buildings, over or under them, and beside them: a table of each.
+
+    Over, under or beside a building only what is nearer than the clearances is returned, and not what belongs to a hit:
+    coming to what it hits, and leaving it, a mission is near that and what stands around.
+
+    Args:
+      near: the mission's steps in and near buildings, as `contacts` returns them.
+      buildings: that they are near.
+      limits: the clearances. `FILE_MARGIN_M` less is still kept.
+    """
+    # Contacts that count. Beside a building the height over it means nothing, so that it is NaN.
+    is_over = near["apart_m"] == 0
+    is_close = near["gap_m"] < limits.vertical_m - FILE_MARGIN_M
+    is_close &= is_over | (near["apart_m"] < limits.horizontal_m - FILE_MARGIN_M)
+    over_gap_m = near["gap_m"].where(is_over)
+    is_hit = over_gap_m <= 0
+    close = merged(near.assign(gap_m=over_gap_m)[is_hit | is_close], "prism")
+
+    # A stretch belongs to a hit, and is left out, if it ends within the last stretch of hits that begins before it. A
+    # stretch that begins before all hits gets the place -1, the end of -inf that is appended, and so is kept.
+    of_hits = merged(close.loc[close["gap_m"] <= 0, ["from_m", "to_m"]])
+    place = np.searchsorted(of_hits["from_m"] - TOUCH_M, close["from_m"], side="right") - 1
+    close = close[close["to_m"] > np.append(of_hits["to_m"] + TOUCH_M, -np.inf)[place]]
+
+    hits = merged(near[is_hit])
+    over = merged(close[close["gap_m"] > 0])
+    beside = merged(close[close["gap_m"].isna()])
+    over_text = "passes {:.1f} m over or under a {}"
+    beside_text = "passes {:.1f} m beside a {}"
+    return [
+        _described(hits, buildings, "flies up to {:.1f} m into a {}", -hits["gap_m"]),
+        _described(over, buildings, over_text, over["gap_m"], limits.vertical_m),
+        _described(beside, buildings, beside_text, beside["apart_m"], limits.horizontal_m),
+    ]
+
+
+def _described(
+    rows: pd.DataFrame, buildings: Prisms, text: str, metres: pd.Series, asked_m: float = 0.0
+) -> pd.DataFrame:
+    """Return stretches in or near buildings with the columns of findings added.
+
+    Args:
+      rows: the stretches; ``prism`` is the number of the building.
+      buildings: that the numbers are of.
+      text: what happens, with places for the metres and the kind.
+      metres: of each row, inside a building or apart from it.
+      asked_m: the clearance from which ``by_m`` counts: what the metres are short of it, or 0 for what is inside.
+    """
+    prism = rows["prism"].to_numpy(int)
+    is_guessed = buildings.is_guessed[prism]
+    endings = np.where(is_guessed, " of guessed height", "")
+    kinds = buildings.kind[prism]
+    what = [
+        text.format(*facts) + ending for *facts, ending in zip(metres, kinds, endings, strict=True)
+    ]
+    return rows.assign(
+        what=what,
+        is_guessed=is_guessed,
+        kind="building",
+        by_m=(asked_m - metres).abs(),
+        building_m=buildings.top_m[prism],
+    )
+
+
+def _prisms_of(zones: Sequence[Zone], maps: MetricMaps) -> Prisms:
+    """Return no-fly zones as prisms on the grid of maps."""
+    return Prisms(
+        polygons=np.array([zone.on(maps.grid) for zone in zones], object),
+        floor_m=np.array([zone.floor_m for zone in zones], float),
+        top_m=np.array([zone.ceiling_m for zone in zones], float),
+        limit_m=np.full(len(zones), -np.inf),
+        kind=np.full(len(zones), "zone", object),
+    )
+
+
+def _zones(steps: Steps, ground: Elevation, limits: Constraints) -> pd.DataFrame:
+    """Return a row for each stretch of a mission in a no-fly zone of ``limits``."""
+    zones = limits.zones
+    rows = contacts(steps, _prisms_of(zones, ground.maps), ground)
+    rows = merged(rows[rows["gap_m"] <= 0], "prism")
+    entered = [zones[number] for number in rows["prism"]]
+    what = [f"enters the no-fly zone {zone.label}, {zone.heights}" for zone in entered]
+    return rows.assign(kind="zone", what=what)
+
+
+def _is_closed(
+    steps: Steps,
+    maps: MetricMaps,
+    bound: Bound,
+    times: Sequence[str | None],
+    time_of_day: str | None,
+) -> np.ndarray:
+    """Return ``[P]`` bool: whether each step is in a cell where a bound is not kept at one of the times or more.
+
+    A step at an altitude of the maps is judged there. One between two altitudes is judged at their middle, where a
+    bound must hold at both. One beyond all altitudes is judged at the middle of the two that are nearest to it.
+
+    Args:
+      steps: ``P`` of them.
+      maps: that hold the variable of the bound.
+      bound: to be kept.
+      times, time_of_day: of the maps.
+    """
+    levels_m = sorted(maps.altitudes_m)
+    middles_m = [sum(pair) / 2 for pair in pairwise(levels_m)] or levels_m
+    step_m = steps.z_m.mean(axis=1)
+    level_below = np.searchsorted(levels_m, step_m, side="right") - 1
+    middle_m = np.array(middles_m)[np.clip(level_below, 0, len(middles_m) - 1)]
+    nearest_m = nearest_level_m(step_m, levels_m)
+    is_on_level = np.abs(steps.z_m - nearest_m[:, None]).max(axis=1) < LEVEL_M
+    judged_at_m = np.where(is_on_level, nearest_m, middle_m)
+
+    is_closed = np.zeros(len(judged_at_m), bool)
+    for z_m in np.unique(judged_at_m).tolist():
+        is_here = judged_at_m == z_m
+        for time in times:
+            is_kept = bound.is_kept(maps, z_m, time, time_of_day)
+            is_closed[is_here] |= ~is_kept[tuple(steps.cell[is_here].T)]
+    return is_closed
+
+
+def _stretches(steps: Steps, is_chosen: np.ndarray, **columns: np.ndarray) -> pd.DataFrame:
+    """Return a row for each stretch of neighbouring steps that are chosen (`merged`).
+
+    Args:
+      steps: ``P`` of them.
+      is_chosen: ``[P]`` bool.
+      columns: ``[P]`` further values of the steps, by the names of their columns.
+    """
+    from_m, to_m = steps.along_m.T
+    rows = {"step": np.arange(len(is_chosen)), "from_m": from_m, "to_m": to_m, **columns}
+    return merged(pd.DataFrame(rows)[is_chosen])
