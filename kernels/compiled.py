@@ -43,6 +43,8 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         """Return the function compiled at its first call; Numba reads the cache's folder from its configuration."""
+        # No argument of Numba names the folder: it reads its configuration, once, while it decorates. What was there is
+        # put back at once, so nothing of the process is changed for others.
         configured = config.CACHE_DIR
         with suppress(RuntimeError, OSError):
             config.CACHE_DIR = str(_folder(function.__module__, configured))
@@ -109,5 +111,7 @@ class _CompileNotice(event.Listener if event else object):  # type: ignore[misc]
     def on_end(self, event: Any) -> None: ...
 
 
+# At import, as Numba tells of compiling only those who listen before it begins, and whatever compiles imports this
+# module. Listening changes nothing of Numba; the log is told once (`say_compiling`).
 if event is not None:
     event.register("numba:compile", _CompileNotice())

@@ -26,7 +26,9 @@ def compiled_first(**options: Any) -> Callable[[Callable[..., Path]], Callable[.
 
     def decorate(planner: Callable[..., Path]) -> Callable[..., Path]:
         """Return the planner, which compiles off the clock before its first problem of each kind."""
-        warmed: set[Hashable] = set()  # kinds of problems for which nothing is left to compile
+        # Kinds of problems for which nothing is left to compile. The set lives as long as what it tells of, the machine
+        # code that Numba holds for the process, and decides only when to compile, never what a planner returns.
+        warmed: set[Hashable] = set()
 
         @functools.wraps(planner)
         def run(problem: Problem, *alteration: Any, **query: Any) -> Path:

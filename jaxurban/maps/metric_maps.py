@@ -13,13 +13,13 @@ import xarray as xr
 
 from jaxurban.checks import finite, typed
 from jaxurban.errors import InputError
-from jaxurban.maps.rules import free_cells
-from jaxurban.metrics.base import TIME_OF_DAY, Metric
+from jaxurban.metrics.base import TIME_OF_DAY, UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.progress import LOG
 from jaxurban.public import Caution, FactsRepr, caution_of_guesses, listed
 from jaxurban.settings import Obstacles, Planning, iso_utc
 from jaxurban.world.grid import Grid, crs_said, grid_of
+from jaxurban.world.surface import stands_at
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -391,7 +391,39 @@ class MetricMaps(FactsRepr):
           >>> round(float(maps.is_free(20.0, "centre").mean()), 2)
           0.94
         """
-        return free_cells(self, finite("altitude_m", altitude_m), obstacles)
+        altitude_m = finite("altitude_m", altitude_m)
+        rule = obstacles or self.obstacles
+        is_free = self.ds["has_data"].values
+        has_maps = altitude_m in self.altitudes_m
+        if has_maps:
+            is_free = is_free & (self.m("obstacle", altitude_m) == 0)
+        avoids_slabs = obstacles is None and UNDERSIDE in self.ds
+        if rule == "touched" or avoids_slabs or not has_maps:
+            is_free = is_free & self._is_above_roofs(altitude_m, rule)
+
+        # Layers of a user close the cells where they have no value, on the maps next below and above the altitude.
+        nearest_m = float(np.clip(altitude_m, min(self.altitudes_m), max(self.altitudes_m)))
+        for name in self.metrics:
+            if "layer" not in self.ds[self.variable(name)].attrs:
+                continue
+            for z_m in self.around(nearest_m):
+                is_free = is_free & ~np.isnan(self.m(name, z_m))
+        return is_free
+
+    def _is_above_roofs(self, altitude_m: float, rule: Obstacles) -> np.ndarray:
+        """Return ``[y, x]`` bool: where no roof, as a rule sees them, reaches an altitude; False where one is unknown.
+
+        Raises:
+          InputError: the rule is ``"touched"``, and the maps hold no touched roofs.
+        """
+        name = "roof_touched" if rule == "touched" else "roof"
+        if rule == "touched" and name not in self.ds:
+            raise InputError(
+                "these maps hold no 'roof_touched', the roofs that planners keep clear of: make them again, or "
+                'plan with obstacles = "centre" (--obstacles centre), under which paths cut true outlines'
+            )
+        roof_m = self.m(name)
+        return ~stands_at(roof_m, roof_m.dtype.type(altitude_m)) & ~np.isnan(roof_m)
 
     def is_under_sky(self, altitude_m: float) -> np.ndarray:
         """Return ``[y, x]`` bool: `is_free` by centres, with nothing that hangs over the centre above the altitude.

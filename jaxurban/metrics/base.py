@@ -10,13 +10,13 @@ from jaxtyping import Array, Float, Int
 from jaxurban.kernels.engine import Engine
 from jaxurban.metrics.reception import ReceptionCurve
 from jaxurban.world.grid import Grid
+from jaxurban.world.surface import AnyArray as AnyArray
 from jaxurban.world.surface import Surface
 
 if TYPE_CHECKING:
     from jaxurban.metrics.visibility import SkyView
     from jaxurban.world.blocks import Blocks
 
-AnyArray = Array | np.ndarray
 ALTITUDE, TIME, TIME_OF_DAY = "altitude", "time", "time_of_day"
 UNDERSIDE = "underside"  # of maps in which something hangs: its lowest floor above the ground, 0 where nothing does
 

@@ -12,9 +12,8 @@ from jaxtyping import Array, Bool, Float, Int, UInt
 from jaxurban.kernels.dop import Clocks, Geometry, geometry, unit_vectors
 from jaxurban.kernels.shadows import blocks, slabs, sweep
 from jaxurban.kernels.shadows.sweep import WORD_BITS, Line, Ring, digital_lines, stacked
-from jaxurban.metrics.base import AnyArray
 from jaxurban.world.grid import Grid
-from jaxurban.world.surface import PER_CELL, Slabs, Surface
+from jaxurban.world.surface import PER_CELL, AnyArray, Slabs, Surface
 
 WHOLE_ROW_STEPS = 0.5  # from a row's middle to where a ray enters it
 

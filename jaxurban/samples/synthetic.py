@@ -386,29 +386,53 @@ def _erect(
     polygons[is_ell] = _ells(lots[is_ell], frame, front_m[is_ell], side_m[is_ell])
     polygons[is_tower] = shapely.polygons(_rectangle(lots[is_tower], frame, 1.5, 1.5, 1.0, 1.0))
 
-    # A tower is a podium and a shaft, a part that stands on it. Shafts near the middle of a cluster are scaled so that
-    # the tallest of them has the cluster's height.
+    # A tower is a podium and a shaft, a part that stands on it.
     num_towers = is_tower.sum()
     tower_block = block[is_tower]
     height_m[is_tower] = rng.uniform(15.0, 35.0, num_towers)
-    sides_m = np.repeat([lots.depth_m[is_tower], wide_m[is_tower]], 2, axis=0)
-    inset_m = rng.uniform(0.09, 0.24, (4, num_towers)) * sides_m  # front, back, left, right
-    shafts = shapely.polygons(_rectangle(lots[is_tower], frame, *inset_m))
-    top_m = (45 + 100 * depth[tower_block]) * np.exp(0.42 * rng.standard_normal(num_towers))
-    for cluster, tallest_m in TALLEST_M.items():
-        is_near = plan.depth_in(cluster, cells.centre_xy[tower_block]) > 0.3
-        top_m[is_near] *= tallest_m / top_m[is_near].max(initial=1.0)
+    centre_xy = cells.centre_xy[tower_block]
+    shafts, top_m = _shafts(rng, plan, lots[is_tower], frame, depth[tower_block], centre_xy)
 
     # Outlines and shafts together.
     num_outlines = num_lots + num_towers
     buildings = Footprints(
         polygons=np.r_[polygons, shafts],
-        height_m=np.concatenate([height_m, np.maximum(top_m, 40.0)]).round(1),
+        height_m=np.concatenate([height_m, top_m]).round(1),
         min_height_m=np.zeros(num_outlines),
         origin=np.full(num_outlines, HeightOrigin.GENERATED, np.uint8),
         is_part=np.arange(num_outlines) >= num_lots,
     )
     return buildings, np.r_[block, tower_block]
+
+
+def _shafts(
+    rng: np.random.Generator,
+    plan: CityPlan,
+    lots: np.recarray,
+    frame: StreetFrame,
+    depth: np.ndarray,
+    centre_xy: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shafts of ``N`` towers, ``[N]`` polygons, and the heights of their tops, ``[N]`` metres.
+
+    Those near the middle of a cluster are scaled so that the tallest of them has the cluster's height.
+
+    Args:
+      rng: the source of random numbers.
+      plan: where the clusters are.
+      lots: records of the towers' lots (`_lay_out_lots`).
+      frame: of their streets.
+      depth: ``[N]`` of the towers' blocks in the cluster that is nearest, from 0 to 1.
+      centre_xy: ``[N, 2]`` middles of the towers' blocks in the CRS.
+    """
+    sides_m = np.repeat([lots.depth_m, lots.right_m - lots.left_m], 2, axis=0)
+    inset_m = rng.uniform(0.09, 0.24, sides_m.shape) * sides_m  # front, back, left, right
+    shafts = shapely.polygons(_rectangle(lots, frame, *inset_m))
+    top_m = (45 + 100 * depth) * np.exp(0.42 * rng.standard_normal(len(lots)))
+    for cluster, tallest_m in TALLEST_M.items():
+        is_near = plan.depth_in(cluster, centre_xy) > 0.3
+        top_m[is_near] *= tallest_m / top_m[is_near].max(initial=1.0)
+    return shafts, np.maximum(top_m, 40.0)
 
 
 def _build(extent_m: Box, crs: str, seed: int) -> City:

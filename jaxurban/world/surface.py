@@ -15,6 +15,7 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.blocks import blocks_of, part_of
 from jaxurban.world.grid import Grid
 
+AnyArray = Array | np.ndarray
 NO_BUILDING = -1  # in a raster of building indices
 # Subcells of a cell along a side, odd, so that one has the cell's centre. Against Embree, under a deck 18 m wide and
 # 12 m up, at 2 m cells (tests/metrics/test_embree.py): 1 makes 93.6 % of the answers right at worst, 3 97.7 %, 5
@@ -132,6 +133,7 @@ def _unplaced(resolution_m: float, first: tuple[int, int], shape: tuple[int, int
       first: row and column of the southwest cell.
       shape: rows and columns.
     """
+    # Any valid CRS would let a program use a place that is not the surface's; an empty one fails wherever it is used.
     grid = object.__new__(Grid)
     values = ("", resolution_m, *first, *shape)
     for name, value in zip(Grid.__dataclass_fields__, values, strict=True):
