@@ -22,9 +22,9 @@ from jaxurban.io.read.base_map import read_base_map, write_base_map
 from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.nominal import GPS, MARK, Constellation, nominal_satellites
 from jaxurban.io.read.osm import OSM_CREDIT, TAGS, header_box, projected, read_osm
-from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.io.samples import BASE_MAP_FILE, BUILDINGS_FILE, HOME, LOG_FILE, SAMPLES
 from jaxurban.metrics.population import Population
+from jaxurban.studies.receiver.logs import read_receiver_log
 from jaxurban.world.grid import WGS84, Bounds, box_of, transformer, utm_of
 
 STEP_DEG = 1e-6  # of coordinates, about 0.1 m

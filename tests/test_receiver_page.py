@@ -10,11 +10,11 @@ import shapely
 
 import jaxurban as ju
 from benchmarks import receiver
-from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.maps.track import Track, predict, seen_along
+from jaxurban.maps.track import seen_along
 from jaxurban.report.receiver import with_interval
 from jaxurban.studies.receiver import prediction
+from jaxurban.studies.receiver.logs import read_receiver_log
 from tests.embree_scene import CityScene
 from tests.made_agreement import made
 from tests.receiver_logs import found
@@ -55,9 +55,9 @@ def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo):
     settings = ju.studies.ReceiverSettings()
     scenario, log = ju.Scenario.from_dict(receiver.SHINJUKU), read_receiver_log(tokyo)
     grid = prediction.region_of(scenario)
-    track = Track.of(log, grid, settings.sky_step_s)
+    track = prediction.track_of(log, grid, settings.sky_step_s)
     task = prediction.task_at(scenario, track.sky_times, grid, settings.antenna_height_m)
-    made = predict(task, track, lambda *_, **__: None)
+    made = prediction.predict(task, track, lambda *_, **__: None)
     is_seen, known = seen_along(task, track, lambda *_, **__: None)
     buildings = task.city.buildings
     around = shapely.MultiPoint(np.column_stack([track.x_m, track.y_m])).envelope.buffer(REACH_M)

@@ -151,8 +151,8 @@ def _sky_along(
     Raises:
       UsageError: a time or a speed for a table, no speed for a route, or several times.
     """
-    from jaxurban.io.read.receiver import read_track
     from jaxurban.io.read.routes import read_routes
+    from jaxurban.io.read.tracks import read_track
     from jaxurban.io.tables import SUFFIXES
     from jaxurban.paths.sky_along import sky_along
 

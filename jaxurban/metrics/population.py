@@ -31,6 +31,7 @@ from jaxurban.world.grid import Bounds
 from jaxurban.world.surface import Surface
 
 M2_PER_KM2 = 1e6
+NORMS = ("pop_norm_per_km2", "pop_norm_per_block")  # attributes of maps, by time of day
 PAPER_COMMERCIAL = (101, 102, 103, 104, 105, 106)  # of Manhattan's community districts
 HOUR_OF_WEEK = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
 

@@ -9,7 +9,7 @@ import pandas as pd
 
 from jaxurban.checks import positive, typed
 from jaxurban.errors import InputError
-from jaxurban.io.read.receiver import ALTITUDE, LAT, LON, UTC, track_of
+from jaxurban.io.read.tracks import ALTITUDE, LAT, LON, UTC, track_of
 from jaxurban.maps.sources import CityLike
 from jaxurban.metrics.gps import FIX, Gps, has_no_fix
 from jaxurban.paths.lines import along_of

@@ -7,13 +7,13 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from jaxurban.checks import one_of
 from jaxurban.io.geotiff import write_bands
 from jaxurban.io.store import short_number
 from jaxurban.maps.provenance import NOT_SET
+from jaxurban.maps.shared import OneMap
 from jaxurban.report.figures.frame import (
     OBSTACLE_COLOUR,
     MapLayer,
@@ -28,7 +28,7 @@ from jaxurban.report.figures.frame import (
     time_said,
 )
 from jaxurban.report.figures.metrics import percent
-from jaxurban.report.figures.style import Colours
+from jaxurban.report.figures.style import difference_colours
 from jaxurban.report.write import (
     Figures,
     Markdown,
@@ -43,10 +43,8 @@ from jaxurban.report.write import (
     study_outputs,
     table,
 )
-from jaxurban.studies.map_comparison import CLOSED, MASKS, MapComparison, OneMap, unit_of
+from jaxurban.studies.map_comparison import CLOSED, MASKS, MapComparison, unit_of
 from jaxurban.studies.queries import population_norms
-
-SHOWN_SHARE = 0.99  # of the changed cells lie within the colour bar
 
 
 def comparison_figures(result: MapComparison) -> Figures:
@@ -132,19 +130,6 @@ def _change_text(row: Any) -> str:
     if not row.share_changed:
         return "unchanged"
     return f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed"
-
-
-def difference_colours(changed: np.ndarray, label: str) -> Colours:
-    """Return colours from blue over white at 0 to red, whose ends are equally far from 0.
-
-    Args:
-      changed: ``[N]`` sizes of the changes, from 0 up; the ends hold the share `SHOWN_SHARE` of them, and are -1 and 1
-        where none is finite.
-      label: of the colour bar.
-    """
-    finite = changed[np.isfinite(changed)]
-    limit = max(1e-12, float(np.quantile(finite, SHOWN_SHARE))) if len(finite) else 1.0
-    return Colours("RdBu_r", Normalize(-limit, limit), label, "both", (-limit, 0.0, limit))
 
 
 def _label(result: MapComparison, layer: str) -> str:

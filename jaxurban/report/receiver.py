@@ -12,7 +12,6 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED, ReceiverLog
 from jaxurban.maps.levels import listed_m
 from jaxurban.maps.track import NUM_VISIBLE
 from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
@@ -36,6 +35,7 @@ from jaxurban.report.write import (
 )
 from jaxurban.settings import as_tuple
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.studies.receiver.logs import AZIMUTH, ERROR, TRACKED, ReceiverLog
 from jaxurban.studies.receiver.validate import (
     COEFFICIENTS,
     MAIN,

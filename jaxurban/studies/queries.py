@@ -10,6 +10,7 @@ from jaxtyping import Float
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.population import NORMS
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.paths.cost_map import CostMap
@@ -17,8 +18,6 @@ from jaxurban.paths.snapping import Point
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
 
-# Attributes of maps that go with the times of day.
-NORMS = ("pop_norm_per_km2", "pop_norm_per_block")
 LENGTH, PEOPLE = "length_m", "people"
 # Label and unit of the outcomes that are not means.
 PLAIN = {LENGTH: ("length", "m"), PEOPLE: ("population crossed", "m at the highest density")}

@@ -9,14 +9,13 @@ import numpy as np
 from matplotlib.colors import BoundaryNorm, Normalize
 
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Variable, high_is_bad
 from jaxurban.metrics.gps import FIX
 from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import EMPTY_COLOUR, drawn_variables, metric_colours, values_of
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
-from jaxurban.report.figures.style import Colours, bar_ticks, tick_label
-from jaxurban.report.map_comparison import difference_colours
-from jaxurban.studies.map_comparison import OneMap
+from jaxurban.report.figures.style import Colours, bar_ticks, difference_colours, tick_label
 from jaxurban.viewer.markup import legend
 
 H_NORM, COST_OF, POSITION_ERROR = "h_norm", "cost:", "position_error"

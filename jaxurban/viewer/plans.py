@@ -9,6 +9,7 @@ from pathlib import Path as FilePath
 from jaxurban.checks import one_of
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, weights_on
@@ -19,7 +20,6 @@ from jaxurban.paths.plan import cost_map, rules_on
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.settings import DEFAULTS, Preset
-from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.requests import Plan
 from jaxurban.viewer.tiles import Kept
 

@@ -20,6 +20,7 @@ from jaxurban.errors import InputError, JaxurbanError, RemadeError
 from jaxurban.io.store import OPENED
 from jaxurban.io.tables import number_or_none
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.shared import OneMap, paired_times, shared_part
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import WeightsLike
@@ -35,7 +36,6 @@ from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, 
 from jaxurban.report.figures.metrics import line_colour
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.settings import Preset, Vehicle
-from jaxurban.studies.map_comparison import MapComparison, OneMap, shared_part
 from jaxurban.viewer import markup
 from jaxurban.viewer.base import base_of
 from jaxurban.viewer.layers import H_NORM, NOTHING, DrawnLayer, difference, layers_of, legend_of
@@ -107,7 +107,8 @@ class Viewer:
     Attributes:
       key: a text that no other viewer has; a page with another viewer's key gets no answers.
       kept: arrays that were drawn or looked at last.
-      shared, other_layers: what both maps hold, and the layers of the other maps; only with other maps.
+      shared, other_layers: these and the other maps, cut to what both hold, and the layers of the other maps; only with
+        other maps.
     """
 
     def __init__(
@@ -133,8 +134,8 @@ class Viewer:
         if against is not None:
             self.names = name, against_name
             others = against.with_obstacles(self.maps.obstacles)
-            self.shared = MapComparison(self.names, *shared_part(self.maps, others), left_out={})
-            self.other_layers = layers_of(self.shared.b)
+            self.shared = shared_part(self.maps, others)
+            self.other_layers = layers_of(self.shared[1])
 
         self.sources = sources
         self.kept = Kept()
@@ -398,12 +399,12 @@ class Viewer:
         # The same altitude and time of day, and the time of the other maps that stands for this one.
         _, at = self._layer(view)
         if at.time is not None:
-            at = at._replace(time=self.shared.times.get(at.time, at.time))
+            at = at._replace(time=paired_times(*self.shared).get(at.time, at.time))
 
         def make() -> np.ndarray:
             """Return the values put where the shared cells are among these maps' cells."""
             values = np.full(self.maps.grid.shape, NOTHING)
-            values[self.shared.grid.window_in(self.maps.grid)] = layer.values(at)
+            values[self.shared[0].grid.window_in(self.maps.grid)] = layer.values(at)
             return values
 
         return self.kept.get((self.names[1:], view.layer, at), make)

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.io.read import receiver
-from jaxurban.io.read.receiver import read_receiver_log
+from jaxurban.studies.receiver import logs
+from jaxurban.studies.receiver.logs import read_receiver_log
 
 GOOD = pd.DataFrame(
     {
@@ -219,7 +219,7 @@ def test_what_is_wrong_with_a_log_of_satellites_is_one_sentence(table, words):
 def test_a_log_of_too_many_rows_of_satellites_is_to_be_thinned_and_one_of_counts_is_read(
     monkeypatch,
 ):
-    monkeypatch.setattr(receiver, "MOST_ROWS", 2)
+    monkeypatch.setattr(logs, "MOST_ROWS", 2)
     assert_refused(SEEN, "has 6 rows, more than the 2 that are read", "thin")
     assert len(read_receiver_log(GOOD).epochs) == 3
 

@@ -17,9 +17,9 @@ from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.orbits import read_orbits
 from jaxurban.io.read.osm import read_land_cover, read_osm
 from jaxurban.io.read.raster import raster_extent_m, read_raster
-from jaxurban.io.read.receiver import read_receiver_log
 from jaxurban.io.read.vector import open_layers, read_vector
 from jaxurban.settings import SLABS
+from jaxurban.studies.receiver.logs import read_receiver_log
 from tests.io.made_files import (
     FEET,
     SQUARE,

@@ -10,8 +10,8 @@ import pytest
 from pyproj import Transformer
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.receiver import read_receiver_log
-from jaxurban.io.read.rinex import Messages, read_rinex, read_track
+from jaxurban.studies.receiver.logs import read_receiver_log
+from jaxurban.studies.receiver.rinex import Messages, read_rinex, read_track
 
 WEEK, TOW_S, LEAP_S = 2267, 349_740.0, 18  # 2023-06-22T01:09:00 of GPS time
 UTC = pd.Timestamp("2023-06-22T01:08:42Z")

@@ -20,11 +20,11 @@ from jaxurban.io.files import digest_of
 from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.io.read.nominal import GPS
 from jaxurban.io.read.orbits import look_angles, read_orbits
-from jaxurban.io.read.receiver import ReceiverLog, read_receiver_log
 from jaxurban.io.samples import SAMPLES, located, log_of
 from jaxurban.maps.run import load_city, run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.samples import cities
+from jaxurban.studies.receiver.logs import ReceiverLog, read_receiver_log
 from jaxurban.world.grid import WGS84, transformer
 from tests.io.test_orbits import places_of, separation_deg
 

@@ -7,10 +7,10 @@ import rasterio
 from matplotlib.text import Text
 
 import jaxurban as ju
+from jaxurban.report.figures.style import difference_colours
 from jaxurban.report.map_comparison import (
     comparison_figures,
     comparison_markdown,
-    difference_colours,
     plot_difference,
 )
 from tests.cli_runs import run

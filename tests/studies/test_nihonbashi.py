@@ -9,12 +9,12 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.io.read.rinex import Messages, read_track
 from jaxurban.io.samples import located
 from jaxurban.maps.run import load_city
 from jaxurban.studies.receiver import displaced
 from jaxurban.studies.receiver.agreement import headings_rad
 from jaxurban.studies.receiver.prediction import region_of
+from jaxurban.studies.receiver.rinex import Messages, read_track
 from tests.satellite_logs import FALSE_PRAISE, hidden_by_outlines, is_praised, wrong_margins
 
 pytestmark = pytest.mark.slow

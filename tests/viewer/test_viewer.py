@@ -18,10 +18,10 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.files import write_json
 from jaxurban.maps.run import run_scenario
+from jaxurban.maps.shared import OneMap
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
-from jaxurban.studies.map_comparison import OneMap
 from jaxurban.viewer.html import part, write_page
 from jaxurban.viewer.layers import layers_of, legend_of
 from jaxurban.viewer.markup import number

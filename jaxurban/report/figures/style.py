@@ -41,6 +41,7 @@ DOT: Look = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "n
 LABEL_IN = 1.9  # of a line of the label of an upright colour bar
 SYMBOL = re.compile(r"(\$[mH]_\\mathrm\{[^$]*\}\$)|\\?\$")  # of a metric, or a dollar
 BOLD = 1.2  # how much wider bold letters are
+SHOWN_SHARE = 0.99  # of the cells that changed lie within the colour bar of a difference
 
 # A decorator of functions that draw. Ticks are made later than it works, so `dress` sets them.
 styled = rc_context(
@@ -414,3 +415,16 @@ def add_colour_bar(
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
     bar.outline.set(linewidth=0.4)
     bar.ax.minorticks_off()
+
+
+def difference_colours(changed: np.ndarray, label: str) -> Colours:
+    """Return colours from blue over white at 0 to red, whose ends are equally far from 0.
+
+    Args:
+      changed: ``[N]`` sizes of the changes, from 0 up; the ends hold the share `SHOWN_SHARE` of them, and are -1 and 1
+        where none is finite.
+      label: of the colour bar.
+    """
+    finite = changed[np.isfinite(changed)]
+    limit = max(1e-12, float(np.quantile(finite, SHOWN_SHARE))) if len(finite) else 1.0
+    return Colours("RdBu_r", Normalize(-limit, limit), label, "both", (-limit, 0.0, limit))

@@ -17,7 +17,7 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import highest_top_m
-from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
+from jaxurban.io.read.tracks import LAT, LON, UTC
 from jaxurban.maps.track import Track
 from jaxurban.progress import Report
 from jaxurban.public import Caution, FactsRepr
@@ -30,6 +30,7 @@ from jaxurban.studies.receiver.displaced import (
     STEP_M,
     Displaced,
 )
+from jaxurban.studies.receiver.logs import ReceiverLog
 from jaxurban.studies.receiver.prediction import EVERYWHERE, ReceiverSettings
 from jaxurban.studies.receiver.rivals import MAP, compared_rules, features_of, gain_by_length
 from jaxurban.studies.receiver.satellites import FARTHEST_MARGIN_M, Ground, box_of, legs

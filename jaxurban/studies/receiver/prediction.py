@@ -5,12 +5,19 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
+
 from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
+from jaxurban.io.read.tracks import LAT, LON, UTC
 from jaxurban.maps.run import tasks_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
+from jaxurban.maps.track import Track, quality_along, seen_along
 from jaxurban.metrics.population import Population
+from jaxurban.progress import Report
+from jaxurban.studies.receiver.logs import ReceiverLog
 from jaxurban.world.grid import Grid
 
 OF_CITY, EVERYWHERE = "city", "all"  # what `ReceiverSettings.known` may say
@@ -153,3 +160,57 @@ def task_at(
     # One resolution makes one task. Its cells are the grid's, which nests with all of the scenario's resolutions.
     (task,) = tasks_of(scenario.model_copy(update=update))
     return replace(task, region=grid)
+
+
+def track_of(log: ReceiverLog, grid: Grid, sky_step_s: float) -> Track:
+    """Return the track of a log; all epochs within a window of ``sky_step_s`` seconds share one sky.
+
+    The first window begins at the first epoch. A window has the sky of its middle, and none if it has no epoch.
+
+    Args:
+      log: epochs in order of time, with longitude and latitude.
+      grid: that holds all places.
+      sky_step_s: length of a window.
+
+    Raises:
+      InputError: a place outside the grid.
+    """
+    # The places, and the cells that hold them.
+    lon_deg = log.epochs[LON].to_numpy()
+    lat_deg = log.epochs[LAT].to_numpy()
+    x_m, y_m = grid.xy_of_lonlat(lon_deg, lat_deg)
+    is_inside = grid.contains_xy(x_m, y_m)
+    if not is_inside.all():
+        num = int((~is_inside).sum())
+        spans = (
+            f"{lon_deg.min():.4f}, {lat_deg.min():.4f}, {lon_deg.max():.4f}, {lat_deg.max():.4f}"
+        )
+        raise InputError(
+            f"{num} of the {len(is_inside)} places of the receiver log {log.name!r} lie outside "
+            "the region: remove these rows, see whether lon_deg and lat_deg are swapped, or let [region] bounds of "
+            f"the scenario hold the track, [{spans}] and some metres around it"
+        )
+    row, col = grid.cell_of_xy(x_m, y_m)
+
+    # The windows, by their number since the first epoch, and the UTC time in the middle of each.
+    first = log.epochs[UTC].iloc[0]
+    elapsed_s = (log.epochs[UTC] - first).dt.total_seconds().to_numpy()
+    windows, sky = np.unique((elapsed_s // sky_step_s).astype(np.int64), return_inverse=True)
+    to_middles = pd.to_timedelta((windows + 0.5) * sky_step_s, "s")
+    times = (first + to_middles).round("s").strftime("%Y-%m-%dT%H:%M:%SZ")
+    return Track(x_m, y_m, row, col, sky, tuple(times))
+
+
+def predict(task: MapTask, track: Track, report: Report) -> dict[str, np.ndarray]:
+    """Return what the maps of a task predict along a track: ``[N]`` float64 by the names of `quality_along`.
+
+    The values are NaN where the track is in a building, and where the maps have no data.
+
+    Args:
+      task: of one altitude; its sky has the track's times.
+      track: over the task's region.
+      report: is called with the stage, how many skies are done, and how many there are.
+    """
+    is_seen, is_known = seen_along(task, track, report)
+    quality = quality_along(task, track.sky, is_seen)
+    return {name: np.where(is_known, values, np.nan) for name, values in quality.items()}

@@ -17,7 +17,11 @@ import shapely
 from jaxurban.io.city import City
 from jaxurban.io.read.orbits import matching
 from jaxurban.io.read.rasterise import rasterise, surface_grid
-from jaxurban.io.read.receiver import (
+from jaxurban.io.read.vector import open_frame
+from jaxurban.kernels.shadows.rays import Walks, shadows_at, walks
+from jaxurban.maps.track import NUM_VISIBLE, Track
+from jaxurban.settings import TO_GROUND
+from jaxurban.studies.receiver.logs import (
     AZIMUTH,
     CN0,
     ELEVATION,
@@ -26,10 +30,6 @@ from jaxurban.io.read.receiver import (
     TRACKED,
     ReceiverLog,
 )
-from jaxurban.io.read.vector import open_frame
-from jaxurban.kernels.shadows.rays import Walks, shadows_at, walks
-from jaxurban.maps.track import NUM_VISIBLE, Track
-from jaxurban.settings import TO_GROUND
 from jaxurban.studies.receiver.prediction import EVERYWHERE, OF_CITY
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays

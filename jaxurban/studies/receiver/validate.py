@@ -22,18 +22,25 @@ from scipy.stats import t as student
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.io.read.receiver import AZIMUTH, ERROR, TRACKED, UTC, ReceiverLog, read_receiver_log
-from jaxurban.io.read.rinex import read_rinex
+from jaxurban.io.read.tracks import UTC
 from jaxurban.io.results import Result
 from jaxurban.io.samples import log_of
 from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
-from jaxurban.maps.track import NUM_VISIBLE, Track, predict
+from jaxurban.maps.track import NUM_VISIBLE
 from jaxurban.progress import Progress, reporting
 from jaxurban.public import Caution
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.studies.receiver.agreement import SatelliteAgreement, agreement_of
-from jaxurban.studies.receiver.prediction import ReceiverSettings, region_of, task_at
+from jaxurban.studies.receiver.logs import AZIMUTH, ERROR, TRACKED, ReceiverLog, read_receiver_log
+from jaxurban.studies.receiver.prediction import (
+    ReceiverSettings,
+    predict,
+    region_of,
+    task_at,
+    track_of,
+)
+from jaxurban.studies.receiver.rinex import read_rinex
 from jaxurban.studies.receiver.satellites import counted, known_of, with_directions
 
 MAIN = {TRACKED: NUM_VISIBLE, ERROR: "hdop"}
@@ -148,7 +155,7 @@ def validate(
         file of observations in RINEX 3. Left out, the log of the sample city that the scenario names.
       settings: how the two are set beside each other.
       navigation: broadcast orbits in RINEX 3 (needs the extra ``receiver``).
-      reference: places of the antenna, as a table or its file (`jaxurban.io.read.rinex.read_rinex`).
+      reference: places of the antenna, as a table or its file (`jaxurban.studies.receiver.rinex.read_rinex`).
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
@@ -169,7 +176,7 @@ def validate(
     settings = settings or ReceiverSettings()
     logged = _read(scenario, log, navigation, reference)
     grid = region_of(scenario)
-    track = Track.of(logged, grid, settings.sky_step_s)
+    track = track_of(logged, grid, settings.sky_step_s)
     num_pieces = len(np.unique(track.along_m // settings.piece_m))
     if logged.satellites is None and num_pieces < FEWEST_PIECES:
         raise InputError(

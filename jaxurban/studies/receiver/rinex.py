@@ -14,22 +14,18 @@ import pandas as pd
 from scipy.spatial import KDTree
 
 from jaxurban.errors import InputError, readable
-from jaxurban.io.read.receiver import (
+from jaxurban.io.read.tracks import LAT, LON, RULES, UTC, Rule, checked, renamed
+from jaxurban.io.samples import located
+from jaxurban.io.tables import read_table
+from jaxurban.studies.receiver.logs import (
     AZIMUTH,
     CN0,
     ELEVATION,
     EPOCH,
-    LAT,
-    LON,
     SATELLITE,
-    UTC,
     ReceiverLog,
-    checked,
     log_of,
-    renamed,
 )
-from jaxurban.io.samples import located
-from jaxurban.io.tables import read_table
 from jaxurban.world.grid import transformer
 
 LOWEST_HEARD_DEG = 5.0  # of a satellite in a log
@@ -38,6 +34,11 @@ HEIGHT = "height_m"
 WEEK = "gps_week"
 TOW = "gps_tow_s"
 TRACK = LON, LAT, HEIGHT
+OF_REFERENCE = RULES | {
+    HEIGHT: Rule(-1000.0, 20_000.0),
+    WEEK: Rule(1024.0, 10_000.0),  # not modulo 1024
+    TOW: Rule(0.0, 604_800.0),
+}
 OTHER_NAMES = {  # of a reference's columns, in small letters with _ for what is no letter
     "lon": LON,
     "longitude_deg": LON,
@@ -140,7 +141,7 @@ def read_track(reference: str | Path | pd.DataFrame, leap_s: float) -> pd.DataFr
             f"{what} has {len(table)} rows of the columns {', '.join(map(str, table.columns))}: give {UTC}, or {WEEK} "
             f"and {TOW}, and {', '.join(TRACK)} (above the ellipsoid)"
         )
-    table = checked(table, [*times, *TRACK], what)
+    table = checked(table, [*times, *TRACK], what, OF_REFERENCE)
     if UTC not in table:
         days = pd.to_timedelta(7.0 * table[WEEK], unit="D")
         seconds = pd.to_timedelta(table[TOW] - leap_s, unit="s")

@@ -1,0 +1,187 @@
+"""Tables of times and places, such as tracks and receivers' logs, whose columns are checked by rules."""
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from datetime import MAXYEAR, MINYEAR
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError
+from jaxurban.io.tables import read_table
+
+UTC = "utc"
+LON = "lon_deg"
+LAT = "lat_deg"
+ALTITUDE = "altitude_m"
+OTHER_NAMES = {"lon": LON, "lat": LAT}
+OtherUnits = Sequence[tuple[Mapping[str, float], str, str]]
+
+
+class Rule(NamedTuple):
+    """What the numbers of a column may be.
+
+    Attributes:
+      low, high: the ends of their range.
+      hint: ends the message on a number that is not in it.
+      may_lack: some rows may hold no number; not all of them.
+    """
+
+    low: float
+    high: float
+    hint: str = ""
+    may_lack: bool = False
+
+
+RULES = {
+    LON: Rule(-180.0, 180.0),
+    LAT: Rule(-90.0, 90.0, " (longitude and latitude may be swapped)"),
+    ALTITUDE: Rule(0.0, 20_000.0),
+}
+# Bounds that all values of a table keep only if they are of another unit, that unit, and the one that is needed.
+# Degrees so small are a place in the Atlantic.
+OTHER_UNITS: OtherUnits = (({LON: math.pi, LAT: math.pi / 2}, "radians", "degrees"),)
+# The zone of a time, behind its minutes or seconds; pandas reads all but the names.
+ZONE = re.compile(r"(?:Z|UTC|GMT|:\d\d(?:\.\d+)?\s*[+-]\d\d(?::?\d\d)?)$", re.IGNORECASE)
+LIKE_THIS = "2018-12-19T06:07:37Z"
+TIME_REMEDY = (
+    f"write UTC with a Z, as {LIKE_THIS} (GPS time is 18 s ahead of it since 2017), or local times with their offset, "
+    "as 2018-12-19T15:07:37+09:00, and remove rows without a time"
+)
+
+
+def read_track(file: str | Path) -> pd.DataFrame:
+    """Return the rows of a table's file as they stand: ``utc``, ``lon_deg``, ``lat_deg``, and ``altitude_m`` if given.
+
+    Raises:
+      InputError: a file that cannot be read, a column that is missing, or invalid values.
+    """
+    return track_of(read_table(file, "track"), f"the track file {str(file)!r}")
+
+
+def track_of(table: pd.DataFrame, what: str) -> pd.DataFrame:
+    """Return the rows of a table as `read_track` does, and raise its errors; ``what`` names the table in them."""
+    table = renamed(table, OTHER_NAMES)
+    columns = [column for column in (UTC, LON, LAT, ALTITUDE) if column in table]
+    if columns[:3] != [UTC, LON, LAT] or table.empty:
+        raise InputError(
+            f"{what} must have rows of the columns {UTC}, {LON} and {LAT}, in a file separated by commas"
+        )
+    return checked(table, columns, what)
+
+
+def renamed(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
+    """Return a table with the names of its columns stripped, and those of ``names`` replaced."""
+    stripped = [str(column).strip() for column in table.columns]
+    return table.set_axis([names.get(column, column) for column in stripped], axis="columns")
+
+
+def checked(
+    table: pd.DataFrame,
+    columns: Sequence[str],
+    what: str,
+    rules: Mapping[str, Rule] = RULES,
+    other_units: OtherUnits = OTHER_UNITS,
+) -> pd.DataFrame:
+    """Return columns of a table as times in UTC, numbers in float64, and others as they stand.
+
+    Args:
+      table: with all of the columns.
+      columns: to return, in this order.
+      what: names the table, and begins the message of an error.
+      rules: of the columns of numbers, by name.
+      other_units: what columns look like in another unit, as `OTHER_UNITS`.
+
+    Raises:
+      InputError: a column that is there twice, an invalid time, a number against its rule, or values of another unit.
+    """
+    for column in columns:
+        if (table.columns == column).sum() > 1:
+            raise InputError(f"{what} has two columns {column}: keep one")
+    read = {}
+    for column in columns:
+        if column in rules:
+            read[column] = _numbers(table[column], rules[column], what)
+        elif column == UTC:
+            read[UTC] = by_text(table[UTC], _times, what)
+    table = table[list(columns)].assign(**read)
+    _check_units(table, what, other_units)
+    return table
+
+
+def _check_units(table: pd.DataFrame, what: str, other_units: OtherUnits) -> None:
+    """Raise InputError where all values of a column are as small as they would be in another unit.
+
+    Columns that are all 0 pass. ``what`` begins the message.
+    """
+    for bounds, unit, needed in other_units:
+        columns = [column for column in bounds if column in table]
+        largest = {column: float(table[column].abs().max()) for column in columns}
+        is_small = [0 < largest[column] <= bounds[column] for column in columns]
+        if is_small and all(is_small):  # all 0 is 0 in any unit
+            most = " and ".join(
+                f"{column} of at most {value:.4g}" for column, value in largest.items()
+            )
+            raise InputError(
+                f"{what} has {most} in all rows, as if they were {unit}: give {needed}"
+            )
+
+
+def by_text(column: pd.Series, read: Callable[[pd.Series, str], pd.Series], what: str) -> pd.Series:
+    """Return a column as ``read`` reads it from texts or times; each value is read once, as a log repeats many.
+
+    Args:
+      column: ``[N]`` of any kind.
+      read: takes the distinct values and ``what``, and returns what they are read as.
+      what: names the table, for messages.
+    """
+    is_compact = isinstance(column.dtype, pd.DatetimeTZDtype | pd.CategoricalDtype)
+    numbers, values = pd.factorize(
+        column if is_compact else column.astype(str), use_na_sentinel=False
+    )
+    return read(pd.Series(values), what).take(numbers).set_axis(column.index)
+
+
+def _times(column: pd.Series, what: str) -> pd.Series:
+    """Return times in UTC; text must say its zone, and so must the times of a Parquet file.
+
+    Raises:
+      InputError: a value that is no time, or without a zone; ``what`` begins the message.
+    """
+    texts = column.astype(str).str.strip()
+    if isinstance(column.dtype, pd.DatetimeTZDtype):
+        times = column.dt.tz_convert("UTC")
+    else:
+        zoned = texts.where(texts.str.contains(ZONE, na=False))
+        iso = zoned.str.replace(r"\s*(?:UTC|GMT)$", "Z", case=False, regex=True)
+        times = pd.to_datetime(iso, utc=True, format="ISO8601", errors="coerce")
+    is_wrong = ~times.dt.year.between(MINYEAR, MAXYEAR)  # nor is a time that is missing
+    if is_wrong.any():
+        why = "which is none or without a zone and may be a local one"
+        raise InputError(
+            f"{what} has {str(texts[is_wrong].iloc[0])!r} as a time, {why}: {TIME_REMEDY}"
+        )
+    return times
+
+
+def _numbers(column: pd.Series, rule: Rule, what: str) -> pd.Series:
+    """Return a column of numbers as float64, NaN where one is lacking that may.
+
+    Raises:
+      InputError: a value that is no number or against the rule; ``what`` begins the message.
+    """
+    values = pd.to_numeric(column, errors="coerce").astype(float)
+    may_lack = rule.may_lack and bool(column.notna().any())
+    is_right = np.isfinite(values) & values.between(rule.low, rule.high)
+    is_wrong = ~(is_right | (column.isna() & may_lack))
+    is_wrong |= pd.api.types.is_bool_dtype(column)
+    if is_wrong.any():
+        wrong = column[is_wrong].tolist()  # a list's numbers are Python's
+        raise InputError(
+            f"{what} has {wrong[0]!r} in {column.name} of {len(wrong)} row(s), where a number from {rule.low:g} to "
+            f"{rule.high:g} belongs{rule.hint}: mend them, or remove the rows or the column"
+        )
+    return values
