@@ -349,6 +349,8 @@ def _kinds(hint: Any) -> list[Kind]:
     """
     # Of ``list[int]`` the origin is ``list`` and the part ``int``; a hint of a shape counts as its kind of array.
     hint = getattr(hint, "array_type", hint)
+    if hint in KINDS:
+        return [KINDS[hint]]
     origin = get_origin(hint) or hint
     parts = [part for part in get_args(hint) if part is not Ellipsis]
 

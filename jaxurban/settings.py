@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
-from jaxurban.checks import at_least, finite, positive, typed
+from jaxurban.checks import KINDS, at_least, finite, positive, typed
 from jaxurban.errors import InputError
 
 CostKind = Literal["cell", "line"]
@@ -20,6 +20,41 @@ Diagonal = Literal["both-free", "always"]
 Objective = Literal["weighted", "distance"]
 Obstacles = Literal["touched", "centre"]
 Preset = Literal["", "paper"]
+PlannerName = Literal[
+    "ptp",
+    "astar-dist",
+    "astar-plus",
+    "bitstar-dist",
+    "bitstar-plus",
+    "theta-star",
+    "astar-volume",
+]
+HeuristicName = Literal[
+    "auto",
+    "none",
+    "euclidean",
+    "octile",
+    "tiles",
+    "landmarks",
+    "exact",
+    "plus",
+    "plus-printed",
+    "plus-printed-from-0",
+]
+MissionEnd = Literal["land", "return", "none"]
+SampleName = Literal["lower-manhattan", "shinjuku", "nihonbashi"]
+
+
+class AsText:
+    """Beside a set of names in a model of a scenario: pydantic takes any text, as `typed` does."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        return handler(str)
+
+
+PlannerText = Annotated[PlannerName, AsText()]
+# `typed` takes any text for these: what looks a name up says more of a wrong one, such as which planner takes it.
+KINDS.update(dict.fromkeys((PlannerName, HeuristicName, MissionEnd, SampleName), KINDS[str]))
 CLEARANCES = ("clearance_m", "vertical_clearance_m")
 NOMINAL = "nominal"  # GPS satellites without a file of elements
 FIRST_YEAR, LAST_YEAR = 1980, 2200  # GPS time begins in 1980; xarray's nanoseconds end in 2262
@@ -283,7 +318,7 @@ class Planning:
     """
 
     preset: Preset = ""
-    planner: str = "astar-plus"
+    planner: PlannerText = "astar-plus"
     cost_model: CostKind | None = None
     obstacles: Obstacles | None = None
     clearance_m: float | None = None

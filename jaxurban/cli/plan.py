@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.ground_risk import OverflownDensity
     from jaxurban.paths.path import PlannedPath
     from jaxurban.paths.when import Departures
-    from jaxurban.settings import Objective, Obstacles
+    from jaxurban.settings import MissionEnd, Objective, Obstacles
 
 LEAST_NAME_WIDTH = 20  # characters of the table's first column
 NOT_WHEN = (
@@ -116,7 +116,7 @@ class RouteFiles(NamedTuple):
 
     files: tuple[Path, ...]
     simplify_m: float | None
-    end: str | None
+    end: "MissionEnd | None"
     fence_roofs_m: float | None
 
 

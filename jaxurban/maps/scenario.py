@@ -38,14 +38,30 @@ from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.registry import find_planner
 from jaxurban.public import present_name
-from jaxurban.settings import Buildings, CostKind, Planning, Terrain, Vehicle, as_tuple, iso_utc
+from jaxurban.settings import (
+    Buildings,
+    CostKind,
+    PlannerName,
+    PlannerText,
+    Planning,
+    Terrain,
+    Vehicle,
+    as_tuple,
+    iso_utc,
+)
 from jaxurban.world.grid import Bounds, check_bounds, projected_crs
 
 SYNTHETIC = "synthetic"
 MOST_INSTANCES = 1_000_000
 # Of a region most of which is empty and that nobody asked for: 35 x 35 km of 5 m.
 MOST_EMPTY_CELLS = 50_000_000
-PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
+PAPER_PLANNERS: tuple[PlannerName, ...] = (
+    "ptp",
+    "astar-dist",
+    "astar-plus",
+    "bitstar-dist",
+    "bitstar-plus",
+)
 RENAMED_KEYS: dict[str, str] = {}  # present ones of a section by former ones, as "section.key"
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 MUST_BE = {
@@ -162,8 +178,8 @@ class Study:
     """
 
     instances: int = 200
-    planners: str | Sequence[str] = PAPER_PLANNERS
-    distance_only: str | Sequence[str] = ("astar-dist",)
+    planners: PlannerText | Sequence[PlannerText] = PAPER_PLANNERS
+    distance_only: PlannerText | Sequence[PlannerText] = ("astar-dist",)
     altitudes_m: OneOrMore | None = None
     land_cover: str | None = None
     weights: Annotated[

@@ -27,7 +27,7 @@ from jaxurban.planners.base import Path, Status
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import Backend, solve_many
 from jaxurban.progress import LOG, Progress, reporting
-from jaxurban.settings import CostKind, Objective, Preset
+from jaxurban.settings import CostKind, HeuristicName, Objective, PlannerName, Preset
 
 HELD_BYTES = 2 * 2**30  # of weighed maps at a time
 BYTES_A_CELL = 160  # of a cost map: layers, metrics, landmarks
@@ -47,7 +47,7 @@ NEEDED = {
 @typed
 def plan_many(
     maps: MapsLike,
-    queries: pd.DataFrame | Sequence[tuple[Point, Point]],
+    queries: pd.DataFrame | Sequence[tuple[Point, Point]] | np.ndarray,
     *,
     altitude_m: float | None = None,
     backend: Backend = "auto",
@@ -62,8 +62,8 @@ def plan_many(
     time_of_day: str | None = None,
     constraints: Constraints | None = None,
     preset: Preset = "",
-    planner: str | None = None,
-    heuristic: str | None = None,
+    planner: PlannerName | None = None,
+    heuristic: HeuristicName | None = None,
     budget_s: float | None = None,
     seed: int | None = None,
     snap: bool | float = False,

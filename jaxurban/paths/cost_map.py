@@ -36,7 +36,7 @@ from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.progress import warn_if_slow
 from jaxurban.public import FactsRepr
-from jaxurban.settings import Objective, as_tuple
+from jaxurban.settings import HeuristicName, Objective, PlannerName, as_tuple
 from jaxurban.world.grid import Grid
 
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
@@ -471,8 +471,8 @@ class CostMap(FactsRepr):
         *,
         start_xy_m: Point | None = None,
         goal_xy_m: Point | None = None,
-        planner: str | None = None,
-        heuristic: str | None = None,
+        planner: PlannerName | None = None,
+        heuristic: HeuristicName | None = None,
         budget_s: float | None = None,
         seed: int | None = None,
         snap: bool | float = False,

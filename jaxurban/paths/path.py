@@ -22,6 +22,7 @@ from jaxurban.planners.base import Path, Status
 from jaxurban.planners.simplify import farthest
 from jaxurban.planners.simplify import simplify as simplify_path
 from jaxurban.public import Caution, FactsRepr, renamed_arguments, sentences_of
+from jaxurban.settings import MissionEnd
 
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
@@ -135,7 +136,7 @@ class PlannedPath(FactsRepr):
         file: str | FilePath,
         *more: str | FilePath,
         report: "RouteReport | None" = None,
-        end: str | None = None,
+        end: MissionEnd | None = None,
         fence_roofs_m: float | None = None,
     ) -> FilePath:
         """Write the path in the format that a file's suffix names, and return the (first) file.

@@ -21,7 +21,15 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Point, one_place
 from jaxurban.planners.cost import CostModel
-from jaxurban.settings import CostKind, Objective, Preset, Vehicle, iso_utc
+from jaxurban.settings import (
+    CostKind,
+    HeuristicName,
+    Objective,
+    PlannerName,
+    Preset,
+    Vehicle,
+    iso_utc,
+)
 from jaxurban.world.grid import Grid
 
 NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/algorithms/search.md)
@@ -214,8 +222,8 @@ def plan(
     time_of_day: str | None = None,
     constraints: Constraints | None = None,
     preset: Preset = "",
-    planner: str | None = None,
-    heuristic: str | None = None,
+    planner: PlannerName | None = None,
+    heuristic: HeuristicName | None = None,
     budget_s: float | None = None,
     seed: int | None = None,
     snap: bool | float = False,

@@ -74,7 +74,7 @@ class Query:
 
 
 def read_queries(
-    queries: pd.DataFrame | Sequence[tuple[Point, Point]],
+    queries: pd.DataFrame | Sequence[tuple[Point, Point]] | np.ndarray,
     *,
     altitude_m: float | None = None,
     time: str | None = None,
@@ -141,7 +141,7 @@ def _place_columns(queries: pd.DataFrame, weight_names: Iterable[str]) -> Sequen
     return names
 
 
-def table_of(queries: Iterable[tuple[Point, Point]]) -> pd.DataFrame:
+def table_of(queries: Iterable[tuple[Point, Point]] | np.ndarray) -> pd.DataFrame:
     """Return pairs of places as a table with the columns `LONLAT`, or `IN_METRES` for pairs of `XY`.
 
     Raises:

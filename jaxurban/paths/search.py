@@ -8,7 +8,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.snapping import snap_limit_m
 from jaxurban.planners.registry import EXACT_PLANNERS, VOLUME_PLANNERS, find_planner
-from jaxurban.settings import DEFAULTS
+from jaxurban.settings import DEFAULTS, HeuristicName, PlannerName
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class PathSearch:
         is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
     """
 
-    planner: str
-    heuristic: str | None = None
+    planner: PlannerName
+    heuristic: HeuristicName | None = None
     budget_s: float = DEFAULTS.budget_s
     seed: int = DEFAULTS.seed
     snap: bool | float = False
@@ -44,8 +44,8 @@ class PathSearch:
         maps: MetricMaps | None = None,
         is_for_volumes: bool = False,
         *,
-        planner: str | None = None,
-        heuristic: str | None = None,
+        planner: PlannerName | None = None,
+        heuristic: HeuristicName | None = None,
         budget_s: float | None = None,
         seed: int | None = None,
         snap: bool | float = False,

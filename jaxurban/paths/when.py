@@ -26,7 +26,7 @@ from jaxurban.paths.snapping import Point
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress
 from jaxurban.public import Caution, FactsRepr, listed
-from jaxurban.settings import CostKind, Objective, Preset
+from jaxurban.settings import CostKind, HeuristicName, Objective, PlannerName, Preset
 
 TIMES = ["time", "time_of_day"]
 
@@ -122,7 +122,7 @@ def _time_of(row: pd.Series) -> str:
 @typed
 def when(
     maps: MapsLike,
-    queries: pd.DataFrame | Sequence[tuple[Point, Point]],
+    queries: pd.DataFrame | Sequence[tuple[Point, Point]] | np.ndarray,
     *,
     altitude_m: float | None = None,
     progress: Progress = True,
@@ -133,8 +133,8 @@ def when(
     time_of_day: str | None = None,
     constraints: Constraints | None = None,
     preset: Preset = "",
-    planner: str | None = None,
-    heuristic: str | None = None,
+    planner: PlannerName | None = None,
+    heuristic: HeuristicName | None = None,
     budget_s: float | None = None,
     seed: int | None = None,
     snap: bool | float = False,

@@ -3,10 +3,11 @@
 from jaxurban.checks import typed
 from jaxurban.io.city import City
 from jaxurban.io.samples import PREFIX, check_sample
+from jaxurban.settings import SampleName
 
 
 @typed
-def sample_city(name: str) -> City:
+def sample_city(name: SampleName) -> City:
     """Return a real city that is in the package: no file and no network is needed.
 
     ``"lower-manhattan"`` is the paper's: 13,000 outlines and parts of OpenStreetMap (data of 2024-05-29, ODbL) in the

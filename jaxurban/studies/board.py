@@ -31,12 +31,15 @@ from jaxurban.planners.refine import refine
 from jaxurban.progress import Progress, reporting
 from jaxurban.samples.cities import sample_city
 from jaxurban.samples.synthetic import demo_city
+from jaxurban.settings import SampleName
 from jaxurban.studies.montecarlo.sampling import sample_joined
 
 QUERIES, DEMONSTRATIONS, CHECKSUMS = "queries.csv", "demonstrations.csv", "CHECKSUMS"
 TEXTS = {"README.md": "report/templates/board.md", "CITATION.cff": "report/templates/board.cff"}
 TEXTS |= {"NOTICE.md": "samples/NOTICE.md"}
-SAMPLED, SYNTHETIC = ("lower-manhattan", "shinjuku"), "synthetic"  # names of cities
+# Names of cities.
+SAMPLED: tuple[SampleName, ...] = ("lower-manhattan", "shinjuku")
+SYNTHETIC = "synthetic"
 DECIMALS = 4  # of costs: what the files hold is the truth
 DEMO_M = 2000.0  # side of the synthetic city
 # Weights of demonstrations.

@@ -5,6 +5,7 @@ import shlex
 import tempfile
 from dataclasses import replace
 from pathlib import Path as FilePath
+from typing import cast
 
 from jaxurban.checks import one_of
 from jaxurban.errors import InputError
@@ -19,7 +20,7 @@ from jaxurban.paths.path import PlannedPath, simplify
 from jaxurban.paths.plan import cost_map, rules_on
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
-from jaxurban.settings import DEFAULTS, Preset
+from jaxurban.settings import DEFAULTS, PlannerName, Preset
 from jaxurban.viewer.requests import Plan
 from jaxurban.viewer.tiles import Kept
 
@@ -64,7 +65,7 @@ class Plans:
             return self._cost_map(query, at).plan(
                 query.start,
                 query.goal,
-                planner=query.planner,
+                planner=cast(PlannerName, query.planner),  # `plan` refuses an unknown one
                 budget_s=_budget_s(query.planner),
                 snap=query.snap,
             )

@@ -11,7 +11,7 @@ and so are roofs beside it where they are asked for (`roof_fences`). The file ho
 
 import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import shapely
@@ -30,6 +30,7 @@ from jaxurban.paths.export.base import (
     waypoints,
 )
 from jaxurban.paths.lines import line_of
+from jaxurban.settings import MissionEnd
 from jaxurban.world.grid import Grid, covering_grid
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ END_NOTES = {
     "not checked for obstacles.",
     "none": "It ends at the last waypoint, without a landing.",
 }
-ENDS = tuple(END_NOTES)
+ENDS: tuple[MissionEnd, ...] = get_args(MissionEnd)
 
 
 def height_note(route: "PlannedPath") -> str:
@@ -88,7 +89,7 @@ def mission_note(route: "PlannedPath", end: str, roofs: "RoofFences | None" = No
 def to_qgc_plan(
     routes: Named,
     report: "RouteReport | None",
-    end: str = "land",
+    end: MissionEnd = "land",
     roofs: "RoofFences | None" = None,
 ) -> bytes:
     """Return a path as a mission of QGroundControl, JSON in UTF-8.

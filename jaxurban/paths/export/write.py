@@ -46,6 +46,7 @@ from jaxurban.paths.export.base import (
     waypoints,
 )
 from jaxurban.paths.export.qgc_plan import ENDS, to_qgc_plan
+from jaxurban.settings import MissionEnd
 
 if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
@@ -185,7 +186,7 @@ def write_path(
     report: "RouteReport | None" = None,
     *,
     names: Sequence[str] | None = None,
-    end: str | None = None,
+    end: MissionEnd | None = None,
     roofs: "RoofFences | None" = None,
 ) -> bool:
     """Write paths in the format that the file's suffix names; return False, writing nothing, if there is no path.

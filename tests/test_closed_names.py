@@ -1,0 +1,34 @@
+"""Each set of names that type checkers see holds the names of the table that it stands for, and no others."""
+
+from typing import get_args
+
+import pytest
+
+from jaxurban.io.samples import SAMPLES
+from jaxurban.paths.export.qgc_plan import END_NOTES
+from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS
+from jaxurban.settings import (
+    PRESETS,
+    HeuristicName,
+    MissionEnd,
+    PlannerName,
+    Preset,
+    SampleName,
+)
+
+ALL_PLANNERS = PLANNERS | VOLUME_PLANNERS
+HEURISTICS = {name for entry in ALL_PLANNERS.values() for name in entry.heuristics}
+
+
+@pytest.mark.parametrize(
+    ("names", "table"),
+    [
+        (PlannerName, ALL_PLANNERS),
+        (HeuristicName, HEURISTICS),
+        (MissionEnd, END_NOTES),
+        (SampleName, SAMPLES),
+        (Preset, PRESETS),
+    ],
+)
+def test_names_are_those_of_their_table(names, table):
+    assert {*get_args(names)} == {*table}
