@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -351,16 +350,7 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
     Raises:
       InputError: the server sent a part of the data only, an extract that does not cover the region, or no building.
     """
-    # What the server says of a part that it left out, and whether an extract covers the region.
-    is_xml = format_of(path) == "osm"
-    pattern = rb"<remark>\s*(.*?)\s*</remark>"
-    remark = re.search(pattern, path.read_bytes(), re.DOTALL) if is_xml else None
-    if remark:
-        # With status 200 the Overpass API sends what it had when its time or memory ran out.
-        reason = remark[1].decode("utf-8", "replace")
-        raise InputError(
-            f"the server of {str(path)!r} says {reason!r}: ask for a smaller region, or later"
-        )
+    # Whether an extract covers the region.
     box = header_box(path)
     if box is not None and not shapely.box(*box).contains(shapely.box(*job.bounds)):
         shown = ", ".join(f"{value:.3f}" for value in box)
@@ -370,7 +360,7 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
         )
 
     # The buildings of the region, from an extract cut out of it.
-    if not is_xml:
+    if format_of(path) == "pbf":
         LOG.info(f"osm: cutting the region and {job.margin_m:g} m around it out of the extract")
         cut_buildings(path, target, job.box(job.margin_m))
     outlines = read_osm(target if target.exists() else path)

@@ -24,7 +24,7 @@ from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.osm_plain import plain_osm
 from jaxurban.io.read.sniff import sniff, unpacked
 from jaxurban.io.read.vector import read_vector
-from tests.cli_runs import run
+from tests.cli_runs import assert_one_sentence, run
 from tests.io.made_files import LAT, LON, SQUARE, UTM, WGS84, node, osm, refused, relation, way
 
 SHIFTED = shapely.affinity.translate(SQUARE, 0.002)
@@ -238,6 +238,23 @@ def test_places_that_a_bounded_out_geom_leaves_out_are_missing_nodes(tmp_path):
     (tmp_path / "a.json").write_text(overpass(listed))
     issues = read_osm(tmp_path / "a.json").issues
     assert issues[ReadIssue.WAYS_WITH_MISSING_NODES] == 1
+
+
+CUT_SHORT = "runtime error: Query timed out"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.json", overpass(elements(), remark=f'{CUT_SHORT} in "query" at line 1.')),
+        ("a.osm", osm(node(1, 0, 0)).replace("</osm>", f"<remark> {CUT_SHORT} </remark></osm>")),
+    ],
+)
+def test_what_a_server_cut_short_is_refused(name, text, tmp_path, capsys):
+    (tmp_path / name).write_text(text)
+    code, _, err = run(capsys, "info", tmp_path / name)
+    assert code == 2
+    assert_one_sentence(err, name, CUT_SHORT, "ask for a smaller region, or later")
 
 
 def test_the_box_of_an_edited_file_is_kept(tmp_path):

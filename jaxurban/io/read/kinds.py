@@ -35,60 +35,43 @@ HULL = Kind(UNKNOWN, 0.0, radius_m=2.0)  # an outline that is not whole
 LOW_M = 6.0  # fences, doors, statues: what no table names stands from this height on
 TURBINE = Kind("turbine", 100.0, radius_m=50.0)
 NOTHING, WIRES = ReadIssue.NOT_STANDING, ReadIssue.WIRES
-KINDS: dict[str, dict[str, Kind | ReadIssue]] = {
+_TABLE: dict[str, dict[Kind | ReadIssue, str]] = {  # values by key and kind
     "man_made": {
-        **dict.fromkeys(("chimney", "stack", "flare"), Kind("chimney", 30.0, radius_m=3.0)),
-        **dict.fromkeys(
-            ("tower", "communications_tower", "water_tower", "lighthouse", "obelisk"),
-            Kind("tower", 30.0, radius_m=5.0),
-        ),
-        **dict.fromkeys(("mast", "antenna", "beacon"), Kind("mast", 20.0)),
-        "crane": Kind("crane", 30.0, radius_m=5.0),
-        **dict.fromkeys(("tank", "storage_tank"), Kind("tank", 10.0, 30.0, 8.0)),
-        **dict.fromkeys(("silo", "gasometer"), Kind("tank", 20.0, radius_m=10.0)),
-        **dict.fromkeys(("windmill", "telescope", "radar"), Kind("tower", 20.0, radius_m=10.0)),
-        **dict.fromkeys(("flagpole", "utility_pole", "pole"), Kind("pole", 10.0, 30.0, 0.5)),
-        **dict.fromkeys(("canopy", "gantry", "goods_conveyor"), Kind("canopy", 6.0, 20.0)),
-        "bridge": Kind(UNKNOWN, 0.0, 100.0, 3.0),
-        **dict.fromkeys(
-            (
-                *("pier", "breakwater", "groyne", "dyke", "embankment", "cutline", "cutting"),
-                *("survey_point", "surveillance", "manhole", "pipeline", "tunnel", "cable"),
-                *("adit", "quay", "courtyard", "excavation", "water_tap", "drinking_fountain"),
-                *("street_cabinet", "planter", "water_well", "compass_rose", "satellite_dish"),
-                *("monitoring_station", "reservoir_covered", "petroleum_well", "bunker_silo"),
-                *("clearcut", "carpet_hanger", "insect_hotel", "cross", "cairn", "advertising"),
-            ),
-            NOTHING,
-        ),
-        **dict.fromkeys(
-            (
-                "works",
-                "wastewater_plant",
-                "water_works",
-                "pumping_station",
-                "mineshaft",
-                "spoil_heap",
-            ),
-            SITE,
-        ),
-        "wire": WIRES,
+        Kind("chimney", 30.0, radius_m=3.0): "chimney stack flare",
+        Kind("tower", 30.0, radius_m=5.0): "tower communications_tower water_tower lighthouse "
+        "obelisk",
+        Kind("tower", 20.0, radius_m=10.0): "windmill telescope radar",
+        Kind("mast", 20.0): "mast antenna beacon",
+        Kind("crane", 30.0, radius_m=5.0): "crane",
+        Kind("tank", 10.0, 30.0, 8.0): "tank storage_tank",
+        Kind("tank", 20.0, radius_m=10.0): "silo gasometer",
+        Kind("pole", 10.0, 30.0, 0.5): "flagpole utility_pole pole",
+        Kind("canopy", 6.0, 20.0): "canopy gantry goods_conveyor",
+        Kind(UNKNOWN, 0.0, 100.0, 3.0): "bridge",
+        SITE: "works wastewater_plant water_works pumping_station mineshaft spoil_heap",
+        NOTHING: "pier breakwater groyne dyke embankment cutline cutting survey_point surveillance "
+        "manhole pipeline tunnel cable adit quay courtyard excavation water_tap drinking_fountain "
+        "street_cabinet planter water_well compass_rose satellite_dish monitoring_station "
+        "reservoir_covered petroleum_well bunker_silo clearcut carpet_hanger insect_hotel cross "
+        "cairn advertising",
+        WIRES: "wire",
     },
     "power": {
-        "tower": Kind("pylon", 30.0, radius_m=4.0),
-        **dict.fromkeys(("pole", "portal", "catenary_mast"), Kind("pole", 10.0, 30.0, 0.5)),
-        **dict.fromkeys(("generator", "plant", "substation", "transformer"), SITE),
-        **dict.fromkeys(("line", "minor_line"), WIRES),
-        **dict.fromkeys(("cable", "terminal", "insulator", "switch", "connection", "box"), NOTHING),
+        Kind("pylon", 30.0, radius_m=4.0): "tower",
+        Kind("pole", 10.0, 30.0, 0.5): "pole portal catenary_mast",
+        SITE: "generator plant substation transformer",
+        NOTHING: "cable terminal insulator switch connection box",
+        WIRES: "line minor_line",
     },
     "aerialway": {
-        "pylon": Kind("pylon", 30.0, radius_m=3.0),
-        "station": Kind("structure", 10.0, 30.0, 10.0),
-        **dict.fromkeys(
-            ("cable_car", "gondola", "chair_lift", "mixed_lift", "drag_lift", "goods", "zip_line"),
-            WIRES,
-        ),
+        Kind("pylon", 30.0, radius_m=3.0): "pylon",
+        Kind("structure", 10.0, 30.0, 10.0): "station",
+        WIRES: "cable_car gondola chair_lift mixed_lift drag_lift goods zip_line",
     },
+}
+KINDS = {
+    key: {value: kind for kind, values in kinds.items() for value in values.split()}
+    for key, kinds in _TABLE.items()
 }
 # A building whose height nothing says. Of those of Lower Manhattan, Boston and Helsinki that have a height, houses and
 # their like end below 20 m, and all others but some 1 % below 100 m; of those with levels too 99 % end below 6 m for

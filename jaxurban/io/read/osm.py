@@ -86,53 +86,56 @@ def _read(path: str | Path) -> Outlines:
     tags: dict[Key, dict[str, str]] = {}
     shapes: dict[Key, str] = {}
     areas = set()  # whether libosmium could assemble them or not
-    closed, open_ways = set[Key](), set[Key]()
+    closed, open_ways, missing = set[Key](), set[Key](), set[Key]()  # the last lack nodes
+    lines: dict[int, shapely.Geometry] = {}  # of ways
     ways_of: dict[Key, list[int]] = {}  # of what has no shape
     of_members: dict[Key, dict[str, str]] = {}  # what relations of buildings say of their outlines
     to_wkb = osmium.geom.WKBFactory()
     processor = open_osm(path).with_areas(MAY_STAND).with_filter(MAY_STAND_OR_TYPE)
-    for item in processor:
-        key = (item.type_str(), item.id)
-        if isinstance(item, osmium.osm.Area):
-            key = ("w" if item.from_way() else "r", item.orig_id())
-            areas.add(key)
-            if item.num_rings()[0] > 0:
-                shapes[key] = to_wkb.create_multipolygon(item)
-        elif isinstance(item, osmium.osm.Node):
-            shapes[key] = to_wkb.create_point(item)
-        elif isinstance(item, osmium.osm.Way):
-            if item.is_closed():  # its area has its tags
-                closed.add(key)
-                continue
-            open_ways.add(key)
-        elif isinstance(item, osmium.osm.Relation):
-            kind = item.tags.get("type")
-            if kind == BUILDING:
-                outlines = [(each.type, each.ref) for each in item.members if each.role in _OUTER]
-                of_members |= dict.fromkeys(outlines, _tags_of(item))
-            if kind not in _AREA_RELATIONS or not _may_stand(item.tags):
-                continue
-            ways_of[key] = _ways_of(item)
-        tags[key] = _tags_of(item)
 
-    # The lines of what is no area, as far as the file has their nodes.
-    lines: dict[int, shapely.Geometry] = {}
-    missing = set()  # ways that lack nodes
-    lost = closed - areas
-    no_shape = (tags.keys() | lost | of_members.keys()) - shapes.keys()
-    ways_of |= {key: [key[1]] for key in no_shape if key[0] == "w"}
-    ids = {way for key in no_shape for way in ways_of.get(key, ())}
-    # An IdFilter takes 4 MiB for each range of ids.
-    for way in osmium.FileProcessor(_file(path), osmium.osm.WAY) if ids else ():
-        if not isinstance(way, osmium.osm.Way) or way.id not in ids:
-            continue
-        key = ("w", way.id)
+    def keep_line(way: Any) -> None:
+        """Keep the line of a way, and whether it lacks nodes."""
         points = _points_of(way, processor.node_location_storage)
         lines[way.id] = _line_of(points)
         if len(points) < len(way.nodes):
-            missing.add(key)
-        if key in lost:
-            tags[key] = _tags_of(way)
+            missing.add(("w", way.id))
+
+    item: Any
+    for item in processor:
+        kind, number = item.type_str(), item.id
+        if kind == "a":
+            kind, number = "w" if item.from_way() else "r", item.orig_id()
+            areas.add((kind, number))
+            if item.num_rings()[0] > 0:
+                shapes[kind, number] = to_wkb.create_multipolygon(item)
+        elif kind == "n":
+            shapes[kind, number] = to_wkb.create_point(item)
+        elif kind == "w":
+            if item.is_closed():  # its area has its tags
+                closed.add((kind, number))
+                continue
+            open_ways.add((kind, number))
+            keep_line(item)
+        else:
+            of_type = item.tags.get("type")
+            if of_type == BUILDING:
+                outlines = [(each.type, each.ref) for each in item.members if each.role in _OUTER]
+                of_members |= dict.fromkeys(outlines, _tags_of(item))
+            if of_type not in _AREA_RELATIONS or not _may_stand(item.tags):
+                continue
+            ways_of[kind, number] = _ways_of(item)
+        tags[kind, number] = _tags_of(item)
+
+    # The lines of what else is no area. An `IdFilter` of them would take 4 MiB for each range of ids.
+    lost = closed - areas
+    no_shape = (tags.keys() | lost | of_members.keys()) - shapes.keys()
+    ways_of |= {key: [key[1]] for key in no_shape if key[0] == "w"}
+    ids = {way for key in no_shape for way in ways_of.get(key, ())} - lines.keys()
+    for item in osmium.FileProcessor(_file(path), osmium.osm.WAY) if ids else ():
+        if item.id in ids:
+            keep_line(item)
+            if ("w", item.id) in lost:
+                tags["w", item.id] = _tags_of(item)
 
     # Outlines have what their relation says beside their own tags.
     for key, of_relation in of_members.items():
@@ -179,10 +182,10 @@ def _read(path: str | Path) -> Outlines:
 
 def _tags_of(item: Any) -> dict[str, str]:
     """Return the tags of an object that say what stands."""
-    tags = item.tags
-    if "building" in tags:  # with many others
-        return {name: value for name in OF_BUILDINGS if (value := tags.get(name)) is not None}
-    return {tag.k: tag.v for tag in tags if tag.k in TAGS}
+    if "building" in item.tags:  # with many others
+        get = item.tags.get
+        return {name: value for name in OF_BUILDINGS if (value := get(name)) is not None}
+    return {name: value for name, value in item.tags if name in TAGS}
 
 
 def _may_stand(tags: Any) -> bool:
@@ -292,8 +295,8 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
     ) as writer:
         for item in _in_box(file, MAY_STAND, box):
             writer.add(item)
-        for item in of_relations.with_filter(IdFilter(to_cut)):
-            writer.add(item)
+        for relation in of_relations.with_filter(IdFilter(to_cut)):
+            writer.add(relation)
 
 
 def _in_box(

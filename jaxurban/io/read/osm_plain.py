@@ -27,6 +27,7 @@ OF_DAMAGED = (LookupError, TypeError, AttributeError, ElementTree.ParseError)
 OBJECTS = ("node", "way", "relation")  # in the order of a file
 EDITED = (b' id="-', b" id='-", b'action="delete"', b"action='delete'")
 PLACED = re.compile(rb"<nd [^/]*\blat=")  # a place in a way or a member
+REMARK = re.compile(rb"<remark>\s*(.*?)\s*</remark>", re.DOTALL)
 OWN_IDS = 2**40  # the first id of what has none above 0; OpenStreetMap's are far below
 MOST_JSON = 2**30  # bytes; JSON is held in memory as a whole, in ten times as many
 
@@ -42,8 +43,8 @@ def plain_osm(path: str | Path, remedy: str) -> Iterator[Path]:
       remedy: ends the message of a damaged file.
 
     Raises:
-      InputError: a file that is damaged, also by what pyosmium raises in the block, JSON of more than `MOST_JSON`, or
-        ways or relations without one place.
+      InputError: a file that is damaged, also by what pyosmium raises in the block, JSON of more than `MOST_JSON`, what
+        the Overpass API cut short, or ways or relations without one place.
     """
     name = repr(str(path))
     with (
@@ -60,9 +61,10 @@ def plain_osm(path: str | Path, remedy: str) -> Iterator[Path]:
                     raise InputError(
                         f"{name} is JSON of more than {MOST_JSON / 2**30:g} GiB: ask for XML (`[out:xml]`)"
                     )
-                elements = json.loads(file.read_bytes())["elements"]
-                _write(name, plain, elements, osmium.io.Header())
-            elif kind == ".osm" and _needs_writing(file):
+                content = json.loads(file.read_bytes())
+                _check_is_whole(name, content.get("remark"))
+                _write(name, plain, content["elements"], osmium.io.Header())
+            elif kind == ".osm" and _needs_writing(name, file):
                 source = osmium.io.File(str(file), "osm")
                 with osmium.io.Reader(source, osmium.osm.NOTHING) as reader:
                     _write(name, plain, _of_xml(file), reader.header())
@@ -71,12 +73,26 @@ def plain_osm(path: str | Path, remedy: str) -> Iterator[Path]:
         yield plain
 
 
-def _needs_writing(file: Path) -> bool:
-    """Return whether XML holds no node, ways after relations, ids below 0, deleted objects, or places in ways."""
+def _check_is_whole(name: str, remark: str | None) -> None:
+    """Raise InputError if a file has a remark: the Overpass API sends what it had when its time or memory ran out."""
+    if remark:
+        raise InputError(
+            f"{name} is cut short, its server says {remark!r}: ask for a smaller region, or later"
+        )
+
+
+def _needs_writing(name: str, file: Path) -> bool:
+    """Return whether XML holds no node, ways after relations, ids below 0, deleted objects, or places in ways.
+
+    Raises:
+      InputError: the Overpass API cut it short; ``name`` is for the message.
+    """
     with (
         file.open("rb") as source,
         mmap.mmap(source.fileno(), 0, access=mmap.ACCESS_READ) as text,
     ):
+        if remark := REMARK.search(text):
+            _check_is_whole(name, remark[1].decode())
         return (
             text.find(b"<node") < 0
             or text.rfind(b"<way") > text.find(b"<relation") >= 0
