@@ -152,11 +152,35 @@ def demonstrations_from_study(
     if time_of_day is not None:
         one_of("time_of_day", time_of_day, maps.times_of_day)
     wanted = {"altitude_m": altitude_m, "time": time, "time_of_day": time_of_day}
-    for name, value in wanted.items():
+    for column, value in wanted.items():
         if value is not None:
-            table = table[table[name] == value]
+            table = table[table[column] == value]
     _check_one_weights(source.name, table)
 
+    return _planned_again(job, maps, source.name, table, source.planner, metrics)
+
+
+def _planned_again(
+    job: Benchmark,
+    maps: MetricMaps,
+    name: str,
+    table: pd.DataFrame,
+    planner: str,
+    metrics: Sequence[str] | None,
+) -> list[Demonstration]:
+    """Return the routes of rows, planned again, as demonstrations; warns of those that are left out, by reason.
+
+    Args:
+      job: the rules that the routes are planned under.
+      maps: on which they lie.
+      name: of the study or table, for messages.
+      table: a row per route, as of a `_Source`.
+      planner: of the routes.
+      metrics: whose weights are to be fitted; None: all.
+
+    Raises:
+      InputError: no route is of use.
+    """
     # The cost maps by altitude, time and time of day: routes are planned on maps of all metrics, and fitted on maps of
     # the chosen ones. Each map is made once, since a fit takes two equal maps for different ones.
     planned_map = cache(partial(job.cost_map, maps))
@@ -172,7 +196,7 @@ def demonstrations_from_study(
         cost_map = planned_map(*place)
         cost_map_of_fit = fitted_map(*place)
         try:
-            points_m = _points(job, cost_map, row, source.planner)
+            points_m = _points(job, cost_map, row, planner)
             route = demonstration_from_line(cost_map_of_fit, points_m, f"{row['instance']}")
             demonstrations.append(replace(route, query=replace(route.query, is_planned=True)))
         except InputError as error:
@@ -181,11 +205,11 @@ def demonstrations_from_study(
     # What was left out, by reason.
     if not demonstrations:
         raise InputError(
-            f"no route of {source.name!r} is of use: {_listed(reasons) or 'none is asked for'}"
+            f"no route of {name!r} is of use: {_listed(reasons) or 'none is asked for'}"
         )
     if reasons:
         were = "was" if reasons.total() == 1 else "were"
-        left_out = f"{reasons.total()} of {len(table)} routes of {source.name!r} {were} left out: {_listed(reasons)}"
+        left_out = f"{reasons.total()} of {len(table)} routes of {name!r} {were} left out: {_listed(reasons)}"
         warn(left_out, SkippedRouteWarning)
     return demonstrations
 

@@ -260,9 +260,9 @@ def agreement_of(
     displaced = Displaced.of(settings.num_displaced, settings.seed, int(is_moved.sum()))
 
     # How far away from a place a roof, at the largest scale, can still come within the margin of the lowest ray.
+    # The columns are filled leg by leg, since the ground around the whole track may not fit into memory.
     reach_m = (max(rise_m * SCALES[-1], 0.0) + FARTHEST_MARGIN_M) / np.tan(rays.elevation_rad.min())
 
-    # The columns are filled leg by leg, since the ground around the whole track may not fit into memory.
     rows["margin_m"] = np.nan
     rows["is_inside"] = False
     for leg in legs(track.x_m, track.y_m, grid.resolution_m):
@@ -289,17 +289,14 @@ def agreement_of(
     rows["is_judged"] = is_open & ~rows.is_inside
     _check_judged(rows, log.name, mask_deg)
 
-    # Which rows are strong: from the median of the judged ones on, or from the weakest received one if that is 0.
-    judged_dbhz = rows.cn0_dbhz[rows.is_judged]
-    median_dbhz = strong_dbhz = float(judged_dbhz.median())
-    if not median_dbhz > 0:
-        strong_dbhz = float(judged_dbhz[judged_dbhz > 0].min())
+    strong_dbhz, is_median = _strong_dbhz(rows.cn0_dbhz[rows.is_judged])
     rows["is_strong"] = rows.cn0_dbhz >= strong_dbhz
 
     # The scores of the city and of displaced ones.
     report("scores")
     scores = score_table(rows, settings.seed)
     of_displaced = displaced.tables(rows[is_moved], settings.seed)
+    null = of_displaced["displaced"]
 
     # The rivals: rules that predict from less or more than the margin, such as from the angle between the ray and the
     # street along which the receiver moves.
@@ -317,15 +314,12 @@ def agreement_of(
     return SatelliteAgreement(
         rows=rows,
         scores=scores,
-        displaced=of_displaced.null,
-        field=of_displaced.field,
-        scales=of_displaced.scales,
-        peak=of_displaced.peak,
+        **of_displaced,
         rivals=rivals,
         block_lengths=gain_by_length(rules, is_strong, block, settings.sky_block_m, settings.seed),
         skies=_skies(rows, rays, log, city, grid, reach_m, settings.antenna_height_m),
         strong_dbhz=strong_dbhz,
-        verdict=verdict_of(scores, of_displaced.null, rivals, num_blocks),
+        verdict=verdict_of(scores, null, rivals, num_blocks),
         counts={
             "rows": len(rows),
             "judged": int(rows.is_judged.sum()),
@@ -334,13 +328,24 @@ def agreement_of(
             "inside": int((is_open & rows.is_inside).sum()),
             "num_satellites": int(rows.satellite.nunique()),
             "num_blocks": num_blocks,
-            "num_displaced": int(of_displaced.null.auc.notna().sum()),
+            "num_displaced": int(null.auc.notna().sum()),
             "num_asked": settings.num_displaced,
             "every": every,
-            "is_median": median_dbhz > 0,
+            "is_median": is_median,
             "left_out": dict(log.left_out),
         },
     )
+
+
+def _strong_dbhz(judged_dbhz: pd.Series) -> tuple[float, bool]:
+    """Return the C/N0 from which rows are strong, and whether it is the median of the judged ones.
+
+    Where that is 0, it is the C/N0 of the weakest received one.
+    """
+    median_dbhz = float(judged_dbhz.median())
+    if median_dbhz > 0:
+        return median_dbhz, True
+    return float(judged_dbhz[judged_dbhz > 0].min()), False
 
 
 def _check_judged(rows: pd.DataFrame, name: str, mask_deg: float) -> None:

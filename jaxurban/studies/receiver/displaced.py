@@ -5,7 +5,7 @@ of the track, ``D`` draws of them, the first one each block once.
 """
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -85,8 +85,10 @@ class Displaced:
         for number, scale in enumerate(SCALES):
             self.of_scale[number, column] = ground.with_roofs(scale).margins_m(rays) >= 0
 
-    def tables(self, rows: pd.DataFrame, seed: int) -> "DisplacedScores":
+    def tables(self, rows: pd.DataFrame, seed: int) -> dict[str, Any]:
         """Return how displaced cities and other roofs score, when all legs are filled in.
+
+        These are ``displaced``, ``field``, ``scales`` and ``peak`` of a `SatelliteAgreement`.
 
         A city of the null with fewer than `FEWEST_ROWS` rows has the scores NaN, and with fewer blocks than
         `FEWEST_GROUPS` there is no peak.
@@ -129,21 +131,12 @@ class Displaced:
             by_move = np.full_like(by_move, np.nan)
             by_scale = np.full_like(by_scale, np.nan)
         best_moves_m = peaks(by_move, near[["east_m", "north_m"]].to_numpy())
-        return DisplacedScores(
-            null=cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1]),
-            field=near,
-            scales=pd.DataFrame(scales),
-            peak=_peak(best_moves_m, peaks(by_scale, SCALES)),
-        )
-
-
-class DisplacedScores(NamedTuple):
-    """What a `jaxurban.studies.receiver.agreement.SatelliteAgreement` holds of displaced cities and other roofs."""
-
-    null: pd.DataFrame
-    field: pd.DataFrame
-    scales: pd.DataFrame
-    peak: dict[str, float]
+        return {
+            "displaced": cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1]),
+            "field": near,
+            "scales": pd.DataFrame(scales),
+            "peak": _peak(best_moves_m, peaks(by_scale, SCALES)),
+        }
 
 
 def _peak(moves_m: np.ndarray, scale: np.ndarray) -> dict[str, float]:

@@ -271,8 +271,7 @@ def counted(
       num_epochs: N.
     """
     judged = rows[rows.is_judged]
-    num_seen = judged.is_seen.groupby(judged.epoch).sum()
-    num_received = (judged[CN0] > 0).groupby(judged.epoch).sum()
-    in_view = num_seen.reindex(range(num_epochs)).to_numpy(float)
-    received = num_received.reindex(range(num_epochs)).to_numpy(float)
-    return {NUM_VISIBLE: in_view}, {TRACKED: received}
+    columns = {NUM_VISIBLE: judged.is_seen, TRACKED: judged[CN0] > 0}
+    table = pd.DataFrame(columns).groupby(judged.epoch).sum().reindex(range(num_epochs))
+    in_view, received = ({name: table[name].to_numpy(float)} for name in columns)
+    return in_view, received

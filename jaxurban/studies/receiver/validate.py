@@ -220,25 +220,11 @@ def validate(
         )
         scores, shifts = tables(epochs, (*logged.witnesses, *counts), list(predicted), settings)
 
-    # What is reported about the track.
-    num_visible = epochs[NUM_VISIBLE]
-    summary = {
-        "epochs": len(epochs),
-        "epochs_left_out": int(num_visible.isna().sum()),
-        "first_utc": epochs[UTC].iloc[0].isoformat(),
-        "last_utc": epochs[UTC].iloc[-1].isoformat(),
-        "length_m": float(track.along_m[-1]),
-        "resolution_m": grid.resolution_m,
-        "num_skies": len(track.sky_times),
-        "mean_num_visible": float(num_visible.mean()),
-    }
-    if TRACKED in epochs:
-        summary[f"mean_{TRACKED}"] = float(epochs[TRACKED].mean())
     return ReceiverValidation(
         log=logged,
         settings=settings,
         scenario=scenario.model_dump(mode="json"),
-        summary=summary,
+        summary=_summary(epochs, grid.resolution_m, len(track.sky_times)),
         epochs=epochs,
         pieces=pieces_of(epochs, settings.piece_m, settings.block_m),
         scores=scores,
@@ -247,6 +233,30 @@ def validate(
         guesses=(*city.guesses.values(), *guesses.values()),
         satellites=satellites,
     )
+
+
+def _summary(epochs: pd.DataFrame, resolution_m: float, num_skies: int) -> dict[str, Any]:
+    """Return what is reported about a track as a whole, the ``summary`` of a `ReceiverValidation`.
+
+    Args:
+      epochs: as `ReceiverValidation` holds them.
+      resolution_m: side of a cell.
+      num_skies: how many skies the track was seen under.
+    """
+    num_visible = epochs[NUM_VISIBLE]
+    summary = {
+        "epochs": len(epochs),
+        "epochs_left_out": int(num_visible.isna().sum()),
+        "first_utc": epochs[UTC].iloc[0].isoformat(),
+        "last_utc": epochs[UTC].iloc[-1].isoformat(),
+        "length_m": float(epochs["along_m"].iloc[-1]),
+        "resolution_m": resolution_m,
+        "num_skies": num_skies,
+        "mean_num_visible": float(num_visible.mean()),
+    }
+    if TRACKED in epochs:
+        summary[f"mean_{TRACKED}"] = float(epochs[TRACKED].mean())
+    return summary
 
 
 def _read(
