@@ -62,7 +62,7 @@ MOST_SAMPLES = 1000
 # The tallest building stands at 828 m: more is a slip of the keyboard or of the unit.
 MAX_HEIGHT_M = 1000.0
 Hanging = Literal["to_ground", "slabs"]
-Unit = Literal["m", "ft", "cm"]
+Unit = Literal["m", "ft", "cm", "mm"]
 TO_GROUND, SLABS = get_args(Hanging)
 FULL_TURN_DEG = 180.0
 PREFIX = "vehicle_"  # of its entries among the constraints that a path was planned under

@@ -27,9 +27,11 @@ COLUMNS = {
     "part": "building_part building_p",
     "razed": "demolished_building razed_building removed_building destroyed_building was_building",
     "planned": "proposed_building planned_building",
-    "height": "height height_m building_height measuredheight measured_height measuredhe",
+    "height": "height height_m building_height building_h measuredheight measured_height "
+    "measuredhe measured_h",
     "levels": "building_levels building_l levels num_floors storeysaboveground nb_etages nombre_d_etages "
-    "numberoffloorsaboveground numberoffl anzahlgs gro_flo_co stories",
+    "numberoffloorsaboveground numberoffl anzahlgs gro_flo_co stories "
+    "floors numfloors storeys storeysabo nombre_d_e",
     "roof_levels": "roof_levels roof_level",
     "min_height": "min_height building_min_height",
     "min_level": "building_min_level min_level min_floor",
@@ -45,7 +47,8 @@ UNDERGROUND_COLUMN = "is_underground"  # of Overture Maps: true or false
 BELOW = dict.fromkeys(("true", "1"), ReadIssue.UNDERGROUND.value)  # as OpenStreetMap writes it
 OF_OVERTURE = "building_id"  # beside it: a part names its building
 NESTED = ("tags", "other_tags", "all_tags")  # of query-overpass and GDAL: all tags in one text
-UNITS_M = {"m": 1.0, "ft": FOOT_M, "cm": 0.01}
+UNITS_M: dict[Unit, float] = {"m": 1.0, "ft": FOOT_M, "cm": 0.01, "mm": 0.001}
+HSTORE = re.compile(r'("(?:[^"\\]|\\.)*")\s*=>\s*("(?:[^"\\]|\\.)*")')  # of what is not NULL
 
 
 # How publishers name what they hold, plain as in `COLUMNS`: the column of roofs and others by which the table is known,
@@ -80,8 +83,9 @@ SCHEMAS: dict[str, Unit] = {
     "height_relativemax_m": "m",
     # swissBUILDINGS3D: swisstopo.admin.ch, its object catalogue.
     "gesamthoehe dach_max": "m",
-    "height_ft": "ft",  # by its own name
 }
+# By their own names.
+SCHEMAS |= {f"height{mark}{unit}": unit for mark in ("", "_") for unit in UNITS_M}
 GROUNDS = {"b3_h_dak_max": "b3_h_maaiveld", "topheight": "baseheight"}
 # Overture Maps, Microsoft, GlobalBuildingAtlas and USA Structures call theirs ``height``, in metres; Google's outlines
 # have none.
@@ -89,7 +93,7 @@ KNOWN = {OF_OVERTURE, *NESTED}
 KNOWN |= set(" ".join([*COLUMNS.values(), *SCHEMAS]).split())
 # Words for height in names of columns, and those by which it is not that of the roof.
 HEIGHT = re.compile(
-    "heigh|hgt|hght|hoehe|höhe|hauteur|altura|altezza|hoogte|höjd|hojd|høyde|hoyde|korkeus|korgus|kõrgus|wysoko|vysk|"
+    "^h$|^ht$|_ht$|^roof_?z$|^z_?max$|h_dak|heigh|hgt|hght|hoeh|höhe|hauteur|altura|altezza|hoogte|höjd|hojd|høyde|hoyde|korkeus|korgus|kõrgus|wysoko|vysk|"
     "výšk|高"
 )
 NO_ROOF = re.compile(
@@ -134,7 +138,7 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
     for tag, names in COLUMNS.items():
         for name in names.split():
             if tag in tags and name in values:
-                tags[tag] = np.where(is_given(tags[tag]), tags[tag], values[name])
+                tags[tag] = _filled(tags[tag], values[name])
             elif name in values:
                 tags[tag] = values[name]
     if "max_height" in values:
@@ -180,29 +184,39 @@ def tags_of_table(
         unit = SCHEMAS[schema]
     if not roof:
         _check_metric(columns, tags, file, crs)
-    elif ground:
+    unit_m = UNITS_M[unit or "m"]
+    if ground:
         tops, bottoms = (pd.to_numeric(values[name], errors="coerce") for name in (roof, ground))
-        tags["height"] = tops - bottoms
-    else:
-        tags["height"] = values[roof]
-    for tag in {"height", "min_height"}.intersection(tags):
-        tags[tag] = _in_metres(tags[tag], UNITS_M[unit or "m"])
+        tags["height"] = np.asarray(tops - bottoms) * unit_m
+    elif roof:
+        height = _in_metres(values[roof], unit_m)
+        tags["height"] = height if file.height_column else _filled(height, tags.get("height"))
+    if "min_height" in tags:
+        tags["min_height"] = _in_metres(tags["min_height"], unit_m)
     return tags
 
 
+def _filled(column: np.ndarray, other: np.ndarray | None) -> np.ndarray:
+    """Return a column ``[N]`` that has the values of another, if there is one, where it holds nothing."""
+    return column if other is None else np.where(is_given(column), column, other)
+
+
 def _opened(values: Columns) -> Columns:
-    """Return columns by plain name, and beside them those tags of `NESTED` that have no column of their own."""
+    """Return columns by plain name, with the tags of `NESTED` where no column of their own says them."""
     for name in set(NESTED).intersection(values):
         inner = pd.DataFrame([_inner_tags(str(text)) for text in values[name]], dtype=object)
-        values = {str(tag): inner[tag].to_numpy() for tag in inner} | dict(values)
+        values = dict(values)
+        for tag in map(str, inner):
+            own = inner[tag].to_numpy()
+            values[tag] = _filled(values.get(tag, own), own)
     return values
 
 
 def _inner_tags(text: str) -> dict[str, Any]:
     """Return what a text of tags, JSON or hstore, says of buildings, by plain name; nothing of another text."""
-    if not text.startswith(("{", "[")):
-        text = "{" + text.replace('"=>"', '":"') + "}"
     try:
+        if not text.startswith(("{", "[")):
+            text = "{" + ",".join(map(":".join, HSTORE.findall(text))) + "}"
         tags = dict(json.loads(text, strict=False))
     except (ValueError, TypeError, RecursionError):
         return {}
@@ -245,8 +259,9 @@ def _check_metric(
         if holds_numbers and ((height > 0) & is_in_feet | is_height & changes).any():
             unclear.append(name)
     if unclear:
+        first = json.dumps(unclear[0], ensure_ascii=False)
         raise InputError(
             f"{str(file.source)!r} holds heights in {', '.join(map(repr, unclear))}, and neither the file nor a known "
-            f"publisher says their unit: set [buildings] height_column = {json.dumps(unclear[0])} and unit = "
-            '"ft" or "m", and ground_column if they count from the sea'
+            f"publisher says their unit: set [buildings] height_column = {first} and unit = "
+            '"ft" or "m" (or "cm", "mm"), and ground_column if they count from the sea'
         )

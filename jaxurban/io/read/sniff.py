@@ -5,6 +5,7 @@ import gzip
 import re
 import shlex
 import tempfile
+import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -38,6 +39,9 @@ FORMATS = {
     rb"LASF": "a cloud of lidar points: make a raster of their highest ones with `pdal translate FILE surface.tif "
     '--writers.gdal.resolution=1 --writers.gdal.output_type=max`, and read it with kind = "surface" over a terrain',
     _ROOT + rb"osm\b": ".osm",
+    _ROOT + rb"osmChange\b": "a list of changes to OpenStreetMap: apply it to a whole extract with "
+    "`osmium apply-changes -o changed.osm.pbf EXTRACT FILE`",
+    rb"\xff\xfe|\xfe\xff": "text in UTF-16: make UTF-8 of it with `iconv -f UTF-16 -t UTF-8 FILE > FILE.utf8`",
     _ROOT + rb"kml\b": ".kml",
     _ROOT + rb"gpx\b": ".gpx",
     _ROOT
@@ -50,7 +54,12 @@ FORMATS = {
     # A whole feature in the first line, or one that is longer than what is looked at.
     _JSON + rb'(?<!\n)"Feature"[^\n]*(?:\}\r?\n|\Z)': ".geojsonl",
     rb"\{": ".geojson",
-    rb"(?i:[^\r\n\0]*\b(?:%s)\b[^\r\n]*[\r\n].*\bPOLYGON\b)"
+    rb"(?i:[^\r\n\0]*\b(?:%s)\b[^\r\n]*[\r\n].*\bSRID=\d+;)"
+    % WKT_COLUMNS.replace(
+        ",", "|"
+    ).encode(): "a table of EWKT: make WKT of it with `sed -E 's/SRID=[0-9]+;//' FILE "
+    "> wkt.csv` if its coordinates are longitude and latitude",
+    rb"(?i:[^\r\n\0]*\b(?:%s)\b[^\r\n]*[\r\n].*(?:POLYGON|SURFACE)\b)"
     % WKT_COLUMNS.replace(",", "|").encode(): ".csv",
 }
 
@@ -67,7 +76,9 @@ def in_own_words(*errors: type[Exception]) -> Iterator[None]:
     """
     caught: tuple[type[Exception], ...] = (OSError, ValueError, RecursionError, *errors)
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module="pyogrio")
+            yield
     except caught as error:
         if isinstance(error, InputError) or getattr(error, "errno", None):
             raise

@@ -30,9 +30,19 @@ def openable(path: str) -> str | bytes:
             return path
     except GeometryError:
         pass
+    return streamed(path)
+
+
+def streamed(path: str, how: str = "") -> bytes:
+    """Return a stream that makes MultiPolygons of a file's features, for pyogrio to open.
+
+    Args:
+      path: of the file.
+      how: further options of reading it, as of `gdal vector pipeline`.
+    """
     quoted = json.dumps(str(Path(path).absolute()), ensure_ascii=False)
     command = (
-        f"gdal vector pipeline ! read {quoted} ! set-geom-type --geometry-type MULTIPOLYGONZ "
+        f"gdal vector pipeline ! read {how} {quoted} ! set-geom-type --geometry-type MULTIPOLYGONZ "
         "! write --output-format stream streamed"
     )
     return json.dumps({"type": "gdal_streamed_alg", "command_line": command}).encode()

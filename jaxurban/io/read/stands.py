@@ -95,13 +95,14 @@ def _kinds(outlines: Outlines, is_areal: np.ndarray) -> np.ndarray:
       is_areal: ``[N]`` bool.
     """
     kind = np.full(len(is_areal), None, object)
-    if "building" in outlines.tags:  # otherwise areas are buildings, whatever their height
-        height = outlines.column("height")
+    height = outlines.column("height")
+    is_said = is_areal  # areas are buildings, whatever their height
+    if "building" in outlines.tags:
         is_said = texts(outlines.column("building")) != ""
-        for index in np.flatnonzero(is_given(height) & ~is_said):
-            is_high = parse_length_m(str(height[index])) >= LOW_M
-            kind[index] = SITE if is_high else ReadIssue.NOT_STANDING
-        kind[texts(outlines.column("natural")) != ""] = ReadIssue.TREES
+    for index in np.flatnonzero(is_given(height) & ~is_said):
+        is_high = parse_length_m(str(height[index])) >= LOW_M
+        kind[index] = SITE if is_high else ReadIssue.NOT_STANDING
+    kind[(texts(outlines.column("natural")) != "") & ~is_said] = ReadIssue.TREES
     for key, by_value in KINDS.items():
         values = texts(outlines.column(key))
         for index in np.flatnonzero(values != ""):

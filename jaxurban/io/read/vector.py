@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,9 @@ from jaxurban.io.read.columns import is_of_buildings, named_columns, tags_of, ta
 from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.kinds import KINDS
-from jaxurban.io.read.outlines import Near, Outlines, extent_of, near_rows, polygonal
+from jaxurban.io.read.outlines import Near, Outlines, extent_of, near_rows
 from jaxurban.io.read.sniff import HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
-from jaxurban.io.read.solids import openable
+from jaxurban.io.read.solids import openable, streamed
 from jaxurban.world.grid import WGS84, check_on_earth
 
 INDEXED_SUFFIXES = (".gpkg", ".shp", ".fgb")  # whose features are found by their boxes
@@ -121,9 +121,10 @@ def _read(
                     fewer = {}
                     if near is not None and kind in INDEXED_SUFFIXES:
                         fewer = _only_near(source, layer, near, named or ())
-                    frame = pyogrio.read_dataframe(source, layer=layer, **options, **fewer)
-                    # In the order of the file, also where its index gave them in another.
-                    frames.append(frame.sort_index().reset_index(drop=True))
+                    frame = _features(source, layer, options | fewer)
+                    if role == BUILDINGS and isinstance(source, str):
+                        _fill_solids(frame, str(plain), kind, layer, options | fewer)
+                    frames.append(frame)
                 if len(frames) > 1 and not every_layer:
                     filled = [frame.dropna(axis=1, how="all") for frame in frames if len(frame)]
                     frames = [pd.concat(filled, ignore_index=True)] if filled else frames[:1]
@@ -140,6 +141,33 @@ def _read(
             )
         _check(name, frame)
     return frames
+
+
+def _features(source: str | bytes, layer: str | None, options: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the features of a layer as pyogrio reads them, in the order of the file whatever its index says."""
+    frame = pyogrio.read_dataframe(source, layer=layer, **options)
+    return frame.sort_index().reset_index(drop=True)
+
+
+def _fill_solids(
+    frame: pd.DataFrame, path: str, kind: str, layer: str, options: Mapping[str, Any]
+) -> None:
+    """Fill geometries that pyogrio leaves out, since they are PolyhedralSurfaces or TINs, with their faces.
+
+    Args:
+      frame: changed in place.
+      path, kind: of the file, and its format.
+      layer, options: as of `_features`.
+    """
+    if not isinstance(frame, gpd.GeoDataFrame) or not frame.geometry.isna().any():
+        return
+    how = f"--input-layer {json.dumps(layer, ensure_ascii=False)}"
+    if kind == ".csv":
+        how = "--input-format CSV " + " ".join(f"--oo {k}={v}" for k, v in CSV_OPTIONS.items())
+    plain = {name: value for name, value in options.items() if name not in CSV_OPTIONS}
+    faces = _features(streamed(path, how), None, plain)
+    if len(faces) == len(frame):
+        frame.geometry = frame.geometry.where(frame.geometry.notna(), faces.geometry)
 
 
 def _read_parquet(path: Path, file: str, named: Collection[str] | None) -> gpd.GeoDataFrame:
@@ -202,10 +230,15 @@ def _checked_format(path: Path, plain: Path) -> str:
         )
     with plain.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    if any(word in head for word in REFERRING) or (
-        kind in JSON_SUFFIXES and _links_crs(plain.read_bytes())
-    ):
+    text = plain.read_bytes() if kind in JSON_SUFFIXES else b""
+    if any(word in head for word in REFERRING) or _links_crs(text):
         raise ValueError("it refers to other files or servers, which are never opened")
+    try:
+        text.decode()
+    except UnicodeDecodeError:
+        raise ValueError(
+            "it is not in UTF-8: convert it, as with `iconv -f LATIN1 -t UTF-8`"
+        ) from None
     return kind
 
 
@@ -292,7 +325,14 @@ def _layers_of(source: str | bytes, name: str, role: str) -> list[str]:
             f"{role!r}, or write it to a file of its own with `ogr2ogr OUT IN LAYER`"
         )
     if role == BUILDINGS and areal == ["multipolygons"]:
-        areal += [layer for layer in ("lines", "points") if layer in layers]
+        return areal + [layer for layer in ("lines", "points") if layer in layers]
+    others = [layer for layer, kind in layers.items() if kind != "None" and layer not in areal]
+    if role == BUILDINGS and others:
+        warn(
+            f"{name} is read from its layer {areal[0]!r} alone: what stands in {', '.join(map(repr, others))} is left "
+            "out; if anything does, put it into that layer with `ogr2ogr -append`",
+            GuessWarning,
+        )
     return areal
 
 
@@ -330,8 +370,10 @@ def read_vector(
     names = [name for name in frame if is_of_buildings(name, named)]
     columns = {name: _values(frame[name]) for name in names}
     tags = tags_of(columns) if file is None else tags_of_table(columns, file, frame.crs)
-    named_kinds = [is_given(tags[key]) for key in ("building", *KINDS) if key in tags]
+    named_kinds = [is_given(tags[key]) for key in ("building", "height", *KINDS) if key in tags]
     is_kept = np.logical_or.reduce([is_polygon, *named_kinds])
+    is_ring = is_kept & shapely.is_ring(shapes)
+    shapes[is_ring] = [shapely.Polygon(ring) for ring in shapes[is_ring]]
     issues = {ReadIssue(name): count for name, count in facts.get("issues", {}).items()}
     issues[ReadIssue.NON_POLYGONS] = int(np.sum(~is_kept))
     return Outlines(
@@ -346,10 +388,14 @@ def read_vector(
 
 
 def without_collections(shapes: np.ndarray) -> np.ndarray:
-    """Return shapes ``[N]``, in place of each collection the polygons that it holds."""
+    """Return shapes ``[N]``, in place of each collection the polygons that it holds, if it holds any."""
     is_mixed = shapely.get_type_id(shapes) == shapely.GeometryType.GEOMETRYCOLLECTION
     polygons = shapes.copy()
-    polygons[is_mixed] = [polygonal(shape) for shape in shapes[is_mixed]]
+    for index in np.flatnonzero(is_mixed):
+        parts = shapely.get_parts(shapely.get_parts(shapes[index]))
+        areal = parts[shapely.get_dimensions(parts) == 2]
+        if len(areal):
+            polygons[index] = shapely.multipolygons(areal)
     return polygons
 
 
