@@ -354,6 +354,30 @@ AREAS = {
         [1],
         {},
     ),
+    "a relation whose outline has no role": (
+        [
+            way(11, [1, 2, 3, 4, 1]),
+            relation(20, [(11, "")], type="building", building="yes"),
+        ],
+        [1],
+        {"polygons_repaired": 1},
+    ),
+    "a relation of a relation": (
+        [
+            way(11, [1, 2, 3, 4, 1]),
+            relation(20, [(11, "outer")]),
+            relation(21, [(20, "outline")], type="building", building="yes").replace(
+                'member type="way"', 'member type="relation"'
+            ),
+        ],
+        [1],
+        {"relations_incomplete": 1, "polygons_repaired": 1},
+    ),
+    "a closed way that is no area": (
+        [way(9, [1, 2, 3, 4, 1], building="yes", area="no")],
+        [0],
+        {},
+    ),
     "a way that crosses itself": (
         [way(9, [1, 3, 2, 4, 1], building="yes")],
         [0.5],

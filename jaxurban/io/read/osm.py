@@ -119,11 +119,14 @@ def _read(path: str | Path) -> Outlines:
         else:
             of_type = item.tags.get("type")
             if of_type == BUILDING:
-                outlines = [(each.type, each.ref) for each in item.members if each.role in _OUTER]
-                of_members |= dict.fromkeys(outlines, _tags_of(item))
-            if of_type not in _AREA_RELATIONS or not _may_stand(item.tags):
+                members = [(each.type, each.ref) for each in item.members]
+                outer = [(each.type, each.ref) for each in item.members if each.role in _OUTER]
+                of_members |= dict.fromkeys(outer or members, _tags_of(item))
+            if of_type not in _AREA_RELATIONS:
                 continue
             ways_of[kind, number] = _ways_of(item)
+            if not _may_stand(item.tags):
+                continue
         tags[kind, number] = _tags_of(item)
 
     # The lines of what else is no area. An `IdFilter` of them would take 4 MiB for each range of ids.
@@ -144,7 +147,11 @@ def _read(path: str | Path) -> Outlines:
             tags[key] = {"building": "yes"} | of_relation | own
 
     # What is no area is built from its lines; what does not close is these lines.
-    degenerate = lost - missing - of_members.keys()
+    degenerate = {
+        key
+        for key in lost - missing - of_members.keys()
+        if shapely.build_area(lines[key[1]]).is_empty
+    }
     num_repaired = 0
     for key in sorted(ways_of.keys() & tags.keys() - shapes.keys() - degenerate):
         known = [lines[way] for way in ways_of[key] if way in lines]

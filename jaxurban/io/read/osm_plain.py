@@ -25,7 +25,7 @@ from jaxurban.io.read.sniff import in_own_words, sniff, unpacked
 
 OF_DAMAGED = (LookupError, TypeError, AttributeError, ElementTree.ParseError)
 OBJECTS = ("node", "way", "relation")  # in the order of a file
-EDITED = (b' id="-', b" id='-", b'action="delete"', b"action='delete'")
+EDITED = re.compile(rb"""\sid=["']-|action=["']delete""")
 PLACED = re.compile(rb"<nd [^/]*\blat=")  # a place in a way or a member
 REMARK = re.compile(rb"<remark>\s*(.*?)\s*</remark>", re.DOTALL)
 OWN_IDS = 2**40  # the first id of what has none above 0; OpenStreetMap's are far below
@@ -96,7 +96,7 @@ def _needs_writing(name: str, file: Path) -> bool:
         return (
             text.find(b"<node") < 0
             or text.rfind(b"<way") > text.find(b"<relation") >= 0
-            or any(text.find(mark) >= 0 for mark in EDITED)
+            or EDITED.search(text) is not None
             or PLACED.search(text) is not None
         )
 
