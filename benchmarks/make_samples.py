@@ -21,7 +21,7 @@ from jaxurban.io.geoparquet import write_geoparquet
 from jaxurban.io.read.base_map import read_base_map, write_base_map
 from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.nominal import GPS, MARK, Constellation, nominal_satellites
-from jaxurban.io.read.osm import OSM_CREDIT, TAGS, header_box, projected, read_osm
+from jaxurban.io.read.osm import OSM_CREDIT, header_box, projected, read_osm
 from jaxurban.io.samples import BASE_MAP_FILE, BUILDINGS_FILE, HOME, LOG_FILE, SAMPLES
 from jaxurban.metrics.population import Population
 from jaxurban.studies.receiver.logs import read_receiver_log
@@ -41,6 +41,10 @@ PUBLIC_DOMAIN = "public domain"
 PLATEAU_CREDIT = "Project PLATEAU (MLIT), CC BY 4.0"
 CENSUS_CREDIT = "US Census Bureau"
 DISTRICTS_CREDIT = "NYC Open Data (Department of City Planning)"
+SAMPLE_TAGS = (
+    *("building", "building:part", "height", "building:levels", "roof:levels", "min_height"),
+    *("building:min_level", "location", "layer", "man_made"),
+)
 TAG_OF = {  # of the names of `Outlines` that differ from OpenStreetMap's
     "part": "building:part",
     "levels": "building:levels",
@@ -88,7 +92,7 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     is_kept = frame["building"].notna() | frame["building:part"].notna()
     is_kept |= frame["man_made"] == "bridge"
     is_area = frame.geom_type.isin(["Polygon", "MultiPolygon"])
-    frame = frame.loc[is_kept & is_area, [*TAGS, "geometry"]]
+    frame = frame.loc[is_kept & is_area, [*SAMPLE_TAGS, "geometry"]].reset_index(drop=True)
     issues = {issue.value: count for issue, count in outlines.issues.items() if count}
     facts = {"credit": OSM_CREDIT, "licence": ODBL, "boxes": outlines.boxes, "issues": issues}
     # Not rounded: its maps are those of the extract itself.

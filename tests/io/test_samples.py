@@ -8,6 +8,7 @@ from datetime import date
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import pytest
 import rasterio
 import shapely
@@ -212,7 +213,17 @@ def test_the_script_makes_the_files_that_are_here(data_dir, tmp_path, monkeypatc
             path.name for path in (tmp_path / name).iterdir()
         )
         for path in home.iterdir():
-            assert digest_of(path) == digest_of(tmp_path / name / path.name), path.name
+            again = tmp_path / name / path.name
+            if path.name == "buildings.parquet":  # in any order, and without what has no area
+                ours, theirs = (gpd.read_parquet(file).to_wkb() for file in (path, again))
+                ours = ours[shapely.area(shapely.from_wkb(ours["geometry"])) > 0]
+                columns = ours.columns.to_list()[::-1]
+                pd.testing.assert_frame_equal(
+                    ours.sort_values(columns, ignore_index=True),
+                    theirs.sort_values(columns, ignore_index=True),
+                )
+            else:
+                assert digest_of(path) == digest_of(again), path.name
 
 
 def test_maps_are_made_with_what_a_city_was_read_with_unless_they_are_given_others():
