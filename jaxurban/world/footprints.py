@@ -20,6 +20,9 @@ class HeightOrigin(IntEnum):
     UNKNOWN = 6  # not even by rule: what stands there is not known, and the height is 0
     BESIDE_PARTS = 7  # of an outline beside its parts: that of its lowest one
     ROUGH = 8  # a rough figure, such as "about 30" or "30-40"
+    UNREADABLE = (
+        9  # the default or by levels, where one is given that cannot be read or is too high
+    )
 
 
 GUESSED_BY = {  # the origins of heights that are guesses, as reports say them with the settings of the buildings
@@ -29,6 +32,7 @@ GUESSED_BY = {  # the origins of heights that are guesses, as reports say them w
     HeightOrigin.UNKNOWN: "of unknown extent",
     HeightOrigin.BESIDE_PARTS: "of outlines beside their parts, by their lowest part",
     HeightOrigin.ROUGH: "by rough figures such as 30-40",
+    HeightOrigin.UNREADABLE: "for want of a readable one",
 }
 BUILDING, UNKNOWN = "building", "unknown"  # kinds
 

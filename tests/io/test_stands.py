@@ -53,6 +53,28 @@ def stand(*features, **rules):
         (AREA, {"man_made": "monument_of_a_kind", "height": "40"}, "structure", 40, 40, 100),
         (AREA, {"man_made": "monument_of_a_kind"}, "unknown", 0, np.inf, 100),
         (PLACE, {"historic": "memorial", "height": "25"}, "structure", 25, 25, np.pi),
+        (PLACE, {"man_made": "cross", "height": "34"}, "structure", 34, 34, np.pi),
+        (PLACE, {"man_made": "cross", "height": "34 units"}, "unknown", 0, np.inf, np.pi),
+        (AREA, {"disused:man_made": "chimney"}, "chimney", 30, np.inf, 100),
+        (
+            AREA,
+            {"was:building": "yes", "man_made": "chimney", "height": "60"},
+            "chimney",
+            60,
+            60,
+            100,
+        ),
+        (PLACE, {"man_made": "thing;mast"}, "mast", 20, np.inf, np.pi),
+        (PLACE, {"tower:type": "communication"}, "tower", 30, np.inf, np.pi * 25),
+        (
+            PLACE,
+            {"power": "generator", "generator:source": "wind"},
+            "turbine",
+            100,
+            np.inf,
+            np.pi * 2500,
+        ),
+        (AREA, {"man_made": "gasometer", "height": "40", "barrier": "fence"}, "tank", 40, 40, 100),
         (AREA, {"man_made": "works", "height": "12"}, "structure", 12, 12, 100),
         # A fence around a yard stands on its border.
         (AREA, {"barrier": "fence", "height": "30"}, "structure", 30, 30, 80 - 4 + np.pi),
@@ -86,11 +108,14 @@ def test_structures_stand_with_a_height_or_an_upper_bound(
         ({"building": "yes", "building:levels": "0", "building:levels:underground": "2"},
          "underground"),
         ({"building": "parking", "parking": "underground"}, "underground"),
+        ({"man_made": "pipeline", "height": "8"}, "underground"),
         ({"demolished:building": "yes", "height": "40"}, "razed"),
+        ({"demolished:man_made": "chimney", "height": "40"}, "razed"),
+        ({"waterway": "waterfall", "height": "40"}, "not_standing"),
         ({"building": "razed"}, "razed"),
         ({"proposed:building": "yes"}, "planned"),
         ({"man_made": "pier"}, "not_standing"),
-        ({"man_made": "surveillance", "height": "8"}, "not_standing"),
+        ({"man_made": "surveillance", "height": "5"}, "not_standing"),
         ({"power": "substation"}, "not_standing"),
         ({"barrier": "wall", "height": "2"}, "not_standing"),
         ({"power": "minor_line"}, "wires"),
@@ -113,6 +138,15 @@ def test_points_and_lines_that_no_table_knows_are_counted():
     [
         {"building": "yes", "layer": "-1"},  # orders, as under a viaduct
         {"building": "yes", "level": "-1;0;1"},
+        {"building": "yes", "level": "-1-3"},
+        {"building": "apartments", "parking": "underground"},
+        {
+            "building": "yes",
+            "building:levels": "0",
+            "building:levels:underground": "1",
+            "roof:levels": "2",
+        },
+        {"building": "yes", "man_made": "no", "power": "3.1"},
         {"building": "ruins"},
         {"abandoned:building": "yes"},
         {"building": "yes", "man_made": "tower"},
@@ -149,6 +183,43 @@ def test_an_outline_with_the_height_of_its_tower_ends_beside_its_parts():
     # Higher than every part of it an outline is believed.
     higher, *_ = stand((church[0], church[1] | {"height": "90"}), tower, nave)
     assert higher.height_m.tolist() == [90, 80, 15]
+
+
+@pytest.mark.parametrize(
+    ("tags", "height_m", "upper_m"),
+    [
+        ({"height": "1,776 ft"}, 541.3248, 541.3248),
+        ({"height": "180 \u043c"}, 180, 180),
+        ({"building:height": "200"}, 200, 200),
+        ({"est_height": "200"}, 200, 300),
+        *(({"height": text}, 10, np.inf) for text in ("180 m AGL", "1500", "inf", "9999")),
+        *(({"height": text}, 10, 100) for text in ("-1", "0", "NaN", "", "tall")),
+    ],
+)
+def test_a_height_that_is_given_is_read_or_bounds_nothing(tags, height_m, upper_m):
+    buildings, *_ = stand((AREA, {"building": "yes", **tags}))
+    assert buildings.height_m.tolist() == pytest.approx([height_m])
+    assert buildings.upper_m.tolist() == pytest.approx([upper_m])
+
+
+def test_a_building_numbered_0_stands_and_a_flag_of_0_says_no():
+    ids, *_ = stand((AREA, {"building": 0}), (AREA, {"building": 7}))
+    flags, *_ = stand((AREA, {"building": 0}), (AREA, {"building": 1}))
+    assert (len(ids), len(flags)) == (2, 1)
+
+
+def test_a_strip_that_parts_leave_of_their_outline_stands():
+    outline = (box(0, 0, 100, 100), {"building": "yes", "height": "50"})
+    for width_m, areas_m2 in ((9, [900, 9100]), (1, [9900])):
+        part = (box(0, width_m, 100, 100), {"building:part": "yes", "height": "50"})
+        buildings, *_ = stand(outline, part)
+        assert shapely.area(buildings.polygons).tolist() == areas_m2
+
+
+def test_a_point_within_a_building_may_stand_on_its_roof():
+    roof = (AREA, {"building": "yes", "height": "60"})
+    _, mast, _ = stand(roof, (PLACE, {"man_made": "mast", "height": "20"}))
+    assert (mast.height_m, mast.upper_m, mast.is_guessed) == (20, 80, True)
 
 
 def test_a_point_within_a_building_names_it():

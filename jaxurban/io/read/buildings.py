@@ -13,6 +13,7 @@ from jaxurban.io.read.heights import estimate_heights, parse_length_m, with_deck
 from jaxurban.io.read.issues import LEFT_OUT, ReadIssue, ReadIssues
 from jaxurban.io.read.kinds import (
     ABOVE_LEVELS_M,
+    FENCE,
     HULL,
     LEVEL_LIMIT_M,
     LIMIT_M,
@@ -32,6 +33,7 @@ from jaxurban.world.grid import Bounds, transformer
 REPLACED_SHARE = 0.9
 BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it lies inside
 PODIUM_M2 = 1.0  # less than this between two drawings of one wall is no podium
+STRIP_M = 2.0  # narrower is what parts that are drawn roughly leave of their outline
 SAME_HEIGHT_M = 0.5  # an outline and its highest part
 MOST_RADIUS_M = 100.0  # of what is a point: more is a slip of the unit
 RESHAPED = ("polygons", "height_m", "origin", "limit_m")
@@ -91,7 +93,8 @@ def to_buildings(
     # Outlines and their parts: heights of one for the other, and which outlines the parts replace.
     outline, part, shared = _own_parts(polygons, ~is_part & ~is_deck, is_part)
     buildings = _above_underside(_with_outline_heights(buildings, outline, part, issues), issues)
-    is_replaced = _covered_share(polygons, outline, shared) >= REPLACED_SHARE
+    share = _covered_share(polygons, outline, shared)
+    is_replaced = share >= REPLACED_SHARE
     issues[ReadIssue.OUTLINES_REPLACED_BY_PARTS] = int(np.sum(is_replaced))
     if file.hanging == SLABS:
         buildings, is_podium = _podiums(buildings, outline, part, is_replaced)
@@ -99,13 +102,15 @@ def to_buildings(
         is_replaced &= ~is_podium
     limit_m = _limits_m(buildings, texts(found.column("building")), file)
     buildings = replace(buildings, limit_m=limit_m)
-    buildings = _beside_parts(buildings, outline, part, is_replaced).take(~is_replaced)
+    is_bare = is_replaced & ((1 - share) * shapely.area(polygons) > STRIP_M)
+    buildings, is_replaced = _beside_parts(buildings, outline, part, is_replaced, is_bare)
+    buildings = buildings.take(~is_replaced)
     issues[ReadIssue.PARTS_HANGING] = int(np.sum(buildings.min_height_m > 0))
 
     # What else stands.
     others = features.take(~is_building)
     structures = _structures(shapes[~is_building], others, verdict[index][~is_building], file)
-    is_same = _within(structures, shapes[~is_building], buildings)
+    structures, is_same = _on_roofs(structures, shapes[~is_building], buildings)
     is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
     issues[ReadIssue.NOT_STANDING] += int(np.sum(is_left_out))
     structures = structures.take(~is_left_out & ~is_same)
@@ -139,10 +144,10 @@ def _structures(
         """Return ``[N]`` a number of each kind."""
         return np.array([getattr(kind, field) for kind in kinds], float)
 
-    # Shapes. A closed fence encloses what it does not fill.
+    # Shapes.
     is_hull = np.array([kind is HULL for kind in kinds], bool)
     shapes = np.where(is_hull, shapely.convex_hull(shapes), shapes)
-    is_fence = texts(outlines.column("barrier")) != ""
+    is_fence = np.array([kind is FENCE for kind in kinds], bool)
     shapes[is_fence] = shapely.boundary(shapes[is_fence])
     is_areal = shapely.get_dimensions(shapes) == 2
     rotor_m = lengths_m("rotor")
@@ -155,24 +160,41 @@ def _structures(
     tip_m = lengths_m("hub") + np.nan_to_num(rotor_m) / 2
     has_tip = np.isfinite(tip_m) & np.array([kind is TURBINE for kind in kinds], bool)
     origin = np.where(has_tip, HeightOrigin.HEIGHT, whole.origin)
-    has_height = origin != HeightOrigin.DEFAULT
+    is_lost = origin == HeightOrigin.UNREADABLE
+    has_height = (origin != HeightOrigin.DEFAULT) & ~is_lost
     height_m = np.where(has_height, np.fmax(whole.height_m, tip_m), of_kinds("height_m"))
     names = np.array([kind.name for kind in kinds], object)
     names[has_height & (names == UNKNOWN)] = "structure"
     origin[names == UNKNOWN] = HeightOrigin.UNKNOWN
     limit_m = np.where(is_hull, _limits_by_name_m(building), of_kinds("limit_m"))
+    limit_m[is_lost] = np.inf
     return replace(
         whole, height_m=height_m, origin=origin.astype(np.uint8), kind=names, limit_m=limit_m
     )
 
 
-def _within(structures: Footprints, shapes: np.ndarray, buildings: Footprints) -> np.ndarray:
-    """Return ``[N]`` whether structures of unknown extent are points within buildings, which they then name."""
-    is_within = np.zeros(len(shapes), bool)
-    is_point = (shapely.get_dimensions(shapes) == 0) & (structures.kinds == UNKNOWN)
-    point, _ = shapely.STRtree(buildings.polygons).query(shapes, predicate="within")
-    is_within[point] = True
-    return is_within & is_point
+def _on_roofs(
+    structures: Footprints, shapes: np.ndarray, buildings: Footprints
+) -> tuple[Footprints, np.ndarray]:
+    """Return structures of which points within buildings may stand on roofs, and which merely name these.
+
+    Whether a height counts from the roof or from the ground is not known unless there is an underside: the higher is a
+    bound. A point of unknown extent names its building, ``[N]`` bool.
+
+    Args:
+      structures: ``N`` of them.
+      shapes: ``[N]`` what they were before they had an extent.
+      buildings: with their bounds.
+    """
+    roof_m = np.zeros(len(shapes))
+    point, building = shapely.STRtree(buildings.polygons).query(shapes, predicate="within")
+    np.maximum.at(roof_m, point, buildings.upper_m[building])
+    is_on = (roof_m > 0) & (shapely.get_dimensions(shapes) == 0) & (structures.min_height_m == 0)
+    limit_m = structures.upper_m + np.where(is_on, roof_m, 0.0)
+    origin = structures.origin.copy()
+    origin[is_on & ~structures.is_guessed] = HeightOrigin.ROUGH
+    on_roofs = replace(structures, limit_m=limit_m, origin=origin)
+    return on_roofs, is_on & (structures.kinds == UNKNOWN)
 
 
 def _limits_by_name_m(building: np.ndarray) -> np.ndarray:
@@ -201,38 +223,50 @@ def _limits_m(buildings: Footprints, building: np.ndarray, rules: settings.Build
 
 
 def _beside_parts(
-    buildings: Footprints, outline: np.ndarray, part: np.ndarray, is_replaced: np.ndarray
-) -> Footprints:
-    """Return buildings in which an outline with the height of its highest part covers what its parts leave.
+    buildings: Footprints,
+    outline: np.ndarray,
+    part: np.ndarray,
+    is_replaced: np.ndarray,
+    is_bare: np.ndarray,
+) -> tuple[Footprints, np.ndarray]:
+    """Return buildings in which outlines cover what their parts leave, and which still give way to them, ``[N]`` bool.
 
-    As mappers give an outline the height of its tower, the rest of it is guessed to be as high as the lowest part that
-    stands on the ground, and no higher than the outline's height.
+    These are outlines with the height of their highest part, and those that would give way but leave a strip of more
+    than `STRIP_M`. As mappers give an outline the height of its tower, the rest of the first is guessed to be as high
+    as the lowest part that stands on the ground, and no higher than the outline's height.
 
     Args:
       buildings: ``N`` outlines and parts.
       outline, part: ``[P]`` indices of outlines and their own parts.
       is_replaced: ``[N]`` bool, which outlines give way to their parts.
+      is_bare: ``[N]`` bool, which of these their parts do not cover as a whole.
     """
     columns: Any = {name: getattr(buildings, name).copy() for name in RESHAPED}
     is_known = buildings.origin == HeightOrigin.HEIGHT
     is_own = is_known[outline] & is_known[part] & ~is_replaced[outline]
-    for owner in np.unique(outline[is_own]):
-        own = part[is_own & (outline == owner)]
+    is_replaced = is_replaced.copy()
+    for owner in np.unique(outline[is_own | is_bare[outline]]):
+        own = part[(outline == owner) & is_known[part] & is_known[owner]]
         top_m = buildings.height_m[own]
         standing_m = top_m[buildings.min_height_m[own] == 0]
         height_m = buildings.height_m[owner]
         lowest_m = standing_m.min(initial=height_m)
-        if abs(top_m.max() - height_m) > SAME_HEIGHT_M or lowest_m >= height_m - SAME_HEIGHT_M:
+        is_towers = abs(top_m.max(initial=0) - height_m) <= SAME_HEIGHT_M
+        is_towers &= lowest_m < height_m - SAME_HEIGHT_M
+        if not (is_towers or is_replaced[owner]):
             continue
         own_parts = shapely.union_all(buildings.polygons[part[outline == owner]])
         rest = polygonal(shapely.difference(buildings.polygons[owner], own_parts))
-        if rest.is_empty:
+        if rest.is_empty or (is_replaced[owner] and rest.buffer(-STRIP_M / 2).is_empty):
             continue
+        is_replaced[owner] = False
         columns["polygons"][owner] = rest
+        if not is_towers:
+            continue
         columns["height_m"][owner] = lowest_m
         columns["origin"][owner] = HeightOrigin.BESIDE_PARTS
         columns["limit_m"][owner] = height_m
-    return replace(buildings, **columns)
+    return replace(buildings, **columns), is_replaced
 
 
 def _project(

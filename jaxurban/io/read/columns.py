@@ -13,7 +13,7 @@ from jaxurban import settings
 from jaxurban.errors import InputError
 from jaxurban.io.read.heights import FOOT_M, is_given, parse_length_m, read_column
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.kinds import KINDS
+from jaxurban.io.read.kinds import KINDS, NOT_BUILT, STANDING
 from jaxurban.settings import MAX_HEIGHT_M, Unit
 
 Columns = Mapping[str, np.ndarray]
@@ -23,12 +23,9 @@ Columns = Mapping[str, np.ndarray]
 # roof shapes ("roof:height" is the height of the roof alone) are left out on purpose. Levels also as France (BD TOPO),
 # INSPIRE (bu-base), Germany (ALKIS, simplified), Korea (road name addresses) and Chicago publish them.
 COLUMNS = {
-    "building": "building abandoned_building disused_building ruins_building construction_building",
     "part": "building_part building_p",
-    "razed": "demolished_building razed_building removed_building destroyed_building was_building",
-    "planned": "proposed_building planned_building",
     "height": "height height_m building_height building_h measuredheight measured_height "
-    "measuredhe measured_h",
+    "measuredhe measured_h est_height",
     "levels": "building_levels building_l levels num_floors storeysaboveground nb_etages nombre_d_etages "
     "numberoffloorsaboveground numberoffl anzahlgs gro_flo_co stories "
     "floors numfloors storeys storeysabo nombre_d_e",
@@ -40,9 +37,15 @@ COLUMNS = {
     "diameter": "diameter width",
     "rotor": "rotor_diameter",
     "hub": "height_hub",
+    "wind": "generator_source generator_method",
 }
 # Columns that are named as what they hold.
-COLUMNS |= {name: name for name in ("layer", "level", "parking", "barrier", "natural", *KINDS)}
+OF_OTHERS = ("layer", "level", "parking", "barrier", "natural", "waterway", "tower_type")
+COLUMNS |= {name: name for name in OF_OTHERS}
+for key in ("building", *KINDS):  # also of what stands no more, or not yet
+    COLUMNS[key] = " ".join([key, *(f"{life}_{key}" for life in STANDING)])
+    for life, reason in NOT_BUILT.items():
+        COLUMNS[reason] = f"{COLUMNS.get(reason, '')} {life}_{key}"
 UNDERGROUND_COLUMN = "is_underground"  # of Overture Maps: true or false
 BELOW = dict.fromkeys(("true", "1"), ReadIssue.UNDERGROUND.value)  # as OpenStreetMap writes it
 OF_OVERTURE = "building_id"  # beside it: a part names its building
@@ -133,6 +136,11 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
         values.pop("level", None)  # Overture's orders, as a layer does
         if OF_OVERTURE in values:
             values["building_part"] = values[OF_OVERTURE]
+
+    if "est_height" in values:  # a rough figure
+        estimate = values["est_height"]
+        rough = pd.Series([f"~{value}" for value in estimate], dtype=object)
+        values["est_height"] = rough.where(is_given(estimate), None).to_numpy()
 
     tags: dict[str, np.ndarray] = {}
     for tag, names in COLUMNS.items():

@@ -32,13 +32,17 @@ _ABOUT = r"~|≈|[<>]=?|[≤≥+]|about|around|circa|ca\.?|approx(?:\.|imately)?
 _TO = r"\s*(?:-|–|to)\s*"  # in a range
 # What says that a length is a guess: ~30, about 30, 30-40.
 ROUGH = re.compile(rf"(?:^|;)\s*(?:{_ABOUT})|\d{_TO}\d", re.IGNORECASE)
-_METRE = r"m|met(?:re|er)s?"
+_METRE = r"m|\u043c|met(?:re|er)s?"  # also as in Russian
 _FOOT = r"'|ft\.?|feet|foot"
 # Inches follow feet alone, group 4.
 _LENGTH = re.compile(
     rf"(?:{_ABOUT})?\s*(?:{_NUMBER}{_TO})?{_NUMBER}\s*(?:({_METRE})|({_FOOT}))?\.?\s*"
     rf"(?(4)(?:-?{_NUMBER}\s*(?:\"|in\.?|inch(?:es)?)?)?)"
 )
+_THOUSANDS = re.compile(r"(\d{1,3}),(\d{3})")  # of feet; of metres it is a decimal comma
+_POSITIVE = re.compile(
+    r"\s*(?![-\u2212]).*?(?:[1-9]|\binf)", re.IGNORECASE
+)  # as far as one can see
 _COUNT = re.compile(rf"(?:~|≈|ca\.?|approx\.?)?\s*{_NUMBER}")
 _QUOTES = str.maketrans({"’": "'", "′": "'", "”": '"', "″": '"'})
 
@@ -56,6 +60,8 @@ def _metres(text: str, unit_m: float) -> float:
     low, high, metre, foot, inches = match.groups()
     if metre or foot:
         unit_m = FOOT_M if foot else 1.0
+    if unit_m == FOOT_M:
+        low, high = (_THOUSANDS.sub(r"\1\2", number or "") for number in (low, high))
     return max(_number(low), _number(high)) * unit_m + _number(inches) * INCH_M
 
 
@@ -79,11 +85,11 @@ def _highest(text: str, parse_one: Callable[[str], float]) -> float:
 def parse_length_m(text: str, unit_m: float = 1.0) -> float:
     """Return the length in metres that ``text`` spells, NaN where it cannot be read.
 
-    Read are ``12``, ``12.5 m``, ``12,5`` (a decimal comma), ``1 230``, ``241m``, ``40 ft``, ``12'6"``, ``12'``,
-    typographic quotes, and lists such as ``3;5``, of which the **highest** readable value counts (an obstacle is better
-    too high than too low). A rough figure is better than a default: ``~30``, ``ca. 30``, ``about 30``, ``approx 30``,
-    ``>30``, ``+30`` and ranges such as ``30-40``, of which the higher end counts. A minus sign or any other word makes
-    a value unreadable.
+    Read are ``12``, ``12.5 m``, ``12,5`` (a decimal comma, but ``1,230 ft`` are thousands), ``1 230``, ``241m``, ``40
+    ft``, ``12'6"``, ``12'``, typographic quotes, and lists such as ``3;5``, of which the **highest** readable value
+    counts (an obstacle is better too high than too low). A rough figure is better than a default: ``~30``, ``ca.
+    30``, ``about 30``, ``approx 30``, ``>30``, ``+30`` and ranges such as ``30-40``, of which the higher end counts.
+    A minus sign or any other word makes a value unreadable.
 
     Args:
       text: one or several lengths.
@@ -92,6 +98,13 @@ def parse_length_m(text: str, unit_m: float = 1.0) -> float:
     Source: https://wiki.openstreetmap.org/wiki/Key:height and .../Map_features/Units.
     """
     return _highest(text, lambda entry: _metres(entry, unit_m))
+
+
+def parse_height_m(text: str) -> float:
+    """Return the height in metres that ``text`` spells, inf where it seems positive but cannot be read, else NaN."""
+    height_m = parse_length_m(text)
+    is_lost = math.isnan(height_m) and _POSITIVE.match(text)
+    return math.inf if is_lost else height_m
 
 
 @lru_cache(maxsize=2**16)
@@ -166,7 +179,7 @@ def estimate_heights(
         return is_given(column), read_column(column, parse) * unit_m
 
     # Where each tag holds something, and its values.
-    given_height, height_m = read("height", parse_length_m)
+    given_height, height_m = read("height", parse_height_m)
     given_levels, levels_m = read("levels", parse_count, rules.level_height_m)
     given_roof, roof_m = read("roof_levels", parse_count, rules.level_height_m)
     given_min, min_height_m = read("min_height", parse_length_m)
@@ -195,8 +208,13 @@ def estimate_heights(
     has_height &= ~is_too_low
     words = pd.Series(tags.get("height", empty)).astype(str)
     has_rough = has_height & words.str.contains(ROUGH).to_numpy()
-    origins = [HeightOrigin.ROUGH, HeightOrigin.HEIGHT, HeightOrigin.LEVELS]
-    origin = np.select([has_rough, has_height, has_levels], origins, HeightOrigin.DEFAULT)
+    origins = {
+        HeightOrigin.UNREADABLE: height_m > MAX_HEIGHT_M,
+        HeightOrigin.ROUGH: has_rough,
+        HeightOrigin.HEIGHT: has_height,
+        HeightOrigin.LEVELS: has_levels,
+    }
+    origin = np.select(list(origins.values()), list(origins), HeightOrigin.DEFAULT)
     return Footprints(
         polygons,
         np.select([has_height, has_levels], [height_m, levels_m], rules.default_height_m),

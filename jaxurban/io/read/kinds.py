@@ -30,16 +30,18 @@ class Kind:
 
 
 SITE = Kind("structure", 0.0)  # the ground of a plant, or what only a height makes stand
+FENCE = Kind("structure", 0.0)  # which encloses what it does not fill
 OTHER = Kind(UNKNOWN, 0.0)  # an area of a value that is in no table
 HULL = Kind(UNKNOWN, 0.0, radius_m=2.0)  # an outline that is not whole
 LOW_M = 6.0  # fences, doors, statues: what no table names stands from this height on
 TURBINE = Kind("turbine", 100.0, radius_m=50.0)
-NOTHING, WIRES = ReadIssue.NOT_STANDING, ReadIssue.WIRES
+TOWER = Kind("tower", 30.0, radius_m=5.0)
+NOTHING = ReadIssue.NOT_STANDING  # a height makes it stand all the same
+WIRES, BURIED = ReadIssue.WIRES, ReadIssue.UNDERGROUND
 _TABLE: dict[str, dict[Kind | ReadIssue, str]] = {  # values by key and kind
     "man_made": {
         Kind("chimney", 30.0, radius_m=3.0): "chimney stack flare",
-        Kind("tower", 30.0, radius_m=5.0): "tower communications_tower water_tower lighthouse "
-        "obelisk",
+        TOWER: "tower communications_tower water_tower lighthouse obelisk",
         Kind("tower", 20.0, radius_m=10.0): "windmill telescope radar",
         Kind("mast", 20.0): "mast antenna beacon",
         Kind("crane", 30.0, radius_m=5.0): "crane",
@@ -50,17 +52,18 @@ _TABLE: dict[str, dict[Kind | ReadIssue, str]] = {  # values by key and kind
         Kind(UNKNOWN, 0.0, 100.0, 3.0): "bridge",
         SITE: "works wastewater_plant water_works pumping_station mineshaft spoil_heap",
         NOTHING: "pier breakwater groyne dyke embankment cutline cutting survey_point surveillance "
-        "manhole pipeline tunnel cable adit quay courtyard excavation water_tap drinking_fountain "
-        "street_cabinet planter water_well compass_rose satellite_dish monitoring_station "
-        "reservoir_covered petroleum_well bunker_silo clearcut carpet_hanger insect_hotel cross "
-        "cairn advertising",
+        "quay courtyard excavation water_tap drinking_fountain street_cabinet planter water_well "
+        "compass_rose satellite_dish monitoring_station reservoir_covered petroleum_well "
+        "bunker_silo clearcut carpet_hanger insect_hotel cross cairn advertising",
+        BURIED: "tunnel pipeline cable manhole adit",
         WIRES: "wire",
     },
     "power": {
         Kind("pylon", 30.0, radius_m=4.0): "tower",
         Kind("pole", 10.0, 30.0, 0.5): "pole portal catenary_mast",
         SITE: "generator plant substation transformer",
-        NOTHING: "cable terminal insulator switch connection box",
+        BURIED: "cable",
+        NOTHING: "terminal insulator switch connection box",
         WIRES: "line minor_line",
     },
     "aerialway": {
@@ -84,7 +87,12 @@ LOW_BUILDINGS = (
 LOW_LIMIT_M, LIMIT_M = 25.0, 100.0
 LEVEL_LIMIT_M, ABOVE_LEVELS_M = 6.0, 10.0
 ROUGH_LIMIT = 1.5  # times a rough figure
-NOT_BUILT: dict[str, ReadIssue] = {  # values of `building`, and why nothing stands
-    **dict.fromkeys(("demolished", "razed", "removed", "destroyed"), ReadIssue.RAZED),
+# What comes before a tag such as `man_made`, or is a value of `building`.
+STANDING = ("abandoned", "disused", "ruins", "construction")
+NOT_BUILT: dict[str, ReadIssue] = {  # and why nothing stands
+    **dict.fromkeys(("demolished", "razed", "removed", "destroyed", "was"), ReadIssue.RAZED),
     **dict.fromkeys(("proposed", "planned"), ReadIssue.PLANNED),
 }
+GARAGES = ("parking", "garage", "garages")  # buildings that `parking=underground` buries
+FALLS = ("waterfall", "rapids")
+WIND = ("wind", "wind_turbine")  # sources or methods of generators

@@ -18,6 +18,7 @@ from osmium.filter import IdFilter, KeyFilter, TagFilter
 from jaxurban.errors import readable, warn
 from jaxurban.io.read.columns import tags_of
 from jaxurban.io.read.issues import ReadIssue
+from jaxurban.io.read.kinds import KINDS, NOT_BUILT, STANDING
 from jaxurban.io.read.osm_plain import plain_osm
 from jaxurban.io.read.outlines import Outlines
 from jaxurban.io.read.sniff import in_own_words, sniff, unpacked
@@ -27,17 +28,20 @@ from jaxurban.world.land_cover import LandCover
 
 BUILDINGS = ("building", "building:part")  # keys
 MAYBE = (  # keys of what may stand
-    *(*BUILDINGS, "height", "man_made", "power", "aerialway"),
-    *("abandoned:building", "disused:building", "ruins:building", "construction:building"),
-    *("demolished:building", "razed:building", "removed:building", "destroyed:building"),
-    *("was:building", "proposed:building", "planned:building"),
+    *(*BUILDINGS, "height", "tower:type", *KINDS),
+    *(f"{life}:{key}" for life in STANDING for key in ("building", *KINDS)),
+    *(f"{life}:building" for life in NOT_BUILT),
 )
 OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
     *(*BUILDINGS, "height", "building:levels", "levels", "roof:levels", "min_height"),
     *("building:min_level", "building:levels:underground", "location", "layer", "level"),
-    *("parking", "man_made"),
+    *("parking", "man_made", "building:height", "est_height"),
 )
-OF_OTHERS = ("barrier", "natural", "diameter", "width", "rotor:diameter", "height:hub")
+OF_OTHERS = (
+    *("barrier", "natural", "waterway", "diameter", "width", "rotor:diameter", "height:hub"),
+    *("generator:source", "generator:method"),
+    *(f"{life}:{key}" for life in NOT_BUILT for key in KINDS),
+)
 TAGS = dict.fromkeys((*OF_BUILDINGS, *MAYBE, *OF_OTHERS))
 Key = tuple[str, int]  # "n", "w" or "r", and an id
 OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`

@@ -7,15 +7,33 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.io.read.heights import is_given, parse_count, parse_length_m
+from jaxurban.io.read.heights import is_given, parse_count, parse_height_m
 from jaxurban.io.read.issues import LEFT_OUT, ReadIssue, ReadIssues
-from jaxurban.io.read.kinds import HULL, KINDS, LOW_M, NOT_BUILT, OTHER, SITE, TURBINE
+from jaxurban.io.read.kinds import (
+    FALLS,
+    FENCE,
+    GARAGES,
+    HULL,
+    KINDS,
+    LOW_M,
+    NOT_BUILT,
+    NOTHING,
+    OTHER,
+    SITE,
+    TOWER,
+    TURBINE,
+    WIND,
+    Kind,
+)
 from jaxurban.io.read.outlines import Outlines
+from jaxurban.settings import MAX_HEIGHT_M
 from jaxurban.world.footprints import BUILDING
 
 DECK = "bridge"  # of the tag man_made
-NO = ("no", "false", "0", "0.0")
-LEVEL = re.compile(r"-?\d+")
+NO = ("no", "false", "none", "null", "nan")
+FLAGS = {"0", "0.0", "1", "1.0"}  # of a column of yes and no; other numbers are names
+WEAK = (NOTHING, SITE, None)  # what gives way to a kind that something else says
+LEVEL = re.compile(r"(?<!\d)-?\d+")  # also of a range: -1-3
 
 
 class Standing(NamedTuple):
@@ -61,10 +79,6 @@ def what_stands(outlines: Outlines, has_decks: bool, issues: ReadIssues) -> Stan
     is_nothing = pd.isna(verdict)
     verdict[is_nothing] = ReadIssue.NOT_BUILDINGS
     verdict[is_nothing & has_key] = ReadIssue.NOT_IN_TABLE
-    for reason in (ReadIssue.RAZED, ReadIssue.PLANNED):
-        values = [value for value, why in NOT_BUILT.items() if why is reason]
-        says_so = _says_yes(outlines, reason) | np.isin(building.astype(str), values)
-        verdict[says_so & ~is_building] = reason
     is_something = ~np.isin(verdict, LEFT_OUT)
     verdict[is_something & _is_below(outlines)] = ReadIssue.UNDERGROUND
     issues |= {reason: int(np.sum(verdict == reason)) for reason in LEFT_OUT}
@@ -82,33 +96,53 @@ def texts(column: np.ndarray) -> np.ndarray:
 def _says_yes(outlines: Outlines, name: str) -> np.ndarray:
     """Return ``[N]`` whether a tag has any value but those that mean no."""
     text = texts(outlines.column(name))
-    return (text != "") & ~np.isin(text.astype(str), NO)
+    is_number = {value for value in text if value[:1].isdigit()}
+    no = NO if is_number - FLAGS else (*NO, "0", "0.0")
+    return (text != "") & ~np.isin(text.astype(str), no)
 
 
 def _kinds(outlines: Outlines, is_areal: np.ndarray) -> np.ndarray:
     """Return the `Kind` of each feature by its tags, or a `ReadIssue`, ``[N]`` objects, None where they say nothing.
 
-    A height makes anything stand that no table knows, from `LOW_M` on. Trees are left out.
+    A height makes anything stand that no table knows, or that does not stand by its kind, from `LOW_M` on; one that
+    cannot be read makes it unknown. Trees are left out, and what is razed or planned unless its other tags name a kind.
 
     Args:
       outlines: with their tags.
       is_areal: ``[N]`` bool.
     """
     kind = np.full(len(is_areal), None, object)
+    building = texts(outlines.column("building"))
+    is_said = building != "" if "building" in outlines.tags else is_areal
     height = outlines.column("height")
-    is_said = is_areal  # areas are buildings, whatever their height
-    if "building" in outlines.tags:
-        is_said = texts(outlines.column("building")) != ""
+    barrier = texts(outlines.column("barrier"))
     for index in np.flatnonzero(is_given(height) & ~is_said):
-        is_high = parse_length_m(str(height[index])) >= LOW_M
-        kind[index] = SITE if is_high else ReadIssue.NOT_STANDING
-    kind[(texts(outlines.column("natural")) != "") & ~is_said] = ReadIssue.TREES
+        height_m = parse_height_m(str(height[index]))
+        standing = FENCE if barrier[index] else SITE
+        kind[index] = standing if height_m >= LOW_M else NOTHING
+        if height_m > MAX_HEIGHT_M:
+            kind[index] = OTHER
+    nature = texts(outlines.column("natural"))
+    kind[(nature != "") & ~is_said] = ReadIssue.TREES
+    for column in (nature, texts(outlines.column("waterway"))):
+        kind[np.isin(column.astype(str), FALLS)] = NOTHING
+    kind[_says_yes(outlines, "tower_type")] = TOWER
+    is_wind = np.isin(texts(outlines.column("wind")).astype(str), WIND)
+    kind[_says_yes(outlines, "rotor") | _says_yes(outlines, "hub") | is_wind] = TURBINE
+    for reason in (ReadIssue.RAZED, ReadIssue.PLANNED):
+        values = [value for value, why in NOT_BUILT.items() if why is reason]
+        kind[_says_yes(outlines, reason) | np.isin(building.astype(str), values)] = reason
+
     for key, by_value in KINDS.items():
-        values = texts(outlines.column(key))
-        for index in np.flatnonzero(values != ""):
+        words = texts(outlines.column(key))
+        for index in np.flatnonzero(words != ""):
+            parts = [word.strip() for word in words[index].split(";")]
+            listed = [by_value.get(word) for word in parts if word[:1].isalpha() and word not in NO]
+            found = min(listed, key=WEAK.__contains__, default=NOTHING)
+            if not listed or (found in WEAK and isinstance(kind[index], Kind)):
+                continue
             unlisted = OTHER if is_areal[index] else None
-            kind[index] = by_value.get(values[index], kind[index] or unlisted)
-    kind[_says_yes(outlines, "rotor") | _says_yes(outlines, "hub")] = TURBINE
+            kind[index] = found or kind[index] or unlisted
     return kind
 
 
@@ -121,8 +155,13 @@ def _is_below(outlines: Outlines) -> np.ndarray:
         is_below[index] |= bool(numbers) and all(number.startswith("-") for number in numbers)
 
     # Levels below the ground and none above it; a height says that something stands there all the same.
-    levels = np.array([parse_count(text) for text in texts(outlines.column("levels"))])
+    levels, roof_levels = (
+        np.array([parse_count(text) for text in texts(outlines.column(name))])
+        for name in ("levels", "roof_levels")
+    )
     is_below_only = (levels == 0) & (texts(outlines.column("levels_below")) != "")
+    is_below_only &= ~(roof_levels > 0)
     is_parking = texts(outlines.column("parking")) == ReadIssue.UNDERGROUND
+    is_parking &= np.isin(texts(outlines.column("building")).astype(str), GARAGES)
     is_flat = ~is_given(outlines.column("height"))
     return is_below | is_flat & (is_below_only | is_parking & ~(levels > 0))
