@@ -203,7 +203,7 @@ def test_names_that_a_shapefile_cuts_are_understood(tmp_path):
 
 def test_what_is_no_polygon_is_counted_and_left_out_and_collections_give_their_polygons(tmp_path):
     mixed = shapely.GeometryCollection([SQUARE, shapely.Point(0, 0)])
-    source = read(tmp_path / "city.geojson", [SQUARE.centroid, mixed, SQUARE], height=[1, 2, 3])
+    source = read(tmp_path / "city.geojson", [SQUARE.centroid, mixed, SQUARE], height=[None, 2, 3])
     assert source.buildings.height_m.tolist() == [2.0, 3.0]
     assert source.read_issues["non_polygons"] == 1
     rings = ([[0, 0], [1, 1], [0, 0]], [[0, 0], [1, 1], [1, 0], [0, 1], [0, 0]])
