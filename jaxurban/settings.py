@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
-from jaxurban.checks import KINDS, at_least, finite, positive, typed
+from jaxurban.checks import as_text, at_least, finite, positive, typed
 from jaxurban.errors import InputError
 
 CostKind = Literal["cell", "line"]
@@ -45,16 +45,18 @@ MissionEnd = Literal["land", "return", "none"]
 SampleName = Literal["lower-manhattan", "shinjuku", "nihonbashi"]
 
 
+@dataclass(frozen=True)
 class AsText:
     """Beside a set of names in a model of a scenario: pydantic takes any text, as `typed` does."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """Return pydantic's schema of any text."""
         return handler(str)
 
 
 PlannerText = Annotated[PlannerName, AsText()]
 # `typed` takes any text for these: what looks a name up says more of a wrong one, such as which planner takes it.
-KINDS.update(dict.fromkeys((PlannerName, HeuristicName, MissionEnd, SampleName), KINDS[str]))
+as_text(PlannerName, HeuristicName, MissionEnd, SampleName)
 CLEARANCES = ("clearance_m", "vertical_clearance_m")
 NOMINAL = "nominal"  # GPS satellites without a file of elements
 FIRST_YEAR, LAST_YEAR = 1980, 2200  # GPS time begins in 1980; xarray's nanoseconds end in 2262

@@ -96,7 +96,8 @@ KNOWN = {OF_OVERTURE, *NESTED}
 KNOWN |= set(" ".join([*COLUMNS.values(), *SCHEMAS]).split())
 # Words for height in names of columns, and those by which it is not that of the roof.
 HEIGHT = re.compile(
-    "^h$|^ht$|_ht$|^roof_?z$|^z_?max$|h_dak|heigh|hgt|hght|hoeh|höhe|hauteur|altura|altezza|hoogte|höjd|hojd|høyde|hoyde|korkeus|korgus|kõrgus|wysoko|vysk|"
+    "^h$|^ht$|_ht$|^roof_?z$|^z_?max$|h_dak|heigh|hgt|hght|hoeh|höhe|hauteur|altura|altezza|hoogte|"
+    "höjd|hojd|høyde|hoyde|korkeus|korgus|kõrgus|wysoko|vysk|"
     "výšk|高"
 )
 NO_ROOF = re.compile(

@@ -126,10 +126,11 @@ def _read(path: str | Path) -> Outlines:
                 members = [(each.type, each.ref) for each in item.members]
                 outer = [(each.type, each.ref) for each in item.members if each.role in _OUTER]
                 of_members |= dict.fromkeys(outer or members, _tags_of(item))
-            if of_type not in _AREA_RELATIONS:
-                continue
-            ways_of[kind, number] = _ways_of(item)
-            if not _may_stand(item.tags):
+            may_stand = _may_stand(item.tags)
+            is_bare = len(item.tags) == 1  # it may be the outline in a relation of a building
+            if of_type in _AREA_RELATIONS and (may_stand or is_bare):
+                ways_of[kind, number] = _ways_of(item)
+            if of_type not in _AREA_RELATIONS or not may_stand:
                 continue
         tags[kind, number] = _tags_of(item)
 
