@@ -9,8 +9,8 @@ import shapely
 
 from jaxurban import settings
 from jaxurban.errors import InputError
-from jaxurban.io.read.heights import estimate_heights, parse_length_m, with_decks
-from jaxurban.io.read.issues import LEFT_OUT, ReadIssue, ReadIssues
+from jaxurban.io.read.heights import estimate_heights, parse_length_m, read_column, with_decks
+from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.kinds import (
     ABOVE_LEVELS_M,
     FENCE,
@@ -24,7 +24,7 @@ from jaxurban.io.read.kinds import (
 )
 from jaxurban.io.read.outlines import Outlines, polygonal
 from jaxurban.io.read.solids import prisms_of_solids, with_solids
-from jaxurban.io.read.stands import texts, what_stands
+from jaxurban.io.read.stands import what_stands
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING, UNKNOWN, Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds, transformer
@@ -61,33 +61,31 @@ def to_buildings(
     """
     # What stands, the valid shapes of it, and the heights that solids have by their faces.
     issues = dict(outlines.issues)
-    verdict, is_part, is_deck = what_stands(outlines, file.hanging == SLABS, issues)
-    index = np.flatnonzero(~np.isin(verdict, LEFT_OUT))
-    prisms = prisms_of_solids(outlines.polygons[index], outlines.crs)
+    features = what_stands(outlines, file.hanging == SLABS, issues)
+    prisms = prisms_of_solids(features.polygons, outlines.crs)
     shapes, is_sound, is_whole = _project(prisms["polygon"].to_numpy(), outlines.crs, crs, issues)
     prisms = prisms[is_sound]
-    shapes = shapes[is_sound]
-    index = index[prisms["feature"]]
     to_city = transformer(outlines.crs, crs)
     boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
-    if not (boxes_m or len(index) or outlines.is_part):
+    if not (boxes_m or len(prisms) or outlines.is_part):
         raise InputError(
             f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
         )
-    features = outlines.take(index)
+    features = features.take(prisms["feature"].to_numpy(int))
     height = with_solids(features.column("height"), prisms, issues)
-    features = replace(features, tags={**features.tags, "height": height})
+    tags = {**features.tags, "height": height}
+    features = replace(features, polygons=shapes[is_sound], tags=tags)
     is_closed = prisms["height_m"].to_numpy() != 0  # walls alone close nothing
-    is_building = (verdict[index] == BUILDING) & is_whole[is_sound] & is_closed
+    is_building = (features.tags["verdict"] == BUILDING) & is_whole[is_sound] & is_closed
 
     # Heights of buildings.
     found = features.take(is_building)
-    polygons = shapes[is_building]
-    is_part = is_part[index][is_building]
-    is_deck = is_deck[index][is_building]
+    polygons = found.polygons
+    is_part = found.tags["is_part"]
+    is_deck = found.tags["is_deck"]
     buildings = estimate_heights(found.tags, polygons, is_part, file, issues)
     if is_deck.any():
-        layer = pd.to_numeric(pd.Series(texts(found.column("layer"))), errors="coerce")
+        layer = pd.to_numeric(pd.Series(found.texts("layer")), errors="coerce")
         buildings = with_decks(buildings, is_deck, layer.to_numpy(float))
 
     # Outlines and their parts: heights of one for the other, and which outlines the parts replace.
@@ -100,7 +98,7 @@ def to_buildings(
         buildings, is_podium = _podiums(buildings, outline, part, is_replaced)
         issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = int(np.sum(is_podium))
         is_replaced &= ~is_podium
-    limit_m = _limits_m(buildings, texts(found.column("building")), file)
+    limit_m = _limits_m(buildings, found.texts("building"), file)
     buildings = replace(buildings, limit_m=limit_m)
     is_bare = is_replaced & ((1 - share) * shapely.area(polygons) > STRIP_M)
     buildings, is_replaced = _beside_parts(buildings, outline, part, is_replaced, is_bare)
@@ -109,8 +107,8 @@ def to_buildings(
 
     # What else stands.
     others = features.take(~is_building)
-    structures = _structures(shapes[~is_building], others, verdict[index][~is_building], file)
-    structures, is_same = _on_roofs(structures, shapes[~is_building], buildings)
+    structures = _structures(others, file)
+    structures, is_same = _on_roofs(structures, others.polygons, buildings)
     is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
     issues[ReadIssue.NOT_STANDING] += int(np.sum(is_left_out))
     structures = structures.take(~is_left_out & ~is_same)
@@ -120,34 +118,30 @@ def to_buildings(
     return buildings, structures, boxes_m, issues
 
 
-def _structures(
-    shapes: np.ndarray, outlines: Outlines, kinds: np.ndarray, rules: settings.Buildings
-) -> Footprints:
+def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
     """Return structures with their heights: points as discs, lines as strips, and hulls of what is not whole.
 
     Their height is 0 where it is unknown and their kind has none.
 
     Args:
-      shapes: ``[N]`` in a projected CRS.
-      outlines: their tags.
-      kinds: ``[N]`` a `Kind` each, or `BUILDING` for a polygon without area.
+      outlines: ``N`` from `what_stands`, in a projected CRS; a `BUILDING` is a polygon without area.
       rules: height of one level.
     """
-    kinds = np.array([HULL if kind == BUILDING else kind for kind in kinds], object)
-    building = texts(outlines.column("building"))
+    verdicts = outlines.tags["verdict"]
+    kinds = np.array([HULL if kind == BUILDING else kind for kind in verdicts], object)
 
     def lengths_m(name: str) -> np.ndarray:
         """Return ``[N]`` the lengths that a tag says, NaN where it says none."""
-        return np.array([parse_length_m(text) for text in texts(outlines.column(name))], float)
+        return read_column(outlines.column(name), parse_length_m)
 
     def of_kinds(field: str) -> np.ndarray:
         """Return ``[N]`` a number of each kind."""
         return np.array([getattr(kind, field) for kind in kinds], float)
 
     # Shapes.
-    is_hull = np.array([kind is HULL for kind in kinds], bool)
-    shapes = np.where(is_hull, shapely.convex_hull(shapes), shapes)
-    is_fence = np.array([kind is FENCE for kind in kinds], bool)
+    is_hull = kinds == HULL
+    shapes = np.where(is_hull, shapely.convex_hull(outlines.polygons), outlines.polygons)
+    is_fence = np.array([kind is FENCE for kind in kinds], bool)  # equals `SITE`
     shapes[is_fence] = shapely.boundary(shapes[is_fence])
     is_areal = shapely.get_dimensions(shapes) == 2
     rotor_m = lengths_m("rotor")
@@ -158,7 +152,7 @@ def _structures(
     # Heights. The blades of a turbine reach above its hub.
     whole = estimate_heights(outlines.tags, polygons, np.zeros(len(kinds), bool), rules, {})
     tip_m = lengths_m("hub") + np.nan_to_num(rotor_m) / 2
-    has_tip = np.isfinite(tip_m) & np.array([kind is TURBINE for kind in kinds], bool)
+    has_tip = np.isfinite(tip_m) & (kinds == TURBINE)
     origin = np.where(has_tip, HeightOrigin.HEIGHT, whole.origin)
     is_lost = origin == HeightOrigin.UNREADABLE
     has_height = (origin != HeightOrigin.DEFAULT) & ~is_lost
@@ -166,7 +160,7 @@ def _structures(
     names = np.array([kind.name for kind in kinds], object)
     names[has_height & (names == UNKNOWN)] = "structure"
     origin[names == UNKNOWN] = HeightOrigin.UNKNOWN
-    limit_m = np.where(is_hull, _limits_by_name_m(building), of_kinds("limit_m"))
+    limit_m = np.where(is_hull, _limits_by_name_m(outlines.texts("building")), of_kinds("limit_m"))
     limit_m[is_lost] = np.inf
     return replace(
         whole, height_m=height_m, origin=origin.astype(np.uint8), kind=names, limit_m=limit_m
@@ -199,7 +193,7 @@ def _on_roofs(
 
 def _limits_by_name_m(building: np.ndarray) -> np.ndarray:
     """Return ``[N]`` the height that buildings of unknown height do not exceed, by what their tag calls them."""
-    return np.where(np.isin(building.astype(str), LOW_BUILDINGS), LOW_LIMIT_M, LIMIT_M)
+    return np.where(np.isin(building, LOW_BUILDINGS), LOW_LIMIT_M, LIMIT_M)
 
 
 def _limits_m(buildings: Footprints, building: np.ndarray, rules: settings.Buildings) -> np.ndarray:
@@ -283,16 +277,13 @@ def _project(
       issues: gets how many were repaired, were beyond repair, or lie where ``crs`` does not reach.
     """
     to_city = transformer(source, crs).transform
-    if shapely.has_z(shapes).any():
-        shapes = shapely.force_2d(shapes)
-    shapes = shapely.transform(shapes, to_city, interleaved=False)
+    shapes = shapely.transform(shapely.force_2d(shapes), to_city, interleaved=False)
     is_there = ~shapely.is_missing(shapes) & ~shapely.is_empty(shapes)
 
     # Of a shape that lacks vertices the hull of the others is left.
     vertices, shape = shapely.get_coordinates(shapes, return_index=True)
     is_finite = np.isfinite(vertices).all(axis=1)
-    is_whole = np.ones(len(shapes), bool)
-    is_whole[shape[~is_finite]] = False
+    is_whole = ~np.isin(np.arange(len(shapes)), shape[~is_finite])
     for index in np.flatnonzero(~is_whole):
         known = vertices[is_finite & (shape == index)]
         shapes[index] = shapely.convex_hull(shapely.multipoints(known))
@@ -344,10 +335,9 @@ def _covered_share(polygons: np.ndarray, outline: np.ndarray, shared: np.ndarray
     """
     share = np.zeros(len(polygons))
     order = np.argsort(outline, kind="stable")  # the pairs of each outline one after the other
-    owners, starts, counts = np.unique(outline[order], return_index=True, return_counts=True)
-    for owner, start, count in zip(owners, starts, counts, strict=True):
-        covered = shapely.union_all(shared[order[start : start + count]])
-        share[owner] = shapely.area(covered) / shapely.area(polygons[owner])
+    owners, starts = np.unique(outline[order], return_index=True)
+    for owner, own in zip(owners, np.split(shared[order], starts[1:]), strict=False):
+        share[owner] = shapely.area(shapely.union_all(own)) / shapely.area(polygons[owner])
     return share
 
 
@@ -404,11 +394,10 @@ def _with_outline_heights(
         is_default[part] & ~is_default[outline] & (height_m[outline] > buildings.min_height_m[part])
     )
     # From the lowest outline up, so that of several outlines of a part the highest is written last.
-    lowest_first = np.flatnonzero(takes)[np.argsort(height_m[outline[takes]], kind="stable")]
-    outline = outline[lowest_first]
-    part = part[lowest_first]
-    height_m[part] = buildings.height_m[outline]
-    origin[part] = buildings.origin[outline]
+    outline, part = outline[takes], part[takes]
+    lowest_first = np.argsort(height_m[outline], kind="stable")
+    height_m[part[lowest_first]] = height_m[outline[lowest_first]]
+    origin[part[lowest_first]] = origin[outline[lowest_first]]
     issues[ReadIssue.PARTS_GIVEN_OUTLINE_HEIGHT] = len(np.unique(part))
     return replace(buildings, height_m=height_m, origin=origin)
 

@@ -8,16 +8,11 @@ import numpy as np
 import shapely
 from pyproj.exceptions import ProjError
 
+from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.issues import ReadIssues
 from jaxurban.world.grid import Bounds, transformer
 
 MARGIN_M = 1000.0  # more than projections tilt boxes against each other, and than most outlines and their parts reach
-# An outline covered at least so far by its parts is dropped (design, section 3).
-REPLACED_SHARE = 0.9
-BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it lies inside
-PODIUM_M2 = 1.0  # less than this between two drawings of one wall is no podium
-DECK = "bridge"  # of the tag man_made
-_NO = ("no", "false", "0", "0.0")
 
 
 @dataclass(frozen=True)
@@ -52,6 +47,14 @@ class Outlines:
     def column(self, name: str) -> np.ndarray:
         """Return a tag of every outline, ``[N]`` objects, None where it is missing."""
         return self.tags.get(name, np.full(len(self.polygons), None, object))
+
+    def texts(self, name: str) -> np.ndarray:
+        """Return a tag of every outline as text in small letters, ``[N]`` objects, empty where it is missing."""
+        column = self.column(name)
+        words = np.full(len(column), "", object)
+        is_filled = is_given(column)
+        words[is_filled] = [str(value).strip().lower() for value in column[is_filled]]
+        return words
 
 
 class Near(NamedTuple):
