@@ -220,6 +220,13 @@ def test_outlines_with_heights_of_the_ground_stay_outlines(tmp_path):
     assert issues == {"polygons_repaired": 1}  # the two that lie in each other
 
 
+def test_outlines_at_the_heights_of_roofs_bound_what_is_guessed(tmp_path):
+    path = write_vector(tmp_path / "roofs.gpkg", [at(HOUSE, 2), moved(at(TOWER, 150), 100, 0, 0)])
+    buildings, _ = stand(path)
+    assert buildings.is_guessed.all()
+    assert (buildings.limit_m - buildings.limit_m.min()).tolist() == [0, 148]
+
+
 def test_ground_outside_the_roofs_stands_as_high_as_the_lowest(tmp_path):
     roofs = [at(DORMER, 9), *walls(DORMER, 0, 9), at(TOWER, 30), *walls(TOWER, 0, 30)]
     porch = shapely.MultiPolygon([at(PODIUM, 0.2), *roofs])

@@ -23,7 +23,7 @@ from jaxurban.io.read.kinds import (
     TURBINE,
 )
 from jaxurban.io.read.outlines import Outlines, polygonal
-from jaxurban.io.read.solids import prisms_of_solids, with_solids
+from jaxurban.io.read.solids import prisms_of_solids, rises_m, with_solids
 from jaxurban.io.read.stands import what_stands
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING, UNKNOWN, Footprints, HeightOrigin
@@ -63,6 +63,7 @@ def to_buildings(
     issues = dict(outlines.issues)
     features = what_stands(outlines, file.hanging == SLABS, issues)
     prisms = prisms_of_solids(features.polygons, outlines.crs)
+    rise_m = rises_m(features.polygons, outlines.crs)
     shapes, is_sound, is_whole = _project(prisms["polygon"].to_numpy(), outlines.crs, crs, issues)
     prisms = prisms[is_sound]
     to_city = transformer(outlines.crs, crs)
@@ -73,7 +74,7 @@ def to_buildings(
         )
     features = features.take(prisms["feature"].to_numpy(int))
     height = with_solids(features.column("height"), prisms, issues)
-    tags = {**features.tags, "height": height}
+    tags = {**features.tags, "height": height, "rise_m": rise_m[prisms["feature"]]}
     features = replace(features, polygons=shapes[is_sound], tags=tags)
     is_closed = prisms["height_m"].to_numpy() != 0  # walls alone close nothing
     is_building = (features.tags["verdict"] == BUILDING) & is_whole[is_sound] & is_closed
@@ -98,7 +99,7 @@ def to_buildings(
         buildings, is_podium = _podiums(buildings, outline, part, is_replaced)
         issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = int(np.sum(is_podium))
         is_replaced &= ~is_podium
-    limit_m = _limits_m(buildings, found.texts("building"), file)
+    limit_m = _limits_m(buildings, found, file)
     buildings = replace(buildings, limit_m=limit_m)
     is_bare = is_replaced & ((1 - share) * shapely.area(polygons) > STRIP_M)
     buildings, is_replaced = _beside_parts(buildings, outline, part, is_replaced, is_bare)
@@ -196,16 +197,18 @@ def _limits_by_name_m(building: np.ndarray) -> np.ndarray:
     return np.where(np.isin(building, LOW_BUILDINGS), LOW_LIMIT_M, LIMIT_M)
 
 
-def _limits_m(buildings: Footprints, building: np.ndarray, rules: settings.Buildings) -> np.ndarray:
+def _limits_m(buildings: Footprints, found: Outlines, rules: settings.Buildings) -> np.ndarray:
     """Return ``[B]`` the height that buildings of guessed height do not exceed; of decks it is not known.
+
+    Vertices of outlines may lie on the ground or on roofs: how far they rise counts in full.
 
     Args:
       buildings: with their heights.
-      building: ``[B]`` what their tag calls them.
+      found: ``B`` outlines with what their tag calls them and how far they rise.
       rules: height of one level.
     """
     num_levels = (buildings.height_m - buildings.min_height_m) / rules.level_height_m
-    by_name_m = _limits_by_name_m(building)
+    by_name_m = _limits_by_name_m(found.texts("building")) + found.tags["rise_m"]
     limits_m = {
         HeightOrigin.LEVELS: LEVEL_LIMIT_M * num_levels + ABOVE_LEVELS_M,
         HeightOrigin.DEFAULT: by_name_m,

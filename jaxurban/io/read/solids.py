@@ -66,14 +66,28 @@ def prisms_of_solids(outlines: np.ndarray, crs: str) -> pd.DataFrame:
       ``feature``, which outline each is of; ``height_m`` above the lowest vertex of the solid, rising, 0 of the hull of
       one that has walls alone, and NaN of an outline that is no solid; and ``polygon``. Prisms of a solid may overlap.
     """
-    axis = pyproj.CRS(crs).axis_info[-1]
-    unit_m = 1.0 if axis.unit_name == "degree" else axis.unit_conversion_factor
+    unit_m = _height_unit_m(crs)
     may_be = shapely.has_z(outlines) & (shapely.get_num_geometries(outlines) > 1)
     rows: list[tuple] = []
     for feature, outline in enumerate(outlines):
         prisms = _prisms(outline, unit_m) if may_be[feature] else {math.nan: outline}
         rows += [(feature, *prism) for prism in prisms.items()]
     return pd.DataFrame(rows, columns=["feature", "height_m", "polygon"])
+
+
+def rises_m(outlines: np.ndarray, crs: str) -> np.ndarray:
+    """Return ``[N]`` how far the highest vertex of each outline lies above the lowest of all, 0 without heights."""
+    vertices, index = shapely.get_coordinates(outlines, include_z=True, return_index=True)
+    height_m = np.nan_to_num(vertices[:, 2]) * _height_unit_m(crs)
+    rise_m = np.zeros(len(outlines))
+    np.maximum.at(rise_m, index, height_m - height_m.min(initial=np.inf))
+    return rise_m
+
+
+def _height_unit_m(crs: str) -> float:
+    """Return the length of the unit of heights, in metres."""
+    axis = pyproj.CRS(crs).axis_info[-1]
+    return 1.0 if axis.unit_name == "degree" else axis.unit_conversion_factor
 
 
 def _prisms(outline: shapely.Geometry, unit_m: float) -> dict[float, shapely.Geometry]:
