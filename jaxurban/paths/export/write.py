@@ -76,9 +76,9 @@ def to_geojson(routes: Named, report: "RouteReport | None") -> bytes:
     for name, route in routes:
         facts, segments = facts_of(route, report, is_alone=len(routes) == 1)
         # A GIS takes nested properties for text, so that each number gets a property of its own too.
-        for layer, cost in facts.get("cost_by_layer", {}).items():
+        for layer, cost in facts["cost_by_layer"].items():
             facts[f"cost_{layer}"] = cost
-        for metric, mean in facts.get("metrics", {}).items():
+        for metric, mean in facts["metrics"].items():
             facts[f"mean_{metric}"] = mean
         facts["z_m"] = upward(route.z_m).tolist()
         ground = route.ground
