@@ -5,7 +5,6 @@ from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path as FilePath
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -22,7 +21,7 @@ from jaxurban.paths.plan import cost_map
 from jaxurban.paths.queries import NOT_RUN, PlannedPaths, Query, path_of, read_queries, row_of
 from jaxurban.paths.rows import BAD_INPUT, failure
 from jaxurban.paths.search import PathSearch
-from jaxurban.paths.snapping import End, Point
+from jaxurban.paths.snapping import Point
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import Backend, solve_many
@@ -282,22 +281,6 @@ class _Results:
             self._store.save()
 
 
-class _Located(NamedTuple):
-    """A query whose ends are in free cells of its cost map.
-
-    Attributes:
-      k: number of the query.
-      key: its digest (`row_of`).
-      cost_map: on which it is planned.
-      ends: its start and its goal.
-    """
-
-    k: int
-    key: str
-    cost_map: CostMap
-    ends: tuple[End, End]
-
-
 def _done(
     results: _Results,
     map_of: Callable[..., CostMap],
@@ -345,8 +328,9 @@ def _done(
         waiting = waiting[most_maps:]
 
         # Locate the queries of these maps, and take from the file the results that it holds.
-        located = []
-        unsolved = []  # indices in `located`
+        located = []  # number and key of each query (`row_of`), its cost map, its start and goal
+        problems = []
+        unsolved = []  # indices in both
         for (altitude_m, time, time_of_day, weights), numbers in groups:
             try:
                 cost_map = map_of(altitude_m, time, time_of_day).with_weights(weights)
@@ -362,7 +346,9 @@ def _done(
                     yield refuse(k, error)
                     continue
                 key = fingerprint(digest, ends)
-                located.append(_Located(k, key, cost_map, ends))
+                located.append((k, key, cost_map, ends))
+                start, goal = ends
+                problems.append(cost_map.problem.between(start.cell, goal.cell))
                 finish_path = partial(finish, cost_map, ends=ends, search=search)
                 if results.take(k, key, search.budget_s, finish_path):
                     yield k
@@ -371,10 +357,6 @@ def _done(
 
         # Solve the rest. The problems that are solved already are given too, as all of them together decide which
         # heuristic is chosen.
-        problems = []
-        for located_query in located:
-            start, goal = located_query.ends
-            problems.append(located_query.cost_map.problem.between(start.cell, goal.cell))
         outcomes = solve_many(
             problems,
             planner=search.planner,

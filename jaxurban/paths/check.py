@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import shapely
 
-from jaxurban.checks import positive, typed
+from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.guesses import WITHOUT_DATA
@@ -122,10 +122,8 @@ def check(
     # then is as in the maps' scenario.
     limits = constraints or Constraints()
     limits = replace(limits, zones=(*limits.zones, *Constraints.read(no_fly).zones))
-    if clearance_m is not None:
-        limits = replace(limits, clearance_m=clearance_m)
-    if vertical_clearance_m is not None:
-        limits = replace(limits, vertical_clearance_m=vertical_clearance_m)
+    clearances = {"clearance_m": clearance_m, "vertical_clearance_m": vertical_clearance_m}
+    limits = replace(limits, **values_given(clearances))
     _, _, limits = rules_on(maps, None, limits, "")
 
     # A zone that is in force at one of the times counts as if it were always in force. Without times every zone counts.

@@ -294,8 +294,18 @@ class Constraints:
           >>> ju.Constraints.read(require="gps>=0.5", clearance_m=5.0).to_dict()
           {'no_fly': [], 'require': ['gps>=0.5'], 'clearance_m': 5.0, 'vertical_clearance_m': 3.0}
         """
+        zones = [
+            {
+                "name": zone.name,
+                "file": zone.source,
+                "floor_m": number_or_none(zone.floor_m),  # None where it is open downward
+                "ceiling_m": number_or_none(zone.ceiling_m),
+                "outline": zone.outline,
+            }
+            for zone in self.zones
+        ]
         return {
-            "no_fly": list(map(_record_of, self.zones)),
+            "no_fly": zones,
             "require": [str(bound) for bound in self.bounds],
             **{name: float(metres) for name, metres in self._clearances_m.items() if metres},
             **(self.vehicle or Vehicle()).to_dict(),
@@ -464,20 +474,6 @@ class Constraints:
                 clearances = " and the ".join(describe_clearances(self.to_dict()))
                 reasons.append(f"the {clearances} that is kept from obstacles and the border")
         return reasons
-
-
-def _record_of(zone: Zone) -> dict[str, Any]:
-    """Return a no-fly zone as plain, JSON-ready values: name, file, floor, ceiling and outline.
-
-    Floor and ceiling are metres above ground, None where the zone is open downward or upward.
-    """
-    return {
-        "name": zone.name,
-        "file": zone.source,
-        "floor_m": number_or_none(zone.floor_m),
-        "ceiling_m": number_or_none(zone.ceiling_m),
-        "outline": zone.outline,
-    }
 
 
 def describe_constraints(record: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -326,10 +326,8 @@ class _Route:
         part = self.profile[is_part]
         row = {"from_m": part["from_m"].min(), "to_m": part["to_m"].max()}
         row |= self._sums(first, last, is_part)
-        for metric in metrics:
-            row[f"min_{metric}"] = part[metric].min()
-        for metric in metrics:
-            row[f"max_{metric}"] = part[metric].max()
+        for extreme, metric in product(("min", "max"), metrics):
+            row[f"{extreme}_{metric}"] = part[metric].agg(extreme)
         return row
 
     def _sums(self, first: int, last: int, is_part: np.ndarray) -> dict[str, float]:
@@ -386,9 +384,7 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
     levels = None
     altitudes_m = np.array([planned.altitude_m])
     if "levels_m" in settings:
-        levels = Levels(
-            climb_cost=settings.get("climb_cost"), descent_cost=settings.get("descent_cost", 0.0)
-        )
+        levels = Levels(climb_cost=settings["climb_cost"], descent_cost=settings["descent_cost"])
         levels_m = np.asarray(settings["levels_m"], float)
         altitudes_m = levels_m[(levels_m >= planned.z_m.min()) & (levels_m <= planned.z_m.max())]
     cost_map = map_at(

@@ -216,9 +216,10 @@ def overflown_density(
         parts = [substring(line, from_m, to_m) for from_m, to_m in pairwise(ends_m)]
 
     # The cells that it touches, on each grid; on that of `cell_m` also those of each segment.
-    cells_by_side = {}
-    for side_m in sorted({*GRIDS_M, cell_m}):
-        cells_by_side[side_m] = cells_within(line, reach_m, side_m, maps.grid)
+    cells_by_side = {
+        side_m: cells_within(line, reach_m, side_m, maps.grid)
+        for side_m in sorted({*GRIDS_M, cell_m})
+    }
     boxes = cells_by_side[cell_m].boxes
     near_parts = [shapely.dwithin(boxes, part, reach_m) for part in parts]  # of each segment, [C]
 

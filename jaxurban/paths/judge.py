@@ -257,7 +257,7 @@ def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> li
 
     # A stretch belongs to a hit, and is left out, if it ends within the last stretch of hits that begins before it. A
     # stretch that begins before all hits gets the place -1, the end of -inf that is appended, and so is kept.
-    of_hits = merged(close.loc[close["gap_m"] <= 0, ["from_m", "to_m"]])
+    of_hits = merged(close.loc[close["gap_m"] <= 0, SPAN])
     place = np.searchsorted(of_hits["from_m"] - TOUCH_M, close["from_m"], side="right") - 1
     close = close[close["to_m"] > np.append(of_hits["to_m"] + TOUCH_M, -np.inf)[place]]
 

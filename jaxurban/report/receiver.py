@@ -18,7 +18,6 @@ from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plai
 from jaxurban.report.satellites import (
     peak_text,
     satellite_figures,
-    satellite_files,
     satellite_tables,
     sentences_of,
 )
@@ -117,9 +116,7 @@ def _scale_axis(axis: Axis, set_scale: Callable[[str], None], quantity: str) -> 
     show_plain_log(axis)
 
 
-def validation_outputs(
-    result: ReceiverValidation,
-) -> Written:
+def validation_outputs(result: ReceiverValidation) -> Written:
     """Return what a validation writes, by file name, and the facts that identify it.
 
     Among the facts is a hash of the log's rows: two logs may have one name.
@@ -133,9 +130,17 @@ def validation_outputs(
     pieces = result.pieces.assign(utc=result.pieces.utc.map(lambda time: time.isoformat()))
     tables = {"pieces": pieces, "scores": result.scores, "shifts": result.shifts}
     figures: Figures = {"scatter": partial(plot_scatter, result)}
-    if result.satellites is not None:
-        tables |= satellite_files(result.satellites)
-        figures |= satellite_figures(result, result.satellites)
+    of = result.satellites
+    if of is not None:
+        tables |= {
+            "satellites.parquet": of.rows,
+            "satellite_scores": of.scores,
+            "displaced": of.displaced,
+            "field": of.field,
+            "scales": of.scales,
+            "rivals": of.rivals,
+        }
+        figures |= satellite_figures(result, of)
     key = {
         "log": result.log.name,
         "rows": hashlib.sha256(text.encode()).hexdigest(),

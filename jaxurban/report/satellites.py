@@ -83,18 +83,6 @@ STRENGTH = Colours(
 )
 
 
-def satellite_files(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
-    """Return the tables of an agreement that are written, by file name."""
-    return {
-        "satellites.parquet": of.rows,
-        "satellite_scores": of.scores,
-        "displaced": of.displaced,
-        "field": of.field,
-        "scales": of.scales,
-        "rivals": of.rivals,
-    }
-
-
 def satellite_figures(result: ReceiverValidation, of: SatelliteAgreement) -> Figures:
     """Return what draws each figure, by file name."""
     return {

@@ -88,9 +88,10 @@ def report_tables(result: Sensitivity) -> dict[str, pd.DataFrame]:
         "indices": _sobol_shares(result),
         "changes": _changes(result).loc[values.index],
     }
-    tables = {}
-    for name, table in by_outcome.items():
-        tables[name] = table.rename(index=outcome_label).rename_axis("outcome")
+    tables = {
+        name: table.rename(index=outcome_label).rename_axis("outcome")
+        for name, table in by_outcome.items()
+    }
 
     # Tables with a row per weight, or per objective of the Pareto front.
     tables["changes"] = tables["changes"].T.rename_axis(f"{MORE - 1:.0%} more of", axis=0)
@@ -99,9 +100,10 @@ def report_tables(result: Sensitivity) -> dict[str, pd.DataFrame]:
     tables["ends"] = points.loc[points.idxmin().tolist()]
     tables = {name: table.reset_index() for name, table in tables.items()}
 
-    rows = []
-    for name, line in result.lines.items():
-        rows.append({"weight": name, **ranges(result, name), "routes": len(line.cells)})
+    rows = [
+        {"weight": name, **ranges(result, name), "routes": len(line.cells)}
+        for name, line in result.lines.items()
+    ]
     tables["ranges"] = pd.DataFrame(rows)
     return tables
 

@@ -1,7 +1,7 @@
 """Fitting weights from files, and writing what came of it: tables, pictures, report.md, and weights to paste."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, compress
 from pathlib import Path
@@ -68,13 +68,13 @@ class TuneSettings:
       fit: of the search.
     """
 
-    routes: Mapping[str, Any] = field(default_factory=dict)
-    sample: int | None = None
-    pilot: Weights | None = None
-    planner: str | None = None
-    targets: tuple[str, ...] = ()
-    fits: Mapping[str, Any] = field(default_factory=dict)
-    fit: FitSettings = field(default_factory=FitSettings)
+    routes: Mapping[str, Any]
+    sample: int | None
+    pilot: Weights | None
+    planner: str | None
+    targets: tuple[str, ...]
+    fits: Mapping[str, Any]
+    fit: FitSettings
 
 
 def run_tuning(
@@ -82,7 +82,7 @@ def run_tuning(
     folder: Path,
     settings: TuneSettings,
     *,
-    overwrite: bool = False,
+    overwrite: bool,
 ) -> dict[str, Any]:
     """Fit weights, write everything under ``folder``, and return the facts that ``--json`` prints.
 

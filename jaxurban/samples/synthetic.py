@@ -91,18 +91,17 @@ def demo_city(
     return _build((x_min, y_min, x_min + width_m, y_min + height_m), crs, seed)
 
 
-def demo_city_for_bounds(bounds: Sequence[float], crs: str | None = None, *, seed: int = 0) -> City:
+def demo_city_for_bounds(bounds: Sequence[float], crs: str | None = None) -> City:
     """Return the synthetic city in a geographic box; see `demo_city`.
 
     Args:
       bounds: west, south, east, north in degrees; the projected box grows outward to whole 100 m.
       crs: projected CRS in metres; left out, the UTM zone of the middle.
-      seed: the same one gives the same city.
 
     Raises:
       InputError: bounds that are not a box, too large or small, or a CRS that is unknown or not in metres.
     """
-    return _build(*_box_around(bounds, crs), seed)
+    return _build(*_box_around(bounds, crs), seed=0)
 
 
 def demo_cover_for_bounds(bounds: Sequence[float], crs: str | None = None) -> LandCover:

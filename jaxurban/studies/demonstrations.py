@@ -345,10 +345,11 @@ def _common_model(planned: Sequence[tuple[str, Mapping]]) -> CostModel | None:
     Raises:
       InputError: an invalid cost model, or routes that were planned under different ones.
     """
-    models = {}
-    for name, settings in planned:
-        if "cost_model" in settings:
-            models[name] = CostModel.from_settings(settings)
+    models = {
+        name: CostModel.from_settings(settings)
+        for name, settings in planned
+        if "cost_model" in settings
+    }
     first = next(iter(models), "")  # a name that no model has where there is none
     for name, other in models.items():
         if other != models[first]:
@@ -483,9 +484,10 @@ def _filled(local: np.ndarray) -> np.ndarray:
         return local
 
     # Of each run its points but the last one, from which the next run begins.
-    runs = []
-    for point, step, size in zip(local, steps, sizes.astype(int), strict=False):
-        runs.append(point + step / size * np.arange(size)[:, None])
+    runs = [
+        point + step / size * np.arange(size)[:, None]
+        for point, step, size in zip(local, steps, sizes.astype(int), strict=False)
+    ]
     return np.concatenate([*runs, local[-1:]])
 
 

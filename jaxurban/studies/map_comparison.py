@@ -172,9 +172,10 @@ class MapComparison(Result):
         """What is compared, how much of it changed at most, and what was left out or made by other settings."""
         facts = {"A": self.names[0], "B": self.names[1]}
         facts |= {name: self.a.facts[name] for name in ("grid", "CRS", "altitudes")}
-        times = []
-        for time_a, time_b in self.times.items():
-            times.append(time_a if time_a == time_b else f"{time_a} of A beside {time_b} of B")
+        times = [
+            time_a if time_a == time_b else f"{time_a} of A beside {time_b} of B"
+            for time_a, time_b in self.times.items()
+        ]
         facts["times"] = ", ".join(times)
         facts["cells changed, at most"] = ", ".join(
             f"{name} {share:.1%}" for name, share in self.most_changed.items()

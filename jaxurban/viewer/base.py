@@ -47,10 +47,8 @@ def base_of(maps: MetricMaps) -> dict[str, Any]:
             lines_of.pop(kind, None)
 
     # Names by kind, and within a kind those with the most room first.
-    names = []
-    for shape, text, kind in zip(shapes, frame["name"], kinds, strict=True):
-        if text:
-            names.append(_name_row(shape, text, kind))
+    named = zip(shapes, frame["name"], kinds, strict=True)
+    names = [_name_row(shape, text, kind) for shape, text, kind in named if text]
     names.sort(key=_name_order)
     flat = {kind: [_whole_metres(line) for line in lines] for kind, lines in lines_of.items()}
     return {"shapes": flat, "names": names[:MOST_NAMES]}

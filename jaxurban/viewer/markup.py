@@ -103,7 +103,7 @@ def costs(parts: Mapping[str, float], labels: Mapping[str, str], colours: Mappin
     )
 
 
-def route_button(planner: str, colour: str, text: str, notes: Iterable[str] = ()) -> str:
+def route_button(planner: str, colour: str, text: str, notes: Iterable[str]) -> str:
     """Return the button that chooses a route: its planner and a text, and below these each note on a line."""
     below = "".join(f"<small>{escape(note)}</small>" for note in notes)
     return f'<button class="jv-route">{dot(colour)}{escape(planner)}<b>{escape(text)}</b>{below}</button>'

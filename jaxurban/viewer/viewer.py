@@ -590,10 +590,11 @@ class Viewer:
         profile += sentences([("note", rules_said(planned.settings))])
 
         # The table of totals.
-        rows = []
-        for name, (label, unit) in TOTALS.items():
-            if name in totals:
-                rows.append((label, f"{number(totals[name])} {unit}"))
+        rows = [
+            (label, f"{number(totals[name])} {unit}")
+            for name, (label, unit) in TOTALS.items()
+            if name in totals
+        ]
         rows += _flight_rows(report, planned)
 
         # The waypoints, and how they differ from the route.

@@ -79,7 +79,7 @@ def facts_of(
     report_facts = {} if report is None else report.to_dict()
     segments = report_facts.pop("segments", [])
     facts = report_facts | route.to_dict()
-    vehicle = Vehicle.of(facts.get("settings", {}))
+    vehicle = Vehicle.of(route.settings)
     if vehicle.speed_m_s is not None:
         facts.setdefault("speed_m_s", vehicle.speed_m_s)
     facts["cautions"] = route.cautions if is_alone else guess_cautions(route.maps)

@@ -78,7 +78,7 @@ def height_note(route: "PlannedPath") -> str:
     )
 
 
-def mission_note(route: "PlannedPath", end: str, roofs: "RoofFences | None" = None) -> str:
+def mission_note(route: "PlannedPath", end: str, roofs: "RoofFences | None") -> str:
     """Return what to know of a ``.plan``: its altitudes, its end and its geofence, in a few sentences."""
     roof_note = "" if roofs is None else roofs.note
     _, zone_note = exclusions(route)
@@ -123,7 +123,7 @@ def to_qgc_plan(
         "groundStation": "QGroundControl",
         # No key of the format: readers leave it alone.
         "note": description_of(facts, mission_note(route, end, roofs)),
-        "settings": facts.get("settings", {}),  # nor is this: what the path was planned under
+        "settings": facts["settings"],  # nor is this: what the path was planned under
         "mission": {
             "version": 2,
             "firmwareType": MAV_AUTOPILOT_PX4,

@@ -76,9 +76,9 @@ def to_geojson(routes: Named, report: "RouteReport | None") -> bytes:
     for name, route in routes:
         facts, segments = facts_of(route, report, is_alone=len(routes) == 1)
         # A GIS takes nested properties for text, so that each number gets a property of its own too.
-        for layer, cost in facts.get("cost_by_layer", {}).items():
+        for layer, cost in facts["cost_by_layer"].items():
             facts[f"cost_{layer}"] = cost
-        for metric, mean in facts.get("metrics", {}).items():
+        for metric, mean in facts["metrics"].items():
             facts[f"mean_{metric}"] = mean
         facts["z_m"] = upward(route.z_m).tolist()
         ground = route.ground
@@ -185,7 +185,7 @@ def write_path(
     file: str | Path,
     report: "RouteReport | None" = None,
     *,
-    names: Sequence[str] | None = None,
+    names: Sequence[str] = ("",),
     end: MissionEnd | None = None,
     roofs: "RoofFences | None" = None,
 ) -> bool:
@@ -198,14 +198,14 @@ def write_path(
       route: from `plan`, or several; a result without a path is left out.
       file: where to; each format needs a call of its own.
       report: from `jaxurban.explain`; its speed becomes the cruise speed of a ``.plan``. Of one path only.
-      names: of several paths, one for each; left out, their numbers from 1 up.
+      names: of several paths, one for each.
       end: how the mission in a ``.plan`` ends: ``"land"`` at the goal (so also if it is left out), ``"return"`` to
         launch as the autopilot does it, or ``"none"``.
       roofs: more exclusion polygons for the geofence of a ``.plan``, from `roof_fences`.
 
     Raises:
-      InputError: another suffix, an end or fences of a format without, several paths in a format of one, names that
-        are not one for each, or a folder that does not exist or cannot be written to.
+      InputError: another suffix, an end or fences of a format without, several paths in a format of one, or a folder
+        that does not exist or cannot be written to.
     """
     # The format.
     file = Path(file)
@@ -215,20 +215,9 @@ def write_path(
         encode = partial(to_qgc_plan, end=one_of("end", end or "land", ENDS), roofs=roofs)
 
     # The paths and their names.
-    routes: list[PlannedPath | None]
-    if isinstance(route, Sequence):
-        routes = list(route)
-        numbers = [str(number) for number in range(1, len(route) + 1)]
-    else:
-        routes = [route]
-        numbers = [""]
-    names = names or numbers
-    if len(names) != len(routes) or isinstance(names, str):
-        raise InputError(f"names must be one for each of the {len(routes)} paths, got {names!r}")
+    routes = route if isinstance(route, Sequence) else [route]
     named = zip(names, routes, strict=True)
     reached = [(name, path) for name, path in named if path and path.status.has_path]
-    if report is not None and len(reached) > 1:
-        raise InputError("a report is of one path: write several paths without it")
     if reached:
         write_whole(file, encode(reached, report))
     return bool(reached)

@@ -341,11 +341,9 @@ def mark_ends(
 
     # A corner is clear of an end that is far from it in one direction at least; two ends leave two corners clear.
     ends = panel.transLimits.transform([[*start_xy_m], [*goal_xy_m]])  # as shares of the panel
-    clear = []
-    for name, corner in CORNERS.items():
-        is_far = (abs(ends - corner) > NEAR).any(axis=1)
-        if is_far.all():
-            clear.append(name)
+    clear = [
+        name for name, corner in CORNERS.items() if (abs(ends - corner) > NEAR).any(axis=1).all()
+    ]
     marks = [mark for mark in panel.artists if isinstance(mark, AnchoredOffsetbox)]
     for mark, name in zip(marks, (clear[0], clear[-1]), strict=False):
         mark.loc = AnchoredOffsetbox.codes[name]
@@ -461,7 +459,7 @@ def rules_said(*settings: Mapping[str, Any]) -> str:
     return joined(*facts)
 
 
-def caveats_said(maps: MetricMaps, of: str | None = None) -> list[str]:
+def caveats_said(maps: MetricMaps, of: str | None) -> list[str]:
     """Return what a reader must know of a map, a sentence each.
 
     Args:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -39,34 +39,23 @@ BARS_SHARE = 0.8  # of the distance between two ranges, which the bars of all pl
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
 
 
-class _Curve(NamedTuple):
-    """What is drawn of one planner at one altitude.
-
-    Attributes:
-      panel: of the altitude.
-      rank: of the planner among all planners, from 0.
-      planner: its name.
-      rows: of the table, those of the planner at the altitude.
-    """
-
-    panel: Axes
-    rank: int
-    planner: str
-    rows: pd.DataFrame
-
-
-def _curves(table: pd.DataFrame, axes: Sequence[Axes], planners: Iterable[str]) -> Iterator[_Curve]:
+def _curves(
+    table: pd.DataFrame, axes: Sequence[Axes], planners: Iterable[str]
+) -> Iterator[tuple[Axes, int, str, pd.DataFrame]]:
     """Yield what is drawn of each planner at each altitude, the lowest altitude first; panels get their titles.
 
     Args:
       table: rows with ``altitude_m`` and ``planner``.
       axes: one panel per altitude.
       planners: their names, in the order of their ranks.
+
+    Yields:
+      The panel of the altitude; the rank of the planner, from 0, and its name; the rows of both.
     """
     for panel, (altitude_m, rows) in zip(axes, table.groupby("altitude_m"), strict=True):
         panel.set_title(f"{altitude_m:g} m")
         for rank, planner in enumerate(planners):
-            yield _Curve(panel, rank, planner, rows[rows.planner == planner])
+            yield panel, rank, planner, rows[rows.planner == planner]
 
 
 @styled
@@ -82,11 +71,11 @@ def plot_success(success: pd.DataFrame) -> Figure:
     figure, axes = panels(success.altitude_m.nunique(), heading, shares_y=True)
     x = np.arange(len(ranges))
     width = BARS_SHARE / len(colours)  # of a bar
-    for curve in _curves(success, axes, colours):
-        share = curve.rows.set_index("range").share_joined.reindex(ranges)
-        look: Look = {"color": colours[curve.planner], "label": curve.planner}
-        curve.panel.bar(x + curve.rank * width, share, width, **look)
-        curve.panel.set_xticks(x + (BARS_SHARE - width) / 2, ranges)  # below the middle of the bars
+    for panel, rank, planner, rows in _curves(success, axes, colours):
+        share = rows.set_index("range").share_joined.reindex(ranges)
+        look: Look = {"color": colours[planner], "label": planner}
+        panel.bar(x + rank * width, share, width, **look)
+        panel.set_xticks(x + (BARS_SHARE - width) / 2, ranges)  # below the middle of the bars
     _show_shares(figure, axes, "joined pairs solved (%)")
     return figure
 
@@ -105,15 +94,15 @@ def plot_costs(table: pd.DataFrame) -> Figure:
     heading = "Share of pairs solved at so many times the cheapest cost known"
     figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True)
     end = float(np.clip(table.ratio.quantile(0.98), *RATIO_AXIS))
-    for curve in _curves(table, axes, colours):
+    for panel, rank, planner, rows in _curves(table, axes, colours):
         # Curves are drawn side by side around their place, so that all are seen where they coincide.
-        lane = (len(colours) - 1) / 2 - curve.rank
-        look: Look = {"color": colours[curve.planner], "label": curve.planner}
+        lane = (len(colours) - 1) / 2 - rank
+        look: Look = {"color": colours[planner], "label": planner}
         look |= {"path_effects": [Beside(lane * CURVES_APART_PT)], "linewidth": 1.4}
-        step_up(curve.panel, curve.rows.ratio.to_numpy(), end, **look)
+        step_up(panel, rows.ratio.to_numpy(), end, **look)
         left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1
-        curve.panel.set(xlim=(left, end), xlabel="cost / cheapest known")
-        curve.panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
+        panel.set(xlim=(left, end), xlabel="cost / cheapest known")
+        panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
     _show_shares(figure, axes, "joined pairs solved at that ratio (%)", lowest=-0.04)
     return figure
 

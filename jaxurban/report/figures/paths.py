@@ -410,9 +410,9 @@ def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:
         mark_ends(panel, path.xy_m[0], path.xy_m[-1])
 
 
-def shortened(name: str, most: int = MOST_LETTERS) -> str:
-    """Return a name of at most so many letters, its end cut off where it is longer."""
-    return name if len(name) <= most else f"{name[: most - 1]}…"
+def shortened(name: str) -> str:
+    """Return a name of at most `MOST_LETTERS` letters, its end cut off where it is longer."""
+    return name if len(name) <= MOST_LETTERS else f"{name[: MOST_LETTERS - 1]}…"
 
 
 def plot_overview(

@@ -12,6 +12,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.explain import RouteReport, explain
+from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
 from jaxurban.report.figures.frame import GUESSED_ROOF_COLOUR, frame_note, joined
@@ -139,8 +140,7 @@ def _draw_heights(
         )
 
     # The flight: legs are measured in the air, as climbs have a length too.
-    moved_m = np.diff(np.column_stack([planned.xy_m, planned.z_m]), axis=0)
-    along_km = np.append(0.0, np.cumsum(np.linalg.norm(moved_m, axis=1))) / 1000
+    along_km = along_of(np.column_stack([planned.xy_m, planned.z_m])) / 1000
     panel.plot(along_km, planned.z_m, color=ALTITUDE_COLOUR, linewidth=1.6, label="flight altitude")
     top_m = max(planned.z_m.max(), profile["roof_m"].max())
     panel.set(ylim=(0, 1.15 * max(top_m, 1.0)), ylabel="height above\nground (m)")

@@ -85,9 +85,8 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
     figure.set_figheight(figure.get_figheight() + ROW_IN * math.ceil(len(labels) / num_cols))
 
     # Names in short: "05" of "GPS BIIF-9 (PRN 05)".
-    names = []
-    for name, state in zip(now["satellite"], now["state"], strict=True):
-        names.append(short_name(name) + MARKS[state])
+    states = zip(now["satellite"], now["state"], strict=True)
+    names = [short_name(name) + MARKS[state] for name, state in states]
     label_apart(panel, names, sky_places(now))
     return figure
 

@@ -257,7 +257,7 @@ def agreement_of(
     every = max(1, len(rows) // MOST_MOVED)
     is_taken = (rows.epoch % every == 0).to_numpy()
     is_moved = is_taken & (rows.is_known.to_numpy() | (not is_guarded))
-    displaced = Displaced.of(settings.num_displaced, settings.seed, int(is_moved.sum()))
+    displaced = Displaced(settings.num_displaced, settings.seed, int(is_moved.sum()))
 
     # How far away from a place a roof, at the largest scale, can still come within the margin of the lowest ray.
     # The columns are filled leg by leg, since the ground around the whole track may not fit into memory.

@@ -4,7 +4,6 @@ Legend: ``R`` rows of a log, an epoch and a satellite each, ``M`` displacements,
 of the track, ``D`` draws of them, the first one each block once.
 """
 
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -24,35 +23,24 @@ NUM_DRAWS = 200  # of blocks, for peaks
 FEWEST_ROWS = 100  # of a score
 
 
-@dataclass(eq=False)
 class Displaced:
     """What rows of a log would be in displaced cities, and under other roofs. Filled leg by leg.
 
     Attributes:
       moves_m: ``[M, 2]`` east and north of each displaced city.
       num_null: how many of them are of the null.
-      num_rows: R.
       is_seen: ``[M, R]`` whether the row is seen there.
       is_out: ``[M, R]`` whether its place is in a building there, or, of the null, its ray unknown.
       of_scale: ``[scales, R]`` whether it is seen under roofs of each of `SCALES`.
     """
 
-    moves_m: np.ndarray
-    num_null: int
-    num_rows: int
-    is_seen: np.ndarray = field(init=False)
-    is_out: np.ndarray = field(init=False)
-    of_scale: np.ndarray = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.is_seen = np.zeros((len(self.moves_m), self.num_rows), bool)
+    def __init__(self, num_null: int, seed: int, num_rows: int) -> None:
+        """Begin with displacements that are still to be filled: those of the null by seed, then those of the field."""
+        self.moves_m = np.concatenate([displacements(num_null, seed), near_by()])
+        self.num_null = num_null
+        self.is_seen = np.zeros((len(self.moves_m), num_rows), bool)
         self.is_out = np.zeros_like(self.is_seen)
-        self.of_scale = np.zeros((len(SCALES), self.num_rows), bool)
-
-    @classmethod
-    def of(cls, num_null: int, seed: int, num_rows: int) -> "Displaced":
-        """Return displacements that are still to be filled: those of the null by seed, then those of the field."""
-        return cls(np.concatenate([displacements(num_null, seed), near_by()]), num_null, num_rows)
+        self.of_scale = np.zeros((len(SCALES), num_rows), bool)
 
     def fill(
         self,

@@ -96,7 +96,7 @@ def find_breakpoints(
     corners: np.ndarray,
     *,
     tolerance: float = EXACT,
-    max_plans: int | None = None,
+    max_plans: float = np.inf,
     on_plans: OnPlans | None = None,
 ) -> Partition:
     """Return the partition of a line or triangle of weights into the cells of its cheapest routes.
@@ -118,9 +118,8 @@ def find_breakpoints(
     # Rounds of searches at all corners of cells that are not verified yet.
     before = pool.num_plans
     growing = _Growing(corners, tolerance)
-    limit = np.inf if max_plans is None else max_plans
     places = growing.unverified()
-    while len(places) and pool.num_plans - before < limit:
+    while len(places) and pool.num_plans - before < max_plans:
         growing.verify(places, pool.cheapest(places @ corners)[:, 0])
         places = growing.unverified()
         if on_plans is not None:
@@ -196,7 +195,7 @@ def pareto_front(
     objectives: Sequence[str],
     *,
     tolerance: float = EXACT,
-    max_plans: int | None = None,
+    max_plans: float = np.inf,
     on_plans: OnPlans | None = None,
 ) -> Partition:
     """Return the routes that are best for some weights of two or three features, such as distance and population.

@@ -68,10 +68,10 @@ def named_sources(sources: Any) -> dict[str, Source]:
         several = sources.values()
     elif isinstance(sources, str | Path | MapsFolder):
         several = [sources]
-    opened = []
-    for source in several:
-        is_opened = isinstance(source, MetricMaps | MapsFolder)
-        opened.append(source if is_opened else MapsFolder(source))
+    opened = [
+        source if isinstance(source, MetricMaps | MapsFolder) else MapsFolder(source)
+        for source in several
+    ]
 
     # The names of the cities, in the same order.
     names = list(map(str, sources)) if isinstance(sources, Mapping) else _folder_names(opened)

@@ -119,11 +119,64 @@ class SensitivityStudySettings(RouteJob):
           >>> row["status"], round(row["cost"], 1), round(row["length_m"])
           ('optimal', 19.3, 286)
         """
-        return [route_facts(cost_map, instance, self)]
+        # The cheapest route, and what it costs.
+        begin_s = time.perf_counter()
+        query, weights = query_of(cost_map, instance)
+        varied = varied_columns(query.names, weights, self.vary)
+        path = astar(query.problem(weights))
+        if not path.status.has_path:
+            return [{"status": path.status.value, "note": path.status.sentence}]
+        features, integrals = query.sums(path.points_m)
+        cost = float(weights @ features)
+        if not cost > 0:
+            raise InputError(
+                "the cheapest route costs nothing, so no weight has a share of its cost: give a weight above 0"
+            )
+        facts = {
+            "status": path.status.value,
+            "note": path.note,
+            "vary": ",".join(varied),
+            "cost": cost,
+        }
+        facts |= {name: float(value) for name, value in outcomes_of(integrals, query.names).items()}
+        for name, share in zip(query.names, weights * features / cost, strict=True):
+            facts[f"elasticity:{name}"] = float(share)
+
+        # How it changes with each weight that varies; the draws of each route have a seed of their own.
+        pool = RoutePool([query], workers=self.num_threads)
+        facts |= _changes(pool, weights, varied, self, cost)
+        if self.num_samples:
+            seed = seed_at(self.seed, int(instance.get(CITY_NUMBER, 0)), int(instance["instance"]))
+            shares = sobol_of_weights(
+                pool,
+                weights,
+                list(varied.values()),
+                self.factors,
+                self.num_samples,
+                seed % 2**31,
+            )
+            for share in shares.reset_index().to_dict("records"):
+                suffix = f"{share['factor']}:{share['outcome']}"
+                facts |= {f"{kind}:{suffix}": float(share[kind]) for kind in OF_SHARE}
+        elapsed_s = time.perf_counter() - begin_s
+        return [facts | {"num_plans": pool.num_plans + 1, "elapsed_s": elapsed_s}]
 
 
 def row_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return the columns of rows with their types; a metric that some maps lack has no number there."""
+    """Return the columns of rows with their types; a metric that some maps lack has no number there.
+
+    For every route: ``status`` and ``note``; ``cost`` and the outcomes (`outcomes_of`) of the cheapest route under the
+    given weights; ``vary``, the weights that vary; ``num_plans`` and ``elapsed_s``. A route that is not found has its
+    status and note alone.
+
+    For each weight: ``elasticity:NAME``, its share of the cost, which is d log cost / d log w.
+
+    For each weight that varies: ``below:NAME`` and ``above:NAME``, the nearest factors at which the route changes (NaN
+    if none is within the range). ``regret_low:NAME`` and ``regret_high:NAME``, by which share a route costs more under
+    the true weights if it is planned with this weight ``wrong`` times too small or too large. ``first:NAME:OUTCOME``
+    and ``total:NAME:OUTCOME``, its Sobol shares of each outcome, with half the width of their 95 % intervals
+    (``first_ci``, ``total_ci``), unless no samples are asked for.
+    """
     names = dict.fromkeys(name for row in rows for name in row)
     types = {"instance": "int64"} | dict.fromkeys(TEXTS, "object")
     return {name: types.get(name, "float64") for name in names}
@@ -139,73 +192,6 @@ def query_of(cost_map: CostMap, instance: Row) -> tuple[RouteQuery, np.ndarray]:
     return query_between(cost_map, start, goal, str(instance["instance"])), weights
 
 
-def route_facts(
-    cost_map: CostMap, instance: Row, settings: SensitivityStudySettings
-) -> dict[str, Any]:
-    """Return what the weights do to one route, as the columns of a row.
-
-    For every route: ``status`` and ``note``; ``cost`` and the outcomes (`outcomes_of`) of the cheapest route under the
-    given weights; ``vary``, the weights that vary; ``num_plans`` and ``elapsed_s``. A route that is not found has its
-    status and note alone.
-
-    For each weight: ``elasticity:NAME``, its share of the cost, which is d log cost / d log w.
-
-    For each weight that varies: ``below:NAME`` and ``above:NAME``, the nearest factors at which the route changes (NaN
-    if none is within the range). ``regret_low:NAME`` and ``regret_high:NAME``, by which share a route costs more under
-    the true weights if it is planned with this weight ``wrong`` times too small or too large. ``first:NAME:OUTCOME``
-    and ``total:NAME:OUTCOME``, its Sobol shares of each outcome, with half the width of their 95 % intervals
-    (``first_ci``, ``total_ci``), unless the settings ask for no samples.
-
-    Args:
-      cost_map: at the instance's altitude and times.
-      instance: ends and weights.
-      settings: of the study.
-
-    Raises:
-      InputError: a place that is not free, both in one cell, or a weight to vary that is 0 or not there.
-    """
-    # The cheapest route, and what it costs.
-    begin_s = time.perf_counter()
-    query, weights = query_of(cost_map, instance)
-    varied = varied_columns(query.names, weights, settings.vary)
-    path = astar(query.problem(weights))
-    if not path.status.has_path:
-        return {"status": path.status.value, "note": path.status.sentence}
-    features, integrals = query.sums(path.points_m)
-    cost = float(weights @ features)
-    if not cost > 0:
-        raise InputError(
-            "the cheapest route costs nothing, so no weight has a share of its cost: give a weight above 0"
-        )
-    facts = {
-        "status": path.status.value,
-        "note": path.note,
-        "vary": ",".join(varied),
-        "cost": cost,
-    }
-    facts |= {name: float(value) for name, value in outcomes_of(integrals, query.names).items()}
-    for name, share in zip(query.names, weights * features / cost, strict=True):
-        facts[f"elasticity:{name}"] = float(share)
-
-    # How it changes with each weight that varies; the draws of each route have a seed of their own.
-    pool = RoutePool([query], workers=settings.num_threads)
-    facts |= _changes(pool, weights, varied, settings, cost)
-    if settings.num_samples:
-        seed = seed_at(settings.seed, int(instance.get(CITY_NUMBER, 0)), int(instance["instance"]))
-        shares = sobol_of_weights(
-            pool,
-            weights,
-            list(varied.values()),
-            settings.factors,
-            settings.num_samples,
-            seed % 2**31,
-        )
-        for share in shares.reset_index().to_dict("records"):
-            suffix = f"{share['factor']}:{share['outcome']}"
-            facts |= {f"{kind}:{suffix}": float(share[kind]) for kind in OF_SHARE}
-    return facts | {"num_plans": pool.num_plans + 1, "elapsed_s": time.perf_counter() - begin_s}
-
-
 def _changes(
     pool: RoutePool,
     weights: np.ndarray,
@@ -215,7 +201,7 @@ def _changes(
 ) -> dict[str, float]:
     """Return the breakpoints of the weights that vary, and the regrets of wrong weights, as columns of a row.
 
-    They are ``below``, ``above``, ``regret_low`` and ``regret_high`` of each weight (see `route_facts`).
+    They are ``below``, ``above``, ``regret_low`` and ``regret_high`` of each weight (see `row_columns`).
 
     Args:
       pool: of the route's query; routes that searches find join it.
