@@ -384,7 +384,9 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
     levels = None
     altitudes_m = np.array([planned.altitude_m])
     if "levels_m" in settings:
-        levels = Levels(climb_cost=settings["climb_cost"], descent_cost=settings["descent_cost"])
+        levels = Levels(
+            climb_cost=settings.get("climb_cost"), descent_cost=settings.get("descent_cost", 0.0)
+        )
         levels_m = np.asarray(settings["levels_m"], float)
         altitudes_m = levels_m[(levels_m >= planned.z_m.min()) & (levels_m <= planned.z_m.max())]
     cost_map = map_at(

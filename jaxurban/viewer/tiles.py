@@ -51,7 +51,7 @@ def tile_bytes(values: np.ndarray, stride: int, row: int, col: int) -> bytes:
     num_rows, num_cols = values.shape
     rows = middles(num_rows, stride)[row * TILE :][:TILE]
     cols = middles(num_cols, stride)[col * TILE :][:TILE]
-    if not (rows.size and cols.size):
+    if min(row, col) < 0 or not (rows.size and cols.size):
         raise InputError(
             f"there is no tile {row}, {col} at stride {stride}: tiles are numbered from 0"
         )
