@@ -103,22 +103,19 @@ class City(FactsRepr):
 
         The box in which most buildings stand is empty where it is not much smaller than the region.
         """
-        region_m = self._region_m
+        region_m = self.extent_m if self.bounds is None else box_of(self.bounds, self.crs)
         x_min, y_min, x_max, y_max = region_m
         buildings = "a height raster"
         main = None
         if self.buildings is not None:
-            is_inside = shapely.intersects(self.buildings.polygons, shapely.box(*region_m))
-            num_inside = int(is_inside.sum())
+            num_inside = int(self.buildings.touches(region_m).sum())
             num_around = len(self.buildings) - num_inside
             buildings = f"{num_inside:,}"
             if num_around:
                 buildings += f", and {num_around:,} around"
             extent = self.bounds or transformer(self.crs, WGS84).transform_bounds(*region_m)
             main = main_bounds(self.buildings.polygons, self.crs, extent)
-        inside = self.structures and self.structures.take(
-            shapely.intersects(self.structures.polygons, shapely.box(*region_m))
-        )
+        inside = self.structures and self.structures.inside(region_m)
         left_out: dict[str, int] = {reason: self.read_issues.get(reason, 0) for reason in LEFT_OUT}
         return {
             "CRS": self.crs,
@@ -136,13 +133,6 @@ class City(FactsRepr):
     def known_cautions(self) -> list[Caution]:
         """That it rests on ``guesses``."""
         return caution_of_guesses(self.guesses)
-
-    @property
-    def _region_m(self) -> Bounds:
-        """The box that the city was read for; of one that was not, what its source covers."""
-        if self.bounds is None:
-            return self.extent_m
-        return box_of(self.bounds, self.crs)
 
     @property
     def known_extent_m(self) -> Bounds:

@@ -90,7 +90,7 @@ def _hanging_guesses(city: City, region: Grid) -> Guesses:
     if city.standing is None or city.hanging != SLABS:
         return {}
     hanging = city.standing.take(city.standing.min_height_m > 0)
-    number = int(shapely.intersects(hanging.polygons, shapely.box(*region.bounds_m)).sum())
+    number = int(hanging.touches(region.bounds_m).sum())
     if not number:
         return {}
     return {

@@ -29,10 +29,10 @@ def outlines_of(maps: MetricMaps, standing: Footprints | None) -> bytes:
     if standing is None:
         polygons, height_m, is_guessed = _from_roofs(maps)
     else:
-        is_inside = shapely.intersects(standing.polygons, shapely.box(*maps.grid.bounds_m))
-        polygons = shapely.simplify(standing.polygons[is_inside], TOLERANCE_M)
-        height_m = standing.height_m[is_inside]
-        is_guessed = standing.is_guessed[is_inside]
+        inside = standing.inside(maps.grid.bounds_m)
+        polygons = shapely.simplify(inside.polygons, TOLERANCE_M)
+        height_m = inside.height_m
+        is_guessed = inside.is_guessed
 
     # The largest ones, in their order.
     order = np.argsort(-shapely.area(polygons), kind="stable")

@@ -6,7 +6,6 @@ from enum import IntEnum
 import numpy as np
 import shapely
 
-from jaxurban.world.grid import Bounds
 from jaxurban.world.rows import Rows
 
 OTHER_DISTRICT = 13  # the paper's label for every block that no district claims
@@ -44,7 +43,3 @@ class Blocks(Rows):
     def area_m2(self) -> np.ndarray:
         """Area of each block in the projected CRS, ``[N]``."""
         return shapely.area(self.polygons)
-
-    def touches(self, bounds_m: Bounds) -> np.ndarray:
-        """Return ``[N]`` bool: which blocks touch the box x_min, y_min, x_max, y_max of the CRS."""
-        return shapely.intersects(self.polygons, shapely.box(*bounds_m))

@@ -4,10 +4,12 @@ Nothing is computed from it. It is read from OpenStreetMap files, and from GeoPa
 """
 
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import osmium
+import pandas as pd
 import shapely
 from osmium.filter import KeyFilter
 
@@ -30,15 +32,13 @@ from jaxurban.world.land_cover import LandCover
 
 # In the order in which they are drawn.
 KINDS = ("water", "park", "path", "street", "major", "rail", "place")
-CLASSES = {  # of the tag `highway`; "_link" counts as what it links
-    **dict.fromkeys(("motorway", "trunk", "primary", "secondary"), "major"),
-    **dict.fromkeys(
-        ("tertiary", "unclassified", "residential", "living_street", "pedestrian", "road"), "street"
-    ),
-    **dict.fromkeys(
-        ("service", "footway", "path", "cycleway", "steps", "track", "bridleway"), "path"
-    ),
+_CLASSES = {
+    "major": "motorway trunk primary secondary",
+    "street": "tertiary unclassified residential living_street pedestrian road",
+    "path": "service footway path cycleway steps track bridleway",
 }
+# Of the tag `highway`; "_link" counts as what it links.
+CLASSES = {value: kind for kind, values in _CLASSES.items() for value in values.split()}
 # Of `footway` and `service`.
 BESIDE_STREETS = ("sidewalk", "crossing", "parking_aisle", "driveway", "drive-through")
 RAILS = ("rail", "light_rail", "subway", "tram", "narrow_gauge", "monorail", "funicular")
@@ -167,30 +167,24 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
     to_wkb = osmium.geom.WKBFactory()
     with plain_osm(path, "fetch it again") as plain:
         rows, coast = areas_and_coast(plain)
+        item: Any
         for item in open_osm(plain).with_filter(KeyFilter("highway", "railway", "place")):
-            if not isinstance(item, osmium.osm.Node | osmium.osm.Way):
-                continue
             kind = _kind_of(item)
             name = item.tags.get("name") or ""
-            if isinstance(item, osmium.osm.Node) and kind == "place" and name:
+            if item.is_node() and kind == "place" and name:
                 rows.append((kind, name, to_wkb.create_point(item)))
-            elif isinstance(item, osmium.osm.Way) and kind not in ("", "place"):
+            elif item.is_way() and kind not in ("", "place"):
                 rows += [(kind, name, line.wkb_hex) for line in runs_of(item)]
 
     # The features near the box and the sea, joined by kind and name.
-    kinds = [kind for kind, _, _ in rows]
-    names = [name for _, name, _ in rows]
-    shapes = [shape for _, _, shape in rows]
+    table = pd.DataFrame(rows, columns=["kind", "name", "shape"])
+    shapes = projected(list(shapely.from_wkb(table.pop("shape").to_numpy(object))), crs)
     box = shapely.box(*bounds_m)
-    frame = gpd.GeoDataFrame(
-        {"kind": kinds, "name": names},
-        geometry=projected(list(shapely.from_wkb(shapes)), crs),
-        crs=crs,
-    )
+    frame = gpd.GeoDataFrame(table, geometry=shapes, crs=crs)
     frame = frame[shapely.intersects(frame.geometry.to_numpy(), box)]
     wet = sea(list(projected(coast, crs)), box)
     if not wet.is_empty:
-        frame.loc[len(kinds)] = ["water", "", wet]
+        frame.loc[len(rows)] = ["water", "", wet]
     frame = frame.dissolve(["kind", "name"], as_index=False)[["kind", "name", "geometry"]]
 
     # Valid areas and lines in one piece, simplified.

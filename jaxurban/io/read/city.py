@@ -189,7 +189,7 @@ def _check_has_building(
       box_m: x_min, y_min, x_max, y_max of the region in the city's CRS.
     """
     if source.buildings is not None:
-        if shapely.intersects(source.buildings.polygons, shapely.box(*box_m)).any():
+        if source.buildings.touches(box_m).any():
             return
     elif source.roofs is not None and (source.roofs.values > 0).any():
         return

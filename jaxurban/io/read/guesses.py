@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import shapely
 
 from jaxurban import settings
 from jaxurban.errors import GuessWarning, warn
@@ -65,8 +64,7 @@ def share_guess(share: float, name: str, sentence: str, least: float = LEAST_SHA
 
 def guessed_share(buildings: Footprints, bounds_m: Bounds) -> float:
     """Return the share of the buildings in a box whose height is guessed, 0 without a building."""
-    is_inside = shapely.intersects(buildings.polygons, shapely.box(*bounds_m))
-    is_guessed = buildings.is_guessed[is_inside]
+    is_guessed = buildings.inside(bounds_m).is_guessed
     return float(is_guessed.mean()) if is_guessed.size else 0.0
 
 
@@ -85,7 +83,7 @@ def height_guesses(
     """
     if buildings is None:
         return {}
-    inside = buildings.take(shapely.intersects(buildings.polygons, shapely.box(*bounds_m)))
+    inside = buildings.inside(bounds_m)
     numbers = vars(file) | {"layer_clearance_m": LAYER_CLEARANCE_M}
     counts = {words: int((inside.origin == origin).sum()) for origin, words in GUESSED_BY.items()}
     kinds = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
@@ -117,8 +115,7 @@ def structure_guesses(
     """
     if structures is None:
         return {}
-    is_inside = shapely.intersects(structures.polygons, shapely.box(*bounds_m))
-    unknown = structures.take(is_inside & structures.is_guessed)
+    unknown = structures.take(structures.touches(bounds_m) & structures.is_guessed)
     kinds = listed_counts(Counter(unknown.kinds))
     not_read = listed_counts({reason: issues.get(reason, 0) for reason in NOT_READ})
     guesses = {}

@@ -42,7 +42,7 @@ OF_OTHERS = (
     *("generator:source", "generator:method"),
     *(f"{life}:{key}" for life in NOT_BUILT for key in KINDS),
 )
-TAGS = dict.fromkeys((*OF_BUILDINGS, *MAYBE, *OF_OTHERS))
+TAGS = {*OF_BUILDINGS, *MAYBE, *OF_OTHERS}
 Key = tuple[str, int]  # "n", "w" or "r", and an id
 OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
@@ -106,19 +106,19 @@ def _read(path: str | Path) -> Outlines:
 
     item: Any
     for item in processor:
-        kind, number = item.type_str(), item.id
-        if kind == "a":
-            kind, number = "w" if item.from_way() else "r", item.orig_id()
-            areas.add((kind, number))
+        key = item.type_str(), item.id
+        if item.is_area():
+            key = "w" if item.from_way() else "r", item.orig_id()
+            areas.add(key)
             if item.num_rings()[0] > 0:
-                shapes[kind, number] = to_wkb.create_multipolygon(item)
-        elif kind == "n":
-            shapes[kind, number] = to_wkb.create_point(item)
-        elif kind == "w":
+                shapes[key] = to_wkb.create_multipolygon(item)
+        elif item.is_node():
+            shapes[key] = to_wkb.create_point(item)
+        elif item.is_way():
             if item.is_closed():  # its area has its tags
-                closed.add((kind, number))
+                closed.add(key)
                 continue
-            open_ways.add((kind, number))
+            open_ways.add(key)
             keep_line(item)
         else:
             of_type = item.tags.get("type")
@@ -126,13 +126,15 @@ def _read(path: str | Path) -> Outlines:
                 members = [(each.type, each.ref) for each in item.members]
                 outer = [(each.type, each.ref) for each in item.members if each.role in _OUTER]
                 of_members |= dict.fromkeys(outer or members, _tags_of(item))
-            may_stand = _may_stand(item.tags)
-            is_bare = len(item.tags) == 1  # it may be the outline in a relation of a building
-            if of_type in _AREA_RELATIONS and (may_stand or is_bare):
-                ways_of[kind, number] = _ways_of(item)
-            if of_type not in _AREA_RELATIONS or not may_stand:
+            if of_type not in _AREA_RELATIONS:
                 continue
-        tags[kind, number] = _tags_of(item)
+            may_stand = _may_stand(item.tags)
+            # A bare one may be the outline in a relation of a building.
+            if may_stand or len(item.tags) == 1:
+                ways_of[key] = _ways_of(item)
+            if not may_stand:
+                continue
+        tags[key] = _tags_of(item)
 
     # The lines of what else is no area. An `IdFilter` of them would take 4 MiB for each range of ids.
     lost = closed - areas
@@ -292,12 +294,11 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
     """
     # The member ways of a building relation need not bear the tag themselves.
     file = _file(source)
-    of_relations = osmium.FileProcessor(file, osmium.osm.RELATION)
+    of_relations: Any = osmium.FileProcessor(file, osmium.osm.RELATION)
     ways_of = {
         relation.id: {*_ways_of(relation)}
         for relation in of_relations.with_filter(MAY_STAND_OR_TYPE)
-        if isinstance(relation, osmium.osm.Relation)
-        and (relation.tags.get("type") == BUILDING or _may_stand(relation.tags))
+        if relation.tags.get("type") == BUILDING or _may_stand(relation.tags)
     }
     members = set[int]().union(*ways_of.values())
     near = {item.id for item in _in_box(file, IdFilter(members), box) if item.is_way()}
@@ -311,9 +312,7 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
             writer.add(relation)
 
 
-def _in_box(
-    file: osmium.io.File, chosen: IdFilter | KeyFilter, box: Bounds
-) -> Iterator[osmium.osm.Node | osmium.osm.Way]:
+def _in_box(file: osmium.io.File, chosen: IdFilter | KeyFilter, box: Bounds) -> Iterator[Any]:
     """Yield the nodes and ways of a file that pass a filter and lie or have a node in a box.
 
     Args:
@@ -323,12 +322,12 @@ def _in_box(
     """
     west, south, east, north = box
     processor = osmium.FileProcessor(file, osmium.osm.NODE | osmium.osm.WAY).with_locations()
+    item: Any
     for item in processor.with_filter(chosen):
-        if isinstance(item, osmium.osm.Node | osmium.osm.Way):
-            nodes = item.nodes if isinstance(item, osmium.osm.Way) else [item]
-            places = (node.location for node in nodes if node.location.valid())
-            if any(west <= place.lon <= east and south <= place.lat <= north for place in places):
-                yield item
+        nodes = item.nodes if item.is_way() else [item]
+        places = (node.location for node in nodes if node.location.valid())
+        if any(west <= place.lon <= east and south <= place.lat <= north for place in places):
+            yield item
 
 
 def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
@@ -374,15 +373,12 @@ def areas_and_coast(
     coast = []
     to_wkb = osmium.geom.WKBFactory()
     areas = TagFilter(*WATER, *PARK)
+    item: Any
     for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):
-        if (
-            isinstance(item, osmium.osm.Area)
-            and item.num_rings()[0]
-            and has_tag(item, WATER + PARK)
-        ):
+        if item.is_area() and item.num_rings()[0] and has_tag(item, WATER + PARK):
             kind = "water" if has_tag(item, WATER) else "park"
             rows.append((kind, item.tags.get("name") or "", to_wkb.create_multipolygon(item)))
-        elif isinstance(item, osmium.osm.Way) and has_tag(item, (COAST,)):
+        elif item.is_way() and has_tag(item, (COAST,)):
             coast += runs_of(item)
     return rows, coast
 
