@@ -40,6 +40,7 @@ from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bulk import solve_batched
 from jaxurban.report.figures import plot_paths
+from jaxurban.settings import PlannerName
 
 ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("shinjuku")
@@ -47,7 +48,14 @@ maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(30.0,))
 weighted = ju.cost_map(maps, 30.0)
 x_m, y_m = maps.grid.x_m, maps.grid.y_m
 ends = ju.XY(x_m[20], y_m[25]), ju.XY(x_m[175], y_m[170])
-planners = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus", "theta-star")
+planners: tuple[PlannerName, ...] = (
+    "ptp",
+    "astar-dist",
+    "astar-plus",
+    "bitstar-dist",
+    "bitstar-plus",
+    "theta-star",
+)
 paths = {name: weighted.plan(*ends, planner=name, budget_s=2.0, snap=True) for name in planners}
 
 # %% [markdown]

@@ -54,7 +54,7 @@ def plot_routes(
     planned: Sequence[Demonstration],
     cost_map: CostMap,
     weights: np.ndarray,
-    given: str,
+    given: str = "demonstration",
 ) -> Figure:
     """Return a map of the cost under weights with the demonstrations on it and the routes that the weights lead to.
 
