@@ -56,7 +56,9 @@ planners: tuple[PlannerName, ...] = (
     "bitstar-plus",
     "theta-star",
 )
-paths = {name: weighted.plan(*ends, planner=name, budget_s=2.0, snap=True) for name in planners}
+paths: dict[str, ju.PlannedPath] = {
+    name: weighted.plan(*ends, planner=name, budget_s=2.0, snap=True) for name in planners
+}
 
 # %% [markdown]
 # `optimal` means proven, **on this planner's own graph**: A\* knows the eight directions of the grid only, so BIT\* and
