@@ -344,7 +344,11 @@ def test_a_thousand_places_of_a_city_are_seen(name):
     x_m = rng.uniform(grid.x_min_m, grid.x_max_m, 1000)
     y_m = rng.uniform(grid.y_min_m, grid.y_max_m, 1000)
     places = [ju.XY(*xy) for xy in zip(x_m.tolist(), y_m.tolist(), strict=True)]
-    assert len(ju.sky_along(sample(name), places, 20.0).table) == 1000
+    table = ju.sky_along(sample(name), places, 20.0).table
+    assert len(table) == 1000
+    # Directions are those from the middle of the places.
+    few = ju.sky_along(sample(name), places[:5], 20.0).table
+    pd.testing.assert_frame_equal(table.head(5), few, rtol=1e-3)
 
 
 def test_rays_are_followed_in_parts_and_too_many_are_refused_with_their_number(monkeypatch):
