@@ -16,6 +16,7 @@ answering = $(shell for version in $(1); do for python in python$$version "env P
   done; done)
 NEWEST_PYTHON = $(call answering,3.14 3.13 3.12)
 OLDEST_PYTHON = $(call answering,$(FLOOR))
+EVERY ?= 1
 FLOOR := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
 
 .PHONY: demo test test-newest renew-newest test-oldest test-slow test-docs lint wheel placeholders notebooks figures figures-small bench bench-gpu cuda-compile docs clean
@@ -27,10 +28,10 @@ demo: $(VENV)/.run
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-# The same tests with the packages that were the newest at the last `make renew-newest`.
+# The same tests with the packages that were the newest at the last `make renew-newest`; with EVERY=3 a third of them.
 test-newest:
 	@$(if $(NEWEST_PYTHON),$(MAKE) $(NEWEST)/.dev,echo "make test-newest is skipped: no Python 3.12 to 3.14 answers")
-	@if [ -e $(NEWEST)/.dev ]; then $(NEWEST)/bin/python -m pytest -n 2 --dist loadfile; fi
+	@if [ -e $(NEWEST)/.dev ]; then $(NEWEST)/bin/python -m pytest -n 2 --dist loadfile --every $(EVERY); fi
 
 renew-newest:
 	rm -rf $(NEWEST)
@@ -43,7 +44,7 @@ renew-newest:
 test-oldest:
 	@$(if $(OLDEST_PYTHON),$(MAKE) $(OLDEST)/.dev,echo "make test-oldest is skipped: no Python $(FLOOR) answers")
 	@if [ -e $(OLDEST)/.dev ]; then PYTHONWARNINGS=ignore::DeprecationWarning $(OLDEST)/bin/python -m pytest -n 2 \
-	  --dist loadfile -W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning; fi
+	  --dist loadfile --every $(EVERY) -W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning; fi
 
 # All tests that are marked slow, by the marker alone: tests/test_repository.py holds that `.ci/run` runs each.
 test-slow: $(VENV)/.dev

@@ -4,6 +4,7 @@ import logging
 import os
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,24 @@ def data_dir() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"real data not found at {DATA}: set JAXURBAN_DATA")
     return DATA
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--every", type=int, default=1, help="run one test in so many of each file")
+
+
+@pytest.hookimpl(trylast=True)  # after those of other marks are left out
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keep one test in so many of each file, its first among them, where ``--every`` says so."""
+    num_before: Counter[Path] = Counter()
+    kept, left_out = [], []
+    for item in items:
+        is_kept = num_before[item.path] % config.option.every == 0
+        (kept if is_kept else left_out).append(item)
+        num_before[item.path] += 1
+    if left_out:
+        items[:] = kept
+        config.hook.pytest_deselected(items=left_out)
 
 
 def pytest_configure(config: pytest.Config) -> None:

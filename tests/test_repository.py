@@ -28,7 +28,7 @@ def test_the_marker_slow_alone_parts_the_tests_that_make_test_runs_from_those_of
     assert "-m 'not slow and not gpu'" in OPTIONS["addopts"]
     assert {marker.split(":")[0] for marker in OPTIONS["markers"]} == {"slow", "gpu", "data"}
     assert pytest_arguments("test") == "-n 2 --dist loadfile"
-    assert pytest_arguments("test-newest") == "-n 2 --dist loadfile; fi"
+    assert pytest_arguments("test-newest") == "-n 2 --dist loadfile --every $(EVERY); fi"
     assert pytest_arguments("test-slow") == "-n 2 --dist loadfile -m slow"
 
 
