@@ -159,7 +159,7 @@ def test_who_holds_no_certificate_of_the_run_does_not_reach_its_workers():
         with pytest.raises(OSError, match=r"127\.0\.0\.1"):
             Client(address.replace("tls", "tcp"), timeout=2)
         with pytest.raises(OSError, match="TLS certificate does not match"):
-            Client(address, security=Security.temporary(), timeout=2)
+            Client(address, security=Security.temporary(), timeout=30)
 
 
 def test_a_worker_killed_while_it_starts_is_one_sentence():

@@ -269,17 +269,15 @@ def peak_of(*arguments) -> tuple[str, int]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("cell_m", "range_m", "threshold_m", "terrain", "times"),
+    ("cell_m", "range_m", "threshold_m", "terrain"),
     [
-        (0.4, 100, 50, "", 2.0),
-        (0.2, 40, 10, "", 2.0),
-        (0.1, 30, 10, "", 2.0),
-        (0.4, 100, 10, '[terrain]\nsource = "hills.tif"\n', 1.6),
-        (0.2, 100, 10, '[terrain]\nsource = "hills.tif"\n', 1.6),
+        (0.4, 100, 50, ""),
+        (0.1, 30, 10, ""),
+        (0.2, 100, 10, '[terrain]\nsource = "hills.tif"\n'),
     ],
 )
 def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(
-    tmp_path, cell_m, range_m, threshold_m, terrain, times
+    tmp_path, cell_m, range_m, threshold_m, terrain
 ):
     """On the yard of a tower, whose walls the lidar sees."""
     (tmp_path / "fine.toml").write_text(
@@ -299,7 +297,7 @@ def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(
     said, peak = peak_of("maps", tmp_path / "fine.toml", "-o", tmp_path / "out")
     told = parse_bytes(re.search(r"about ([\d.]+ [GM]iB) of memory at most", said)[1])
     assert peak < told + 0.05 * GIB  # told to a tenth
-    assert told < times * peak
+    assert told < 2 * peak
 
 
 @pytest.mark.slow
