@@ -1,6 +1,6 @@
 """Mistakes of users' scripts, one on each marked line: type checkers are to find them (tests/test_types.py).
 
-Nothing imports or runs this file. The two calls whose mistake is the text of a name (a planner, a metric) may pass.
+Nothing imports or runs this file. The names of metrics are an open set: that call may pass.
 """
 
 import jaxurban as ju
@@ -32,6 +32,20 @@ ju.City.from_files("town.osm", bounds="-74.02,40.70,-73.98,40.73")  # wrong: tex
 ju.fit.fit_weights(demonstrations, loss="robust")  # wrong: removed option
 ju.studies.sensitivity(maps, start, goal)  # wrong: maps for a cost map
 ju.grad.map_inputs(city, maps.grid, altitudes_m=60.0)  # wrong: number for a tuple
+
+# Names of closed sets
+ju.plan(maps, start, goal, altitude_m=60.0, heuristic="euclid")  # wrong: unknown heuristic
+ju.plan(maps, start, goal, altitude_m=60.0, objective="shortest")  # wrong: unknown objective
+ju.plan(maps, start, goal, altitude_m=60.0, cost_model="lines")  # wrong: unknown cost model
+ju.plan(maps, start, goal, altitude_m=60.0, preset="papers")  # wrong: unknown preset
+ju.CostModel(diagonal="both_free")  # wrong: unknown rule of diagonals
+ju.sample_city("shinjyuku")  # wrong: misspelt sample
+path.save("mission.plan", end="rtl")  # wrong: unknown end
+ju.studies.Study(planners=("rrt",))  # wrong: unknown planner
+ju.sky(city, start, 20.0, by="rays")  # wrong: unknown engine
+ju.open_maps("out/manhattan", obstacles="center")  # wrong: unknown rule of obstacles
+ju.Buildings("town.osm", hanging="slab")  # wrong: unknown kind of hanging
+ju.Gps(series="epoch")  # wrong: unknown series
 
 # Sections
 ju.Gps(weighting="elevation")  # wrong: removed option
