@@ -20,8 +20,9 @@ from skyfield.api import load
 from jaxurban.io.geoparquet import write_geoparquet
 from jaxurban.io.read.base_map import read_base_map, write_base_map
 from jaxurban.io.read.census import read_blocks, read_districts
+from jaxurban.io.read.land_cover import projected
 from jaxurban.io.read.nominal import GPS, MARK, Constellation, nominal_satellites
-from jaxurban.io.read.osm import OSM_CREDIT, header_box, projected, read_osm
+from jaxurban.io.read.osm import OSM_CREDIT, header_box, read_osm
 from jaxurban.io.samples import BASE_MAP_FILE, BUILDINGS_FILE, HOME, LOG_FILE, SAMPLES
 from jaxurban.metrics.population import Population
 from jaxurban.studies.receiver.logs import read_receiver_log

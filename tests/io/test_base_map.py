@@ -6,7 +6,7 @@ import shapely
 import jaxurban as ju
 from jaxurban.io.files import digest_of
 from jaxurban.io.read.base_map import read_base_map
-from jaxurban.io.read.osm import read_land_cover
+from jaxurban.io.read.land_cover import read_land_cover
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.studies.montecarlo.study import land_cover_of

@@ -6,7 +6,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.io.read.city import area_of_outlines, area_of_raster
-from jaxurban.io.read.osm import read_land_cover, sea
+from jaxurban.io.read.land_cover import read_land_cover, sea
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.guesses import leaving_shares, outside_share
 from jaxurban.studies.montecarlo.study import land_cover_of

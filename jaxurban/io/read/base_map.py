@@ -15,15 +15,8 @@ from osmium.filter import KeyFilter
 
 from jaxurban.errors import readable
 from jaxurban.io.geoparquet import facts_of, write_geoparquet
-from jaxurban.io.read.osm import (
-    OSM_CREDIT,
-    areas_and_coast,
-    is_osm,
-    open_osm,
-    projected,
-    runs_of,
-    sea,
-)
+from jaxurban.io.read.land_cover import areas_and_coast, projected, runs_of, sea
+from jaxurban.io.read.osm import OSM_CREDIT, is_osm, open_osm
 from jaxurban.io.read.osm_plain import plain_osm
 from jaxurban.io.samples import BASE_MAP_FILE, is_sample, located
 from jaxurban.io.workspace import Workspace
@@ -91,7 +84,7 @@ def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFr
       water and parks, lines, points of places. ``attrs`` hold ``credit`` and ``licence``.
 
     Warns:
-      UserWarning: the lines of a coast have a gap (see `jaxurban.io.read.osm.sea`).
+      UserWarning: the lines of a coast have a gap (see `jaxurban.io.read.land_cover.sea`).
 
     Raises:
       InputError: the file cannot be read.

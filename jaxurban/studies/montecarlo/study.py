@@ -10,7 +10,8 @@ import pandas as pd
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.base_map import base_map_source, land_cover_in
-from jaxurban.io.read.osm import is_osm, read_land_cover
+from jaxurban.io.read.land_cover import read_land_cover
+from jaxurban.io.read.osm import is_osm
 from jaxurban.io.results import Result
 from jaxurban.io.samples import is_sample
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, records_of, write_table
