@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,27 @@ def data_dir() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"real data not found at {DATA}: set JAXURBAN_DATA")
     return DATA
+
+
+@pytest.fixture(scope="module")
+def blank_pictures() -> Iterator[None]:
+    """Reports have a small blank figure in the place of each picture: for tests of files, not of pictures."""
+    from matplotlib.figure import Figure
+
+    from jaxurban.report import write
+
+    save = write.save
+
+    def save_blank(folder: str | Path, outputs: write.Outputs) -> list[Path]:
+        blank = {
+            name: (lambda: Figure((1.0, 1.0))) if name.endswith(write.PICTURES) else output
+            for name, output in outputs.items()
+        }
+        return save(folder, blank)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(write, "save", save_blank)
+        yield
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -29,6 +29,7 @@ pytestmark = [
     pytest.mark.filterwarnings(f"ignore::jaxurban.errors.{each}")
     for each in ("GuessWarning", "OtherSettingsWarning", "SkippedRouteWarning")
 ]
+pytestmark.append(pytest.mark.usefixtures("blank_pictures"))
 TWO_SYSTEMS = ("sample:shinjuku/gps.tle", "sample:shinjuku/galileo.tle")
 TOKYO = {"orbits": TWO_SYSTEMS, "times": "2018-12-19T03:00:00Z"}
 SERIES = {"start": "2020-04-27T16:00:00Z", "stop": "2020-04-27T18:00:00Z", "step_s": 3600}

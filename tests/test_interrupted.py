@@ -55,6 +55,7 @@ MEASURED = ("elapsed_s", "setup_s", "search")  # columns of tables that no two r
 RECORDS = ("run.json", "checksums.json")  # which name times, and sums of what was measured
 MASKS = ("60", "50")
 MINE = b"the user's words"
+pytestmark = pytest.mark.usefixtures("blank_pictures")
 
 
 def maps(folder: Path) -> None:

@@ -69,13 +69,14 @@ OF_THEIR_OWN = [
 ]  # folders that they share with none
 PLANTED = "the user's words"
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:Object at"
-)  # Zarr's own, of files that it does not know
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:Object at"),  # Zarr's own, of files that it does not know
+    pytest.mark.usefixtures("blank_pictures"),
+]
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory) -> Path:
+def place(tmp_path_factory, blank_pictures) -> Path:
     """Return a folder with a scenario, its maps, and what each command makes of them."""
     folder = tmp_path_factory.mktemp("place")
     (folder / "town.toml").write_text(SCENARIO)
