@@ -11,7 +11,10 @@ from tests import faults
 from tests.kept_outputs import __main__ as net
 
 
-@pytest.mark.parametrize("scene", net.SCENES)
+@pytest.mark.parametrize(
+    "scene",
+    [pytest.param(each, marks=[pytest.mark.slow] * (each != "town")) for each in net.SCENES],
+)
 def test_maps_routes_studies_and_fits_are_what_is_kept(scene, tmp_path):
     assert [row for row in net.compared(scene, tmp_path) if not row.is_same] == [], net.RENEWING
 

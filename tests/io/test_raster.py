@@ -288,6 +288,7 @@ def test_a_surface_needs_terrain_and_one_that_goes_with_it():
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_gothenburgs_surface_is_refused_and_less_its_terrain_gives_a_city(data_dir):
     surface, terrain = (data_dir / "raster" / f"gothenburg_{kind}.tif" for kind in ("dsm", "dem"))
     options = {"bounds": (11.962, 57.7063, 11.9652, 57.708), "crs": "EPSG:3007"}

@@ -138,6 +138,7 @@ def test_each_cell_has_its_metric_colour_at_its_place(maps):
         ]
 
 
+@pytest.mark.slow
 def test_pictures_say_what_they_show():
     maps = make_maps()
     maps.ds.attrs["risk_threshold_m"] = 50.0
@@ -479,14 +480,9 @@ def all_figures(maps):
 
 @pytest.mark.parametrize(
     ("rows", "cols"),
-    [
-        (34, 40),
-        *(
-            pytest.param(*shape, marks=pytest.mark.slow)
-            for shape in ((20, 60), (90, 12), (51, 39), (100, 50))
-        ),
-    ],
+    [(34, 40), (20, 60), (90, 12)],
 )
+@pytest.mark.slow
 def test_no_label_is_cut_and_no_two_overlap(rows, cols):
     for figure in all_figures(make_maps(rows, cols, has_all_data=False)):
         assert figure.get_figheight() < 11
@@ -578,10 +574,11 @@ def without_a_building(maps: MetricMaps) -> None:
     ("empty", "picture", "text"),
     [
         (without_a_value, "obstacle", "no data"),
-        pytest.param(without_a_free_cell, "risk", "no free cell", marks=pytest.mark.slow),
-        pytest.param(without_a_building, "risk", "", marks=pytest.mark.slow),
+        (without_a_free_cell, "risk", "no free cell"),
+        (without_a_building, "risk", ""),
     ],
 )
+@pytest.mark.slow
 def test_maps_without_a_value_a_free_cell_or_a_building_are_drawn(empty, picture, text):
     maps = make_maps()
     empty(maps)

@@ -50,7 +50,9 @@ def covered(panel, boxes, marks: np.ndarray) -> list[str]:
 @pytest.mark.skipif(
     version_info < (3, 11), reason="Matplotlib before 3.11 lets a polar panel's title meet its N"
 )
-@pytest.mark.parametrize(("num", "name"), [(45, "G{:02}"), (45, "STARLINK-{:04}")])
+@pytest.mark.parametrize(
+    ("num", "name"), [(45, "G{:02}"), pytest.param(45, "STARLINK-{:04}", marks=pytest.mark.slow)]
+)
 def test_pictures_beside_a_receiver_can_be_read(num, name):
     of = agreement(num, name)
     pictures = {key: draw() for key, draw in satellite_figures(found(), of).items()}
@@ -70,7 +72,10 @@ def here() -> SkyAt:
 
 
 @pytest.mark.parametrize("width", ["page", "column"])
-@pytest.mark.parametrize(("num", "name"), [(9, "GPS slot A{}"), (72, "GPS BIIF-9 (PRN {:02})")])
+@pytest.mark.parametrize(
+    ("num", "name"),
+    [(9, "GPS slot A{}"), pytest.param(72, "GPS BIIF-9 (PRN {:02})", marks=pytest.mark.slow)],
+)
 def test_the_sky_over_a_place_can_be_read(here, width, num, name):
     rows = crowded(num, name).assign(time=here.times[0])
     figure = plot_sky(replace(here, table=rows), width=width)

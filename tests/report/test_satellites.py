@@ -49,6 +49,7 @@ def test_every_score_stands_in_the_report_with_its_interval(of_satellites):
     assert "E18 is left out: unhealthy." in report
 
 
+@pytest.mark.slow
 def test_what_is_unknown_is_no_number_of_the_report_and_is_drawn(of_satellites):
     unknown = {"auc": np.nan, "auc_low": np.nan, "auc_high": np.nan}
     parts = {
