@@ -168,6 +168,8 @@ NO_PAGES: dict[str, list[str]] = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
 }
+# A process that ended starts again, which takes longer than Dask waits on a busy machine: it would do without it.
+KEEPS_LOST = {"distributed.deploy.lost-worker-timeout": "1 week"}
 
 
 @contextmanager
@@ -228,6 +230,7 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
 
     # A new cluster, which the stack ends after the block.
     with ExitStack() as stack:
+        stack.enter_context(dask.config.set(KEEPS_LOST))
         try:
             with dask.config.set(NO_PAGES):
                 started = LocalCluster(

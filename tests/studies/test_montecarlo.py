@@ -130,8 +130,12 @@ def test_a_planner_that_kills_its_worker_costs_its_own_rows_alone(folders, study
 
     runs = (("ptp", "weighted"), ("killer", "weighted"), ("astar-dist", "weighted"))
     tasks = [InstanceRuns(instance, runs) for instance in study.instances[:2].to_dict("records")]
+    impatient = {
+        "distributed.scheduler.allowed-failures": 0,
+        "distributed.deploy.lost-worker-timeout": "1s",
+    }
     with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        dask.config.set(impatient),
         cluster_client(2) as client,
     ):
         client.register_plugin(Killer())
