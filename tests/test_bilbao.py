@@ -13,8 +13,8 @@ from jaxurban.io.read.raster import read_raster
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.export.write import write_path
 from jaxurban.paths.ground import elevation_at
+from jaxurban.paths.places import XY
 from jaxurban.paths.plan import cost_map
-from jaxurban.paths.snapping import XY
 
 pytestmark = pytest.mark.data
 

@@ -28,7 +28,7 @@ from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
-    from jaxurban.paths.ground_risk import OverflownDensity
+    from jaxurban.paths.route_report import OverflownDensity
 
 CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": ExitCode.NOT_JUDGED}
 

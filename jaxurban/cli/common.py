@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from jaxurban.io.results import Result
     from jaxurban.paths.constraints import Constraints
-    from jaxurban.paths.ground_risk import OverflownDensity
+    from jaxurban.paths.route_report import OverflownDensity
     from jaxurban.settings import CostKind, Preset
 
 StudyResult = TypeVar("StudyResult", bound="Result")

@@ -33,9 +33,8 @@ if TYPE_CHECKING:
     from jaxurban.maps.levels import Levels
     from jaxurban.maps.metric_maps import MetricMaps
     from jaxurban.paths.cost_map import CostMap
-    from jaxurban.paths.explain import RouteReport
-    from jaxurban.paths.ground_risk import OverflownDensity
     from jaxurban.paths.path import PlannedPath
+    from jaxurban.paths.route_report import OverflownDensity, RouteReport
     from jaxurban.paths.when import Departures
     from jaxurban.settings import MissionEnd, Objective, Obstacles
 
@@ -245,8 +244,8 @@ def plan(
     # ``search`` holds all further options; they are keywords of the search.
     from jaxurban.maps.saving import open_maps
     from jaxurban.paths.explain import explain
-    from jaxurban.paths.path import simplify
     from jaxurban.paths.plan import cost_map
+    from jaxurban.paths.planned import simplify
     from jaxurban.paths.search import PathSearch
     from jaxurban.paths.when import when
 
@@ -441,7 +440,7 @@ def _write(
     from jaxurban.paths.export.qgc_plan import mission_note
     from jaxurban.paths.export.roof_fences import roof_fences
     from jaxurban.paths.export.write import MISSION, WAYPOINTS, elevation_note, write_path
-    from jaxurban.paths.path import simplify
+    from jaxurban.paths.planned import simplify
 
     if not planned.status.has_path:
         sentence = f"no path, so {file} was not written"

@@ -13,7 +13,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.rules import roof_limits_m
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.legs import Steps
-from jaxurban.paths.profile import TOUCHED
+from jaxurban.paths.route_report import TOUCHED
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING
 

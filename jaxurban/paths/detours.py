@@ -12,10 +12,11 @@ from jaxurban.checks import typed
 from jaxurban.io.read.zone import touched_cells
 from jaxurban.paths.corridor import cell_means, cells_within
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.ground_risk import DENSITY, OverflownDensity, overflown_density
+from jaxurban.paths.ground_risk import overflown_density
 from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.snapping import XY
+from jaxurban.paths.places import XY
+from jaxurban.paths.route_report import DENSITY, OverflownDensity
 
 DETOUR = [DENSITY, "lowered_share", "length_m", "extra_m", "cost"]
 ROUND = 1.002  # by how much a polygon of 16 corners a quarter lies within its circle, and more

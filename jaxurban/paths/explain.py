@@ -1,17 +1,14 @@
 """A planned route explained: what each layer and each segment costs, who is below, where GPS or room is scarce."""
 
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
-from jaxurban.io.tables import numbers_or_none
 from jaxurban.kernels.line.traversal import Crossings
 from jaxurban.maps.levels import Levels
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
@@ -20,190 +17,31 @@ from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.ground_risk import DENSITY, OverflownDensity
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import map_at
 from jaxurban.paths.profile import (
-    CLEARANCE,
-    OUTSIDE,
-    OVER_ROOF,
-    VISIBLE,
     cautions,
     cut_evenly,
     cut_on,
-    guessed_clearances,
     profile_of,
     without_fix,
 )
+from jaxurban.paths.route_report import (
+    CLEARANCE,
+    COST_OF,
+    DENSITY,
+    NO_FIX_IN_1_0,
+    OUTSIDE,
+    OVER_ROOF,
+    VISIBLE,
+    OverflownDensity,
+    RouteReport,
+)
 from jaxurban.planners.cost import CostModel
-from jaxurban.public import Caution, FactsRepr, caution_lines
 from jaxurban.settings import Vehicle
 
 SECONDS_PER_HOUR = 3600.0
-COST_OF = "cost_of_"  # before the name of a layer, of its part of the cost
-NO_FIX_IN_1_0 = "under_4_satellites_m"  # the name of ``no_fix_m`` in 1.0, which stays
 EXTRA_MAPS = {VISIBLE: VISIBLE, FIX: FIX, "density": DENSITY, "terrain": "terrain_m"}
-SEGMENT_HEADS = {  # what a terminal has room for beside the costs; `RouteReport.segments` has more
-    "min_gps": "min gps",
-    "people_overflown": "people",
-    "no_fix_m": "no fix m",
-    CLEARANCE: "clear m",
-    "time_s": "time s",
-    "energy_wh": "Wh",
-}
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RouteReport(FactsRepr):
-    """A route in numbers. Lengths are in the air; all is in still air, above ground.
-
-    Attributes:
-      totals: of the whole route: ``length_m``, ``cost`` and ``cost_of_*`` (distance and each metric),
-        ``mean_*`` of each metric m (over the length), ``people_overflown`` (see `explain`),
-        ``no_fix_m`` (length without a position fix: HDOP is infinite), the same as ``under_4_satellites_m`` (its name
-        in 1.0), ``nearest_wall_m``, ``walls_outside_m`` (see
-        `explain`), ``least_over_roofs_m`` (above the roofs beneath; NaN over none), ``time_s``, ``energy_wh``.
-        What the maps or the arguments do not say is left out.
-      segments: a row for each of a few parts of nearly equal length: the same, ``from_m`` and ``to_m`` along
-        the route, and ``min_*`` and ``max_*`` of each metric. The sums of costs, lengths and people are the totals.
-      profile: a row for each cell that a step of the route crosses, in order: ``from_m`` and ``to_m``, the
-        middle's ``lon``, ``lat`` and ``z_m``, and the value of every map.
-      lines: longitude and latitude ``[K, 2]`` of each segment.
-      settings: ``swath_m``, ``speed_m_s`` and ``power_w`` as they were given.
-      cautions: what a pilot should know of the route (`jaxurban.cautions`).
-      density: people beneath its corridor, where it was asked for (`overflown_density`).
-
-    Examples:
-      >>> report = ju.explain(path, maps)
-      >>> list(report.totals)[:4], len(report.segments)
-      (['length_m', 'cost', 'cost_of_distance', 'cost_of_gps'], 10)
-      >>> round(report.segments["cost"].sum()) == round(path.cost)
-      True
-    """
-
-    totals: Mapping[str, float]
-    segments: pd.DataFrame
-    profile: pd.DataFrame
-    lines: tuple[np.ndarray, ...]
-    settings: Mapping[str, float | None]
-    cautions: list[Caution]
-    density: OverflownDensity | None = None
-
-    @property
-    def facts(self) -> dict[str, str]:
-        """`why`, and the totals as texts, in the units that their names say."""
-        notes = dict.fromkeys(guessed_clearances(self.profile), " (if guessed roofs are right)")
-        notes["people_overflown"] = f" (strip of {self.settings['swath_m']:g} m)"
-        facts = {"why": self.why}
-        for name, value in self.totals.items():
-            if name != NO_FIX_IN_1_0:  # the same value stands under its new name
-                facts[name.replace("_", " ")] = _short(value) + notes.get(name, "")
-        return facts
-
-    @property
-    def why(self) -> str:
-        """A sentence that names the segment with the highest cost and the layer with the largest part in that cost.
-
-        The cost of length is no layer; where only length costs, the sentence says so. Empty where no segment costs
-        anything.
-        """
-        costs = self.segments["cost"]
-        if not costs.sum() > 0:
-            return ""
-
-        # The segment, and its shares of the whole route.
-        index = costs.argmax()
-        costliest = self.segments.iloc[index]
-        share = costliest / self.segments.sum()
-        sentence = (
-            f"The most expensive stretch is segment {index + 1}, from {costliest['from_m']:.0f} to "
-            f"{costliest['to_m']:.0f} m: {share['cost']:.0%} of the cost on {share['length_m']:.0%} of the length"
-        )
-
-        # What it pays, for its length and for each layer.
-        layer_costs = costliest.filter(like=COST_OF).drop(f"{COST_OF}distance")
-        if not layer_costs.max() > 0:
-            return f"{sentence}, all of it for its length."
-        layer = str(layer_costs.idxmax()).removeprefix(COST_OF)
-        paid = f"{_short(layer_costs.max())} of {_short(costliest['cost'])}"
-        return f"{sentence}; beside its length it pays most for {layer} ({paid})."
-
-    @property
-    def known_cautions(self) -> list[Caution]:
-        """The ``cautions`` of the route, and those of its ``density``, if it has one."""
-        density_cautions = [] if self.density is None else self.density.cautions
-        return self.cautions + density_cautions
-
-    def __repr__(self) -> str:
-        return "\n".join(
-            [f"{type(self).__name__}:", *caution_lines(self.cautions), "", self.table()]
-        )
-
-    def _repr_html_(self) -> str:
-        return super()._repr_html_() + self._segments().to_html()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return totals, cautions and segments as plain, JSON-ready values.
-
-        Returns:
-          A dictionary of the settings and totals by name, ``why``, ``cautions`` (texts) and ``segments`` (a dictionary
-          each); None stands for a number that is missing or not finite.
-
-        Examples:
-          >>> record = ju.explain(path, maps, num_segments=3).to_dict()
-          >>> round(record["length_m"]), [each["segment"] for each in record["segments"]]
-          (719, [1, 2, 3])
-        """
-        record: dict[str, Any] = {
-            **numbers_or_none(self.settings),
-            **numbers_or_none(self.totals),
-            "why": self.why,
-            "cautions": self.cautions,
-            "segments": [
-                {"segment": number, **numbers_or_none(row)}
-                for number, row in self.segments.to_dict("index").items()
-            ],
-        }
-        if self.density is not None:
-            record["overflown_density"] = self.density.to_dict()
-        return record
-
-    def table(self) -> str:
-        """Return the report for a terminal: totals, `why`, and segments.
-
-        Returns:
-          Text of a line for each total, and after an empty line each `why`, a line for each segment, and the density.
-
-        Examples:
-          >>> print(ju.explain(path, maps).table())
-          length m                719
-          cost                    223
-          ...
-          The most expensive stretch is segment ...% of the length; beside its length it pays most for lidar ...
-          ...
-        """
-        # `why` has a paragraph to itself.
-        totals = "\n".join(
-            f"{name:<24}{fact}" for name, fact in self.facts.items() if name != "why"
-        )
-        segments = self._segments().to_string(col_space=8) if len(self.segments) else "segment"
-        density = "" if self.density is None else self.density.table()
-        return "\n\n".join(filter(None, [totals, self.why, segments, density]))
-
-    def _segments(self) -> pd.DataFrame:
-        """Return the columns of the segments that a terminal has room for, as texts under short heads.
-
-        The heads of the parts of the cost read as a sum: ``cost =distance +gps +lidar``.
-        """
-        heads = {"from_m": "from m", "length_m": "length m", "cost": "cost"}
-        sign = "="
-        for name in map(str, self.segments.filter(regex=f"^{COST_OF}")):
-            heads[name] = sign + name.removeprefix(COST_OF)
-            sign = "+"
-        heads |= SEGMENT_HEADS
-        texts = self.segments.filter(list(heads)).map(_short)  # those of the columns that exist
-        texts = texts.rename(columns=heads)
-        return texts.rename_axis(None).rename_axis("segment", axis="columns")
 
 
 @typed
@@ -402,10 +240,3 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
     )
     metrics = [name for name in settings["weights"] if name != "distance"]
     return replace(cost_map, is_free=np.ones_like(cost_map.is_free)).only(metrics)
-
-
-def _short(value: float) -> str:
-    """Return a number in a few digits: whole from 1,000 up, else three significant digits, ``none`` if not finite."""
-    if not math.isfinite(value):
-        return "none"
-    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"

@@ -15,11 +15,11 @@ from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.legs import Flight, Steps
-from jaxurban.paths.path import measured
+from jaxurban.paths.places import XY
 from jaxurban.paths.plan import cost_map
+from jaxurban.paths.planned import measured
 from jaxurban.paths.profile import nearest_level_m
 from jaxurban.paths.search import PathSearch
-from jaxurban.paths.snapping import XY
 
 WINDOW_M = 1000.0  # of the densest stretch
 

@@ -1,9 +1,7 @@
 """People beneath a flight's corridor, as an assessment of ground risk asks for them; no class is computed."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,135 +11,17 @@ from shapely.ops import substring
 from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.guesses import is_of_people, percent
-from jaxurban.io.tables import records_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.paths.corridor import Cells, cell_means, cells_within
 from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
-from jaxurban.public import Caution, FactsRepr, caution_of_guesses
+from jaxurban.paths.route_report import DENSITY, GRIDS_M, OverflownDensity
+from jaxurban.public import Caution, caution_of_guesses
 from jaxurban.settings import not_negative
 
-GRIDS_M = (100.0, 200.0, 500.0)  # printed always: they disagree where towers stand
 WHOLE = 1 - 1e-9  # of a cell, but for rounding
 GATHERINGS = "Gatherings are yours to name: no map holds them."
 RESIDENTS = "By night these are residents by the census, not people outdoors."
-DENSITY = "density_per_km2"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class OverflownDensity(FactsRepr):
-    """The largest mean density of people over the cells that a flight's corridor touches. No class is computed.
-
-    Attributes:
-      largest: a row a grid and time of day: ``cell_m``, ``time_of_day``, ``density_per_km2`` (people per km2, the
-        largest mean over a cell), that cell's middle (``lon``, ``lat``), ``along_m`` (the place of the route nearest to
-        it, metres from the start), ``known_share`` (of its area), all NaN where nothing is known; ``num_cells`` that
-        the corridor touches, and of these ``num_partly_known`` and ``num_unknown``.
-      segments: the same on the grid of ``cell_m`` for each of a few parts of equal length, ``from_m`` to ``to_m``.
-      settings: ``half_width_m``, ``contingency_m``, ``buffer_m`` and ``cell_m``.
-      source: whom to credit for the people, and all else in the maps.
-      cautions: what to know of the numbers.
-      detours: of `density_detours`, where they were planned.
-
-    Examples:
-      >>> density = ju.overflown_density(maps, path, half_width_m=20.0, contingency_m=30.0)
-      >>> density.facts["corridor"]
-      '110 m to each side: half-width 20 m, contingency 30 m, ground risk buffer 60 m'
-      >>> bool(density.segments["density_per_km2"].max() == density.density_per_km2)
-      True
-    """
-
-    largest: pd.DataFrame
-    segments: pd.DataFrame
-    settings: Mapping[str, float]
-    source: str
-    cautions: list[Caution]
-    detours: pd.DataFrame | None = None
-
-    @property
-    def reach_m(self) -> float:
-        """From the route to the edge of the corridor."""
-        return sum(self.settings[name] for name in ("half_width_m", "contingency_m", "buffer_m"))
-
-    @property
-    def density_per_km2(self) -> float:
-        """The largest mean over a cell of ``cell_m``, at the time of day when it is largest."""
-        return float(self._worst(self.settings["cell_m"])[DENSITY])
-
-    def _worst(self, cell_m: float) -> pd.Series:
-        """Return the row of ``largest``, of all times of day, with the largest density on the grid of ``cell_m``."""
-        rows = self.largest[self.largest["cell_m"] == cell_m]
-        return rows.iloc[rows[DENSITY].fillna(-1.0).argmax()]
-
-    @property
-    def facts(self) -> dict[str, str]:
-        """The density, where it is, that of the other grids, the corridor and the source."""
-        settings = self.settings
-        cell_m = settings["cell_m"]
-        worst = self._worst(cell_m)
-        density = f"{worst[DENSITY]:,.0f} people per km2 over a cell of {cell_m:g} m"
-        if worst["time_of_day"]:
-            density += f" ({worst['time_of_day']})"
-        others = [self._worst(side_m) for side_m in GRIDS_M if side_m != cell_m]
-        other_densities = [f"{row[DENSITY]:,.0f} over {row['cell_m']:g} m" for row in others]
-        return {
-            "largest density": density,
-            "where": f"{worst['lon']:.5f}, {worst['lat']:.5f} (lon, lat), {worst['along_m']:.0f} m along the route",
-            "other grids": ", ".join(other_densities),
-            "corridor": f"{self.reach_m:g} m to each side: half-width {settings['half_width_m']:g} m, contingency "
-            f"{settings['contingency_m']:g} m, ground risk buffer {settings['buffer_m']:g} m",
-            "detours": self._detours(),
-            "source": self.source,
-        }
-
-    def _detours(self) -> str:
-        """Return density and extra length of each detour in words; empty where none were planned."""
-        if self.detours is None:
-            return ""
-        rows = self.detours.to_dict("records")
-        detours = [f"{row[DENSITY]:,.0f} on {row['extra_m']:+,.0f} m" for row in rows]
-        return ", or ".join(detours) or "no route between these ends is less dense"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return all of it as plain, JSON-ready values.
-
-        Returns:
-          A dictionary of the settings, ``density_per_km2``, ``source``, ``cautions`` (texts), and the rows of
-          ``largest`` and ``segments``.
-
-        Examples:
-          >>> record = ju.overflown_density(maps, path, half_width_m=20.0).to_dict()
-          >>> record["buffer_m"], [row["cell_m"] for row in record["largest"][:3]]
-          (60.0, [100.0, 200.0, 500.0])
-        """
-        return {
-            **self.settings,
-            DENSITY: self.density_per_km2,
-            "source": self.source,
-            "cautions": self.cautions,
-            "largest": records_of(self.largest),
-            "segments": records_of(self.segments.reset_index()),
-            "detours": None if self.detours is None else records_of(self.detours),
-        }
-
-    def table(self) -> str:
-        """Return the report for a terminal: facts, cautions, and the segments, a column for each time of day.
-
-        Returns:
-          Text of a line for each fact and caution, and after an empty line one for each segment.
-
-        Examples:
-          >>> print(ju.overflown_density(maps, path, half_width_m=20.0).table())
-          largest density ... people per km2 over a cell of 200 m (day)
-          ...
-        """
-        lines = [f"{name:<24}{fact}" for name, fact in self.facts.items() if fact]
-        text = "\n".join([*lines, *self.cautions])
-        times_of_day = self.segments["time_of_day"].unique()  # in their order
-        density = self.segments.set_index(["to_m", "time_of_day"], append=True)[DENSITY].unstack()
-        density = density[times_of_day].add_prefix("per km2, ")
-        density = density.reset_index("to_m").rename_axis(columns=None)
-        return f"{text}\n\n{density.to_string(float_format='{:,.0f}'.format)}"
 
 
 @typed

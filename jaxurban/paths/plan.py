@@ -18,8 +18,8 @@ from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, weights_on
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.places import Point, one_place
 from jaxurban.paths.search import PathSearch
-from jaxurban.paths.snapping import Point, one_place
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import (
     CostKind,

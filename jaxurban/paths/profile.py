@@ -16,13 +16,20 @@ from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX, has_no_fix
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.route_report import (
+    CLEARANCE,
+    GUESSED,
+    OUTSIDE,
+    OVER_ROOF,
+    TO_GUESSED,
+    TOUCHED,
+    VISIBLE,
+    guessed_clearances,
+)
 from jaxurban.planners.cost import path_states
 from jaxurban.public import Caution, caution_of_guesses, sentences_of
 from jaxurban.settings import Vehicle
 
-TOUCHED, VISIBLE, GUESSED = "roof_touched", "num_visible", "roof_guessed"
-CLEARANCE, OUTSIDE, OVER_ROOF = "nearest_wall_m", "walls_outside_m", "least_over_roofs_m"
-TO_GUESSED = "guessed_roof_away_m"
 MOST_SEGMENTS = 3  # that a terminal line lists
 # Of a guessed roof a route passes it: what the risk metric counts as near by default.
 NEAR_GUESSED_M = 50.0
@@ -234,26 +241,6 @@ def cautious_profile(planned: PlannedPath, maps: MetricMaps) -> pd.DataFrame:
       InputError: there is no path, or the maps are others.
     """
     return profile_of(planned, maps, cut_on(planned, maps), {FIX: FIX})
-
-
-def guessed_clearances(profile: pd.DataFrame) -> set[str]:
-    """Return the names of the least clearances of a route that rest on roofs of guessed height.
-
-    That is `CLEARANCE` where a building of guessed height is at least as near as all others, since it may reach the
-    flight; and `OVER_ROOF` where the roof that the route clears by least is guessed. Empty where the maps do not know.
-
-    Args:
-      profile: of the route (`profile_of`).
-    """
-    if GUESSED not in profile:
-        return set()
-    names = set()
-    if profile[TO_GUESSED].min() <= profile[[CLEARANCE, OUTSIDE]].to_numpy().min():
-        names.add(CLEARANCE)
-    over_m = profile[OVER_ROOF]
-    if over_m.notna().any() and profile[GUESSED].iloc[over_m.argmin()]:
-        names.add(OVER_ROOF)
-    return names
 
 
 def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:

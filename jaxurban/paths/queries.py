@@ -17,7 +17,7 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.paths.export.write import FORMATS, write_path
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.snapping import XY, Point
+from jaxurban.paths.places import XY, Point
 from jaxurban.planners.base import Path, Status
 from jaxurban.public import FactsRepr
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.snapping import snap_limit_m
+from jaxurban.paths.places import snap_limit_m
 from jaxurban.planners.registry import EXACT_PLANNERS, VOLUME_PLANNERS, find_planner
 from jaxurban.settings import DEFAULTS, HeuristicName, PlannerName
 

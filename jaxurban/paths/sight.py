@@ -24,7 +24,7 @@ from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.maps.track import NUM_VISIBLE, Track, quality_along, seen_along
 from jaxurban.metrics.gps import DOPS, FIX, Gps, has_no_fix
 from jaxurban.paths.hiding import Hiding
-from jaxurban.paths.snapping import XY, Point, one_place
+from jaxurban.paths.places import XY, Point, one_place
 from jaxurban.progress import Report
 from jaxurban.public import Caution, caution_of_guesses, listed
 from jaxurban.settings import Heights

@@ -12,8 +12,8 @@ import pandas as pd
 from jaxurban.checks import positive, typed
 from jaxurban.maps.sources import CityLike
 from jaxurban.metrics.gps import FIX, Gps
+from jaxurban.paths.places import Point
 from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN, By, Sight, cautions_of, xy_of
-from jaxurban.paths.snapping import Point
 from jaxurban.public import Caution, FactsRepr, listed
 from jaxurban.settings import as_tuple
 

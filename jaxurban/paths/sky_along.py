@@ -14,8 +14,8 @@ from jaxurban.maps.sources import CityLike
 from jaxurban.metrics.gps import FIX, Gps, has_no_fix
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.places import XY, Point
 from jaxurban.paths.sight import By, Sight, cautions_of, xy_of
-from jaxurban.paths.snapping import XY, Point
 from jaxurban.public import Caution, FactsRepr, listed
 from jaxurban.settings import as_tuple, parse_time
 

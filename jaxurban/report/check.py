@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.check_result import MissionCheck
 from jaxurban.paths.constraints import describe_constraints
-from jaxurban.paths.profile import TOUCHED
+from jaxurban.paths.route_report import TOUCHED
 from jaxurban.report.figures.frame import MapPanel, draw_maps, frame_note
 from jaxurban.report.figures.metrics import roof_layers
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR

@@ -21,8 +21,9 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints, describe_constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.places import MAX_SNAP_M, XY
 from jaxurban.paths.rows import RouteRules
-from jaxurban.paths.snapping import MAX_SNAP_M, XY, snap_note
+from jaxurban.paths.snapping import snap_note
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import CostModel

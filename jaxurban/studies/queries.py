@@ -14,7 +14,7 @@ from jaxurban.metrics.population import NORMS
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.snapping import Point
+from jaxurban.paths.places import Point
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
 

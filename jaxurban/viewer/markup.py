@@ -9,7 +9,7 @@ import pandas as pd
 
 from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.export.write import FORMATS
-from jaxurban.paths.profile import CLEARANCE, GUESSED
+from jaxurban.paths.route_report import CLEARANCE, GUESSED
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR
 
 # Of the profile, in pixels: its size, the borders of its two panels from above, the height of the lower panel's axis,

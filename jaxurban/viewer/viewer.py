@@ -24,10 +24,10 @@ from jaxurban.maps.shared import OneMap, paired_times, shared_part
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import WeightsLike
-from jaxurban.paths.explain import RouteReport
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.profile import CLEARANCE, cautious_profile, without_fix
+from jaxurban.paths.profile import cautious_profile, without_fix
+from jaxurban.paths.route_report import CLEARANCE, RouteReport
 from jaxurban.paths.sight import Sight
 from jaxurban.paths.sky import sky_from
 from jaxurban.planners.base import Status

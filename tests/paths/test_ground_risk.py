@@ -10,7 +10,8 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.paths.ground_risk import GATHERINGS, GRIDS_M, RESIDENTS
+from jaxurban.paths.ground_risk import GATHERINGS, RESIDENTS
+from jaxurban.paths.route_report import GRIDS_M
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 from tests.paths.volumes import made_path, options_of

@@ -7,18 +7,17 @@ Over maps with terrain points are added until no line is more than `GROUND_TOLER
 """
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M, MOST_BULGE_M
 from jaxurban.paths.lines import along_of
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.profile import guess_cautions
+from jaxurban.paths.route_report import RouteReport
 from jaxurban.public import sentences_of
 from jaxurban.settings import Vehicle
-
-if TYPE_CHECKING:
-    from jaxurban.paths.explain import RouteReport
-    from jaxurban.paths.path import PlannedPath
 
 DECIMALS = 7  # of a degree: about a centimetre
 Z_DECIMALS = 2  # of a metre
@@ -30,9 +29,9 @@ STRAIGHT_M = 0.01  # a waypoint that straight lines miss by no more, in x, y and
 # Twice, and the rest is for the ground's cover and for rounding up.
 MISSED_M = GROUND_TOLERANCE_M / 2 - MOST_BULGE_M
 
-Named = Sequence[tuple[str, "PlannedPath"]]  # "" for a path without a name
+Named = Sequence[tuple[str, PlannedPath]]  # "" for a path without a name
 # The bytes of a file from paths by name and, if there is one, the report of the one path.
-Encode = Callable[[Named, "RouteReport | None"], bytes]
+Encode = Callable[[Named, RouteReport | None], bytes]
 
 
 class Format(NamedTuple):
@@ -62,7 +61,7 @@ def upward(height_m: np.ndarray) -> np.ndarray:
 
 
 def facts_of(
-    route: "PlannedPath", report: "RouteReport | None", *, is_alone: bool = True
+    route: PlannedPath, report: RouteReport | None, *, is_alone: bool = True
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return two things: what is known of the whole path, by name, and a dictionary for each segment of its report.
 
@@ -74,8 +73,6 @@ def facts_of(
       is_alone: False for one of several paths in a file: its cautions are then only what its maps guess, since all
         others take some hundredths of a second for each path.
     """
-    from jaxurban.paths.profile import guess_cautions
-
     report_facts = {} if report is None else report.to_dict()
     segments = report_facts.pop("segments", [])
     facts = report_facts | route.to_dict()
@@ -113,7 +110,7 @@ class Waypoints(NamedTuple):
         return self.z_m + self.ground_m - self.ground_m[0]
 
 
-def waypoints(route: "PlannedPath") -> Waypoints:
+def waypoints(route: PlannedPath) -> Waypoints:
     """Return the waypoints of a path, between which straight lines are nowhere lower than planned.
 
     They lie where the path bends in plan or in height and, over terrain, where the ground does.

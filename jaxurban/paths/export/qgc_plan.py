@@ -11,16 +11,11 @@ and so are roofs beside it where they are asked for (`roof_fences`). The file ho
 
 import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, get_args
-
-import numpy as np
-import shapely
+from typing import Any, get_args
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.outlines import polygonal
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.export.base import (
-    DECIMALS,
     Z_DECIMALS,
     Named,
     Waypoints,
@@ -29,14 +24,11 @@ from jaxurban.paths.export.base import (
     upward,
     waypoints,
 )
-from jaxurban.paths.lines import line_of
+from jaxurban.paths.export.fences import exclusions
+from jaxurban.paths.export.roof_fences import RoofFences
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.route_report import RouteReport
 from jaxurban.settings import MissionEnd
-from jaxurban.world.grid import Grid, covering_grid
-
-if TYPE_CHECKING:
-    from jaxurban.paths.explain import RouteReport
-    from jaxurban.paths.export.roof_fences import RoofFences
-    from jaxurban.paths.path import PlannedPath
 
 # MAVLink common message set, and the values that QGroundControl's plan format takes from it
 MAV_CMD_NAV_WAYPOINT, MAV_CMD_NAV_RETURN_TO_LAUNCH, MAV_CMD_NAV_LAND, MAV_CMD_NAV_TAKEOFF = (
@@ -51,8 +43,6 @@ MAV_AUTOPILOT_PX4, MAV_TYPE_QUADROTOR = 12, 2
 ALTITUDE_RELATIVE = 1
 GROUND_SPEED, THROTTLE_AS_IT_IS = 1, -1
 
-NEAR_M = 1000.0  # zones within this of a path are in its geofence, as far as they are
-SMOOTH_M = 0.01  # corners that bend an outline by less are left out
 
 END_NOTES = {
     "land": "It ends with a landing at the goal.",
@@ -63,7 +53,7 @@ END_NOTES = {
 ENDS: tuple[MissionEnd, ...] = get_args(MissionEnd)
 
 
-def height_note(route: "PlannedPath") -> str:
+def height_note(route: PlannedPath) -> str:
     """Return what the altitudes of a ``.plan`` take the ground for, in a sentence or two."""
     if route.ground is None:
         return (
@@ -78,7 +68,7 @@ def height_note(route: "PlannedPath") -> str:
     )
 
 
-def mission_note(route: "PlannedPath", end: str, roofs: "RoofFences | None") -> str:
+def mission_note(route: PlannedPath, end: str, roofs: RoofFences | None) -> str:
     """Return what to know of a ``.plan``: its altitudes, its end and its geofence, in a few sentences."""
     roof_note = "" if roofs is None else roofs.note
     _, zone_note = exclusions(route)
@@ -88,9 +78,9 @@ def mission_note(route: "PlannedPath", end: str, roofs: "RoofFences | None") -> 
 
 def to_qgc_plan(
     routes: Named,
-    report: "RouteReport | None",
+    report: RouteReport | None,
     end: MissionEnd = "land",
-    roofs: "RoofFences | None" = None,
+    roofs: RoofFences | None = None,
 ) -> bytes:
     """Return a path as a mission of QGroundControl, JSON in UTF-8.
 
@@ -203,80 +193,3 @@ def _command(
         "frame": frame,
         "params": list(params),
     }
-
-
-def exclusions(route: "PlannedPath") -> tuple[list[np.ndarray], str]:
-    """Return the zones of a path's geofence as rings, and a sentence on them and on what they leave out.
-
-    A geofence knows no heights. So it holds only zones that reach the altitudes of the path, and no zone over or under
-    which the path leads, as that would stop the flight. A zone with a hole is cut in two through the hole.
-
-    Returns:
-      Rings, each ``[N, 2]`` longitude, latitude in degrees of the corners of an area to keep out of; and the sentence.
-      No rings and an empty text where the path has no zones.
-    """
-    if not route.zones:
-        return [], ""
-    low_m, high_m = route.z_m.min(), route.z_m.max()
-    surroundings = _surroundings(route)
-    box = shapely.box(*surroundings.bounds_m)
-    line = line_of(route.xy_m)
-
-    # The rings, from the part of each zone that is near the path.
-    rings: list[np.ndarray] = []
-    num_fenced = num_elsewhere = 0
-    for zone in route.zones:
-        part = polygonal(shapely.intersection(zone.on(surroundings), box))
-        if part.is_empty:
-            continue
-        is_reached = zone.floor_m <= high_m and low_m <= zone.ceiling_m
-        if not is_reached or part.intersects(line):
-            num_elsewhere += 1
-            continue
-        num_fenced += 1
-        polygons = without_holes(polygonal(shapely.simplify(part, SMOOTH_M)))
-        rings += [ring_of(polygon, surroundings) for polygon in polygons]
-
-    # The sentence.
-    zones = "no-fly zone" if num_fenced == 1 else "no-fly zones"
-    sentence = f"The geofence keeps out of {num_fenced} {zones} within {NEAR_M / 1000:g} km"
-    if num_elsewhere:
-        sentence += (
-            f"; it has no heights, so {num_elsewhere} above or below the flight are left out"
-        )
-    return rings, f"{sentence}."
-
-
-def ring_of(polygon: shapely.Polygon, grid: Grid) -> np.ndarray:
-    """Return a polygon's corners ``[N, 2]`` in longitude and latitude, as files hold them."""
-    corners = np.asarray(polygon.exterior.coords)[:-1]
-    return np.round(grid.lonlat_at(corners), DECIMALS)
-
-
-def without_holes(polygon: shapely.Geometry) -> list[shapely.Polygon]:
-    """Return polygons without holes that together cover a polygon, or several, with holes.
-
-    A part with a hole is cut in two along the vertical line through the middle of its first hole, until none is left.
-    """
-    polygons = []
-    parts = list(shapely.get_parts(polygon))  # still to be looked at
-    while parts:
-        part = parts.pop()
-        if not part.interiors:
-            polygons.append(part)
-            continue
-        west, south, east, north = part.bounds
-        cut_x = part.interiors[0].centroid.x
-        for side in (
-            shapely.box(west, south, cut_x, north),
-            shapely.box(cut_x, south, east, north),
-        ):
-            parts += shapely.get_parts(polygonal(shapely.intersection(part, side))).tolist()
-    return polygons
-
-
-def _surroundings(route: "PlannedPath") -> Grid:
-    """Return the land within `NEAR_M` of a path's box, as a coarse grid."""
-    low_m = route.xy_m.min(axis=0) - NEAR_M
-    high_m = route.xy_m.max(axis=0) + NEAR_M
-    return covering_grid((*low_m, *high_m), NEAR_M / 10, route.crs)

@@ -8,7 +8,7 @@ for: neighbours are joined and corners cut outward. PX4 holds 64 points of a fen
 
 import warnings
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -18,16 +18,14 @@ from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.zone import made_valid
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
+from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.contacts import Prisms, buildings_of
 from jaxurban.paths.export.base import waypoints
-from jaxurban.paths.export.qgc_plan import exclusions, ring_of, without_holes
+from jaxurban.paths.export.fences import exclusions, ring_of, without_holes
 from jaxurban.paths.lines import line_of
+from jaxurban.paths.path import PlannedPath
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import stands_at
-
-if TYPE_CHECKING:
-    from jaxurban.maps.metric_maps import MetricMaps
-    from jaxurban.paths.path import PlannedPath
 
 MOST_VERTICES = 63  # of all polygons of a fence
 # By which outlines grow before corners are cut by less.
@@ -45,7 +43,7 @@ class RoofFences(NamedTuple):
     note: str
 
 
-def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
+def roof_fences(route: PlannedPath, near_m: float) -> RoofFences:
     """Return fences of the roofs within a distance of a path that reach its height less the vertical clearance.
 
     The outlines are those of the city that the maps were made of, where it can be read again; else the cells that such
@@ -106,7 +104,7 @@ def roof_fences(route: "PlannedPath", near_m: float) -> RoofFences:
     return RoofFences(rings, f"{note}.")
 
 
-def _roofs_of(maps: "MetricMaps") -> tuple[Prisms, str, str]:
+def _roofs_of(maps: MetricMaps) -> tuple[Prisms, str, str]:
     """Return the roofs of the city that maps were made of, what each is, and a phrase on where they come from.
 
     Where that city cannot be read again the roofs are the cells of the maps that a roof touches.

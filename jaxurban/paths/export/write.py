@@ -25,7 +25,7 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
@@ -46,12 +46,10 @@ from jaxurban.paths.export.base import (
     waypoints,
 )
 from jaxurban.paths.export.qgc_plan import ENDS, to_qgc_plan
+from jaxurban.paths.export.roof_fences import RoofFences, roof_fences
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.route_report import RouteReport
 from jaxurban.settings import MissionEnd
-
-if TYPE_CHECKING:
-    from jaxurban.paths.explain import RouteReport
-    from jaxurban.paths.export.roof_fences import RoofFences
-    from jaxurban.paths.path import PlannedPath
 
 MISSION = ".plan"  # the format that can say how a flight ends
 GROUND_REFERENCE = (
@@ -65,7 +63,7 @@ def _feature(properties: Mapping[str, Any], lonlat: np.ndarray) -> dict[str, Any
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 
-def to_geojson(routes: Named, report: "RouteReport | None") -> bytes:
+def to_geojson(routes: Named, report: RouteReport | None) -> bytes:
     """Return paths as GeoJSON in UTF-8: a feature for each path, and after it one for each segment of its report.
 
     Args:
@@ -95,14 +93,14 @@ def to_geojson(routes: Named, report: "RouteReport | None") -> bytes:
     return (json.dumps(collection, allow_nan=False) + "\n").encode()
 
 
-def elevation_note(route: "PlannedPath") -> str:
+def elevation_note(route: PlannedPath) -> str:
     """Return what the elevations of a ``.gpx`` count from, or why there are none."""
     if route.ground is None:
         return "These maps hold no terrain, so points have no elevation: their heights above ground are in words."
     return "Elevations are in metres above the zero of the terrain file, whatever its vertical datum is."
 
 
-def to_gpx(routes: Named, report: "RouteReport | None") -> bytes:
+def to_gpx(routes: Named, report: RouteReport | None) -> bytes:
     """Return paths as routes of GPX 1.1, XML in UTF-8. Points are waypoints, with an elevation only over terrain.
 
     Args:
@@ -130,7 +128,7 @@ def to_gpx(routes: Named, report: "RouteReport | None") -> bytes:
     return _encoded(root)
 
 
-def to_kml(routes: Named, report: "RouteReport | None") -> bytes:
+def to_kml(routes: Named, report: RouteReport | None) -> bytes:
     """Return paths as lines of KML, XML in UTF-8, with all that is known of them as data.
 
     Args:
@@ -160,7 +158,7 @@ def to_kml(routes: Named, report: "RouteReport | None") -> bytes:
     return _encoded(root)
 
 
-def _title(route: "PlannedPath", facts: Mapping[str, Any]) -> str:
+def _title(route: PlannedPath, facts: Mapping[str, Any]) -> str:
     """Return the name of a path that has none: planner and altitude."""
     return f"{facts['planner']}, {route.altitude_m:g} m above ground"
 
@@ -180,14 +178,34 @@ FORMATS = {
 WAYPOINTS = tuple(suffix for suffix, each in FORMATS.items() if each.is_of_waypoints)
 
 
+def write_files(
+    route: PlannedPath,
+    files: Sequence[Path],
+    report: RouteReport | None,
+    *,
+    end: MissionEnd | None,
+    fence_roofs_m: float | None,
+) -> None:
+    """Write a path to files of any formats (`PlannedPath.save`, which says what is taken and refused)."""
+    missions = [file for file in files if file.suffix.lower() == MISSION]
+    if not missions and (end is not None or fence_roofs_m is not None):
+        check_is_mission(files[0])  # raises InputError, as no file is a mission
+    roofs = None if fence_roofs_m is None else roof_fences(route, fence_roofs_m)
+    for file in files:
+        if file in missions:
+            write_path(route, file, report, end=end, roofs=roofs)
+        else:
+            write_path(route, file, report)
+
+
 def write_path(
-    route: "PlannedPath | Sequence[PlannedPath | None]",
+    route: PlannedPath | Sequence[PlannedPath | None],
     file: str | Path,
-    report: "RouteReport | None" = None,
+    report: RouteReport | None = None,
     *,
     names: Sequence[str] = ("",),
     end: MissionEnd | None = None,
-    roofs: "RoofFences | None" = None,
+    roofs: RoofFences | None = None,
 ) -> bool:
     """Write paths in the format that the file's suffix names; return False, writing nothing, if there is no path.
 

@@ -11,10 +11,11 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.variables import BUILT_COLOUR
-from jaxurban.paths.explain import RouteReport, explain
+from jaxurban.paths.explain import explain
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
+from jaxurban.paths.profile import without_fix
+from jaxurban.paths.route_report import CLEARANCE, GUESSED, RouteReport
 from jaxurban.report.figures.frame import GUESSED_ROOF_COLOUR, frame_note, joined
 from jaxurban.report.figures.style import (
     FAINT_INK,

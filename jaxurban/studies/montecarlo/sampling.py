@@ -19,9 +19,9 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import METRIC_WEIGHT, MOST_WEIGHT, Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import weights_on
+from jaxurban.paths.places import XY
 from jaxurban.paths.plan import rules_on
 from jaxurban.paths.queries import IN_METRES, WEIGHT_PREFIX, Query
-from jaxurban.paths.snapping import XY
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import CostKind, Preset, iso_utc
 from jaxurban.world.grid import Grid

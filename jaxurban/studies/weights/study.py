@@ -14,7 +14,7 @@ from jaxurban.io.results import Result
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.snapping import Point
+from jaxurban.paths.places import Point
 from jaxurban.progress import Progress, reporting
 from jaxurban.studies.queries import RouteQuery, check_flat, outcomes_of, query_between
 from jaxurban.studies.route_pool import RoutePool

@@ -1,0 +1,109 @@
+"""Places as users give them and ends of queries: points, how far one may be moved, and islands of joined free cells."""
+
+import numbers
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.ndimage import generate_binary_structure, label
+
+from jaxurban.errors import InputError
+from jaxurban.planners.base import Cell
+
+# Longitude, latitude in degrees, and between levels an altitude if liked.
+Point = tuple[float | None, ...]
+IN_METRES = "easting, northing in metres such as (583960.0, 4507351.0)"
+IN_DEGREES = "longitude, latitude in degrees such as (-74.0, 40.7)"
+MAX_SNAP_M = 50.0  # about half a city block, unless another distance is given
+
+
+class XY(NamedTuple):
+    """A place in the maps' CRS: easting, northing in metres; between levels its altitude if liked.
+
+    Examples:
+      >>> place = ju.XY(586650.0, 4514550.0)
+      >>> ju.cost_map(maps, 60.0).plan(place, goal).status.value
+      'optimal'
+    """
+
+    x_m: float
+    y_m: float
+    altitude_m: float | None = None
+
+
+def one_place(name: str, lonlat: Point | XY | None, xy_m: Point | None) -> Point | XY:
+    """Return a place that a user gives in one of two ways, as floats: an `XY` in metres, or a tuple in degrees.
+
+    Args:
+      name: of the place, such as ``"start"``, for messages.
+      lonlat: longitude, latitude in degrees, or an `XY`; between levels also an altitude, which may be None.
+      xy_m: easting, northing in metres, and between levels an altitude.
+
+    Raises:
+      InputError: both are None, neither is, or the one that is given is not two numbers, and maybe an altitude.
+    """
+    if (lonlat is None) == (xy_m is None):  # neither is given, or both
+        fault = "is missing" if xy_m is None else "must be given in one way, not both"
+        raise InputError(f"{name} {fault}: give it as longitude, latitude or as {name}_xy_m")
+
+    place: Any = lonlat if xy_m is None else xy_m
+    is_in_metres = xy_m is not None or isinstance(lonlat, XY)
+    try:
+        values: Any = [None if value is None else float(value) for value in place]
+    except (TypeError, ValueError):  # no numbers; what follows refuses an empty list
+        values = []
+    if len(values) not in (2, 3) or None in values[:2]:
+        expected = IN_METRES if is_in_metres else IN_DEGREES
+        raise InputError(f"{name} must be {expected}, got {place!r}")
+    return XY(*values) if is_in_metres else tuple(values)
+
+
+@dataclass(frozen=True)
+class End:
+    """Where a query starts or ends.
+
+    Attributes:
+      cell: row and column; in a volume level, row and column.
+      snap_distance_m: from the place that was given to the centre of the cell.
+      is_snapped: the cell of the given place was closed, so this is another one.
+    """
+
+    cell: Cell
+    snap_distance_m: float
+    is_snapped: bool = False
+
+
+def snap_limit_m(snap: Any) -> float | None:
+    """Return how many metres a place may be moved, None where it may not be moved at all.
+
+    Args:
+      snap: True for `MAX_SNAP_M`, False for None, or a number of metres.
+
+    Raises:
+      InputError: neither a bool nor metres above 0.
+    """
+    if isinstance(snap, bool | np.bool_):
+        return MAX_SNAP_M if snap else None
+    if not isinstance(snap, numbers.Real) or not float(snap) > 0:
+        raise InputError(
+            f"snap must be True (at most {MAX_SNAP_M:g} m), False, or metres above 0, got {snap!r}"
+        )
+    return float(snap)
+
+
+def islands_of(is_free: np.ndarray, cuts_corners: bool) -> np.ndarray:
+    """Return the number of the island of each free cell, from 1 up, and 0 where a cell is closed.
+
+    An island is a set of free cells that are joined. Cells of one level join if they touch with a side, or also with a
+    corner; cells of two levels only straight up and down, as every way that climbs also leads through such steps.
+
+    Args:
+      is_free: ``[Y, X]`` or ``[K, Y, X]`` bool; the result has the same shape.
+      cuts_corners: whether cells that touch with a corner are joined.
+    """
+    joins = joins_on_level = generate_binary_structure(2, 2 if cuts_corners else 1)
+    if is_free.ndim == 3:
+        joins = generate_binary_structure(3, 1)  # the six cells that share a side
+        joins[1] = joins_on_level
+    islands, _ = label(is_free, joins)
+    return islands

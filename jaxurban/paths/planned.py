@@ -1,0 +1,298 @@
+"""Planner's paths made `PlannedPath`s: measured on their cost map, with its settings, and what is said of them."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
+from jaxurban.kernels.tolerances import SAME_EXPOSURE, SAME_PLACE_M
+from jaxurban.paths.constraints import describe_kept
+from jaxurban.paths.ground import ground_along
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.places import End
+from jaxurban.paths.search import PathSearch
+from jaxurban.paths.snapping import pocket_note, snap_note, what_would_join
+from jaxurban.planners.base import Path, Status
+from jaxurban.planners.simplify import farthest
+from jaxurban.planners.simplify import simplify as simplify_path
+from jaxurban.public import renamed_arguments
+
+if TYPE_CHECKING:
+    from jaxurban.paths.cost_map import CostMap
+
+NOT_MEASURED: dict[str, Any] = {  # of a search without a path, under the names of `PlannedPath`
+    "xy_m": np.empty((0, 2)),
+    "lonlat": np.empty((0, 2)),
+    "z_m": np.empty(0),
+    "cost": math.inf,
+    "cost_by_layer": {},
+    "length_m": math.inf,
+    "metrics": {},
+}
+
+
+def finish(
+    cost_map: "CostMap", path: Path, ends: tuple[End, End], search: PathSearch
+) -> PlannedPath:
+    """Return a planner's path with its weighted cost, its metrics, its coordinates and its settings.
+
+    Args:
+      cost_map: the map that it was planned on.
+      path: from a planner, or its verdict that there is none.
+      ends: start and goal, from `CostMap.ends`.
+      search: how it was searched for, for the record.
+    """
+    budget_s = search.budget_s if np.isfinite(search.budget_s) else None
+    settings = map_settings(cost_map) | {"budget_s": budget_s, "seed": search.seed}
+    if search.exposure:
+        settings["exposure"] = dict(search.exposure)
+    start, goal = ends
+    start_altitude_m = cost_map.altitude_m
+    if cost_map.levels is not None:  # the first index of a cell is then its level
+        start_altitude_m = float(cost_map.altitudes_m[start.cell[0]])
+        settings["goal_altitude_m"] = float(cost_map.altitudes_m[goal.cell[0]])
+    measures = measured(cost_map, path.points_m) if path.status.has_path else NOT_MEASURED
+    return PlannedPath(
+        **measures,
+        status=path.status,
+        altitude_m=start_altitude_m,
+        snap_distance_m=(start.snap_distance_m, goal.snap_distance_m),
+        search=replace(path, note=_note(cost_map, path, ends)),
+        settings=settings,
+        crs=cost_map.grid.crs,
+        zones=cost_map.constraints.zones,
+        maps=cost_map.maps,
+    )
+
+
+def measured(cost_map: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
+    """Return where a path lies, what it costs and what it meets, under the names of `PlannedPath`.
+
+    Args:
+      cost_map: the map that it is costed on.
+      points_m: ``[N, 2]`` x, y in metres from the map's southwest corner; in a volume ``[N, 3]``, with the altitude.
+    """
+    # Where it lies.
+    grid, weights = cost_map.grid, cost_map.weight_vector
+    from_corner_m = points_m[:, :2]
+    xy_m = from_corner_m + grid.bounds_m[:2]
+    z_m = np.full(len(xy_m), cost_map.altitude_m)
+    if cost_map.levels is not None:
+        z_m = points_m[:, 2]
+    ground = None
+    if cost_map.terrain_m is not None:
+        ground = ground_along(from_corner_m, cost_map.terrain_m, grid)
+
+    # What it costs: phi holds, of each weight, what the weight is multiplied by.
+    features = cost_map.problem.features(points_m)
+    costs = (weights * features.phi).tolist()
+    reference_m = cost_map.cost_model.reference_length_m
+    exposures = (features.mean_costs * features.length_m.sum() / reference_m).tolist()
+    return {
+        "xy_m": xy_m,
+        "lonlat": grid.lonlat_at(xy_m),
+        "z_m": z_m,
+        "cost": features.cost(weights),
+        "cost_by_layer": dict(zip(cost_map.weight_names, costs, strict=True)),
+        "exposure_by_layer": dict(zip(cost_map.names, exposures, strict=True)),
+        "length_m": float(features.phi[0]),
+        "metrics": cost_map.means(features),
+        "ground": ground,
+    }
+
+
+def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
+    """Return what the planner noted, and what else a reader of the path must know: sentences, or ``""``.
+
+    Args:
+      cost_map: the map that it was planned on.
+      path: from a planner, or its verdict that there is none.
+      ends: start and goal, from `CostMap.ends`.
+    """
+    start, goal = ends
+    has_path = path.status.has_path
+    constraints = cost_map.constraints
+    notes = [path.note]
+
+    # What was searched for, and from where to where.
+    if not cost_map.is_weighed and cost_map.objective == "weighted":
+        notes.append(
+            "All weights are zero, so every path is as cheap: the distance was minimised instead."
+        )
+    notes.append(snap_note(start, goal))
+    kept = describe_kept(constraints.to_dict(), cost_map.grid.resolution_m)
+    if kept:
+        notes.append(f"Distance to obstacles: {constraints.horizontal_m:g} m asked, {kept}.")
+    if cost_map.is_weighed and cost_map.weights.distance == 0 and not path.note and has_path:
+        notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
+    between_m = _between_m(cost_map)
+    if between_m:
+        low_m, high_m = between_m
+        notes.append(
+            f"Metrics at {cost_map.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
+        )
+
+    # Why there may be no path.
+    if str(constraints) and not has_path:
+        free_on_maps = [cost_map.maps.is_free(z_m) for z_m in cost_map.altitudes_m.tolist()]
+        share = 1 - cost_map.is_free.sum() / np.sum(free_on_maps)
+        notes.append(
+            f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."
+        )
+    if path.status is Status.NO_PATH:
+        notes.append(pocket_note(cost_map, start, goal))
+        notes.append(what_would_join(cost_map, start.cell, goal.cell))
+    return " ".join(filter(None, [*notes, *_metric_notes(cost_map)]))
+
+
+def _metric_notes(cost_map: "CostMap") -> Iterator[str]:
+    """Yield a sentence on metrics that have a weight and that the maps lack, and the caveats of metrics that count.
+
+    A metric counts where a path pays for it, or where a bound is on one of its maps.
+    """
+    weighed = [name for name, weight in cost_map.weights.to_dict().items() if weight > 0]
+    missing = [name for name in weighed if name not in ("distance", *cost_map.names)]
+    if missing:
+        yield f"These maps hold no {' and no '.join(missing)}, so that weight is ignored."
+    bounded = {bound.variable for bound in cost_map.constraints.bounds}
+    for name, metric in cost_map.maps.metrics.items():
+        is_paid_for = name in cost_map.names and cost_map.weights[name] > 0
+        if is_paid_for or not bounded.isdisjoint(metric.variables):
+            yield metric.caveat
+
+
+def map_settings(cost_map: "CostMap") -> dict[str, Any]:
+    """Return the settings that a cost map gives to the paths planned on it: plain values, by the names of their record.
+
+    `PlannedPath.settings` holds them, beside those of the search.
+    """
+    settings: dict[str, Any] = {
+        "objective": cost_map.objective,
+        **cost_map.cost_model.settings,
+        "weights": {name: float(cost_map.weights[name]) for name in ("distance", *cost_map.names)},
+        "time": cost_map.time,
+        "time_of_day": cost_map.time_of_day,
+        "limits": cost_map.constraints.to_dict(),
+        "obstacles": cost_map.maps.obstacles,
+        "resolution_m": cost_map.grid.resolution_m,
+    }
+    if cost_map.levels is None:
+        between_m = _between_m(cost_map)
+        if between_m:
+            settings["metrics_between_m"] = between_m
+        return settings
+    climb_cost, descent_cost = cost_map.weight_vector[-2:].tolist()
+    return settings | {
+        "min_altitude_m": cost_map.levels.min_altitude_m,
+        "max_altitude_m": cost_map.levels.max_altitude_m,
+        "level_step_m": cost_map.levels.level_step_m,
+        "levels_m": cost_map.altitudes_m.tolist(),
+        "climb_cost": climb_cost,
+        "descent_cost": descent_cost,
+    }
+
+
+def _between_m(cost_map: "CostMap") -> list[float]:
+    """Return the two altitudes of the maps between which metrics are interpolated.
+
+    Empty in a volume, and where the maps hold the altitude itself.
+    """
+    if cost_map.levels is not None:
+        return []
+    around_m = cost_map.maps.around(cost_map.altitude_m)
+    return around_m if len(around_m) == 2 else []
+
+
+def over_budget(exposure: Mapping[str, float], budgets: Mapping[str, float]) -> str:
+    """Return the budgets of exposure that a path exceeds, in words; empty where it keeps all.
+
+    Args:
+      exposure: of the path, by metric.
+      budgets: the most that is allowed, by metric, in the same units; a rounding above it is still within.
+    """
+    exceeded = [
+        f"the budget of {most:g} for {name}"
+        for name, most in budgets.items()
+        if exposure[name] > most * (1 + 2 * SAME_EXPOSURE)
+    ]
+    return " and ".join(exceeded)
+
+
+@renamed_arguments(on="cost_map")
+@typed
+def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> PlannedPath:
+    """Return the path with the fewest straight legs that keep within a tolerance of it and to free cells.
+
+    A mission of hundreds of waypoints becomes one of tens. Every leg keeps 2 cm from every cell that is closed by
+    an obstacle or a constraint, so that no rounding of coordinates takes it into one (`jaxurban.planners.simplify`
+    says what is done where the path itself passes nearer). The altitudes above ground stay, and so do the ends. Cost,
+    metrics and length are those of the new path; its message says the tolerance, the waypoints before and after, how
+    far the path was moved at most, and how its cost changed.
+
+    Args:
+      planned: from `plan`, or from a batch; without a path it comes back as it is.
+      cost_map: that it was planned on, as from `jaxurban.cost_map` with the same arguments: it knows the free cells.
+      tolerance_m: how far the path may be from where it was, in plan.
+
+    Returns:
+      `PlannedPath`, whose status is feasible where the path was optimal and anything moved.
+
+    Raises:
+      InputError: a tolerance that is not a positive number of metres, or a cost map under other settings, constraints
+        or in another region than the path's.
+
+    Examples:
+      >>> short = ju.simplify(path, ju.cost_map(maps, 60.0), tolerance_m=20.0)
+      >>> len(path.xy_m), len(short.xy_m), short.status.value
+      (27, 3, 'feasible')
+      >>> short.message
+      '...Simplified to 20 m: 3 of 27 waypoints, at most 12.44 m from the planned path; ...'
+    """
+    if not planned.status.has_path:
+        return planned
+    _check_same_map(planned, cost_map)
+    points_m = planned.search.points_m
+    simpler = simplify_path(cost_map.problem, planned.search, tolerance_m)
+    after = measured(cost_map, simpler.points_m)
+
+    # The path stays as it is where a simpler one exceeds a budget.
+    exceeded = over_budget(after["exposure_by_layer"], planned.settings.get("exposure", {}))
+    if exceeded:
+        note = f"{planned.search.note} Not simplified to {tolerance_m:g} m, which would exceed {exceeded}."
+        return replace(planned, search=replace(planned.search, note=note))
+
+    note = (
+        f"Simplified to {tolerance_m:g} m: {len(simpler.points_m)} of {len(points_m)} waypoints, at most "
+        f"{farthest(points_m[:, :2], simpler.points_m[:, :2]):.2f} m from the planned path; the weighted cost is "
+        f"{after['cost']:.3f}, before {planned.cost:.3f}."
+    )
+    search = replace(simpler, note=" ".join(filter(None, (simpler.note, note))))
+    settings = {**planned.settings, "simplify_m": tolerance_m}
+    return replace(planned, **after, status=simpler.status, search=search, settings=settings)
+
+
+def _check_same_map(planned: PlannedPath, cost_map: "CostMap") -> None:
+    """Check that a path was planned on a cost map, which alone knows what the path keeps clear of.
+
+    Raises:
+      InputError: the path's CRS, altitude or levels, a setting or the region is another one than the cost map's.
+    """
+    # Settings of a volume hold its levels. On one altitude both records get that altitude, and no levels.
+    on_one_altitude = {"levels_m": None, "altitude_m": planned.altitude_m}
+    path_record = {"crs": planned.crs, **on_one_altitude, **planned.settings}
+    map_record = {"crs": cost_map.grid.crs, **on_one_altitude, **map_settings(cost_map)}
+    if cost_map.levels is None:
+        map_record["altitude_m"] = cost_map.altitude_m
+    different = [name for name, value in map_record.items() if path_record.get(name) != value]
+    xy_m = planned.search.points_m[:, :2] + cost_map.grid.bounds_m[:2]
+    if not np.allclose(xy_m, planned.xy_m, rtol=0.0, atol=SAME_PLACE_M):
+        different.append("region")
+    if different:
+        raise InputError(
+            f"the path was planned under another {' and another '.join(different)} than those of this cost map: give "
+            "the cost map that it was planned on"
+        )
