@@ -18,7 +18,7 @@ import shapely
 import jaxurban as ju
 from jaxurban.errors import GuessWarning
 from jaxurban.io.read import sniff as sniffing
-from jaxurban.io.read.city import lonlat_extent, read_buildings
+from jaxurban.io.read.city import OUTLINE_READERS, lonlat_extent, read_buildings
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.osm_plain import plain_osm
@@ -373,3 +373,17 @@ def test_a_link_is_found_across_the_blocks_in_which_a_file_is_read(tmp_path):
     for gap in (2**20 - len(start), 2**20 - len(start) - 3, 2**20):
         text = f'{start}{" " * gap}:"\\u006cink"}}}}'
         refused(read_vector, tmp_path / "a.geojson", text.encode(), "refers to other files")
+
+
+def test_a_further_reader_needs_no_bounds_and_takes_columns(tmp_path, monkeypatch):
+    file = tmp_path / "town.tsv"
+    file.write_text("no format that is known")
+    FRAME.to_file(tmp_path / "town.gpkg")
+
+    def read(path, near, settings):
+        return read_vector(tmp_path / "town.gpkg", near, settings)
+
+    monkeypatch.setitem(OUTLINE_READERS, ".tsv", read)
+    assert lonlat_extent(file) == pytest.approx(tuple(FRAME.total_bounds), abs=1e-6)
+    columns = ju.Buildings(file, height_column="height", unit="m")
+    assert len(ju.City.from_files(columns).buildings) == len(FRAME)

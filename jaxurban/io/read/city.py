@@ -64,9 +64,15 @@ from jaxurban.world.grid import (
 from jaxurban.world.raster import Raster
 
 OutlineReader = Callable[[Path, Near | None, settings.Buildings | None], Outlines]
+
+
+def _read_osm(path: Path, near: Near | None, file: settings.Buildings | None) -> Outlines:
+    """Return all outlines of OpenStreetMap, as nodes lie anywhere before their ways; it has no columns to name."""
+    return read_osm(path)
+
+
 OUTLINE_READERS: dict[str, OutlineReader] = {  # by `sniff`, or by the file's own suffix
-    # Nodes of OSM lie anywhere before their ways.
-    **dict.fromkeys(OSM_SUFFIXES, lambda path, near, file: read_osm(path)),
+    **dict.fromkeys(OSM_SUFFIXES, _read_osm),
     **dict.fromkeys((*VECTOR_SUFFIXES, *OTHER_SUFFIXES), read_vector),
 }
 FILE_FIELDS = ("source", *FILES)
@@ -228,7 +234,7 @@ def read_buildings(
     is_misplaced = {
         'hanging = "slabs" is for outlines': file.hanging == SLABS and read is None,
         'kind = "surface" is for rasters': file.kind == "surface" and read is not None,
-        COLUMNS_SAID: len(named_columns(file)) > 0 and read is not read_vector,
+        COLUMNS_SAID: len(named_columns(file)) > 0 and read in (None, _read_osm),
     }
     for what, is_wrong in is_misplaced.items():
         if is_wrong:
@@ -279,7 +285,7 @@ def lonlat_extent(path: str | Path) -> Bounds:
     read = _reader_of(file)
     if read is None:
         return raster_extent_m(path, WGS84)
-    box = None if read is read_vector else header_box(path)
+    box = header_box(path) if read is _read_osm else None
     if box is not None:
         return box
     outlines = read(file, None, None)
