@@ -153,16 +153,19 @@ def merged(rows: pd.DataFrame, key: str | None = None) -> pd.DataFrame:
       key: name of a column: stretches of other values there are not joined. None joins all.
     """
     group = np.zeros(len(rows)) if key is None else rows[key].to_numpy()
-    rows = rows.assign(group=group)
-    rows = rows.sort_values(["group", "from_m"], kind="stable", ignore_index=True)
-    # How far the stretches before reach; across the border of groups it has no meaning, and is not used.
-    reach_m = rows.groupby("group")["to_m"].cummax().shift()
-    is_new = (rows["group"] != rows["group"].shift()) | (rows["from_m"] > reach_m + TOUCH_M)
-    taken = dict.fromkeys(rows.columns.drop("group"), "first")
-    for name, extreme in (("gap_m", "min"), ("apart_m", "min"), ("to_m", "max")):
-        if name in rows:
-            taken[name] = extreme
-    return rows.groupby(is_new.cumsum()).agg(taken).sort_values("from_m", ignore_index=True)
+    order = np.lexsort((rows["from_m"], group))  # by group, and in the order of travel within each
+    rows, group = rows.iloc[order], group[order]
+    from_m, to_m = rows[["from_m", "to_m"]].to_numpy().T
+    # How far the stretches before reach; at the first of a group it has no meaning, and is not used.
+    reach_m = pd.Series(to_m).groupby(group).cummax().to_numpy()
+    is_new = np.ones(len(rows), bool)
+    is_new[1:] = (group[1:] != group[:-1]) | (from_m[1:] > reach_m[:-1] + TOUCH_M)
+    begins = np.flatnonzero(is_new)
+
+    joined = {"to_m": np.maximum.reduceat(to_m, begins)}
+    for name in rows.columns.intersection(["gap_m", "apart_m"]):
+        joined[name] = np.fmin.reduceat(rows[name].to_numpy(), begins)
+    return rows.iloc[begins].assign(**joined).sort_values("from_m", ignore_index=True)
 
 
 def union_m(rows: pd.DataFrame) -> float:
