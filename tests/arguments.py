@@ -105,7 +105,7 @@ def home() -> Path:
             file.write(np.array(values, np.float32), 1)
 
     # Maps of the few buildings, whose file their record names, and a zone in the town.
-    few = {"region": {"bounds": BOX, "resolution_m": [20.0, 40.0], "altitudes_m": [20.0, 60.0]}}
+    few = {"region": {"bounds": BOX, "resolution_m": 20.0, "altitudes_m": [20.0, 60.0]}}
     few |= {"buildings": {"source": "few.geojson"}}
     run_scenario(ju.Scenario.from_dict(few, folder=folder), folder / "few", progress=False)
     zone = shapely.Point(-73.993595, 40.757726).buffer(0.0004)

@@ -7,6 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 from hypothesis import settings
@@ -56,6 +57,21 @@ def blank_pictures() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(write, "save", save_blank)
         yield
+
+
+@pytest.fixture
+def laid_out() -> None:
+    """What a quick test asks for that looks where the parts of a picture stand, beside `without_layout`."""
+
+
+@pytest.fixture
+def without_layout(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Pictures are not laid out, which is most of their time; in slow tests, and in those with `laid_out`, they are."""
+    if "laid_out" in request.fixturenames or request.node.get_closest_marker("slow"):
+        yield
+    else:
+        with patch("matplotlib.layout_engine.ConstrainedLayoutEngine.execute"):
+            yield
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -6,7 +6,7 @@
 import inspect
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache, partial
 from typing import Any
 from unittest.mock import patch
@@ -18,7 +18,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.cli.main import COMMANDS
 from jaxurban.maps.build import compute_maps
-from jaxurban.maps.run import tasks_of
+from jaxurban.maps.run import load_city, tasks_of
 from jaxurban.world.raster import Raster
 from tests import arguments as on
 from tests.arguments import BOX, ENGINE, GOAL, LATER, PROGRESS, START, WORKERS, Case, Same, home
@@ -115,6 +115,19 @@ def over_few() -> Any:
     west, south, east, _ = BOX
     start, goal = (west + 1e-4, south + 1e-4), (east - 1e-4, south + 1e-4)
     return ju.plan(few_maps(), start, goal, altitude_m=60.0).save(on.a_file("few.plan"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cities() -> Iterator[None]:
+    """The city of maps is read from its files once, and not by each call that looks at it."""
+    known = dict[str, ju.City]()
+
+    def read(scenario: ju.Scenario) -> ju.City:
+        key = f"{scenario.path_of('.')} {scenario.to_toml()}"
+        return known.get(key) or known.setdefault(key, load_city(scenario))
+
+    with patch("jaxurban.maps.sources.load_city", read):
+        yield
 
 
 @cache
@@ -783,6 +796,8 @@ SLOW = (
     "building_costs",
     "sensitivity_study",
     "when",
+    "SoftParams",
+    "all_maps",
 )
 
 
@@ -1091,13 +1106,15 @@ SLOW_COMMANDS = ("plan", "compare", "study", "tune", "sensitivity", "sensitivity
 
 
 @cache
+def other_maps() -> None:
+    """Make the maps that ``compare`` holds against the town's."""
+    other = ju.Scenario.from_toml(home() / "town.toml", ["gps.mask_deg=40"])
+    on.run_scenario(other, home() / "other", progress=False)
+
+
+@cache
 def files() -> dict[str, str]:
     """Return the files that commands name, made once."""
-    on.run_scenario(
-        ju.Scenario.from_toml(home() / "town.toml", ["gps.mask_deg=40"]),
-        home() / "other",
-        progress=False,
-    )
     study = '[study]\ninstances = 2\nplanners = ["astar-plus"]\nbudget_s = 60.0\n'
     (home() / "small.toml").write_text((home() / "town.toml").read_text() + study)
     return {
@@ -1122,6 +1139,8 @@ def written(out: on.Path) -> Any:
 def ran(capsys: Any, command: str, words: tuple[str, ...]) -> tuple[int, Any]:
     """Return the exit code of a command and what it printed or wrote; of one that failed its error."""
     out = on.a_file("out")
+    if command == "compare":
+        other_maps()
     given = [word.format(out=out, **files()) for word in words]
     if "{kml}" in words:
         given.remove(files()["mission"])

@@ -59,7 +59,10 @@ def hostile_maps() -> ju.MetricMaps:
     return ju.MetricMaps(ds.assign_coords(time_of_day=times_of_day))
 
 
-pytestmark = pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning"),
+    pytest.mark.usefixtures("without_layout"),
+]
 
 
 @pytest.fixture(scope="module")

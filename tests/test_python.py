@@ -137,6 +137,7 @@ def test_a_folder_stands_for_its_maps(paths, folder):
     assert plot_metric(str(folder), "risk").axes
 
 
+@pytest.mark.usefixtures("without_layout")
 def test_pictures_take_one_path_several_or_a_batch(paths):
     for given in (paths[0], [paths[0], paths[1]], paths):
         assert "20 m" in plot_paths(MAPS, given).axes[0].get_title("left")

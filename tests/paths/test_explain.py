@@ -25,6 +25,7 @@ from tests.cli_runs import run
 from tests.made_maps import missing_inside
 from tests.paths.volumes import WEIGHTS, options_of
 
+pytestmark = pytest.mark.usefixtures("without_layout")
 ALTITUDE_M = 20.0
 MODELS = (("cell", "line"), (4.0,), (4, 8), ("both-free", "always"))
 OBSTACLES = np.random.default_rng(3).random((30, 40)) < 0.08
@@ -372,6 +373,7 @@ def test_stretches_without_a_fix_are_shaded_over_their_whole_length(maps, planne
     assert "no fix" in [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
 
 
+@pytest.mark.usefixtures("laid_out")
 def test_a_profile_without_walls_or_of_one_place_is_drawn(maps, ends, planned, tmp_path):
     save_profile(
         planned, ju.MetricMaps(maps.ds.assign(obstacle=maps.ds["obstacle"] * 0)), tmp_path / "a.png"

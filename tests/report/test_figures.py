@@ -32,6 +32,7 @@ from tests.made_maps import made_maps
 from tests.paths.volumes import made_path
 from tests.report.legible import assert_legible, drawn_texts
 
+pytestmark = pytest.mark.usefixtures("without_layout")
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
 RULES = {"cost_model": "line", "objective": "weighted", "obstacles": "touched", "resolution_m": 5.0}
 RULES |= {"weights": {"distance": 0.1, "gps": 1.0}, "limits": {"vertical_clearance_m": 3.0}}
@@ -100,7 +101,9 @@ def drawn(axes) -> np.ndarray:
     """The panel's image as hex colours, row 0 in the south."""
     image = axes.images[0]
     assert image.origin == "lower"
-    return np.apply_along_axis(lambda rgb: to_hex(rgb / 255), 2, np.asarray(image.get_array()))
+    rgb = np.asarray(image.get_array()).astype(int) @ (1 << 16, 1 << 8, 1)
+    names = {value: f"#{value:06x}" for value in np.unique(rgb).tolist()}
+    return np.vectorize(names.get)(rgb)
 
 
 def texts_of(figure) -> str:
@@ -241,6 +244,7 @@ def test_paths_have_the_papers_colours_and_coinciding_ones_both_show(maps):
     assert named["astar-plus"].get_color() == PLANNER_COLOURS["astar-plus"]
 
 
+@pytest.mark.usefixtures("laid_out")
 def test_routes_that_coincide_are_drawn_side_by_side_and_one_apart_at_its_place(maps):
     paths = [make_path(maps, name) for name in PLANNER_COLOURS]
     assert lanes_of([path.xy_m for path in paths], 5.0) == [-2.0, -1.0, 0.0, 1.0, 2.0]
@@ -330,11 +334,11 @@ def test_notes_tell_the_place_and_only_the_guesses_that_concern_the_picture():
     maps.ds.attrs["guesses"] = json.dumps(guesses)
     lon, lat = maps.grid.centre_lonlat
     place = f"around {lat:.3f}°N {-lon:.3f}°W"
-    told = texts_of(plotting.plot_metric(maps, "gps"))
+    told = texts_of(plotting.plot_metric(maps, "gps", altitude_m=60.0))
     assert f"Guessed: 3 % of heights, {NOMINAL_SKY}, 5 % of {BEYOND_DATA}" in told
     for figure in (
-        plotting.plot_metric(maps, "lidar"),
-        plotting.plot_obstacles(maps),
+        plotting.plot_metric(maps, "lidar", altitude_m=60.0),
+        plotting.plot_obstacles(maps, altitude_m=60.0),
         plotting.plot_heights(maps),
     ):
         assert "Guessed: 3 % of heights\n" in texts_of(figure)
@@ -353,9 +357,10 @@ def test_twelve_paths_have_twelve_colours_and_stay_lines(maps):
 @pytest.mark.parametrize(
     ("rows", "cols", "resolution_m"), [(34, 40, 100.0), (100, 50, 200.0), (30, 75, 20.0)]
 )
+@pytest.mark.usefixtures("laid_out")
 def test_scale_bar_is_as_long_as_it_says(rows, cols, resolution_m):
     frame_maps = make_maps(rows, cols, resolution_m)
-    figure = plotting.plot_metric(frame_maps, "risk")
+    figure = plotting.plot_metric(frame_maps, "risk", altitude_m=[20.0, 60.0])
     figure.draw_without_rendering()
     scales, shown = figure.findobj(AnchoredSizeBar), panels_of(figure)
     assert [scale.axes for scale in scales] == shown
@@ -380,15 +385,15 @@ def test_scale_bar_is_as_long_as_it_says(rows, cols, resolution_m):
     ],
 )
 def test_a_file_is_as_wide_as_asked_and_its_text_stays_text(maps, tmp_path, width, width_mm):
-    def draw():
-        return plotting.plot_metric(maps, "risk", altitude_m=60, width=width)
-
-    for suffix in ("png", "pdf", "svg"):
-        draw().savefig(tmp_path / f"risk.{suffix}")
-        if suffix != "png":
-            write_picture(draw(), tmp_path / f"again.{suffix}")
-            files = [(tmp_path / f"{name}.{suffix}").read_bytes() for name in ("risk", "again")]
-            assert files[0] == files[1]
+    figure, again = (
+        plotting.plot_metric(maps, "risk", altitude_m=60, width=width) for _ in range(2)
+    )
+    figure.savefig(tmp_path / "risk.png")
+    for suffix in ("pdf", "svg"):
+        figure.savefig(tmp_path / f"risk.{suffix}")
+        write_picture(again, tmp_path / f"again.{suffix}")
+        files = [(tmp_path / f"{name}.{suffix}").read_bytes() for name in ("risk", "again")]
+        assert files[0] == files[1]
     with Image.open(tmp_path / "risk.png") as image:
         assert image.info["dpi"] == pytest.approx((300, 300), abs=0.1)
         assert image.size[0] / 300 * 25.4 == pytest.approx(width_mm, abs=0.1)
@@ -421,6 +426,7 @@ def test_every_function_takes_altitude_m_and_those_of_1_0_the_former_name(maps):
 
 
 @pytest.mark.parametrize("width", ["page", "column"])
+@pytest.mark.usefixtures("laid_out")
 def test_no_axes_are_empty_and_no_bar_is_wider_than_its_map(maps, width):
     bare = MetricMaps(maps.ds.drop_vars(["population", "density", "time_of_day"]))
     figure = plotting.plot_overview(bare, make_paths(bare), width=width)
@@ -444,6 +450,7 @@ def test_titles_name_the_time_of_day_and_legends_lanes(maps):
         assert ("shared stretches:\nside by side" in text) == is_said
 
 
+@pytest.mark.usefixtures("laid_out")
 def test_scale_and_north_keep_out_of_the_way_of_a_routes_ends(maps):
     grid = maps.grid
     ends = np.reshape(grid.bounds_m, (2, 2)) + np.array([[150.0], [-150.0]])
@@ -598,6 +605,7 @@ def test_what_cannot_be_drawn_is_named(maps):
         plotting.plot_population(MetricMaps(maps.ds.drop_vars("density")))
 
 
+@pytest.mark.usefixtures("laid_out")
 def test_a_single_panel_keeps_the_maps_proportions():
     figure = plotting.plot_metric(make_maps(300, 100, 10.0), "risk", altitude_m=[20.0])
     (panel,) = panels_of(figure)
@@ -613,6 +621,7 @@ def test_drawing_does_not_import_pyplot():
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
+@pytest.mark.usefixtures("laid_out")
 def test_a_notebook_shows_heading_and_note_too():
     """Jupyter cuts a figure to its tight box, which holds only what is in the layout."""
     figure = chart(3.0, "Heading", "note")

@@ -17,6 +17,8 @@ from tests.cli_runs import run
 from tests.made_maps import made_maps
 from tests.studies.test_map_comparison import changed_from
 
+pytestmark = pytest.mark.usefixtures("without_layout")
+
 
 @pytest.fixture(scope="module")
 def found():

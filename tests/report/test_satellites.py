@@ -14,6 +14,8 @@ from jaxurban.studies.receiver.validate import ReceiverValidation
 from tests.made_agreement import made
 from tests.receiver_logs import found
 
+pytestmark = pytest.mark.usefixtures("without_layout")
+
 
 @pytest.fixture(scope="module")
 def of_satellites() -> ReceiverValidation:
@@ -128,6 +130,7 @@ def test_every_picture_of_the_report_is_drawn_and_every_drawn_one_is_in_it(of_sa
     assert outputs["report.md"].count("](figures/") == len(pictures) == 5
 
 
+@pytest.mark.usefixtures("laid_out")
 def test_pictures_name_what_they_show_with_units(of_satellites):
     said = {
         name: texts_of(draw()) for name, draw in satellite_figures(of_satellites, made()).items()

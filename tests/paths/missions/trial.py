@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxurban as ju
-from jaxurban.maps.run import run_scenario
+from jaxurban.maps.run import load_city, run_scenario
 from jaxurban.maps.scenario import Scenario
 from tests.paths.missions.cases import MAKERS, plain
 from tests.paths.missions.damage import DAMAGES
@@ -72,13 +72,22 @@ def write(case: Case, folder: Path, number: int) -> Path:
 
 
 class Court:
-    """Tries missions over the worlds in a folder, whose maps are opened once."""
+    """Tries missions over the worlds in a folder, whose maps are opened once.
+
+    The cities of ``flat`` and ``hills`` are read once; for ``coarse`` each check reads that of its maps from the files.
+    """
 
     def __init__(self, folder: Path, seed: int = 1) -> None:
         self.folder, self.seed, self.worlds = folder, seed, worlds_in(folder)
         self.maps = {
             name: ju.open_maps(world.folder, world.resolution_m)
             for name, world in self.worlds.items()
+        }
+        for maps in self.maps.values():
+            maps.ds.load()
+        self.sources = {
+            name: {"sources": load_city(Scenario.from_toml(folder / name / "scenario.toml"))}
+            for name in ("flat", "hills")
         }
 
     def case(self, number: int) -> Case:
@@ -89,9 +98,9 @@ class Court:
         """Return the trial of a mission."""
         case = self.case(number)
         truth = truth_of(case.world, case.flown, *case.clearances_m)
-        verdict = verdict_of(
-            self.maps[case.world.name], write(case, self.folder, number), case.options
-        )
+        name = case.world.name
+        options = self.sources.get(name, {}) | case.options
+        verdict = verdict_of(self.maps[name], write(case, self.folder, number), options)
         return Trial(
             number, case, truth, verdict, ruling(case.world, truth, verdict, case.is_damaged)
         )
