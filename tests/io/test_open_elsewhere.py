@@ -113,16 +113,16 @@ def test_xarray_opens_the_group(maps, folder, opened):
         )
 
 
-def two_resolutions(maps: ju.MetricMaps, folder: Path) -> Path:
+@pytest.fixture(scope="module")
+def whole(maps, tmp_path_factory) -> Path:
     """Save maps and, as of another resolution, those of half of their region, and return where all of them lie."""
-    maps.save(folder)
+    folder = maps.save(tmp_path_factory.mktemp("whole"))
     part = maps.ds.isel(y=slice(0, 19), x=slice(3, 30)).assign_attrs(resolution_m=10.0)
     write_zarr(part.drop_vars(["y", "x"]), folder)
     return folder / "maps.zarr"
 
 
-def test_xarray_opens_a_group_of_the_whole_and_all_of_them(maps, opened, tmp_path):
-    whole = two_resolutions(maps, tmp_path)
+def test_xarray_opens_a_group_of_the_whole_and_all_of_them(whole, opened):
     xr.testing.assert_identical(xr.open_zarr(whole, group="20m").load(), opened.load())
     tree = xr.open_datatree(whole, engine="zarr")
     assert sorted(tree.children) == ["10m", "20m"]
@@ -137,10 +137,10 @@ def test_what_xarray_opens_is_written_as_netcdf(opened, tmp_path):
         xr.testing.assert_equal(found.load(), opened.load())
 
 
-def test_all_resolutions_are_written_as_one_netcdf(maps, opened, tmp_path):
+def test_all_resolutions_are_written_as_one_netcdf(whole, opened, tmp_path):
     pytest.importorskip("h5netcdf", reason="needs the dev extra")
-    whole = xr.open_datatree(two_resolutions(maps, tmp_path), engine="zarr")
-    whole.to_netcdf(tmp_path / "maps.nc", engine="h5netcdf")
+    tree = xr.open_datatree(whole, engine="zarr")
+    tree.to_netcdf(tmp_path / "maps.nc", engine="h5netcdf")
     with xr.open_datatree(tmp_path / "maps.nc", engine="h5netcdf") as found:
         xr.testing.assert_equal(found["20m"].to_dataset().load(), opened.load())
         assert sorted(found.children) == ["10m", "20m"]

@@ -273,15 +273,12 @@ def people_in(path, bounds_m):
     """Return the people of a raster in a box by hand: pixel by pixel, its ring in the box's CRS, pro rata by area."""
     with rasterio.open(path) as file:
         counts, place, crs = file.read(1, masked=True), file.transform, file.crs.to_wkt()
-    total, side = (
-        0.0,
-        np.array([(0, 0), (0.5, 0), (1, 0), (1, 0.5), (1, 1), (0.5, 1), (0, 1), (0, 0.5)]),
-    )
-    for (row, col), count in np.ndenumerate(counts.filled(0).astype(float)):
-        ring = np.array([place @ (col + right, row + down) for right, down in side])
-        pixel = shapely.Polygon(np.stack(transformer(crs, UTM).transform(*ring.T), axis=1))
-        total += count * pixel.intersection(shapely.box(*bounds_m)).area / pixel.area
-    return total
+    side = [(0, 0), (0.5, 0), (1, 0), (1, 0.5), (1, 1), (0.5, 1), (0, 1), (0, 0.5)]
+    row, col = np.indices(counts.shape)
+    ring = [transformer(crs, UTM).transform(*place @ (col + i, row + j)) for i, j in side]
+    pixel = shapely.polygons(np.transpose(ring, (2, 3, 0, 1)))
+    inside_m2 = shapely.area(shapely.intersection(pixel, shapely.box(*bounds_m)))
+    return (counts.filled(0) * inside_m2 / shapely.area(pixel)).sum(dtype=float)
 
 
 def people_raster(path, seed, step_deg, side=16, empty=-1.0, mean=80.0):

@@ -110,9 +110,10 @@ def test_the_halo_holds_the_threshold_in_whole_steps():
 
 
 def test_nothing_stands_beyond_the_surface():
-    padded, scan = GRID.padded(30, 30, 30, 30), Lidar(azimuths=60)
-    alone = compute_lidar(surface_on(SCATTERED_M, GRID, GRID), [20.0], scan)
-    among_nothing = compute_lidar(surface_on(np.pad(SCATTERED_M, 30), padded, GRID), [20.0], scan)
+    roof_m, scan = SCATTERED_M[10:-10, 10:-10], Lidar(azimuths=60)
+    alone = compute_lidar(surface_on(roof_m, REGION, REGION), [20.0], scan)
+    padded = REGION.padded(30, 30, 30, 30)
+    among_nothing = compute_lidar(surface_on(np.pad(roof_m, 30), padded, REGION), [20.0], scan)
     assert alone.min() < alone.max()
     np.testing.assert_array_equal(alone, among_nothing)
 
@@ -122,7 +123,7 @@ def test_similar_ranges_share_a_program_and_see_the_more_the_longer_they_are():
     scans = [Lidar(azimuths=60, range_m=range_m) for range_m in (90.0, 100.0, 112.0)]
     before = lidar._lidar._cache_size()
     near, usual, far = (np.asarray(compute_lidar(surface, [20.0], scan)) for scan in scans)
-    assert lidar._lidar._cache_size() == before + 1
+    assert lidar._lidar._cache_size() <= before + 1  # the same where another test compiled it
     assert (near <= usual).all()
     assert (usual <= far).all()
     assert near.mean() < usual.mean() < far.mean()

@@ -56,7 +56,7 @@ def test_maps_that_came_while_another_run_read_its_city_are_not_replaced(
     are_saved, tmp_path, monkeypatch
 ):
     """Those of a run and those that were saved from Python; with ``overwrite`` they are."""
-    tasks, other = pipeline.tasks_of, job_of(region=REGION | {"altitudes_m": [60]})
+    tasks, other = pipeline.tasks_of, job_of(region=REGION | {"altitudes_m": [30, 60]})
 
     def end_late(**asked):
         def late(*read):

@@ -1,7 +1,5 @@
 """A receiver beside maps: rank correlations with their controls, and what a true receiver scores and others do not."""
 
-from functools import cache
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -20,14 +18,28 @@ from jaxurban.studies.receiver.validate import (
     without_each_block,
 )
 from tests.metrics.whole_maps import compute_gps
-from tests.receiver_logs import SCENARIO, SETTINGS, drive, found, scenario, seen, surface, true_log
+from tests.receiver_logs import (
+    OF_ONE_LENGTH,
+    SCENARIO,
+    SETTINGS,
+    drive,
+    found,
+    scenario,
+    seen,
+    surface,
+    true_log,
+)
 
 GRID = ju.Grid.from_bounds(SCENARIO["region"]["bounds"], 5.0)
 
 
-def validated(log: pd.DataFrame, **settings) -> ju.studies.ReceiverValidation:
-    chosen = ju.studies.ReceiverSettings(**{**SETTINGS.to_dict(), **settings})
-    return ju.studies.validate(scenario(), log, chosen, progress=False)
+def validated(log: pd.DataFrame) -> ju.studies.ReceiverValidation:
+    return ju.studies.validate(scenario(), log, OF_ONE_LENGTH, progress=False)
+
+
+def tracking(num_tracked: np.ndarray) -> pd.Series:
+    """Return the score of a receiver on the drive that tracks so many satellites."""
+    return score(validated(drive().assign(num_tracked=num_tracked)))
 
 
 def score(of: ju.studies.ReceiverValidation, witness: str = "num_tracked") -> pd.Series:
@@ -67,14 +79,8 @@ def test_a_receiver_that_tracks_what_is_in_view_scores_above_every_shift():
     assert score(found(), "error_2d_m").within > 0.6
 
 
-@cache
-def shuffled() -> ju.studies.ReceiverValidation:
-    tracked = np.random.default_rng(7).permutation(true_log().num_tracked.to_numpy())
-    return validated(true_log().assign(num_tracked=tracked))
-
-
 def test_a_shuffled_log_scores_nothing():
-    of = score(shuffled())
+    of = tracking(np.random.default_rng(7).permutation(true_log().num_tracked.to_numpy()))
     assert abs(of.within) < 0.3
     assert of.within_low < 0 < of.within_high
     assert abs(of.spearman) < 0.3
@@ -93,7 +99,7 @@ def test_quarters_alone_score_over_the_whole_track_and_not_within_blocks():
     tracked = np.round(
         pieces.transform("mean") + rng.integers(-2, 3, len(true_log())).clip(-2, 2)
     ).clip(0)
-    of = score(validated(true_log().assign(num_tracked=tracked)))
+    of = tracking(tracked)
     assert of.spearman > 0.5
     assert of.spearman_p < 0.02
     assert of.within < 0.25

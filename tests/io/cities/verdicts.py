@@ -15,6 +15,7 @@ import jaxurban as ju
 
 CELL_M, ALTITUDES_M = 20.0, (1.0, 260.0)
 LIDAR = ju.Lidar(beams=1, azimuths=8, range_m=20.0)  # the least
+GPS = ju.Gps(mask_deg=60.0)  # a few satellites, which nothing far away hides
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,8 @@ def verdicts_of(
     """Return what checks of flights, files and options, say over a city's file, whose maps are made for it."""
     try:
         made = ju.City.from_files(str(city), bounds=bounds, crs=crs)
-        maps = ju.build_maps(
-            made, resolution_m=CELL_M, altitudes_m=ALTITUDES_M, lidar=LIDAR, progress=False
-        )
+        how = {"resolution_m": CELL_M, "altitudes_m": ALTITUDES_M, "lidar": LIDAR, "gps": GPS}
+        maps = ju.build_maps(made, **how, progress=False)
         return [_verdict_of(maps, made, file, options) for file, options in flights]
     except ju.InputError as error:
         return [Verdict("refused", words=str(error))] * len(flights)
