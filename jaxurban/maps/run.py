@@ -334,26 +334,15 @@ def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
 def _complete_maps(
     run: RunContext, workspace: Workspace, watch: Stopwatch, report: Report
 ) -> tuple[MetricMaps, bool]:
-    """Make what the output folder lacks of the maps at one resolution; return them, and whether their Zarr is new.
+    """Make what is missing or damaged of the maps at one resolution; return the maps, and whether their Zarr is new.
+
+    A Zarr on the disk is kept if it is whole and of the same run. A warning names what is missing or damaged.
 
     Args:
       run: what the maps are made of and where they go.
       workspace: the open output folder, with the checksums of its files.
       watch: gets the seconds of each stage.
       report: gets how many tiles are done.
-    """
-    is_kept = _keep_or_make_zarr(run, workspace, watch, report)
-    maps = MetricMaps(store.open_zarr(run.folder.resolve(), run.task.region.resolution_m))
-    _renew_geotiffs(maps, run, workspace, watch, has_old_zarr=is_kept)
-    return maps, not is_kept
-
-
-def _keep_or_make_zarr(
-    run: RunContext, workspace: Workspace, watch: Stopwatch, report: Report
-) -> bool:
-    """Make the Zarr of one resolution, unless it is on the disk, whole and of the same run; return whether it was kept.
-
-    A warning names a file of it that is missing or damaged. Arguments are as of `_complete_maps`.
     """
     folder = run.folder
     resolution_m = run.task.region.resolution_m
@@ -373,7 +362,9 @@ def _keep_or_make_zarr(
         scale = (time.perf_counter() - began) / (sum(seconds.values()) or 1.0)
         for name, busy_s in seconds.items():
             watch.add(name, busy_s * scale)
-    return is_kept
+    maps = MetricMaps(store.open_zarr(folder.resolve(), resolution_m))
+    _renew_geotiffs(maps, run, workspace, watch, has_old_zarr=is_kept)
+    return maps, not is_kept
 
 
 def _renew_geotiffs(
