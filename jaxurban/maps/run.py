@@ -3,6 +3,7 @@
 import json
 import time
 import warnings
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
@@ -431,7 +432,7 @@ def make_zarr(
         work.mark_zarr()
 
     # The tiles.
-    seconds: dict[str, float] = {}
+    seconds: defaultdict[str, float] = defaultdict(float)
     totals: dict[str, TimeTotals] = {}
     num_done = 0
     stage = f"tiles of {store.short_number(grid.resolution_m)} m"
@@ -441,7 +442,7 @@ def make_zarr(
         """Add what a task on a tile returns to ``seconds`` and, of a finished tile, to ``totals`` and the count."""
         nonlocal num_done
         for name, busy_s in result["seconds"].items():
-            seconds[name] = seconds.get(name, 0.0) + busy_s
+            seconds[name] += busy_s
         if "totals" in result:
             for metric, facts in result["totals"].items():
                 sums = TimeTotals.of(facts)
@@ -457,8 +458,8 @@ def make_zarr(
     # What needs the sums of all tiles, and the move of the whole Zarr to its place.
     if totals:
         with_means = with_series(empty, task, totals)
-        names = [f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]
-        store.add_to_zarr(with_means[names], work.zarr)
+        new = [name for name in with_means.data_vars if name not in empty]
+        store.add_to_zarr(with_means[new], work.zarr)
         work.mark_zarr()
     work.finish(store.zarr_path(run.folder, grid.resolution_m))
     return seconds

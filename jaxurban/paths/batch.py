@@ -169,7 +169,8 @@ def plan_many(
             _plan_batch(results, map_of, most_maps, search, backend, num_threads)
     except KeyboardInterrupt:
         was_interrupted = True
-        LOG.warning("interrupted: %d of %d queries are done", results.num_done, len(batch))
+        num_done = sum(results.counts.values())
+        LOG.warning("interrupted: %d of %d queries are done", num_done, len(batch))
     finally:
         results.save()
     return PlannedPaths(results.rows, results.paths, was_interrupted)
@@ -227,11 +228,6 @@ class _Results:
                 f"{str(store.file)!r} holds no results of these queries: name another file, or remove it"
             )
 
-    @property
-    def num_done(self) -> int:
-        """How many queries are done."""
-        return sum(self.counts.values())
-
     def add(
         self, k: int, status: str, message: str, path: PlannedPath | None = None, key: str = ""
     ) -> None:
@@ -247,7 +243,7 @@ class _Results:
         self.counts[outcome] += 1
         if self._store is not None:
             self._store.add([self.rows[k]])
-        self.report("queries", self.num_done, len(self.queries), **self.counts)
+        self.report("queries", sum(self.counts.values()), len(self.queries), **self.counts)
 
     def refuse(self, k: int, error: InputError | str) -> None:
         """Note that a query cannot be planned; under ``strict`` raise InputError instead.
