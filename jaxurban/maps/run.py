@@ -3,6 +3,7 @@
 import json
 import time
 import warnings
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
@@ -56,7 +57,7 @@ from jaxurban.world.grid import Grid
 
 @dataclass(frozen=True)
 class ScenarioRun:
-    """What a job made: the maps by resolution, and the record that run.json holds."""
+    """What a run made: the maps by resolution in metres, and the record that run.json holds."""
 
     maps: dict[float, MetricMaps]
     record: dict[str, Any]
@@ -73,7 +74,7 @@ def load_city(scenario: Scenario) -> City:
         return demo_city_for_bounds(region.bounds, region.crs)
 
     def placed(section: Any, *names: str) -> Any:
-        """Return a section whose settings of these names, which are files, are paths from the current folder."""
+        """Return a section of settings in which the named settings, all files, are paths from the current folder."""
         files = values_given({name: getattr(section, name) for name in names})
         paths = {name: scenario.path_of(file) for name, file in files.items()}
         return replace(section, **paths)
@@ -177,17 +178,8 @@ def run_scenario(
         guesses = tasks[0].all_guesses
         warn_of(guesses, known=city.guesses)
 
-        # Whether the folder can be written to, and memory and disk suffice. Only then is an older job's file touched.
-        check_writable(folder)
-        num_threads = num_cores()
-        if not isinstance(workers, str):  # the machines of a cluster are not ours to measure
-            num_threads = plan_run(
-                tasks,
-                memory_bytes,
-                num_workers=workers or num_threads,
-                num_processes=workers or 0,
-            )
-        check_disk(tasks, folder)
+        # No file of an older job is touched before it is certain that these maps have room.
+        num_threads = _check_room(tasks, folder, memory_bytes, workers)
 
         # The output folder is opened for this run; then the maps are made, one resolution after the other.
         opened = Workspace.open(
@@ -206,7 +198,7 @@ def run_scenario(
             runs = [
                 RunContext(task, folder, key, num_threads, client, tuple(layers)) for task in tasks
             ]
-            made = [_maps_of(run, workspace, watch, report) for run in runs]
+            made = [_complete_maps(run, workspace, watch, report) for run in runs]
             all_maps, are_new = zip(*made, strict=True)
             store.put_root(folder)  # jaxurban 1.0.0, whose maps may be kept here, did not write it
 
@@ -228,6 +220,30 @@ def run_scenario(
         recorded = replace(maps, base=kept_base).with_recorded(record["settings"])
         by_resolution[maps.grid.resolution_m] = recorded
     return ScenarioRun(by_resolution, record)
+
+
+def _check_room(
+    tasks: Sequence[MapTask], folder: Path, memory_bytes: int | None, workers: int | str | None
+) -> int:
+    """Check that a run can write to its folder and has enough memory and disk; return how many threads it may use.
+
+    What the run takes of both is written to the log, of memory only if the work is done on this machine.
+
+    Args:
+      tasks: one for each resolution.
+      folder, memory_bytes, workers: as of `run_scenario`.
+
+    Raises:
+      InputError: the folder cannot be written to, or there is too little memory or disk.
+    """
+    check_writable(folder)
+    num_threads = num_cores()
+    if not isinstance(workers, str):  # the memory of a cluster's machines is not known here
+        num_threads = plan_run(
+            tasks, memory_bytes, num_workers=workers or num_threads, num_processes=workers or 0
+        )
+    check_disk(tasks, folder)
+    return num_threads
 
 
 def _check_holds_no_others(folder: Path, scenario: Scenario, inputs: Inputs, key: str) -> None:
@@ -316,12 +332,12 @@ def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
     sweep_scraps(folder, folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER)
 
 
-def _maps_of(
+def _complete_maps(
     run: RunContext, workspace: Workspace, watch: Stopwatch, report: Report
 ) -> tuple[MetricMaps, bool]:
-    """Return the maps at one resolution, and whether they are new.
+    """Make what is missing or damaged of the maps at one resolution; return the maps, and whether their Zarr is new.
 
-    Maps on the disk are kept if they are whole and of the same run; what is missing or damaged is made again.
+    A Zarr on the disk is kept if it is whole and of the same run. A warning names what is missing or damaged.
 
     Args:
       run: what the maps are made of and where they go.
@@ -332,8 +348,6 @@ def _maps_of(
     folder = run.folder
     resolution_m = run.task.region.resolution_m
     zarr = store.zarr_path(folder, resolution_m)
-
-    # The Zarr is kept or made as a whole.
     with watch.stage("verify"):
         files = [folder / name for name in workspace.written if zarr in (folder / name).parents]
         broken = workspace.broken(files, run.map) if zarr.is_dir() else []
@@ -349,26 +363,39 @@ def _maps_of(
         scale = (time.perf_counter() - began) / (sum(seconds.values()) or 1.0)
         for name, busy_s in seconds.items():
             watch.add(name, busy_s * scale)
+    maps = MetricMaps(store.open_zarr(folder.resolve(), resolution_m))
+    _renew_geotiffs(maps, run, workspace, watch, has_old_zarr=is_kept)
+    return maps, not is_kept
 
-    # GeoTIFFs and styles are written one by one where they are missing or damaged.
-    ds = store.open_zarr(folder.resolve(), resolution_m)
+
+def _renew_geotiffs(
+    maps: MetricMaps, run: RunContext, workspace: Workspace, watch: Stopwatch, *, has_old_zarr: bool
+) -> None:
+    """Write the GeoTIFFs and styles of maps that are missing or damaged, one by one.
+
+    Styles are there to be edited, so that one that was changed stays, and a warning says so.
+
+    Args:
+      maps: whose values are written.
+      run, workspace, watch: as of `_complete_maps`.
+      has_old_zarr: the maps were kept, so that each missing file is named in the log. Under new maps all are missing.
+    """
     with watch.stage("verify"):
         stale = []
-        for path in workspace.broken(geotiff_paths(ds, folder, run.layers), run.map):
+        for path in workspace.broken(geotiff_paths(maps.ds, run.folder, run.layers), run.map):
             is_changed = workspace.is_changed(path)
-            if is_changed and path.suffix == ".qml":  # styles are there to be edited
+            if is_changed and path.suffix == ".qml":
                 LOG.warning(
                     f"{str(path)!r} was changed and stays: remove it, and the same command writes it again"
                 )
                 continue
             stale.append(path)
-            if is_kept and not is_changed:  # else it is reported when it is set aside
+            if has_old_zarr and not is_changed:  # a changed file is reported when it is set aside
                 LOG.warning(f"{str(path)!r} is missing: writing it again")
     with watch.stage("write_geotiff"):
-        write_geotiffs(ds, folder, run.map, only=stale, layers=run.layers)
-        # Of workers that were killed, whose files others have written.
-        sweep_scraps(folder / store.GEOTIFF_FOLDER)
-    return MetricMaps(ds), not is_kept
+        write_geotiffs(maps.ds, run.folder, run.map, only=stale, layers=run.layers)
+        # Files that workers had begun to write before they were killed; other workers have written them since.
+        sweep_scraps(run.folder / store.GEOTIFF_FOLDER)
 
 
 def make_zarr(
@@ -405,7 +432,7 @@ def make_zarr(
         work.mark_zarr()
 
     # The tiles.
-    seconds: dict[str, float] = {}
+    seconds: defaultdict[str, float] = defaultdict(float)
     totals: dict[str, TimeTotals] = {}
     num_done = 0
     stage = f"tiles of {store.short_number(grid.resolution_m)} m"
@@ -415,7 +442,7 @@ def make_zarr(
         """Add what a task on a tile returns to ``seconds`` and, of a finished tile, to ``totals`` and the count."""
         nonlocal num_done
         for name, busy_s in result["seconds"].items():
-            seconds[name] = seconds.get(name, 0.0) + busy_s
+            seconds[name] += busy_s
         if "totals" in result:
             for metric, facts in result["totals"].items():
                 sums = TimeTotals.of(facts)
@@ -431,8 +458,8 @@ def make_zarr(
     # What needs the sums of all tiles, and the move of the whole Zarr to its place.
     if totals:
         with_means = with_series(empty, task, totals)
-        names = [f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]
-        store.add_to_zarr(with_means[names], work.zarr)
+        new = [name for name in with_means.data_vars if name not in empty]
+        store.add_to_zarr(with_means[new], work.zarr)
         work.mark_zarr()
     work.finish(store.zarr_path(run.folder, grid.resolution_m))
     return seconds

@@ -280,7 +280,7 @@ NORTHING, EASTING = "projection_y_coordinate", "projection_x_coordinate"
 
 
 def variables(task: MapTask) -> dict[str, Variable]:
-    """Return every variable that the maps of a task hold, by name: obstacles, metrics, then the rasters below them."""
+    """Return every variable that the maps of a task hold, by name: obstacles, metrics, then auxiliary rasters."""
     by_name = {"obstacle": AUXILIARY_VARIABLES["obstacle"]}
     for name, metric in task.metrics.items():
         if TIME in metric.dims and not task.keeps_times:
@@ -370,24 +370,22 @@ def empty_dataset(
 def with_series(ds: xr.Dataset, task: MapTask, totals: Mapping[str, TimeTotals]) -> xr.Dataset:
     """Return maps with two further variables by metric: its mean m at each time, and the time of the least mean.
 
-    The means are over all free cells of the region, so that no tile alone can make them.
+    The means are over all free cells of the region, so that no tile alone can make them. The variables have their
+    attributes; ``ds`` itself stays as it is.
 
     Args:
       ds: maps that keep statistics over time.
-      task: what they are made of.
+      task: what the maps are made of.
       totals: sums over the whole region, by metric.
     """
+    series = {}
     for name, sums in totals.items():
         worst_times = ds["time"].values[sums.worst]
-        ds = ds.assign(
-            {
-                f"{name}_epoch_mean": (("time", "altitude"), sums.mean),
-                f"{name}_worst_time": ("altitude", worst_times),
-            }
-        )
+        series[f"{name}_epoch_mean"] = _held(("time", "altitude"), sums.mean)
+        series[f"{name}_worst_time"] = _held(("altitude",), worst_times)
         for derived_name, variable in derived(task.metrics[name])["region"].items():
-            ds[derived_name].attrs |= _attributes(variable, ds[derived_name])
-    return ds
+            series[derived_name].attrs = _attributes(variable, series[derived_name])
+    return ds.assign(series)
 
 
 def _coordinates(task: MapTask) -> dict[str, xr.Variable]:
@@ -442,13 +440,12 @@ def _axis(
     return _held((name,), values, attrs)
 
 
-def _attributes(variable: Variable, array: xr.DataArray) -> dict[str, str]:
-    """Return the attributes that files hold of a variable, those that say something.
+def _attributes(variable: Variable, array: xr.DataArray | xr.Variable) -> dict[str, str]:
+    """Return the attributes that files hold of a variable, without those that are empty.
 
     Args:
-      variable: what it is.
-      array: its values in the dataset; times have no unit here, as xarray writes one itself, and arrays over y and x
-        name the CRS.
+      variable: what the values are.
+      array: the values. Times have no unit here, as xarray writes one itself. Arrays over y and x name the CRS.
     """
     is_time = array.dtype.kind == "M"
     texts = {
