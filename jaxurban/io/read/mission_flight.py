@@ -67,18 +67,18 @@ FRAMES: dict[int, Datum] = {
 }
 MOVES_NOTHING = "it moves nothing"
 NEVER_REACHED = "jumps pass over it"
-MOST_FLOWN = 1_000_000  # items, each time that one is flown: beyond, jumps are not followed
-# Of a radius: so near to a circle's centre ArduPilot begins wherever it is headed.
+MOST_FLOWN = 1_000_000  # after so many flown items, repeated ones counted too, jumps are not followed any more
+# So near to a circle's centre, as a share of its radius and in metres, ArduPilot begins the circle in the direction in
+# which it is headed.
 NEAR_CENTRE = 0.05
 NEAR_CENTRE_M = 1.0
-MOST_RADIUS_M = (
-    255.0  # of a circle that ArduPilot keeps to the metre; beyond it keeps tens of metres
-)
+# ArduPilot stores radii up to this one in whole metres, and larger ones in tens of metres.
+MOST_RADIUS_M = 255.0
 # Heights of a return near home, by the autopilots' defaults: ArduPilot's RTL_CONE_SLOPE and least height, PX4's
 # RTL_CONE_ANG of 45 degrees within RTL_MIN_DIST.
 CONE_SLOPE, LEAST_RETURN_M = 3.0, 2.0
 CONE_REACH_M = 10.0
-HAS_HEIGHT = (*TAKEOFFS, WAYPOINT, *LOITERS)  # commands that lead to a height
+HAS_HEIGHT = (*TAKEOFFS, WAYPOINT, *LOITERS)  # commands whose items have a height to fly to
 PLACED = (*HAS_HEIGHT, *LANDINGS)
 
 
@@ -86,15 +86,15 @@ class Item(NamedTuple):
     """An item of a mission.
 
     Attributes:
-      number: in messages.
-      key: what jumps call it; None for an item that no jump can name.
-      command: of MAVLink; -1 for what is none.
-      params: the first four, NaN where they are not set.
-      lon, lat: of its place; 0, 0 or NaN where the vehicle stays where it is.
-      height_m: above ``datum``; NaN where the vehicle keeps its own.
-      datum: None in frames that are not of the Earth.
-      what: it is, where that is no command.
-      is_straight: the way to it is straight though its height is above the ground.
+      number: by which messages name the item.
+      key: the number by which jumps name the item; None if no jump can name it.
+      command: number of the MAVLink command; -1 for an item that holds none.
+      params: the first four parameters of the command; a parameter that is not set is NaN.
+      lon, lat: the item's place in degrees; 0, 0 or NaN if the vehicle stays where it is.
+      height_m: height above ``datum``; NaN if the vehicle keeps the height that it has.
+      datum: what ``height_m`` is above; None in frames that are not of the Earth.
+      what: names an item without a command in messages.
+      is_straight: whether the way to the item is straight although its height is above the ground.
     """
 
     number: int
@@ -110,12 +110,12 @@ class Item(NamedTuple):
 
     @property
     def has_place(self) -> bool:
-        """Return whether it names a place, and not that where the vehicle is."""
+        """Whether the item names a place of its own; without one the vehicle stays where it is."""
         return self.datum is not None and self.has_coordinates
 
     @property
     def has_coordinates(self) -> bool:
-        """Return whether numbers stand where a place does, in whatever frame."""
+        """Whether the item holds longitude and latitude, whatever its frame is."""
         return not math.isnan(self.lon + self.lat) and (self.lon, self.lat) != (0, 0)
 
 
@@ -123,12 +123,12 @@ class State(NamedTuple):
     """What a vehicle's next item depends on.
 
     Attributes:
-      home: longitude and latitude in degrees, None where it is not known.
-      ground: that it takes off from, None where it has not landed at a known place.
-      at: where it is, None while that is not known.
-      beside: where it may be in place of ``at``, by another autopilot; None where all agree.
-      since: number of the item by which its place was lost, 0 before the first one.
-      has_moved_home: an item has moved home, so that heights above it are open.
+      home: longitude and latitude in degrees; None if home is not known.
+      ground: the place on the ground from which the vehicle takes off; None if it has not landed at a known place.
+      at: where the vehicle is; None while that is not known.
+      beside: where the vehicle would be instead of ``at`` under another autopilot; None if all autopilots agree.
+      since: number of the item after which the vehicle's place was not known any more; 0 before the first item.
+      has_moved_home: whether an item has moved home, so that heights above home are not known.
     """
 
     home: LonLat | None
@@ -157,9 +157,9 @@ class Flight:
     end, too. A height that an item leaves open is that with which the vehicle comes to it, each time it does.
 
     Attributes:
-      legs: in the order flown, each once.
-      not_judged: a sentence for each thing that the legs leave out or may not show as it is flown.
-      speed_m_s: the first speed that an item sets, None without one.
+      legs: the legs in the order flown, each once.
+      not_judged: a sentence for each thing that the legs leave out, or may not show as it is flown.
+      speed_m_s: the first speed that an item sets; None if no item sets one.
       accounts: what became of each item.
     """
 
@@ -173,10 +173,10 @@ class Flight:
         """Fly all items.
 
         Args:
-          items: in the order of the file.
-          home: longitude and latitude in degrees, None where it is not known.
-          return_altitude_m: metres above home, NaN where it is not known.
-          autopilot: that flies them.
+          items: the items in the order of the file.
+          home: longitude and latitude in degrees; None if home is not known.
+          return_altitude_m: metres above home; NaN if the return altitude is not known.
+          autopilot: which autopilot flies the items.
         """
         self.legs: list[Leg] = []
         self.not_judged: list[str] = []
@@ -322,10 +322,10 @@ class Flight:
         """Add the leg to a place, if the vehicle is elsewhere, and move it there.
 
         Args:
-          item: by which it flies.
-          place: where to.
-          kind: of the leg.
-          beside: where another autopilot would be then; left out, at the same place.
+          item: the item that the vehicle flies to.
+          place: where the leg ends.
+          kind: of the leg; see `Leg`.
+          beside: where the vehicle would be then under another autopilot; left out, all autopilots agree.
         """
         at = self._state.at
         assert at is not None
@@ -342,10 +342,10 @@ class Flight:
         self._state = self._state._replace(at=place, beside=beside, ground=None)
 
     def _place_of(self, item: Item) -> Place | None:
-        """Return where an item leads: to its own place and height, or the vehicle's where the item leaves them out.
+        """Return where an item leads: its own place and height, or those of the vehicle if the item leaves them out.
 
-        The height is NaN where home was moved and the item counts from it. None where the item has no place, and that
-        of the vehicle is not known.
+        The height is NaN if it is above a home that was moved. The result is None if the item has no place and the
+        place of the vehicle is not known.
         """
         at = self._state.at
         where = item if item.has_place else at
@@ -366,14 +366,20 @@ class Flight:
         return Place(lon, lat, math.nan if is_open else item.height_m, datum)
 
     def _beside_zero(self, item: Item) -> Place | None:
-        """Return where ArduPilot would be at a height of 0, which it takes for its own, if it may fly the item."""
+        """Return where ArduPilot would fly for a height of 0, which it takes for "keep your height".
+
+        The result is None for an item without a place or with another height, and if the autopilot is known.
+        """
         at = self._state.beside or self._state.at
         if at is None or item.height_m != 0 or not item.has_place or self._autopilot != "unknown":
             return None
         return _kept(at, item.lon, item.lat, item.datum)
 
     def _turn_m(self, item: Item) -> float:
-        """Return how near to an item the vehicle turns: 0 where it stops; PX4 by a waypoint's radius, too."""
+        """Return how near to an item, in metres, the vehicle turns to the next one; 0 if it stops at the item.
+
+        PX4 turns as early as the waypoint's own radius says, ArduPilot always at its default.
+        """
         if item.command != WAYPOINT:
             return CORNER_M
         if item.params[0] > 0:
@@ -389,11 +395,12 @@ class Flight:
     ) -> None:
         """Add the straight leg to a place and move the vehicle there.
 
-        Where the vehicle's place is not known, there is no leg but a sentence; the vehicle is at the place then too.
+        Where the vehicle's place is not known, a sentence says so instead of a leg. The vehicle is at the place
+        afterwards all the same.
 
         Args:
-          item: by which it flies.
-          place: where to; left out, where the item leads.
+          item: the item that the vehicle flies to.
+          place: where the leg ends; left out, where the item leads.
           beside: as of `_move`.
         """
         place = place or self._place_of(item)
@@ -513,9 +520,10 @@ class Flight:
         self._lose(item, ground)
 
     def _return(self, item: Item) -> None:
-        """Rise to the return altitude, fly home and land; a sentence says what is not known of it.
+        """Rise to the return altitude, fly home and land; where home or the vehicle's place is not known, say so.
 
-        Without a return altitude the height over home is NaN, and the vehicle flies there without a rise.
+        Autopilots return at different heights. The way at the greatest of them is flown; those at the others are
+        variants.
         """
         self._leave_circle(item)
         home, at = self._state.home, self._state.at
@@ -524,25 +532,24 @@ class Flight:
             self._say(f"the return of item {item.number} is not judged: {why} is not known")
             self._lose(item)
             return
-        # The height that it has counts where it is more.
-        levels_m = self._levels_m(at, home)
         ground = Place(*home, 0.0, "ground")
+        levels_m = self._levels_m(at, home)
         for level_m in levels_m:
-            above = Place(at.lon, at.lat, level_m, "home", at)
-            over_home = Place(*home, level_m, "home", at)
-            if math.isnan(level_m):
-                above, over_home = at, Place(*home, level_m, "home")
-            for start, end in pairwise((at, above, over_home, ground)):
-                kind = "land" if end is ground else "return"
-                is_variant = level_m < levels_m[-1]
+            is_variant = level_m < levels_m[-1]
+            for start, end in pairwise((*_way_home(at, home, level_m), ground)):
+                kind = "land" if end == ground else "return"
                 if start != end:
                     self.legs.append(Leg(start, end, kind, item.number, is_variant=is_variant))
         self._lose(item, ground)
 
     def _levels_m(self, at: Place, home: LonLat) -> list[float]:
-        """Return the heights above home at which a return may be flown, rising; NaN alone where it is not known.
+        """Return the heights above home at which a return may be flown, the lowest first.
 
-        ``at`` is where it begins.
+        Where the return altitude is not known, NaN is the only one.
+
+        Args:
+          at: where the return begins.
+          home: longitude and latitude of home.
         """
         most_m = self._return_altitude_m
         if math.isnan(most_m):
@@ -554,6 +561,24 @@ class Flight:
         if self._autopilot != "ardupilot" and apart_m <= CONE_REACH_M:
             heights_m.add(min(most_m, apart_m))
         return sorted(heights_m)
+
+
+def _way_home(at: Place, home: LonLat, level_m: float) -> tuple[Place, ...]:
+    """Return the places that a return leads through in the air, the last one over home.
+
+    The vehicle rises first, then flies home level. A vehicle that is higher than the return's height already stays as
+    high as it is, which `Place.level_with` says. Where the height is not known, the vehicle flies home without a rise
+    and arrives at a height that is not known.
+
+    Args:
+      at: where the return begins.
+      home: longitude and latitude of home.
+      level_m: height above home at which the vehicle returns; NaN where it is not known.
+    """
+    if math.isnan(level_m):
+        return at, Place(*home, level_m, "home")
+    above = Place(at.lon, at.lat, level_m, "home", level_with=at)
+    return at, above, Place(*home, level_m, "home", level_with=at)
 
 
 def _kept(at: Place, lon: float, lat: float, datum: Datum | None) -> Place:
