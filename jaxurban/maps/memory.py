@@ -280,14 +280,14 @@ def disk_bytes(tasks: Sequence[MapTask]) -> tuple[int, int]:
 
 
 def check_disk(tasks: Sequence[MapTask], folder: Path) -> None:
-    """Write to the log what a run takes of the disk at its peak.
+    """Check that the disk has room for a run, and write to the log how much of it the run takes at its peak.
 
     Args:
-      tasks: of the resolutions.
-      folder: of the maps; the maps of an earlier run in it count as free, as they are replaced.
+      tasks: one for each resolution.
+      folder: where the maps go. The maps of an earlier run in it count as free space, as they are replaced.
 
     Raises:
-      InputError: the disk is too small even for compressible maps.
+      InputError: the disk is too small even if the maps compress well.
     """
     from jaxurban.io.store import GEOTIFF_FOLDER, ZARR_FOLDER  # imported here: it brings Dask
 

@@ -3,6 +3,7 @@
 import json
 import time
 import warnings
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
@@ -56,7 +57,7 @@ from jaxurban.world.grid import Grid
 
 @dataclass(frozen=True)
 class ScenarioRun:
-    """What a job made: the maps by resolution, and the record that run.json holds."""
+    """What a run made: the maps by resolution in metres, and the record that run.json holds."""
 
     maps: dict[float, MetricMaps]
     record: dict[str, Any]
@@ -73,7 +74,7 @@ def load_city(scenario: Scenario) -> City:
         return demo_city_for_bounds(region.bounds, region.crs)
 
     def placed(section: Any, *names: str) -> Any:
-        """Return a section whose settings of these names, which are files, are paths from the current folder."""
+        """Return a section of settings in which the named settings, all files, are paths from the current folder."""
         files = values_given({name: getattr(section, name) for name in names})
         paths = {name: scenario.path_of(file) for name, file in files.items()}
         return replace(section, **paths)
@@ -102,7 +103,7 @@ def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
 
     Args:
       scenario: the settings.
-      stage: gives the context that reading city and orbits runs in.
+      stage: returns the context in which a stage runs, by its name; the city and the orbits are read in one each.
 
     Raises:
       InputError: sources that cannot be used, or no building in the region.
@@ -180,12 +181,9 @@ def run_scenario(
         # Whether the folder can be written to, and memory and disk suffice. Only then is an older job's file touched.
         check_writable(folder)
         num_threads = num_cores()
-        if not isinstance(workers, str):  # the machines of a cluster are not ours to measure
+        if not isinstance(workers, str):  # the memory of a cluster's machines is not known here
             num_threads = plan_run(
-                tasks,
-                memory_bytes,
-                num_workers=workers or num_threads,
-                num_processes=workers or 0,
+                tasks, memory_bytes, num_workers=workers or num_threads, num_processes=workers or 0
             )
         check_disk(tasks, folder)
 
@@ -206,12 +204,12 @@ def run_scenario(
             runs = [
                 RunContext(task, folder, key, num_threads, client, tuple(layers)) for task in tasks
             ]
-            made = [_maps_of(run, workspace, watch, report) for run in runs]
-            all_maps, are_new = zip(*made, strict=True)
+            made = [_complete_maps(run, workspace, watch, report) for run in runs]
+            all_maps, are_kept = zip(*made, strict=True)
             store.put_root(folder)  # jaxurban 1.0.0, whose maps may be kept here, did not write it
 
             # The base map and the record. Where all maps were kept they stay, but for a base map that is damaged.
-            is_kept = not any(are_new)
+            is_kept = all(are_kept)
             with watch.stage("base map"):
                 if base is None or not is_kept or workspace.broken([base_file]):
                     save_base_map(replace(all_maps[0], base=base).base_map, workspace)
@@ -231,12 +229,12 @@ def run_scenario(
 
 
 def _check_holds_no_others(folder: Path, scenario: Scenario, inputs: Inputs, key: str) -> None:
-    """Raise InputError for a folder with maps of another run than the one of this key (`run_key`).
+    """Raise InputError if a folder holds maps of another run than the one that a key identifies (`run_key`).
 
     Args:
       folder: where maps would go.
-      scenario, inputs: what they would be made of, from which the message says how the folder's maps differ.
-      key: of the run that would make them.
+      scenario, inputs: what the maps would be made of; the message says how the folder's maps differ from that.
+      key: identifies the run that would make the maps.
     """
     stored_by = Workspace.settings_of(folder, "maps").get(RUN_KEY)
     if store.stored_resolutions(folder) and stored_by != key:
@@ -249,11 +247,11 @@ def _check_holds_no_others(folder: Path, scenario: Scenario, inputs: Inputs, key
 
 
 def _files_of(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str]) -> list[Path]:
-    """Return the files that the maps of tasks will have under a folder.
+    """Return the paths of the files that the maps of tasks will have under a folder.
 
     Args:
       tasks: one for each resolution.
-      folder: of the maps.
+      folder: the output folder.
       layers: variables that are GeoTIFFs too.
 
     Raises:
@@ -272,12 +270,12 @@ class RunContext:
     """The maps of one resolution: what they are made of, where they go, and who works on them.
 
     Attributes:
-      task: what they are made of.
-      folder: where they go.
-      key: of the run (`run_key`).
-      num_workers: threads of this process.
-      client: of the Dask cluster that works on the tiles; None where the threads do.
-      layers: variables that are GeoTIFFs too, beside obstacles and the metrics of the cost.
+      task: what the maps are made of.
+      folder: the output folder.
+      key: identifies the run by all that its maps depend on (`run_key`).
+      num_workers: how many threads of this process work at a time.
+      client: client of the Dask cluster that works on the tiles; None if the threads of this process do.
+      layers: variables that are GeoTIFFs too, besides obstacles and the metrics of the cost.
     """
 
     task: MapTask
@@ -290,8 +288,8 @@ class RunContext:
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """Return the result of a function for each item, in order, computed in threads of this process.
 
-        It is for work on files of the output folder, so the threads do it even where a cluster works on the tiles. What
-        they write goes to the same recorder of files as what the calling thread writes.
+        It is for work on files of the output folder, so the threads do it even if a cluster works on the tiles. The
+        files that they write are recorded together with those of the calling thread.
         """
         with ThreadPoolExecutor(
             self.num_workers, initializer=RECORDER.set, initargs=(RECORDER.get(),)
@@ -300,12 +298,12 @@ class RunContext:
 
 
 def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
-    """Remove what killed runs left under a folder, but for the unfinished tiles that this run goes on with.
+    """Remove what killed runs left under a folder, except for the unfinished tiles with which this run goes on.
 
     Args:
-      folder: of the maps.
-      key: of this run.
-      resolutions_m: that this run makes; tiles of those that it has already finished are left-overs too.
+      folder: the output folder.
+      key: identifies this run (`run_key`).
+      resolutions_m: the resolutions that this run makes. The tiles of a resolution that is finished are removed too.
     """
     left_over = {*(folder / store.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}")}
     for resolution_m in resolutions_m:
@@ -316,12 +314,12 @@ def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
     sweep_scraps(folder, folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER)
 
 
-def _maps_of(
+def _complete_maps(
     run: RunContext, workspace: Workspace, watch: Stopwatch, report: Report
 ) -> tuple[MetricMaps, bool]:
-    """Return the maps at one resolution, and whether they are new.
+    """Make what is missing or damaged of the maps at one resolution; return the maps, and whether their Zarr was kept.
 
-    Maps on the disk are kept if they are whole and of the same run; what is missing or damaged is made again.
+    A Zarr on the disk is kept if it is whole and of the same run. A warning names what is missing or damaged.
 
     Args:
       run: what the maps are made of and where they go.
@@ -332,8 +330,6 @@ def _maps_of(
     folder = run.folder
     resolution_m = run.task.region.resolution_m
     zarr = store.zarr_path(folder, resolution_m)
-
-    # The Zarr is kept or made as a whole.
     with watch.stage("verify"):
         files = [folder / name for name in workspace.written if zarr in (folder / name).parents]
         broken = workspace.broken(files, run.map) if zarr.is_dir() else []
@@ -349,26 +345,39 @@ def _maps_of(
         scale = (time.perf_counter() - began) / (sum(seconds.values()) or 1.0)
         for name, busy_s in seconds.items():
             watch.add(name, busy_s * scale)
+    maps = MetricMaps(store.open_zarr(folder.resolve(), resolution_m))
+    _renew_geotiffs(maps, run, workspace, watch, has_old_zarr=is_kept)
+    return maps, is_kept
 
-    # GeoTIFFs and styles are written one by one where they are missing or damaged.
-    ds = store.open_zarr(folder.resolve(), resolution_m)
+
+def _renew_geotiffs(
+    maps: MetricMaps, run: RunContext, workspace: Workspace, watch: Stopwatch, *, has_old_zarr: bool
+) -> None:
+    """Write the GeoTIFFs and styles of maps that are missing or damaged, one by one.
+
+    Styles are there to be edited, so that one that was changed stays, and a warning says so.
+
+    Args:
+      maps: whose values are written.
+      run, workspace, watch: as of `_complete_maps`.
+      has_old_zarr: the maps were kept, so that each missing file is named in the log. Under new maps all are missing.
+    """
     with watch.stage("verify"):
         stale = []
-        for path in workspace.broken(geotiff_paths(ds, folder, run.layers), run.map):
+        for path in workspace.broken(geotiff_paths(maps.ds, run.folder, run.layers), run.map):
             is_changed = workspace.is_changed(path)
-            if is_changed and path.suffix == ".qml":  # styles are there to be edited
+            if is_changed and path.suffix == ".qml":
                 LOG.warning(
                     f"{str(path)!r} was changed and stays: remove it, and the same command writes it again"
                 )
                 continue
             stale.append(path)
-            if is_kept and not is_changed:  # else it is reported when it is set aside
+            if has_old_zarr and not is_changed:  # a changed file is reported when it is set aside
                 LOG.warning(f"{str(path)!r} is missing: writing it again")
     with watch.stage("write_geotiff"):
-        write_geotiffs(ds, folder, run.map, only=stale, layers=run.layers)
-        # Of workers that were killed, whose files others have written.
-        sweep_scraps(folder / store.GEOTIFF_FOLDER)
-    return MetricMaps(ds), not is_kept
+        write_geotiffs(maps.ds, run.folder, run.map, only=stale, layers=run.layers)
+        # Files that workers had begun to write before they were killed; other workers have written them since.
+        sweep_scraps(run.folder / store.GEOTIFF_FOLDER)
 
 
 def make_zarr(
@@ -379,7 +388,7 @@ def make_zarr(
     Args:
       run: what the maps are made of and where they go.
       report: gets how many tiles are done.
-      shape: rows and columns of a tile's cells; left out, `shape_of_tiles`.
+      shape: how many rows and columns of cells a tile has; left out, as of `shape_of_tiles`.
 
     Raises:
       InputError: rasters without data in the region, or workers that are killed again and again.
@@ -405,7 +414,7 @@ def make_zarr(
         work.mark_zarr()
 
     # The tiles.
-    seconds: dict[str, float] = {}
+    seconds: defaultdict[str, float] = defaultdict(float)
     totals: dict[str, TimeTotals] = {}
     num_done = 0
     stage = f"tiles of {store.short_number(grid.resolution_m)} m"
@@ -415,7 +424,7 @@ def make_zarr(
         """Add what a task on a tile returns to ``seconds`` and, of a finished tile, to ``totals`` and the count."""
         nonlocal num_done
         for name, busy_s in result["seconds"].items():
-            seconds[name] = seconds.get(name, 0.0) + busy_s
+            seconds[name] += busy_s
         if "totals" in result:
             for metric, facts in result["totals"].items():
                 sums = TimeTotals.of(facts)
@@ -431,8 +440,8 @@ def make_zarr(
     # What needs the sums of all tiles, and the move of the whole Zarr to its place.
     if totals:
         with_means = with_series(empty, task, totals)
-        names = [f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]
-        store.add_to_zarr(with_means[names], work.zarr)
+        new = [name for name in with_means.data_vars if name not in empty]
+        store.add_to_zarr(with_means[new], work.zarr)
         work.mark_zarr()
     work.finish(store.zarr_path(run.folder, grid.resolution_m))
     return seconds
