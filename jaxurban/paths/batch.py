@@ -5,6 +5,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path as FilePath
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,7 @@ from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.places import Point
+from jaxurban.paths.places import End, Point
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.planned import finish
 from jaxurban.paths.queries import NOT_RUN, PlannedPaths, Query, path_of, read_queries, row_of
@@ -26,22 +27,14 @@ from jaxurban.paths.search import PathSearch
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import Backend, solve_many
-from jaxurban.progress import LOG, Progress, reporting
+from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.settings import CostKind, HeuristicName, Objective, PlannerName, Preset
 
-HELD_BYTES = 2 * 2**30  # of weighed maps at a time
-BYTES_A_CELL = 160  # of a cost map: layers, metrics, landmarks
+HELD_BYTES = 2 * 2**30  # most memory of the cost maps that are kept at a time
+BYTES_A_CELL = 160  # memory of a cost map for each of its cells: layers, metrics, landmarks
 ENDED_BY_BUDGET = (Status.BUDGET_EMPTY.value, Status.BUDGET_FEASIBLE.value)
-NEEDED = {
-    "query",
-    "status",
-    "message",
-    "key",
-    "budget_s",
-    "search",
-    "x_m",
-    "y_m",
-}  # of a file of results
+# Columns that every file of results has.
+NEEDED = {"query", "status", "message", "key", "budget_s", "search", "x_m", "y_m"}
 
 
 @typed
@@ -91,14 +84,14 @@ def plan_many(
         scenario gives it, as in `plan`.
       queries: pairs of places ``((lon, lat), (lon, lat))``, which may be an array ``[N, 2, 2]``, pairs of `XY`, or
         a table (see `read_queries`), whose rows may have altitude, time, time of day and weights of their own.
-      altitude_m: for queries that say nothing of their own.
+      altitude_m: flight altitude above ground of queries without an altitude of their own.
       backend: ``"numba"``, ``"jax"`` or ``"auto"`` (see `solve_many`).
       strict: raise the first error or crash instead.
       file: where to keep the results, named ``.parquet``.
-      num_threads: of the ``"numba"`` backend.
+      num_threads: how many threads the ``"numba"`` backend uses.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
-      weights, time, time_of_day: as in `plan`, for queries that say nothing of their own.
-      objective, cost_model, constraints, preset: which map, as in `plan`.
+      weights, time, time_of_day: as in `plan`, for queries without such values of their own.
+      objective, cost_model, constraints, preset: which map is planned on, as in `plan`.
       planner, heuristic, budget_s, seed, snap: of each query, as in `plan`.
       refine, exposure: of a single plan only.
 
@@ -136,27 +129,24 @@ def plan_many(
             f"the folder of {str(file)!r} does not exist: make it first, or name another file"
         )
 
-    # The cost maps of the queries, of which as many are kept as `HELD_BYTES` of memory hold.
+    # The cost map of an altitude, a time and a time of day, which queries share, under the weights of the call. As many
+    # are kept as `HELD_BYTES` of memory hold.
     most_maps = max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape))))
-
-    @lru_cache(maxsize=most_maps)
-    def map_of(altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
-        """Return the cost map that queries at an altitude and a time share, under the weights of the call."""
-        return cost_map(
+    map_of = lru_cache(maxsize=most_maps)(
+        partial(
+            cost_map,
             maps,
-            altitude_m,
             weights=weights,
             objective=objective,
             cost_model=cost_model,
-            time=time,
-            time_of_day=time_of_day,
             constraints=constraints,
             preset=preset,
         )
+    )
 
     # Making the first map refuses what is wrong for all queries.
     first_altitude_m = maps.altitudes_m[0] if altitude_m is None else altitude_m
-    first_map = map_of(first_altitude_m, time, time_of_day)
+    first_map = map_of(first_altitude_m, time=time, time_of_day=time_of_day)
     batch = read_queries(
         queries,
         altitude_m=altitude_m,
@@ -168,47 +158,62 @@ def plan_many(
 
     # The results, with those of an earlier run that the file holds.
     store = None if file is None else RowStore(FilePath(file), ["query"])
-    results = _Results(batch, store)
-
-    # `_done` plans a query each time that the loop asks for the next number; the loop counts them.
+    results = _Results(batch, store, strict)
     was_interrupted = False
-    done = _done(
-        results,
-        map_of,
-        most_maps,
-        search,
-        backend=backend,
-        num_threads=num_threads,
-        strict=strict,
-    )
     try:
         with reporting("plan_many", progress) as report:
-            for num_done, _ in enumerate(done, start=1):
-                report("queries", num_done, len(batch), **results.counts)
+            results.report = report
+            _plan_batch(results, map_of, most_maps, search, backend, num_threads)
     except KeyboardInterrupt:
         was_interrupted = True
-        LOG.warning(
-            "interrupted: %d of %d queries are done", sum(results.counts.values()), len(batch)
-        )
+        num_done = sum(results.counts.values())
+        LOG.warning("interrupted: %d of %d queries are done", num_done, len(batch))
     finally:
         results.save()
     return PlannedPaths(results.rows, results.paths, was_interrupted)
 
 
-class _Results:
-    """What became of each query so far, and the file that keeps it, from which a batch that was ended goes on."""
+class _Located(NamedTuple):
+    """Where a query lies on a cost map.
 
-    def __init__(self, queries: Sequence[Query], store: RowStore | None) -> None:
+    Attributes:
+      k: number of the query.
+      key: digest of all that decides the path of the query but its budget (`row_of`).
+      cost_map: the map that the query is planned on.
+      ends: its start and its goal on the map.
+    """
+
+    k: int
+    key: str
+    cost_map: CostMap
+    ends: tuple[End, End]
+
+
+class _Results:
+    """What became of each query so far, and the file that keeps it, from which a batch that was ended goes on.
+
+    Attributes:
+      queries: the queries of the batch.
+      strict: whether the first query that cannot be planned, or the first crash of a planner, is raised.
+      rows: a row for each query, as of `row_of`.
+      paths: the path of each query; None where its planner did not run to its end.
+      counts: how many queries are done, with a path and without one.
+      report: gets these counts whenever a query is done.
+    """
+
+    def __init__(self, queries: Sequence[Query], store: RowStore | None, strict: bool) -> None:
         """Begin with no query done: each has the row of a query that was not run, and no path.
 
         Args:
-          queries: of the batch.
+          queries: the queries of the batch.
           store: the file with results of an earlier run, which are taken one by one (`take`); None to keep no file.
+          strict: as of the class.
 
         Raises:
           InputError: a row of the file lacks a column, or has a number that is none of these queries'.
         """
-        self.queries, self._store = queries, store
+        self.queries, self._store, self.strict = queries, store, strict
+        self.report = Report()
         message = "The batch ended before this query was done."
         self.rows = [row_of(k, query, NOT_RUN, message) for k, query in enumerate(queries)]
         self.paths: list[PlannedPath | None] = [None] * len(queries)
@@ -222,8 +227,8 @@ class _Results:
 
     def add(
         self, k: int, status: str, message: str, path: PlannedPath | None = None, key: str = ""
-    ) -> int:
-        """Note a result, keep it in the file if there is one, and return the query's number.
+    ) -> None:
+        """Note a result, keep it in the file if there is one, and report the progress.
 
         Args:
           k: number of the query.
@@ -235,27 +240,35 @@ class _Results:
         self.counts[outcome] += 1
         if self._store is not None:
             self._store.add([self.rows[k]])
-        return k
+        self.report("queries", sum(self.counts.values()), len(self.queries), **self.counts)
 
-    def take(
-        self, k: int, key: str, budget_s: float, finish: Callable[[Path], PlannedPath]
-    ) -> bool:
-        """Note the result of a query that the file holds, and return whether it holds one.
-
-        A result that a smaller budget ended does not count, nor one with an error of input, which costs nothing to find
-        again.
+    def refuse(self, k: int, error: InputError | str) -> None:
+        """Note that a query cannot be planned; under ``strict`` raise InputError instead.
 
         Args:
           k: number of the query.
-          key: digest of the query (`row_of`).
-          budget_s: seconds that the search may take now.
-          finish: makes a `PlannedPath` of the planner's path.
+          error: why.
+        """
+        if self.strict:
+            raise InputError(f"query {k}: {error}")
+        self.add(k, BAD_INPUT, str(error))
+
+    def take(self, located: _Located, search: PathSearch) -> bool:
+        """Note the result of a query that the file holds, and return whether it holds one.
+
+        A result does not count if a smaller budget ended its search. Nor does an error of input, which is found again
+        at no cost.
+
+        Args:
+          located: the query.
+          search: how its path would be searched for now.
 
         Raises:
           InputError: the file's result is of another query.
         """
         if self._store is None:
             return False
+        k, key, cost_map, ends = located
         row = self._store.get(k)
         if row is None or row["status"] == BAD_INPUT:
             return False
@@ -264,13 +277,13 @@ class _Results:
                 f"{str(self._store.file)!r} holds results of other queries (query {k} differs in its place, map, "
                 "weights or planner): name another file, or remove it"
             )
-        if row["status"] in ENDED_BY_BUDGET and row["budget_s"] < budget_s:
+        if row["status"] in ENDED_BY_BUDGET and row["budget_s"] < search.budget_s:
             return False
 
         # The row has a path if the planner ran to its end; its settings say under which budget.
         path = None
         if row["search"] is not None:
-            path = finish(path_of(row))
+            path = finish(cost_map, path_of(row), ends, search)
             settings = {**path.settings, "budget_s": number_or_none(row["budget_s"])}
             path = replace(path, settings=settings)
         self.add(k, row["status"], row["message"], path, key)
@@ -282,81 +295,52 @@ class _Results:
             self._store.save()
 
 
-def _done(
+def _plan_batch(
     results: _Results,
     map_of: Callable[..., CostMap],
     most_maps: int,
     search: PathSearch,
-    *,
     backend: Backend,
     num_threads: int | None,
-    strict: bool,
-) -> Iterator[int]:
-    """Plan the queries of a batch, note each in ``results``, and yield its number when it is done.
+) -> None:
+    """Plan the queries of a batch and add what becomes of each to the results.
 
-    Queries on one cost map are planned together, and so the order is not that of the batch.
+    Queries on one cost map are planned together, so the order is not that of the batch.
 
     Args:
-      results: has the queries; the result of each is added to it here.
-      map_of: returns the cost map of an altitude, a time and a time of day.
+      results: hold the queries.
+      map_of: returns the cost map of an altitude, a ``time`` and a ``time_of_day``.
       most_maps: on how many cost maps queries are planned before further maps are made.
       search: how each path is searched for.
       backend, num_threads: as of `plan_many`.
-      strict: raise the first error of a query or crash of a planner instead of noting it.
 
     Raises:
-      InputError: the file holds results of other queries; with ``strict``, a query cannot be planned.
+      InputError: the file holds results of other queries; under ``strict``, a query cannot be planned.
     """
-
-    def refuse(k: int, error: InputError | str) -> int:
-        """Note that a query cannot be planned, and return its number; with ``strict`` raise InputError."""
-        if strict:
-            raise InputError(f"query {k}: {error}")
-        return results.add(k, BAD_INPUT, str(error))
-
-    # Queries that share a cost map and weights.
+    # The numbers of the queries that share a cost map and weights.
     by_map: dict[tuple, list[int]] = {}
-    for k, query in enumerate(results.queries):
-        if query.error:
-            yield refuse(k, query.error)
+    for k, asked in enumerate(results.queries):
+        if asked.error:
+            results.refuse(k, asked.error)
         else:
-            map_key = query.altitude_m, query.time, query.time_of_day, query.weights
+            map_key = asked.altitude_m, asked.time, asked.time_of_day, asked.weights
             by_map.setdefault(map_key, []).append(k)
 
-    waiting = list(by_map.items())
-    while waiting:
-        groups = waiting[:most_maps]
-        waiting = waiting[most_maps:]
-
-        # Locate the queries of these maps, and take from the file the results that it holds.
-        located = []  # number and key of each query (`row_of`), its cost map, its start and goal
+    groups = list(by_map.values())
+    for first in range(0, len(groups), most_maps):
+        # Where the queries of these maps lie. What the file holds of them is done.
+        located: list[_Located] = []
         problems = []
         unsolved = []  # indices in both
-        for (altitude_m, time, time_of_day, weights), numbers in groups:
-            try:
-                cost_map = map_of(altitude_m, time, time_of_day).with_weights(weights)
-            except InputError as error:
-                yield from [refuse(k, error) for k in numbers]
-                continue
-            digest = _digest(cost_map, search, backend)
-            for k in numbers:
-                query = results.queries[k]
-                try:
-                    ends = cost_map.ends(query.start, query.goal, snap=search.snap)
-                except InputError as error:
-                    yield refuse(k, error)
-                    continue
-                key = fingerprint(digest, ends)
-                located.append((k, key, cost_map, ends))
-                start, goal = ends
-                problems.append(cost_map.problem.between(start.cell, goal.cell))
-                finish_path = partial(finish, cost_map, ends=ends, search=search)
-                if results.take(k, key, search.budget_s, finish_path):
-                    yield k
-                else:
-                    unsolved.append(len(located) - 1)
+        for numbers in groups[first : first + most_maps]:
+            for query in _locate(results, numbers, map_of, search, backend):
+                start, goal = query.ends
+                problems.append(query.cost_map.problem.between(start.cell, goal.cell))
+                if not results.take(query, search):
+                    unsolved.append(len(located))
+                located.append(query)
 
-        # Solve the rest. The problems that are solved already are given too, as all of them together decide which
+        # The rest is solved. The problems that are solved already are given too, as all of them together decide which
         # heuristic is chosen.
         outcomes = solve_many(
             problems,
@@ -373,21 +357,54 @@ def _done(
                 k, key, cost_map, ends = located[index]
                 if isinstance(outcome, Path):
                     planned = finish(cost_map, outcome, ends, search)
-                    yield results.add(k, planned.status.value, planned.message, planned, key)
-                elif strict:
+                    results.add(k, planned.status.value, planned.message, planned, key)
+                elif results.strict:
                     raise outcome
                 else:  # the planner crashed
                     failed = failure(outcome)
-                    yield results.add(k, failed["status"], failed["note"], key=key)
+                    results.add(k, failed["status"], failed["note"], key=key)
+
+
+def _locate(
+    results: _Results,
+    numbers: Sequence[int],
+    map_of: Callable[..., CostMap],
+    search: PathSearch,
+    backend: Backend,
+) -> Iterator[_Located]:
+    """Yield where queries lie on the cost map that they share; those that cannot be planned on it are refused.
+
+    Args:
+      results: hold the queries, and take the refusals.
+      numbers: of the queries; one or more, of one altitude, one time, one time of day and one set of weights.
+      map_of, search, backend: as of `_plan_batch`.
+    """
+    queries = results.queries
+    shared = queries[numbers[0]]
+    try:
+        cost_map = map_of(shared.altitude_m, time=shared.time, time_of_day=shared.time_of_day)
+        cost_map = cost_map.with_weights(shared.weights)
+    except InputError as error:
+        for k in numbers:
+            results.refuse(k, error)
+        return
+    digest = _digest(cost_map, search, backend)
+    for k in numbers:
+        try:
+            ends = cost_map.ends(queries[k].start, queries[k].goal, snap=search.snap)
+        except InputError as error:
+            results.refuse(k, error)
+        else:
+            yield _Located(k, fingerprint(digest, ends), cost_map, ends)
 
 
 def _digest(cost_map: CostMap, search: PathSearch, backend: str) -> str:
-    """Return a digest of all that decides a path but its ends and its budget: the map and the settings of a search.
+    """Return a digest of all that decides a path except for its ends and its budget: the map and the search's settings.
 
     Args:
       cost_map: the map.
-      search: the settings. Snapping decides the ends alone, so that it is set to one value here, and so is the budget.
-      backend: of the planner.
+      search: the settings. Snapping changes a path only by its ends, so neither snapping nor the budget counts here.
+      backend: what computes the path, as of `plan_many`.
     """
     search = replace(search, snap=False, budget_s=np.inf)
     settings = (
