@@ -24,7 +24,7 @@ from jaxurban.paths.contacts import buildings_of, union_m
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.flown import costs_of, figures_of
 from jaxurban.paths.judge import COLUMNS, judged
-from jaxurban.paths.legs import flight_of
+from jaxurban.paths.legs import Flight, flight_of
 from jaxurban.paths.plan import rules_on
 from jaxurban.settings import as_tuple, iso_utc, not_negative, parse_time
 
@@ -59,10 +59,10 @@ def check(
     ``sources``. Where these are gone, the cells that roofs touch count instead, and the result says so. A roof has its
     height above the ground at each of its points.
 
-    Findings are contacts with buildings, places nearer than the clearances, the ground, no-fly zones, closed cells, and
-    limits that are exceeded; all else is a figure. Parts of a mission are not judged if the reader did not understand
-    them, if they lie outside the maps, over cells without data or beyond the maps' altitudes (but for take-off and
-    landing), or if they pass over a guessed roof or within the clearance of one.
+    Findings are contacts with buildings or the ground, places that are nearer than the clearances allow, no-fly zones,
+    closed cells, and limits that are exceeded; all else is a figure. Parts of a mission are not judged if the reader
+    did not understand them, if they lie outside the maps, over cells without data or beyond the maps' altitudes (except
+    for take-off and landing), or if they pass over a guessed roof or within the clearance of one.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
@@ -82,7 +82,7 @@ def check(
       max_no_fix_m: most metres without a position fix that are allowed, at the worst of the times.
       max_people: most people overflown that are allowed.
       swath_m: width of the strip in which people are counted.
-      weights: of the cost; left out, those of the maps' scenario.
+      weights: weights of the cost; left out, those of the maps' scenario.
       sources: the City, or the folder at which the recorded files' paths begin.
 
     Returns:
@@ -103,9 +103,10 @@ def check(
     """
     # The arguments, the mission as it was read, and the times of the flight: None stands for the maps' first time.
     maps = as_maps(maps)
-    for name, most in (("max_no_fix_m", max_no_fix_m), ("max_people", max_people)):
-        if most is not None:
-            not_negative(name, most)
+    for name, most in values_given(
+        {"max_no_fix_m": max_no_fix_m, "max_people": max_people}
+    ).items():
+        not_negative(name, most)
     positive("swath_m", swath_m)
     if not isinstance(mission, Mission):
         mission = read_mission(
@@ -118,20 +119,15 @@ def check(
     named_times = () if time is None else as_tuple(time)
     times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
 
-    # Constraints: those of the argument, with the zones of files and the clearances that are named here. What is open
-    # then is as in the maps' scenario.
+    # Constraints: those of the argument, with the zones of files and the clearances of the call. What is still left out
+    # is as in the maps' scenario. Of the zones those count that are in force.
     limits = constraints or Constraints()
-    limits = replace(limits, zones=(*limits.zones, *Constraints.read(no_fly).zones))
+    zones = (*limits.zones, *Constraints.read(no_fly).zones)
     clearances = {"clearance_m": clearance_m, "vertical_clearance_m": vertical_clearance_m}
-    limits = replace(limits, **values_given(clearances))
+    limits = replace(limits, zones=zones, **values_given(clearances))
     _, _, limits = rules_on(maps, None, limits, "")
-
-    # A zone that is in force at one of the times counts as if it were always in force. Without times every zone counts.
-    flights = [parse_time(text) for text in named_times]
-    zones = [zone for zone in limits.zones if not flights or any(map(zone.is_in_force, flights))]
-    figures = {"num_zones": len(limits.zones), "num_zones_in_force": len(zones)}
-    lasting = tuple(replace(zone, start=None, end=None) for zone in zones)
-    limits = replace(limits, zones=lasting)
+    limits = _in_force(limits, named_times)
+    figures = {"num_zones": len(zones), "num_zones_in_force": len(limits.zones)}
 
     # What is found along the mission, which parts of it are unknown, and the figures; limits are on figures.
     city, outlines, not_judged = _city_of(maps, sources)
@@ -148,22 +144,7 @@ def check(
     tables = [table for table in (findings, exceeded) if len(table)]
     findings = pd.concat(tables or [findings])
 
-    # Sentences on what cannot be judged.
-    not_judged += [f"{text[:1].upper()}{text[1:]}." for text in mission.not_judged]
-    if not mission.legs:
-        not_judged.append("The mission holds no leg.")
-    if flight.home_off_m > MOST_HOME_OFF_M:
-        not_judged.append(
-            f"Home is {flight.home_off_m:.0f} m from the ground of the maps by the elevation in the file, so heights "
-            "above the sea may be off by as much."
-        )
-    if mission.num_lost:
-        not_judged.append(
-            f"{mission.num_lost:,} things of the file are in no leg and in no reason here."
-        )
-    for reason, rows in unknown.groupby("reason", sort=False):
-        not_judged.append(f"{union_m(rows):,.0f} m {reason}.")
-    not_judged += open_limits
+    not_judged += _not_judged(flight, unknown) + open_limits
     for guess in maps.guesses:
         if not is_outlined and guess.endswith(WITHOUT_DATA):
             not_judged.append(
@@ -180,19 +161,55 @@ def check(
     )
 
 
+def _in_force(limits: Constraints, times: Sequence[str]) -> Constraints:
+    """Return constraints with the zones that count for a flight, each as if it were always in force.
+
+    Args:
+      limits: the constraints.
+      times: UTC times of the flight. A zone counts if it is in force at one of them; without times every zone counts.
+    """
+    moments = [parse_time(text) for text in times]
+    zones = [zone for zone in limits.zones if not moments or any(map(zone.is_in_force, moments))]
+    return replace(limits, zones=tuple(replace(zone, start=None, end=None) for zone in zones))
+
+
+def _not_judged(flight: Flight, unknown: pd.DataFrame) -> list[str]:
+    """Return sentences on what of a flight cannot be judged, by its mission and by the maps.
+
+    Args:
+      flight: over the maps.
+      unknown: the parts of it that are not judged, with the ``reason`` of each (`judged`).
+    """
+    mission = flight.mission
+    sentences = [f"{text[:1].upper()}{text[1:]}." for text in mission.not_judged]
+    if not mission.legs:
+        sentences.append("The mission holds no leg.")
+    if flight.home_off_m > MOST_HOME_OFF_M:
+        sentences.append(
+            f"Home is {flight.home_off_m:.0f} m from the ground of the maps by the elevation in the file, so heights "
+            "above the sea may be off by as much."
+        )
+    if mission.num_lost:
+        sentences.append(
+            f"{mission.num_lost:,} things of the file are in no leg and in no reason here."
+        )
+    for reason, rows in unknown.groupby("reason", sort=False):
+        sentences.append(f"{union_m(rows):,.0f} m {reason}.")
+    return sentences
+
+
 def _city_of(
     maps: MetricMaps, sources: City | str | Path | None
 ) -> tuple[City | None, str, list[str]]:
-    """Return the city that maps were made of, how its buildings are looked at, and why that is not enough.
+    """Return the city of maps, words on how its buildings are known, and sentences on what is not judged for that.
 
-    The last two are words, and a sentence where the city's files have changed, else none.
-
-    The city is None where its files are gone. Buildings are then the cells that roofs touch, as they are where it is a
-    raster of heights without outlines.
+    The city is None if its files are gone. Its buildings are then known by the cells that roofs touch, as they are for
+    a city that is a raster of heights without outlines. What is not judged is one sentence if the files have changed,
+    and nothing otherwise.
 
     Args:
-      maps: their record names the city's files.
-      sources: the city itself, or the folder that the files' paths begin at; None: where the record says.
+      maps: the maps, whose record names the city's files.
+      sources: the city itself, or the folder at which the files' paths begin; None for the paths of the record.
 
     Raises:
       InputError: sources that are named and do not hold the city of these maps.
@@ -207,7 +224,7 @@ def _city_of(
         try:
             city = city_of(maps, None if sources is None else Path(sources))
         except InputError as error:
-            # Only sources that nobody named may be gone.
+            # Files that the caller has named must be there; those of the record may be gone.
             if sources is not None:
                 raise
             changed = [CHANGED] if isinstance(error, ChangedSourcesError) else []
@@ -220,14 +237,14 @@ def _city_of(
 def _limits(
     figures: Mapping[str, Any], max_no_fix_m: float | None, max_people: float | None
 ) -> tuple[pd.DataFrame, list[str]]:
-    """Return findings, a row per limit that is exceeded, and sentences on limits that cannot be judged.
+    """Return findings, one row for each limit that is exceeded, and sentences on limits that cannot be judged.
 
-    A limit cannot be judged where the maps do not hold its figure, or where the figure keeps the limit but could exceed
-    it with what is unknown: each unknown metre may be without a fix, and may have any number of people below.
+    A limit cannot be judged if the maps do not hold its figure, or if the figure keeps the limit but could exceed it
+    with what is unknown: each unknown metre may be without a fix, and any number of people may be below it.
 
     Args:
-      figures: of the mission, by name.
-      max_no_fix_m, max_people: the limits; None: there is none.
+      figures: the figures of the mission, by name.
+      max_no_fix_m, max_people: the limits; None if there is no such limit.
     """
     limits = (  # figure, its unknown metres, limit, unit, and most units that an unknown metre may add
         ("no_fix_m", "fix_unknown_m", max_no_fix_m, "m without a position fix", 1.0),
