@@ -21,15 +21,16 @@ from jaxurban.settings import Vehicle
 
 DECIMALS = 7  # of a degree: about a centimetre
 Z_DECIMALS = 2  # of a metre
-FAR_DECIMALS = 6  # of a centimetre: what is so near to a whole one is that
+FAR_DECIMALS = 6  # of a centimetre: a height that is so near to a whole centimetre counts as one
 HEIGHT_REFERENCE = (
     "altitude_m and z_m are metres above the ground below each point, not above sea level"
 )
 STRAIGHT_M = 0.01  # a waypoint that straight lines miss by no more, in x, y and height, is left out
-# Twice, and the rest is for the ground's cover and for rounding up.
+# By how much a straight line may miss the ground: a line that is raised by as much is twice as far above it elsewhere.
+# The rest of the tolerance is for the ground's cover and for rounding up.
 MISSED_M = GROUND_TOLERANCE_M / 2 - MOST_BULGE_M
 
-Named = Sequence[tuple[str, PlannedPath]]  # "" for a path without a name
+Named = Sequence[tuple[str, PlannedPath]]  # paths with their names, "" for a path without one
 # The bytes of a file from paths by name and, if there is one, the report of the one path.
 Encode = Callable[[Named, RouteReport | None], bytes]
 
@@ -38,9 +39,10 @@ class Format(NamedTuple):
     """A format of paths.
 
     Attributes:
-      encode: writes it.
-      label: of its button in the viewer.
-      is_of_waypoints: its points are flown one by one, so `jaxurban plan` and the viewer simplify the path first.
+      encode: returns the bytes of a file of this format.
+      label: label of the format's button in the viewer.
+      is_of_waypoints: the points of a file are flown one by one, so `jaxurban plan` and the viewer simplify the path
+        first.
     """
 
     encode: Encode
@@ -49,7 +51,7 @@ class Format(NamedTuple):
 
 
 def positions(points: np.ndarray) -> list[list[float]]:
-    """Return rounded coordinates; a lone point twice, since a line needs two positions."""
+    """Return rounded coordinates as lists. A single point is in them twice, since a line needs two positions."""
     listed = np.round(points, DECIMALS).tolist()
     return listed * 2 if len(listed) == 1 else listed
 
@@ -63,15 +65,13 @@ def upward(height_m: np.ndarray) -> np.ndarray:
 def facts_of(
     route: PlannedPath, report: RouteReport | None, *, is_alone: bool = True
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return two things: what is known of the whole path, by name, and a dictionary for each segment of its report.
-
-    The first has the ``cautions`` of the path too.
+    """Return the facts of a whole path by name, its ``cautions`` among them, and those of each segment of its report.
 
     Args:
       route: the path.
-      report: of the path, whose totals and settings are added; None for no segments.
-      is_alone: False for one of several paths in a file: its cautions are then only what its maps guess, since all
-        others take some hundredths of a second for each path.
+      report: the report of the path, whose totals and settings are added; without a report there are no segments.
+      is_alone: whether the file holds no other path. With other paths only what the maps guess is a caution, since all
+        other cautions take some hundredths of a second for each path.
     """
     report_facts = {} if report is None else report.to_dict()
     segments = report_facts.pop("segments", [])
@@ -84,17 +84,17 @@ def facts_of(
 
 
 def description_of(facts: dict[str, Any], *more: str) -> str:
-    """Return the cautions of a path, more sentences on a file, and the rest of its message as one text."""
+    """Return as one text the cautions of a path, further sentences, and those of its message that are not said yet."""
     sentences = [*facts["cautions"], *more, *sentences_of(facts["message"])]
     return " ".join(filter(None, dict.fromkeys(sentences)))
 
 
 class Waypoints(NamedTuple):
-    """Waypoints of a path. ``W`` of them.
+    """The ``W`` waypoints of a path.
 
     Attributes:
-      lonlat: ``[W, 2]`` longitude, latitude in degrees, as they are written.
-      z_m: ``[W]`` height above ground, the planned one or more.
+      lonlat: ``[W, 2]`` longitude, latitude in degrees, rounded as files write them.
+      z_m: ``[W]`` height above ground, which is the planned height or more.
       ground_m: ``[W]`` the ground's elevation above the zero of the terrain file; None over maps without terrain.
     """
 
@@ -111,12 +111,12 @@ class Waypoints(NamedTuple):
 
 
 def waypoints(route: PlannedPath) -> Waypoints:
-    """Return the waypoints of a path, between which straight lines are nowhere lower than planned.
+    """Return the waypoints of a path; a straight line from one to the next is nowhere lower than the path.
 
-    They lie where the path bends in plan or in height and, over terrain, where the ground does.
+    Waypoints lie where the path bends in plan or in height and, over terrain, also where the ground bends.
     """
-    # The points of the path, over terrain all places of its ground. Heights are above the ground, or above the zero of
-    # the terrain, where straight lines run straight.
+    # The points of the path, over terrain all places at which the path knows its ground. A straight line is straight in
+    # heights above one level, and so heights are above the zero of the terrain, over flat ground above the ground.
     ground, lonlat = route.ground, route.lonlat
     xyz_m = np.column_stack([route.xy_m, route.z_m])
     height_m = xyz_m[:, 2]
@@ -128,23 +128,30 @@ def waypoints(route: PlannedPath) -> Waypoints:
         height_m = xyz_m[:, 2] + ground.cover_m
         height_tolerance_m = MISSED_M
 
-    # Those that are kept, and by how much the line of each leg between two of them is too low.
     along_m = along_of(xyz_m)
     tolerances_m = np.array([STRAIGHT_M, STRAIGHT_M, STRAIGHT_M, height_tolerance_m])
     kept = _bends(along_m, np.column_stack([xyz_m, height_m]), tolerances_m)
-    too_low_m = height_m - np.interp(along_m, along_m[kept], height_m[kept])
-    legs_too_low_m = np.zeros(0)
-    if len(kept) > 1:
-        legs_too_low_m = np.maximum.reduceat(too_low_m, kept[:-1])
-
-    # A waypoint is raised by what the leg before it lacks, or the one after it, whichever is more.
-    raise_m = np.maximum(np.append(legs_too_low_m, 0.0), np.append(0.0, legs_too_low_m)).clip(0.0)
-    z_m = height_m[kept] + raise_m
+    z_m = height_m[kept] + _raise_m(along_m, height_m, kept)
     elevation_m = None
     if ground is not None:
         elevation_m = ground.elevation_m[kept]
         z_m = z_m - elevation_m
     return Waypoints(np.round(lonlat[kept], DECIMALS), z_m, elevation_m)
+
+
+def _raise_m(along_m: np.ndarray, height_m: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return ``[W]`` by how much waypoints are raised so that no line between two of them is lower than planned.
+
+    Args:
+      along_m: ``[G]`` length flown at each point of the path.
+      height_m: ``[G]`` planned height of each point.
+      kept: ``[W]`` indices of the points that are waypoints; the first and the last point are among them.
+    """
+    too_low_m = height_m - np.interp(along_m, along_m[kept], height_m[kept])
+    # By how much the line of each leg is too low, with a 0 before the first leg and one behind the last.
+    legs_m = np.pad(np.maximum.reduceat(too_low_m, kept[:-1]), 1)
+    # Both ends of a leg are raised; a waypoint between two legs by the greater of both.
+    return np.maximum(legs_m[:-1], legs_m[1:]).clip(0.0)
 
 
 def _bends(along_m: np.ndarray, values_m: np.ndarray, tolerances_m: np.ndarray) -> np.ndarray:
