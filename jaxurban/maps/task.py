@@ -1,4 +1,4 @@
-"""MapTask: what the maps of a region are made of, by whomever they are made; and the dataset that they are."""
+"""MapTask: what the maps of a region are made of, whoever makes them, and the dataset that they are written into."""
 
 import json
 import math
@@ -45,12 +45,13 @@ class MapParams:
       altitudes_m: flight altitudes above ground.
       oversample: n: occlusion and lidar on a surface n times finer (odd is best).
       heights: how roofs are rasterised, and how well their heights are known.
-      sections: settings of metrics, by name; the others have their defaults. Of `ON_REQUEST` those named here are made.
+      sections: settings of metrics, by name; metrics that are not named have their defaults. A metric of `ON_REQUEST`
+        is made only if it is named.
       engine: which form of the kernels runs; it changes no bit of the maps on a CPU.
 
     Raises:
-      InputError: invalid altitudes, an invalid oversample, an unknown engine, sections of no metric, or bounds or
-        spreads of a series that keeps no single time's maps, or bounds with an even oversample.
+      InputError: invalid altitudes, an invalid oversample, an unknown engine, sections that belong to no metric, bounds
+        or spreads of a series that does not keep the maps of every time, or bounds with an even oversample.
     """
 
     altitudes_m: Sequence[float] = PAPER_ALTITUDES_M
@@ -97,7 +98,7 @@ class MapParams:
 
 @dataclass(frozen=True, eq=False)
 class MapTask:
-    """What the maps of a region depend on, and nothing of who makes them, in how many tiles, or where they go.
+    """What the maps of a region depend on. Who makes them, in how many tiles and into which folder is not part of it.
 
     Attributes:
       city: what stands and who lives there.
@@ -107,10 +108,10 @@ class MapTask:
       layers: cost layers that a user adds, by name.
       bands: values of the layers that are not functions, by name: one band, or one for each of the layer's
         ``altitudes_m``; rasters, or arrays on the region's cells (see `jaxurban.io.read.rasterise.bands_of`).
-      guesses: behind the maps (see `jaxurban.io.read.guesses`), for those who look at them.
+      guesses: what the maps rest on that was guessed (see `jaxurban.io.read.guesses`), by short names.
 
     Raises:
-      InputError: bounds of GPS under several clocks, or layers whose names would be those of maps of the spread.
+      InputError: bounds of GPS under several clocks, or a layer with the name of a map of the spread.
     """
 
     city: City
@@ -137,7 +138,7 @@ class MapTask:
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
-        """The metrics of the maps by name: the built-in ones for which the city has data, then a user's own."""
+        """The metrics of the maps by name: the built-in metrics for which the city has data, then the user's own."""
         return metrics_of(
             self.params.sections, self.layers, has_people=self.city.blocks is not None
         )
@@ -153,9 +154,10 @@ class MapTask:
 
     @property
     def spread_metrics(self) -> tuple[str, ...]:
-        """Names of the metrics whose spread by uncertain heights is computed, empty where nobody wants spreads.
+        """Names of the metrics whose spread under uncertain heights is computed; empty if no spread is asked for.
 
-        They are those that buildings decide: every metric with an altitude but the layers that are rasters or arrays.
+        The spread is computed of the metrics that depend on buildings. These are all metrics with an altitude, except
+        for layers that are rasters or arrays.
         """
         if not self.params.heights.height_samples:
             return ()
@@ -167,12 +169,12 @@ class MapTask:
 
     @property
     def reach_m(self) -> float:
-        """How far beyond its own cell any metric looks sideways."""
+        """The greatest distance, in metres, at which what surrounds a cell counts in any of its metrics."""
         return max(metric.reach_m(self.settings_of(metric)) for metric in self.metrics.values())
 
     @property
     def sizes(self) -> dict[str, int]:
-        """How many values each dim of the metrics has."""
+        """How many values each dimension of the metrics has, by name."""
         return {
             TIME: self.num_times,
             ALTITUDE: len(self.params.altitudes_m),
@@ -186,7 +188,7 @@ class MapTask:
 
     @property
     def keeps_times(self) -> bool:
-        """Whether the GPS maps of every time are kept, not statistics over them."""
+        """Whether the GPS maps of every time are kept; otherwise statistics over the times are kept instead."""
         return self.params.gps.keeps_times(self.num_times)
 
     @property
@@ -196,7 +198,7 @@ class MapTask:
 
     @property
     def by_numba(self) -> list[str]:
-        """Names of what Numba computes, where its form is the quicker one or the only one; JAX computes the rest."""
+        """Names of what Numba computes because its form is faster or the only one; JAX computes all else."""
         names = []
         if self.has_terrain and uses_numba(self.params.engine):
             names += [
@@ -230,21 +232,21 @@ class MapTask:
 
     @cached_property
     def has_guessed_roofs(self) -> bool:
-        """Whether the height of anything that stands in the region is guessed: maps then mark such roofs."""
+        """Whether the height of anything that stands in the region is guessed. If so, the maps mark such roofs."""
         standing = self.city.standing
         return standing is not None and guessed_share(standing, self.region.bounds_m) > 0
 
     def in_view(self, time_index: int) -> InView:
-        """Return the satellites in view at a time, and their receiver clocks as the settings of GPS have them."""
+        """Return the satellites in view at a time, with one receiver clock or several as the settings of GPS say."""
         in_view = self.sky.in_view(time_index)
         return in_view._replace(clocks=None) if self.params.gps.clocks == "one" else in_view
 
     def with_margin(self, part: Grid | None = None, highest_m: float | None = None) -> Grid:
-        """Return a grid grown by the margin that its metrics need: their reach, and all that can shadow it.
+        """Return a grid grown by the margin that its metrics need: their reach, and all that can shadow the grid.
 
         Args:
-          part: of the region; left out, all of it.
-          highest_m: how far the highest roof can stand above the lowest ground; left out, the city's.
+          part: a part of the region; left out, the whole region.
+          highest_m: how far the highest roof can stand above the lowest ground, in metres; left out, as in the city.
         """
         part = self.region if part is None else part
         highest_m = highest_top_m(self.city) if highest_m is None else highest_m
@@ -259,7 +261,7 @@ class MapTask:
         return surface_grid(self.city, part, self.reach_m, toward_m)
 
     def with_halo(self, part: Grid) -> Grid:
-        """Return a grid grown by the cells around it that metrics look at; shadows come from farther."""
+        """Return a grid grown by the cells around it that count in its metrics; what shadows it can lie farther off."""
         halo = math.ceil(self.reach_m / part.resolution_m)
         return part.padded(halo, halo, halo, halo)
 
@@ -280,7 +282,7 @@ NORTHING, EASTING = "projection_y_coordinate", "projection_x_coordinate"
 
 
 def variables(task: MapTask) -> dict[str, Variable]:
-    """Return every variable that the maps of a task hold, by name: obstacles, metrics, then the rasters below them."""
+    """Return every variable that the maps of a task hold, by name: obstacles, metrics, then auxiliary rasters."""
     by_name = {"obstacle": AUXILIARY_VARIABLES["obstacle"]}
     for name, metric in task.metrics.items():
         if TIME in metric.dims and not task.keeps_times:
@@ -309,18 +311,18 @@ def variables(task: MapTask) -> dict[str, Variable]:
 def empty_dataset(
     task: MapTask, make: Callable[[tuple[int, ...], np.dtype], object] = np.zeros
 ) -> xr.Dataset:
-    """Return the dataset that the maps of a task go into, with coordinates and attributes, all values zero.
+    """Return the dataset into which the maps of a task are written; it has coordinates and attributes already.
 
     Args:
       task: what the maps are made of.
-      make: returns the array of a shape and a type; left out, zeros in memory.
+      make: returns an array of a shape and a type, for the values of a variable; left out, zeros in memory.
     """
     region = task.region
     params = task.params
     population = task.population
     coords = _coordinates(task)
 
-    # Attributes of the whole dataset, first those of every map.
+    # Attributes of the whole dataset, first those that all maps have.
     attrs: dict[str, object] = {
         "Conventions": CONVENTIONS,
         "crs": region.crs,
@@ -356,7 +358,7 @@ def empty_dataset(
         data[name] = _held(dims, make(shape, np.dtype(variable.dtype)))
     ds = xr.Dataset(data, _indexed(coords), attrs)
 
-    # What files say of each variable, of a metric's own under its settings, and of a user's layer.
+    # Attributes of each variable, then those that a metric's settings and a user's layer add.
     for name, variable in by_name.items():
         ds[name].attrs |= _attributes(variable, ds[name])
     for name, metric in task.metrics.items():
@@ -370,24 +372,22 @@ def empty_dataset(
 def with_series(ds: xr.Dataset, task: MapTask, totals: Mapping[str, TimeTotals]) -> xr.Dataset:
     """Return maps with two further variables by metric: its mean m at each time, and the time of the least mean.
 
-    The means are over all free cells of the region, so that no tile alone can make them.
+    The means are over all free cells of the region, so that no tile alone can make them. The variables have their
+    attributes; ``ds`` itself stays as it is.
 
     Args:
       ds: maps that keep statistics over time.
-      task: what they are made of.
+      task: what the maps are made of.
       totals: sums over the whole region, by metric.
     """
+    series = {}
     for name, sums in totals.items():
         worst_times = ds["time"].values[sums.worst]
-        ds = ds.assign(
-            {
-                f"{name}_epoch_mean": (("time", "altitude"), sums.mean),
-                f"{name}_worst_time": ("altitude", worst_times),
-            }
-        )
+        series[f"{name}_epoch_mean"] = _held(("time", "altitude"), sums.mean)
+        series[f"{name}_worst_time"] = _held(("altitude",), worst_times)
         for derived_name, variable in derived(task.metrics[name])["region"].items():
-            ds[derived_name].attrs |= _attributes(variable, ds[derived_name])
-    return ds
+            series[derived_name].attrs = _attributes(variable, series[derived_name])
+    return ds.assign(series)
 
 
 def _coordinates(task: MapTask) -> dict[str, xr.Variable]:
@@ -421,7 +421,7 @@ def _held(
 
 
 def _indexed(coords: Mapping[str, xr.Variable]) -> xr.Coordinates:
-    """Return coordinates with an index for each that is an axis, all but the CRS.
+    """Return coordinates with an index for each that is an axis, which are all except the CRS.
 
     The indexes are made here, as xarray's usual way imports Dask for them too (`_held`).
     """
@@ -437,18 +437,17 @@ def _indexed(coords: Mapping[str, xr.Variable]) -> xr.Coordinates:
 def _axis(
     name: str, values: np.ndarray, axis: str, standard_name: str, long_name: str, **more: str
 ) -> xr.Variable:
-    """Return the coordinate along an axis, with the attributes of the CF conventions; ``more``: further ones."""
+    """Return the coordinate along an axis, with the attributes of the CF conventions and ``more`` attributes."""
     attrs = {"standard_name": standard_name, "long_name": long_name, "axis": axis, **more}
     return _held((name,), values, attrs)
 
 
-def _attributes(variable: Variable, array: xr.DataArray) -> dict[str, str]:
-    """Return the attributes that files hold of a variable, those that say something.
+def _attributes(variable: Variable, array: xr.DataArray | xr.Variable) -> dict[str, str]:
+    """Return the attributes that files hold of a variable, without those that are empty.
 
     Args:
-      variable: what it is.
-      array: its values in the dataset; times have no unit here, as xarray writes one itself, and arrays over y and x
-        name the CRS.
+      variable: what the values are.
+      array: the values. Times have no unit here, as xarray writes one itself. Arrays over y and x name the CRS.
     """
     is_time = array.dtype.kind == "M"
     texts = {
