@@ -103,7 +103,7 @@ def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
 
     Args:
       scenario: the settings.
-      stage: gives the context that reading city and orbits runs in.
+      stage: returns the context in which a stage runs, by its name; the city and the orbits are read in one each.
 
     Raises:
       InputError: sources that cannot be used, or no building in the region.
@@ -178,8 +178,14 @@ def run_scenario(
         guesses = tasks[0].all_guesses
         warn_of(guesses, known=city.guesses)
 
-        # No file of an older job is touched before it is certain that these maps have room.
-        num_threads = _check_room(tasks, folder, memory_bytes, workers)
+        # Whether the folder can be written to, and memory and disk suffice. Only then is an older job's file touched.
+        check_writable(folder)
+        num_threads = num_cores()
+        if not isinstance(workers, str):  # the memory of a cluster's machines is not known here
+            num_threads = plan_run(
+                tasks, memory_bytes, num_workers=workers or num_threads, num_processes=workers or 0
+            )
+        check_disk(tasks, folder)
 
         # The output folder is opened for this run; then the maps are made, one resolution after the other.
         opened = Workspace.open(
@@ -199,11 +205,11 @@ def run_scenario(
                 RunContext(task, folder, key, num_threads, client, tuple(layers)) for task in tasks
             ]
             made = [_complete_maps(run, workspace, watch, report) for run in runs]
-            all_maps, are_new = zip(*made, strict=True)
+            all_maps, are_kept = zip(*made, strict=True)
             store.put_root(folder)  # jaxurban 1.0.0, whose maps may be kept here, did not write it
 
             # The base map and the record. Where all maps were kept they stay, but for a base map that is damaged.
-            is_kept = not any(are_new)
+            is_kept = all(are_kept)
             with watch.stage("base map"):
                 if base is None or not is_kept or workspace.broken([base_file]):
                     save_base_map(replace(all_maps[0], base=base).base_map, workspace)
@@ -222,37 +228,13 @@ def run_scenario(
     return ScenarioRun(by_resolution, record)
 
 
-def _check_room(
-    tasks: Sequence[MapTask], folder: Path, memory_bytes: int | None, workers: int | str | None
-) -> int:
-    """Check that a run can write to its folder and has enough memory and disk; return how many threads it may use.
-
-    What the run takes of both is written to the log, of memory only if the work is done on this machine.
-
-    Args:
-      tasks: one for each resolution.
-      folder, memory_bytes, workers: as of `run_scenario`.
-
-    Raises:
-      InputError: the folder cannot be written to, or there is too little memory or disk.
-    """
-    check_writable(folder)
-    num_threads = num_cores()
-    if not isinstance(workers, str):  # the memory of a cluster's machines is not known here
-        num_threads = plan_run(
-            tasks, memory_bytes, num_workers=workers or num_threads, num_processes=workers or 0
-        )
-    check_disk(tasks, folder)
-    return num_threads
-
-
 def _check_holds_no_others(folder: Path, scenario: Scenario, inputs: Inputs, key: str) -> None:
-    """Raise InputError for a folder with maps of another run than the one of this key (`run_key`).
+    """Raise InputError if a folder holds maps of another run than the one that a key identifies (`run_key`).
 
     Args:
       folder: where maps would go.
-      scenario, inputs: what they would be made of, from which the message says how the folder's maps differ.
-      key: of the run that would make them.
+      scenario, inputs: what the maps would be made of; the message says how the folder's maps differ from that.
+      key: identifies the run that would make the maps.
     """
     stored_by = Workspace.settings_of(folder, "maps").get(RUN_KEY)
     if store.stored_resolutions(folder) and stored_by != key:
@@ -265,11 +247,11 @@ def _check_holds_no_others(folder: Path, scenario: Scenario, inputs: Inputs, key
 
 
 def _files_of(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str]) -> list[Path]:
-    """Return the files that the maps of tasks will have under a folder.
+    """Return the paths of the files that the maps of tasks will have under a folder.
 
     Args:
       tasks: one for each resolution.
-      folder: of the maps.
+      folder: the output folder.
       layers: variables that are GeoTIFFs too.
 
     Raises:
@@ -288,12 +270,12 @@ class RunContext:
     """The maps of one resolution: what they are made of, where they go, and who works on them.
 
     Attributes:
-      task: what they are made of.
-      folder: where they go.
-      key: of the run (`run_key`).
-      num_workers: threads of this process.
-      client: of the Dask cluster that works on the tiles; None where the threads do.
-      layers: variables that are GeoTIFFs too, beside obstacles and the metrics of the cost.
+      task: what the maps are made of.
+      folder: the output folder.
+      key: identifies the run by all that its maps depend on (`run_key`).
+      num_workers: how many threads of this process work at a time.
+      client: client of the Dask cluster that works on the tiles; None if the threads of this process do.
+      layers: variables that are GeoTIFFs too, besides obstacles and the metrics of the cost.
     """
 
     task: MapTask
@@ -306,8 +288,8 @@ class RunContext:
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """Return the result of a function for each item, in order, computed in threads of this process.
 
-        It is for work on files of the output folder, so the threads do it even where a cluster works on the tiles. What
-        they write goes to the same recorder of files as what the calling thread writes.
+        It is for work on files of the output folder, so the threads do it even if a cluster works on the tiles. The
+        files that they write are recorded together with those of the calling thread.
         """
         with ThreadPoolExecutor(
             self.num_workers, initializer=RECORDER.set, initargs=(RECORDER.get(),)
@@ -316,12 +298,12 @@ class RunContext:
 
 
 def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
-    """Remove what killed runs left under a folder, but for the unfinished tiles that this run goes on with.
+    """Remove what killed runs left under a folder, except for the unfinished tiles with which this run goes on.
 
     Args:
-      folder: of the maps.
-      key: of this run.
-      resolutions_m: that this run makes; tiles of those that it has already finished are left-overs too.
+      folder: the output folder.
+      key: identifies this run (`run_key`).
+      resolutions_m: the resolutions that this run makes. The tiles of a resolution that is finished are removed too.
     """
     left_over = {*(folder / store.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}")}
     for resolution_m in resolutions_m:
@@ -335,7 +317,7 @@ def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
 def _complete_maps(
     run: RunContext, workspace: Workspace, watch: Stopwatch, report: Report
 ) -> tuple[MetricMaps, bool]:
-    """Make what is missing or damaged of the maps at one resolution; return the maps, and whether their Zarr is new.
+    """Make what is missing or damaged of the maps at one resolution; return the maps, and whether their Zarr was kept.
 
     A Zarr on the disk is kept if it is whole and of the same run. A warning names what is missing or damaged.
 
@@ -365,7 +347,7 @@ def _complete_maps(
             watch.add(name, busy_s * scale)
     maps = MetricMaps(store.open_zarr(folder.resolve(), resolution_m))
     _renew_geotiffs(maps, run, workspace, watch, has_old_zarr=is_kept)
-    return maps, not is_kept
+    return maps, is_kept
 
 
 def _renew_geotiffs(
@@ -406,7 +388,7 @@ def make_zarr(
     Args:
       run: what the maps are made of and where they go.
       report: gets how many tiles are done.
-      shape: rows and columns of a tile's cells; left out, `shape_of_tiles`.
+      shape: how many rows and columns of cells a tile has; left out, as of `shape_of_tiles`.
 
     Raises:
       InputError: rasters without data in the region, or workers that are killed again and again.

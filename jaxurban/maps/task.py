@@ -1,4 +1,4 @@
-"""MapTask: what the maps of a region are made of, by whomever they are made; and the dataset that they are."""
+"""MapTask: what the maps of a region are made of, whoever makes them, and the dataset that they are written into."""
 
 import json
 import math
@@ -45,12 +45,13 @@ class MapParams:
       altitudes_m: flight altitudes above ground.
       oversample: n: occlusion and lidar on a surface n times finer (odd is best).
       heights: how roofs are rasterised, and how well their heights are known.
-      sections: settings of metrics, by name; the others have their defaults. Of `ON_REQUEST` those named here are made.
+      sections: settings of metrics, by name; metrics that are not named have their defaults. A metric of `ON_REQUEST`
+        is made only if it is named.
       engine: which form of the kernels runs; it changes no bit of the maps on a CPU.
 
     Raises:
-      InputError: invalid altitudes, an invalid oversample, an unknown engine, sections of no metric, or bounds or
-        spreads of a series that keeps no single time's maps, or bounds with an even oversample.
+      InputError: invalid altitudes, an invalid oversample, an unknown engine, sections that belong to no metric, bounds
+        or spreads of a series that does not keep the maps of every time, or bounds with an even oversample.
     """
 
     altitudes_m: Sequence[float] = PAPER_ALTITUDES_M
@@ -97,7 +98,7 @@ class MapParams:
 
 @dataclass(frozen=True, eq=False)
 class MapTask:
-    """What the maps of a region depend on, and nothing of who makes them, in how many tiles, or where they go.
+    """What the maps of a region depend on. Who makes them, in how many tiles and into which folder is not part of it.
 
     Attributes:
       city: what stands and who lives there.
@@ -107,10 +108,10 @@ class MapTask:
       layers: cost layers that a user adds, by name.
       bands: values of the layers that are not functions, by name: one band, or one for each of the layer's
         ``altitudes_m``; rasters, or arrays on the region's cells (see `jaxurban.io.read.rasterise.bands_of`).
-      guesses: behind the maps (see `jaxurban.io.read.guesses`), for those who look at them.
+      guesses: what the maps rest on that was guessed (see `jaxurban.io.read.guesses`), by short names.
 
     Raises:
-      InputError: bounds of GPS under several clocks, or layers whose names would be those of maps of the spread.
+      InputError: bounds of GPS under several clocks, or a layer with the name of a map of the spread.
     """
 
     city: City
@@ -137,7 +138,7 @@ class MapTask:
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
-        """The metrics of the maps by name: the built-in ones for which the city has data, then a user's own."""
+        """The metrics of the maps by name: the built-in metrics for which the city has data, then the user's own."""
         return metrics_of(
             self.params.sections, self.layers, has_people=self.city.blocks is not None
         )
@@ -153,9 +154,10 @@ class MapTask:
 
     @property
     def spread_metrics(self) -> tuple[str, ...]:
-        """Names of the metrics whose spread by uncertain heights is computed, empty where nobody wants spreads.
+        """Names of the metrics whose spread under uncertain heights is computed; empty if no spread is asked for.
 
-        They are those that buildings decide: every metric with an altitude but the layers that are rasters or arrays.
+        The spread is computed of the metrics that depend on buildings. These are all metrics with an altitude, except
+        for layers that are rasters or arrays.
         """
         if not self.params.heights.height_samples:
             return ()
@@ -167,12 +169,12 @@ class MapTask:
 
     @property
     def reach_m(self) -> float:
-        """How far beyond its own cell any metric looks sideways."""
+        """The greatest distance, in metres, at which what surrounds a cell counts in any of its metrics."""
         return max(metric.reach_m(self.settings_of(metric)) for metric in self.metrics.values())
 
     @property
     def sizes(self) -> dict[str, int]:
-        """How many values each dim of the metrics has."""
+        """How many values each dimension of the metrics has, by name."""
         return {
             TIME: self.num_times,
             ALTITUDE: len(self.params.altitudes_m),
@@ -186,7 +188,7 @@ class MapTask:
 
     @property
     def keeps_times(self) -> bool:
-        """Whether the GPS maps of every time are kept, not statistics over them."""
+        """Whether the GPS maps of every time are kept; otherwise statistics over the times are kept instead."""
         return self.params.gps.keeps_times(self.num_times)
 
     @property
@@ -196,7 +198,7 @@ class MapTask:
 
     @property
     def by_numba(self) -> list[str]:
-        """Names of what Numba computes, where its form is the quicker one or the only one; JAX computes the rest."""
+        """Names of what Numba computes because its form is faster or the only one; JAX computes all else."""
         names = []
         if self.has_terrain and uses_numba(self.params.engine):
             names += [
@@ -230,21 +232,21 @@ class MapTask:
 
     @cached_property
     def has_guessed_roofs(self) -> bool:
-        """Whether the height of anything that stands in the region is guessed: maps then mark such roofs."""
+        """Whether the height of anything that stands in the region is guessed. If so, the maps mark such roofs."""
         standing = self.city.standing
         return standing is not None and guessed_share(standing, self.region.bounds_m) > 0
 
     def in_view(self, time_index: int) -> InView:
-        """Return the satellites in view at a time, and their receiver clocks as the settings of GPS have them."""
+        """Return the satellites in view at a time, with one receiver clock or several as the settings of GPS say."""
         in_view = self.sky.in_view(time_index)
         return in_view._replace(clocks=None) if self.params.gps.clocks == "one" else in_view
 
     def with_margin(self, part: Grid | None = None, highest_m: float | None = None) -> Grid:
-        """Return a grid grown by the margin that its metrics need: their reach, and all that can shadow it.
+        """Return a grid grown by the margin that its metrics need: their reach, and all that can shadow the grid.
 
         Args:
-          part: of the region; left out, all of it.
-          highest_m: how far the highest roof can stand above the lowest ground; left out, the city's.
+          part: a part of the region; left out, the whole region.
+          highest_m: how far the highest roof can stand above the lowest ground, in metres; left out, as in the city.
         """
         part = self.region if part is None else part
         highest_m = highest_top_m(self.city) if highest_m is None else highest_m
@@ -259,7 +261,7 @@ class MapTask:
         return surface_grid(self.city, part, self.reach_m, toward_m)
 
     def with_halo(self, part: Grid) -> Grid:
-        """Return a grid grown by the cells around it that metrics look at; shadows come from farther."""
+        """Return a grid grown by the cells around it that count in its metrics; what shadows it can lie farther off."""
         halo = math.ceil(self.reach_m / part.resolution_m)
         return part.padded(halo, halo, halo, halo)
 
@@ -309,18 +311,18 @@ def variables(task: MapTask) -> dict[str, Variable]:
 def empty_dataset(
     task: MapTask, make: Callable[[tuple[int, ...], np.dtype], object] = np.zeros
 ) -> xr.Dataset:
-    """Return the dataset that the maps of a task go into, with coordinates and attributes, all values zero.
+    """Return the dataset into which the maps of a task are written; it has coordinates and attributes already.
 
     Args:
       task: what the maps are made of.
-      make: returns the array of a shape and a type; left out, zeros in memory.
+      make: returns an array of a shape and a type, for the values of a variable; left out, zeros in memory.
     """
     region = task.region
     params = task.params
     population = task.population
     coords = _coordinates(task)
 
-    # Attributes of the whole dataset, first those of every map.
+    # Attributes of the whole dataset, first those that all maps have.
     attrs: dict[str, object] = {
         "Conventions": CONVENTIONS,
         "crs": region.crs,
@@ -356,7 +358,7 @@ def empty_dataset(
         data[name] = _held(dims, make(shape, np.dtype(variable.dtype)))
     ds = xr.Dataset(data, _indexed(coords), attrs)
 
-    # What files say of each variable, of a metric's own under its settings, and of a user's layer.
+    # Attributes of each variable, then those that a metric's settings and a user's layer add.
     for name, variable in by_name.items():
         ds[name].attrs |= _attributes(variable, ds[name])
     for name, metric in task.metrics.items():
@@ -419,7 +421,7 @@ def _held(
 
 
 def _indexed(coords: Mapping[str, xr.Variable]) -> xr.Coordinates:
-    """Return coordinates with an index for each that is an axis, all but the CRS.
+    """Return coordinates with an index for each that is an axis, which are all except the CRS.
 
     The indexes are made here, as xarray's usual way imports Dask for them too (`_held`).
     """
@@ -435,7 +437,7 @@ def _indexed(coords: Mapping[str, xr.Variable]) -> xr.Coordinates:
 def _axis(
     name: str, values: np.ndarray, axis: str, standard_name: str, long_name: str, **more: str
 ) -> xr.Variable:
-    """Return the coordinate along an axis, with the attributes of the CF conventions; ``more``: further ones."""
+    """Return the coordinate along an axis, with the attributes of the CF conventions and ``more`` attributes."""
     attrs = {"standard_name": standard_name, "long_name": long_name, "axis": axis, **more}
     return _held((name,), values, attrs)
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path as FilePath
 from typing import NamedTuple
 
@@ -30,8 +30,8 @@ from jaxurban.planners.registry import Backend, solve_many
 from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.settings import CostKind, HeuristicName, Objective, PlannerName, Preset
 
-HELD_BYTES = 2 * 2**30  # of weighed maps at a time
-BYTES_A_CELL = 160  # of a cost map: layers, metrics, landmarks
+HELD_BYTES = 2 * 2**30  # most memory of the cost maps that are kept at a time
+BYTES_A_CELL = 160  # memory of a cost map for each of its cells: layers, metrics, landmarks
 ENDED_BY_BUDGET = (Status.BUDGET_EMPTY.value, Status.BUDGET_FEASIBLE.value)
 # Columns that every file of results has.
 NEEDED = {"query", "status", "message", "key", "budget_s", "search", "x_m", "y_m"}
@@ -84,14 +84,14 @@ def plan_many(
         scenario gives it, as in `plan`.
       queries: pairs of places ``((lon, lat), (lon, lat))``, which may be an array ``[N, 2, 2]``, pairs of `XY`, or
         a table (see `read_queries`), whose rows may have altitude, time, time of day and weights of their own.
-      altitude_m: for queries that say nothing of their own.
+      altitude_m: flight altitude above ground of queries without an altitude of their own.
       backend: ``"numba"``, ``"jax"`` or ``"auto"`` (see `solve_many`).
       strict: raise the first error or crash instead.
       file: where to keep the results, named ``.parquet``.
-      num_threads: of the ``"numba"`` backend.
+      num_threads: how many threads the ``"numba"`` backend uses.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
-      weights, time, time_of_day: as in `plan`, for queries that say nothing of their own.
-      objective, cost_model, constraints, preset: which map, as in `plan`.
+      weights, time, time_of_day: as in `plan`, for queries without such values of their own.
+      objective, cost_model, constraints, preset: which map is planned on, as in `plan`.
       planner, heuristic, budget_s, seed, snap: of each query, as in `plan`.
       refine, exposure: of a single plan only.
 
@@ -129,27 +129,24 @@ def plan_many(
             f"the folder of {str(file)!r} does not exist: make it first, or name another file"
         )
 
-    # The cost maps of the queries, of which as many are kept as `HELD_BYTES` of memory hold.
+    # The cost map of an altitude, a time and a time of day, which queries share, under the weights of the call. As many
+    # are kept as `HELD_BYTES` of memory hold.
     most_maps = max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape))))
-
-    @lru_cache(maxsize=most_maps)
-    def map_of(altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
-        """Return the cost map that queries at an altitude and a time share, under the weights of the call."""
-        return cost_map(
+    map_of = lru_cache(maxsize=most_maps)(
+        partial(
+            cost_map,
             maps,
-            altitude_m,
             weights=weights,
             objective=objective,
             cost_model=cost_model,
-            time=time,
-            time_of_day=time_of_day,
             constraints=constraints,
             preset=preset,
         )
+    )
 
     # Making the first map refuses what is wrong for all queries.
     first_altitude_m = maps.altitudes_m[0] if altitude_m is None else altitude_m
-    first_map = map_of(first_altitude_m, time, time_of_day)
+    first_map = map_of(first_altitude_m, time=time, time_of_day=time_of_day)
     batch = read_queries(
         queries,
         altitude_m=altitude_m,
@@ -196,8 +193,8 @@ class _Results:
     """What became of each query so far, and the file that keeps it, from which a batch that was ended goes on.
 
     Attributes:
-      queries: of the batch.
-      strict: the first query that cannot be planned and the first crash of a planner are raised.
+      queries: the queries of the batch.
+      strict: whether the first query that cannot be planned, or the first crash of a planner, is raised.
       rows: a row for each query, as of `row_of`.
       paths: the path of each query; None where its planner did not run to its end.
       counts: how many queries are done, with a path and without one.
@@ -208,7 +205,7 @@ class _Results:
         """Begin with no query done: each has the row of a query that was not run, and no path.
 
         Args:
-          queries: of the batch.
+          queries: the queries of the batch.
           store: the file with results of an earlier run, which are taken one by one (`take`); None to keep no file.
           strict: as of the class.
 
@@ -259,8 +256,8 @@ class _Results:
     def take(self, located: _Located, search: PathSearch) -> bool:
         """Note the result of a query that the file holds, and return whether it holds one.
 
-        A result that a smaller budget ended does not count, nor one with an error of input, which costs nothing to find
-        again.
+        A result does not count if a smaller budget ended its search. Nor does an error of input, which is found again
+        at no cost.
 
         Args:
           located: the query.
@@ -312,7 +309,7 @@ def _plan_batch(
 
     Args:
       results: hold the queries.
-      map_of: returns the cost map of an altitude, a time and a time of day.
+      map_of: returns the cost map of an altitude, a ``time`` and a ``time_of_day``.
       most_maps: on how many cost maps queries are planned before further maps are made.
       search: how each path is searched for.
       backend, num_threads: as of `plan_many`.
@@ -332,7 +329,7 @@ def _plan_batch(
     groups = list(by_map.values())
     for first in range(0, len(groups), most_maps):
         # Where the queries of these maps lie. What the file holds of them is done.
-        located = []
+        located: list[_Located] = []
         problems = []
         unsolved = []  # indices in both
         for numbers in groups[first : first + most_maps]:
@@ -385,7 +382,7 @@ def _locate(
     queries = results.queries
     shared = queries[numbers[0]]
     try:
-        cost_map = map_of(shared.altitude_m, shared.time, shared.time_of_day)
+        cost_map = map_of(shared.altitude_m, time=shared.time, time_of_day=shared.time_of_day)
         cost_map = cost_map.with_weights(shared.weights)
     except InputError as error:
         for k in numbers:
@@ -402,12 +399,12 @@ def _locate(
 
 
 def _digest(cost_map: CostMap, search: PathSearch, backend: str) -> str:
-    """Return a digest of all that decides a path but its ends and its budget: the map and the settings of a search.
+    """Return a digest of all that decides a path except for its ends and its budget: the map and the search's settings.
 
     Args:
       cost_map: the map.
-      search: the settings. Snapping decides the ends alone, so that it is set to one value here, and so is the budget.
-      backend: of the planner.
+      search: the settings. Snapping changes a path only by its ends, so neither snapping nor the budget counts here.
+      backend: what computes the path, as of `plan_many`.
     """
     search = replace(search, snap=False, budget_s=np.inf)
     settings = (

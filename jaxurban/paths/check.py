@@ -59,10 +59,10 @@ def check(
     ``sources``. Where these are gone, the cells that roofs touch count instead, and the result says so. A roof has its
     height above the ground at each of its points.
 
-    Findings are contacts with buildings, places nearer than the clearances, the ground, no-fly zones, closed cells, and
-    limits that are exceeded; all else is a figure. Parts of a mission are not judged if the reader did not understand
-    them, if they lie outside the maps, over cells without data or beyond the maps' altitudes (but for take-off and
-    landing), or if they pass over a guessed roof or within the clearance of one.
+    Findings are contacts with buildings or the ground, places that are nearer than the clearances allow, no-fly zones,
+    closed cells, and limits that are exceeded; all else is a figure. Parts of a mission are not judged if the reader
+    did not understand them, if they lie outside the maps, over cells without data or beyond the maps' altitudes (except
+    for take-off and landing), or if they pass over a guessed roof or within the clearance of one.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
@@ -82,7 +82,7 @@ def check(
       max_no_fix_m: most metres without a position fix that are allowed, at the worst of the times.
       max_people: most people overflown that are allowed.
       swath_m: width of the strip in which people are counted.
-      weights: of the cost; left out, those of the maps' scenario.
+      weights: weights of the cost; left out, those of the maps' scenario.
       sources: the City, or the folder at which the recorded files' paths begin.
 
     Returns:
@@ -103,9 +103,10 @@ def check(
     """
     # The arguments, the mission as it was read, and the times of the flight: None stands for the maps' first time.
     maps = as_maps(maps)
-    for name, most in (("max_no_fix_m", max_no_fix_m), ("max_people", max_people)):
-        if most is not None:
-            not_negative(name, most)
+    for name, most in values_given(
+        {"max_no_fix_m": max_no_fix_m, "max_people": max_people}
+    ).items():
+        not_negative(name, most)
     positive("swath_m", swath_m)
     if not isinstance(mission, Mission):
         mission = read_mission(
@@ -118,8 +119,8 @@ def check(
     named_times = () if time is None else as_tuple(time)
     times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
 
-    # Constraints: those of the argument, with the zones of files and the clearances that are named here. What is open
-    # then is as in the maps' scenario.
+    # Constraints: those of the argument, with the zones of files and the clearances of the call. What is still left out
+    # is as in the maps' scenario. Of the zones those count that are in force.
     limits = constraints or Constraints()
     zones = (*limits.zones, *Constraints.read(no_fly).zones)
     clearances = {"clearance_m": clearance_m, "vertical_clearance_m": vertical_clearance_m}
@@ -236,14 +237,14 @@ def _city_of(
 def _limits(
     figures: Mapping[str, Any], max_no_fix_m: float | None, max_people: float | None
 ) -> tuple[pd.DataFrame, list[str]]:
-    """Return findings, a row per limit that is exceeded, and sentences on limits that cannot be judged.
+    """Return findings, one row for each limit that is exceeded, and sentences on limits that cannot be judged.
 
-    A limit cannot be judged where the maps do not hold its figure, or where the figure keeps the limit but could exceed
-    it with what is unknown: each unknown metre may be without a fix, and may have any number of people below.
+    A limit cannot be judged if the maps do not hold its figure, or if the figure keeps the limit but could exceed it
+    with what is unknown: each unknown metre may be without a fix, and any number of people may be below it.
 
     Args:
-      figures: of the mission, by name.
-      max_no_fix_m, max_people: the limits; None: there is none.
+      figures: the figures of the mission, by name.
+      max_no_fix_m, max_people: the limits; None if there is no such limit.
     """
     limits = (  # figure, its unknown metres, limit, unit, and most units that an unknown metre may add
         ("no_fix_m", "fix_unknown_m", max_no_fix_m, "m without a position fix", 1.0),

@@ -19,7 +19,8 @@ from jaxurban.paths.route_report import DENSITY, GRIDS_M, OverflownDensity
 from jaxurban.public import Caution, caution_of_guesses
 from jaxurban.settings import not_negative
 
-WHOLE = 1 - 1e-9  # of a cell, but for rounding
+# A cell of which at least this share is known counts as wholly known, whatever rounding does.
+WHOLE = 1 - 1e-9
 GATHERINGS = "Gatherings are yours to name: no map holds them."
 RESIDENTS = "By night these are residents by the census, not people outdoors."
 
@@ -47,12 +48,12 @@ def overflown_density(
       maps: that hold a density, or their folder.
       path: from `plan`; or a line, ``[N, 2]`` easting, northing in the maps' CRS, or ``[N, 3]`` with the height above
         ground too.
-      half_width_m: of the volume that is flown in, to each side of the route.
-      contingency_m: of the volume around it.
-      buffer_m: of the ground risk buffer around that; left out, the greatest height of the flight (1:1). This is a
-        hint, and no rule for your aircraft.
-      cell_m: side of a cell, beside those of `GRIDS_M`.
-      time_of_day: of the maps; left out, each of them.
+      half_width_m: width of the volume that is flown in, to each side of the route.
+      contingency_m: width of the contingency volume around it.
+      buffer_m: width of the ground risk buffer around both; left out, the greatest height of the flight (1:1), which
+        is a hint and no rule for your aircraft.
+      cell_m: side of a grid's cells; the sides of `GRIDS_M` are taken too.
+      time_of_day: a time of day of the maps; left out, all of them.
       num_segments: into how many parts of equal length the route is cut.
 
     Returns:
@@ -90,20 +91,22 @@ def overflown_density(
     }
     reach_m = half_width_m + contingency_m + buffer_m
     line = line_of(xy_m)
-    ends_m = np.linspace(0.0, line.length, at_least("num_segments", num_segments, 1) + 1)
-    parts = [line]
-    if line.length:
-        parts = [substring(line, from_m, to_m) for from_m, to_m in pairwise(ends_m)]
+    num_segments = at_least("num_segments", num_segments, 1)
 
-    # The cells that it touches, on each grid; on that of `cell_m` also those of each segment.
+    # The cells that the corridor touches, on each grid; on that of `cell_m` also which of them each segment touches.
     cells_by_side = {
         side_m: cells_within(line, reach_m, side_m, maps.grid)
         for side_m in sorted({*GRIDS_M, cell_m})
     }
-    boxes = cells_by_side[cell_m].boxes
-    near_parts = [shapely.dwithin(boxes, part, reach_m) for part in parts]  # of each segment, [C]
+    ends_m = np.linspace(0.0, line.length, (num_segments if line.length else 1) + 1)
+    segments = []
+    for from_m, to_m in pairwise(ends_m):
+        is_near = shapely.dwithin(
+            cells_by_side[cell_m].boxes, substring(line, from_m, to_m), reach_m
+        )
+        segments.append((from_m, to_m, is_near))
 
-    # The largest mean on each grid, and of each segment on that of `cell_m`, at each time of day.
+    # The largest mean on each grid at each time of day, and on the grid of `cell_m` also that of each segment.
     rows, segment_rows = [], []
     times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
     for name in times_of_day:
@@ -111,12 +114,11 @@ def overflown_density(
         for side_m, cells in cells_by_side.items():
             means, share = cell_means(density, maps.grid, cells)
             is_any = np.ones(len(means), bool)
-            largest_on_grid = _largest(line, cells, means, share, is_any)
-            rows.append({"cell_m": side_m, "time_of_day": name, **largest_on_grid})
+            row = {"cell_m": side_m, "time_of_day": name}
+            rows.append(row | _largest(line, cells, means, share, is_any))
             if side_m != cell_m:
                 continue
-            for number, is_near in enumerate(near_parts, start=1):
-                from_m, to_m = ends_m[number - 1 : number + 1]
+            for number, (from_m, to_m, is_near) in enumerate(segments, start=1):
                 row = {"segment": number, "from_m": from_m, "to_m": to_m, "time_of_day": name}
                 segment_rows.append(row | _largest(line, cells, means, share, is_near))
 
@@ -140,12 +142,14 @@ def overflown_density(
 def _line_of(path: PlannedPath | np.ndarray, maps: MetricMaps) -> tuple[np.ndarray, float | None]:
     """Return a route's points ``[N, 2]``, metres in the maps' CRS, and its greatest height above ground in metres.
 
+    The height is None if it is not known.
+
     Args:
-      path: from `plan`, or points ``[N, 2]``, whose height is not known (None), or ``[N, 3]`` with heights.
-      maps: in whose CRS the route must be.
+      path: from `plan`, or points ``[N, 3]`` with heights above ground, or points ``[N, 2]`` without heights.
+      maps: the maps in whose CRS the route must be.
 
     Raises:
-      InputError: there is no path, it is in another CRS, or points that are no such array of finite numbers.
+      InputError: there is no path, it is in another CRS, or the points are no such array of finite numbers.
     """
     if isinstance(path, PlannedPath):
         if not path.status.has_path:
@@ -173,19 +177,20 @@ def _largest(
     share: np.ndarray,
     is_near: np.ndarray,
 ) -> dict[str, float]:
-    """Return the largest mean of the cells that are near, where it lies, and how many of these cells are known.
+    """Return the largest mean density of some cells, where it lies, and how many of these cells are known.
 
     The columns are those of `OverflownDensity.largest` from ``density_per_km2`` on. Where no near cell is known, the
     mean, its place and its known share are NaN.
 
     Args:
       line: the route.
-      cells: ``C`` of them.
-      means: ``[C]`` their densities, NaN where nothing is known.
-      share: ``[C]`` which share of each is known.
-      is_near: ``[C]`` which of them count.
+      cells: the ``C`` cells of a grid.
+      means: ``[C]`` mean density of each cell; NaN where nothing is known.
+      share: ``[C]`` share of each cell's area over which the density is known.
+      is_near: ``[C]`` whether the cell counts.
     """
-    worst = np.argmax(np.where(is_near & np.isfinite(means), means, -1.0))
+    # Cells that do not count or are not known are never the largest.
+    worst = np.argmax(np.where(is_near & np.isfinite(means), means, -np.inf))
     middle = shapely.centroid(cells.boxes[worst])
     lon, lat = cells.grid.lonlat_of_xy(middle.x, middle.y)
     place = {
@@ -196,7 +201,7 @@ def _largest(
         "known_share": share[worst],
     }
     near_share = share[is_near]
-    if not near_share.any():  # no cell is known, so that `worst` is just the first one
+    if not near_share.any():  # no cell that counts is known, and `worst` says nothing
         place = dict.fromkeys(place, np.nan)
     return {
         **place,
@@ -207,10 +212,10 @@ def _largest(
 
 
 def _cautions(maps: MetricMaps, rows: pd.DataFrame) -> Iterator[Caution]:
-    """Yield what to know of densities: guesses on people, what is unknown, whom they count and whom not.
+    """Yield cautions on densities: what is guessed, what is unknown, which people they count and which they do not.
 
     Args:
-      maps: that hold the densities.
+      maps: the maps that hold the densities.
       rows: of `OverflownDensity.largest`, one for each time of day, on one grid.
     """
     guesses = {name: guess for name, guess in maps.guesses.items() if is_of_people(name)}

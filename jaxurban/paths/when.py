@@ -1,10 +1,9 @@
 """when: the same routes planned at every time that maps hold, and the one at which they cost the least together."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -115,7 +114,7 @@ class Departures(FactsRepr):
 
 
 def _time_of(row: pd.Series) -> str:
-    """Return time and time of day of a row of `Departures` as a text, without those that the maps do not hold."""
+    """Return the time and the time of day of a row of `Departures` as a text; one that the maps lack is left out."""
     return ", ".join(filter(None, row[TIMES]))
 
 
@@ -141,7 +140,7 @@ def when(
     refine: bool = False,
     exposure: Mapping[str, float] | None = None,
 ) -> Departures:
-    """Return what routes cost and meet at every time that maps hold, each planned at each time (`plan_many`).
+    """Plan each route at every time that maps hold (`plan_many`), and return what the routes cost and lead over.
 
     Every time of the GPS maps is taken with every time of day of the population maps, as no rule says which belong
     together. Where ``time`` or ``time_of_day`` is given, that one alone is taken.
@@ -149,7 +148,7 @@ def when(
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
       queries: pairs ``((lon, lat), (lon, lat))`` in degrees, one or many, or a table as `plan_many` takes it.
-      altitude_m: for queries that say nothing of their own.
+      altitude_m: flight altitude above ground of queries without an altitude of their own.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
       weights, objective, cost_model, time, time_of_day, constraints, preset: which map, as in `plan`.
       planner, heuristic, budget_s, seed, snap: of each query, as in `plan`.
@@ -159,7 +158,7 @@ def when(
       `Departures`: a table of the times, one of the routes at each time, and their paths.
 
     Raises:
-      InputError: there is one time alone, a query has a time of its own, or none of them can be planned at any time.
+      InputError: the maps hold one time alone, a query has a time of its own, or no query can be planned at any time.
 
     Examples:
       >>> departures = ju.when(maps, [(start, goal), (goal, start)], altitude_m=60.0, progress=False)
@@ -204,42 +203,30 @@ def when(
     if all(path is None for path in paths):
         raise InputError(paths.rows[0]["message"])
 
-    # A row for each route, with the numbers of its time and of its query in the place of one number of both.
+    # A row for each route at each time. `plan_many` numbers them all in order; here the number is parted into that of
+    # the time and that of the query.
     routes = paths.to_dataframe().astype({"cost": float, "length_m": float})
     routes["departure"], routes["query"] = np.divmod(routes["query"], num_queries)
     routes = routes.join(pd.DataFrame(list(map(_along, paths))))
     table = _with_sums(table, routes)
 
-    # What the routes of the best time would cost at each other time. Where no time has a path for all routes, the first
-    # time stands for the best.
+    # What the routes of the best time would cost at each time. Where no time has a path for all routes, the first time
+    # stands for the best. The routes of one time follow each other and share a map, so that one map is kept.
     best = Departures(table, routes, paths).best or 0
     kept_paths = [paths[best * num_queries + query] for query in routes["query"]]
-
-    @lru_cache(maxsize=1)
-    def map_at(altitude_m: float, weights: tuple, departure: int) -> CostMap:
-        """Return the cost map of an altitude, of weights (pairs of name and value) and of a row of the table."""
-        row: Any = table.loc[departure]
-        return cost_map(
-            maps,
-            altitude_m,
-            weights=dict(weights),
-            objective=objective,
-            cost_model=cost_model,
-            time=row["time"],
-            time_of_day=row["time_of_day"],
-            constraints=constraints,
-            preset=preset,
-        )
-
-    def cost_at(path: PlannedPath | None, departure: int) -> float:
-        """Return what a path costs at the time of a row of the table: inf where it is closed, NaN without a path."""
-        if path is None or not path.status.has_path:
-            return np.nan
-        cost_map = map_at(path.altitude_m, tuple(path.settings["weights"].items()), departure)
-        return cost_map.problem.features(path.search.points_m).cost(cost_map.weight_vector)
+    map_of = partial(
+        cost_map,
+        maps,
+        weights=weights,
+        objective=objective,
+        cost_model=cost_model,
+        constraints=constraints,
+        preset=preset,
+    )
+    times = table.loc[routes["departure"]]
+    kept_costs = np.array(_costs_at(kept_paths, times, lru_cache(maxsize=1)(map_of)))
 
     # By how much the kept routes cost more than those of each time, and how many of these are other routes.
-    kept_costs = np.array(list(map(cost_at, kept_paths, routes["departure"])))
     kept_above = kept_costs / routes["cost"] - 1
     routes["kept_above"] = kept_above.mask(kept_costs <= routes["cost"], 0.0)
     routes["num_changed"] = routes["kept_above"] > SAME_ROUTE_COST
@@ -300,10 +287,32 @@ def _with_sums(table: pd.DataFrame, routes: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def _along(path: PlannedPath | None) -> dict[str, float]:
-    """Return measures of a route by column: exposure by layer, all metres without a fix, and its longest stretch.
+def _costs_at(
+    paths: Sequence[PlannedPath | None], times: pd.DataFrame, map_of: Callable[..., CostMap]
+) -> list[float]:
+    """Return what paths cost at other times: inf for a path that is closed then, NaN where there is no path.
 
-    Empty without a path; the metres are left out where the maps hold no HDOP.
+    Args:
+      paths: ``N`` planned paths.
+      times: ``N`` rows with the columns `TIMES`: when each path is flown.
+      map_of: returns the cost map of an altitude, a ``time`` and a ``time_of_day``.
+    """
+    costs = []
+    for path, time, time_of_day in zip(paths, times["time"], times["time_of_day"], strict=True):
+        cost = np.nan
+        if path is not None and path.status.has_path:
+            cost_map = map_of(path.altitude_m, time=time, time_of_day=time_of_day)
+            cost_map = cost_map.with_weights(path.settings["weights"])
+            features = cost_map.shortest.features(path.search.points_m)
+            cost = features.cost(cost_map.weight_vector)
+        costs.append(cost)
+    return costs
+
+
+def _along(path: PlannedPath | None) -> dict[str, float]:
+    """Return measures of a route by column: exposure to each layer, metres without a fix, and the longest such stretch.
+
+    There are none without a path. The metres are left out where the maps hold no HDOP.
     """
     if path is None or path.maps is None or not path.status.has_path:
         return {}

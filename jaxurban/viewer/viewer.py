@@ -83,7 +83,7 @@ VEHICLE = {  # of `Vehicle.to_dict`, as the page shows it; of climb, descent and
 
 
 class Answer(NamedTuple):
-    """What a request gives: its media type, such as `JSON`, and its bytes."""
+    """The answer to a request: its media type, such as `JSON`, and its bytes."""
 
     kind: str
     body: bytes
@@ -96,17 +96,18 @@ class Viewer:
       maps: the maps that are looked at and planned on.
       name: what the page calls the maps.
       folder, weights, preset: as for `Plans`.
-      against: other maps of the place, whose layers can be subtracted on the cells that both hold; None: no others.
+      against: other maps of the same place, whose layers can be subtracted on the cells that both hold; None if there
+        are no other maps.
       against_name: what the page calls the other maps.
-      sources: folder where the relative paths of the maps' sources begin, from which outlines and skies are read; None
-        for beside the maps.
+      sources: the folder at which the relative paths of the maps' sources begin, from which outlines and skies are
+        read; left out, the folder beside the maps.
 
     Raises:
       InputError: as for `Plans`, or as for `shared_part` with the other maps.
 
     Attributes:
       key: a text that no other viewer has; a page with another viewer's key gets no answers.
-      kept: arrays that were drawn or looked at last.
+      kept: the arrays that were drawn or looked at last.
       shared, other_layers: these and the other maps, cut to what both hold, and the layers of the other maps; only with
         other maps.
     """
@@ -140,7 +141,7 @@ class Viewer:
         self.sources = sources
         self.kept = Kept()
         self.key = uuid4().hex
-        # By the name of a request: the class of its parameters, and what answers it.
+        # The class of the parameters and the function that answers, by the name of a request.
         self._answers: dict[str, tuple[type[Request], Callable[[Any], Any]]] = {
             "scene": (Request, self.scene),
             "base": (Request, self.base),
@@ -155,7 +156,7 @@ class Viewer:
         }
 
     def answer(self, name: Any, params: Any) -> Answer:
-        """Return what a request gives: JSON, or the bytes of a tile, of outlines or of a file.
+        """Return the answer to a request: JSON, or the bytes of a tile, of outlines or of a file.
 
         Args:
           name: of the request, as in the page's script; any value of JSON.
@@ -191,8 +192,8 @@ class Viewer:
     def scene(self, _: Request) -> dict[str, Any]:
         """Return what the page must know before it asks for anything else.
 
-        ``fields`` are the values at which its controls start, "" for an empty one; ``html`` is put in its places, by
-        their names.
+        ``fields`` are the values at which the page's controls start, "" for an empty control; ``html`` holds the texts
+        that are put into the page, by the names of their places.
         """
         grid = self.maps.grid
         north_deg = math.degrees(grid.convergence_rad(*grid.centre_lonlat))
@@ -248,7 +249,7 @@ class Viewer:
         """Return the texts and lists of the page as HTML, by the names of their places.
 
         Args:
-          north_deg: how far true north is west of the grid's north; below 0 it is east.
+          north_deg: by how many degrees true north is west of the grid's north; below 0 it is east of it.
         """
         # What is said of the maps.
         maps, grid = self.maps, self.maps.grid
@@ -345,14 +346,14 @@ class Viewer:
         return OneMap(*chosen)
 
     def flight(self, query: Plan) -> OneMap:
-        """Return altitude, time and time of day of a route; the altitude may lie between those of the maps."""
+        """Return the altitude, time and time of day of a route; its altitude may lie between altitudes of the maps."""
         at = self.place(query.at)
         if query.flight_m is None or at.altitude_m is None:
             return at
         return at._replace(altitude_m=query.flight_m)
 
     def values(self, view: View) -> np.ndarray:
-        """Return the values ``[Y, X]`` of a map, or its `difference` from another one, as they travel.
+        """Return the values ``[Y, X]`` of a map, or its `difference` from another map, as the page gets them.
 
         Raises:
           InputError: an unknown layer, a number beyond its list, layers of different units, or no other maps.
@@ -402,7 +403,7 @@ class Viewer:
             at = at._replace(time=paired_times(*self.shared).get(at.time, at.time))
 
         def make() -> np.ndarray:
-            """Return the values put where the shared cells are among these maps' cells."""
+            """Return the other maps' values on the shared cells of these maps, and `NOTHING` on the other cells."""
             values = np.full(self.maps.grid.shape, NOTHING)
             values[self.shared[0].grid.window_in(self.maps.grid)] = layer.values(at)
             return values
@@ -420,7 +421,7 @@ class Viewer:
         return legend_of(self.layers[view.layer], values, label)
 
     def _difference_label(self, view: View, minus: Subtrahend) -> str:
-        """Return the label of a difference: which map is subtracted from which, in which unit."""
+        """Return the label of a difference, which names both maps and the unit of their values."""
         unit = unit_of(self.layers[view.layer])
         # The other maps are number 1.
         subtracted = self._said(minus, self.names[minus.is_other])
@@ -432,7 +433,8 @@ class Viewer:
     def _said(self, view: OneView, name: str) -> str:
         """Return in words what a view shows: layer, altitude, time and time of day.
 
-        A single time of the maps is not said. ``name`` is what its maps are called, said only beside other maps.
+        If the maps hold one time alone, it is left out. ``name`` is what the maps of the view are called; it is left
+        out if there are no other maps.
         """
         layer, at = self._layer(view)
         words = [layer.variable.heading]
@@ -457,8 +459,8 @@ class Viewer:
     def values_at(self, cell: Cell) -> list[dict[str, Any]]:
         """Return what the list under the pointer shows of a cell, in its order.
 
-        A row has the name, the value (None where there is none) and `_words` of a layer. The value of the cell's view,
-        a difference, comes first, if there is one. Below the density of people comes their number in the cell.
+        A row has the name of a layer, its value (None where it has none) and its `_words`. If the view shows a
+        difference, the difference comes first. Below the density of people comes the number of people in the cell.
 
         Raises:
           InputError: a cell outside the maps, a number beyond its list, or as for `values`.
@@ -470,7 +472,6 @@ class Viewer:
             )
         is_inside = self._value_in(self.layers["obstacle"], cell) != 0
 
-        # The difference.
         rows: list[dict[str, Any]] = []
         if cell.view is not None:
             layer, _ = self._layer(cell.view)
@@ -493,27 +494,33 @@ class Viewer:
         return rows
 
     def _value_in(self, layer: DrawnLayer, cell: Cell) -> float:
-        """Return a layer's value in a cell, NaN where it has none; of maps on disk a block around it is read and kept.
+        """Return a layer's value in a cell, NaN where it has none.
+
+        A layer that the maps do not hold is computed from them for all cells at once.
+
+        Raises:
+          InputError: a number beyond its list.
+        """
+        if self.maps.variable(layer.name) in self.maps.ds:
+            return self._stored_value(layer, cell)
+        value = self.values(View(layer=layer.name, at=cell.at))[cell.row, cell.col]
+        return float(value) if np.isfinite(value) else math.nan
+
+    def _stored_value(self, layer: DrawnLayer, cell: Cell) -> float:
+        """Return the value in a cell of a layer that the maps hold; the block of cells around it is read and kept.
 
         Raises:
           InputError: a number beyond its list.
         """
         at = self.place(cell.at, layer.dims)
-
-        # What is computed from maps is computed as a whole.
-        variable = self.maps.variable(layer.name)
-        if variable not in self.maps.ds:
-            value = self.values(View(layer=layer.name, at=cell.at))[cell.row, cell.col]
-            return float(value) if np.isfinite(value) else math.nan
-
-        # The block that holds the cell, by the southwest corner's row and column.
-        array = self.maps.ds[variable]
+        array = self.maps.ds[self.maps.variable(layer.name)]
+        # The row and the column of the southwest corner of the block.
         row = cell.row // BLOCK * BLOCK
         col = cell.col // BLOCK * BLOCK
-        part: dict[str, Any] = dict(zip(self.axes, cell.at, strict=True))
-        part |= {"y": slice(row, row + BLOCK), "x": slice(col, col + BLOCK)}
-        # The array may lack some of these dimensions.
+        plane = {"y": slice(row, row + BLOCK), "x": slice(col, col + BLOCK)}
+        part = plane | dict(zip(self.axes, cell.at, strict=True))
         key = "block", layer.name, at, row, col
+        # The array may lack some of the dimensions of `part`.
         block = self.kept.get(key, lambda: array.isel(part, missing_dims="ignore").values)
         return float(block[cell.row - row, cell.col - col])
 
@@ -619,8 +626,8 @@ class Viewer:
     def _least_clearance(self, mission: PlannedPath, route_m: float) -> list[str]:
         """Return the least clearance of a mission in words, as HTML in the colour of its caution.
 
-        The clearance of its route, ``route_m``, is said beside it where it is more. Without buildings (no finite
-        clearance) there is nothing: [].
+        The clearance of its route, ``route_m``, follows if it is greater. Without buildings no clearance is finite, and
+        the list is empty.
         """
         least_m = float(cautious_profile(mission, self.maps)[CLEARANCE].min())
         if not math.isfinite(least_m):
@@ -651,7 +658,7 @@ class Viewer:
 
 
 def _flight_rows(report: RouteReport, planned: PlannedPath) -> list[tuple[str, str]]:
-    """Return rows of a table, label and text: time and energy of a route, and its vehicle, as far as they are known."""
+    """Return rows (label, text) on the time and energy of a route and on its vehicle, as far as these are known."""
     totals, settings = report.totals, report.settings
     rows = []
     if "time_s" in totals:
@@ -677,13 +684,16 @@ def _flight_rows(report: RouteReport, planned: PlannedPath) -> list[tuple[str, s
 def status_said(planned: PlannedPath) -> str:
     """Return in words how a planner's search ended: its status, the paths that it searched, and its gap.
 
-    The gap, how far the path may be above the cheapest of these, is left out for an optimal path or if it is not known.
+    The gap is by how much the path may cost more than the cheapest of these paths. It is left out for an optimal path
+    and if it is not known.
     """
-    search, has_path = planned.search, planned.status.has_path
+    search = planned.search
     text = planned.status.value
-    if has_path and search.graph:
+    if not planned.status.has_path:
+        return text
+    if search.graph:
         text = f"{text} ({search.graph})"
-    if has_path and planned.status is not Status.OPTIMAL and search.gap < math.inf:
+    if planned.status is not Status.OPTIMAL and search.gap < math.inf:
         text = f"{text}, at most {search.gap:.1%} above the cheapest"
     return text
 
@@ -696,8 +706,8 @@ def unit_of(layer: DrawnLayer) -> str:
 def _words(layer: DrawnLayer) -> dict[str, Any]:
     """Return the words for a layer in the list of the values of a cell.
 
-    ``told`` is its label there, "" for a layer that is not in the list, as costs are not but their sum; ``classes`` are
-    the names of its classes; ``unit`` is its unit.
+    ``told`` is the layer's label in the list, "" for a layer that the list leaves out: of the costs it has the sum
+    alone. ``classes`` are the names of the layer's classes, and ``unit`` is its unit.
     """
     variable = layer.variable
     label = variable.symbol or variable.heading

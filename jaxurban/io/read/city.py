@@ -1,7 +1,7 @@
-"""Files to City; of buildings from any file that knows them the reader is chosen by the file's content.
+"""Files to City. The reader of a file of buildings is chosen by the content of the file.
 
-A further format of outlines is a file of its own, with a function that returns the `Outlines` of a path, those near a
-region at least, a line in `OUTLINE_READERS`, and one in `jaxurban.io.read.sniff`.
+A further format of outlines takes a module with a function that returns the `Outlines` of a file, at least those near
+a region, a line in `OUTLINE_READERS`, and one in `jaxurban.io.read.sniff`.
 """
 
 import math
@@ -94,8 +94,8 @@ def read_city(
     terrain: settings.Terrain,
     gps: Gps | None,
 ) -> City:
-    """Return the city in a set of files, around a region; arguments, warnings and errors as `City.from_files`."""
-    # What a sample city (`SAMPLES`) gives where the arguments name nothing else.
+    """Return the city that files hold around a region; arguments, warnings and errors are as of `City.from_files`."""
+    # A sample city (`SAMPLES`) gives what the arguments leave out.
     sample = SAMPLES.get(sample_name(buildings.source) or "", {})
     if bounds is None and sample:
         bounds = sample["region"]["bounds"]
@@ -106,7 +106,7 @@ def read_city(
         left_out = {name: file for name, file in own_people.items() if not getattr(people, name)}
         people = replace(people, **left_out)
 
-    # The names of the files, as the arguments have them, for provenance; the sections then get the paths to read.
+    # The names of the files as the arguments have them are kept for provenance. The files are read by their paths.
     files = {"buildings": buildings.source, "terrain": terrain.source}
     files |= {role: getattr(people, role) for role in FILES}
     buildings = _placed(buildings)
@@ -114,17 +114,14 @@ def read_city(
     people = _placed(people)
     check_has_people(people, people.has_blocks)
 
-    # The region, and the wider box from which a shadow can reach it: satellites stand no lower than the mask.
+    # The region, and the wider box from which a shadow can reach it.
     region = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
     if crs is None:
         crs = utm_of(region)
     projected_crs(crs)
     box_m = box_of(region, crs)
     rise_m = TALLEST_M if terrain.source is None else TALLEST_M + RELIEF_M
-    lowest_deg = max((gps or Gps()).lowest_mask_deg, 0.5)
-    reach_m = rise_m / math.tan(math.radians(lowest_deg))
-    x_min, y_min, x_max, y_max = box_m
-    wide_m = (x_min - reach_m, y_min - reach_m, x_max + reach_m, y_max + reach_m)
+    wide_m = _shadow_box_m(box_m, rise_m, gps or Gps())
 
     # The ground, and the buildings on it.
     ground = ground_extent_m = None
@@ -137,7 +134,7 @@ def read_city(
     if not buildings.allow_none:
         _check_has_building(buildings, source, region, box_m)
 
-    # What the region itself rests on: where no bounds are given it is all that the buildings cover, maybe too much.
+    # Without bounds the region is all that the buildings cover, which may be too much.
     issues = dict(source.read_issues)
     if bounds is None and source.buildings is not None:
         main = main_bounds(source.buildings.polygons, crs, region)
@@ -173,8 +170,22 @@ def read_city(
     )
 
 
+def _shadow_box_m(box_m: Bounds, rise_m: float, gps: Gps) -> Bounds:
+    """Return the box around a region outside which nothing can shadow it.
+
+    Args:
+      box_m: x_min, y_min, x_max, y_max of the region.
+      rise_m: how far a roof can stand above the lowest ground of the region.
+      gps: the settings of satellites, which are in view down to the elevation mask alone.
+    """
+    lowest_deg = max(gps.lowest_mask_deg, 0.5)
+    reach_m = rise_m / math.tan(math.radians(lowest_deg))
+    x_min, y_min, x_max, y_max = box_m
+    return x_min - reach_m, y_min - reach_m, x_max + reach_m, y_max + reach_m
+
+
 def _placed(section: Any) -> Any:
-    """Return a section of settings in which each file that it names has its path; a sample city's file has one too."""
+    """Return a section of settings in which each file, one of a sample city too, stands with its path."""
     paths = {
         name: located(file)
         for name, file in vars(section).items()
@@ -186,11 +197,11 @@ def _placed(section: Any) -> Any:
 def _check_has_building(
     buildings: settings.Buildings, source: City, bounds: Sequence[float], box_m: Bounds
 ) -> None:
-    """Raise InputError unless a building stands in the region: an outline there, or any cell of a raster above 0.
+    """Raise InputError unless the region has a building: an outline, or a cell of a raster that is above 0.
 
     Args:
-      buildings: the file, for the message.
-      source: what was read from it.
+      buildings: names the file in the message.
+      source: what was read from the file.
       bounds: west, south, east, north of the region in degrees, for the message.
       box_m: x_min, y_min, x_max, y_max of the region in the city's CRS.
     """
@@ -213,14 +224,14 @@ def read_buildings(
     bounds_m: Bounds | None = None,
     terrain: Raster | None = None,
 ) -> City:
-    """Return the buildings in a file as a city of these alone, with the area where the file knows what stands.
+    """Return the buildings in a file as a city without anything else, with the area where the file knows what stands.
 
     Args:
-      file: which, and what to make of it.
-      crs: projected CRS of what comes back.
+      file: names the file and says how it is read.
+      crs: projected CRS of the city.
       bounds_m: x_min, y_min, x_max, y_max in ``crs``; buildings whose box does not touch it are left out. Which parts
-        replace which outlines does not depend on it. None keeps all.
-      terrain: elevation of the ground, for a surface.
+        replace which outlines does not depend on it. None keeps all buildings.
+      terrain: elevation of the ground, which a raster of surface elevations needs.
 
     Raises:
       InputError: no such file, a format that is not read, a file that cannot be read or is in a wrong CRS, (raster)
@@ -230,7 +241,7 @@ def read_buildings(
     path = Path(file.source)
     read = _reader_of(path)
 
-    # Settings that are for files of another kind.
+    # Settings that are meant for files of another kind are refused.
     is_misplaced = {
         'hanging = "slabs" is for outlines': file.hanging == SLABS and read is None,
         'kind = "surface" is for rasters': file.kind == "surface" and read is not None,
@@ -252,7 +263,7 @@ def read_buildings(
 
 
 def _reader_of(path: Path) -> OutlineReader | None:
-    """Return what reads a file of outlines, None for a raster.
+    """Return the function that reads a file of outlines; None for a raster.
 
     Raises:
       InputError: no such file, or a format that is not read.
@@ -275,8 +286,8 @@ def _reader_of(path: Path) -> OutlineReader | None:
 def lonlat_extent(path: str | Path) -> Bounds:
     """Return west, south, east, north in degrees of the box that a file of buildings or a raster covers.
 
-    Of OpenStreetMap it is the box that the file declares. Where it declares none, and of other outlines, it is the box
-    around all outlines, for which the file is read whole.
+    For a file of OpenStreetMap it is the box that the file declares. For one that declares none and for other files of
+    outlines it is the box around all outlines, for which the whole file is read.
 
     Raises:
       InputError: a file that cannot be read, or one without an outline.
@@ -306,12 +317,12 @@ def lonlat_extent(path: str | Path) -> Bounds:
 def proposed_bounds(
     file: settings.Buildings, extent: Sequence[float], crs: str | None
 ) -> Bounds | None:
-    """Return where most buildings of a file stand (see `main_bounds`); None of a raster.
+    """Return the box in which most buildings of a file stand (see `main_bounds`); None for a raster.
 
     Args:
-      file: which, and what to make of it.
-      extent: what it covers, see `lonlat_extent`.
-      crs: of the city; None for the UTM zone of the middle.
+      file: names the file and says how it is read.
+      extent: the box that the file covers (`lonlat_extent`).
+      crs: projected CRS of the city; None for the UTM zone of the middle of ``extent``.
 
     Raises:
       InputError: as of `read_buildings`.
@@ -333,11 +344,11 @@ def size_m(extent: Sequence[float]) -> tuple[float, float]:
 
 
 def covers_too_much(path: str | Path, extent: Sequence[float], main: Sequence[float]) -> str:
-    """Return the warning that a file whose bounds were left out covers much more than most of its buildings need.
+    """Return the warning that a file covers much more than the box of most of its buildings, while no bounds are given.
 
     Args:
-      path: of the file.
-      extent: west, south, east, north in degrees that it covers.
+      path: path of the file.
+      extent: west, south, east, north in degrees of the box that the file covers.
       main: the same of the box in which most of its buildings stand.
     """
     east_west_m, north_south_m = size_m(extent)
@@ -353,12 +364,12 @@ def _city_of(
     """Return the city of the buildings that outlines make, and of the area where the file knows what stands.
 
     Args:
-      file: and what to make of it.
-      outlines: from a reader.
+      file: names the file and says how it is read.
+      outlines: what a reader has read from the file.
       crs: projected CRS of the city.
-      bounds_m: x_min, y_min, x_max, y_max in ``crs``: keep the buildings whose box touches it, and of the area what is
-        near; None keeps all. Without building and declared box there the area is that of the whole file, empty if only
-        a part of it was read.
+      bounds_m: x_min, y_min, x_max, y_max in ``crs`` of a box; buildings whose own box touches it are kept, and the
+        part of the area near it. None keeps everything. If neither a building nor a declared box is there, the area is
+        that of the whole file, or empty if only a part of the file was read.
     """
     buildings, structures, boxes_m, issues = to_buildings(file, outlines, crs)
     area = shapely.Polygon() if outlines.is_part else area_of_outlines(buildings.polygons, boxes_m)
@@ -383,10 +394,12 @@ def _city_of(
 def _read_roofs(
     path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None
 ) -> City:
-    """Return the city of a raster's heights; cells below 0 (noise of surface minus terrain) are ground and are counted.
+    """Return the city of a raster of heights.
+
+    Cells below 0, the noise of surface minus terrain, count as ground; a read issue says how many they are.
 
     Args:
-      path: of the raster.
+      path: path of the raster.
       crs: projected CRS of the city.
       bounds_m: as of `read_buildings`.
       kind: ``"surface"`` for elevations of roofs and ground, ``"height"`` for heights above ground.
