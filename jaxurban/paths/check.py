@@ -3,9 +3,11 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import shapely
 
@@ -13,29 +15,31 @@ from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.guesses import WITHOUT_DATA
-from jaxurban.io.read.mission import Datum, Mission, read_mission
+from jaxurban.io.read.mission import Datum, Leg, Mission, Place, read_mission
 from jaxurban.io.read.mission_parts import LonLat
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.sources import ChangedSourcesError, city_of
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.check_result import MissionCheck
-from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.constraints import Bound, Constraints
 from jaxurban.paths.contacts import buildings_of, union_m
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.flown import costs_of, figures_of
 from jaxurban.paths.judge import COLUMNS, judged
 from jaxurban.paths.legs import Flight, flight_of
+from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import rules_on
-from jaxurban.settings import as_tuple, iso_utc, not_negative, parse_time
+from jaxurban.settings import CLEARANCES, Vehicle, as_tuple, iso_utc, not_negative, parse_time
 
 MOST_HOME_OFF_M = 20.0  # by which elevation models of a place may differ
 CHANGED = "The files that the maps were made of have changed since: what stands now is not judged."
+IN_THE_AIR = "a path begins and ends in the air, so its climb and landing are not judged: check the .plan that it is saved as"
 
 
 @typed
 def check(
     maps: MapsLike,
-    mission: str | Path | Mission,
+    mission: str | Path | Mission | PlannedPath,
     *,
     heights: Datum | None = None,
     home: LonLat | None = None,
@@ -66,15 +70,16 @@ def check(
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
-      mission: a file (``.plan``, ``.waypoints``, ``.kml``, ``.gpx``, ``.geojson``, ``.csv``), or a `Mission` that was
-        read from one.
+      mission: a file (``.plan``, ``.waypoints``, ``.kml``, ``.gpx``, ``.geojson``, ``.csv``), a `Mission` that was
+        read from one, or a path from `plan`: its legs in the air, whose climb and landing are not judged.
       heights: the level from which heights count where the file leaves it open: ``"home"``, ``"ground"``, ``"geoid"``
         or ``"ellipsoid"``.
       home: longitude and latitude of home, for a file that has none.
       return_altitude_m: height above home at which the vehicle returns, for a file that has none.
       geoid_m: height of the geoid above the ellipsoid, for heights above the ellipsoid.
       no_fly: files of no-fly zones, which add to the zones of ``constraints``.
-      constraints: zones, bounds, clearances and vehicle; left out, those of the maps' scenario.
+      constraints: zones, bounds, clearances and vehicle; left out, those that a path was planned under, and of a file
+        those of the maps' scenario.
       clearance_m, vertical_clearance_m: replace the clearances of ``constraints``; left out, they do not.
       time: one or several UTC times of the flight. The GPS maps of these times count, and the zones that are in force
         at one of them. Left out, the maps' first time and every zone count.
@@ -108,7 +113,7 @@ def check(
     ).items():
         not_negative(name, most)
     positive("swath_m", swath_m)
-    if not isinstance(mission, Mission):
+    if isinstance(mission, str | Path):
         mission = read_mission(
             mission, heights=heights, home=home, return_altitude_m=return_altitude_m
         )
@@ -116,6 +121,9 @@ def check(
         raise InputError(
             "heights, home and return_altitude_m are of a file, and mission was read already: leave them out"
         )
+    if isinstance(mission, PlannedPath):
+        constraints = constraints or _planned_under(mission)
+        mission = _mission_of(mission)
     named_times = () if time is None else as_tuple(time)
     times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
 
@@ -196,6 +204,38 @@ def _not_judged(flight: Flight, unknown: pd.DataFrame) -> list[str]:
     for reason, rows in unknown.groupby("reason", sort=False):
         sentences.append(f"{union_m(rows):,.0f} m {reason}.")
     return sentences
+
+
+def _planned_under(path: PlannedPath) -> Constraints:
+    """Return the constraints that a path was planned under; its settings leave out a clearance of 0."""
+    record = path.settings["limits"]
+    return Constraints(
+        zones=path.zones,
+        bounds=tuple(map(Bound.parse, record["require"])),
+        vehicle=Vehicle.of(path.settings),
+        **{name: record.get(name, 0.0) for name in CLEARANCES},
+    )
+
+
+def _mission_of(path: PlannedPath) -> Mission:
+    """Return a planned path as a mission: its legs in the air, above the ground.
+
+    Raises:
+      InputError: there is no path.
+    """
+    if not path.status.has_path:
+        raise InputError(f"there is no path to check: {path.status.sentence}")
+    points = np.column_stack([path.lonlat, path.z_m]).tolist()
+    places = [Place(*point, "ground") for point in points]
+    pairs = pairwise(places if len(places) > 1 else places * 2)
+    return Mission(
+        f"path of {path.search.planner}",
+        legs=tuple(Leg(*pair, "leg", number) for number, pair in enumerate(pairs, start=2)),
+        home=None,
+        home_elevation_m=None,
+        not_judged=(IN_THE_AIR,),
+        speed_m_s=Vehicle.of(path.settings).speed_m_s,
+    )
 
 
 def _city_of(

@@ -15,6 +15,7 @@ import jaxurban as ju
 from jaxurban.io.city import City
 from jaxurban.io.read.mission import Leg, Mission, Place
 from jaxurban.io.read.zone import Zone
+from jaxurban.planners.base import Status
 from jaxurban.settings import parse_time
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.raster import Raster
@@ -491,6 +492,41 @@ def test_a_planned_mission_is_clean_without_guesses(town, tmp_path):
     assert ju.check(town, tmp_path / "high.plan", sources=city).state == "clean"
     unsure = ju.check(town, tmp_path / "high.plan", sources=guessed)
     assert (unsure.state, kinds_of(unsure)) == ("not-judged", [])
+
+
+@pytest.mark.parametrize("planner", ["astar-plus", "theta-star"])
+def test_a_path_is_judged_as_its_file_is_but_for_climb_and_landing(town, tmp_path, planner):
+    city = ju.demo_city(1_000, 1_000)
+    limits = ju.Constraints.read(clearance_m=5.0, require="gps>=0.01")
+    cells = np.argwhere(ju.cost_map(town, 60.0, constraints=limits).is_free)
+    ends = ends_at(town, *cells[[10, -10]])
+    path = ju.plan(
+        town, altitude_m=60.0, planner=planner, constraints=limits, objective="distance", **ends
+    )
+    path.save(tmp_path / "x.kml")
+    of_path = ju.check(town, path, sources=city)
+    of_file = ju.check(town, tmp_path / "x.kml", sources=city, constraints=limits)
+    assert of_path.limits == of_file.limits == path.settings["limits"]
+    assert kinds_of(of_path) == kinds_of(of_file) == []
+    assert [*of_path.figures] == [*of_file.figures]
+    for name in ("length_m", "no_fix_m", "people_overflown", "cost"):
+        assert of_path.figures[name] == pytest.approx(of_file.figures[name], abs=0.01, rel=5e-3)
+    assert of_path.figures["length_m"] == pytest.approx(path.length_m, abs=0.5)
+    assert [sentence[:32] for sentence in of_path.not_judged] == [
+        "A path begins and ends in the ai"
+    ]
+
+
+def test_a_path_is_judged_under_its_own_zones_and_none_is_none(open_scene):
+    start, goal = (open_scene.place(x_m, 590.0, 60.0) for x_m in (400.0, 590.0))
+    path = ju.plan(open_scene.maps, start[:2], goal[:2], altitude_m=60.0, objective="distance")
+    maps, city = open_scene.maps, open_scene.city
+    assert "zone" not in kinds_of(ju.check(maps, path, sources=city))
+    closed = replace(path, zones=(replace(open_scene.zone, floor_m=-np.inf, ceiling_m=np.inf),))
+    assert "zone" in kinds_of(ju.check(maps, closed, sources=city))
+    none = replace(path, status=Status.NO_PATH)
+    with pytest.raises(ju.InputError, match="there is no path to check"):
+        ju.check(maps, none, sources=city)
 
 
 def test_a_height_above_the_ellipsoid_says_what_is_missing_once_the_geoid_is_named(scene):
