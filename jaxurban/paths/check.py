@@ -33,7 +33,7 @@ from jaxurban.settings import CLEARANCES, Vehicle, as_tuple, iso_utc, not_negati
 
 MOST_HOME_OFF_M = 20.0  # by which elevation models of a place may differ
 CHANGED = "The files that the maps were made of have changed since: what stands now is not judged."
-IN_THE_AIR = "a path begins and ends in the air, so its climb and landing are not judged: check the .plan that it is saved as"
+IN_THE_AIR = "a path begins and ends in the air, so its climb and landing are not judged: check the .plan of it"
 
 
 @typed
