@@ -28,8 +28,8 @@ from jaxurban.studies.receiver.logs import (
 )
 from jaxurban.world.grid import transformer
 
-LOWEST_HEARD_DEG = 5.0  # of a satellite in a log
-MATCH_S = 0.02  # between a reference and its observation: a receiver's clock is kept to a millisecond or some
+LOWEST_HEARD_DEG = 5.0  # lowest elevation of a satellite that has rows in a log
+MATCH_S = 0.02  # most between the times of a reference and of its observation: clocks are kept to some milliseconds
 HEIGHT = "height_m"
 WEEK = "gps_week"
 TOW = "gps_tow_s"
@@ -50,10 +50,12 @@ OTHER_NAMES = {  # of a reference's columns, in small letters with _ for what is
 WGS84_3D = "EPSG:4979"
 WGS84_ECEF = "EPSG:4978"
 J2000, GPS_START = (pd.Timestamp(day, tz="UTC") for day in ("2000-01-01T12:00", "1980-01-06"))
-L1_HZ = 1_575_420_000.0  # of a Doppler shift that is not used
-# Of L1, E1, B1 in the codes of C/N0 (RINEX 3.05, tables 4 to 10): "S1" but for BeiDou.
+GPS_SCALES = "GPST", "GST", "QZSST"  # Galileo and QZSS keep their time to that of GPS
+L1_HZ = 1_575_420_000.0  # sidereon asks for it to compute a Doppler shift, which is not used
+# How the codes of C/N0 on L1, E1 and B1 begin (RINEX 3.05, tables 4 to 10), by a system's letter; "S1" where the letter
+# is missing here.
 BANDS = {"C": ("S2", "S1")}
-EVENTS = 2  # flags of epochs from here on are of no observation
+EVENTS = 2  # an epoch with this flag or a higher one marks an event and holds no observation
 AGAIN = "convert or download it again"
 FIRST_LINE = r"\s*[34]\.\d+\s+{}"  # version and type
 
@@ -63,10 +65,10 @@ def read_rinex(
 ) -> ReceiverLog:
     """Return the log of a receiver from its RINEX 3 files, at the places of a better reference.
 
-    A row is an epoch that the reference and the observations have (within `MATCH_S`) and a satellite whose broadcast
-    orbit stands at least `LOWEST_HEARD_DEG` above the horizon there. Its C/N0 is the strongest S observable of L1, E1
-    or B1, 0 where there is none. A satellite that its navigation message calls unhealthy has no row, nor has one
-    without a message that is valid at the time.
+    The log has a row for each epoch that is in the reference and in the observations (within `MATCH_S`) and each
+    satellite that by its broadcast orbit stands at least `LOWEST_HEARD_DEG` above the horizon then. Its C/N0 is the
+    strongest S observable of L1, E1 or B1, 0 where there is none. A satellite that its navigation message calls
+    unhealthy has no row, nor has one without a message that is valid at the time.
 
     Args:
       observations: RINEX 3 (or 4) file of observations.
@@ -83,7 +85,7 @@ def read_rinex(
     """
     messages = Messages(navigation)
     track = read_track(reference, messages.leap_s)
-    observed_s, strengths, letters = _strengths(observations)
+    observed_s, strengths, letters = _read_strengths(observations)
 
     # Pair each observation with the nearest row of the track.
     track_s = messages.seconds_of(track[UTC])
@@ -122,7 +124,7 @@ def read_track(reference: str | Path | pd.DataFrame, leap_s: float) -> pd.DataFr
 
     Args:
       reference: the table or its file.
-      leap_s: seconds that GPS time is ahead of UTC.
+      leap_s: seconds by which GPS time is ahead of UTC.
 
     Raises:
       InputError: a file that cannot be read, no such columns, or values out of range.
@@ -150,11 +152,11 @@ def read_track(reference: str | Path | pd.DataFrame, leap_s: float) -> pd.DataFr
 
 
 class Messages:
-    """The navigation messages of a file, by which satellites say themselves where they stand.
+    """The navigation messages of a file, from which the positions of satellites are computed.
 
     Attributes:
       name: of the file.
-      leap_s: seconds that GPS time is ahead of UTC, by the file.
+      leap_s: seconds by which GPS time is ahead of UTC, as the file says.
     """
 
     def __init__(self, navigation: str | Path) -> None:
@@ -191,11 +193,12 @@ class Messages:
         """Return where the satellites stand along a track, without those that have no healthy message at the time.
 
         Args:
-          track: rows ``utc``, ``lon_deg``, ``lat_deg``, ``height_m``, see `read_track`.
+          track: with the columns ``utc``, ``lon_deg``, ``lat_deg`` and ``height_m`` of `read_track`.
 
         Returns:
-          A row an epoch and satellite, with the row of the track (``epoch``), ``satellite``, ``azimuth_deg`` (clockwise
-          from true north) and ``elevation_deg`` (negative below the horizon), the light's time counted.
+          A row for each epoch and satellite, with the row of the track (``epoch``), ``satellite``, ``azimuth_deg``
+          (clockwise from true north) and ``elevation_deg`` (negative below the horizon). The light's travel time is
+          taken into account.
         """
         antenna_m = np.column_stack(
             transformer(WGS84_3D, WGS84_ECEF).transform(*track[[*TRACK]].to_numpy().T)
@@ -243,12 +246,13 @@ class Messages:
         return reasons
 
 
-def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, list[str]]:
-    """Return the epochs and the strengths of signals in a file of observations.
+def _read_strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, list[str]]:
+    """Read a file of observations, and return its epochs and how strongly each satellite was received.
 
     Returns:
-      ``[N]`` epochs in seconds of GPS time since J2000; a table of ``observation`` (its epoch's number), ``satellite``
-      and ``cn0_dbhz``, the strongest of `BANDS`; and the letters of the systems that have a C/N0.
+      ``[N]`` epochs in seconds of GPS time since J2000; a table of ``observation`` (the number of its epoch),
+      ``satellite`` and ``cn0_dbhz``, the strongest of the satellite's observables in `BANDS`; and the letters of the
+      systems for which the file has observables of C/N0.
 
     Raises:
       InputError: no RINEX 3 or 4 observation file, one that is cut, not in GPS time, without C/N0 or observations.
@@ -260,22 +264,17 @@ def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, list
     what = f"the observation file {str(observations)!r}"
     first = file.header.time_of_first_obs
     scale = first[1].abbrev if first else "unknown"
-    if scale not in ("GPST", "GST", "QZSST"):
+    if scale not in GPS_SCALES:
         raise InputError(
             f"{what} counts in {scale}, and only GPS time is read: convert it to a file of GPS time"
         )
-
-    # The observables of C/N0 that each system has in its band.
-    codes = []
-    for system in file.header.systems:
-        bands = BANDS.get(system.letter, ("S1",))
-        own = [code for code in file.obs_codes(system) if code.startswith(bands)]
-        if own:
-            codes.append((system, own))
+    codes = _strength_codes(file)
     if not codes:
         raise InputError(
             f"{what} has no C/N0 of L1, E1 or B1 (S1C, S2I ...): write it with these observables"
         )
+
+    # The time of each epoch of observations; of each observable in it the satellite, and the value or NaN.
     only = sidereon.ObservationFilter(codes)
     times_s = []
     names: list[str] = []
@@ -296,6 +295,17 @@ def _strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame, list
     rows = pd.DataFrame({"observation": observation, SATELLITE: names, CN0: np.concatenate(values)})
     strongest = rows.dropna().groupby(["observation", SATELLITE], as_index=False).max()
     return np.array(times_s), strongest, [system.letter for system, _ in codes]
+
+
+def _strength_codes(file: Any) -> list[tuple[Any, list[str]]]:
+    """Return each system of a file that has observables of C/N0 in `BANDS`, with the codes of these observables."""
+    codes = []
+    for system in file.header.systems:
+        bands = BANDS.get(system.letter, ("S1",))
+        own = [code for code in file.obs_codes(system) if code.startswith(bands)]
+        if own:
+            codes.append((system, own))
+    return codes
 
 
 def _text(file: str | Path, letter: str, kind: str) -> str:
