@@ -260,11 +260,14 @@ def agreement_of(
     displaced = Displaced(settings.num_displaced, settings.seed, int(is_moved.sum()))
 
     # How far away from a place a roof, at the largest scale, can still come within the margin of the lowest ray.
-    # The columns are filled leg by leg, since the ground around the whole track may not fit into memory.
     reach_m = (max(rise_m * SCALES[-1], 0.0) + FARTHEST_MARGIN_M) / np.tan(rays.elevation_rad.min())
 
+    # What each ray meets in the city, in displaced ones and under other roofs, where each moved row has a column. It is
+    # found leg by leg, since the ground around the whole track may not fit into memory.
     rows["margin_m"] = np.nan
     rows["is_inside"] = False
+    guard = known if is_guarded else None
+    columns = np.cumsum(is_moved) - 1
     for leg in legs(track.x_m, track.y_m, grid.resolution_m):
         of_leg = np.flatnonzero((rows.epoch >= leg.start) & (rows.epoch < leg.stop))
         if not len(of_leg):
@@ -275,40 +278,22 @@ def agreement_of(
         rows.loc[of_leg, "is_known"] &= ~ground.crosses_gap(leg_rays, rise_m)
         rows.loc[of_leg, "is_inside"] = ground.is_inside(leg_rays)
         rows.loc[of_leg, "margin_m"] = ground.margins_m(leg_rays)
-
-        # The same rays in displaced cities and under other roofs, where each moved row has a column of its own.
         moved = of_leg[is_moved[of_leg]]
-        column = (np.cumsum(is_moved) - 1)[moved]
-        guard = known if is_guarded else None
-        displaced.fill(column, ground, rays.take(moved), guard, rise_m, report)
+        displaced.fill(columns[moved], ground, rays.take(moved), guard, rise_m, report)
 
-    # Which rows are judged: those whose ray is known, unless nothing is guarded, and whose place is in no building.
-    rows["is_seen"] = rows.margin_m >= 0
-    rows.loc[rows.is_inside, "margin_m"] = np.nan
+    # Which rows are judged, and which of them the receiver hears well.
     is_open = rows.is_known | (not is_guarded)
-    rows["is_judged"] = is_open & ~rows.is_inside
-    _check_judged(rows, log.name, mask_deg)
-
+    _judge(rows, is_open, log.name, mask_deg)
     strong_dbhz, is_median = _strong_dbhz(rows.cn0_dbhz[rows.is_judged])
     rows["is_strong"] = rows.cn0_dbhz >= strong_dbhz
 
-    # The scores of the city and of displaced ones.
+    # The scores of the city, of displaced ones, and of rivals.
     report("scores")
     scores = score_table(rows, settings.seed)
     of_displaced = displaced.tables(rows[is_moved], settings.seed)
     null = of_displaced["displaced"]
-
-    # The rivals: rules that predict from less or more than the margin, such as from the angle between the ray and the
-    # street along which the receiver moves.
     chosen = rows[is_taken & rows.is_judged]
-    rays_chosen = rays.take(chosen.index.to_numpy())
-    street_rad = headings_rad(track.x_m, track.y_m)[chosen.epoch]
-    rules = features_of(
-        chosen.margin_m.to_numpy(), rays_chosen.elevation_rad, rays_chosen.azimuth_rad - street_rad
-    )
-    is_strong = chosen.is_strong.to_numpy()
-    block = chosen.block.to_numpy()
-    rivals = compared_rules(rules, is_strong, block, settings.seed)
+    rivals, block_lengths = _rivals(chosen, rays, track, settings)
     num_blocks = int(chosen.block.nunique())
 
     return SatelliteAgreement(
@@ -316,7 +301,7 @@ def agreement_of(
         scores=scores,
         **of_displaced,
         rivals=rivals,
-        block_lengths=gain_by_length(rules, is_strong, block, settings.sky_block_m, settings.seed),
+        block_lengths=block_lengths,
         skies=_skies(rows, rays, log, city, grid, reach_m, settings.antenna_height_m),
         strong_dbhz=strong_dbhz,
         verdict=verdict_of(scores, null, rivals, num_blocks),
@@ -337,6 +322,29 @@ def agreement_of(
     )
 
 
+def _rivals(
+    rows: pd.DataFrame, rays: Rays, track: Track, settings: ReceiverSettings
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return how well rules predict that know less or more than the margin, such as the street's direction.
+
+    These are ``rivals`` and ``block_lengths`` of a `SatelliteAgreement`.
+
+    Args:
+      rows: judged rows of the agreement.
+      rays: of all rows, also of others.
+      track: gives the street's direction at each epoch.
+      settings: length of the blocks, and seed.
+    """
+    rays = rays.take(rows.index.to_numpy())
+    off_street_rad = rays.azimuth_rad - headings_rad(track.x_m, track.y_m)[rows.epoch]
+    rules = features_of(rows.margin_m.to_numpy(), rays.elevation_rad, off_street_rad)
+    of_rows = rules, rows.is_strong.to_numpy(), rows.block.to_numpy()
+    return (
+        compared_rules(*of_rows, settings.seed),
+        gain_by_length(*of_rows, settings.sky_block_m, settings.seed),
+    )
+
+
 def _strong_dbhz(judged_dbhz: pd.Series) -> tuple[float, bool]:
     """Return the C/N0 from which rows are strong, and whether it is the median of the judged ones.
 
@@ -348,20 +356,30 @@ def _strong_dbhz(judged_dbhz: pd.Series) -> tuple[float, bool]:
     return float(judged_dbhz[judged_dbhz > 0].min()), False
 
 
-def _check_judged(rows: pd.DataFrame, name: str, mask_deg: float) -> None:
-    """Raise InputError where fewer than `FEWEST_ROWS` rows are judged, or none of them is received.
+def _judge(rows: pd.DataFrame, is_open: pd.Series, name: str, mask_deg: float) -> None:
+    """Add ``is_seen`` and ``is_judged`` to rows: those with an open ray are judged whose place is in no building.
+
+    Rows whose places lie in a building have no margin: it becomes NaN.
 
     Args:
-      rows: all rows, with ``is_judged``, ``is_known`` and ``is_inside``.
+      rows: all rows, with ``margin_m``, ``is_known`` and ``is_inside``.
+      is_open: ``[R]`` whether the ray of each row is known, or counts all the same.
       name: of the log, for the message.
       mask_deg: the rows' least elevation, for the message.
+
+    Raises:
+      InputError: fewer than `FEWEST_ROWS` rows are judged, or none of them is received.
     """
+    rows["is_seen"] = rows.margin_m >= 0
+    rows.loc[rows.is_inside, "margin_m"] = np.nan
+    rows["is_judged"] = is_open & ~rows.is_inside
     judged = rows[rows.is_judged]
-    if len(judged) >= FEWEST_ROWS and (judged.cn0_dbhz > 0).any():
+    num_received = int((judged.cn0_dbhz > 0).sum())
+    if len(judged) >= FEWEST_ROWS and num_received:
         return
     raise InputError(
         f"of the {len(rows):,} rows of the receiver log {name!r} above the mask of {mask_deg:g} degrees "
-        f"{len(judged):,} can be judged, of which {int((judged.cn0_dbhz > 0).sum()):,} are received, and {FEWEST_ROWS} "
+        f"{len(judged):,} can be judged, of which {num_received:,} are received, and {FEWEST_ROWS} "
         f"are needed: {int((~rows.is_known).sum()):,} rays leave what is known of the city and "
         f"{int(rows.is_inside.sum()):,} begin in a building; give buildings farther around, a longer log, or places by "
         "a reference"
