@@ -155,31 +155,23 @@ def study(
     source = maps if isinstance(maps, MetricMaps | MapsFolder) else MapsFolder(maps)
     check_workers(workers, [source])
     opened, job = job.under(source if isinstance(source, MetricMaps) else source.open())
-    model = CostModel.of(job.cost_model)
-    constraints = job.constraints
     source = opened if isinstance(source, MetricMaps) else source.at(opened)
 
     # The instances: those of a table, as these maps connect them, or sampled ones.
     if isinstance(instances, pd.DataFrame):
-        _check_samples(
-            chosen, OF_SAMPLING, "a table of instances has its own: leave it out, or the table"
-        )
-        instances = checked_instances(instances, "instances")
-        check_instances(instances, opened)
-        instances = with_connection(instances, opened, model, constraints)
-        _check_places(instances, opened, constraints)
+        instances = _listed_instances(instances, opened, job)
     else:
         _check_samples(
             chosen, ("land_cover",), "sample_instances(cover=...) takes it: give its table"
         )
         instances = sample_instances(
             opened,
-            job.study.instances,
-            altitudes_m=job.study.altitudes_m,
-            weights=job.study.weights,
-            cost_model=model,
-            constraints=constraints,
-            seed=job.study.seed,
+            chosen.instances,
+            altitudes_m=chosen.altitudes_m,
+            weights=chosen.weights,
+            cost_model=job.cost_model,
+            constraints=job.constraints,
+            seed=chosen.seed,
         )
 
     # The runs that the folder lacks; it is shared with the maps, and mended unless it is replaced.
@@ -207,6 +199,27 @@ def study(
                 report=report,
             )
     return BenchmarkResult(folder, opened, instances, rows, job)
+
+
+def _listed_instances(table: pd.DataFrame, maps: MetricMaps, job: Benchmark) -> pd.DataFrame:
+    """Return the instances of a user's table, with ``is_connected`` as these maps connect them.
+
+    Args:
+      table: of instances.
+      maps: that the benchmark runs on.
+      job: the benchmark, with its settings and rules.
+
+    Raises:
+      InputError: a wrong table, instances for other maps or none that lies on these, or settings of sampled instances.
+    """
+    _check_samples(
+        job.study, OF_SAMPLING, "a table of instances has its own: leave it out, or the table"
+    )
+    instances = checked_instances(table, "instances")
+    check_instances(instances, maps)
+    instances = with_connection(instances, maps, CostModel.of(job.cost_model), job.constraints)
+    _check_places(instances, maps, job.constraints)
+    return instances
 
 
 def without_sampling(settings: Study) -> Study:
