@@ -57,15 +57,17 @@ class TuneSettings:
     """How weights are fitted.
 
     Attributes:
-      routes: further arguments of `read_demonstrations`: altitude_m, cost_model, constraints, metrics ...
-      sample: instances to draw on each city's maps, at every altitude, instead of routes from files; their routes are
-        the pilot's.
+      routes: further arguments of `read_demonstrations` and `demonstrations_from_study`: altitude_m, cost_model,
+        constraints, metrics and others.
+      sample: how many instances are drawn on each city's maps, at every altitude, whose routes are planned under the
+        pilot's weights; None: routes are read from files.
       pilot: weights under which the routes of sampled instances are planned, and those of studies and tables instead of
         under their own.
-      planner: of studies, whose routes are taken.
-      targets: fit to these, such as ``mean_gps>=0.8``, instead of to the routes.
+      planner: of the planners of a study, the one whose routes are taken.
+      targets: bounds on outcomes, such as ``mean_gps>=0.8``, that weights are fitted to; empty: weights are fitted to
+        the routes.
       fits: further arguments of `compare_fits`: hold_out, by_city, scale, bootstrap; left out, one fit to all.
-      fit: of the search.
+      fit: settings of the search.
     """
 
     routes: Mapping[str, Any]
