@@ -226,7 +226,7 @@ def _mission_of(path: PlannedPath) -> Mission:
     if not path.status.has_path:
         raise InputError(f"there is no path to check: {path.status.sentence}")
     points = np.column_stack([path.lonlat, path.z_m]).tolist()
-    places = [Place(*point, "ground") for point in points]
+    places = [Place(lon, lat, z_m, "ground") for lon, lat, z_m in points]
     pairs = pairwise(places if len(places) > 1 else places * 2)
     return Mission(
         f"path of {path.search.planner}",

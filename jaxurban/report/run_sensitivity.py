@@ -95,17 +95,10 @@ def sensitivity_study(
     """
     # Check everything before anything is planned: sources, workers, routes and weights.
     folder = Path(folder)
+    settings = settings or SensitivityStudySettings()
     sources_by_city = named_sources(sources)
     check_workers(workers, sources_by_city.values())
-    if isinstance(routes, int) and routes < 1:
-        raise InputError(
-            f"routes must be how many to sample in each city, at least 1, or a table of them, got {routes!r}"
-        )
-    if weights and isinstance(routes, pd.DataFrame) and "instance" in routes:
-        raise InputError(
-            "weights are of sampled routes and of queries: a table of instances has its own, so leave weights out"
-        )
-    settings = settings or SensitivityStudySettings()
+    _check_routes(routes, weights)
     if scenarios is not None and not (settings.num_heights or settings.has_parameters):
         raise InputError(
             "scenarios are for perturbed maps: leave them out, or set num_heights or has_parameters"
@@ -132,9 +125,14 @@ def sensitivity_study(
         reporting("sensitivity", progress) as report,
     ):
         write_table(instances, folder / INSTANCES_FILE)
-        file = folder / ROUTES_FOLDER / ROWS_FILE
         rows = run_rows(
-            file, job, instances, cities.sources, row_columns, workers=workers, report=report
+            folder / ROUTES_FOLDER / ROWS_FILE,
+            job,
+            instances,
+            cities.sources,
+            row_columns,
+            workers=workers,
+            report=report,
         )
 
         # The rows on perturbed maps and on maps of other parameters, by their subfolder, and why some are missing.
@@ -153,3 +151,19 @@ def sensitivity_study(
         )
         write_sensitivity_study(result)
     return result
+
+
+def _check_routes(routes: pd.DataFrame | int, weights: WeightsLike) -> None:
+    """Raise InputError where no route is to be sampled, or weights are given beside instances that have their own.
+
+    Args:
+      routes, weights: as in `sensitivity_study`.
+    """
+    if isinstance(routes, int) and routes < 1:
+        raise InputError(
+            f"routes must be how many to sample in each city, at least 1, or a table of them, got {routes!r}"
+        )
+    if weights and isinstance(routes, pd.DataFrame) and "instance" in routes:
+        raise InputError(
+            "weights are of sampled routes and of queries: a table of instances has its own, so leave weights out"
+        )

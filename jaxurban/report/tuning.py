@@ -57,15 +57,17 @@ class TuneSettings:
     """How weights are fitted.
 
     Attributes:
-      routes: further arguments of `read_demonstrations`: altitude_m, cost_model, constraints, metrics ...
-      sample: instances to draw on each city's maps, at every altitude, instead of routes from files; their routes are
-        the pilot's.
+      routes: further arguments of `read_demonstrations` and `demonstrations_from_study`: altitude_m, cost_model,
+        constraints, metrics and others.
+      sample: how many instances are drawn on each city's maps, at every altitude, whose routes are planned under the
+        pilot's weights; None: routes are read from files.
       pilot: weights under which the routes of sampled instances are planned, and those of studies and tables instead of
         under their own.
-      planner: of studies, whose routes are taken.
-      targets: fit to these, such as ``mean_gps>=0.8``, instead of to the routes.
+      planner: of the planners of a study, the one whose routes are taken.
+      targets: bounds on outcomes, such as ``mean_gps>=0.8``, that weights are fitted to; empty: weights are fitted to
+        the routes.
       fits: further arguments of `compare_fits`: hold_out, by_city, scale, bootstrap; left out, one fit to all.
-      fit: of the search.
+      fit: settings of the search.
     """
 
     routes: Mapping[str, Any]
@@ -99,22 +101,9 @@ def run_tuning(
       InputError: routes or maps that cannot be read or do not go together, a wrong setting, or a folder that holds
         another fit or other files, or cannot be written to.
     """
-    # The arguments: an output folder, a pilot who prefers something, routes for each folder of maps, and targets.
     if folder.exists() and not folder.is_dir():
         raise InputError(f"cannot write to the output folder {str(folder)!r}: it is a file")
-    if settings.pilot is not None and not any(settings.pilot.to_dict().values()):
-        raise InputError(
-            "every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)"
-        )
-    files_by_source = {
-        source: _files_of(source, files, settings.sample) for source, files in sources.items()
-    }
-    files = list(chain.from_iterable(files_by_source.values()))
-    if (settings.pilot or settings.planner) and files and all(map(_holds_lines, files)):
-        raise InputError(
-            "a pilot and a planner are of sampled instances, studies and tables, and the files hold lines: leave "
-            "--pilot and --planner out"
-        )
+    files_by_source = _checked_files(sources, settings)
     maps_of_sources = [source.open() for source in sources]
     targets = [Target.parse(text) for text in settings.targets]
 
@@ -140,8 +129,9 @@ def run_tuning(
             result = None
             settings_of_fit = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
             if targets:
-                queries = [each.query for each in demonstrations]
-                fit = fit_targets(queries, targets, settings=settings_of_fit)
+                fit = fit_targets(
+                    [each.query for each in demonstrations], targets, settings=settings_of_fit
+                )
             else:
                 options = ONE_FIT | dict(settings.fits)
                 result = compare_fits(cities, **options, settings=settings_of_fit)
@@ -153,16 +143,44 @@ def run_tuning(
             planned = optimal_demonstrations([each.query for each in demonstrations], fit.weights)
 
             report("figures and report")
-            origins = _origins(files_by_source, settings)
             texts = {
                 "targets": ", ".join(map(str, targets)),
-                "sources": Markdown("; ".join(origins)),
+                "sources": Markdown("; ".join(_origins(files_by_source, settings))),
             }
             if result is not None and len(result.fits) == 1 and not result.is_held_out.any():
                 result = None
             save(folder, outputs_of(fit, demonstrations, planned, texts, result))
     facts = _facts(fit, folder)
     return facts if result is None else facts | {"fits": records_of(result.table)}
+
+
+def _checked_files(
+    sources: Mapping[MapsFolder, Sequence[Path]], settings: TuneSettings
+) -> dict[MapsFolder, Sequence[Path]]:
+    """Return the files of routes on each folder of maps, when pilot and planner suit them.
+
+    Args:
+      sources: the files that the user named; a folder of maps without any may hold a study (`_files_of`).
+      settings: of the fit.
+
+    Raises:
+      InputError: a pilot who prefers nothing, a folder of maps without routes, or a pilot or planner where all files
+        hold lines, which are the routes already.
+    """
+    if settings.pilot is not None and not any(settings.pilot.to_dict().values()):
+        raise InputError(
+            "every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)"
+        )
+    files_by_source = {
+        source: _files_of(source, files, settings.sample) for source, files in sources.items()
+    }
+    files = list(chain.from_iterable(files_by_source.values()))
+    if (settings.pilot or settings.planner) and files and all(map(_holds_lines, files)):
+        raise InputError(
+            "a pilot and a planner are of sampled instances, studies and tables, and the files hold lines: leave "
+            "--pilot and --planner out"
+        )
+    return files_by_source
 
 
 def _origins(sources: Mapping[MapsFolder, Sequence[Path]], settings: TuneSettings) -> list[str]:
@@ -340,12 +358,12 @@ def outputs_of(
         tables["outcomes"] = outputs["targets"] = fit.outcomes.join(alone).reset_index()
 
     # What every fit has: tables of its weights and of its routes, and a picture of the routes on each map.
-    units = weight_units(first)
-    weights = weights.assign(unit=[units[name] for name in fit.names])
+    weights = weights.assign(unit=weights["name"].map(weight_units(first)))
     outputs |= {"weights": weights, "examples": routes}
     for name, cost_map in pictures.items():
-        draw = partial(plot_routes, demonstrations, planned, cost_map, vector, noun)
-        outputs[f"figures/{name}.png"] = draw
+        outputs[f"figures/{name}.png"] = partial(
+            plot_routes, demonstrations, planned, cost_map, vector, noun
+        )
 
     # The report.
     tables |= {
@@ -353,8 +371,6 @@ def outputs_of(
         "setting": _setting([*pictures.values()]),
         "means": _means(routes),
     }
-    option = weights_option(fit.weights)
-    where = _where(first)
     report = fill(
         template,
         tables,
@@ -363,7 +379,9 @@ def outputs_of(
         num=len(routes),
         overlap=routes["overlap"].mean(),
         pictures=paragraphs(*(Markdown(f"![Routes](figures/{name}.png)") for name in pictures)),
-        use=fill("use_weights", unit=first, option=option, where=where),
+        use=fill(
+            "use_weights", unit=first, option=weights_option(fit.weights), where=_where(first)
+        ),
         **fields,
     )
     return outputs | {"weights.toml": weights_toml(fit, first), REPORT_FILE: report}
@@ -404,9 +422,8 @@ def _regrets(fit: WeightFit) -> pd.DataFrame:
 
 def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
     """Return a table of what routes were planned under: a row per map of the cost."""
-    rows = []
-    for cost_map in maps:
-        row = {
+    rows = [
+        {
             "altitude (m)": cost_map.altitude_m,
             "time of day": cost_map.time_of_day or "",
             "time": cost_map.time or "",
@@ -415,7 +432,8 @@ def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
             "constraints": str(cost_map.constraints) or "none",
             "obstacles": cost_map.maps.obstacles,
         }
-        rows.append(row)
+        for cost_map in maps
+    ]
     return pd.DataFrame(rows)
 
 
@@ -448,9 +466,8 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
     }
     if isinstance(fit, WeightFit):
         ends = fit.table[["low", "high"]]
-        has_interval = ends.notna().any(axis=None)
         return facts | {
-            "interval": ends.T.to_dict("list") if has_interval else None,
+            "interval": ends.T.to_dict("list") if ends.notna().any(axis=None) else None,
             "mean_regret": float(fit.regret.mean()),
             "best_mean_regret": fit.best_mean_regret,
             "is_settled": fit.is_settled,

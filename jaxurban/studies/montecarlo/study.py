@@ -217,8 +217,7 @@ def _listed_instances(table: pd.DataFrame, maps: MetricMaps, job: Benchmark) -> 
     )
     instances = checked_instances(table, "instances")
     check_instances(instances, maps)
-    model = CostModel.of(job.cost_model)
-    instances = with_connection(instances, maps, model, job.constraints)
+    instances = with_connection(instances, maps, CostModel.of(job.cost_model), job.constraints)
     _check_places(instances, maps, job.constraints)
     return instances
 

@@ -1,10 +1,11 @@
 """Whether a receiver hears well the satellites that the maps call seen: scores that convince a sceptic.
 
-C/N0 is the receiver's; seen or hidden, and by how many metres, the maps'. **AUC** is the chance that of one seen and
-one hidden satellite the seen one has the higher C/N0, ties by half; **within satellites** both are the same satellite
-at two times, so that a high satellite with a strong signal adds nothing. Rows of a drive cling together, so intervals
-are of the bootstrap over blocks of the track. The null are cities displaced by 80 to 450 m; they overlap each other,
-so they give no p-value, only what a wrong city scores.
+C/N0 comes from the receiver. Whether a satellite is seen or hidden, and by how many metres, comes from the maps.
+**AUC** is the chance that of one seen and one hidden satellite the seen one has the higher C/N0, where ties count by
+half. **Within satellites** both are the same satellite at two times, so that it adds nothing if high satellites have
+strong signals. Neighbouring rows of a drive are alike, so intervals are of the bootstrap over blocks of the track. The
+null are cities displaced by 80 to 450 m. They overlap each other, so they give no p-value; they show what a wrong city
+scores.
 """
 
 from dataclasses import dataclass
@@ -70,29 +71,34 @@ class SatelliteAgreement(FactsRepr):
     """How the maps agree with a receiver, satellite by satellite.
 
     Attributes:
-      rows: a row per epoch and satellite: ``epoch`` (number in the log's epochs), ``satellite``, ``system`` (its first
-        letter), ``azimuth_deg`` (from true north), ``elevation_deg``, ``cn0_dbhz`` (0: not received), ``margin_m`` (the
-        antenna less the edge of the roofs' shadow; below 0 a roof hides the satellite, inf from 60 m on), ``is_seen``,
-        ``is_known`` (the whole ray lies above known ground until it is above all roofs),
-        ``is_inside`` (the place lies in a building), ``is_judged`` (known, unless the settings judge all rays, and not
-        inside), ``is_strong`` (C/N0 is at least ``strong_dbhz``), ``block`` (number of the block along the track).
-      scores: a row per choice of rows, ``which``: ``"all"`` that are judged, of these ``"received"`` and by system;
-        ``"unguarded"``: also those of unknown rays. ``rows``, their ``share`` of all, ``auc`` and ``within`` satellites
-        with the ends of their 95 % intervals (``_low``, ``_high``), ``num_satellites`` that are seen and hidden.
-      displaced: a row per displaced city of the null: ``east_m``, ``north_m``, ``rows``, ``auc``, ``within``.
+      rows: a row for each epoch and satellite: ``epoch`` (number in the log's epochs), ``satellite``, ``system`` (its
+        first letter), ``azimuth_deg`` (from true north), ``elevation_deg``, ``cn0_dbhz`` (0: not received),
+        ``margin_m`` (the height of the antenna less that of the edge of the roofs' shadow; below 0 a roof hides the
+        satellite, and margins of 60 m or more are inf), ``is_seen``, ``is_known`` (the whole ray lies above known
+        ground until it is above all roofs), ``is_inside`` (the place lies in a building), ``is_judged`` (the place is
+        not inside, and the ray is known unless the settings judge all rays), ``is_strong`` (C/N0 is at least
+        ``strong_dbhz``), ``block`` (number of the block along the track).
+      scores: a row for each choice of rows, which ``which`` names: ``"all"`` rows that are judged; of these the
+        ``"received"`` ones, and those of each system by its letter; ``"unguarded"``, in which rows of unknown rays
+        count too. ``rows`` and their ``share`` of all rows; ``auc`` and ``within`` satellites with the ends of their
+        95 % intervals (``_low``, ``_high``); ``num_satellites``, how many satellites are seen at one time and hidden
+        at another.
+      displaced: a row for each displaced city of the null: ``east_m``, ``north_m``, ``rows``, ``auc``, ``within``.
       field: AUC of cities displaced by up to 40 m, in steps of 2 m: ``east_m``, ``north_m``, ``rows``, ``auc``.
       scales: AUC of cities whose roofs are ``scale`` times as high.
-      peak: where the field is highest, ``east_m``, ``north_m``; ``within_95_m``: 95 % of the bootstrap's peaks lie so
-        near to no displacement; ``scale`` where that is highest, ``scale_low``, ``scale_high``. NaN where nothing is
-        highest, or of fewer than 8 blocks.
+      peak: the displacement at which the field is highest (``east_m``, ``north_m``); ``within_95_m``, how far from no
+        displacement 95 % of the bootstrap's peaks lie at most; the ``scale`` of roofs with the highest AUC, and its
+        interval (``scale_low``, ``scale_high``). All are NaN where no value is the highest, or with fewer than 8
+        blocks.
       rivals: log-loss of rules that predict ``is_strong``, one block left out (`jaxurban.studies.receiver.rivals`).
       block_lengths: the gain of margin and elevation in ``rivals``, with its interval, where blocks are once, twice
         and four times as long: ``block_m``, ``num_blocks``, ``gain``, ``gain_low``, ``gain_high``.
-      skies: the places of least and of most agreement.
-      strong_dbhz: the receiver's own median over judged rows; where that is 0, its weakest received signal.
+      skies: the sky over a place in the block of least agreement, and over one in the block of most agreement.
+      strong_dbhz: the median C/N0 of the judged rows; where that is 0, the C/N0 of the weakest received one.
       verdict: what this shows, in one sentence that claims no more than its interval.
-      counts: rows, judged ones, those of unknown rays and in buildings, satellites, blocks, displaced cities; what was
-        left out, with reasons; ``every`` which epoch, of a long log, meets displaced cities, other roofs and rivals.
+      counts: how many rows, judged rows, rows of unknown rays, rows in buildings, satellites, blocks and displaced
+        cities there are, and which satellites were left out, with reasons. ``every`` is n where only every n-th epoch
+        of a long log is compared with displaced cities, other roofs and rivals.
 
     Examples:
       >>> import pandas as pd
@@ -251,8 +257,8 @@ def agreement_of(
     rise_m = highest_top_m(city) - settings.antenna_height_m
     rows["is_known"] = rays.stays_within(known, rise_m)
 
-    # [R] bool of the rows: of a long log only every n-th epoch is taken for rivals and displaced cities, and for
-    # displaced cities only rows with known rays, unless buildings are known everywhere and nothing is guarded.
+    # [R] bool: of a long log rivals and displaced cities take only the rows of every n-th epoch. Of these displaced
+    # cities take only rows with known rays, unless rays count wherever they lead.
     is_guarded = settings.known != EVERYWHERE
     every = max(1, len(rows) // MOST_MOVED)
     is_taken = (rows.epoch % every == 0).to_numpy()
@@ -339,8 +345,10 @@ def _rivals(
     off_street_rad = rays.azimuth_rad - headings_rad(track.x_m, track.y_m)[rows.epoch]
     rules = features_of(rows.margin_m.to_numpy(), rays.elevation_rad, off_street_rad)
     of_rows = rules, rows.is_strong.to_numpy(), rows.block.to_numpy()
-    rivals = compared_rules(*of_rows, settings.seed)
-    return rivals, gain_by_length(*of_rows, settings.sky_block_m, settings.seed)
+    return (
+        compared_rules(*of_rows, settings.seed),
+        gain_by_length(*of_rows, settings.sky_block_m, settings.seed),
+    )
 
 
 def _strong_dbhz(judged_dbhz: pd.Series) -> tuple[float, bool]:

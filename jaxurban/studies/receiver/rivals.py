@@ -101,7 +101,7 @@ def losses(features: np.ndarray, is_strong: np.ndarray, block: np.ndarray) -> np
 def compared_rules(
     rules: Mapping[str, np.ndarray], is_strong: np.ndarray, place: np.ndarray, seed: int
 ) -> pd.DataFrame:
-    """Return a row per rule: ``model``, its name, ``log_loss``, and ``gain`` with its 95 % interval.
+    """Return a row for each rule: ``model``, its name; ``log_loss``; and ``gain`` with its 95 % interval.
 
     The gain is the log-loss of the rule `STREET` less that of the rule; above 0 the rule predicts better.
 

@@ -60,9 +60,11 @@ class ReceiverValidation(Result):
       log: what the receiver logged.
       settings: how the two were set beside each other.
       scenario: the settings that the maps were made with.
-      summary: numbers of the whole: epochs, those in a building, length of the track, means. Metres end in ``_m``.
-      epochs: a row per epoch: time, place, distance along the track, witnesses and predictions; NaN in a building.
-      pieces: a row per piece of track of ``settings.piece_m``: medians of the same.
+      summary: numbers of the whole track: how many epochs there are and how many of them lie in a building, its length,
+        and means. Names of metres end in ``_m``.
+      epochs: a row for each epoch: time, place, distance along the track, witnesses (what the receiver logged of how
+        well it did) and predictions (what the maps say), which are NaN in a building.
+      pieces: a row for each piece of track of the length ``settings.piece_m``: medians of the columns of ``epochs``.
       scores: a row per ``witness``, ``prediction`` and ``piece_m``: ``num`` pieces, and for the rank correlation
         ``within`` blocks and ``spearman`` over the whole track the value, what 95 % of all shifts along the track stay
         at or below (``_shifts_95``) and the share of all shifts, that of 0 m among them, that score at least as high
@@ -102,7 +104,7 @@ class ReceiverValidation(Result):
 
     @property
     def known_cautions(self) -> list[Caution]:
-        """That it rests on ``guesses``, and which rows were not judged."""
+        """The guesses that the result rests on, and which rows of satellites were not judged."""
         cautions = [Caution(guess, "guess") for guess in self.guesses]
         if self.satellites is not None:
             cautions += self.satellites.known_cautions
@@ -116,7 +118,7 @@ class ReceiverValidation(Result):
 
     @property
     def facts(self) -> dict[str, str]:
-        """Log, track, and what each witness scores."""
+        """The log, the track and its cells, and what each witness scores."""
         summary = self.summary
         track = f"{summary['length_m'] / 1000:.2f} km, {summary['epochs']} epochs"
         facts = {"log": self.log.name, "track": track, "cells": f"{summary['resolution_m']:g} m"}
@@ -393,7 +395,7 @@ def shifted(coefficient: Callable[[np.ndarray], float], values: np.ndarray) -> n
 
 
 def pieces_of(epochs: pd.DataFrame, piece_m: float, block_m: float) -> pd.DataFrame:
-    """Return a row per piece of track: medians of what the receiver logged and of what the maps say.
+    """Return a row for each piece of track: medians of what the receiver logged and of what the maps say.
 
     The columns are ``piece`` and ``block`` (numbers along the track), ``utc`` (of the middle epoch), ``epochs`` (how
     many), and the median of every column of numbers. Epochs in a building or without data are left out.

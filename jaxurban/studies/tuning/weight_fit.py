@@ -36,23 +36,24 @@ class WeightFit:
     Attributes:
       names: ``"distance"`` and the metrics.
       weights: of the given scale; 0 for a metric whose weight cannot be identified.
-      table: a row per weight, by its name: ``weight``; ``low`` and ``high``, 5th and 95th percentile over bootstrap
-        fits, widened to all weights that explain the demonstrations as well, or, of lines that were redrawn on the
-        grid, any routes within 3 cells of them, NaN without bootstrap; ``share_of_cost``, part
-        of the demonstrations' cost that it makes up; ``spread``, w_j x std(phi_j) over the demonstrations, scaled to
-        length 1: what fits are compared by.
+      table: a row for each weight, by its name. ``weight``; ``low`` and ``high``, the 5th and the 95th percentile over
+        bootstrap fits, widened to all weights that explain the demonstrations as well (of lines that were redrawn on
+        the grid: that explain any routes within 3 cells of them as well), NaN without bootstrap; ``share_of_cost``, the
+        part of the demonstrations' cost that the weight makes up; ``spread``, w_j x std(phi_j) over the demonstrations,
+        scaled so that all of them have the length 1 together, by which fits can be compared.
       draws: ``[B, K]`` the weights of the bootstrap fits.
-      regret: ``[Q]`` by which share each is costlier than the cheapest route under the weights, by search.
-      trust: ``[Q]`` in [0, 1] weight that each demonstration had in the end.
+      regret: ``[Q]`` by which share each demonstration costs more than the cheapest route that a search finds under
+        the weights.
+      trust: ``[Q]`` in [0, 1] the weight that each demonstration had in the end.
       best_mean_regret: the least mean regret that any weights were found to reach.
-      curve: a row per round: noise, loss, mean_regret, worst_gap (by which share a searched route was cheaper than
+      curve: a row for each round: noise, loss, mean_regret, worst_gap (by which share a searched route was cheaper than
         all known ones), new_routes, num_plans, elapsed_s and each weight.
       sentence: whether the demonstrations follow these metrics at all: what a reader must know before the weights.
       unidentified: sentences on weights that the demonstrations say nothing about.
       warnings: further sentences that a reader must know.
-      num_plans: searches made.
+      num_plans: number of searches made.
       elapsed_s: wall time of this run; a resumed one takes its first searches from the state file.
-      is_settled: the last round bettered no known route by more than 1e-5.
+      is_settled: whether the last round bettered no known route by more than 1e-5.
 
     Examples:
       >>> routes = ju.fit.demonstrations_from_paths([path], maps)
@@ -128,8 +129,8 @@ def fit_weights(
         after them it ends where a round betters nothing.
 
     Returns:
-      ``weights``, which `jaxurban.plan` takes; ``table``, a row per weight with its interval and its share of the cost;
-      ``regret``, by which share each demonstration costs more than the cheapest route; ``unidentified`` and
+      ``weights``, which `jaxurban.plan` takes; ``table``, a row for each weight with its interval and its share of the
+      cost; ``regret``, by which share each demonstration costs more than the cheapest route; ``unidentified`` and
       ``warnings``, sentences on what the routes cannot say. Printed, it shows the table and the sentences.
 
     Raises:
@@ -147,7 +148,6 @@ def fit_weights(
     at_least("bootstrap", bootstrap)
     begin_s = time.perf_counter()
     settings = settings or FitSettings()
-    demonstrations = list(demonstrations)
 
     # The weights that can be fitted: of a layer that is the same everywhere demonstrations say nothing.
     queries = [demonstration.query for demonstration in demonstrations]
@@ -163,17 +163,17 @@ def fit_weights(
         curve, is_settled = run_rounds(fit, settings, scale, begin_s, report)
         regret = fit.searched_regret(fit.log_weights)
         best = fit.least_mean_regret(float(regret.mean()))
-        draws, interval = refitted(fit, demonstrations, scale, bootstrap)
+        draws, interval = refitted(fit, scale, bootstrap)
 
     # Sentences on what the fit says, and on what it cannot say.
     table = _weight_table(fit, scale, interval)
     unidentified = [_constant_sentence(name, name in left_out) for name in constant]
     unidentified += _wide_sentences(table.drop(index=list(constant)))
     unidentified += indistinct_weights(fit.pool, fit.unit, fit.weights, is_fitted)
-    near_regret = _regret_without_redrawing(fit, demonstrations, regret)
+    near_regret = _regret_without_redrawing(fit, regret)
     drawn_cells = [each.drawn_cells for each in demonstrations]
     bar = float(np.where(drawn_cells, OPTIMAL_DRAWN_REGRET, OPTIMAL_REGRET).mean())
-    metric_share = 1 - table.share_of_cost.iloc[0]
+    metric_share = 1 - table.share_of_cost["distance"]
     verdict = _verdict_sentence(near_regret, bar, fit.trust, best, metric_share)
     warnings = [verdict] if min(best, near_regret.mean()) > bar else []
     warnings += _warning_sentences(demonstrations, len(names), fit.trust, is_settled)
@@ -211,24 +211,21 @@ def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str
     return {name for name in constant if not np.any([cost_of(name) for cost_of in costs])}
 
 
-def _regret_without_redrawing(
-    fit: FitUnderWay, demonstrations: Sequence[Demonstration], regret: np.ndarray
-) -> np.ndarray:
+def _regret_without_redrawing(fit: FitUnderWay, regret: np.ndarray) -> np.ndarray:
     """Return ``[Q]`` the regret of the cheapest route near each demonstration that was redrawn on the grid.
 
     It leaves out what redrawing adds to the cost. Of a demonstration that was not redrawn it is the regret itself.
 
     Args:
       fit: when it has ended.
-      demonstrations: all of them.
       regret: ``[Q]`` of the demonstrations, with what redrawing adds.
     """
-    near = np.array([each.cheapest_near(fit.weights) for each in demonstrations])
+    near = np.array([each.cheapest_near(fit.weights) for each in fit.demonstrations])
     return (1 + regret) * (near @ fit.weights) / (fit.demo @ fit.weights) - 1
 
 
 def _weight_table(fit: FitUnderWay, scale: str, interval: np.ndarray) -> pd.DataFrame:
-    """Return the table of a `WeightFit`, a row per weight by its name.
+    """Return the table of a `WeightFit`, with a row for each weight.
 
     Args:
       fit: when it has ended.

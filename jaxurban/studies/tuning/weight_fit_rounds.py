@@ -42,6 +42,7 @@ class FitUnderWay:
     """A fit to ``Q`` demonstrations between its rounds. ``F`` of the ``K`` weights are fitted; the others are 0.
 
     Attributes:
+      demonstrations: to which weights are fitted.
       demo: ``[Q, K]`` features of the demonstrations.
       is_fitted: ``[K]`` whether each weight is fitted.
       seed: of all noise.
@@ -68,6 +69,7 @@ class FitUnderWay:
         Raises:
           InputError: a state file that is damaged, or of another fit.
         """
+        self.demonstrations = demonstrations
         queries = [each.query for each in demonstrations]
         self.demo = np.array([each.features for each in demonstrations])
         self.is_fitted = is_fitted
@@ -81,7 +83,7 @@ class FitUnderWay:
             noise_rounds=self.noise_rounds,
             demonstrations=fingerprint(self.demo),
         )
-        self.unit = np.where(is_fitted, feature_units(queries, self.demo), 1.0)
+        self.unit: np.ndarray = np.where(is_fitted, feature_units(queries, self.demo), 1.0)
         self.log_weights = np.zeros(is_fitted.sum())
         self.trust = np.ones(len(queries))
 
@@ -211,12 +213,11 @@ class FitUnderWay:
         Args:
           best: a mean regret that is already reached, above which the result never is.
         """
-        lowest = self.log_weights
+        lowest = jnp.asarray(self.log_weights)
         for _ in range(REGRET_ROUNDS):
             task = self._task_without_noise()._replace(trust=jnp.ones(len(self.demo)))
-            ended, expected = descend(jnp.asarray(lowest), task, mean_regret, STEPS)
-            lowest = np.asarray(ended)
-            reached = float(self.searched_regret(lowest).mean())
+            lowest, expected = descend(lowest, task, mean_regret, STEPS)
+            reached = float(self.searched_regret(np.asarray(lowest)).mean())
             best = min(best, reached)
             if reached <= float(expected) + SETTLED:
                 break
@@ -252,25 +253,23 @@ def run_rounds(
     return pd.DataFrame(rows), False
 
 
-def refitted(
-    fit: FitUnderWay, demonstrations: Sequence[Demonstration], scale: str, bootstrap: int
-) -> tuple[np.ndarray, np.ndarray]:
+def refitted(fit: FitUnderWay, scale: str, bootstrap: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the weights ``[B, K]`` of bootstrap fits, and the lower and upper ends ``[2, K]`` of their intervals.
 
     An interval reaches from the 5th to the 95th percentile, and as far as weights explain the demonstrations as well as
     the fit does. A single demonstration has no bootstrap fits (B is 0) and the second part alone.
 
     Args:
-      fit: of all demonstrations.
-      demonstrations: all of them.
+      fit: when it has ended.
       scale: of the weights, ``"simplex"`` or ``"distance"``.
       bootstrap: how many fits; with 0 the intervals are NaN.
     """
-    # [B, K] the weights of fits to demonstrations that are drawn again, cities first.
+    # [B, K] the weights of fits to demonstrations that are drawn again, cities first. A city is one set of maps.
     rng = np.random.default_rng([IN_BOOTSTRAP, 0, fit.seed])
     num = len(fit.unit)
-    maps = [id(demonstration.query.cost_map.maps) for demonstration in demonstrations]
-    cities, _ = pd.factorize(np.array(maps))  # a city is one set of maps
+    cities, _ = pd.factorize(
+        np.array([id(each.query.cost_map.maps) for each in fit.demonstrations])
+    )
     task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
     log_draws = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng))
     draws = np.array([scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, num)
@@ -279,7 +278,7 @@ def refitted(
 
     # The range of weights that explain the demonstrations as well, among those with the sum 1 or the distance weight 1.
     sides = np.ones(num) if scale == "simplex" else np.eye(num)[0]
-    least = np.array([demonstration.least_features for demonstration in demonstrations])
+    least = np.array([each.least_features for each in fit.demonstrations])
     low, high = fit.near_optimal_range(sides, least)
     if len(draws):
         drawn_low, drawn_high = np.percentile(draws, [5, 95], axis=0)

@@ -41,9 +41,10 @@ class Sensitivity(Result):
       cost, outcomes: derivatives at the given weights (`cost_gradient`, `outcome_slopes`).
       sobol: shares of variance over the whole range (`sobol_indices`).
       lines: of each varied weight, the routes along its range, the others as given.
-      front: routes between objectives.
+      front: routes that trade the objectives against each other.
       line_routes: ``[N, 2]`` easting and northing of the routes of each line, in the order of its cells.
-      num_plans, elapsed_s: searches and wall time.
+      num_plans: number of searches made.
+      elapsed_s: wall time in seconds.
 
     Examples:
       >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
@@ -218,7 +219,7 @@ def sensitivity(
       progress: gets the stage and the number of searches so far, as in `ju.build_maps`.
 
     Returns:
-      ``cost``, a row per weight: its value, the derivative of the cost by it, and its share of the cost
+      ``cost``, a row for each weight: its value, the derivative of the cost by it, and its share of the cost
       (``elasticity``); ``breakpoints(name)``, the routes along the range of a weight; ``tables()``, all of it by name;
       ``save`` writes the report.
 
