@@ -38,8 +38,8 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.explain import explain
 from jaxurban.paths.export.qgc_plan import ENDS
 from jaxurban.paths.export.write import write_path
+from jaxurban.paths.finish import simplify
 from jaxurban.paths.places import XY
-from jaxurban.paths.planned import simplify
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.world.footprints import Footprints
 from tests.free_space import Obstacles

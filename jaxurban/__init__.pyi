@@ -25,12 +25,12 @@ from jaxurban.paths.constraints import Constraints as Constraints
 from jaxurban.paths.cost_map import CostMap as CostMap
 from jaxurban.paths.detours import density_detours as density_detours
 from jaxurban.paths.explain import explain as explain
+from jaxurban.paths.finish import simplify as simplify
 from jaxurban.paths.ground_risk import overflown_density as overflown_density
 from jaxurban.paths.path import PlannedPath as PlannedPath
 from jaxurban.paths.places import XY as XY
 from jaxurban.paths.plan import cost_map as cost_map
 from jaxurban.paths.plan import plan as plan
-from jaxurban.paths.planned import simplify as simplify
 from jaxurban.paths.profile import cautions as cautions
 from jaxurban.paths.queries import PlannedPaths as PlannedPaths
 from jaxurban.paths.route_report import OverflownDensity as OverflownDensity

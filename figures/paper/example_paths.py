@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from figures.paper.common import IS_SMALL, PATH_M, TOWNS, Caption, Town, save
 from jaxurban.maps.scenario import PAPER_PLANNERS
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.finish import finish, map_settings
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY
 from jaxurban.paths.plan import cost_map
-from jaxurban.paths.planned import finish, map_settings
 from jaxurban.paths.search import PathSearch
 from jaxurban.planners.registry import find_planner
 from jaxurban.report.figures.frame import (

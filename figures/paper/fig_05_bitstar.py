@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 import jaxurban as ju
 from figures.paper.common import Caption, save
-from jaxurban.paths.planned import map_settings
+from jaxurban.paths.finish import map_settings
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.bounds import make_bounds

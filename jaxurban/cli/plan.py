@@ -244,8 +244,8 @@ def plan(
     # ``search`` holds all further options; they are keywords of the search.
     from jaxurban.maps.saving import open_maps
     from jaxurban.paths.explain import explain
+    from jaxurban.paths.finish import simplify
     from jaxurban.paths.plan import cost_map
-    from jaxurban.paths.planned import simplify
     from jaxurban.paths.search import PathSearch
     from jaxurban.paths.when import when
 
@@ -440,7 +440,7 @@ def _write(
     from jaxurban.paths.export.qgc_plan import mission_note
     from jaxurban.paths.export.roof_fences import roof_fences
     from jaxurban.paths.export.write import MISSION, WAYPOINTS, elevation_note, write_path
-    from jaxurban.paths.planned import simplify
+    from jaxurban.paths.finish import simplify
 
     if not planned.status.has_path:
         sentence = f"no path, so {file} was not written"

@@ -17,10 +17,10 @@ from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import End, Point
 from jaxurban.paths.plan import cost_map
-from jaxurban.paths.planned import finish
 from jaxurban.paths.queries import NOT_RUN, PlannedPaths, Query, path_of, read_queries, row_of
 from jaxurban.paths.rows import BAD_INPUT, failure
 from jaxurban.paths.search import PathSearch

@@ -147,7 +147,7 @@ def check(
     findings, unknown = judged(flight, buildings, known, limits, times, time_of_day)
     figures |= figures_of(flight, maps, times, time_of_day, swath_m)
     figures |= costs_of(flight, maps, weights, limits, times[0], time_of_day)
-    exceeded, open_limits = _limits(figures, max_no_fix_m, max_people)
+    exceeded, open_limits = _against_maxima(figures, max_no_fix_m, max_people)
     # Empty tables are left out, since their columns would change the types of the others.
     tables = [table for table in (findings, exceeded) if len(table)]
     findings = pd.concat(tables or [findings])
@@ -274,7 +274,7 @@ def _city_of(
     return city, "exact outlines", []
 
 
-def _limits(
+def _against_maxima(
     figures: Mapping[str, Any], max_no_fix_m: float | None, max_people: float | None
 ) -> tuple[pd.DataFrame, list[str]]:
     """Return findings, one row for each limit that is exceeded, and sentences on limits that cannot be judged.

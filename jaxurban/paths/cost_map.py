@@ -13,9 +13,9 @@ from jaxurban.maps.levels import SAME_M, Levels, listed_m
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights, WeightsLike, check_held
 from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, End, Point, islands_of, one_place
-from jaxurban.paths.planned import finish
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import islands_at, joined_ends, places_near, why_closed
 from jaxurban.planners.astar import AUTO, make_landmarks

@@ -14,10 +14,10 @@ from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.finish import measured
 from jaxurban.paths.legs import Flight, Steps
 from jaxurban.paths.places import XY
 from jaxurban.paths.plan import cost_map
-from jaxurban.paths.planned import measured
 from jaxurban.paths.profile import nearest_level_m
 from jaxurban.paths.search import PathSearch
 

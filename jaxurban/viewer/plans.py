@@ -16,9 +16,9 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, weights_on
 from jaxurban.paths.explain import explain
 from jaxurban.paths.export.write import FORMATS
+from jaxurban.paths.finish import simplify
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import cost_map, rules_on
-from jaxurban.paths.planned import simplify
 from jaxurban.paths.route_report import RouteReport
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner

@@ -1,7 +1,7 @@
 """How MAVLink's items are flown: legs of them, and what is not understood.
 
 Commands and frames are those of MAVLink's common message set. What an item means where autopilots differ is written
-at `Flight`, after their sources: of ArduCopter ``mode_auto.cpp`` (circles), ``mode_rtl.cpp`` (returns) and
+at `FlownItems`, after their sources: of ArduCopter ``mode_auto.cpp`` (circles), ``mode_rtl.cpp`` (returns) and
 ``AC_WPNav.cpp`` (legs, corners); of PX4 ``navigator/rtl.cpp`` and ``navigator/mission_block.cpp``.
 """
 
@@ -139,8 +139,8 @@ class State(NamedTuple):
     has_moved_home: bool = False
 
 
-class Flight:
-    """How an autopilot flies items: `legs`, what is `not_judged` of them, and an account of each item.
+class FlownItems:
+    """Items as an autopilot flies them: `legs`, what is `not_judged` of them, and an account of each item.
 
     A multicopter climbs straight up from home to the take-off's height; PX4 flies to the take-off's place then,
     ArduPilot knows of none. It lands at the height that it has, and comes down at the landing's place. After an item

@@ -10,7 +10,7 @@ from jaxurban.io.read.mission_flight import (
     HAS_HEIGHT,
     WAYPOINT,
     Autopilot,
-    Flight,
+    FlownItems,
     Item,
 )
 from jaxurban.io.read.mission_parts import (
@@ -92,8 +92,8 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
     if is_plane:
         notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
     speed_m_s = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
-    flight = Flight(items, start[0], return_altitude_m, autopilot)
-    return _flown(name, flight, len(rows), start, notes, speed_m_s)
+    flown = FlownItems(items, start[0], return_altitude_m, autopilot)
+    return _flown(name, flown, len(rows), start, notes, speed_m_s)
 
 
 def read_waypoints(
@@ -138,13 +138,13 @@ def read_waypoints(
     is_ordered = [item.key for item in items] == list(range(first_key, first_key + len(items)))
     notes = [] if is_ordered else ["its rows are not numbered in their order, so jumps may differ"]
     numbered = [item._replace(number=number) for number, item in enumerate(items, 1)]
-    flight = Flight(numbered, start[0], return_altitude_m, autopilot)
-    return _flown(name, flight, num_rows, start, notes, speed_m_s=math.nan)
+    flown = FlownItems(numbered, start[0], return_altitude_m, autopilot)
+    return _flown(name, flown, num_rows, start, notes, speed_m_s=math.nan)
 
 
 def _flown(
     name: str,
-    flight: Flight,
+    flown: FlownItems,
     num_rows: int,
     start: Home,
     notes: Sequence[str],
@@ -154,7 +154,7 @@ def _flown(
 
     Args:
       name: of the file.
-      flight: the items, flown.
+      flown: the items.
       num_rows: how many items the file holds, counted apart from them.
       start: home and its elevation.
       notes: sentences on what else of the file is not judged.
@@ -163,19 +163,19 @@ def _flown(
     Raises:
       InputError: there is no item, or none that leads anywhere.
     """
-    if not flight.accounts:
+    if not flown.accounts:
         raise InputError(f"{name!r} holds no items: give a mission that has some")
-    sentences = shortened([*flight.not_judged, *notes])
-    if not flight.legs and not sentences:
+    sentences = shortened([*flown.not_judged, *notes])
+    if not flown.legs and not sentences:
         raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")
     planned_m_s = speed_m_s if speed_m_s > 0 else None
     return Mission(
         name,
-        tuple(flight.legs),
+        tuple(flown.legs),
         *start,
         sentences,
-        flight.speed_m_s or planned_m_s,
-        accounts=tuple(flight.accounts),
+        flown.speed_m_s or planned_m_s,
+        accounts=tuple(flown.accounts),
         num_things=num_rows,
     )
 

@@ -7,7 +7,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.planned import map_settings
+from jaxurban.paths.finish import map_settings
 from jaxurban.report.figures.frame import (
     ENDS,
     LegendEntry,
