@@ -131,7 +131,8 @@ def city() -> ju.City:
 
 @functools.cache
 def path() -> ju.PlannedPath:
-    return ju.plan(maps(), START, GOAL, altitude_m=20.0, snap=True)
+    """Return a path that a mission can fly, from the ground to the ground."""
+    return ju.plan(maps(), START, GOAL, altitude_m=20.0, snap=True, on_ground=True)
 
 
 @functools.cache

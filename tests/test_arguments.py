@@ -60,6 +60,7 @@ SEARCH = {
     "budget_s": 1e-9,
     "seed": Case(5, {"planner": "bitstar-dist", "budget_s": 0.3}),
     "snap": Case(False),
+    "on_ground": True,
     "refine": True,
     "exposure": {"lidar": 1.0},
 }
@@ -449,6 +450,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "report": Case(lambda: ju.explain(on.path(), on.maps()), {"suffix": ".geojson"}),
         "end": "return",
         "fence_roofs_m": 60.0,
+        "from_roof": Case(True, refused="not over a roof of known height"),
     },
     "PlannedPaths.to_dataframe": {"with_points": True},
     "Planning": {
@@ -545,6 +547,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "home": Case(
             (-73.9985, 40.7565), {"mission": lambda: on.a_mission(".kml"), "heights": "home"}
         ),
+        "home_above_ground_m": 5.0,
         "return_altitude_m": Case(
             90.0, {"mission": lambda: on.path().save(on.a_file("back.plan"), end="return")}
         ),
@@ -606,7 +609,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "sources": Case("no/such/folder", {"maps": lambda: few_maps()}),
     },
     "when": ON_A_MAP
-    | SEARCH
+    | without("on_ground", SEARCH)
     | {
         "altitude_m": 60.0,
         "progress": PROGRESS,
@@ -920,6 +923,10 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--swath": "50",
             "--profile": Case("profile.txt", refused="profile.txt"),
             "--when": Case("", ("-o", "{out}.csv")),
+            "--on-ground": "",
+            "--from-roof": Case(
+                "", ("-o", "{out}.plan"), refused="not over a roof of known height"
+            ),
             "-o": Case("path.txt", refused="path.txt"),
             "--simplify": "30",
             "--end": Case("return", ("-o", "{out}.plan")),
@@ -936,6 +943,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--geoid": Case("-33", ("{kml}", "--heights=ellipsoid")),
             "--home": Case("-73.9985,40.7565", ("{kml}", "--heights=home")),
             "--return-altitude": "90",
+            "--home-above-ground": "5",
             "--no-fly": "{home}/zone.geojson",
             "--require": "lidar>=0.5",
             "--clearance": "60",

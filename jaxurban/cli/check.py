@@ -44,6 +44,11 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
 @METRES("--geoid", "geoid_m", help="Height of the geoid above the ellipsoid: 37 in Tokyo.")
 @click.option("--home", type=LONLAT, help="Home: longitude,latitude in degrees.")
 @METRES(
+    "--home-above-ground",
+    "home_above_ground_m",
+    help="Height of home above the ground, for a flight that starts from a roof.",
+)
+@METRES(
     "--return-altitude",
     "return_altitude_m",
     help="Height above home at which the autopilot returns.",

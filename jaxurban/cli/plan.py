@@ -26,6 +26,7 @@ from jaxurban.cli.common import (
     grouped,
     print_json,
 )
+from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG
 
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
 LEAST_NAME_WIDTH = 20  # characters of the table's first column
 NOT_WHEN = (
     "--when takes -o .csv or .parquet, and no --refine, --exposure, --volume, --report, --speed, --power, --swath, "
-    "--corridor, --simplify, --end or --fence-roofs"
+    "--corridor, --simplify, --end, --fence-roofs, --from-roof or --on-ground"
 )
 OF_VOLUME = partial(NUMBER, cls=DependentOption, owner="--volume")
 
@@ -104,19 +105,26 @@ def flight_of(speed_m_s: float | None, power_w: float | None, swath_m: float | N
 
 
 class RouteFiles(NamedTuple):
-    """The files that a route is written to, and how; all but the files is None where the option is left out.
+    """The files that a route is written to, and how; what is not asked for is None or False.
 
     Attributes:
       files: in the format that their names end in.
       simplify_m: how far straight legs may lie from the path.
       end: how a mission ends.
       fence_roofs_m: how far from the route roofs get a fence in a mission.
+      from_roof: a mission takes off from the roof at the start.
     """
 
     files: tuple[Path, ...]
     simplify_m: float | None
     end: "MissionEnd | None"
     fence_roofs_m: float | None
+    from_roof: bool
+
+    @property
+    def has_mission(self) -> bool:
+        """Whether one of the files is a mission, which takes off and lands."""
+        return any(file.suffix.lower() == ".plan" for file in self.files)
 
 
 @click.command()
@@ -133,6 +141,12 @@ class RouteFiles(NamedTuple):
 @FLAG(
     "--refine",
     help="Move the waypoints to lower cost after the search; not under --cost-model cell.",
+)
+@click.option(
+    "--on-ground/--ends-in-air",
+    default=None,
+    help="Whether start and goal must be free down to the ground, so that a mission can take off and land, or at the "
+    "altitude alone.  [default: on the ground with --snap and -o FILE.plan]",
 )
 @click.option(
     "--exposure",
@@ -215,6 +229,10 @@ class RouteFiles(NamedTuple):
         help="Make exclusion fences in a .plan of the roofs within METRES of the route that reach its height less the "
         "vertical clearance.",
     ),
+    FLAG(
+        "--from-roof",
+        help="A .plan takes off from the roof at the start; its altitudes count from it.",
+    ),
 )
 @DEVICE
 @JSON_FLAG
@@ -262,7 +280,8 @@ def plan(
     # A route at every time of the maps: options that are of one route alone are refused.
     if is_when:
         how_written = outputs._replace(files=())
-        for_one_route = [with_report, search["refine"], search["exposure"], *how_written]
+        on_ground = search.pop("on_ground")
+        for_one_route = [with_report, search["refine"], search["exposure"], on_ground, *how_written]
         if any(for_one_route) or levels is not None:
             raise click.UsageError(NOT_WHEN)
         departures = when(
@@ -274,13 +293,16 @@ def plan(
     if levels is not None:
         start = (*start, altitude_m)
         goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
+    if search["on_ground"] is None:
+        is_moved = search["snap"] is not False and not outputs.from_roof
+        search["on_ground"] = is_moved and outputs.has_mission
     path_search = PathSearch.of(maps, levels is not None, **search)
     costs = cost_map(maps, levels or altitude_m, **which_map, **rules)
     planned = costs.planned(start, goal, path_search)
     if outputs.simplify_m:
         planned = simplify(planned, costs, outputs.simplify_m)
 
-    # Its report, which the profile needs too, its files and its profile.
+    # Its report, which the profile needs too, its files, of which a mission may be refused, and its profile.
     report = None
     if planned.status.has_path and (with_report or profile is not None):
         density = None
@@ -290,8 +312,13 @@ def plan(
             density = corridor(costs.maps, planned, time_of_day=time_of_day)
             density = replace(density, detours=density_detours(planned, costs, density))
         report = explain(planned, costs.maps, density=density, **flight)
+    refused = ""
     for file in outputs.files:
-        _write(file, planned, costs, report if with_report else None, outputs)
+        try:
+            _write(file, planned, costs, report if with_report else None, outputs)
+        except InputError as error:
+            refused = f"{file}: {error}."
+            LOG.info(f"error: {refused}")
     if report is not None and profile is not None:
         save_profile(planned, costs.maps, profile, report)
         LOG.info(f"wrote {profile}")
@@ -303,17 +330,21 @@ def plan(
         for sentence in planned.cautions:
             if sentence not in planned.message:  # which is printed too
                 LOG.info(sentence)
+    code = planned.status.exit_code
+    if refused:
+        code = ExitCode.BAD_INPUT
+        facts["message"] = f"{refused} {facts['message']}"
     if as_json:
         if report is not None:
             facts["report"] = report.to_dict()
         for name in ("lonlat", "xy_m", "z_m"):
             facts[name] = getattr(planned, name).tolist()
-        print_json(facts, planned.status.exit_code)
+        print_json(facts, code)
     else:
         print(_path_table(facts))
         if report is not None and with_report:
             print(f"\n{report.table()}")
-    return planned.status.exit_code
+    return code
 
 
 def _check_files(outputs: RouteFiles, is_when: bool) -> None:
@@ -337,8 +368,13 @@ def _check_files(outputs: RouteFiles, is_when: bool) -> None:
     else:
         for file in outputs.files:
             encoder_of(file)  # raises where the format holds no path
-    for option, value in (("--end", outputs.end), ("--fence-roofs", outputs.fence_roofs_m)):
-        if value is not None and MISSION not in suffixes:
+    of_missions = {
+        "--end": outputs.end,
+        "--fence-roofs": outputs.fence_roofs_m,
+        "--from-roof": outputs.from_roof or None,
+    }
+    for option in values_given(of_missions):
+        if MISSION not in suffixes:
             raise click.UsageError(f"{option} is of a mission: add -o FILE.plan")
 
 
@@ -464,10 +500,11 @@ def _write(
         end = outputs.end
         if outputs.fence_roofs_m is not None:
             roofs = roof_fences(planned, outputs.fence_roofs_m)
-        notes.append(mission_note(planned, end or "land", roofs))
+        notes.append(mission_note(planned, end or "land", roofs, outputs.from_roof))
     elif suffix in WAYPOINTS:
         notes.append(elevation_note(planned))
-    write_path(planned, file, report, end=end, roofs=roofs)
+    from_roof = suffix == MISSION and outputs.from_roof
+    write_path(planned, file, report, end=end, roofs=roofs, from_roof=from_roof)
     LOG.info(f"wrote {file}: {' '.join(notes)}" if notes else f"wrote {file}")
 
 

@@ -60,6 +60,7 @@ def plan_many(
     budget_s: float | None = None,
     seed: int | None = None,
     snap: bool | float = False,
+    on_ground: bool = False,
     refine: bool = False,
     exposure: Mapping[str, float] | None = None,
 ) -> PlannedPaths:
@@ -92,7 +93,7 @@ def plan_many(
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
       weights, time, time_of_day: as in `plan`, for queries without such values of their own.
       objective, cost_model, constraints, preset: which map is planned on, as in `plan`.
-      planner, heuristic, budget_s, seed, snap: of each query, as in `plan`.
+      planner, heuristic, budget_s, seed, snap, on_ground: of each query, as in `plan`.
       refine, exposure: of a single plan only.
 
     Returns:
@@ -117,6 +118,7 @@ def plan_many(
         budget_s=budget_s,
         seed=seed,
         snap=snap,
+        on_ground=on_ground,
         refine=refine,
         exposure=exposure,
     )
@@ -391,7 +393,8 @@ def _locate(
     digest = _digest(cost_map, search, backend)
     for k in numbers:
         try:
-            ends = cost_map.ends(queries[k].start, queries[k].goal, snap=search.snap)
+            start, goal = queries[k].start, queries[k].goal
+            ends = cost_map.ends(start, goal, snap=search.snap, on_ground=search.on_ground)
         except InputError as error:
             results.refuse(k, error)
         else:

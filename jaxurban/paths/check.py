@@ -43,6 +43,7 @@ def check(
     *,
     heights: Datum | None = None,
     home: LonLat | None = None,
+    home_above_ground_m: float | None = None,
     return_altitude_m: float | None = None,
     geoid_m: float | None = None,
     no_fly: str | Path | Iterable[str | Path] = (),
@@ -75,6 +76,8 @@ def check(
       heights: the level from which heights count where the file leaves it open: ``"home"``, ``"ground"``, ``"geoid"``
         or ``"ellipsoid"``.
       home: longitude and latitude of home, for a file that has none.
+      home_above_ground_m: how high home lies above the ground, for a flight that starts from a roof: heights above home
+        count from there. Left out, home is on the ground, or where a ``.plan`` of ours says.
       return_altitude_m: height above home at which the vehicle returns, for a file that has none.
       geoid_m: height of the geoid above the ellipsoid, for heights above the ellipsoid.
       no_fly: files of no-fly zones, which add to the zones of ``constraints``.
@@ -122,10 +125,18 @@ def check(
             "heights, home and return_altitude_m are of a file, and mission was read already: leave them out"
         )
     if isinstance(mission, PlannedPath):
-        constraints = constraints or _planned_under(mission)
+        constraints = constraints or constraints_of(mission)
         mission = _mission_of(mission)
     named_times = () if time is None else as_tuple(time)
     times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
+
+    if home_above_ground_m is not None:
+        if mission.home is None:
+            raise InputError(
+                "home_above_ground_m is of a home, and the mission has none: name it (home, --home)"
+            )
+        above_m = not_negative("home_above_ground_m", home_above_ground_m)
+        mission = replace(mission, home_above_ground_m=above_m)
 
     # Constraints: those of the argument, with the zones of files and the clearances of the call. What is still left out
     # is as in the maps' scenario. Of the zones those count that are in force.
@@ -206,12 +217,12 @@ def _not_judged(flight: Flight, unknown: pd.DataFrame) -> list[str]:
     return sentences
 
 
-def _planned_under(path: PlannedPath) -> Constraints:
+def constraints_of(path: PlannedPath) -> Constraints:
     """Return the constraints that a path was planned under; its settings leave out a clearance of 0."""
-    record = path.settings["limits"]
+    record = path.settings.get("limits", {})
     return Constraints(
         zones=path.zones,
-        bounds=tuple(map(Bound.parse, record["require"])),
+        bounds=tuple(map(Bound.parse, record.get("require", ()))),
         vehicle=Vehicle.of(path.settings),
         **{name: record.get(name, 0.0) for name in CLEARANCES},
     )

@@ -403,6 +403,43 @@ class Constraints:
                 level_closed |= closed_by_clearance(maps, z_m, self.horizontal_m, self.vertical_m)
         return closed if np.ndim(altitude_m) else closed[0]
 
+    def is_free_to_ground(
+        self,
+        maps: MetricMaps,
+        altitude_m: float,
+        *,
+        time: str | None = None,
+        time_of_day: str | None = None,
+    ) -> np.ndarray:
+        """Return where a mission may take off and land: at an altitude, and straight below it down to the ground.
+
+        A cell that a roof touches is not free, however high the roof is, nor one nearer to a roof than the clearance.
+        Zones count from the ground up to the altitude, and bounds at each of the maps' altitudes below it.
+
+        Args:
+          maps, altitude_m, time, time_of_day: as for `closed`.
+
+        Returns:
+          ``[Y, X]`` bool.
+
+        Raises:
+          InputError: as for `closed`, or maps that hold no touched roofs.
+
+        Examples:
+          >>> limits = ju.Constraints()
+          >>> limits.is_free(maps, 60.0).sum(), limits.is_free_to_ground(maps, 60.0).sum()
+          (np.int64(900), np.int64(700))
+        """
+        levels_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m < altitude_m]
+        is_free = self.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
+        touched = maps.with_obstacles("touched")
+        is_free &= ~closed_by_clearance(touched, 0.0, self.horizontal_m, self.vertical_m)
+        is_free &= ~self._closed_by_zones(maps.grid, np.array([0.0, altitude_m])).any(axis=0)
+        for bound in self.bounds:
+            for z_m in levels_m:
+                is_free &= bound.is_kept(maps, z_m, time, time_of_day)
+        return is_free
+
     def _closed_by_zones(self, grid: Grid, levels_m: np.ndarray) -> np.ndarray:
         """Return ``[K, Y, X]`` bool: the cells that zones close on each of ``[K]`` ascending levels (see `closed`).
 

@@ -17,7 +17,13 @@ from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, End, Point, islands_of, one_place
 from jaxurban.paths.search import PathSearch
-from jaxurban.paths.snapping import islands_at, joined_ends, places_near, why_closed
+from jaxurban.paths.snapping import (
+    free_to_ground,
+    islands_at,
+    joined_ends,
+    places_near,
+    why_closed,
+)
 from jaxurban.planners.astar import AUTO, make_landmarks
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.corners import with_corner_bound
@@ -357,9 +363,16 @@ class CostMap(FactsRepr):
         return self._places_near(name, place, snap)[0]
 
     def ends(
-        self, start: Point | XY, goal: Point | XY, *, snap: bool | float = False
+        self,
+        start: Point | XY,
+        goal: Point | XY,
+        *,
+        snap: bool | float = False,
+        on_ground: bool = False,
     ) -> tuple[End, End]:
         """Return the cells of a query, with arguments and errors as in `locate`.
+
+        With ``on_ground`` only cells are free above which the air is, from the ground up (`free_to_ground`).
 
         Where one of them is in a closed cell, snapping takes the free cells nearest to both that a way through free
         cells joins. Where no two within reach are joined, it takes the nearest free ones.
@@ -372,18 +385,26 @@ class CostMap(FactsRepr):
           [(2, 2), (27, 27)]
         """
         # The possible ends of each place, the nearest first. An end that is not snapped is the only one of its place.
-        starts = self._places_near("start", start, snap)
-        goals = self._places_near("goal", goal, snap)
+        starts = self._places_near("start", start, snap, on_ground)
+        goals = self._places_near("goal", goal, snap, on_ground)
         start_end, goal_end = starts[0], goals[0]
         if start_end.is_snapped or goal_end.is_snapped:
             return joined_ends(self, starts, goals)
         return start_end, goal_end
 
-    def _places_near(self, name: str, place: Point | XY, snap: bool | float) -> list[End]:
-        """Return the possible ends of a query at a place, the nearest first; arguments and errors as in `locate`."""
+    def _places_near(
+        self, name: str, place: Point | XY, snap: bool | float, on_ground: bool = False
+    ) -> list[End]:
+        """Return the possible ends of a query at a place, the nearest first; arguments and errors as in `ends`."""
         xy_m, cell = self.cell_of(name, place)
         altitude_m = place[2] if len(place) > 2 else None
-        return places_near(self, name, xy_m, self._level_of(name, cell, altitude_m), cell, snap)
+        level = self._level_of(name, cell, altitude_m)
+        return places_near(self, name, xy_m, level, cell, snap, on_ground)
+
+    @cached_property
+    def free_to_ground(self) -> Callable[[int], np.ndarray]:
+        """Where missions may take off to a level, by its number, each made once (`snapping.free_to_ground`)."""
+        return cache(partial(free_to_ground, self))
 
     @cached_property
     def islands(self) -> np.ndarray:
@@ -468,6 +489,7 @@ class CostMap(FactsRepr):
         budget_s: float | None = None,
         seed: int | None = None,
         snap: bool | float = False,
+        on_ground: bool = False,
         refine: bool = False,
         exposure: Mapping[str, float] | None = None,
     ) -> PlannedPath:
@@ -491,6 +513,7 @@ class CostMap(FactsRepr):
             budget_s=budget_s,
             seed=seed,
             snap=snap,
+            on_ground=on_ground,
             refine=refine,
             exposure=exposure,
         )
@@ -515,7 +538,8 @@ class CostMap(FactsRepr):
         find_path = find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
 
         # The problem, and whether it suits what is asked beside the path.
-        ends = start_end, goal_end = self.ends(start, goal, snap=search.snap)
+        ends = self.ends(start, goal, snap=search.snap, on_ground=search.on_ground)
+        start_end, goal_end = ends
         problem = self.problem.between(start_end.cell, goal_end.cell)
         if search.refine:
             check_line_model(problem, "refinement")

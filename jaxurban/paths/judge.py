@@ -60,6 +60,7 @@ def judged(
         is_known = has_data & np.isfinite(way.z_m).all(axis=1)
         steps = way.take(is_known)
         near = contacts(steps, buildings, ground, limits.horizontal_m)
+        near = near[~_is_on_own_roof(flight, steps, near, buildings)].reset_index(drop=True)
         unknown.append(spans(way.along_m[~is_known], NO_DATA))
         unknown += _unsure(flight, steps, near, limits)
         unknown += _beyond(flight, steps, known, limits.horizontal_m)
@@ -145,6 +146,27 @@ def _guessed(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> Iter
     for kind, of_kind in rows.groupby(buildings.kind[rows["prism"]]):
         reach = reach_said(buildings.limit_m[of_kind["prism"]].max())
         yield of_kind[SPAN].assign(reason=GUESSED_ROOFS.format(kind=kind, reach=reach))
+
+
+def _is_on_own_roof(
+    flight: Flight, steps: Steps, near: pd.DataFrame, buildings: Prisms
+) -> np.ndarray:
+    """Return ``[C]`` whether a contact is with the roof that home is on, on the way up from it or down to it.
+
+    Args:
+      flight: whose home may be on a roof.
+      steps: some of its steps.
+      near: the steps in and near buildings (`contacts`): ``C`` of them.
+      buildings: that they are near.
+    """
+    mission = flight.mission
+    if mission.home is None or not mission.home_above_ground_m:
+        return np.zeros(len(near), bool)
+    home = shapely.Point(flight.ground.maps.grid.xy_of_lonlat(*mission.home))
+    is_below_home = shapely.intersects(buildings.polygons, home)
+    step = near["step"].to_numpy(int)
+    is_over = near["gap_m"].to_numpy() > -FILE_MARGIN_M
+    return is_over & is_below_home[near["prism"]] & _is_on_site(flight, steps)[step]
 
 
 def _is_on_site(flight: Flight, steps: Steps) -> np.ndarray:

@@ -118,7 +118,8 @@ class Flight:
             return 0.0
         if self.ground.is_flat or "geoid" not in datums:
             return 0.0
-        off_m = self.ground.at_lonlat(*mission.home) - mission.home_elevation_m
+        home_m = self.ground.at_lonlat(*mission.home) + mission.home_above_ground_m
+        off_m = home_m - mission.home_elevation_m
         return abs(np.nan_to_num(off_m))
 
     @property
@@ -195,6 +196,12 @@ class Segments(NamedTuple):
             is_variant=beside.astype(bool),
         )
 
+    def with_home_at(self, mission: Mission) -> "Segments":
+        """Return the segments with the ends on the ground at home as high above it as home is, on a roof."""
+        is_home = (self.lonlat == np.array(mission.home or np.nan)).all(axis=2)
+        is_home &= (self.datum == "ground") & (self.height_m == 0)
+        return self._replace(height_m=np.where(is_home, mission.home_above_ground_m, self.height_m))
+
 
 def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None) -> Flight:
     """Return a mission over maps, its heights brought to the ground.
@@ -209,7 +216,7 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     """
     # Where the segments of the mission begin and end.
     maps = ground.maps
-    segments = Segments.of(mission, ground.is_flat)
+    segments = Segments.of(mission, ground.is_flat).with_home_at(mission)
     ends_m = np.nan_to_num(maps.grid.xy_at(segments.lonlat), posinf=NOWHERE_M)
 
     # Their heights: above the zero of the terrain, or above the ground for segments that follow it.
@@ -368,23 +375,27 @@ def _corners_of(leg: Leg) -> list[Place]:
 def _zeros_m(mission: Mission, ground: Elevation, geoid_m: float | None) -> dict[str, float]:
     """Return the elevation of the zero of each datum, measured as the maps' ground is; NaN where it is not known.
 
-    Over terrain elevations are above the geoid. Without terrain they are above the level ground, which home stands on.
+    Home may be on a roof. Over terrain elevations are above the geoid. Without terrain they are above the level ground.
 
     Args:
       mission: whose home has a place, an elevation above the geoid, both or neither.
       ground: of the maps.
       geoid_m: height of the geoid above the ellipsoid; None where it is not given.
     """
-    home_m = home_above_geoid_m = math.nan
+    home_m = ground_above_geoid_m = math.nan  # of the ground at home
     if mission.home_elevation_m is not None:
-        home_above_geoid_m = mission.home_elevation_m
+        ground_above_geoid_m = mission.home_elevation_m - mission.home_above_ground_m
     if mission.home is not None:
         home_m = ground.at_lonlat(*mission.home)
         if math.isnan(home_m):  # home lies outside the maps
-            home_m = home_above_geoid_m
-    geoid_zero_m = -home_above_geoid_m if ground.is_flat else 0.0
+            home_m = ground_above_geoid_m
+    geoid_zero_m = -ground_above_geoid_m if ground.is_flat else 0.0
     ellipsoid_zero_m = math.nan if geoid_m is None else geoid_zero_m - geoid_m
-    return {"home": home_m, "geoid": geoid_zero_m, "ellipsoid": ellipsoid_zero_m}
+    return {
+        "home": home_m + mission.home_above_ground_m,
+        "geoid": geoid_zero_m,
+        "ellipsoid": ellipsoid_zero_m,
+    }
 
 
 def _elevation_m(place: Place, ground: Elevation, zeros_m: dict[str, float]) -> float:

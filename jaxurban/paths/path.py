@@ -117,6 +117,7 @@ class PlannedPath(FactsRepr):
         report: RouteReport | None = None,
         end: MissionEnd | None = None,
         fence_roofs_m: float | None = None,
+        from_roof: bool = False,
     ) -> FilePath:
         """Write the path in the format that a file's suffix names, and return the (first) file.
 
@@ -127,26 +128,29 @@ class PlannedPath(FactsRepr):
           end: how a mission in a ``.plan`` ends: ``"land"``, ``"return"`` or ``"none"`` (see `write_path`).
           fence_roofs_m: a distance in metres, for a ``.plan``: the roofs within it of the route that reach the route's
             height less the vertical clearance become exclusion polygons (see `roof_fences`). None makes none.
+          from_roof: the mission in a ``.plan`` takes off from the roof at the start: its altitudes count from there.
 
         Returns:
           The first file as a `pathlib.Path`.
 
         Raises:
-          InputError: there is no path, another suffix, an unknown end, a distance of roofs that is not positive, either
-            of these without a ``.plan``, a folder that does not exist or cannot be written to, or more vertices of
-            fences than autopilots hold.
+          InputError: there is no path, another suffix, an unknown end, a distance of roofs that is not positive, any
+            of these without a ``.plan``, a ``.plan`` that takes off or lands through a roof or meets anything else (the
+            other files are written), a folder that does not exist or cannot be written to, or more vertices of fences
+            than autopilots hold.
 
         Examples:
           >>> path.save("route.geojson", "route.kml").name
           'route.geojson'
-          >>> path.save("mission.plan", report=ju.explain(path, maps), end="land").exists()
+          >>> flight = ju.plan(maps, start, goal, altitude_m=60.0, snap=True, on_ground=True)
+          >>> flight.save("mission.plan", report=ju.explain(flight, maps), end="land").exists()
           True
         """
         if not self.status.has_path:
             raise InputError(f"there is no path to save: {self.status.sentence}")
         files = [FilePath(path) for path in (file, *more)]
         write = resolve_name("jaxurban.paths.export.write:write_files")
-        write(self, files, report, end=end, fence_roofs_m=fence_roofs_m)
+        write(self, files, report, end=end, fence_roofs_m=fence_roofs_m, from_roof=from_roof)
         return files[0]
 
     def to_dict(self) -> dict[str, Any]:

@@ -66,11 +66,13 @@ class End:
       cell: row and column; in a volume level, row and column.
       snap_distance_m: from the place that was given to the centre of the cell.
       is_snapped: the cell of the given place was closed, so this is another one.
+      on_ground: it was moved to where the air is free down to the ground.
     """
 
     cell: Cell
     snap_distance_m: float
     is_snapped: bool = False
+    on_ground: bool = False
 
 
 def snap_limit_m(snap: Any) -> float | None:

@@ -23,6 +23,8 @@ class PathSearch:
       snap: move a start or goal inside an obstacle or closed by a constraint to the nearest free cell (of its level)
         that is joined to the other end, instead of failing: True by at most 50 m, a number by at most so many metres.
         The path's message says how far.
+      on_ground: the ends of a mission: a start and a goal are free only where the air is, from the ground up to the
+        flight, so that it may take off and land there (`Constraints.is_free_to_ground`).
       exposure: most of (1 / l0) x integral of c ds to each layer by its name, in the cost model's units; the cheapest
         path of the grid that keeps them is searched for, with a lower bound (`planners.exposure`).
       refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
@@ -36,6 +38,7 @@ class PathSearch:
     snap: bool | float = False
     refine: bool = False
     exposure: Mapping[str, float] = field(default_factory=dict)
+    on_ground: bool = False
 
     @classmethod
     @typed
@@ -49,6 +52,7 @@ class PathSearch:
         budget_s: float | None = None,
         seed: int | None = None,
         snap: bool | float = False,
+        on_ground: bool = False,
         refine: bool = False,
         exposure: Mapping[str, float] | None = None,
     ) -> "PathSearch":
@@ -58,7 +62,7 @@ class PathSearch:
           maps: whose scenario gives planner, budget and seed; None for the defaults.
           is_for_volumes: whether the path may climb; then the scenario gives only the budget.
           planner: left out and not in the scenario, ``"astar-plus"``, between levels ``"astar-volume"``.
-          heuristic, budget_s, seed, snap, refine, exposure: the attributes; None for what is left out.
+          heuristic, budget_s, seed, snap, on_ground, refine, exposure: the attributes; None for what is left out.
 
         Raises:
           InputError: an unknown planner, a heuristic that it does not take, a wrong seed, budget or distance of
@@ -94,5 +98,12 @@ class PathSearch:
                 f"{' or '.join(EXACT_PLANNERS)}"
             )
         return cls(
-            planning.planner, heuristic, planning.budget_s, planning.seed, snap, refine, budgets
+            planning.planner,
+            heuristic,
+            planning.budget_s,
+            planning.seed,
+            snap,
+            refine,
+            budgets,
+            on_ground,
         )

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
 
 
+# What an end is that is free at the altitude of flight, and not down to the ground.
+OVER_ROOF = "over a roof, or what else closes the way up from the ground"
+
+
 def places_near(
     cost_map: "CostMap",
     name: str,
@@ -21,6 +25,7 @@ def places_near(
     level: int,
     cell: Cell,
     snap: bool | float,
+    on_ground: bool = False,
 ) -> list[End]:
     """Return the possible ends of a query at a place: its own cell, or free cells near to it.
 
@@ -35,13 +40,14 @@ def places_near(
       cell: row and column of the cell that the place lies in.
       snap: False never moves it, True by at most `MAX_SNAP_M`, a number by at most that many metres, from the place
         to the centre of a free cell of its level.
+      on_ground: whether only cells count as free where the air is free down to the ground.
 
     Raises:
       InputError: the cell is closed, and ``snap`` is off or the nearest free cell farther away than it allows.
     """
     # The cell of the place itself.
     limit_m = snap_limit_m(snap)
-    is_free = cost_map.levels_free[level]
+    is_free = cost_map.free_to_ground(level) if on_ground else cost_map.levels_free[level]
     level_index = () if cost_map.levels is None else (level,)  # before row and column
     if is_free[cell]:
         offset_m = np.subtract(cost_map.grid.xy_of_cell(*cell), xy_m)
@@ -49,9 +55,15 @@ def places_near(
 
     # The free cells of the level, and those within reach, the nearest first.
     rows, cols = np.nonzero(is_free)
+    why = cost_map.why_closed(cell, level)
+    free = "the nearest free cell"
+    if cost_map.levels_free[level][cell]:
+        why = OVER_ROOF
+    if on_ground:
+        free += " over the ground"
     if rows.size == 0:
         raise InputError(
-            f"{name} is {cost_map.why_closed(cell, level)}, and no cell is free at this altitude: {cost_map.remedy}"
+            f"{name} is {why}, and no cell is free at this altitude: {cost_map.remedy}"
         )
     x_m, y_m = cost_map.grid.xy_of_cell(rows, cols)
     away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
@@ -69,7 +81,7 @@ def places_near(
         if needed_m <= MAX_SNAP_M:
             option = "--snap (snap=True)"
         raise InputError(
-            f"{name} is {cost_map.why_closed(cell, level)}; the nearest free cell is at {lon:.6f},{lat:.6f}, "
+            f"{name} is {why}; {free} is at {lon:.6f},{lat:.6f}, "
             f"{away_m[nearest]:.0f} m away{too_far}: take that place, fly higher, or pass {option} to move there"
         )
 
@@ -79,7 +91,7 @@ def places_near(
     ends = []
     for index in near[np.sort(first)]:
         free_cell = *level_index, int(rows[index]), int(cols[index])
-        ends.append(End(free_cell, float(away_m[index]), is_snapped=True))
+        ends.append(End(free_cell, float(away_m[index]), is_snapped=True, on_ground=on_ground))
     return ends
 
 
@@ -105,11 +117,14 @@ def joined_ends(cost_map: "CostMap", starts: list[End], goals: list[End]) -> tup
 
 def snap_note(start: End, goal: End) -> str:
     """Return a sentence for each end that was moved out of a closed cell, empty where none was."""
-    return " ".join(
-        f"The {name} was not free: it was moved {end.snap_distance_m:.1f} m, to a free cell."
-        for name, end in (("start", start), ("goal", goal))
-        if end.is_snapped
-    )
+    sentences = []
+    for name, end in (("start", start), ("goal", goal)):
+        if end.is_snapped:
+            down, where = (" down to the ground", " over the ground") if end.on_ground else ("", "")
+            sentences.append(
+                f"The {name} was not free{down}: it was moved {end.snap_distance_m:.1f} m, to a free cell{where}."
+            )
+    return " ".join(sentences)
 
 
 def pocket_note(cost_map: "CostMap", start: End, goal: End) -> str:
@@ -128,6 +143,16 @@ def pocket_note(cost_map: "CostMap", start: End, goal: End) -> str:
     return (
         f"The {inner} lies in a pocket of {sizes[inner]:,} free cells, and the nearest cell that is joined to the "
         f"{outer} is {away_m:.0f} m from it."
+    )
+
+
+def free_to_ground(cost_map: "CostMap", level: int) -> np.ndarray:
+    """Return ``[Y, X]`` where a mission may take off to a level of a cost map and land from it."""
+    return cost_map.levels_free[level] & cost_map.constraints.is_free_to_ground(
+        cost_map.maps,
+        float(cost_map.altitudes_m[level]),
+        time=cost_map.time,
+        time_of_day=cost_map.time_of_day,
     )
 
 

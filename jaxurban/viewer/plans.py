@@ -20,6 +20,7 @@ from jaxurban.paths.finish import simplify
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import cost_map, rules_on
 from jaxurban.paths.route_report import RouteReport
+from jaxurban.paths.snapping import OVER_ROOF
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.settings import DEFAULTS, PlannerName, Preset
@@ -70,6 +71,7 @@ class Plans:
                 planner=cast(PlannerName, query.planner),  # `plan` refuses an unknown one
                 budget_s=_budget_s(query.planner),
                 snap=query.snap,
+                on_ground=query.on_ground,
             )
 
         # The route is kept, but not its cost map, which is large.
@@ -135,6 +137,8 @@ class Plans:
             _, cell = costs.cell_of(name, lonlat)
             if not costs.is_free[cell]:
                 sentences.append(f"{name} moved {moved_m:.0f} m: it was {costs.why_closed(cell)}")
+            elif query.on_ground and not costs.free_to_ground(0)[cell]:
+                sentences.append(f"{name} moved {moved_m:.0f} m: it was {OVER_ROOF}")
         return sentences
 
     def command(self, query: Plan, at: OneMap) -> str:
@@ -172,6 +176,8 @@ class Plans:
                 words += [option, str(value)]
         if query.snap:
             words.append("--snap")
+        if query.on_ground:
+            words.append("--on-ground")
         return shlex.join(words)
 
     def _cost_map(self, query: Plan, at: OneMap) -> CostMap:

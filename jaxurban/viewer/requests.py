@@ -86,6 +86,7 @@ class Plan(Request):
     speed_m_s: Metres | None = None
     power_w: Metres | None = None
     snap: Annotated[bool, Field(strict=True)] = True
+    on_ground: Annotated[bool, Field(strict=True)] = False
     zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
 
 

@@ -237,8 +237,7 @@ def test_five_metres_on_cells_of_five_close_what_less_does_and_the_message_names
 @pytest.mark.parametrize("seed", [6, 7, 8])
 def test_paths_that_climb_keep_it_and_their_files_too(seed, tmp_path):
     maps, constraints = scattered(seed), ju.Constraints.read(**KEPT)
-    free = constraints.is_free(maps, LEVELS_M)
-    for ends in ends_in(maps, free.all(axis=0)):
+    for ends in ends_in(maps, constraints.is_free_to_ground(maps, LEVELS_M[-1])):
         climbs = {
             "start_altitude_m": 20.0,
             "goal_altitude_m": 60.0,

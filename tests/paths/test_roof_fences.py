@@ -82,7 +82,7 @@ def routes_on(maps, seed: int, num: int = 3):
     """Yield planned routes and their simplified forms, at 20 m."""
     on, rng = ju.cost_map(maps, Z_M), np.random.default_rng(seed)
     for _ in range(num):
-        start, goal = rng.choice(np.argwhere(on.is_free), 2)
+        start, goal = rng.choice(np.argwhere(on.free_to_ground(0)), 2)
         path = on.plan(*(maps.grid.lonlat_of_cell(*cell) for cell in (start, goal)))
         if path.status.has_path and path.length_m > 100:
             yield path
@@ -184,7 +184,7 @@ def test_a_climb_is_fenced_by_the_height_of_each_leg():
     assert middle_m == pytest.approx(205.0, abs=0.1)
 
 
-def test_a_roof_that_the_route_meets_is_named_and_not_fenced(reader, tmp_path):
+def test_a_roof_that_the_route_meets_is_named_and_not_fenced(tmp_path):
     roof_m = np.zeros((80, 100))
     roof_m[40, 50] = roof_m[44, 60] = 30.0
     maps = with_roofs(made_maps(), roof_m)
@@ -192,13 +192,13 @@ def test_a_roof_that_the_route_meets_is_named_and_not_fenced(reader, tmp_path):
     xy_m = np.column_stack([maps.grid.x_min_m + np.array([100.0, 900.0]), [y_m, y_m]])
     settings = {"resolution_m": 10.0, "time": None, "time_of_day": None}
     path = made_path(maps.grid, xy_m, Z_M, maps=maps, settings=settings)
-    file = tmp_path / "a.plan"
-    path.save(file, fence_roofs_m=50.0)
-    fences, flown, _ = read_back(reader, file, maps.grid)
-    assert fences.distance(flown) > 10
-    note = json.loads(file.read_text())["note"]
+    (ring,), note = roof_fences(path, 50.0)
+    fence_m = np.column_stack(maps.grid.xy_of_lonlat(*ring.T))
+    assert shapely.Polygon(fence_m).distance(shapely.LineString(xy_m)) > 10
     assert "that reach the flight: 1," in note
     assert "1 that the route itself meets are left out" in note
+    with pytest.raises(ju.InputError, match="own check"):
+        path.save(tmp_path / "a.plan", fence_roofs_m=50.0)
 
 
 def test_vertices_of_zones_count_and_too_many_are_refused_with_a_remedy():
@@ -225,7 +225,7 @@ def test_a_distance_that_cannot_be_is_refused(near_m, maps):
 
 def test_fences_are_of_missions_and_of_paths_with_maps_alone(maps, tmp_path):
     path = made_path(maps.grid, np.array(maps.grid.bounds_m).reshape(2, 2), Z_M, maps=maps)
-    with pytest.raises(ju.InputError, match="leave end and fence_roofs_m out"):
+    with pytest.raises(ju.InputError, match="leave end, fence_roofs_m and from_roof out"):
         path.save(tmp_path / "a.kml", fence_roofs_m=5.0)
     with pytest.raises(ju.InputError, match="needs the maps of the path"):
         made_path(maps.grid, path.xy_m).save(tmp_path / "a.plan", fence_roofs_m=5.0)

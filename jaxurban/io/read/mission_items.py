@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from jaxurban.errors import InputError
@@ -31,6 +32,7 @@ AUTOPILOTS: dict[Any, Autopilot] = {3: "ardupilot", 12: "px4"}  # by the number 
 PLANES = (1, *range(19, 26))  # MAV_TYPE: fixed wing, and VTOL of every kind
 # QGroundControl's AltitudeMode: it makes metres above the geoid of metres above ground.
 CALCULATED = 3
+HOME_HEIGHT = "home_above_ground_m"  # among the settings of jaxurban's own plans
 BESIDE = {"geoFence": "geofence is", "rallyPoints": "rally points are"}
 SAME_M = 0.1
 LOWEST_M, HIGHEST_M = -500.0, 9000.0  # that ground lies at, above the geoid
@@ -93,7 +95,11 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
         notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
     speed_m_s = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
     flown = FlownItems(items, start[0], return_altitude_m, autopilot)
-    return _flown(name, flown, len(rows), start, notes, speed_m_s)
+    above_m = number_of(
+        HOME_HEIGHT, _object(plan.get("settings") or {}, "settings").get(HOME_HEIGHT)
+    )
+    read = _flown(name, flown, len(rows), start, notes, speed_m_s)
+    return replace(read, home_above_ground_m=above_m if above_m > 0 else 0.0)
 
 
 def read_waypoints(

@@ -104,6 +104,7 @@ class Mission:
       speed_m_s: the first that the mission sets, or that its ground station planned with; None where it has none.
       accounts: of everything in the file; empty for a mission that no file holds.
       num_things: how many things the file holds, counted apart from ``accounts``: the two must agree.
+      home_above_ground_m: how high home lies above the ground, on a roof; heights above home count from there.
     """
 
     name: str
@@ -114,6 +115,7 @@ class Mission:
     speed_m_s: float | None
     accounts: tuple[Account, ...] = ()
     num_things: int = 0
+    home_above_ground_m: float = 0.0
 
     @property
     def num_lost(self) -> int:

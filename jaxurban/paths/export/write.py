@@ -185,17 +185,21 @@ def write_files(
     *,
     end: MissionEnd | None,
     fence_roofs_m: float | None,
+    from_roof: bool,
 ) -> None:
     """Write a path to files of any formats (`PlannedPath.save`, which says what is taken and refused)."""
     missions = [file for file in files if file.suffix.lower() == MISSION]
-    if not missions and (end is not None or fence_roofs_m is not None):
+    if not missions and (end is not None or fence_roofs_m is not None or from_roof):
         check_is_mission(files[0])  # raises InputError, as no file is a mission
-    roofs = None if fence_roofs_m is None else roof_fences(route, fence_roofs_m)
     for file in files:
-        if file in missions:
-            write_path(route, file, report, end=end, roofs=roofs)
-        else:
+        encoder_of(file)  # raises InputError, before any is written
+    for file in files:
+        if file not in missions:
             write_path(route, file, report)
+    # Missions come last, since they may be refused.
+    roofs = None if fence_roofs_m is None else roof_fences(route, fence_roofs_m)
+    for file in missions:
+        write_path(route, file, report, end=end, roofs=roofs, from_roof=from_roof)
 
 
 def write_path(
@@ -206,6 +210,7 @@ def write_path(
     names: Sequence[str] = ("",),
     end: MissionEnd | None = None,
     roofs: RoofFences | None = None,
+    from_roof: bool = False,
 ) -> bool:
     """Write paths in the format that the file's suffix names; return False, writing nothing, if there is no path.
 
@@ -220,17 +225,19 @@ def write_path(
       end: how the mission in a ``.plan`` ends: ``"land"`` at the goal (so also if it is left out), ``"return"`` to
         launch as the autopilot does it, or ``"none"``.
       roofs: more exclusion polygons for the geofence of a ``.plan``, from `roof_fences`.
+      from_roof: the flight of a ``.plan`` takes off from the roof at the start.
 
     Raises:
-      InputError: another suffix, an end or fences of a format without, several paths in a format of one, or a folder
-        that does not exist or cannot be written to.
+      InputError: another suffix, an end or fences of a format without, several paths in a format of one, a ``.plan``
+        that its own check finds fault with, or a folder that does not exist or cannot be written to.
     """
     # The format.
     file = Path(file)
     encode = encoder_of(file)
-    if end is not None or roofs is not None:
+    if end is not None or roofs is not None or from_roof:
         check_is_mission(file)
-        encode = partial(to_qgc_plan, end=one_of("end", end or "land", ENDS), roofs=roofs)
+        chosen = one_of("end", end or "land", ENDS)
+        encode = partial(to_qgc_plan, end=chosen, roofs=roofs, from_roof=from_roof)
 
     # The paths and their names.
     routes = route if isinstance(route, Sequence) else [route]
@@ -245,8 +252,8 @@ def check_is_mission(file: Path) -> None:
     """Raise InputError unless a file's format says how the flight ends and has fences."""
     if file.suffix.lower() != MISSION:
         raise InputError(
-            f"only a {MISSION} says how the flight ends and has fences, and {str(file)!r} is none: leave end and "
-            "fence_roofs_m out"
+            f"only a {MISSION} says how the flight ends, has fences and starts from a roof, and {str(file)!r} is none: "
+            "leave end, fence_roofs_m and from_roof out"
         )
 
 

@@ -243,6 +243,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const query = planner => ({ start: toLonLat(state.ends.start), goal: toLonLat(state.ends.goal ?? state.ends.start),
     cost_model: field('cost_model').value, obstacles: field('obstacles').value, zones: zones(), planner,
     at: places(), weights: state.weights, clearance_m: field('clearance_m').valueAsNumber, snap: field('snap').checked,
+    on_ground: field('on_ground').checked,
     ...Object.fromEntries(['vertical_clearance_m', 'flight_m', 'speed_m_s', 'power_w'].map(
       name => [name, field(name).value ? +field(name).value : null])) });
   const placed = route => ({ ...route, xy_m: route.xy_m.map(([x, y]) => [x - west0, y - south0]) });
