@@ -446,6 +446,91 @@ def test_people_and_the_densest_kilometre_are_those_of_a_plain_sum(open_scene):
     assert figures["densest_km_people"] == pytest.approx(figures["people_overflown"])
 
 
+@pytest.fixture(scope="module")
+def lost_scene(open_scene) -> Scene:
+    """The scene with a fix everywhere but in two strips, of 40 and 30 m at ``ON`` and of 10 m at ``OFF``."""
+    hdop = open_scene.maps.ds["hdop"].copy(deep=True)
+    hdop[:] = 1.0
+    for at, first_row, end_row in ((0, 20, 24), (0, 30, 33), (1, 10, 11)):
+        hdop[{"time": at, "y": slice(first_row, end_row)}] = np.inf
+    maps = replace(open_scene.maps, ds=open_scene.maps.ds.assign(hdop=hdop))
+    return open_scene._replace(maps=maps)
+
+
+def test_a_limit_on_the_fix_is_shown_where_it_is_first_lost_at_the_worst_time(lost_scene):
+    ends = [lost_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
+    mission = mission_of(*ends, home=ends[0])
+    result = checked(lost_scene, mission, time=[OFF, ON], max_no_fix_m=30)
+    (row,) = result.findings.to_dict("records")
+    assert (row["kind"], row["item"], row["by_m"]) == ("limit", 2, pytest.approx(40.0, abs=1))
+    assert (row["along_m"], row["to_m"]) == pytest.approx((60 + 180, 60 + 220), abs=1)
+    assert lost_scene.xy_m(Place(row["lon"], row["lat"], 0.0, "ground")) == pytest.approx(
+        (20.0, 200.0), abs=1
+    )
+    assert row["height_m"] == pytest.approx(60.0)
+    (point,) = result.to_geojson()["features"]
+    assert point["geometry"]["coordinates"] == [row["lon"], row["lat"]]
+    assert "from 240 to 280 m along the mission, toward item 2" in result.sentences[0]
+
+
+def test_figures_are_in_words_and_their_keys_stay(lost_scene):
+    ends = [lost_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
+    result = checked(lost_scene, mission_of(*ends, home=ends[0]), time=[ON, OFF])
+    lost = "70 m at 2020-04-27 16:00 UTC, 10 m at 2020-04-29 16:00 UTC; not known on 0 m"
+    assert result.facts["no fix"] == lost
+    assert f"no fix: {lost}" in result.lines
+    assert result.facts["length"] == "600 m, 600 m of it over the maps"
+    assert all("_" not in line for line in result.lines)
+    by_time = result.to_dict()["figures"]["no_fix_by_time_m"]
+    assert by_time == {ON: pytest.approx(70, abs=1), OFF: pytest.approx(10, abs=1)}
+    no_gps = replace(lost_scene.maps, ds=lost_scene.maps.ds.drop_vars("hdop"))
+    without = checked(lost_scene._replace(maps=no_gps), mission_of(*ends, home=ends[0]))
+    assert "no fix" not in without.facts
+
+
+def test_a_limit_on_people_is_shown_where_the_densest_kilometre_begins(open_scene):
+    density = open_scene.maps.ds["density"].copy(deep=True)
+    density[:] = 10.0
+    density[{"y": slice(30, 60), "x": slice(40, 60)}] = 5_000.0
+    scene = open_scene._replace(
+        maps=replace(open_scene.maps, ds=open_scene.maps.ds.assign(density=density))
+    )
+    corners = [(15, 15), (585, 15), (585, 585), (15, 585), (15, 15)]
+    places = [scene.place(*xy_m, 60.0) for xy_m in corners]
+    result = checked(scene, mission_of(*places, home=places[0]), time=OFF, max_people=5)
+    (row,) = result.findings.to_dict("records")
+    # By a plain sum: people below every half metre of the square, and below any kilometre of it.
+    people = []
+    for begin_m, end_m in pairwise(np.array(corners, float)):
+        shares = (np.arange(1140) + 0.5)[:, None] / 1140
+        col, row_m = ((begin_m + shares * (end_m - begin_m)) // 10).astype(int).T
+        people.append(density.values[0][row_m, col] * 0.5 * 10 / 1e6)
+    sums = np.append(0, np.cumsum(people))
+    in_km = sums[2000:] - sums[:-2000]
+    assert row["along_m"] == pytest.approx(60 + np.argmax(in_km) * 0.5, abs=12)
+    assert row["to_m"] - row["along_m"] == pytest.approx(1000, abs=1)
+    assert result.figures["densest_km_people"] == pytest.approx(in_km.max(), rel=0.02)
+    assert "densest kilometre" in result.sentences[0]
+
+
+def test_a_cheapest_route_that_costs_more_than_the_mission_is_explained(open_scene):
+    ends = [open_scene.place(*xy_m, 390.0) for xy_m in ((21.0, 33.0), (577.0, 288.0))]
+    weights = ju.Weights(gps=0, lidar=0, population=0, risk=0)
+    result = checked(open_scene, mission_of(*ends, home=ends[0]), time=OFF, weights=weights)
+    figures = result.figures
+    length_m = np.linalg.norm(open_scene.xy_m(ends[0]) - open_scene.xy_m(ends[1]))
+    assert figures["cost"] * 10 == pytest.approx(length_m, rel=1e-3)
+    assert "costs more than the mission" in figures["cost_note"]
+    assert not {"cheapest_cost", "cheapest_length_m", "saved_cost", "saved_share"} & figures.keys()
+    assert "cheapest route" not in result.facts
+    along = [
+        open_scene.place(*xy_m, 390.0) for xy_m in ((25.0, 15.0), (555.0, 15.0), (555.0, 585.0))
+    ]
+    dearer = checked(open_scene, mission_of(*along, home=along[0]), time=OFF, weights=weights)
+    assert dearer.figures["saved_cost"] > 1
+    assert "cost_note" not in dearer.figures
+
+
 def test_without_the_city_cells_are_looked_at_and_the_result_says_so(open_scene):
     ends = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
     result = ju.check(open_scene.maps, mission_of(*ends, home=ends[0]))
