@@ -17,6 +17,7 @@ from jaxurban.io.city import City
 from jaxurban.io.read.guesses import WITHOUT_DATA
 from jaxurban.io.read.mission import Datum, Leg, Mission, Place, read_mission
 from jaxurban.io.read.mission_parts import LonLat
+from jaxurban.io.read.zone import Zone
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.sources import ChangedSourcesError, city_of
 from jaxurban.metrics.weights import WeightsLike
@@ -30,6 +31,7 @@ from jaxurban.paths.legs import Flight, flight_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import rules_on
 from jaxurban.settings import CLEARANCES, Vehicle, as_tuple, iso_utc, not_negative, parse_time
+from jaxurban.world.grid import Grid
 
 MOST_HOME_OFF_M = 20.0  # by which elevation models of a place may differ
 CHANGED = "The files that the maps were made of have changed since: what stands now is not judged."
@@ -64,9 +66,10 @@ def check(
     height above the ground at each of its points.
 
     Findings are contacts with buildings or the ground, places that are nearer than the clearances allow, no-fly zones,
-    closed cells, and limits that are exceeded; all else is a figure. Parts of a mission are not judged if the reader
-    did not understand them, if they lie outside the maps, over cells without data or beyond the maps' altitudes (except
-    for take-off and landing), or if they pass over a guessed roof or within the clearance of one.
+    breaches of a geofence that a ``.plan`` holds, closed cells, and limits that are exceeded; all else is a figure.
+    Parts of a mission are not judged if the reader did not understand them, if they lie outside the maps, over cells
+    without data or beyond the maps' altitudes (except for take-off and landing), or if they pass over a guessed roof or
+    within the clearance of one.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
@@ -127,10 +130,11 @@ def check(
     named_times = () if time is None else as_tuple(time)
     times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
 
-    # Constraints: those of the argument, with the zones of files and the clearances of the call. What is still left out
-    # is as in the maps' scenario. Of the zones those count that are in force.
+    # Constraints: those of the argument, with the zones of files, the geofence and the clearances of the call. What is
+    # still left out is as in the maps' scenario. Of the zones those count that are in force.
     limits = constraints or Constraints()
-    zones = (*limits.zones, *Constraints.read(no_fly).zones)
+    fences = _fences_of(mission, maps.grid)
+    zones = (*limits.zones, *Constraints.read(no_fly).zones, *fences)
     clearances = {"clearance_m": clearance_m, "vertical_clearance_m": vertical_clearance_m}
     limits = replace(limits, zones=zones, **values_given(clearances))
     _, _, limits = rules_on(maps, None, limits, "")
@@ -167,6 +171,18 @@ def check(
         flight=flight,
         maps=maps,
     )
+
+
+def _fences_of(mission: Mission, grid: Grid) -> list[Zone]:
+    """Return the geofence of a mission as zones, of which some are the land of the maps outside areas to stay in."""
+    zones = list(mission.keep_out)
+    for areas in mission.stay_in:
+        inside = shapely.union_all([area.on(grid) for area in areas])
+        outside = shapely.box(*grid.bounds_m) - inside
+        if not outside.is_empty:
+            names = " and ".join(area.name for area in areas)
+            zones.append(Zone(f"outside {names}", outside, grid.crs, source=mission.name))
+    return zones
 
 
 def _in_force(limits: Constraints, times: Sequence[str]) -> Constraints:

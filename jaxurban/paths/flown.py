@@ -86,21 +86,17 @@ def figures_of(
 
     # Metres without a fix, at each time; those where the fix is not known are of the time that knows least.
     if FIX in maps.ds:
-        no_fix_m, lost = {}, {}
-        unknown_m = 0.0
-        for time in times:
-            hdop = values_on(maps, FIX, steps, time, time_of_day)
-            name = time or maps.times[0]
-            lost[name] = np.isinf(hdop)
-            no_fix_m[name] = float(length_m[lost[name]].sum())
-            unknown_m = max(unknown_m, float(length_m[np.isnan(hdop)].sum()))
-        worst = max(no_fix_m, key=lambda name: no_fix_m[name])
+        hdop = np.array([values_on(maps, FIX, steps, time, time_of_day) for time in times])
+        is_lost = np.isinf(hdop)
+        no_fix_m = is_lost @ length_m
+        worst = np.argmax(no_fix_m)
+        names = [time or maps.times[0] for time in times]
         figures |= {
-            "no_fix_m": no_fix_m[worst],
-            "fix_unknown_m": unknown_m + off_m,
-            "no_fix_by_time_m": no_fix_m,
+            "no_fix_m": float(no_fix_m[worst]),
+            "fix_unknown_m": float((np.isnan(hdop) @ length_m).max()) + off_m,
+            "no_fix_by_time_m": dict(zip(names, no_fix_m.tolist(), strict=True)),
         }
-        for first in merged(spans(steps.along_m[lost[worst]], "")).head(1).itertuples():
+        for first in merged(spans(steps.along_m[is_lost[worst]], "")).head(1).itertuples():
             figures |= {"no_fix_from_m": first.from_m, "no_fix_to_m": first.to_m}
 
     # People below the strip, and metres where they are not known.

@@ -14,6 +14,7 @@ from scipy.interpolate import RegularGridInterpolator
 import jaxurban as ju
 from jaxurban.io.city import City
 from jaxurban.io.read.mission import Leg, Mission, Place
+from jaxurban.io.read.mission_parts import GEOD
 from jaxurban.io.read.zone import Zone
 from jaxurban.planners.base import Status
 from jaxurban.settings import parse_time
@@ -398,6 +399,115 @@ def test_a_loiter_is_judged_all_round(open_scene):
     assert kinds_of(checked(open_scene, round_it, time=OFF)).count("building") >= 1
 
 
+def plan_text(scene: Scene, places_m: np.ndarray, geofence: dict, firmware: int = 12) -> str:
+    """Return a plan of QGroundControl through places, 380 m above home, with a geofence."""
+    lonlats = [np.round(scene.place(*xy_m, 0.0)[:2], 8).tolist() for xy_m in places_m]
+    items = []
+    for number, (lon, lat) in enumerate([*lonlats, lonlats[-1]], 1):
+        command = {1: 22, len(lonlats) + 1: 21}.get(number, 16)
+        height_m = 0 if command == 21 else 380
+        row = {"type": "SimpleItem", "doJumpId": number, "command": command, "frame": 3}
+        items.append(row | {"params": [0, 0, 0, 0, lat, lon, height_m]})
+    home = [*lonlats[0][::-1], 0]
+    mission = {"version": 2, "firmwareType": firmware, "items": items, "plannedHomePosition": home}
+    fence = {"version": 2, "polygons": [], "circles": []} | geofence
+    plan = {"fileType": "Plan", "version": 1, "mission": mission, "geoFence": fence}
+    return json.dumps(plan)
+
+
+def random_geofence(scene: Scene, rng: np.random.Generator) -> dict:
+    """Return one to three polygons and circles, each to keep out of or to stay in; corners may cross."""
+    fence: dict = {"polygons": [], "circles": []}
+    for _ in range(rng.integers(1, 4)):
+        is_inclusion, size_m = bool(rng.random() < 0.4), rng.uniform(30, 150)
+        centre_m = np.full(2, 300.0) if is_inclusion else rng.uniform(50, 550, 2)
+        size_m += 200.0 * is_inclusion
+        if rng.random() < 0.5:
+            lon, lat = scene.place(*centre_m, 0.0)[:2]
+            circle = {"center": [lat, lon], "radius": size_m}
+            fence["circles"].append({"inclusion": is_inclusion, "circle": circle, "version": 1})
+            continue
+        corners_m = centre_m + rng.uniform(-size_m, size_m, (rng.integers(3, 7), 2))
+        corners = [scene.place(*xy_m, 0.0)[1::-1] for xy_m in corners_m]
+        fence["polygons"].append({"inclusion": is_inclusion, "polygon": corners, "version": 1})
+    return fence
+
+
+def is_in_area(part: dict, lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
+    """Return which places are in an area of a geofence: by their distance, or by counting crossings."""
+    if "circle" in part:
+        centre = np.full((len(lon), 2), part["circle"]["center"])
+        return GEOD.inv(lon, lat, *centre.T[::-1])[2] <= part["circle"]["radius"]
+    is_in = np.zeros(len(lon), bool)
+    corners = [corner[::-1] for corner in part["polygon"]]
+    for (lon_a, lat_a), (lon_b, lat_b) in pairwise([*corners, corners[0]]):
+        if lat_a != lat_b:
+            east = lon_a + (lat - lat_a) / (lat_b - lat_a) * (lon_b - lon_a)
+            is_in ^= ((lat_a > lat) != (lat_b > lat)) & (lon < east)
+    return is_in
+
+
+def test_geofences_of_a_file_are_judged_as_points_every_20_cm_are(open_scene, tmp_path):
+    rng = np.random.default_rng(5)
+    kinds = {"clean": 0, "breached": 0}
+    for number in range(24):
+        places_m = rng.uniform(60, 540, (3, 2))
+        geofence = random_geofence(open_scene, rng)
+        firmware = (3, 12)[number % 2]
+        file = tmp_path / f"{number}.plan"
+        file.write_text(plan_text(open_scene, places_m, geofence, firmware))
+        found = checked(open_scene, file, time=OFF).findings.query("kind == 'zone'")
+
+        # The truth: a place breaches an exclusion, all inclusions (PX4) or one of them (ArduPilot).
+        legs_m = [
+            np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / DENSE_M))
+            for a, b in pairwise(places_m)
+        ]
+        points_m = np.concatenate(legs_m)
+        lon, lat = open_scene.maps.grid.lonlat_of_xy(*(points_m + open_scene.corner_m).T)
+        parts = [*geofence["polygons"], *geofence["circles"]]
+        out = [is_in_area(part, lon, lat) for part in parts if not part["inclusion"]]
+        inside = [is_in_area(part, lon, lat) for part in parts if part["inclusion"]]
+        is_kept = np.any(inside, axis=0) if firmware == 12 else np.all(inside, axis=0)
+        is_breach = np.any([*out, ~is_kept if inside else np.zeros(len(lon), bool)], axis=0)
+
+        num_steps = is_breach.sum()
+        if 0 < num_steps < 5:
+            continue  # too near to call
+        assert bool(len(found)) == bool(num_steps), (number, geofence)
+        kinds["breached" if num_steps else "clean"] += 1
+        if num_steps:
+            begin_m = points_m[np.argmax(is_breach)]
+            at_m = [
+                open_scene.xy_m(Place(*lonlat, 0.0, "ground"))
+                for lonlat in found[["lon", "lat"]].to_numpy()
+            ]
+            assert np.linalg.norm(np.array(at_m) - begin_m, axis=1).min() < 1.0
+    assert min(kinds.values()) > 5, kinds
+
+
+def test_a_breach_of_the_geofence_names_the_area_of_the_file(open_scene, tmp_path):
+    corners = [
+        open_scene.place(*xy_m, 0.0)[1::-1] for xy_m in ((0, 200), (600, 200), (600, 300), (0, 300))
+    ]
+    across = {"inclusion": False, "polygon": corners}
+    around = {"inclusion": True, "circle": {"center": corners[0], "radius": 260.0}}
+    file = tmp_path / "m.plan"
+    places_m = np.array([(20.0, 20.0), (20.0, 580.0)])
+    file.write_text(plan_text(open_scene, places_m, {"polygons": [across], "circles": [around]}))
+    result = checked(open_scene, file, time=OFF)
+    what = result.findings["what"].tolist()
+    assert [text[:60].partition(" of ")[0] for text in what] == [
+        "enters the no-fly zone 'geofence polygon 1'",
+        "enters the no-fly zone 'outside geofence circle 1'",
+    ]
+    assert result.findings["along_m"].tolist() == pytest.approx([380 + 180, 380 + 439.2], abs=0.6)
+    assert [zone["name"] for zone in result.limits["no_fly"]] == [
+        "geofence polygon 1",
+        "outside geofence circle 1",
+    ]
+
+
 def test_named_limits_are_findings_or_not_judged(open_scene):
     ds = open_scene.maps.ds.assign_coords(altitude=[10.0, 400.0])
     open_scene = open_scene._replace(maps=replace(open_scene.maps, ds=ds))
@@ -577,6 +687,26 @@ def test_a_planned_mission_is_clean_without_guesses(town, tmp_path):
     assert ju.check(town, tmp_path / "high.plan", sources=city).state == "clean"
     unsure = ju.check(town, tmp_path / "high.plan", sources=guessed)
     assert (unsure.state, kinds_of(unsure)) == ("not-judged", [])
+
+
+def test_missions_keep_the_fences_that_they_are_written_with(town, tmp_path):
+    city = ju.demo_city(1_000, 1_000)
+    on_ground = np.argwhere(town.is_free(20.0) & (town.m("roof_touched") == 0))
+    ends = ends_at(town, *on_ground[[10, -10]])
+    straight = ju.plan(town, altitude_m=20.0, **ends)
+    middle_m = straight.xy_m[len(straight.xy_m) // 2]
+    zone = Zone("stadium", shapely.box(*(middle_m - 50), *(middle_m + 50)), town.grid.crs)
+    limits = ju.Constraints(zones=(zone,))
+    path = ju.plan(town, altitude_m=20.0, constraints=limits, **ends)
+    path.save(tmp_path / "x.plan", fence_roofs_m=8.0)
+    result = ju.check(town, tmp_path / "x.plan", sources=city)
+    assert result.state == "clean", result
+    assert result.figures["num_zones"] > 1
+    through = json.loads((tmp_path / "x.plan").read_text())
+    straight.save(tmp_path / "y.plan")
+    other = json.loads((tmp_path / "y.plan").read_text()) | {"geoFence": through["geoFence"]}
+    (tmp_path / "y.plan").write_text(json.dumps(other))
+    assert "zone" in kinds_of(ju.check(town, tmp_path / "y.plan", sources=city))
 
 
 @pytest.mark.parametrize("planner", ["astar-plus", "theta-star"])

@@ -2,9 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from jaxurban.errors import InputError
+from jaxurban.io.read.mission_fence import read_geofence
 from jaxurban.io.read.mission_flight import (
     FRAMES,
     HAS_HEIGHT,
@@ -31,14 +33,16 @@ AUTOPILOTS: dict[Any, Autopilot] = {3: "ardupilot", 12: "px4"}  # by the number 
 PLANES = (1, *range(19, 26))  # MAV_TYPE: fixed wing, and VTOL of every kind
 # QGroundControl's AltitudeMode: it makes metres above the geoid of metres above ground.
 CALCULATED = 3
-BESIDE = {"geoFence": "geofence is", "rallyPoints": "rally points are"}
 SAME_M = 0.1
 LOWEST_M, HIGHEST_M = -500.0, 9000.0  # that ground lies at, above the geoid
 NANS = ("nan", "-nan", "NaN")  # as C and .NET write a value that is left open
-VERSIONS = {"version": 1, "version of its mission": 2}  # that are known
-# Parts that are read, or that jaxurban adds; others that hold something are named.
-PARTS = ("mission", "settings", *BESIDE)
-MISSION_PARTS = ("items", "plannedHomePosition")
+# Versions that are known, and parts that are read, that jaxurban adds, or that matter only once a fence is breached;
+# others that hold something are named.
+KNOWN = (
+    ("version", 1, ("mission", "settings", "geoFence", "rallyPoints")),
+    ("version of its mission", 2, ("items", "plannedHomePosition")),
+    ("version of its geofence", 2, ("polygons", "circles", "breachReturn")),
+)
 Home = tuple[LonLat | None, float | None]  # its place, and its elevation above the geoid
 
 
@@ -79,21 +83,27 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
         notes.append(
             "it does not say that it is a plan (fileType), and is judged as if it were one"
         )
-    for (what, known), whole in zip(VERSIONS.items(), (plan, mission), strict=True):
+    geofence = _object(plan.get("geoFence") or {"version": 2}, "its geoFence")
+    for (what, known, parts), whole in zip(KNOWN, (plan, mission, geofence), strict=True):
         version = whole.get("version")
         if version is True or version != known:
             notes.append(f"its {what} is {str(version)[:40]}, and only {known} is understood")
-    for part, words in BESIDE.items():
-        parts = _object(plan.get(part) or {}, f"its {part}")
-        if any(value for key, value in parts.items() if key != "version"):
-            notes.append(f"its {words} not judged")
-    notes += _unknown(plan, PARTS) + _unknown(mission, MISSION_PARTS)
+        notes += _unknown(whole, parts)
+    keep_out, inside, damaged = read_geofence(geofence, name)
+    notes += damaged
+    rally = _object(plan.get("rallyPoints") or {}, "its rallyPoints")
+    if any(value for key, value in rally.items() if key != "version"):
+        notes.append("its rally points are not judged")
     is_plane = mission.get("vehicleType") in PLANES
     if is_plane:
         notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
     speed_m_s = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
     flown = FlownItems(items, start[0], return_altitude_m, autopilot)
-    return _flown(name, flown, len(rows), start, notes, speed_m_s)
+    # Of several areas to stay in PX4 asks for any one (`Geofence::isInsidePolygonOrCircle`), ArduPilot for all of them,
+    # unless its `FENCE_OPTIONS` say otherwise.
+    stay_in = [inside] if inside and autopilot == "px4" else [[area] for area in inside]
+    whole_mission = _flown(name, flown, len(rows), start, notes, speed_m_s)
+    return replace(whole_mission, keep_out=keep_out, stay_in=stay_in)
 
 
 def read_waypoints(
