@@ -17,7 +17,6 @@ from jaxurban.io.city import City
 from jaxurban.io.read.guesses import WITHOUT_DATA
 from jaxurban.io.read.mission import Datum, Leg, Mission, Place, read_mission
 from jaxurban.io.read.mission_parts import LonLat
-from jaxurban.io.read.zone import Zone
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.sources import ChangedSourcesError, city_of
 from jaxurban.metrics.weights import WeightsLike
@@ -31,7 +30,6 @@ from jaxurban.paths.legs import Flight, flight_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import rules_on
 from jaxurban.settings import CLEARANCES, Vehicle, as_tuple, iso_utc, not_negative, parse_time
-from jaxurban.world.grid import Grid
 
 MOST_HOME_OFF_M = 20.0  # by which elevation models of a place may differ
 CHANGED = "The files that the maps were made of have changed since: what stands now is not judged."
@@ -133,8 +131,7 @@ def check(
     # Constraints: those of the argument, with the zones of files, the geofence and the clearances of the call. What is
     # still left out is as in the maps' scenario. Of the zones those count that are in force.
     limits = constraints or Constraints()
-    fences = _fences_of(mission, maps.grid)
-    zones = (*limits.zones, *Constraints.read(no_fly).zones, *fences)
+    zones = (*limits.zones, *Constraints.read(no_fly).zones, *mission.zones)
     clearances = {"clearance_m": clearance_m, "vertical_clearance_m": vertical_clearance_m}
     limits = replace(limits, zones=zones, **values_given(clearances))
     _, _, limits = rules_on(maps, None, limits, "")
@@ -170,19 +167,8 @@ def check(
         limits=limits.to_dict(),
         flight=flight,
         maps=maps,
+        zones=limits.zones,
     )
-
-
-def _fences_of(mission: Mission, grid: Grid) -> list[Zone]:
-    """Return the geofence of a mission as zones, of which some are the land of the maps outside areas to stay in."""
-    zones = list(mission.keep_out)
-    for areas in mission.stay_in:
-        inside = shapely.union_all([area.on(grid) for area in areas])
-        outside = shapely.box(*grid.bounds_m) - inside
-        if not outside.is_empty:
-            names = " and ".join(area.name for area in areas)
-            zones.append(Zone(f"outside {names}", outside, grid.crs, source=mission.name))
-    return zones
 
 
 def _in_force(limits: Constraints, times: Sequence[str]) -> Constraints:
@@ -306,15 +292,20 @@ def _against_maxima(
       figures: the figures of the mission, by name.
       max_no_fix_m, max_people: the limits; None if there is no such limit.
     """
-    lost = "no_fix_m", "fix_unknown_m", max_no_fix_m, "m without a position fix"
-    overflown = "people_overflown", "people_unknown_m", max_people, "people overflown"
     limits = (  # figure, its unknown metres, limit, unit, most units that one of them may add, and where it is shown
-        (*lost, 1.0, "no_fix", "first stretch of them"),
-        (*overflown, math.inf, "densest_km", "densest kilometre"),
+        ("no_fix_m", "fix_unknown_m", max_no_fix_m, "m without a position fix", 1.0, "no_fix"),
+        (
+            "people_overflown",
+            "people_unknown_m",
+            max_people,
+            "people overflown",
+            math.inf,
+            "densest_km",
+        ),
     )
     steps = flight.steps
     rows, sentences = [], []
-    for name, unknown_name, limit, unit, most_per_metre, stretch, words in limits:
+    for name, unknown_name, limit, unit, most_per_metre, stretch in limits:
         if limit is None:
             continue
         value = figures.get(name, 0.0)
@@ -323,7 +314,7 @@ def _against_maxima(
         if name not in figures:
             reason = "the maps do not hold them"
         elif value > limit:
-            what = f"{value:,.0f} {unit}; the limit is {limit:g}; here the {words}"
+            what = f"{value:,.0f} {unit}; the limit is {limit:g}"
             from_m = figures[f"{stretch}_from_m"]
             step = np.searchsorted(steps.along_m[:, 0], from_m)
             rows.append((what, value - limit, step, from_m, figures[f"{stretch}_to_m"]))

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +12,7 @@ import pandas as pd
 
 from jaxurban.checks import typed
 from jaxurban.io.files import write_whole
+from jaxurban.io.read.zone import Zone
 from jaxurban.io.results import Result
 from jaxurban.io.tables import SUFFIXES, records_of, write_table
 from jaxurban.maps.metric_maps import MetricMaps
@@ -46,13 +47,14 @@ class MissionCheck(Result):
         ``what``, ``item`` (in the file, flown toward), ``lon`` and ``lat`` of the first contact, ``along_m`` and
         ``to_m`` along the mission, ``height_m`` above the ground there, ``building_m``
         (the roof's height), ``by_m`` (metres inside, below the ground or short of the clearance; of a limit, beyond it)
-        and ``is_guessed``. A limit has the place of the first stretch without a fix, or of the densest kilometre.
+        and ``is_guessed``. A limit is placed where the fix is first and last lost, or at the densest kilometre.
       not_judged: sentences.
       figures: lengths, metres without a fix, people, cost and exposure; ``cost_note`` says what is missing.
       outlines: ``"exact outlines"``, or ``"by cells"``, with the reason.
       limits: the constraints, as `Constraints.to_dict` has them.
       flight: the mission over the maps.
       maps: the maps.
+      zones: the no-fly zones in force, with those of the mission's geofence.
 
     Examples:
       >>> path.save("mission.plan").name
@@ -72,6 +74,7 @@ class MissionCheck(Result):
     limits: Mapping[str, Any]
     flight: Flight
     maps: MetricMaps
+    zones: Sequence[Zone] = ()
 
     @property
     def state(self) -> State:
@@ -219,7 +222,8 @@ class MissionCheck(Result):
 def _sentence_of(row: Mapping[Any, Any]) -> str:
     """Return a finding, a row of `MissionCheck.findings`, as a sentence."""
     sentence = f"{row['what'][:1].upper()}{row['what'][1:]}"
-    where = f"from {row['along_m']:.0f} to {row['to_m']:.0f} m along the mission, toward item {row['item']:.0f}"
+    worst = "above all " if row["kind"] == "limit" else ""
+    where = f"{worst}from {row['along_m']:.0f} to {row['to_m']:.0f} m along the mission, toward item {row['item']:.0f}"
     place = f"{row['lon']:.6f}, {row['lat']:.6f}"
     if not math.isnan(row["height_m"]):
         place += f", {row['height_m']:.1f} m above the ground"

@@ -14,9 +14,8 @@ from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.contacts import merged
 from jaxurban.paths.finish import measured
-from jaxurban.paths.legs import Flight, Steps, spans
+from jaxurban.paths.legs import Flight, Steps
 from jaxurban.paths.places import XY
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.profile import nearest_level_m
@@ -69,7 +68,7 @@ def figures_of(
     """Return the length of a mission, its metres without a fix and the people below it, by name.
 
     Beside them stand the metres where the fix or the people are not known, what lies off the maps included, and where
-    the first stretch without a fix and the densest kilometre begin and end. What the maps do not hold is left out.
+    the fix is first and last lost and the densest kilometre begins and ends. What the maps do not hold is left out.
 
     Args:
       flight: the mission over the maps.
@@ -96,8 +95,9 @@ def figures_of(
             "fix_unknown_m": float((np.isnan(hdop) @ length_m).max()) + off_m,
             "no_fix_by_time_m": dict(zip(names, no_fix_m.tolist(), strict=True)),
         }
-        for first in merged(spans(steps.along_m[is_lost[worst]], "")).head(1).itertuples():
-            figures |= {"no_fix_from_m": first.from_m, "no_fix_to_m": first.to_m}
+        lost_m = steps.along_m[is_lost[worst]]
+        if len(lost_m):
+            figures |= {"no_fix_from_m": float(lost_m.min()), "no_fix_to_m": float(lost_m.max())}
 
     # People below the strip, and metres where they are not known.
     if "density" in maps.ds:

@@ -312,10 +312,10 @@ def read_with(read, geofence: dict):
 def test_a_geofence_is_read_and_what_of_it_is_damaged_is_named(read):
     mission = read_with(read, fence_of() | {"breachReturn": [LAT, LON, 30]})
     assert mission.not_judged == ()
-    assert [zone.label for zone in mission.keep_out] == ["'geofence polygon 1' of 'mission.plan'"]
-    assert mission.keep_out[0].polygon.area == pytest.approx(0.5)
+    assert [zone.label for zone in mission.zones] == ["'geofence polygon 1' of 'mission.plan'"]
+    assert mission.zones[0].polygon.area == pytest.approx(0.5)
     circle = {"center": [LAT, LON], "radius": 250}
-    assert len(read_with(read, fence_of("circles", circle)).keep_out) == 1
+    assert len(read_with(read, fence_of("circles", circle)).zones) == 1
     damages = [
         fence_of(outline=[[LAT, LON], [LAT, LON + 1]]),
         fence_of(outline=[[LAT, LON]] * 4),
@@ -333,7 +333,7 @@ def test_a_geofence_is_read_and_what_of_it_is_damaged_is_named(read):
     ]
     for number, damage in enumerate(damages):
         mission = read_with(read, damage)
-        assert (number, mission.keep_out) == (number, [])
+        assert (number, mission.zones) == (number, [])
         assert (number, len(mission.not_judged)) == (number, 1)
         assert "is damaged, and not judged" in mission.not_judged[0]
     (note,) = read_with(read, fence_of() | {"version": 1}).not_judged
@@ -343,11 +343,20 @@ def test_a_geofence_is_read_and_what_of_it_is_damaged_is_named(read):
 def test_of_several_areas_to_stay_in_px4_asks_for_one_and_others_for_all(read):
     fence = fence_of(inclusion=True)
     fence["polygons"] *= 2
-    names = {12: [2], 3: [1, 1], 99: [1, 1]}
-    for firmware, numbers in names.items():
-        plan = plan_of(BOX) | {"geoFence": fence}
-        plan["mission"]["firmwareType"] = firmware
-        assert [len(areas) for areas in read(json.dumps(plan)).stay_in] == numbers
+    fence["polygons"] += [fence_of(outline=[[0, 0], [0, 1], [1, 0]], inclusion=True)["polygons"][0]]
+    for firmware, num in {12: 1, 3: 3, 99: 3}.items():
+        plan = plan_of(BOX, firmwareType=firmware) | {"geoFence": fence}
+        zones = read(json.dumps(plan)).zones
+        assert [zone.name for zone in zones] == ["land outside the geofence"] * num
+        assert zones[-1].polygon.area == pytest.approx(360 * 180 - (1.0 if num == 1 else 0.5))
+
+
+def test_a_geofence_across_the_antimeridian_is_on_both_sides(read):
+    outline = [[LAT, 179.9], [LAT, -179.9], [LAT + 0.1, -179.9], [LAT + 0.1, 179.9]]
+    (zone,) = read_with(read, fence_of(outline=outline)).zones
+    assert zone.polygon.bounds == pytest.approx((179.9, LAT, 180.1, LAT + 0.1))
+    (zone,) = read_with(read, fence_of("circles", {"center": [0, 180], "radius": 1000})).zones
+    assert np.ptp(zone.polygon.bounds[::2]) == pytest.approx(2000 / 111_319.5, rel=1e-3)
 
 
 def test_fences_and_rally_points_are_named_once(read):

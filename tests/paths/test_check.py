@@ -6,9 +6,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 import xarray as xr
+from matplotlib.legend import Legend
 from scipy.interpolate import RegularGridInterpolator
 
 import jaxurban as ju
@@ -17,6 +19,7 @@ from jaxurban.io.read.mission import Leg, Mission, Place
 from jaxurban.io.read.mission_parts import GEOD
 from jaxurban.io.read.zone import Zone
 from jaxurban.planners.base import Status
+from jaxurban.report.check import check_markdown, plot_flown_heights, plot_mission
 from jaxurban.settings import parse_time
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.raster import Raster
@@ -499,12 +502,12 @@ def test_a_breach_of_the_geofence_names_the_area_of_the_file(open_scene, tmp_pat
     what = result.findings["what"].tolist()
     assert [text[:60].partition(" of ")[0] for text in what] == [
         "enters the no-fly zone 'geofence polygon 1'",
-        "enters the no-fly zone 'outside geofence circle 1'",
+        "enters the no-fly zone 'land outside the geofence'",
     ]
     assert result.findings["along_m"].tolist() == pytest.approx([380 + 180, 380 + 439.2], abs=0.6)
     assert [zone["name"] for zone in result.limits["no_fly"]] == [
         "geofence polygon 1",
-        "outside geofence circle 1",
+        "land outside the geofence",
     ]
 
 
@@ -523,6 +526,82 @@ def test_named_limits_are_findings_or_not_judged(open_scene):
     unsure = checked(open_scene, mission, time=OFF, max_no_fix_m=lost_m + 10)
     assert (unsure.state, kinds_of(unsure)) == ("not-judged", [])
     assert kinds_of(checked(open_scene, mission, time=OFF, max_people=people - 1)) == ["limit"]
+
+
+def numbers_in(axes, found) -> list[int]:
+    """Return the numbers beside the marks of a picture, once each is checked to be at its finding's place."""
+    marks = {int(text.get_text()): text.xy for text in axes.texts if text.get_text()}
+    for number, place in marks.items():
+        assert place == pytest.approx(found.iloc[number - 1].tolist(), abs=1e-6)
+    return sorted(marks)
+
+
+@pytest.mark.parametrize(("num_passes", "fewest"), [(1, 1), (8, 8), (40, 30)])
+def test_pictures_show_the_mission_and_each_finding_by_its_number(open_scene, num_passes, fewest):
+    tower = open_scene.city.buildings.polygons[np.argmax(open_scene.city.buildings.height_m)]
+    x_m, y_m = np.array(tower.centroid.coords[0]) - open_scene.corner_m
+    ends = [open_scene.place(x_m, y_m + side_m, 60.0) for side_m in (-40, 40)]
+    places = (ends * num_passes)[: num_passes + 1]
+    if num_passes == 40:  # apart
+        apart_m = np.random.default_rng(2).uniform(20, 580, (18, 2))
+        places = [open_scene.place(*xy_m, 11.0) for xy_m in apart_m]
+    result = checked(open_scene, mission_of(*places, home=places[0]))
+    found = result.findings
+    assert len(found) >= fewest
+    grid = open_scene.maps.grid
+    xy_m = grid.xy_at(found[["lon", "lat"]].to_numpy())
+    figure = plot_mission(result)
+    axes = figure.axes[0]
+    numbers = [*range(1, len(found) + 1)]
+    assert numbers_in(axes, pd.DataFrame(xy_m)) == numbers
+    profile = plot_flown_heights(result).axes[0]
+    assert set(numbers_in(profile, found[["along_m", "height_m"]])) >= set(numbers[: fewest // 2])
+
+    # The panel holds the mission with a margin, and is no larger than the maps.
+    (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
+    flown_m = grid.xy_at(np.array([place[:2] for place in places]))
+    assert (flown_m.min(axis=0) >= (west, south)).all()
+    assert (flown_m.max(axis=0) <= (east, north)).all()
+    assert east - west <= SIDE_M
+    labels = [text.get_text() for text in figure.findobj(Legend)[0].get_texts()]
+    assert {"mission", "home", "no-fly zone", "findings, by number"} <= set(labels)
+
+
+def test_the_map_of_a_short_mission_is_a_part_of_the_maps_with_zones_and_home(open_scene):
+    fine = made_maps(200, 200, (0.5, 400.0))
+    scene = open_scene._replace(maps=fine)
+    ends = [scene.place(*xy_m, 200.0) for xy_m in ((800, 900), (1100, 1000))]
+    mission = mission_of(*ends, home=ends[0])
+    box = shapely.box(*np.add(scene.corner_m, 850), *np.add(scene.corner_m, 990))
+    zoned = ju.Constraints(zones=(Zone("stadium", box, fine.grid.crs),))
+    axes = plot_mission(ju.check(fine, mission)).axes[0]
+    for limits, corner_m, middle_m in zip(
+        (axes.get_xlim(), axes.get_ylim()), scene.corner_m, (950, 950), strict=True
+    ):
+        assert np.ptp(limits) == pytest.approx(600, abs=20)
+        assert np.mean(limits) - corner_m == pytest.approx(middle_m, abs=20)
+    (home,) = [line for line in axes.lines if line.get_label() == "home"]
+    assert home.get_xydata()[0] - scene.corner_m == pytest.approx([800, 900], abs=1e-3)
+    assert not axes.collections
+    axes = plot_mission(ju.check(fine, mission, constraints=zoned)).axes[0]
+    (outline,) = axes.collections[0].get_paths()
+    assert outline.vertices.min(axis=0) - scene.corner_m == pytest.approx([850, 850])
+    assert outline.vertices.max(axis=0) - scene.corner_m == pytest.approx([990, 990])
+
+
+def test_the_report_has_each_finding_under_its_number(open_scene, tmp_path):
+    ends = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
+    result = checked(
+        open_scene, mission_of(*ends, home=ends[0]), time=OFF, max_people=0, max_no_fix_m=0
+    )
+    result.save(tmp_path / "checked")
+    report = (tmp_path / "checked" / "report.md").read_text()
+    assert len(result.sentences) > 1
+    for number, sentence in enumerate(result.sentences, 1):
+        assert f"\n{number}. {sentence}\n" in report
+    assert f"- no fix: {result.facts['no fix']}\n" in report
+    free = checked(open_scene, mission_of(*ends, home=ends[0]), time=OFF)
+    assert "## Findings\n\nNone.\n" in check_markdown(free, [])
 
 
 def test_a_bound_that_is_not_kept_closes_cells(open_scene):
@@ -573,14 +652,14 @@ def test_a_limit_on_the_fix_is_shown_where_it_is_first_lost_at_the_worst_time(lo
     result = checked(lost_scene, mission, time=[OFF, ON], max_no_fix_m=30)
     (row,) = result.findings.to_dict("records")
     assert (row["kind"], row["item"], row["by_m"]) == ("limit", 2, pytest.approx(40.0, abs=1))
-    assert (row["along_m"], row["to_m"]) == pytest.approx((60 + 180, 60 + 220), abs=1)
+    assert (row["along_m"], row["to_m"]) == pytest.approx((60 + 180, 60 + 310), abs=1)
     assert lost_scene.xy_m(Place(row["lon"], row["lat"], 0.0, "ground")) == pytest.approx(
         (20.0, 200.0), abs=1
     )
     assert row["height_m"] == pytest.approx(60.0)
     (point,) = result.to_geojson()["features"]
     assert point["geometry"]["coordinates"] == [row["lon"], row["lat"]]
-    assert "from 240 to 280 m along the mission, toward item 2" in result.sentences[0]
+    assert "above all from 240 to 370 m along the mission, toward item 2" in result.sentences[0]
 
 
 def test_figures_are_in_words_and_their_keys_stay(lost_scene):
@@ -620,7 +699,7 @@ def test_a_limit_on_people_is_shown_where_the_densest_kilometre_begins(open_scen
     assert row["along_m"] == pytest.approx(60 + np.argmax(in_km) * 0.5, abs=12)
     assert row["to_m"] - row["along_m"] == pytest.approx(1000, abs=1)
     assert result.figures["densest_km_people"] == pytest.approx(in_km.max(), rel=0.02)
-    assert "densest kilometre" in result.sentences[0]
+    assert "above all from" in result.sentences[0]
 
 
 def test_a_cheapest_route_that_costs_more_than_the_mission_is_explained(open_scene):

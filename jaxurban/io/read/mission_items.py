@@ -89,7 +89,7 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
         if version is True or version != known:
             notes.append(f"its {what} is {str(version)[:40]}, and only {known} is understood")
         notes += _unknown(whole, parts)
-    keep_out, inside, damaged = read_geofence(geofence, name)
+    zones, damaged = read_geofence(geofence, name, any_is_enough=autopilot == "px4")
     notes += damaged
     rally = _object(plan.get("rallyPoints") or {}, "its rallyPoints")
     if any(value for key, value in rally.items() if key != "version"):
@@ -99,11 +99,7 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
         notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
     speed_m_s = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
     flown = FlownItems(items, start[0], return_altitude_m, autopilot)
-    # Of several areas to stay in PX4 asks for any one (`Geofence::isInsidePolygonOrCircle`), ArduPilot for all of them,
-    # unless its `FENCE_OPTIONS` say otherwise.
-    stay_in = [inside] if inside and autopilot == "px4" else [[area] for area in inside]
-    whole_mission = _flown(name, flown, len(rows), start, notes, speed_m_s)
-    return replace(whole_mission, keep_out=keep_out, stay_in=stay_in)
+    return replace(_flown(name, flown, len(rows), start, notes, speed_m_s), zones=zones)
 
 
 def read_waypoints(

@@ -106,8 +106,7 @@ class Mission:
       speed_m_s: the first that the mission sets, or that its ground station planned with; None where it has none.
       accounts: of everything in the file; empty for a mission that no file holds.
       num_things: how many things the file holds, counted apart from ``accounts``: the two must agree.
-      keep_out: areas of its geofence, at all heights.
-      stay_in: groups of areas of its geofence: the mission must always be in an area of each group.
+      zones: where its geofence lets it not fly.
     """
 
     name: str
@@ -118,8 +117,7 @@ class Mission:
     speed_m_s: float | None
     accounts: tuple[Account, ...] = ()
     num_things: int = 0
-    keep_out: Sequence[Zone] = ()
-    stay_in: Sequence[Sequence[Zone]] = ()
+    zones: Sequence[Zone] = ()
 
     @property
     def num_lost(self) -> int:
