@@ -23,10 +23,7 @@ from jaxurban.paths.search import PathSearch
 
 WINDOW_M = 1000.0  # of the densest stretch
 SAME_SHARE = 1e-3  # costs of one route, whose places a file rounds, differ by less
-DEARER = (
-    "No saving is named: the cheapest route leads from cell to cell, and costs more than the mission, which is not "
-    "bound to cells."
-)
+DEARER = "the cheapest one leads from cell to cell, and costs more than the mission, which is not bound to cells"
 
 
 def values_on(
@@ -85,17 +82,19 @@ def figures_of(
 
     # Metres without a fix, at each time; those where the fix is not known are of the time that knows least.
     if FIX in maps.ds:
-        hdop = np.array([values_on(maps, FIX, steps, time, time_of_day) for time in times])
-        is_lost = np.isinf(hdop)
-        no_fix_m = is_lost @ length_m
-        worst = np.argmax(no_fix_m)
+        lost, open_m = [], []
+        for time in times:
+            hdop = values_on(maps, FIX, steps, time, time_of_day)
+            lost.append(np.isinf(hdop))
+            open_m.append(float(np.isnan(hdop) @ length_m))
+        no_fix_m = [float(is_lost @ length_m) for is_lost in lost]
         names = [time or maps.times[0] for time in times]
         figures |= {
-            "no_fix_m": float(no_fix_m[worst]),
-            "fix_unknown_m": float((np.isnan(hdop) @ length_m).max()) + off_m,
-            "no_fix_by_time_m": dict(zip(names, no_fix_m.tolist(), strict=True)),
+            "no_fix_m": max(no_fix_m),
+            "fix_unknown_m": max(open_m) + off_m,
+            "no_fix_by_time_m": dict(zip(names, no_fix_m, strict=True)),
         }
-        lost_m = steps.along_m[is_lost[worst]]
+        lost_m = steps.along_m[lost[np.argmax(no_fix_m)]]
         if len(lost_m):
             figures |= {"no_fix_from_m": float(lost_m.min()), "no_fix_to_m": float(lost_m.max())}
 
@@ -179,13 +178,15 @@ def costs_of(
         cheapest = limited_map.planned(XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps, snap=True))
     except InputError as error:
         return figures | {"cost_note": f"No route to compare with: {str(error).partition(';')[0]}."}
-    reason = "" if cheapest.status.has_path else cheapest.message
+    reason = ""
+    if cheapest.cost > mission["cost"] * (1 + SAME_SHARE):
+        reason = DEARER
     if cheapest.length_m == 0:
         reason = "the mission ends where it starts"
+    if not cheapest.status.has_path:
+        reason = cheapest.message
     if reason:
         return figures | {"cost_note": f"No route to compare with: {reason}."}
-    if cheapest.cost > mission["cost"] * (1 + SAME_SHARE):
-        return figures | {"cost_note": DEARER}
     cheapest_cost = min(cheapest.cost, mission["cost"])
     saved = mission["cost"] - cheapest_cost
     return figures | {

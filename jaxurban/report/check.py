@@ -1,7 +1,6 @@
 """What a check of a mission writes: report.md, findings as a table and as GeoJSON, a map and a profile."""
 
 import json
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -37,15 +36,11 @@ from jaxurban.report.write import (
 from jaxurban.world.grid import Grid
 
 FOUND_COLOUR, STREET_COLOUR = "#d00000", "#9a9a9a"
-STREETS_PT = {"street": 0.3, "major": 0.8}  # width of their lines
-NUMBER: Look = {
-    "color": FOUND_COLOUR,
-    "path_effects": [withStroke(linewidth=2.6, foreground="white")],
-    "zorder": 21,  # over the ends of the mission
-}
+STREETS = ("street", "major")
+EDGE: Look = {"path_effects": [withStroke(linewidth=2.6, foreground="white")]}
+NUMBER: Look = EDGE | {"color": FOUND_COLOUR, "zorder": 21}  # over the ends of the mission
 FOUND: Look = NUMBER | {"marker": "x", "linestyle": "none", "label": "findings, by number"}
-MISSION: Look = {"color": ALTITUDE_COLOUR, "label": "mission", "zorder": 4}
-MISSION |= {"path_effects": NUMBER["path_effects"]}
+MISSION: Look = EDGE | {"color": ALTITUDE_COLOUR, "label": "mission", "zorder": 4}
 HOME: Look = frame.END_LOOK | {"marker": "p", "markersize": 14.0, "label": "home"}
 ZONE: Look = {"facecolor": "none", "edgecolor": FOUND_COLOUR, "hatch": "////"}
 LEGEND: tuple[Artist, ...] = (
@@ -103,25 +98,24 @@ def plot_mission(result: MissionCheck) -> Figure:
     maps = result.maps
     grid = _around(result)
     layers = roof_layers(maps)
-    colours = replace(layers[-1].colours, label="roof height (m)")
+    colours = layers[-1].colours
     if "roof_guessed" in maps.ds:
         is_guessed = maps.m("roof_guessed") & (layers[-1].values > 0)
         layers.append(frame.flat_layer(is_guessed, frame.GUESSED_ROOF_COLOUR))
     window = grid.window_in(maps.grid)
     flight = result.flight
-    panel = frame.MapPanel(
-        flight.mission.name, [layer._replace(values=layer.values[window]) for layer in layers]
-    )
+    shown = [layer._replace(values=layer.values[window]) for layer in layers]
+    panel = frame.MapPanel(f"Roof height (m), {flight.mission.name}", shown)
     note = frame.frame_note(maps)
     figure, (axes,) = frame.draw_maps(
         grid, [panel], result.sentence, note, legend=LEGEND, colours=colours
     )
 
     # Over them streets, zones, the mission with its home and ends, and the findings.
-    base = [] if maps.base_map is None else maps.base_map.to_crs(grid.crs).groupby("kind")
-    for kind, lines in base:
-        if kind in STREETS_PT:
-            lines.plot(ax=axes, aspect=None, color=STREET_COLOUR, linewidth=STREETS_PT[kind])
+    if maps.base_map is not None:
+        for kind, lines in maps.base_map.to_crs(grid.crs).groupby("kind"):
+            if kind in STREETS:
+                lines.plot(ax=axes, aspect=None, color=STREET_COLOUR, linewidth=0.5)
     for part in shapely.get_parts([zone.on(grid) for zone in result.zones]):
         gpd.GeoSeries([part]).plot(ax=axes, aspect=None, **ZONE)
     line_m = np.pad(flight.lines_m, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)
@@ -171,6 +165,6 @@ def _around(result: MissionCheck) -> Grid:
 
 
 def _mark(axes: Axes, x: Any, y: Any) -> None:
-    """Mark findings at ``x`` and ``y``, and write their numbers, from 1, beside them: to be called last."""
+    """Mark findings at ``x`` and ``y``, and write their numbers, from 1, beside them; the limits of the axes stay."""
     axes.plot(x, y, **FOUND)
     label_apart(axes, map(str, range(1, len(x) + 1)), np.column_stack([x, y]), **NUMBER)
