@@ -27,7 +27,7 @@ STATES: dict[State, str] = {
     "not-judged": "Not judged: nothing was found, but not all of the mission could be judged.",
 }
 NUMBERS = {  # of `MissionCheck.figures`, in words; one that is missing leaves its line out
-    "no-fly zones": "{num_zones}, {num_zones_in_force} of them in force",
+    "no-fly zones": "{num_zones_in_force} of {num_zones} in force",
     "length": "{length_m:,.0f} m, {on_maps_m:,.0f} m of it over the maps",
     "no fix": "{no_fix_by_time_m}; not known on {fix_unknown_m:,.0f} m",
     "people overflown": "{people_overflown:,.0f}; not known on {people_unknown_m:,.0f} m",
