@@ -102,6 +102,11 @@ def iso_utc(time: str | datetime | np.datetime64) -> str:
     return parsed.isoformat().replace("+00:00", "Z")
 
 
+def time_said(time: str) -> str:
+    """Return an ISO time in words: date, hour and minute."""
+    return f"{time[:10]} {time[11:16]} UTC"
+
+
 def not_negative(name: str, value: float) -> float:
     """Return metres that must not be below 0, as a float.
 

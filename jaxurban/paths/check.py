@@ -25,7 +25,7 @@ from jaxurban.paths.constraints import Bound, Constraints
 from jaxurban.paths.contacts import buildings_of, union_m
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.flown import costs_of, figures_of
-from jaxurban.paths.judge import COLUMNS, judged
+from jaxurban.paths.judge import SPAN, judged, placed
 from jaxurban.paths.legs import Flight, flight_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import rules_on
@@ -65,9 +65,10 @@ def check(
     height above the ground at each of its points.
 
     Findings are contacts with buildings or the ground, places that are nearer than the clearances allow, no-fly zones,
-    closed cells, and limits that are exceeded; all else is a figure. Parts of a mission are not judged if the reader
-    did not understand them, if they lie outside the maps, over cells without data or beyond the maps' altitudes (except
-    for take-off and landing), or if they pass over a guessed roof or within the clearance of one.
+    breaches of a geofence that a ``.plan`` holds, closed cells, and limits that are exceeded; all else is a figure.
+    Parts of a mission are not judged if the reader did not understand them, if they lie outside the maps, over cells
+    without data or beyond the maps' altitudes (except for take-off and landing), or if they pass over a guessed roof or
+    within the clearance of one.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
@@ -138,10 +139,10 @@ def check(
         above_m = not_negative("home_above_ground_m", home_above_ground_m)
         mission = replace(mission, home_above_ground_m=above_m)
 
-    # Constraints: those of the argument, with the zones of files and the clearances of the call. What is still left out
-    # is as in the maps' scenario. Of the zones those count that are in force.
+    # Constraints: those of the argument, with the zones of files, the geofence and the clearances of the call. What is
+    # still left out is as in the maps' scenario. Of the zones those count that are in force.
     limits = constraints or Constraints()
-    zones = (*limits.zones, *Constraints.read(no_fly).zones)
+    zones = (*limits.zones, *Constraints.read(no_fly).zones, *mission.zones)
     clearances = {"clearance_m": clearance_m, "vertical_clearance_m": vertical_clearance_m}
     limits = replace(limits, zones=zones, **values_given(clearances))
     _, _, limits = rules_on(maps, None, limits, "")
@@ -158,7 +159,7 @@ def check(
     findings, unknown = judged(flight, buildings, known, limits, times, time_of_day)
     figures |= figures_of(flight, maps, times, time_of_day, swath_m)
     figures |= costs_of(flight, maps, weights, limits, times[0], time_of_day)
-    exceeded, open_limits = _against_maxima(figures, max_no_fix_m, max_people)
+    exceeded, open_limits = _against_maxima(flight, figures, max_no_fix_m, max_people)
     # Empty tables are left out, since their columns would change the types of the others.
     tables = [table for table in (findings, exceeded) if len(table)]
     findings = pd.concat(tables or [findings])
@@ -177,6 +178,7 @@ def check(
         limits=limits.to_dict(),
         flight=flight,
         maps=maps,
+        zones=limits.zones,
     )
 
 
@@ -286,7 +288,10 @@ def _city_of(
 
 
 def _against_maxima(
-    figures: Mapping[str, Any], max_no_fix_m: float | None, max_people: float | None
+    flight: Flight,
+    figures: Mapping[str, Any],
+    max_no_fix_m: float | None,
+    max_people: float | None,
 ) -> tuple[pd.DataFrame, list[str]]:
     """Return findings, one row for each limit that is exceeded, and sentences on limits that cannot be judged.
 
@@ -294,15 +299,24 @@ def _against_maxima(
     with what is unknown: each unknown metre may be without a fix, and any number of people may be below it.
 
     Args:
+      flight: the mission over the maps.
       figures: the figures of the mission, by name.
       max_no_fix_m, max_people: the limits; None if there is no such limit.
     """
-    limits = (  # figure, its unknown metres, limit, unit, and most units that an unknown metre may add
-        ("no_fix_m", "fix_unknown_m", max_no_fix_m, "m without a position fix", 1.0),
-        ("people_overflown", "people_unknown_m", max_people, "people overflown", math.inf),
+    limits = (  # figure, its unknown metres, limit, unit, most units that one of them may add, and where it is shown
+        ("no_fix_m", "fix_unknown_m", max_no_fix_m, "m without a position fix", 1.0, "no_fix"),
+        (
+            "people_overflown",
+            "people_unknown_m",
+            max_people,
+            "people overflown",
+            math.inf,
+            "densest_km",
+        ),
     )
+    steps = flight.steps
     rows, sentences = [], []
-    for name, unknown_name, limit, unit, most_per_metre in limits:
+    for name, unknown_name, limit, unit, most_per_metre, stretch in limits:
         if limit is None:
             continue
         value = figures.get(name, 0.0)
@@ -312,9 +326,12 @@ def _against_maxima(
             reason = "the maps do not hold them"
         elif value > limit:
             what = f"{value:,.0f} {unit}; the limit is {limit:g}"
-            rows.append({"kind": "limit", "what": what, "by_m": value - limit})
+            from_m = figures[f"{stretch}_from_m"]
+            step = np.searchsorted(steps.along_m[:, 0], from_m)
+            rows.append((what, value - limit, step, from_m, figures[f"{stretch}_to_m"]))
         elif unknown_m > 0 and value + unknown_m * most_per_metre > limit:
             reason = f"{value:,.0f} are known, and {unknown_m:,.0f} m are not"
         if reason:
             sentences.append(f"The limit of {limit:g} {unit} is not judged: {reason}.")
-    return pd.DataFrame(rows, columns=COLUMNS), sentences
+    table = pd.DataFrame(rows, columns=["what", "by_m", "step", *SPAN])
+    return placed(table.assign(kind="limit"), flight, steps), sentences

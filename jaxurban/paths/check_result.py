@@ -2,7 +2,8 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -11,17 +12,29 @@ import pandas as pd
 
 from jaxurban.checks import typed
 from jaxurban.io.files import write_whole
+from jaxurban.io.read.zone import Zone
 from jaxurban.io.results import Result
 from jaxurban.io.tables import SUFFIXES, records_of, write_table
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.legs import Flight
 from jaxurban.public import Caution, caution_of_guesses
+from jaxurban.settings import time_said
 
 State = Literal["clean", "findings", "not-judged"]
 STATES: dict[State, str] = {
     "clean": "Clean: every leg was judged, and nothing was found.",
     "findings": "Findings: {num}.",
     "not-judged": "Not judged: nothing was found, but not all of the mission could be judged.",
+}
+NUMBERS = {  # of `MissionCheck.figures`, in words; one that is missing leaves its line out
+    "no-fly zones": "{num_zones_in_force} of {num_zones} in force",
+    "length": "{length_m:,.0f} m, {on_maps_m:,.0f} m of it over the maps",
+    "no fix": "{no_fix_by_time_m}; not known on {fix_unknown_m:,.0f} m",
+    "people overflown": "{people_overflown:,.0f}; not known on {people_unknown_m:,.0f} m",
+    "densest kilometre": "{densest_km_people:,.0f} people, from {densest_km_from_m:,.0f} m on",
+    "cost": "{cost:,.1f} at {compared_at_m:g} m above the ground: {cost_by_layer}",
+    "exposure": "{exposure_by_layer}",
+    "cheapest route": "{cheapest_cost:,.1f} over {cheapest_length_m:,.0f} m, {saved_share:.1%} less",
 }
 
 
@@ -32,14 +45,16 @@ class MissionCheck(Result):
     Attributes:
       findings: a row each: ``kind`` (``"building"``, ``"terrain"``, ``"zone"``, ``"closed"`` or ``"limit"``),
         ``what``, ``item`` (in the file, flown toward), ``lon`` and ``lat`` of the first contact, ``along_m`` and
-        ``to_m`` along the mission, ``height_m`` above the ground there, ``building_m`` (the roof's height), ``by_m``
-        (metres inside, below the ground or short of the clearance; of a limit, beyond it) and ``is_guessed``.
+        ``to_m`` along the mission, ``height_m`` above the ground there, ``building_m``
+        (the roof's height), ``by_m`` (metres inside, below the ground or short of the clearance; of a limit, beyond it)
+        and ``is_guessed``. A limit is placed where the fix is first and last lost, or at the densest kilometre.
       not_judged: sentences.
       figures: lengths, metres without a fix, people, cost and exposure; ``cost_note`` says what is missing.
       outlines: ``"exact outlines"``, or ``"by cells"``, with the reason.
       limits: the constraints, as `Constraints.to_dict` has them.
       flight: the mission over the maps.
       maps: the maps.
+      zones: the no-fly zones in force, with those of the mission's geofence.
 
     Examples:
       >>> path.save("mission.plan").name
@@ -59,6 +74,7 @@ class MissionCheck(Result):
     limits: Mapping[str, Any]
     flight: Flight
     maps: MetricMaps
+    zones: Sequence[Zone] = ()
 
     @property
     def state(self) -> State:
@@ -79,16 +95,16 @@ class MissionCheck(Result):
 
     @property
     def numbers(self) -> dict[str, str]:
-        """The figures as texts of four digits, by their names with spaces; the name says the unit.
-
-        A figure by layer or time has a text for each, with the layer or time after its name. Notes are left out.
-        """
+        """The figures in words, by what they are about, such as ``"no fix"``."""
+        by_time = self.figures.get("no_fix_by_time_m", {})
+        lost = [f"{lost_m:,.0f} m at {time_said(time)}" for time, lost_m in by_time.items()]
+        texts = dict(self.figures) | {"no_fix_by_time_m": ", ".join(lost)}
+        for name in {"cost_by_layer", "exposure_by_layer"} & texts.keys():
+            texts[name] = ", ".join(f"{layer} {cost:,.1f}" for layer, cost in texts[name].items())
         numbers = {}
-        for name, value in self.figures.items():
-            by_part = value if isinstance(value, Mapping) else {"": value}
-            for part, number in by_part.items():
-                if not isinstance(number, str):
-                    numbers[f"{name} {part}".replace("_", " ").strip()] = f"{number:,.4g}"
+        for name, words in NUMBERS.items():
+            with suppress(KeyError):
+                numbers[name] = words.format_map(texts)
         return numbers
 
     @property
@@ -152,7 +168,7 @@ class MissionCheck(Result):
         }
 
     def to_geojson(self) -> dict[str, Any]:
-        """Return the findings that have a place as points of GeoJSON.
+        """Return the findings as points of GeoJSON.
 
         Returns:
           A FeatureCollection; the properties of each point are the columns of ``findings``.
@@ -164,9 +180,8 @@ class MissionCheck(Result):
           >>> [point["properties"]["kind"] for point in points["features"]]
           ['building']
         """
-        rows = records_of(self.findings[self.findings["lon"].notna()])
         features = []
-        for row in rows:
+        for row in records_of(self.findings):
             point = {"type": "Point", "coordinates": [row.pop("lon"), row.pop("lat")]}
             features.append({"type": "Feature", "geometry": point, "properties": row})
         return {"type": "FeatureCollection", "state": self.state, "features": features}
@@ -205,10 +220,11 @@ class MissionCheck(Result):
 
 
 def _sentence_of(row: Mapping[Any, Any]) -> str:
-    """Return a finding, a row of `MissionCheck.findings`, as a sentence; with its place unless ``lon`` is NaN."""
+    """Return a finding, a row of `MissionCheck.findings`, as a sentence."""
     sentence = f"{row['what'][:1].upper()}{row['what'][1:]}"
-    if math.isnan(row["lon"]):
-        return f"{sentence}."
-    where = f"from {row['along_m']:.0f} to {row['to_m']:.0f} m along the mission, toward item {row['item']:.0f}"
-    place = f"{row['lon']:.6f}, {row['lat']:.6f}, {row['height_m']:.1f} m above the ground"
+    worst = "above all " if row["kind"] == "limit" else ""
+    where = f"{worst}from {row['along_m']:.0f} to {row['to_m']:.0f} m along the mission, toward item {row['item']:.0f}"
+    place = f"{row['lon']:.6f}, {row['lat']:.6f}"
+    if not math.isnan(row["height_m"]):
+        place += f", {row['height_m']:.1f} m above the ground"
     return f"{sentence}: {where}, at {place}."

@@ -22,6 +22,8 @@ from jaxurban.paths.profile import nearest_level_m
 from jaxurban.paths.search import PathSearch
 
 WINDOW_M = 1000.0  # of the densest stretch
+SAME_SHARE = 1e-3  # costs of one route, whose places a file rounds, differ by less
+DEARER = "the cheapest one leads from cell to cell, and costs more than the mission, which is not bound to cells"
 
 
 def values_on(
@@ -62,8 +64,8 @@ def figures_of(
 ) -> dict[str, Any]:
     """Return the length of a mission, its metres without a fix and the people below it, by name.
 
-    Beside them stand the metres where the fix or the people are not known, what lies off the maps included. What the
-    maps do not hold is left out.
+    Beside them stand the metres where the fix or the people are not known, what lies off the maps included, and where
+    the fix is first and last lost and the densest kilometre begins and ends. What the maps do not hold is left out.
 
     Args:
       flight: the mission over the maps.
@@ -80,17 +82,21 @@ def figures_of(
 
     # Metres without a fix, at each time; those where the fix is not known are of the time that knows least.
     if FIX in maps.ds:
-        no_fix_m = {}
-        unknown_m = 0.0
+        lost, open_m = [], []
         for time in times:
             hdop = values_on(maps, FIX, steps, time, time_of_day)
-            no_fix_m[time or maps.times[0]] = float(length_m[np.isinf(hdop)].sum())
-            unknown_m = max(unknown_m, float(length_m[np.isnan(hdop)].sum()))
+            lost.append(np.isinf(hdop))
+            open_m.append(float(np.isnan(hdop) @ length_m))
+        no_fix_m = [float(is_lost @ length_m) for is_lost in lost]
+        names = [time or maps.times[0] for time in times]
         figures |= {
-            "no_fix_m": max(no_fix_m.values()),
-            "fix_unknown_m": unknown_m + off_m,
-            "no_fix_by_time_m": no_fix_m,
+            "no_fix_m": max(no_fix_m),
+            "fix_unknown_m": max(open_m) + off_m,
+            "no_fix_by_time_m": dict(zip(names, no_fix_m, strict=True)),
         }
+        lost_m = steps.along_m[lost[np.argmax(no_fix_m)]]
+        if len(lost_m):
+            figures |= {"no_fix_from_m": float(lost_m.min()), "no_fix_to_m": float(lost_m.max())}
 
     # People below the strip, and metres where they are not known.
     if "density" in maps.ds:
@@ -103,7 +109,7 @@ def figures_of(
 
 
 def densest_of(people: np.ndarray, steps: Steps) -> dict[str, float]:
-    """Return the most people below any kilometre of a mission, and how far along the mission that kilometre begins.
+    """Return the most people below any kilometre of a mission, and where along the mission it begins and ends.
 
     Args:
       people: ``[P]`` below each step.
@@ -113,8 +119,12 @@ def densest_of(people: np.ndarray, steps: Steps) -> dict[str, float]:
     people_before = np.append(0.0, np.cumsum(people))
     people_in_km = np.interp(over_m + WINDOW_M, over_m, people_before) - people_before
     densest = np.argmax(people_in_km)
-    from_m = np.append(steps.along_m[:, 0], 0.0)[densest]  # 0 for a mission without steps
-    return {"densest_km_people": float(people_in_km[densest]), "densest_km_from_m": float(from_m)}
+    along_m = np.append(steps.along_m[:, 0], steps.along_m.max(initial=0.0))
+    return {
+        "densest_km_people": float(people_in_km[densest]),
+        "densest_km_from_m": float(along_m[densest]),
+        "densest_km_to_m": float(np.interp(over_m[densest] + WINDOW_M, over_m, along_m)),
+    }
 
 
 def costs_of(
@@ -128,7 +138,7 @@ def costs_of(
     """Return what a mission costs, by layer too, and what the cheapest route between its ends would cost.
 
     Both are costed at the mission's median height, within the maps' altitudes; climbs and landings are left out. Where
-    the mission or the route has no cost, its figures are missing, and ``cost_note`` says why.
+    the mission or the route has no cost, or the route costs more, its figures are missing, and ``cost_note`` says why.
 
     Args:
       flight: the mission over the maps.
@@ -168,14 +178,19 @@ def costs_of(
         cheapest = limited_map.planned(XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps, snap=True))
     except InputError as error:
         return figures | {"cost_note": f"No route to compare with: {str(error).partition(';')[0]}."}
-    reason = "" if cheapest.status.has_path else cheapest.message
+    reason = ""
+    if cheapest.cost > mission["cost"] * (1 + SAME_SHARE):
+        reason = DEARER
     if cheapest.length_m == 0:
         reason = "the mission ends where it starts"
+    if not cheapest.status.has_path:
+        reason = cheapest.message
     if reason:
         return figures | {"cost_note": f"No route to compare with: {reason}."}
-    saved = mission["cost"] - cheapest.cost
+    cheapest_cost = min(cheapest.cost, mission["cost"])
+    saved = mission["cost"] - cheapest_cost
     return figures | {
-        "cheapest_cost": cheapest.cost,
+        "cheapest_cost": cheapest_cost,
         "cheapest_length_m": cheapest.length_m,
         "saved_cost": saved,
         "saved_share": saved / mission["cost"],

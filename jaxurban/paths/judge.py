@@ -73,11 +73,11 @@ def judged(
             _zones(steps, ground, limits),
             *_closed(steps, maps, limits, times, time_of_day),
         ]
-        tables.append(_placed(pd.concat(findings, ignore_index=True), flight, steps))
+        tables.append(placed(pd.concat(findings, ignore_index=True), flight, steps))
     return _with_variants(*tables), pd.concat(unknown, ignore_index=True)
 
 
-def _placed(table: pd.DataFrame, flight: Flight, steps: Steps) -> pd.DataFrame:
+def placed(table: pd.DataFrame, flight: Flight, steps: Steps) -> pd.DataFrame:
     """Return findings with the place and the item at which each begins, in the order of travel."""
     begins = steps.take(table["step"].to_numpy(int))
     lon, lat = flight.ground.maps.grid.lonlat_of_xy(*begins.ends_m[:, 0].T)

@@ -1,41 +1,59 @@
 """What a check of a mission writes: report.md, findings as a table and as GeoJSON, a map and a profile."""
 
 import json
-from collections.abc import Iterable
 from functools import partial
+from typing import Any
 
+import geopandas as gpd
 import numpy as np
-import pandas as pd
+import shapely
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 
 from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.check_result import MissionCheck
 from jaxurban.paths.constraints import describe_constraints
 from jaxurban.paths.route_report import TOUCHED
-from jaxurban.report.figures.frame import MapPanel, draw_maps, frame_note
+from jaxurban.report.figures import frame
 from jaxurban.report.figures.metrics import roof_layers
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
-from jaxurban.report.figures.style import chart, dress, legend_above, styled
-from jaxurban.report.write import Figures, Look, Outputs, Written, bullets, fill, study_outputs
+from jaxurban.report.figures.style import chart, dress, label_apart, legend_above, styled
+from jaxurban.report.write import (
+    Figures,
+    Look,
+    Markdown,
+    Outputs,
+    Written,
+    bullets,
+    fill,
+    plain,
+    study_outputs,
+)
+from jaxurban.world.grid import Grid
 
-FOUND: Look = {
-    "color": "#d00000",
-    "marker": "x",
-    "linestyle": "none",
-    "label": "findings, by number",
-}
-MISSION: Look = {
-    "color": ALTITUDE_COLOUR,
-    "marker": ".",
-    "markersize": 1.5,
-    "linestyle": "none",
-    "label": "mission",
-}
+FOUND_COLOUR, STREET_COLOUR = "#d00000", "#9a9a9a"
+STREETS = ("street", "major")
+EDGE: Look = {"path_effects": [withStroke(linewidth=2.6, foreground="white")]}
+NUMBER: Look = EDGE | {"color": FOUND_COLOUR, "zorder": 21}  # over the ends of the mission
+FOUND: Look = NUMBER | {"marker": "x", "linestyle": "none", "label": "findings, by number"}
+MISSION: Look = EDGE | {"color": ALTITUDE_COLOUR, "label": "mission", "zorder": 4}
+HOME: Look = frame.END_LOOK | {"marker": "p", "markersize": 14.0, "label": "home"}
+ZONE: Look = {"facecolor": "none", "edgecolor": FOUND_COLOUR, "hatch": "////"}
+LEGEND: tuple[Artist, ...] = (
+    Line2D([], [], **MISSION),
+    Line2D([], [], **HOME),
+    *frame.ENDS,
+    Line2D([], [], **FOUND),
+    Patch(label="no-fly zone", **ZONE),
+    Patch(label="height guessed", color=frame.GUESSED_ROOF_COLOUR),
+)
+MARGIN, LEAST_CELLS = 0.15, 30  # around the mission, of its longer side; from its middle to a side
 GAP_M = 10.0  # between steps, which are shorter: nothing is drawn there
 HEIGHT_IN = 3.4
-HEADS = ["item", "kind", "what", "along_m", "height_m", "lon", "lat"]
 
 
 def check_outputs(result: MissionCheck) -> Written:
@@ -58,14 +76,14 @@ def check_outputs(result: MissionCheck) -> Written:
 
 def check_markdown(result: MissionCheck, figures: list[str]) -> str:
     """Return the report as Markdown; ``figures`` are the names of the pictures that lie beside it."""
-    findings = result.findings[HEADS].round({"lon": 6, "lat": 6}).astype({"lon": str, "lat": str})
-    findings.insert(0, "number", range(1, len(findings) + 1))
+    findings = [f"{number}. {plain(text)}" for number, text in enumerate(result.sentences, 1)]
     return fill(
         "check",
-        {"findings": findings},
+        {},
         figures,
         [result.maps.attribution],
         result=result,
+        findings=Markdown("\n".join(findings) or "None."),
         not_judged=bullets(result.not_judged) or "All of it was judged.",
         numbers=bullets(f"{name}: {fact}" for name, fact in result.numbers.items()),
         note=result.figures.get("cost_note", ""),
@@ -76,19 +94,36 @@ def check_markdown(result: MissionCheck, figures: list[str]) -> str:
 
 @styled
 def plot_mission(result: MissionCheck) -> Figure:
-    """Return the mission over the roofs, as far as the maps hold it, and its findings."""
-    steps = result.flight.steps
-    grid = result.maps.grid
-    panel = MapPanel(f"Roof height (m), {result.flight.mission.name}", roof_layers(result.maps))
-    legend = [Line2D([], [], **MISSION), Line2D([], [], **FOUND)]
-    note = frame_note(result.maps)
-    figure, (axes,) = draw_maps(grid, [panel], result.sentence, note, legend=legend)
-    starts_m = steps.ends_m[:, 0]  # of each step, easting and northing
-    axes.plot(*starts_m.T, **MISSION)
-    places = result.findings.dropna(subset=["lon"])  # limits have none
-    x_m, y_m = grid.xy_of_lonlat(places["lon"].to_numpy(), places["lat"].to_numpy())
-    axes.plot(x_m, y_m, zorder=5, **FOUND)
-    _number(axes, places.index, x_m, y_m)
+    """Return the mission over roofs, streets and zones, as far as the maps hold it, and its findings by number."""
+    maps = result.maps
+    grid = _around(result)
+    layers = roof_layers(maps)
+    colours = layers[-1].colours
+    if "roof_guessed" in maps.ds:
+        is_guessed = maps.m("roof_guessed") & (layers[-1].values > 0)
+        layers.append(frame.flat_layer(is_guessed, frame.GUESSED_ROOF_COLOUR))
+    window = grid.window_in(maps.grid)
+    flight = result.flight
+    shown = [layer._replace(values=layer.values[window]) for layer in layers]
+    panel = frame.MapPanel(f"Roof height (m), {flight.mission.name}", shown)
+    note = frame.frame_note(maps)
+    figure, (axes,) = frame.draw_maps(
+        grid, [panel], result.sentence, note, legend=LEGEND, colours=colours
+    )
+
+    # Over them streets, zones, the mission with its home and ends, and the findings.
+    if maps.base_map is not None:
+        for kind, lines in maps.base_map.to_crs(grid.crs).groupby("kind"):
+            if kind in STREETS:
+                lines.plot(ax=axes, aspect=None, color=STREET_COLOUR, linewidth=0.5)
+    for part in shapely.get_parts([zone.on(grid) for zone in result.zones]):
+        gpd.GeoSeries([part]).plot(ax=axes, aspect=None, **ZONE)
+    line_m = np.pad(flight.lines_m, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)
+    axes.plot(*line_m.reshape(-1, 2).T, **MISSION)
+    if flight.mission.home:
+        axes.plot(*grid.xy_of_lonlat(*flight.mission.home), **HOME)
+    frame.mark_ends(axes, flight.lines_m[0, 0], flight.lines_m[-1, 1])
+    _mark(axes, *grid.xy_at(result.findings[["lon", "lat"]].to_numpy(float)).T)
     return figure
 
 
@@ -100,33 +135,36 @@ def plot_flown_heights(result: MissionCheck) -> Figure:
     """
     steps = result.flight.steps
     along_m = steps.along_m[:, 0]  # at the start of each step
+    # In a gap between steps the mission has left the maps, where neither it nor a roof is drawn.
+    is_before_gap = np.append(np.diff(along_m) > GAP_M, False)
     figure = chart(HEIGHT_IN, "Height along the mission", result.sentence)
     axes = figure.subplots()
     if TOUCHED in result.maps.ds:
-        roof_m = result.maps.m(TOUCHED)[tuple(steps.cell.T)].astype(float)
-        # In a gap between steps the mission has left the maps, where no roof is known.
-        is_before_gap = np.diff(along_m) > GAP_M
-        roof_m[:-1][is_before_gap] = np.nan
+        roof_m = np.where(is_before_gap, np.nan, result.maps.m(TOUCHED)[tuple(steps.cell.T)])
         axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
-    axes.plot(along_m, steps.z_m[:, 0], **MISSION)
-    places = result.findings.dropna(subset=["lon"])
-    axes.plot(places["along_m"], places["height_m"], **FOUND)
-    _number(axes, places.index, places["along_m"], places["height_m"])
+    axes.plot(along_m, np.where(is_before_gap, np.nan, steps.z_m[:, 0]), **MISSION)
     axes.set(xlabel="flown (m)", ylabel="height above\nground (m)")
     dress(axes)
+    found = result.findings
+    _mark(axes, found["along_m"], found["height_m"])
     legend_above(axes)
     return figure
 
 
-def _number(axes: Axes, rows: pd.Index, x: Iterable[float], y: Iterable[float]) -> None:
-    """Write the numbers of findings, from 1, a little to the right of and above their marks.
+def _around(result: MissionCheck) -> Grid:
+    """Return the part of the maps around a mission, a square with a margin as far as the maps reach."""
+    grid = result.maps.grid
+    corners_m = result.flight.lines_m.reshape(-1, 2)
+    cells = ((corners_m - grid.bounds_m[:2]) / grid.resolution_m).astype(int)  # column, row
+    low, high = cells.min(axis=0), cells.max(axis=0)
+    half = max(LEAST_CELLS, int((0.5 + MARGIN) * (high - low).max()))
+    middle = (low + high) // 2
+    west, south = np.minimum(half - middle, 0).tolist()  # how many cells are cut off
+    east, north = np.minimum(middle + half - grid.shape[::-1], 0).tolist()
+    return grid.padded(west, south, east, north)
 
-    Args:
-      axes: to write in.
-      rows: of the table of findings, from 0.
-      x, y: place of each mark, in the units of the axes.
-    """
-    look: Look = {"color": FOUND["color"], "textcoords": "offset points", "zorder": 6}
-    look["bbox"] = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
-    for number, right, up in zip(rows + 1, x, y, strict=True):
-        axes.annotate(str(number), (right, up), (4, 3), **look)
+
+def _mark(axes: Axes, x: Any, y: Any) -> None:
+    """Mark findings at ``x`` and ``y``, and write their numbers, from 1, beside them; the limits of the axes stay."""
+    axes.plot(x, y, **FOUND)
+    label_apart(axes, map(str, range(1, len(x) + 1)), np.column_stack([x, y]), **NUMBER)

@@ -297,11 +297,75 @@ def test_a_second_take_off_climbs_from_the_landing(read):
     assert read([*BOX, item(at=4)]).not_judged == ("the way from item 4 to item 5 is not judged",)
 
 
+def fence_of(kind="polygons", outline=None, **more) -> dict:
+    """Return a geofence of one area."""
+    outline = outline or [[LAT, LON], [LAT, LON + 1], [LAT + 1, LON]]
+    part = {"inclusion": False, "polygon": outline, "circle": outline, "version": 1} | more
+    return {"version": 2, "polygons": [], "circles": []} | {kind: [part]}
+
+
+def read_with(read, geofence: dict):
+    """Return the mission of a plan with a geofence."""
+    return read(json.dumps(plan_of(BOX) | {"geoFence": geofence}))
+
+
+def test_a_geofence_is_read_and_what_of_it_is_damaged_is_named(read):
+    mission = read_with(read, fence_of() | {"breachReturn": [LAT, LON, 30]})
+    assert mission.not_judged == ()
+    assert [zone.label for zone in mission.zones] == ["'geofence polygon 1' of 'mission.plan'"]
+    assert mission.zones[0].polygon.area == pytest.approx(0.5)
+    circle = {"center": [LAT, LON], "radius": 250}
+    assert len(read_with(read, fence_of("circles", circle)).zones) == 1
+    damages = [
+        fence_of(outline=[[LAT, LON], [LAT, LON + 1]]),
+        fence_of(outline=[[LAT, LON]] * 4),
+        fence_of(outline=[[LAT, LON], [LAT, None], [LAT + 1, LON]]),
+        fence_of(outline=[[LAT, LON], [LAT + 90, LON], [LAT, 9.0]]),
+        fence_of(inclusion="false"),
+        fence_of(inclusion=None),
+        fence_of("circles", circle | {"radius": 0}),
+        fence_of("circles", circle | {"radius": -5}),
+        fence_of("circles", circle | {"radius": "NaN"}),
+        fence_of("circles", circle | {"center": [LAT, 999]}),
+        fence_of("circles", {"center": [LAT, LON]}),
+        fence_of("circles", [[LAT, LON]]),
+        {"version": 2, "polygons": [3]},
+    ]
+    for number, damage in enumerate(damages):
+        mission = read_with(read, damage)
+        assert (number, mission.zones) == (number, [])
+        assert (number, len(mission.not_judged)) == (number, 1)
+        assert "is damaged, and not judged" in mission.not_judged[0]
+    (note,) = read_with(read, fence_of() | {"version": 1}).not_judged
+    assert note == "its version of its geofence is 1, and only 2 is understood"
+
+
+def test_of_several_areas_to_stay_in_px4_asks_for_one_and_others_for_all(read):
+    fence = fence_of(inclusion=True)
+    fence["polygons"] *= 2
+    fence["polygons"] += [fence_of(outline=[[0, 0], [0, 1], [1, 0]], inclusion=True)["polygons"][0]]
+    for firmware, num in {12: 1, 3: 3, 99: 3}.items():
+        plan = plan_of(BOX, firmwareType=firmware) | {"geoFence": fence}
+        zones = read(json.dumps(plan)).zones
+        assert [zone.name for zone in zones] == ["land outside the geofence"] * num
+        assert zones[-1].polygon.area == pytest.approx(360 * 180 - (1.0 if num == 1 else 0.5))
+
+
+def test_a_geofence_across_the_antimeridian_is_on_both_sides(read):
+    outline = [[LAT, 179.9], [LAT, -179.9], [LAT + 0.1, -179.9], [LAT + 0.1, 179.9]]
+    (zone,) = read_with(read, fence_of(outline=outline)).zones
+    assert zone.polygon.bounds == pytest.approx((179.9, LAT, 180.1, LAT + 0.1))
+    (zone,) = read_with(read, fence_of("circles", {"center": [0, 180], "radius": 1000})).zones
+    assert np.ptp(zone.polygon.bounds[::2]) == pytest.approx(2000 / 111_319.5, rel=1e-3)
+
+
 def test_fences_and_rally_points_are_named_once(read):
-    plan = plan_of(BOX) | {"geoFence": {"polygons": [{}, {}], "circles": [{}]}}
+    plan = plan_of(BOX) | {"geoFence": {"version": 2, "polygons": [{}, {}], "circles": [{}]}}
     plan |= {"rallyPoints": {"points": [[LAT, LON, 0]]}}
+    names = ("polygon 1", "polygon 2", "circle 1")
+    damaged = [f"geofence {name} is damaged, and not judged" for name in names]
+    assert read(json.dumps(plan)).not_judged == (*damaged, "its rally points are not judged")
     said = ("its geofence is not judged", "its rally points are not judged")
-    assert read(json.dumps(plan)).not_judged == said
     rows = [
         (5003, 0, NONE, LAT, LON, 0),
         (5003, 0, NONE, LAT, 8.6, 0),

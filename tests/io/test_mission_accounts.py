@@ -348,8 +348,10 @@ def test_a_file_that_is_no_plan_of_a_known_version_is_never_judged_whole(read):
 
 def test_parts_of_a_plan_that_are_not_known_are_named(read):
     fence = plan(geoFence={"version": 2, "polygons": {"a": 1}}, rallyPoints={"others": [1]})
-    said = ("its geofence is not judged", "its rally points are not judged")
+    said = ("geofence polygon 1 is damaged, and not judged", "its rally points are not judged")
     assert read(fence, "m.plan").not_judged == said
+    fence = plan(geoFence={"version": 2, "params": [{}], "polygons": []})
+    assert read(fence, "m.plan").not_judged == ("its part 'params' is not judged",)
     whole = plan(mission2={"items": TWO}, comment="a text")
     whole["mission"]["moreItems"] = TWO
     said = ("its part 'mission2' is not judged", "its part 'moreItems' is not judged")

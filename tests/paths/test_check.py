@@ -6,16 +6,20 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 import xarray as xr
+from matplotlib.legend import Legend
 from scipy.interpolate import RegularGridInterpolator
 
 import jaxurban as ju
 from jaxurban.io.city import City
 from jaxurban.io.read.mission import Leg, Mission, Place
+from jaxurban.io.read.mission_parts import GEOD
 from jaxurban.io.read.zone import Zone
 from jaxurban.planners.base import Status
+from jaxurban.report.check import check_markdown, plot_flown_heights, plot_mission
 from jaxurban.settings import parse_time
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.raster import Raster
@@ -398,6 +402,115 @@ def test_a_loiter_is_judged_all_round(open_scene):
     assert kinds_of(checked(open_scene, round_it, time=OFF)).count("building") >= 1
 
 
+def plan_text(scene: Scene, places_m: np.ndarray, geofence: dict, firmware: int = 12) -> str:
+    """Return a plan of QGroundControl through places, 380 m above home, with a geofence."""
+    lonlats = [np.round(scene.place(*xy_m, 0.0)[:2], 8).tolist() for xy_m in places_m]
+    items = []
+    for number, (lon, lat) in enumerate([*lonlats, lonlats[-1]], 1):
+        command = {1: 22, len(lonlats) + 1: 21}.get(number, 16)
+        height_m = 0 if command == 21 else 380
+        row = {"type": "SimpleItem", "doJumpId": number, "command": command, "frame": 3}
+        items.append(row | {"params": [0, 0, 0, 0, lat, lon, height_m]})
+    home = [*lonlats[0][::-1], 0]
+    mission = {"version": 2, "firmwareType": firmware, "items": items, "plannedHomePosition": home}
+    fence = {"version": 2, "polygons": [], "circles": []} | geofence
+    plan = {"fileType": "Plan", "version": 1, "mission": mission, "geoFence": fence}
+    return json.dumps(plan)
+
+
+def random_geofence(scene: Scene, rng: np.random.Generator) -> dict:
+    """Return one to three polygons and circles, each to keep out of or to stay in; corners may cross."""
+    fence: dict = {"polygons": [], "circles": []}
+    for _ in range(rng.integers(1, 4)):
+        is_inclusion, size_m = bool(rng.random() < 0.4), rng.uniform(30, 150)
+        centre_m = np.full(2, 300.0) if is_inclusion else rng.uniform(50, 550, 2)
+        size_m += 200.0 * is_inclusion
+        if rng.random() < 0.5:
+            lon, lat = scene.place(*centre_m, 0.0)[:2]
+            circle = {"center": [lat, lon], "radius": size_m}
+            fence["circles"].append({"inclusion": is_inclusion, "circle": circle, "version": 1})
+            continue
+        corners_m = centre_m + rng.uniform(-size_m, size_m, (rng.integers(3, 7), 2))
+        corners = [scene.place(*xy_m, 0.0)[1::-1] for xy_m in corners_m]
+        fence["polygons"].append({"inclusion": is_inclusion, "polygon": corners, "version": 1})
+    return fence
+
+
+def is_in_area(part: dict, lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
+    """Return which places are in an area of a geofence: by their distance, or by counting crossings."""
+    if "circle" in part:
+        centre = np.full((len(lon), 2), part["circle"]["center"])
+        return GEOD.inv(lon, lat, *centre.T[::-1])[2] <= part["circle"]["radius"]
+    is_in = np.zeros(len(lon), bool)
+    corners = [corner[::-1] for corner in part["polygon"]]
+    for (lon_a, lat_a), (lon_b, lat_b) in pairwise([*corners, corners[0]]):
+        if lat_a != lat_b:
+            east = lon_a + (lat - lat_a) / (lat_b - lat_a) * (lon_b - lon_a)
+            is_in ^= ((lat_a > lat) != (lat_b > lat)) & (lon < east)
+    return is_in
+
+
+def test_geofences_of_a_file_are_judged_as_points_every_20_cm_are(open_scene, tmp_path):
+    rng = np.random.default_rng(5)
+    kinds = {"clean": 0, "breached": 0}
+    for number in range(16):
+        places_m = rng.uniform(60, 540, (3, 2))
+        geofence = random_geofence(open_scene, rng)
+        firmware = (3, 12)[number % 2]
+        file = tmp_path / f"{number}.plan"
+        file.write_text(plan_text(open_scene, places_m, geofence, firmware))
+        found = checked(open_scene, file, time=OFF).findings.query("kind == 'zone'")
+
+        # The truth: a place breaches an exclusion, all inclusions (PX4) or one of them (ArduPilot).
+        legs_m = [
+            np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / DENSE_M))
+            for a, b in pairwise(places_m)
+        ]
+        points_m = np.concatenate(legs_m)
+        lon, lat = open_scene.maps.grid.lonlat_of_xy(*(points_m + open_scene.corner_m).T)
+        parts = [*geofence["polygons"], *geofence["circles"]]
+        out = [is_in_area(part, lon, lat) for part in parts if not part["inclusion"]]
+        inside = [is_in_area(part, lon, lat) for part in parts if part["inclusion"]]
+        is_kept = np.any(inside, axis=0) if firmware == 12 else np.all(inside, axis=0)
+        is_breach = np.any([*out, ~is_kept if inside else np.zeros(len(lon), bool)], axis=0)
+
+        num_steps = is_breach.sum()
+        if 0 < num_steps < 5:
+            continue  # too near to call
+        assert bool(len(found)) == bool(num_steps), (number, geofence)
+        kinds["breached" if num_steps else "clean"] += 1
+        if num_steps:
+            begin_m = points_m[np.argmax(is_breach)]
+            at_m = [
+                open_scene.xy_m(Place(*lonlat, 0.0, "ground"))
+                for lonlat in found[["lon", "lat"]].to_numpy()
+            ]
+            assert np.linalg.norm(np.array(at_m) - begin_m, axis=1).min() < 1.0
+    assert min(kinds.values()) > 3, kinds
+
+
+def test_a_breach_of_the_geofence_names_the_area_of_the_file(open_scene, tmp_path):
+    corners = [
+        open_scene.place(*xy_m, 0.0)[1::-1] for xy_m in ((0, 200), (600, 200), (600, 300), (0, 300))
+    ]
+    across = {"inclusion": False, "polygon": corners}
+    around = {"inclusion": True, "circle": {"center": corners[0], "radius": 260.0}}
+    file = tmp_path / "m.plan"
+    places_m = np.array([(20.0, 20.0), (20.0, 580.0)])
+    file.write_text(plan_text(open_scene, places_m, {"polygons": [across], "circles": [around]}))
+    result = checked(open_scene, file, time=OFF)
+    what = result.findings["what"].tolist()
+    assert [text[:60].partition(" of ")[0] for text in what] == [
+        "enters the no-fly zone 'geofence polygon 1'",
+        "enters the no-fly zone 'land outside the geofence'",
+    ]
+    assert result.findings["along_m"].tolist() == pytest.approx([380 + 180, 380 + 439.2], abs=0.6)
+    assert [zone["name"] for zone in result.limits["no_fly"]] == [
+        "geofence polygon 1",
+        "land outside the geofence",
+    ]
+
+
 def test_named_limits_are_findings_or_not_judged(open_scene):
     ds = open_scene.maps.ds.assign_coords(altitude=[10.0, 400.0])
     open_scene = open_scene._replace(maps=replace(open_scene.maps, ds=ds))
@@ -413,6 +526,82 @@ def test_named_limits_are_findings_or_not_judged(open_scene):
     unsure = checked(open_scene, mission, time=OFF, max_no_fix_m=lost_m + 10)
     assert (unsure.state, kinds_of(unsure)) == ("not-judged", [])
     assert kinds_of(checked(open_scene, mission, time=OFF, max_people=people - 1)) == ["limit"]
+
+
+def numbers_in(axes, found) -> list[int]:
+    """Return the numbers beside the marks of a picture, once each is checked to be at its finding's place."""
+    marks = {int(text.get_text()): text.xy for text in axes.texts if text.get_text()}
+    for number, place in marks.items():
+        assert place == pytest.approx(found.iloc[number - 1].tolist(), abs=1e-6)
+    return sorted(marks)
+
+
+@pytest.mark.parametrize(("num_passes", "fewest"), [(1, 1), (8, 8), (40, 30)])
+def test_pictures_show_the_mission_and_each_finding_by_its_number(open_scene, num_passes, fewest):
+    tower = open_scene.city.buildings.polygons[np.argmax(open_scene.city.buildings.height_m)]
+    x_m, y_m = np.array(tower.centroid.coords[0]) - open_scene.corner_m
+    ends = [open_scene.place(x_m, y_m + side_m, 60.0) for side_m in (-40, 40)]
+    places = (ends * num_passes)[: num_passes + 1]
+    if num_passes == 40:  # apart
+        apart_m = np.random.default_rng(2).uniform(20, 580, (18, 2))
+        places = [open_scene.place(*xy_m, 11.0) for xy_m in apart_m]
+    result = checked(open_scene, mission_of(*places, home=places[0]))
+    found = result.findings
+    assert len(found) >= fewest
+    grid = open_scene.maps.grid
+    xy_m = grid.xy_at(found[["lon", "lat"]].to_numpy())
+    figure = plot_mission(result)
+    axes = figure.axes[0]
+    numbers = [*range(1, len(found) + 1)]
+    assert numbers_in(axes, pd.DataFrame(xy_m)) == numbers
+    profile = plot_flown_heights(result).axes[0]
+    assert set(numbers_in(profile, found[["along_m", "height_m"]])) >= set(numbers[: fewest // 2])
+
+    # The panel holds the mission with a margin, and is no larger than the maps.
+    (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
+    flown_m = grid.xy_at(np.array([place[:2] for place in places]))
+    assert (flown_m.min(axis=0) >= (west, south)).all()
+    assert (flown_m.max(axis=0) <= (east, north)).all()
+    assert east - west <= SIDE_M
+    labels = [text.get_text() for text in figure.findobj(Legend)[0].get_texts()]
+    assert {"mission", "home", "no-fly zone", "findings, by number"} <= set(labels)
+
+
+def test_the_map_of_a_short_mission_is_a_part_of_the_maps_with_zones_and_home(open_scene):
+    fine = made_maps(200, 200, (0.5, 400.0))
+    scene = open_scene._replace(maps=fine)
+    ends = [scene.place(*xy_m, 200.0) for xy_m in ((800, 900), (1100, 1000))]
+    mission = mission_of(*ends, home=ends[0])
+    box = shapely.box(*np.add(scene.corner_m, 850), *np.add(scene.corner_m, 990))
+    zoned = ju.Constraints(zones=(Zone("stadium", box, fine.grid.crs),))
+    axes = plot_mission(ju.check(fine, mission)).axes[0]
+    for limits, corner_m, middle_m in zip(
+        (axes.get_xlim(), axes.get_ylim()), scene.corner_m, (950, 950), strict=True
+    ):
+        assert np.ptp(limits) == pytest.approx(600, abs=20)
+        assert np.mean(limits) - corner_m == pytest.approx(middle_m, abs=20)
+    (home,) = [line for line in axes.lines if line.get_label() == "home"]
+    assert home.get_xydata()[0] - scene.corner_m == pytest.approx([800, 900], abs=1e-3)
+    assert not axes.collections
+    axes = plot_mission(ju.check(fine, mission, constraints=zoned)).axes[0]
+    (outline,) = axes.collections[0].get_paths()
+    assert outline.vertices.min(axis=0) - scene.corner_m == pytest.approx([850, 850])
+    assert outline.vertices.max(axis=0) - scene.corner_m == pytest.approx([990, 990])
+
+
+def test_the_report_has_each_finding_under_its_number(open_scene, tmp_path):
+    ends = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
+    result = checked(
+        open_scene, mission_of(*ends, home=ends[0]), time=OFF, max_people=0, max_no_fix_m=0
+    )
+    result.save(tmp_path / "checked")
+    report = (tmp_path / "checked" / "report.md").read_text()
+    assert len(result.sentences) > 1
+    for number, sentence in enumerate(result.sentences, 1):
+        assert f"\n{number}. {sentence}\n" in report
+    assert f"- no fix: {result.facts['no fix']}\n" in report
+    free = checked(open_scene, mission_of(*ends, home=ends[0]), time=OFF)
+    assert "## Findings\n\nNone.\n" in check_markdown(free, [])
 
 
 def test_a_bound_that_is_not_kept_closes_cells(open_scene):
@@ -444,6 +633,91 @@ def test_people_and_the_densest_kilometre_are_those_of_a_plain_sum(open_scene):
     people = density[(x_m // 10).astype(int)].sum() * 0.01 * 10.0 / 1e6
     assert figures["people_overflown"] == pytest.approx(people, rel=1e-2)
     assert figures["densest_km_people"] == pytest.approx(figures["people_overflown"])
+
+
+@pytest.fixture(scope="module")
+def lost_scene(open_scene) -> Scene:
+    """The scene with a fix everywhere but in two strips, of 40 and 30 m at ``ON`` and of 10 m at ``OFF``."""
+    hdop = open_scene.maps.ds["hdop"].copy(deep=True)
+    hdop[:] = 1.0
+    for at, first_row, end_row in ((0, 20, 24), (0, 30, 33), (1, 10, 11)):
+        hdop[{"time": at, "y": slice(first_row, end_row)}] = np.inf
+    maps = replace(open_scene.maps, ds=open_scene.maps.ds.assign(hdop=hdop))
+    return open_scene._replace(maps=maps)
+
+
+def test_a_limit_on_the_fix_is_shown_where_it_is_first_lost_at_the_worst_time(lost_scene):
+    ends = [lost_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
+    mission = mission_of(*ends, home=ends[0])
+    result = checked(lost_scene, mission, time=[OFF, ON], max_no_fix_m=30)
+    (row,) = result.findings.to_dict("records")
+    assert (row["kind"], row["item"], row["by_m"]) == ("limit", 2, pytest.approx(40.0, abs=1))
+    assert (row["along_m"], row["to_m"]) == pytest.approx((60 + 180, 60 + 310), abs=1)
+    assert lost_scene.xy_m(Place(row["lon"], row["lat"], 0.0, "ground")) == pytest.approx(
+        (20.0, 200.0), abs=1
+    )
+    assert row["height_m"] == pytest.approx(60.0)
+    (point,) = result.to_geojson()["features"]
+    assert point["geometry"]["coordinates"] == [row["lon"], row["lat"]]
+    assert "above all from 240 to 370 m along the mission, toward item 2" in result.sentences[0]
+
+
+def test_figures_are_in_words_and_their_keys_stay(lost_scene):
+    ends = [lost_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
+    result = checked(lost_scene, mission_of(*ends, home=ends[0]), time=[ON, OFF])
+    lost = "70 m at 2020-04-27 16:00 UTC, 10 m at 2020-04-29 16:00 UTC; not known on 0 m"
+    assert result.facts["no fix"] == lost
+    assert f"no fix: {lost}" in result.lines
+    assert result.facts["length"] == "600 m, 600 m of it over the maps"
+    assert all("_" not in line for line in result.lines)
+    by_time = result.to_dict()["figures"]["no_fix_by_time_m"]
+    assert by_time == {ON: pytest.approx(70, abs=1), OFF: pytest.approx(10, abs=1)}
+    no_gps = replace(lost_scene.maps, ds=lost_scene.maps.ds.drop_vars("hdop"))
+    without = checked(lost_scene._replace(maps=no_gps), mission_of(*ends, home=ends[0]))
+    assert "no fix" not in without.facts
+
+
+def test_a_limit_on_people_is_shown_where_the_densest_kilometre_begins(open_scene):
+    density = open_scene.maps.ds["density"].copy(deep=True)
+    density[:] = 10.0
+    density[{"y": slice(30, 60), "x": slice(40, 60)}] = 5_000.0
+    scene = open_scene._replace(
+        maps=replace(open_scene.maps, ds=open_scene.maps.ds.assign(density=density))
+    )
+    corners = [(15, 15), (585, 15), (585, 585), (15, 585), (15, 15)]
+    places = [scene.place(*xy_m, 60.0) for xy_m in corners]
+    result = checked(scene, mission_of(*places, home=places[0]), time=OFF, max_people=5)
+    (row,) = result.findings.to_dict("records")
+    # By a plain sum: people below every half metre of the square, and below any kilometre of it.
+    people = []
+    for begin_m, end_m in pairwise(np.array(corners, float)):
+        shares = (np.arange(1140) + 0.5)[:, None] / 1140
+        col, row_m = ((begin_m + shares * (end_m - begin_m)) // 10).astype(int).T
+        people.append(density.values[0][row_m, col] * 0.5 * 10 / 1e6)
+    sums = np.append(0, np.cumsum(people))
+    in_km = sums[2000:] - sums[:-2000]
+    assert row["along_m"] == pytest.approx(60 + np.argmax(in_km) * 0.5, abs=12)
+    assert row["to_m"] - row["along_m"] == pytest.approx(1000, abs=1)
+    assert result.figures["densest_km_people"] == pytest.approx(in_km.max(), rel=0.02)
+    assert "above all from" in result.sentences[0]
+
+
+def test_a_cheapest_route_that_costs_more_than_the_mission_is_explained(open_scene):
+    ends = [open_scene.place(*xy_m, 390.0) for xy_m in ((21.0, 33.0), (577.0, 288.0))]
+    weights = ju.Weights(gps=0, lidar=0, population=0, risk=0)
+    result = checked(open_scene, mission_of(*ends, home=ends[0]), time=OFF, weights=weights)
+    figures = result.figures
+    length_m = np.linalg.norm(open_scene.xy_m(ends[0]) - open_scene.xy_m(ends[1]))
+    assert figures["cost"] * 10 == pytest.approx(length_m, rel=1e-3)
+    assert "costs more than the mission" in figures["cost_note"]
+    assert not {"cheapest_cost", "cheapest_length_m", "saved_cost", "saved_share"} & figures.keys()
+    assert "cheapest route" not in result.facts
+    along = [
+        open_scene.place(*xy_m, 390.0) for xy_m in ((25.0, 15.0), (555.0, 15.0), (555.0, 585.0))
+    ]
+    dearer = checked(open_scene, mission_of(*along, home=along[0]), time=OFF, weights=weights)
+    assert dearer.figures["saved_cost"] > 1
+    assert "cost_note" not in dearer.figures
 
 
 def test_without_the_city_cells_are_looked_at_and_the_result_says_so(open_scene):
@@ -492,6 +766,26 @@ def test_a_planned_mission_is_clean_without_guesses(town, tmp_path):
     assert ju.check(town, tmp_path / "high.plan", sources=city).state == "clean"
     unsure = ju.check(town, tmp_path / "high.plan", sources=guessed)
     assert (unsure.state, kinds_of(unsure)) == ("not-judged", [])
+
+
+def test_missions_keep_the_fences_that_they_are_written_with(town, tmp_path):
+    city = ju.demo_city(1_000, 1_000)
+    on_ground = np.argwhere(town.is_free(20.0) & (town.m("roof_touched") == 0))
+    ends = ends_at(town, *on_ground[[10, -10]])
+    straight = ju.plan(town, altitude_m=20.0, **ends)
+    middle_m = straight.xy_m[len(straight.xy_m) // 2]
+    zone = Zone("stadium", shapely.box(*(middle_m - 50), *(middle_m + 50)), town.grid.crs)
+    limits = ju.Constraints(zones=(zone,))
+    path = ju.plan(town, altitude_m=20.0, constraints=limits, **ends)
+    path.save(tmp_path / "x.plan", fence_roofs_m=8.0)
+    result = ju.check(town, tmp_path / "x.plan", sources=city)
+    assert result.state == "clean", result
+    assert result.figures["num_zones"] > 1
+    through = json.loads((tmp_path / "x.plan").read_text())
+    straight.save(tmp_path / "y.plan")
+    other = json.loads((tmp_path / "y.plan").read_text()) | {"geoFence": through["geoFence"]}
+    (tmp_path / "y.plan").write_text(json.dumps(other))
+    assert "zone" in kinds_of(ju.check(town, tmp_path / "y.plan", sources=city))
 
 
 @pytest.mark.parametrize("planner", ["astar-plus", "theta-star"])

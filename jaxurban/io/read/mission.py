@@ -9,8 +9,9 @@
 | ``.geojson``, ``.json`` | LineString, MultiLineString | asked for; ground in jaxurban's own |
 | ``.csv`` | rows of lon, lat, altitude_m (or height_m, alt) | asked for |
 
-Whatever else has a position is counted and not judged. Places are in WGS 84; a file that names another CRS or datum is
-refused, and so is one that gives a quantity twice with different values.
+The geofence of a ``.plan`` is read too, as zones. Whatever else has a position is counted and not judged. Places are in
+WGS 84; a file that names another CRS or datum is refused, and so is one that gives a quantity twice with different
+values.
 
 | command of MAVLink | how it is flown |
 |---|---|

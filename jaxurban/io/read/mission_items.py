@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from jaxurban.errors import InputError
+from jaxurban.io.read.mission_fence import read_geofence
 from jaxurban.io.read.mission_flight import (
     FRAMES,
     HAS_HEIGHT,
@@ -33,14 +34,16 @@ PLANES = (1, *range(19, 26))  # MAV_TYPE: fixed wing, and VTOL of every kind
 # QGroundControl's AltitudeMode: it makes metres above the geoid of metres above ground.
 CALCULATED = 3
 HOME_HEIGHT = "home_above_ground_m"  # among the settings of jaxurban's own plans
-BESIDE = {"geoFence": "geofence is", "rallyPoints": "rally points are"}
 SAME_M = 0.1
 LOWEST_M, HIGHEST_M = -500.0, 9000.0  # that ground lies at, above the geoid
 NANS = ("nan", "-nan", "NaN")  # as C and .NET write a value that is left open
-VERSIONS = {"version": 1, "version of its mission": 2}  # that are known
-# Parts that are read, or that jaxurban adds; others that hold something are named.
-PARTS = ("mission", "settings", *BESIDE)
-MISSION_PARTS = ("items", "plannedHomePosition")
+# Versions that are known, and parts that are read, that jaxurban adds, or that matter only once a fence is breached;
+# others that hold something are named.
+KNOWN = (
+    ("version", 1, ("mission", "settings", "geoFence", "rallyPoints")),
+    ("version of its mission", 2, ("items", "plannedHomePosition")),
+    ("version of its geofence", 2, ("polygons", "circles", "breachReturn")),
+)
 Home = tuple[LonLat | None, float | None]  # its place, and its elevation above the geoid
 
 
@@ -81,15 +84,17 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
         notes.append(
             "it does not say that it is a plan (fileType), and is judged as if it were one"
         )
-    for (what, known), whole in zip(VERSIONS.items(), (plan, mission), strict=True):
+    geofence = _object(plan.get("geoFence") or {"version": 2}, "its geoFence")
+    for (what, known, parts), whole in zip(KNOWN, (plan, mission, geofence), strict=True):
         version = whole.get("version")
         if version is True or version != known:
             notes.append(f"its {what} is {str(version)[:40]}, and only {known} is understood")
-    for part, words in BESIDE.items():
-        parts = _object(plan.get(part) or {}, f"its {part}")
-        if any(value for key, value in parts.items() if key != "version"):
-            notes.append(f"its {words} not judged")
-    notes += _unknown(plan, PARTS) + _unknown(mission, MISSION_PARTS)
+        notes += _unknown(whole, parts)
+    zones, damaged = read_geofence(geofence, name, any_is_enough=autopilot == "px4")
+    notes += damaged
+    rally = _object(plan.get("rallyPoints") or {}, "its rallyPoints")
+    if any(value for key, value in rally.items() if key != "version"):
+        notes.append("its rally points are not judged")
     is_plane = mission.get("vehicleType") in PLANES
     if is_plane:
         notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
@@ -99,7 +104,7 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
         HOME_HEIGHT, _object(plan.get("settings") or {}, "settings").get(HOME_HEIGHT)
     )
     read = _flown(name, flown, len(rows), start, notes, speed_m_s)
-    return replace(read, home_above_ground_m=above_m if above_m > 0 else 0.0)
+    return replace(read, zones=zones, home_above_ground_m=above_m if above_m > 0 else 0.0)
 
 
 def read_waypoints(

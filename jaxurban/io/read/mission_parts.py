@@ -9,6 +9,8 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import pyproj
 
+from jaxurban.io.read.zone import Zone
+
 Datum = Literal["home", "ground", "geoid", "ellipsoid"]  # what a height is above
 Profile = Literal["frame", "straight", "both"]  # how a leg runs between the heights of its ends
 LonLat = tuple[float, float]
@@ -105,6 +107,7 @@ class Mission:
       accounts: of everything in the file; empty for a mission that no file holds.
       num_things: how many things the file holds, counted apart from ``accounts``: the two must agree.
       home_above_ground_m: how high home lies above the ground, on a roof; heights above home count from there.
+      zones: where its geofence lets it not fly.
     """
 
     name: str
@@ -116,6 +119,7 @@ class Mission:
     accounts: tuple[Account, ...] = ()
     num_things: int = 0
     home_above_ground_m: float = 0.0
+    zones: Sequence[Zone] = ()
 
     @property
     def num_lost(self) -> int:

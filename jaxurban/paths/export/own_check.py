@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -65,7 +66,9 @@ def _findings(route: PlannedPath, maps: MetricMaps, data: bytes, city: City | No
     known = shapely.box(*maps.grid.bounds_m)  # what lies beyond is no finding
     times, time_of_day = [route.settings.get("time")], route.settings.get("time_of_day")
     buildings = buildings_of(maps, city)
-    findings, _ = judged(flight, buildings, known, constraints_of(route), times, time_of_day)
+    limits = constraints_of(route)
+    limits = replace(limits, zones=(*limits.zones, *mission.zones))
+    findings, _ = judged(flight, buildings, known, limits, times, time_of_day)
     return findings
 
 

@@ -42,6 +42,7 @@ from jaxurban.report.figures.style import (
     wrapped,
 )
 from jaxurban.report.write import Look
+from jaxurban.settings import time_said as time_said
 from jaxurban.world.grid import Grid, crs_said
 
 MAX_CELLS = 4000  # a side: of larger maps every second, third ... row and column is drawn
@@ -532,11 +533,6 @@ def meaning_of(maps: MetricMaps, name: str, said: str = "") -> str:
             numbers = " and ".join(f"{number:,.0f}" for number in dict.fromkeys(attrs[norm]))
             meaning = meaning.replace(f"({norm})", f"({numbers}{unit})")
     return meaning
-
-
-def time_said(time: str) -> str:
-    """Return an ISO time in words: date, hour and minute."""
-    return f"{time[:10]} {time[11:16]} UTC"
 
 
 def sky_said(maps: MetricMaps, time: str | None) -> str:

@@ -237,7 +237,7 @@ def legend_below(figure: Figure, panel: Axes) -> None:
             handle.set_path_effects([])
 
 
-def label_apart(panel: Axes, names: Iterable[str], marks: np.ndarray) -> None:
+def label_apart(panel: Axes, names: Iterable[str], marks: np.ndarray, **look: Any) -> None:
     """Write names beside marks so that none covers a mark or another name, nor leaves the panel.
 
     To be called last, as the layout of the figure is settled here. A line joins a name to its mark where it is far
@@ -247,6 +247,7 @@ def label_apart(panel: Axes, names: Iterable[str], marks: np.ndarray) -> None:
       panel: to write in.
       names: of the first marks, the most important first.
       marks: ``[M, 2]`` where all marks are, in the panel's coordinates.
+      look: of the names, as Matplotlib's keywords.
     """
     figure: Any = panel.figure
     figure.draw_without_rendering()
@@ -256,7 +257,7 @@ def label_apart(panel: Axes, names: Iterable[str], marks: np.ndarray) -> None:
     mark_boxes = [Bbox([place, place]).padded(MARK_PT * dots_per_pt) for place in middles]
     taken = mark_boxes.copy()
     for name, place in zip(names, marks, strict=False):
-        text = panel.annotate(name, place, (0, 0), textcoords=POINTS)
+        text = panel.annotate(name, place, (0, 0), textcoords=POINTS, **look)
 
         # The nearest free place: if there is one, such that no mark but its own is as near.
         for most, away_pt, right, up in product((1, len(marks)), AWAY_PT, STEPS, STEPS):

@@ -1,0 +1,66 @@
+"""The geofence of a plan of QGroundControl, version 2, as no-fly zones: areas to keep out of, and all outside others.
+
+Autopilots look at degrees and count crossings, so that a place which an outline goes around twice is outside of it. Of
+several areas to stay in PX4 asks for any one (``Geofence::isInsidePolygonOrCircle``), ArduPilot for all of them, unless
+its ``FENCE_OPTIONS`` say otherwise.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import shapely
+
+from jaxurban.io.read.outlines import polygonal
+from jaxurban.io.read.zone import Zone
+from jaxurban.world.grid import WGS84, transformer
+
+EARTH = shapely.box(-180, -90, 180, 90)
+CHORDS = 180  # of a quarter of a circle: they leave one of 1 km by 1 cm
+
+
+def read_geofence(
+    geofence: Mapping[str, Any], source: str, any_is_enough: bool
+) -> tuple[list[Zone], list[str]]:
+    """Return where a geofence lets nobody fly, and a sentence on each area that is damaged.
+
+    Args:
+      geofence: the object of JSON.
+      source: name of the file.
+      any_is_enough: of several areas to stay in the autopilot asks for any one, or else for all.
+    """
+    zones: dict[bool, list[Zone]] = {False: [], True: []}  # by whether a flight must stay in it
+    notes = []
+    for kind, corners_of in (("polygon", _places), ("circle", _circle)):
+        for number, part in enumerate(geofence.get(f"{kind}s") or [], 1):
+            name = f"geofence {kind} {number}"
+            try:
+                lats, lons = corners_of(part[kind]).T
+                ring = shapely.Polygon(np.column_stack([np.unwrap(lons, period=360), lats]))
+                area = polygonal(shapely.make_valid(ring))
+                zones[part["inclusion"]].append(Zone(name, area, source=source))
+            except (LookupError, TypeError, ValueError):
+                notes.append(f"{name} is damaged, and not judged")
+
+    inside = [zone.polygon for zone in zones[True]]
+    if any_is_enough and inside:
+        inside = [shapely.union_all(inside)]
+    outside = [Zone("land outside the geofence", EARTH - area, source=source) for area in inside]
+    return zones[False] + outside, notes
+
+
+def _places(rows: Any) -> np.ndarray:
+    """Return ``[N, 2]`` latitude and longitude in degrees; TypeError or ValueError where rows are none."""
+    places = np.array(rows, float)
+    if not (np.abs(places) <= (90, 180)).all():
+        raise ValueError(rows)
+    return places
+
+
+def _circle(circle: Any) -> np.ndarray:
+    """Return ``[N, 2]`` latitude and longitude in degrees of places on a circle."""
+    ((lat, lon),) = _places([circle["center"]])
+    ring = shapely.Point(0, 0).buffer(float(circle["radius"]), CHORDS)
+    around = transformer(f"+proj=aeqd +lat_0={lat} +lon_0={lon} +datum=WGS84", WGS84)
+    lonlat = around.transform(*shapely.get_coordinates(ring).T)
+    return np.column_stack(lonlat[::-1])
