@@ -102,13 +102,16 @@ def check(
         a wrong limit, or sources that are named and are not those of the maps.
 
     Examples:
-      >>> path.save("mission.plan").name
+      >>> flight = ju.plan(maps, start, goal, altitude_m=60.0, snap=True, on_ground=True)
+      >>> flight.save("mission.plan").name
       'mission.plan'
-      >>> result = ju.check(maps, "mission.plan", sources=city, max_people=50)
+      >>> print(ju.check(maps, "mission.plan", sources=city, max_people=50).sentence)
+      Clean: every leg was judged, and nothing was found.
+      >>> result = ju.check(maps, "mission.plan", sources=city, max_people=30)
       >>> print(result.sentence)
       Findings: 1.
-      >>> result.findings[["kind", "item", "building_m"]].round(1).to_dict("records")
-      [{'kind': 'building', 'item': 7, 'building_m': 7.8}]
+      >>> result.findings[["kind", "what"]].to_dict("records")
+      [{'kind': 'limit', 'what': '42 people overflown; the limit is 30'}]
     """
     # The arguments, the mission as it was read, and the times of the flight: None stands for the maps' first time.
     maps = as_maps(maps)

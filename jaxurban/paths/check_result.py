@@ -21,6 +21,7 @@ from jaxurban.public import Caution, caution_of_guesses
 from jaxurban.settings import time_said
 
 State = Literal["clean", "findings", "not-judged"]
+ALL_KNOWN = "; not known on 0 m"
 STATES: dict[State, str] = {
     "clean": "Clean: every leg was judged, and nothing was found.",
     "findings": "Findings: {num}.",
@@ -57,11 +58,10 @@ class MissionCheck(Result):
       zones: the no-fly zones in force, with those of the mission's geofence.
 
     Examples:
-      >>> path.save("mission.plan").name
-      'mission.plan'
-      >>> ju.check(maps, "mission.plan", sources=city)
-      MissionCheck(state: Findings: 1.; mission: mission.plan; buildings: exact outlines; ...
-        limit: Flies up to 7.8 m into a building: from 831 to 839 m along the mission, toward item 7, at ...
+      >>> ju.check(maps, path, sources=city, max_people=30)
+      MissionCheck(state: Findings: 1.; mission: path of astar-plus; buildings: exact outlines; ...
+        limit: 37 people overflown; the limit is 30: above all from 0 to 719 m along the mission, toward item 2, at ...
+        ...
     """
 
     _command = "check"
@@ -104,7 +104,7 @@ class MissionCheck(Result):
         numbers = {}
         for name, words in NUMBERS.items():
             with suppress(KeyError):
-                numbers[name] = words.format_map(texts)
+                numbers[name] = words.format_map(texts).removesuffix(ALL_KNOWN)
         return numbers
 
     @property
@@ -149,11 +149,9 @@ class MissionCheck(Result):
           ``outlines``, ``limits`` and ``guesses``; None stands for a number that is missing.
 
         Examples:
-          >>> path.save("mission.plan").name
-          'mission.plan'
-          >>> record = ju.check(maps, "mission.plan", sources=city).to_dict()
+          >>> record = ju.check(maps, path, sources=city, max_people=30).to_dict()
           >>> record["state"], [finding["kind"] for finding in record["findings"]]
-          ('findings', ['building'])
+          ('findings', ['limit'])
         """
         return {
             "state": self.state,
@@ -174,11 +172,9 @@ class MissionCheck(Result):
           A FeatureCollection; the properties of each point are the columns of ``findings``.
 
         Examples:
-          >>> path.save("mission.plan").name
-          'mission.plan'
-          >>> points = ju.check(maps, "mission.plan", sources=city).to_geojson()
+          >>> points = ju.check(maps, path, sources=city, max_people=30).to_geojson()
           >>> [point["properties"]["kind"] for point in points["features"]]
-          ['building']
+          ['limit']
         """
         features = []
         for row in records_of(self.findings):
@@ -201,9 +197,7 @@ class MissionCheck(Result):
           InputError: the folder cannot be written to, or holds another study or other files.
 
         Examples:
-          >>> path.save("mission.plan").name
-          'mission.plan'
-          >>> result = ju.check(maps, "mission.plan", sources=city)
+          >>> result = ju.check(maps, path, sources=city, max_people=30)
           >>> [file.name for file in result.save("findings.geojson")]
           ['findings.geojson']
           >>> sorted(file.name for file in result.save("checked"))[:3]

@@ -427,8 +427,8 @@ class Constraints:
 
         Examples:
           >>> limits = ju.Constraints()
-          >>> limits.is_free(maps, 60.0).sum(), limits.is_free_to_ground(maps, 60.0).sum()
-          (np.int64(900), np.int64(700))
+          >>> int(limits.is_free(maps, 60.0).sum()), int(limits.is_free_to_ground(maps, 60.0).sum())
+          (878, 282)
         """
         levels_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m < altitude_m]
         is_free = self.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
