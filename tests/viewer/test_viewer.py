@@ -42,6 +42,8 @@ ENDS = [np.round(MAPS.grid.lonlat_of_cell(*CELLS[at]), 7).tolist() for at in (5,
 NEAR = np.round(
     MAPS.grid.lonlat_of_cell(*CELLS[np.hypot(*(CELLS - CELLS[5] - [7, 6]).T).argmin()]), 7
 ).tolist()
+ROOFED = np.argwhere(MAPS.is_free(20.0) & (MAPS.m("roof_touched") > 0))
+OVER_ROOF = np.round(MAPS.grid.lonlat_of_cell(*ROOFED[3]), 7).tolist()
 WEIGHTS = {"distance": 0.1, "gps": 3.0, "lidar": 0.7, "population": 0.0, "risk": 1.5}
 QUERY = {"start": ENDS[0], "goal": ENDS[1], "at": [0, 0, 1], "weights": WEIGHTS}
 
@@ -316,6 +318,7 @@ def test_what_is_yes_or_no_in_a_cell_is_told_in_words():
         {"planner": "astar-plus"},
         {"planner": "astar-dist", "clearance_m": 12.5},
         {"planner": "ptp", "snap": False},
+        {"on_ground": True, "start": OVER_ROOF},
         {"weights": WEIGHTS | {"gps": 20.0, "lidar": 0.0}},
         {"planner": "theta-star", "cost_model": "line"},
         {"flight_m": 37.5, "vertical_clearance_m": 6.25},  # between the levels of 20 and 60 m

@@ -23,7 +23,7 @@ from jaxurban.paths.path import PlannedPath
 NO_MAPS = "It was not checked, as the path has no maps."
 OUTLINES = "exact outlines"
 ANOTHER_PLAN = "plan it again with greater clearances, or save it as .kml, .gpx or .geojson"
-MOVE = "plan with --snap (snap=True, on_ground=True), which moves the ends there"
+MOVE = "let the ends be moved there (--snap; snap=True, on_ground=True; the viewer's planners and rules)"
 FROM_ROOF = "pass --from-roof (from_roof=True) if the flight starts from that roof"
 
 
