@@ -17,7 +17,7 @@ from jaxurban.io.read.rasterise import highest_top_m, rasterise
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.maps.provenance import _building_record
 from jaxurban.maps.uncertain_heights import perturbed_cities
-from jaxurban.paths.hiding import Hiding
+from jaxurban.satellites.outlines import Hiding
 from jaxurban.settings import SLABS, HeightStd
 from jaxurban.viewer.outlines import outlines_of
 from jaxurban.world.footprints import Footprints, HeightOrigin

@@ -7,7 +7,8 @@ from scipy.signal import lfilter
 from scipy.stats import spearmanr
 
 import jaxurban as ju
-from jaxurban.maps import track as maps_track
+from jaxurban.satellites import track as maps_track
+from jaxurban.satellites.sight import Sight
 from jaxurban.studies.receiver import prediction
 from jaxurban.studies.receiver.logs import read_receiver_log
 from jaxurban.studies.receiver.validate import (
@@ -49,7 +50,11 @@ def score(of: ju.studies.ReceiverValidation, witness: str = "num_tracked") -> pd
 @pytest.mark.slow
 def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
     drive = prediction.track_of(read_receiver_log(true_log()), GRID, SETTINGS.sky_step_s)
-    sky = prediction.task_at(scenario(), drive.sky_times, GRID, SETTINGS.antenna_height_m).sky
+    sky = (
+        Sight.of_scenario(scenario(), GRID)
+        .task(drive.sky_times, SETTINGS.antenna_height_m, None)
+        .sky
+    )
     made = [
         compute_gps(surface(), azimuth[above], elevation[above], np.array([2.0], np.float32))
         for azimuth, elevation in zip(sky.azimuth_rad, sky.elevation_rad, strict=True)

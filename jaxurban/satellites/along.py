@@ -15,8 +15,8 @@ from jaxurban.metrics.gps import FIX, Gps, has_no_fix
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, Point
-from jaxurban.paths.sight import By, Sight, cautions_of, xy_of
 from jaxurban.public import Caution, FactsRepr, listed
+from jaxurban.satellites.sight import By, Sight, cautions_of, xy_of
 from jaxurban.settings import as_tuple, parse_time
 
 

@@ -18,21 +18,23 @@ from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.maps.build import region_of, view_sky
 from jaxurban.maps.levels import listed_m
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.run import gps_of, load_city
+from jaxurban.maps.run import gps_of, grid_of, load_city
+from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.sources import CityLike, folder_of, scenario_of
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.maps.track import NUM_VISIBLE, Track, quality_along, seen_along
 from jaxurban.metrics.gps import DOPS, FIX, Gps, has_no_fix
-from jaxurban.paths.hiding import Hiding
+from jaxurban.metrics.population import Population
 from jaxurban.paths.places import XY, Point, one_place
 from jaxurban.progress import Report
 from jaxurban.public import Caution, caution_of_guesses, listed
+from jaxurban.satellites.outlines import Hiding
+from jaxurban.satellites.rule import HIDDEN, SEEN, UNKNOWN
+from jaxurban.satellites.track import NUM_VISIBLE, Track, quality_along, seen_along
 from jaxurban.settings import Heights
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
 
 By = Literal["outlines", "map"]
-SEEN, HIDDEN, UNKNOWN = "seen", "hidden", "unknown"
 RESOLUTION_M = 5.0  # of the maps of a City, as `build_maps` makes them
 
 
@@ -119,14 +121,22 @@ class Sight:
                 f"resolution_m must be that of maps in the folder, {listed_m(resolutions_m)}, got {resolution_m:g}"
             )
 
-        # The city, its region and the parameters of its maps.
-        region = Grid.from_bounds(
-            scenario.region.bounds, resolution_m, scenario.region.crs, resolutions_m
-        )
+        return cls.of_scenario(scenario, grid_of(scenario, resolution_m), gps)
+
+    @classmethod
+    def of_scenario(cls, scenario: Scenario, region: Grid, gps: Gps | None = None) -> "Sight":
+        """Return the sight of the city that a scenario names, without its people.
+
+        Args:
+          scenario: of maps.
+          region: their grid.
+          gps: as for `of`.
+        """
         heights = replace(scenario.buildings, height_samples=0)
         sections = {"gps": gps or gps_of(scenario)}
         params = replace(scenario.map_params, heights=heights, sections=sections)
-        return cls(load_city(scenario), region, params)
+        no_people = scenario.model_copy(update={"population": Population()})
+        return cls(load_city(no_people), region, params)
 
     def task(
         self,
@@ -194,21 +204,22 @@ class Sight:
         elevation_rad = task.sky.elevation_rad[sky[epoch], satellite]
         rays = Rays(x_m[epoch], y_m[epoch], azimuth_rad, elevation_rad)
         behind = self.hiding.behind(rays, height_m[epoch])
-        is_known = behind.pop("is_known").to_numpy()
+        state = behind.pop("state").to_numpy()
 
         # Which satellites are seen, ``[N, S]`` of S satellites in all, and whether each place is outdoors.
         if by == "map":
             track = Track(x_m, y_m, *self.region.cell_of_xy(x_m, y_m), sky, task.sky.times)
             is_seen, is_outdoors = seen_along(task, track, Report())
+            by_map = np.where(is_seen[epoch, satellite], SEEN, HIDDEN)
+            state = np.where(state == UNKNOWN, UNKNOWN, by_map)
             behind = behind.iloc[:, :0]  # no columns, as the map knows no single roof
         else:
             is_seen = np.zeros((num, len(task.sky.names)), bool)
-            is_seen[epoch, satellite] = is_known & (behind["margin_m"] > 0)
+            is_seen[epoch, satellite] = state == SEEN
             is_outdoors = np.ones(num, bool)
             is_outdoors[epoch[behind["roof_distance_m"] == 0]] = False
 
         # The table of rays. Azimuths are from grid north, which the convergence turns from true north.
-        state = np.select([~is_known, is_seen[epoch, satellite]], [UNKNOWN, SEEN], HIDDEN)
         true_rad = azimuth_rad + self.region.convergence_rad(*lonlat)
         rows = {
             "satellite": np.array(task.sky.names)[satellite],

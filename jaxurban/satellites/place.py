@@ -13,11 +13,10 @@ from jaxurban.checks import positive, typed
 from jaxurban.maps.sources import CityLike
 from jaxurban.metrics.gps import FIX, Gps
 from jaxurban.paths.places import Point
-from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN, By, Sight, cautions_of, xy_of
 from jaxurban.public import Caution, FactsRepr, listed
+from jaxurban.satellites.rule import STATES
+from jaxurban.satellites.sight import By, Sight, cautions_of, xy_of
 from jaxurban.settings import as_tuple
-
-LOWEST_HORIZON_DEG = 1.0  # of a horizon, where the elevation mask is lower
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,7 +31,7 @@ class SkyAt(FactsRepr):
         from true and ``grid_azimuth_deg`` from grid north, clockwise, ``elevation_deg``, ``state``: ``"seen"``,
         ``"hidden"`` or ``"unknown"``, as its ray leaves the known buildings or terrain before it is above all roofs.
         By outlines also ``margin_m``, how far the ray is above the roof (or below the floor of what hangs) that it
-        clears by least: 0 or less where it is hidden, inf from 30 m on, NaN where it is unknown; and of the roof that
+        clears by least: 0 or less where it is hidden, inf from 60 m on, NaN where it is unknown; and of the roof that
         hides it, NaN for others, ``roof_height_m`` above its ground (NaN: the ground hides it), ``roof_distance_m``
         along the ground to where the ray enters the outline, ``roof_lon`` and ``roof_lat`` of that place, and
         ``roof_is_guessed``.
@@ -85,15 +84,8 @@ class SkyAt(FactsRepr):
         is lower. NaN where a ray along the horizon leaves what is known.
         """
         sight = self._sight
-        grid = sight.region
-        # From true north to grid north, from which rays are counted.
-        azimuth_rad = np.radians(np.arange(360.0)) - grid.convergence_rad(*self.lonlat)
-        lowest_deg = max(sight.params.gps.mask_deg, LOWEST_HORIZON_DEG)
-        x_m, y_m = grid.xy_of_lonlat(*self.lonlat)
-        return sight.hiding.horizon_deg(x_m, y_m, self.altitude_m, azimuth_rad, lowest_deg)
-
-
-STATES = (SEEN, HIDDEN, UNKNOWN)
+        mask_deg = sight.params.gps.mask_deg
+        return sight.hiding.horizon_deg(sight.region, self.lonlat, self.altitude_m, mask_deg)
 
 
 @typed
