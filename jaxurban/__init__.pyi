@@ -42,9 +42,9 @@ from jaxurban.programs import keep_programs as keep_programs
 from jaxurban.samples.cities import sample_city as sample_city
 from jaxurban.samples.synthetic import demo_city as demo_city
 from jaxurban.satellites.along import SkyAlong as SkyAlong
+from jaxurban.satellites.along import SkyAt as SkyAt
+from jaxurban.satellites.along import sky as sky
 from jaxurban.satellites.along import sky_along as sky_along
-from jaxurban.satellites.place import SkyAt as SkyAt
-from jaxurban.satellites.place import sky as sky
 from jaxurban.settings import Buildings as Buildings
 from jaxurban.settings import Heights as Heights
 from jaxurban.settings import HeightStd as HeightStd

@@ -72,7 +72,7 @@ def sky(
     """Say which satellites are seen from a place, or along a track, over the maps in DIR, and what hides the others."""
     from jaxurban.report.figures.sky import plot_sky
     from jaxurban.report.write import PICTURES, Output, save
-    from jaxurban.satellites.place import sky as sky_at
+    from jaxurban.satellites.along import sky as sky_at
 
     # The sky at a place, or along a track; further options are arguments of both.
     _check_files(files, track)

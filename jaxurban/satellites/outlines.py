@@ -203,9 +203,15 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Hiding:
-    """What of a city hides rays."""
+    """What of a city hides rays.
+
+    Attributes:
+      city: what stands.
+      known: where that and the ground are known, in the city's CRS.
+    """
 
     city: City
+    known: shapely.Geometry
 
     @cached_property
     def outlines(self) -> Outlines | None:
@@ -293,7 +299,7 @@ class Hiding:
         """Return what `behind` does, of rays that are followed at once."""
         # Rays that stay within what is known; all arrays below are of these `inner` ones.
         rise_m = self.rise_m(altitude_m)
-        inside = np.flatnonzero(rays.stays_within(self.city.known_ground, rise_m))
+        inside = np.flatnonzero(rays.stays_within(self.known, rise_m))
         inner = rays.take(inside)
         height_m = self.known_ground_at(inner.x_m, inner.y_m) + altitude_m[inside]
         num = len(inside)
@@ -377,7 +383,7 @@ class Hiding:
 
         # The horizon is known where its ray is above all roofs before it comes to the end of what is known.
         horizon = replace(rays, elevation_rad=np.arctan(slope))
-        is_known = horizon.stays_within(self.city.known_ground, rise_m) & (gap_m * slope > rise_m)
+        is_known = horizon.stays_within(self.known, rise_m) & (gap_m * slope > rise_m)
         return np.where(is_known, np.degrees(horizon.elevation_rad), np.nan)
 
 

@@ -162,7 +162,7 @@ class Sight:
     @cached_property
     def hiding(self) -> Hiding:
         """What can hide satellites."""
-        return Hiding(self.city)
+        return Hiding(self.city, self.city.known_ground)
 
     def look(
         self,

@@ -95,8 +95,7 @@ def seen_along(task: MapTask, track: Track, report: Report) -> tuple[np.ndarray,
         for t, number in enumerate(skies):
             report("skies", number, num_skies)
             epochs = np.flatnonzero(track.sky == number)
-            row = track.row[epochs] - part.first_row + task.region.first_row
-            col = track.col[epochs] - part.first_col + task.region.first_col
+            row, col = part.cell_of_xy(track.x_m[epochs], track.y_m[epochs])
             is_known[epochs] = ~np.asarray(tile.is_obstacle[0])[row, col]
             if tile.has_data is not None:
                 is_known[epochs] &= tile.has_data[row, col]

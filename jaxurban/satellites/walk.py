@@ -55,13 +55,9 @@ class Ground:
         whole = replace(city, blocks=None, hanging=TO_GROUND)
         toward_m = (around_m + reach_m,) * 4
         surface = rasterise(whole, surface_grid(city, box, around_m, toward_m))
-        return cls(
-            grid=surface.grid,
-            roof_m=np.asarray(surface.roof_m),
-            terrain_m=None if surface.terrain_m is None else np.asarray(surface.terrain_m),
-            has_data=None if surface.has_data is None else np.asarray(surface.has_data),
-            antenna_m=antenna_m,
-        )
+        on_host = surface.roof_m, surface.terrain_m, surface.has_data
+        roof_m, terrain_m, has_data = jax.device_get(on_host)
+        return cls(surface.grid, roof_m, terrain_m, has_data, antenna_m)
 
     @cached_property
     def _most_m(self) -> float:

@@ -8,7 +8,7 @@ import pandas as pd
 
 from jaxurban.report.figures.sky import EDGE_DEG, MARKS, ROOFS, short_name
 from jaxurban.report.figures.style import INK, SERIES_COLOURS
-from jaxurban.satellites.place import SkyAt
+from jaxurban.satellites.along import SkyAt
 from jaxurban.satellites.rule import HIDDEN, SEEN, UNKNOWN
 from jaxurban.viewer.markup import dot, number, rows, sentences
 

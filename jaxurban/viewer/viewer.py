@@ -33,7 +33,7 @@ from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.metrics import line_colour
 from jaxurban.report.figures.paths import planner_colours
-from jaxurban.satellites.place import sky_from
+from jaxurban.satellites.along import sky_from
 from jaxurban.satellites.sight import Sight
 from jaxurban.settings import Preset, Vehicle
 from jaxurban.viewer import markup

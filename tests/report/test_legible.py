@@ -13,7 +13,7 @@ from figures import sky as first_screen
 from jaxurban.report.figures.sky import plot_sky, sky_places
 from jaxurban.report.figures.style import chart, label_apart, styled
 from jaxurban.report.satellites import satellite_figures
-from jaxurban.satellites.place import SkyAt
+from jaxurban.satellites.along import SkyAt
 from tests.made_agreement import made
 from tests.receiver_logs import found
 from tests.report.legible import assert_legible

@@ -13,7 +13,7 @@ from jaxurban.kernels.dop import unit_vectors
 from jaxurban.maps.build import region_of
 from jaxurban.report.figures.sky import plot_sky
 from jaxurban.satellites import outlines
-from jaxurban.satellites.place import sky_from
+from jaxurban.satellites.along import sky_from
 from jaxurban.satellites.sight import Sight
 from jaxurban.world.footprints import Footprints
 from jaxurban.world.raster import Raster

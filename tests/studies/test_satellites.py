@@ -384,3 +384,11 @@ def test_shifted_and_swapped_predictions_are_seldom_praised():
     praised = [is_praised(rows, margin_m, elevation_rad, off_rad) for margin_m in margins]
     assert is_praised(rows, rows.margin_m.to_numpy(), elevation_rad, off_rad)
     assert sum(praised) <= FALSE_PRAISE
+
+
+def test_the_horizon_of_a_place_is_that_of_its_sky():
+    city, mask_deg = load_city(scenario()), scenario().gps.mask_deg
+    for of in found().satellites.skies:
+        here = ju.sky(city, (of.lon_deg, of.lat_deg), 2.0, gps=ju.Gps(mask_deg=mask_deg))
+        np.testing.assert_allclose(of.horizon_deg, here.horizon_deg, atol=1e-9)
+        assert np.nanmax(of.horizon_deg) > mask_deg

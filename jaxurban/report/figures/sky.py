@@ -23,7 +23,7 @@ from jaxurban.report.figures.style import (
     styled,
 )
 from jaxurban.report.write import Look
-from jaxurban.satellites.place import SkyAt
+from jaxurban.satellites.along import SkyAt
 from jaxurban.satellites.rule import HIDDEN, SEEN, UNKNOWN
 
 ROOFS = "#cfcac2"

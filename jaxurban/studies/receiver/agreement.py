@@ -56,7 +56,8 @@ class PlaceSky:
       name: which place it is.
       lon_deg, lat_deg: of the place.
       utc: of the epoch.
-      horizon_deg: ``[360]`` elevation of the highest roof at each degree of azimuth, clockwise from true north.
+      horizon_deg: ``[360]`` elevation of the horizon at each degree of azimuth, as of `SkyAt`; NaN where the horizon
+        lies beyond what is known.
       satellites: rows of the epoch.
     """
 
@@ -75,8 +76,8 @@ class SatelliteAgreement(FactsRepr):
     Attributes:
       rows: a row for each epoch and satellite: ``epoch`` (number in the log's epochs), ``satellite``, ``system`` (its
         first letter), ``azimuth_deg`` (from true north), ``elevation_deg``, ``cn0_dbhz`` (0: not received),
-        ``margin_m`` (the height of the antenna less that of the edge of the roofs' shadow; below 0 a roof hides the
-        satellite, and margins of 60 m or more are inf), ``is_seen``, ``is_known`` (the whole ray lies above known
+        ``margin_m`` (the height of the antenna less that of the edge of the roofs' shadow; at or below 0 a roof hides
+        the satellite, and margins of 60 m or more are inf), ``is_seen``, ``is_known`` (the whole ray lies above known
         ground until it is above all roofs), ``is_inside`` (the place lies in a building), ``is_judged`` (the place is
         not inside, and the ray is known unless the settings judge all rays), ``is_strong`` (C/N0 is at least
         ``strong_dbhz``), ``block`` (number of the block along the track).
@@ -308,7 +309,7 @@ def agreement_of(
         **of_displaced,
         rivals=rivals,
         block_lengths=block_lengths,
-        skies=_skies(rows, log, Hiding(city), grid, settings.antenna_height_m, mask_deg),
+        skies=_skies(rows, log, Hiding(city, known), grid, settings.antenna_height_m, mask_deg),
         strong_dbhz=strong_dbhz,
         verdict=verdict_of(scores, null, rivals, num_blocks),
         counts={
