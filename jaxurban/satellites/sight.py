@@ -114,13 +114,10 @@ class Sight:
             if resolution_m not in (None, where.grid.resolution_m):
                 raise InputError("resolution_m is not that of these maps: leave it out")
             resolution_m = where.grid.resolution_m
-        if resolution_m is None:
-            resolution_m = resolutions_m[0]
-        if resolution_m not in resolutions_m:
+        if resolution_m not in (None, *resolutions_m):
             raise InputError(
                 f"resolution_m must be that of maps in the folder, {listed_m(resolutions_m)}, got {resolution_m:g}"
             )
-
         return cls.of_scenario(scenario, grid_of(scenario, resolution_m), gps)
 
     @classmethod
@@ -208,7 +205,7 @@ class Sight:
 
         # Which satellites are seen, ``[N, S]`` of S satellites in all, and whether each place is outdoors.
         if by == "map":
-            track = Track(x_m, y_m, *self.region.cell_of_xy(x_m, y_m), sky, task.sky.times)
+            track = Track(x_m, y_m, sky, task.sky.times)
             is_seen, is_outdoors = seen_along(task, track, Report())
             by_map = np.where(is_seen[epoch, satellite], SEEN, HIDDEN)
             state = np.where(state == UNKNOWN, UNKNOWN, by_map)

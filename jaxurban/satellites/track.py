@@ -16,6 +16,7 @@ from jaxurban.kernels.shadows.sweep import WORD_BITS
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.metrics.gps import DOPS, maps_of_choices, satellites_of
+from jaxurban.paths.lines import along_of
 from jaxurban.progress import Report
 from jaxurban.world.grid import Grid
 
@@ -28,32 +29,31 @@ class Track:
     """Where a receiver was, epoch by epoch. ``N`` epochs, ``T`` skies.
 
     Attributes:
-      x_m, y_m: ``[N]`` places in the grid's CRS.
-      row, col: ``[N]`` the grid's cells that hold them.
+      x_m, y_m: ``[N]`` places in the city's CRS.
       sky: ``[N]`` number of the sky of each epoch, not falling.
       sky_times: ``[T]`` UTC times of the skies, whole seconds, ISO 8601 with a trailing ``Z``.
     """
 
     x_m: np.ndarray
     y_m: np.ndarray
-    row: np.ndarray
-    col: np.ndarray
     sky: np.ndarray
     sky_times: tuple[str, ...]
 
     @cached_property
     def along_m(self) -> np.ndarray:
         """``[N]`` distance from the first epoch along the track."""
-        east_m = np.diff(self.x_m, prepend=self.x_m[0])
-        north_m = np.diff(self.y_m, prepend=self.y_m[0])
-        return np.cumsum(np.hypot(east_m, north_m))
+        return along_of(np.column_stack([self.x_m, self.y_m]))
 
-    def legs(self, most_cells: int) -> Iterator[np.ndarray]:
+    def legs(self, region: Grid, most_cells: int) -> Iterator[np.ndarray]:
         """Yield the epochs of legs: of successive skies whose places lie in one box of at most so many cells.
 
         A leg has one sky at least, even if the box around the places of that sky is larger.
+
+        Args:
+          region: grid of the cells, which holds all places.
+          most_cells: of a box.
         """
-        cells = np.stack([self.row, self.col])
+        cells = np.stack(region.cell_of_xy(self.x_m, self.y_m))
         first = 0
         for number in range(1, len(self.sky_times)):
             is_joined = (first <= self.sky) & (self.sky <= number)
@@ -63,8 +63,8 @@ class Track:
         yield np.flatnonzero(self.sky >= first)
 
     def box(self, region: Grid, epochs: np.ndarray) -> Grid:
-        """Return the smallest part of the grid of the track's cells that holds those of some epochs."""
-        row, col = self.row[epochs], self.col[epochs]
+        """Return the smallest part of a grid that holds the places of some epochs."""
+        row, col = region.cell_of_xy(self.x_m[epochs], self.y_m[epochs])
         west, south = -int(col.min()), -int(row.min())
         east = int(col.max()) + 1 - region.num_cols
         north = int(row.max()) + 1 - region.num_rows
@@ -87,7 +87,7 @@ def seen_along(task: MapTask, track: Track, report: Report) -> tuple[np.ndarray,
     num_skies = len(track.sky_times)
     is_seen = np.zeros((len(track.sky), len(task.sky.names)), bool)
     is_known = np.zeros(len(track.sky), bool)
-    for leg in track.legs(LEG_CELLS):
+    for leg in track.legs(task.region, LEG_CELLS):
         # One tile holds all places of a leg; its times are the leg's skies.
         skies = np.unique(track.sky[leg]).tolist()
         tile = _tile(task, track.box(task.region, leg), skies)

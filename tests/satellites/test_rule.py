@@ -49,7 +49,7 @@ def seen_by_all(sight: Sight) -> tuple[np.ndarray, ...]:
     )
     row, col = cells + int(1250 / sight.region.resolution_m)
     x_m, y_m = sight.region.xy_of_cell(row, col)
-    track = Track(x_m, y_m, row, col, np.arange(NUM_PLACES) // (NUM_PLACES // 2), task.sky.times)
+    track = Track(x_m, y_m, np.arange(NUM_PLACES) // (NUM_PLACES // 2), task.sky.times)
     swept, is_outdoors = seen_along(task, track, lambda *_: None)
 
     epoch, satellite = np.nonzero(task.sky.is_in_view[track.sky] & is_outdoors[:, None])
@@ -86,7 +86,7 @@ def test_over_hills_too_the_walk_sees_what_the_sweep_of_the_maps_sees():
 
 
 def test_the_walk_over_small_cells_agrees_with_the_outlines():
-    """By exact sides of 1 m cells a line is off by less than a cell, which is a metre of height at most at 45 degrees."""
+    """A ray enters a cell of 1 m up to a cell from the exact side, which is a metre of height at 45 degrees."""
     _, walked_m, exact_m = seen_by_all(town(1.0))
     is_known = ~np.isnan(exact_m)
     assert (is_seen(walked_m) == is_seen(exact_m))[is_known].mean() > 0.98

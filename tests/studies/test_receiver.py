@@ -60,11 +60,11 @@ def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
         for azimuth, elevation in zip(sky.azimuth_rad, sky.elevation_rad, strict=True)
         for above in [elevation >= np.radians(10.0)]
     ]
-    is_free = np.asarray(surface().crop(surface().roof_m) < 2.0)[drive.row, drive.col]
+    cells = GRID.cell_of_xy(drive.x_m, drive.y_m)
+    is_free = np.asarray(surface().crop(surface().roof_m) < 2.0)[cells]
     for name in ("num_visible", "gdop", "hdop", "m"):
-        held = np.stack([np.asarray(getattr(maps, name)[0]) for maps in made])[
-            drive.sky, drive.row, drive.col
-        ]
+        values = np.stack([np.asarray(getattr(maps, name)[0]) for maps in made])
+        held = values[drive.sky, *cells]
         found_here = found().epochs["gps" if name == "m" else name]
         np.testing.assert_array_equal(found_here, np.where(is_free, held, np.nan))
     assert len(made) > 1

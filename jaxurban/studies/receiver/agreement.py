@@ -277,7 +277,7 @@ def agreement_of(
     rows["is_inside"] = False
     guard = known if is_guarded else None
     columns = np.cumsum(is_moved) - 1
-    for leg in track.legs(LEG_CELLS):
+    for leg in track.legs(grid, LEG_CELLS):
         of_leg = np.flatnonzero(rows.epoch.isin(leg))
         leg_rays = rays.take(of_leg)
         box = track.box(grid, leg)

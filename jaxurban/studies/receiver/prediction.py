@@ -124,7 +124,6 @@ def track_of(log: ReceiverLog, grid: Grid, sky_step_s: float) -> Track:
     Raises:
       InputError: a place outside the grid.
     """
-    # The places, and the cells that hold them.
     lon_deg = log.epochs[LON].to_numpy()
     lat_deg = log.epochs[LAT].to_numpy()
     x_m, y_m = grid.xy_of_lonlat(lon_deg, lat_deg)
@@ -139,7 +138,6 @@ def track_of(log: ReceiverLog, grid: Grid, sky_step_s: float) -> Track:
             "the region: remove these rows, see whether lon_deg and lat_deg are swapped, or let [region] bounds of "
             f"the scenario hold the track, [{spans}] and some metres around it"
         )
-    row, col = grid.cell_of_xy(x_m, y_m)
 
     # The windows, by their number since the first epoch, and the UTC time in the middle of each.
     first = log.epochs[UTC].iloc[0]
@@ -147,7 +145,7 @@ def track_of(log: ReceiverLog, grid: Grid, sky_step_s: float) -> Track:
     windows, sky = np.unique((elapsed_s // sky_step_s).astype(np.int64), return_inverse=True)
     to_middles = pd.to_timedelta((windows + 0.5) * sky_step_s, "s")
     times = (first + to_middles).round("s").strftime("%Y-%m-%dT%H:%M:%SZ")
-    return Track(x_m, y_m, row, col, sky, tuple(times))
+    return Track(x_m, y_m, sky, tuple(times))
 
 
 def predict(task: MapTask, track: Track, report: Report) -> dict[str, np.ndarray]:
