@@ -156,7 +156,7 @@ def sky_from(
     cautions = cautions_of(sight, look, by, xy_m)
 
     # The tables of the look, which nobody else holds, get the times of their rows.
-    utc = np.array(look.task.sky.times)
+    utc = np.array(look.sky.times)
     look.rows.insert(0, "time", utc[look.epoch])
     look.dops.insert(0, "time", utc)
     lon, lat = sight.region.lonlat_of_xy(*xy_m[:, 0].tolist())

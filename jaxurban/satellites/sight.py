@@ -33,25 +33,24 @@ from jaxurban.satellites.track import NUM_VISIBLE, Track, quality_along, seen_al
 from jaxurban.settings import Heights
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
+from jaxurban.world.sky import Sky
 
 By = Literal["outlines", "map"]
 RESOLUTION_M = 5.0  # of the maps of a City, as `build_maps` makes them
 
 
 class Look(NamedTuple):
-    """Which satellites ``N`` places see, each under one of the skies of a task.
+    """Which satellites ``N`` places see, each at one of the times of a sky.
 
     Attributes:
-      task: with the skies.
-      sky: ``[N]`` number of the sky of each place.
+      sky: where the satellites stand.
       epoch: for each row of ``rows`` the number of its place, which is a row of ``dops``.
       rows: a row for each place and each satellite above the mask, with the columns of `SkyAt.table`.
       dops: a row for each place, with the columns of `SkyAt.dops`.
       is_outdoors: ``[N]`` bool: the place lies in no building.
     """
 
-    task: MapTask
-    sky: np.ndarray
+    sky: Sky
     epoch: np.ndarray
     rows: pd.DataFrame
     dops: pd.DataFrame
@@ -234,7 +233,7 @@ class Sight:
             dops[f"num_{name}"] = np.bincount(epoch[state == name], minlength=num)
         dops |= {name: quality[name] for name in DOPS}
         ray_rows = pd.DataFrame(rows).join(behind)
-        return Look(task, sky, epoch, ray_rows, pd.DataFrame(dops), is_outdoors)
+        return Look(task.sky, epoch, ray_rows, pd.DataFrame(dops), is_outdoors)
 
 
 def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
@@ -270,10 +269,10 @@ def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caut
       xy_m: ``[2, N]`` of the places, or ``[2, 1]`` of one place at all times.
     """
     rows = look.rows
-    num = len(look.sky)
+    num = len(look.dops)
 
     # What is guessed: of the city, of its satellites, and heights of the roofs that hide some.
-    guesses = {**sight.city.guesses, **look.task.sky.guesses}
+    guesses = {**sight.city.guesses, **look.sky.guesses}
     if not sight.city.sources:  # the synthetic city has no real sky
         guesses.pop(NOMINAL_SKY, None)
     num_guessed = rows["roof_is_guessed"].sum() if "roof_is_guessed" in rows else 0
