@@ -17,10 +17,10 @@ import jaxurban as ju
 from benchmarks.common import ROOT
 from jaxurban.errors import StaleElementsWarning
 from jaxurban.maps.scenario import changed
-from jaxurban.maps.track import NUM_VISIBLE
 from jaxurban.report.receiver import name_of, with_interval
 from jaxurban.report.satellites import ROWS
 from jaxurban.report.write import interval, table
+from jaxurban.satellites.track import NUM_VISIBLE
 from jaxurban.studies.receiver.agreement import SatelliteAgreement
 from jaxurban.studies.receiver.logs import ERROR, TRACKED
 from jaxurban.studies.receiver.validate import SPEARMAN, WITHIN, ReceiverValidation

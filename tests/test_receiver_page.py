@@ -11,8 +11,10 @@ import shapely
 import jaxurban as ju
 from benchmarks import receiver
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.maps.track import seen_along
+from jaxurban.maps.run import grid_of
 from jaxurban.report.receiver import with_interval
+from jaxurban.satellites.sight import Sight
+from jaxurban.satellites.track import seen_along
 from jaxurban.studies.receiver import prediction
 from jaxurban.studies.receiver.logs import read_receiver_log
 from tests.embree_scene import CityScene
@@ -54,9 +56,9 @@ def test_the_page_has_the_scores_of_every_sky_and_track():
 def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo):
     settings = ju.studies.ReceiverSettings()
     scenario, log = ju.Scenario.from_dict(receiver.SHINJUKU), read_receiver_log(tokyo)
-    grid = prediction.region_of(scenario)
+    grid = grid_of(scenario)
     track = prediction.track_of(log, grid, settings.sky_step_s)
-    task = prediction.task_at(scenario, track.sky_times, grid, settings.antenna_height_m)
+    task = Sight.of_scenario(scenario, grid).task(track.sky_times, settings.antenna_height_m, None)
     made = prediction.predict(task, track, lambda *_, **__: None)
     is_seen, known = seen_along(task, track, lambda *_, **__: None)
     buildings = task.city.buildings

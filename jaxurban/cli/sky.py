@@ -22,7 +22,7 @@ from jaxurban.cli.common import (
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
-    from jaxurban.paths.sky_along import SkyAlong
+    from jaxurban.satellites.along import SkyAlong
 
 MOST_ROWS = 40
 NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
@@ -70,9 +70,9 @@ def sky(
     **source: Any,
 ) -> int:
     """Say which satellites are seen from a place, or along a track, over the maps in DIR, and what hides the others."""
-    from jaxurban.paths.sky import sky as sky_at
     from jaxurban.report.figures.sky import plot_sky
     from jaxurban.report.write import PICTURES, Output, save
+    from jaxurban.satellites.along import sky as sky_at
 
     # The sky at a place, or along a track; further options are arguments of both.
     _check_files(files, track)
@@ -154,7 +154,7 @@ def _sky_along(
     from jaxurban.io.read.routes import read_routes
     from jaxurban.io.read.tracks import read_track
     from jaxurban.io.tables import SUFFIXES
-    from jaxurban.paths.sky_along import sky_along
+    from jaxurban.satellites.along import sky_along
 
     # A table has a time and a place in each row, and maybe an altitude.
     if track.suffix.lower() in SUFFIXES:

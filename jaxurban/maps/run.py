@@ -96,10 +96,18 @@ def gps_of(scenario: Scenario) -> Gps:
     return replace(scenario.gps, orbits=orbits)
 
 
-def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
-    """Return a task for each resolution of a scenario: all that its maps are made of.
+def grid_of(scenario: Scenario, resolution_m: float | None = None) -> Grid:
+    """Return the grid of a scenario's maps at one of their resolutions; None: the first.
 
     The grids of all resolutions cover the same box, as their bounds are snapped outward to cells of the coarsest one.
+    """
+    region = scenario.region
+    resolution_m = resolution_m or region.resolution_m[0]
+    return Grid.from_bounds(region.bounds, resolution_m, region.crs, region.resolution_m)
+
+
+def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
+    """Return a task for each resolution of a scenario: all that its maps are made of.
 
     Args:
       scenario: the settings.
@@ -108,14 +116,14 @@ def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
     Raises:
       InputError: sources that cannot be used, or no building in the region.
     """
-    region, params = scenario.region, scenario.map_params
+    params = scenario.map_params
     with stage("read"):
         city = load_city(scenario)
     gps = gps_of(scenario)
     tasks = []
     with stage("orbits"):
-        for resolution_m in region.resolution_m:
-            grid = Grid.from_bounds(region.bounds, resolution_m, region.crs, region.resolution_m)
+        for resolution_m in scenario.region.resolution_m:
+            grid = grid_of(scenario, resolution_m)
             bands = bands_of(scenario.layers, grid, params.altitudes_m, scenario.path_of(""))
             sky = view_sky(grid, gps)
             tasks.append(MapTask(city, grid, sky, params, scenario.layers, bands))

@@ -23,7 +23,7 @@ from jaxurban.paths.search import PathSearch
 
 WINDOW_M = 1000.0  # of the densest stretch
 SAME_SHARE = 1e-3  # costs of one route, whose places a file rounds, differ by less
-DEARER = "the cheapest one between free cells costs more than the mission, which keeps neither to cells nor to clearances"
+DEARER = "the cheapest one between free cells costs more than the mission, which need not keep to cells or clearances"
 
 
 def values_on(

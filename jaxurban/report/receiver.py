@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxurban.maps.levels import listed_m
-from jaxurban.maps.track import NUM_VISIBLE
 from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
 from jaxurban.report.satellites import (
     peak_text,
@@ -32,6 +31,7 @@ from jaxurban.report.write import (
     study_outputs,
     table,
 )
+from jaxurban.satellites.track import NUM_VISIBLE
 from jaxurban.settings import as_tuple
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.logs import AZIMUTH, ERROR, TRACKED, ReceiverLog

@@ -218,9 +218,9 @@ def plot_margin(of: SatelliteAgreement) -> Figure:
     The margin is the height of the antenna above the edge of the shadow: below 0 a building hides the satellite. Both
     panels have one column per class of margins (`MARGINS_M`).
     """
-    # [R] the class of each judged row: the number of edges (`MARGINS_M`) at or below its margin.
+    # [R] the class of each judged row: the number of edges (`MARGINS_M`) below its margin.
     judged = of.rows[of.rows.is_judged]
-    margin_class = np.digitize(judged.margin_m, MARGINS_M)
+    margin_class = np.digitize(judged.margin_m, MARGINS_M, right=True)
     note = "Boxes: the middle half of the received satellites; lines: 5 to 95 %. Above: how many were judged."
     figure = chart(4.2, "How strongly satellites are heard, by how deep they are hidden", note)
     panel, below = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))

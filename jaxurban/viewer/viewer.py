@@ -28,13 +28,13 @@ from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import cautious_profile, without_fix
 from jaxurban.paths.route_report import CLEARANCE, RouteReport
-from jaxurban.paths.sight import Sight
-from jaxurban.paths.sky import sky_from
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.metrics import line_colour
 from jaxurban.report.figures.paths import planner_colours
+from jaxurban.satellites.along import sky_from
+from jaxurban.satellites.sight import Sight
 from jaxurban.settings import Preset, Vehicle
 from jaxurban.viewer import markup
 from jaxurban.viewer.base import base_of

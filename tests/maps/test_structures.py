@@ -17,7 +17,7 @@ from jaxurban.io.read.rasterise import highest_top_m, rasterise
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.maps.provenance import _building_record
 from jaxurban.maps.uncertain_heights import perturbed_cities
-from jaxurban.paths.hiding import Hiding
+from jaxurban.satellites.outlines import Hiding
 from jaxurban.settings import SLABS, HeightStd
 from jaxurban.viewer.outlines import outlines_of
 from jaxurban.world.footprints import Footprints, HeightOrigin
@@ -94,7 +94,7 @@ def test_a_chimney_hides_a_satellite_and_the_unknown_is_no_roof():
         np.array([-20.0, -20.0]), np.array([50.0, 165.0]), *np.radians([[90.0] * 2, [45.0] * 2])
     )
     city = replace(works(), extent_m=(-500.0, -500.0, 500.0, 500.0))
-    table = Hiding(city).behind(rays, np.array([2.0, 2.0]))
+    table = Hiding(city, city.known_ground).behind(rays, np.array([2.0, 2.0]))
     expected = pd.DataFrame({"roof_height_m": [90.0, np.nan], "roof_distance_m": [40.0, np.nan]})
     pd.testing.assert_frame_equal(table[list(expected)], expected)
     assert table["margin_m"][1] == np.inf

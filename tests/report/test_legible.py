@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 
 import jaxurban as ju
 from figures import sky as first_screen
-from jaxurban.paths.sky import SkyAt
 from jaxurban.report.figures.sky import plot_sky, sky_places
 from jaxurban.report.figures.style import chart, label_apart, styled
 from jaxurban.report.satellites import satellite_figures
+from jaxurban.satellites.along import SkyAt
 from tests.made_agreement import made
 from tests.receiver_logs import found
 from tests.report.legible import assert_legible

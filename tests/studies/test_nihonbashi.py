@@ -10,10 +10,9 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.io.samples import located
-from jaxurban.maps.run import load_city
+from jaxurban.maps.run import grid_of, load_city
 from jaxurban.studies.receiver import displaced
 from jaxurban.studies.receiver.agreement import headings_rad
-from jaxurban.studies.receiver.prediction import region_of
 from jaxurban.studies.receiver.rinex import Messages, read_track
 from tests.satellite_logs import FALSE_PRAISE, hidden_by_outlines, is_praised, wrong_margins
 
@@ -75,7 +74,7 @@ def test_the_sample_shows_that_the_sky_agrees():
 
 def test_500_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
     rows, epochs = found().satellites.rows, found().epochs
-    city, grid = load_city(scenario()), region_of(scenario())
+    city, grid = load_city(scenario()), grid_of(scenario())
     turn_rad = grid.convergence_rad(*grid.centre_lonlat)
     near = shapely.STRtree(city.buildings.polygons)
     chosen = rows[rows.is_judged].sample(500, random_state=0)

@@ -7,7 +7,8 @@ from scipy.signal import lfilter
 from scipy.stats import spearmanr
 
 import jaxurban as ju
-from jaxurban.maps import track as maps_track
+from jaxurban.satellites import track as maps_track
+from jaxurban.satellites.sight import Sight
 from jaxurban.studies.receiver import prediction
 from jaxurban.studies.receiver.logs import read_receiver_log
 from jaxurban.studies.receiver.validate import (
@@ -49,17 +50,21 @@ def score(of: ju.studies.ReceiverValidation, witness: str = "num_tracked") -> pd
 @pytest.mark.slow
 def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
     drive = prediction.track_of(read_receiver_log(true_log()), GRID, SETTINGS.sky_step_s)
-    sky = prediction.task_at(scenario(), drive.sky_times, GRID, SETTINGS.antenna_height_m).sky
+    sky = (
+        Sight.of_scenario(scenario(), GRID)
+        .task(drive.sky_times, SETTINGS.antenna_height_m, None)
+        .sky
+    )
     made = [
         compute_gps(surface(), azimuth[above], elevation[above], np.array([2.0], np.float32))
         for azimuth, elevation in zip(sky.azimuth_rad, sky.elevation_rad, strict=True)
         for above in [elevation >= np.radians(10.0)]
     ]
-    is_free = np.asarray(surface().crop(surface().roof_m) < 2.0)[drive.row, drive.col]
+    cells = GRID.cell_of_xy(drive.x_m, drive.y_m)
+    is_free = np.asarray(surface().crop(surface().roof_m) < 2.0)[cells]
     for name in ("num_visible", "gdop", "hdop", "m"):
-        held = np.stack([np.asarray(getattr(maps, name)[0]) for maps in made])[
-            drive.sky, drive.row, drive.col
-        ]
+        values = np.stack([np.asarray(getattr(maps, name)[0]) for maps in made])
+        held = values[drive.sky, *cells]
         found_here = found().epochs["gps" if name == "m" else name]
         np.testing.assert_array_equal(found_here, np.where(is_free, held, np.nan))
     assert len(made) > 1

@@ -10,8 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
 from jaxurban.errors import InputError
-from jaxurban.paths.sight import HIDDEN, SEEN, UNKNOWN
-from jaxurban.paths.sky import SkyAt
 from jaxurban.report.figures.frame import joined, time_said
 from jaxurban.report.figures.style import (
     INK,
@@ -25,6 +23,8 @@ from jaxurban.report.figures.style import (
     styled,
 )
 from jaxurban.report.write import Look
+from jaxurban.satellites.along import SkyAt
+from jaxurban.satellites.rule import HIDDEN, SEEN, UNKNOWN
 
 ROOFS = "#cfcac2"
 SKY = 0.62  # height by the figure's width

@@ -17,6 +17,7 @@ from jaxurban.io.samples import is_sample
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, records_of, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.run import grid_of
 from jaxurban.maps.scenario import Scenario, Study
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.rows import MapsFolder, check_workers, run_rows
@@ -35,7 +36,6 @@ from jaxurban.studies.montecarlo.sampling import (
     with_connection,
 )
 from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
-from jaxurban.world.grid import Grid
 from jaxurban.world.land_cover import LandCover
 
 OF_SAMPLING = (
@@ -259,7 +259,7 @@ def land_cover_of(scenario: Scenario) -> LandCover | None:
 
     # Files are read as far as the cells of the scenario's first resolution reach.
     source = named or str(scenario.buildings.source)
-    grid = Grid.from_bounds(region.bounds, region.resolution_m[0], region.crs, region.resolution_m)
+    grid = grid_of(scenario)
     if is_sample(source):
         base = base_map_source(source)
         return None if base is None else land_cover_in(base, grid.crs, grid.bounds_m)

@@ -19,9 +19,12 @@ from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.tracks import LAT, LON, UTC
-from jaxurban.maps.track import Track
 from jaxurban.progress import Report
 from jaxurban.public import Caution, FactsRepr
+from jaxurban.satellites.outlines import Hiding
+from jaxurban.satellites.rule import FARTHEST_MARGIN_M, is_seen
+from jaxurban.satellites.track import Track
+from jaxurban.satellites.walk import LEG_CELLS, Ground
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, columns_of
 from jaxurban.studies.receiver.displaced import (
     AROUND_M,
@@ -34,7 +37,6 @@ from jaxurban.studies.receiver.displaced import (
 from jaxurban.studies.receiver.logs import ReceiverLog
 from jaxurban.studies.receiver.prediction import EVERYWHERE, ReceiverSettings
 from jaxurban.studies.receiver.rivals import MAP, compared_rules, features_of, gain_by_length
-from jaxurban.studies.receiver.satellites import FARTHEST_MARGIN_M, Ground, box_of, legs
 from jaxurban.studies.receiver.scores import score_table
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
@@ -54,7 +56,8 @@ class PlaceSky:
       name: which place it is.
       lon_deg, lat_deg: of the place.
       utc: of the epoch.
-      horizon_deg: ``[360]`` elevation of the highest roof at each degree of azimuth, clockwise from true north.
+      horizon_deg: ``[360]`` elevation of the horizon at each degree of azimuth, as of `SkyAt`; NaN where the horizon
+        lies beyond what is known.
       satellites: rows of the epoch.
     """
 
@@ -73,8 +76,8 @@ class SatelliteAgreement(FactsRepr):
     Attributes:
       rows: a row for each epoch and satellite: ``epoch`` (number in the log's epochs), ``satellite``, ``system`` (its
         first letter), ``azimuth_deg`` (from true north), ``elevation_deg``, ``cn0_dbhz`` (0: not received),
-        ``margin_m`` (the height of the antenna less that of the edge of the roofs' shadow; below 0 a roof hides the
-        satellite, and margins of 60 m or more are inf), ``is_seen``, ``is_known`` (the whole ray lies above known
+        ``margin_m`` (the height of the antenna less that of the edge of the roofs' shadow; at or below 0 a roof hides
+        the satellite, and margins of 60 m or more are inf), ``is_seen``, ``is_known`` (the whole ray lies above known
         ground until it is above all roofs), ``is_inside`` (the place lies in a building), ``is_judged`` (the place is
         not inside, and the ray is known unless the settings judge all rays), ``is_strong`` (C/N0 is at least
         ``strong_dbhz``), ``block`` (number of the block along the track).
@@ -274,13 +277,11 @@ def agreement_of(
     rows["is_inside"] = False
     guard = known if is_guarded else None
     columns = np.cumsum(is_moved) - 1
-    for leg in legs(track.x_m, track.y_m, grid.resolution_m):
-        of_leg = np.flatnonzero((rows.epoch >= leg.start) & (rows.epoch < leg.stop))
-        if not len(of_leg):
-            continue
+    for leg in track.legs(grid, LEG_CELLS):
+        of_leg = np.flatnonzero(rows.epoch.isin(leg))
         leg_rays = rays.take(of_leg)
-        box = box_of(grid, leg_rays, FARTHEST_M)
-        ground = Ground.around(city, box, reach_m, settings.antenna_height_m)
+        box = track.box(grid, leg)
+        ground = Ground.around(city, box, FARTHEST_M, reach_m, settings.antenna_height_m)
         rows.loc[of_leg, "is_known"] &= ~ground.crosses_gap(leg_rays, rise_m)
         rows.loc[of_leg, "is_inside"] = ground.is_inside(leg_rays)
         rows.loc[of_leg, "margin_m"] = ground.margins_m(leg_rays)
@@ -308,7 +309,7 @@ def agreement_of(
         **of_displaced,
         rivals=rivals,
         block_lengths=block_lengths,
-        skies=_skies(rows, rays, log, city, grid, reach_m, settings.antenna_height_m),
+        skies=_skies(rows, log, Hiding(city, known), grid, settings.antenna_height_m, mask_deg),
         strong_dbhz=strong_dbhz,
         verdict=verdict_of(scores, null, rivals, num_blocks),
         counts={
@@ -376,7 +377,7 @@ def _judge(rows: pd.DataFrame, is_open: pd.Series, name: str, mask_deg: float) -
     Raises:
       InputError: fewer than `FEWEST_ROWS` rows are judged, or none of them is received.
     """
-    rows["is_seen"] = rows.margin_m >= 0
+    rows["is_seen"] = is_seen(rows.margin_m.to_numpy())
     rows.loc[rows.is_inside, "margin_m"] = np.nan
     rows["is_judged"] = is_open & ~rows.is_inside
     judged = rows[rows.is_judged]
@@ -432,12 +433,11 @@ def _rows_of(
 
 def _skies(
     rows: pd.DataFrame,
-    rays: Rays,
     log: ReceiverLog,
-    city: City,
+    hiding: Hiding,
     grid: Grid,
-    reach_m: float,
     antenna_m: float,
+    mask_deg: float,
 ) -> tuple[PlaceSky, ...]:
     """Return the skies in the middle of the blocks of least and of most agreement.
 
@@ -446,11 +446,8 @@ def _skies(
 
     Args:
       rows: of the agreement.
-      rays: of these rows.
       log: gives the time and place of each epoch.
-      city, grid: give the horizon.
-      reach_m: how far away buildings count.
-      antenna_m: height of the receiver above the ground.
+      hiding, grid, antenna_m, mask_deg: give the horizon.
     """
     judged = rows[rows.is_judged]
     agrees = (judged.is_seen == judged.is_strong).groupby(judged.block).agg(["mean", "size"])
@@ -464,18 +461,11 @@ def _skies(
         # The block's middle epoch that has a judged row, and where it was.
         epochs = np.sort(judged.epoch[judged.block == block].unique())
         epoch = int(epochs[len(epochs) // 2])
-        of_epoch = rows[rows.epoch == epoch]
-        place = rays.take(of_epoch.index.to_numpy()[:1])
+        satellites = rows[rows.epoch == epoch].reset_index(drop=True)
         fix = log.epochs.iloc[epoch]
-        lon = float(fix[LON])
-        lat = float(fix[LAT])
-
-        # Its horizon, turned from grid north to true north by whole degrees.
-        ground = Ground.around(city, box_of(grid, place, around_m=0.0), reach_m, antenna_m)
-        turn = int(np.rint(np.degrees(grid.convergence_rad(lon, lat))))
-        horizon = np.roll(ground.horizon_deg(float(place.x_m[0]), float(place.y_m[0])), turn)
-        satellites = of_epoch.reset_index(drop=True)
-        skies.append(PlaceSky(name, lon, lat, fix[UTC].isoformat(), horizon, satellites))
+        lonlat = float(fix[LON]), float(fix[LAT])
+        horizon_deg = hiding.horizon_deg(grid, lonlat, antenna_m, mask_deg)
+        skies.append(PlaceSky(name, *lonlat, fix[UTC].isoformat(), horizon_deg, satellites))
     return tuple(skies)
 
 

@@ -11,8 +11,9 @@ import pandas as pd
 import shapely
 
 from jaxurban.progress import Report
+from jaxurban.satellites.rule import is_seen
+from jaxurban.satellites.walk import Ground
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.receiver.satellites import Ground
 from jaxurban.studies.receiver.scores import aucs, drawn_blocks, levels_of
 from jaxurban.world.known import Rays
 
@@ -65,13 +66,13 @@ class Displaced:
         for number, (east_m, north_m) in enumerate(self.moves_m):
             report("displaced cities", number, len(self.moves_m))
             moved = rays.moved(-east_m, -north_m)
-            self.is_seen[number, column] = ground.margins_m(moved) >= 0
+            self.is_seen[number, column] = is_seen(ground.margins_m(moved))
             self.is_out[number, column] = ground.is_inside(moved)
             if known is not None and number < self.num_null:
                 self.is_out[number, column] |= ~moved.stays_within(known, rise_m)
                 self.is_out[number, column] |= ground.crosses_gap(moved, rise_m)
         for number, scale in enumerate(SCALES):
-            self.of_scale[number, column] = ground.with_roofs(scale).margins_m(rays) >= 0
+            self.of_scale[number, column] = is_seen(ground.with_roofs(scale).margins_m(rays))
 
     def tables(self, rows: pd.DataFrame, seed: int) -> dict[str, Any]:
         """Return how displaced cities and other roofs score, when all legs are filled in.

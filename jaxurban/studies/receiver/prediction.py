@@ -1,7 +1,7 @@
 """How a receiver's log is set against maps, and what maps at its times and its antenna's height are made of."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,9 @@ import pandas as pd
 from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.tracks import LAT, LON, UTC
-from jaxurban.maps.run import tasks_of
-from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
-from jaxurban.maps.track import Track, quality_along, seen_along
-from jaxurban.metrics.population import Population
 from jaxurban.progress import Report
+from jaxurban.satellites.track import Track, quality_along, seen_along
 from jaxurban.studies.receiver.logs import ReceiverLog
 from jaxurban.world.grid import Grid
 
@@ -114,54 +111,6 @@ class ReceiverSettings:
         }
 
 
-def region_of(scenario: Scenario) -> Grid:
-    """Return the grid of a scenario at the first of its resolutions."""
-    resolutions_m = scenario.region.resolution_m
-    return Grid.from_bounds(
-        scenario.region.bounds, resolutions_m[0], scenario.region.crs, resolutions_m
-    )
-
-
-def task_at(
-    scenario: Scenario, times: Sequence[str], grid: Grid, antenna_height_m: float
-) -> MapTask:
-    """Return the task that makes maps of a scenario at other times, and at the antenna's height alone.
-
-    People, a user's own layers and uncertainty are left out, as satellites do not depend on them.
-
-    Args:
-      scenario: of the maps.
-      times: UTC, of the sky.
-      grid: of the maps, whose resolution counts alone.
-      antenna_height_m: of the receiver above the ground.
-    """
-    # The parts of the scenario that change: one resolution and one height, the times of the sky, and what is left out.
-    region = replace(
-        scenario.region, resolution_m=(grid.resolution_m,), altitudes_m=(antenna_height_m,)
-    )
-    gps = replace(
-        scenario.gps,
-        times=tuple(times),
-        start=None,
-        stop=None,
-        step_s=None,
-        reference=scenario.gps.reference or grid.centre_lonlat,
-        series="epochs",
-        bounds=False,
-    )
-    update = {
-        "region": region,
-        "gps": gps,
-        "buildings": replace(scenario.buildings, height_samples=0),
-        "population": Population(),
-        "layers": {},
-    }
-
-    # One resolution makes one task. Its cells are the grid's, which nests with all of the scenario's resolutions.
-    (task,) = tasks_of(scenario.model_copy(update=update))
-    return replace(task, region=grid)
-
-
 def track_of(log: ReceiverLog, grid: Grid, sky_step_s: float) -> Track:
     """Return the track of a log; all epochs within a window of ``sky_step_s`` seconds share one sky.
 
@@ -175,7 +124,6 @@ def track_of(log: ReceiverLog, grid: Grid, sky_step_s: float) -> Track:
     Raises:
       InputError: a place outside the grid.
     """
-    # The places, and the cells that hold them.
     lon_deg = log.epochs[LON].to_numpy()
     lat_deg = log.epochs[LAT].to_numpy()
     x_m, y_m = grid.xy_of_lonlat(lon_deg, lat_deg)
@@ -190,7 +138,6 @@ def track_of(log: ReceiverLog, grid: Grid, sky_step_s: float) -> Track:
             "the region: remove these rows, see whether lon_deg and lat_deg are swapped, or let [region] bounds of "
             f"the scenario hold the track, [{spans}] and some metres around it"
         )
-    row, col = grid.cell_of_xy(x_m, y_m)
 
     # The windows, by their number since the first epoch, and the UTC time in the middle of each.
     first = log.epochs[UTC].iloc[0]
@@ -198,7 +145,7 @@ def track_of(log: ReceiverLog, grid: Grid, sky_step_s: float) -> Track:
     windows, sky = np.unique((elapsed_s // sky_step_s).astype(np.int64), return_inverse=True)
     to_middles = pd.to_timedelta((windows + 0.5) * sky_step_s, "s")
     times = (first + to_middles).round("s").strftime("%Y-%m-%dT%H:%M:%SZ")
-    return Track(x_m, y_m, row, col, sky, tuple(times))
+    return Track(x_m, y_m, sky, tuple(times))
 
 
 def predict(task: MapTask, track: Track, report: Report) -> dict[str, np.ndarray]:

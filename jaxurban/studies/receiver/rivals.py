@@ -12,6 +12,7 @@ import pandas as pd
 from scipy.special import expit, logit
 
 from jaxurban.metrics.reception import ReceptionCurve
+from jaxurban.satellites.rule import is_seen
 from jaxurban.studies.bootstrap import interval_of, named
 from jaxurban.studies.receiver.scores import drawn_blocks
 
@@ -46,7 +47,7 @@ def features_of(
         "constant": [],
         "elevation": sky,
         STREET: [*sky, across_rad, across_rad**2, across_rad * elevation_rad],
-        "seen or hidden": [margin_m >= 0],
+        "seen or hidden": [is_seen(margin_m)],
         "margin": [log_odds],
         MAP: [*sky, log_odds],
     }

@@ -25,19 +25,18 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.tracks import UTC
 from jaxurban.io.results import Result
 from jaxurban.io.samples import log_of
-from jaxurban.maps.run import load_city
+from jaxurban.maps.run import grid_of
 from jaxurban.maps.scenario import Scenario
-from jaxurban.maps.track import NUM_VISIBLE
 from jaxurban.progress import Progress, reporting
 from jaxurban.public import Caution
+from jaxurban.satellites.sight import Sight
+from jaxurban.satellites.track import NUM_VISIBLE
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.studies.receiver.agreement import SatelliteAgreement, agreement_of
 from jaxurban.studies.receiver.logs import AZIMUTH, ERROR, TRACKED, ReceiverLog, read_receiver_log
 from jaxurban.studies.receiver.prediction import (
     ReceiverSettings,
     predict,
-    region_of,
-    task_at,
     track_of,
 )
 from jaxurban.studies.receiver.rinex import read_rinex
@@ -177,7 +176,7 @@ def validate(
     # The log, and its track in the cells of the scenario.
     settings = settings or ReceiverSettings()
     logged = _read(scenario, log, navigation, reference)
-    grid = region_of(scenario)
+    grid = grid_of(scenario)
     track = track_of(logged, grid, settings.sky_step_s)
     num_pieces = len(np.unique(track.along_m // settings.piece_m))
     if logged.satellites is None and num_pieces < FEWEST_PIECES:
@@ -191,14 +190,13 @@ def validate(
         # The city. The task of its maps, which holds the sky too, is made only if it is needed: where counts are
         # predicted, or where the log lacks the directions of its satellites.
         report("read")
+        sight = Sight.of_scenario(scenario, grid)
+        city = sight.city
         lacks_angles = logged.satellites is not None and AZIMUTH not in logged.satellites
         needs_counts = logged.satellites is None or bool(logged.witnesses)
         if needs_counts or lacks_angles:
-            task = task_at(scenario, track.sky_times, grid, float(settings.antenna_height_m))
-            city = task.city
+            task = sight.task(track.sky_times, float(settings.antenna_height_m), None)
             guesses = dict(task.sky.guesses)
-        else:
-            city = load_city(scenario)
 
         # How the city agrees with each satellite, if the log has a row for each.
         if logged.satellites is not None:

@@ -18,38 +18,39 @@ from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.maps.build import region_of, view_sky
 from jaxurban.maps.levels import listed_m
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.run import gps_of, load_city
+from jaxurban.maps.run import gps_of, grid_of, load_city
+from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.sources import CityLike, folder_of, scenario_of
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.maps.track import NUM_VISIBLE, Track, quality_along, seen_along
 from jaxurban.metrics.gps import DOPS, FIX, Gps, has_no_fix
-from jaxurban.paths.hiding import Hiding
+from jaxurban.metrics.population import Population
 from jaxurban.paths.places import XY, Point, one_place
 from jaxurban.progress import Report
 from jaxurban.public import Caution, caution_of_guesses, listed
+from jaxurban.satellites.outlines import Hiding
+from jaxurban.satellites.rule import HIDDEN, SEEN, UNKNOWN
+from jaxurban.satellites.track import NUM_VISIBLE, Track, quality_along, seen_along
 from jaxurban.settings import Heights
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
+from jaxurban.world.sky import Sky
 
 By = Literal["outlines", "map"]
-SEEN, HIDDEN, UNKNOWN = "seen", "hidden", "unknown"
 RESOLUTION_M = 5.0  # of the maps of a City, as `build_maps` makes them
 
 
 class Look(NamedTuple):
-    """Which satellites ``N`` places see, each under one of the skies of a task.
+    """Which satellites ``N`` places see, each at one of the times of a sky.
 
     Attributes:
-      task: with the skies.
-      sky: ``[N]`` number of the sky of each place.
+      sky: where the satellites stand.
       epoch: for each row of ``rows`` the number of its place, which is a row of ``dops``.
       rows: a row for each place and each satellite above the mask, with the columns of `SkyAt.table`.
       dops: a row for each place, with the columns of `SkyAt.dops`.
       is_outdoors: ``[N]`` bool: the place lies in no building.
     """
 
-    task: MapTask
-    sky: np.ndarray
+    sky: Sky
     epoch: np.ndarray
     rows: pd.DataFrame
     dops: pd.DataFrame
@@ -112,21 +113,26 @@ class Sight:
             if resolution_m not in (None, where.grid.resolution_m):
                 raise InputError("resolution_m is not that of these maps: leave it out")
             resolution_m = where.grid.resolution_m
-        if resolution_m is None:
-            resolution_m = resolutions_m[0]
-        if resolution_m not in resolutions_m:
+        if resolution_m not in (None, *resolutions_m):
             raise InputError(
                 f"resolution_m must be that of maps in the folder, {listed_m(resolutions_m)}, got {resolution_m:g}"
             )
+        return cls.of_scenario(scenario, grid_of(scenario, resolution_m), gps)
 
-        # The city, its region and the parameters of its maps.
-        region = Grid.from_bounds(
-            scenario.region.bounds, resolution_m, scenario.region.crs, resolutions_m
-        )
+    @classmethod
+    def of_scenario(cls, scenario: Scenario, region: Grid, gps: Gps | None = None) -> "Sight":
+        """Return the sight of the city that a scenario names, without its people.
+
+        Args:
+          scenario: of maps.
+          region: their grid.
+          gps: as for `of`.
+        """
         heights = replace(scenario.buildings, height_samples=0)
         sections = {"gps": gps or gps_of(scenario)}
         params = replace(scenario.map_params, heights=heights, sections=sections)
-        return cls(load_city(scenario), region, params)
+        no_people = scenario.model_copy(update={"population": Population()})
+        return cls(load_city(no_people), region, params)
 
     def task(
         self,
@@ -152,7 +158,7 @@ class Sight:
     @cached_property
     def hiding(self) -> Hiding:
         """What can hide satellites."""
-        return Hiding(self.city)
+        return Hiding(self.city, self.city.known_ground)
 
     def look(
         self,
@@ -194,21 +200,22 @@ class Sight:
         elevation_rad = task.sky.elevation_rad[sky[epoch], satellite]
         rays = Rays(x_m[epoch], y_m[epoch], azimuth_rad, elevation_rad)
         behind = self.hiding.behind(rays, height_m[epoch])
-        is_known = behind.pop("is_known").to_numpy()
+        state = behind.pop("state").to_numpy()
 
         # Which satellites are seen, ``[N, S]`` of S satellites in all, and whether each place is outdoors.
         if by == "map":
-            track = Track(x_m, y_m, *self.region.cell_of_xy(x_m, y_m), sky, task.sky.times)
+            track = Track(x_m, y_m, sky, task.sky.times)
             is_seen, is_outdoors = seen_along(task, track, Report())
+            by_map = np.where(is_seen[epoch, satellite], SEEN, HIDDEN)
+            state = np.where(state == UNKNOWN, UNKNOWN, by_map)
             behind = behind.iloc[:, :0]  # no columns, as the map knows no single roof
         else:
             is_seen = np.zeros((num, len(task.sky.names)), bool)
-            is_seen[epoch, satellite] = is_known & (behind["margin_m"] > 0)
+            is_seen[epoch, satellite] = state == SEEN
             is_outdoors = np.ones(num, bool)
             is_outdoors[epoch[behind["roof_distance_m"] == 0]] = False
 
         # The table of rays. Azimuths are from grid north, which the convergence turns from true north.
-        state = np.select([~is_known, is_seen[epoch, satellite]], [UNKNOWN, SEEN], HIDDEN)
         true_rad = azimuth_rad + self.region.convergence_rad(*lonlat)
         rows = {
             "satellite": np.array(task.sky.names)[satellite],
@@ -226,7 +233,7 @@ class Sight:
             dops[f"num_{name}"] = np.bincount(epoch[state == name], minlength=num)
         dops |= {name: quality[name] for name in DOPS}
         ray_rows = pd.DataFrame(rows).join(behind)
-        return Look(task, sky, epoch, ray_rows, pd.DataFrame(dops), is_outdoors)
+        return Look(task.sky, epoch, ray_rows, pd.DataFrame(dops), is_outdoors)
 
 
 def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
@@ -262,10 +269,10 @@ def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caut
       xy_m: ``[2, N]`` of the places, or ``[2, 1]`` of one place at all times.
     """
     rows = look.rows
-    num = len(look.sky)
+    num = len(look.dops)
 
     # What is guessed: of the city, of its satellites, and heights of the roofs that hide some.
-    guesses = {**sight.city.guesses, **look.task.sky.guesses}
+    guesses = {**sight.city.guesses, **look.sky.guesses}
     if not sight.city.sources:  # the synthetic city has no real sky
         guesses.pop(NOMINAL_SKY, None)
     num_guessed = rows["roof_is_guessed"].sum() if "roof_is_guessed" in rows else 0

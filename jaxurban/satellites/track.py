@@ -16,10 +16,11 @@ from jaxurban.kernels.shadows.sweep import WORD_BITS
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.metrics.gps import DOPS, maps_of_choices, satellites_of
+from jaxurban.paths.lines import along_of
 from jaxurban.progress import Report
 from jaxurban.world.grid import Grid
 
-LEG_CELLS = 1_500_000  # of the box around a leg
+LEG_CELLS = 1_500_000  # of the box around a leg of which maps are made
 NUM_VISIBLE = "num_visible"
 
 
@@ -28,25 +29,46 @@ class Track:
     """Where a receiver was, epoch by epoch. ``N`` epochs, ``T`` skies.
 
     Attributes:
-      x_m, y_m: ``[N]`` places in the grid's CRS.
-      row, col: ``[N]`` the grid's cells that hold them.
+      x_m, y_m: ``[N]`` places in the city's CRS.
       sky: ``[N]`` number of the sky of each epoch, not falling.
       sky_times: ``[T]`` UTC times of the skies, whole seconds, ISO 8601 with a trailing ``Z``.
     """
 
     x_m: np.ndarray
     y_m: np.ndarray
-    row: np.ndarray
-    col: np.ndarray
     sky: np.ndarray
     sky_times: tuple[str, ...]
 
     @cached_property
     def along_m(self) -> np.ndarray:
         """``[N]`` distance from the first epoch along the track."""
-        east_m = np.diff(self.x_m, prepend=self.x_m[0])
-        north_m = np.diff(self.y_m, prepend=self.y_m[0])
-        return np.cumsum(np.hypot(east_m, north_m))
+        return along_of(np.column_stack([self.x_m, self.y_m]))
+
+    def legs(self, region: Grid, most_cells: int) -> Iterator[np.ndarray]:
+        """Yield the epochs of legs: of successive skies whose places lie in one box of at most so many cells.
+
+        A leg has one sky at least, even if the box around the places of that sky is larger.
+
+        Args:
+          region: grid of the cells, which holds all places.
+          most_cells: of a box.
+        """
+        cells = np.stack(region.cell_of_xy(self.x_m, self.y_m))
+        first = 0
+        for number in range(1, len(self.sky_times)):
+            is_joined = (first <= self.sky) & (self.sky <= number)
+            if np.prod(np.ptp(cells[:, is_joined], axis=1) + 1) > most_cells:
+                yield np.flatnonzero((first <= self.sky) & (self.sky < number))
+                first = number
+        yield np.flatnonzero(self.sky >= first)
+
+    def box(self, region: Grid, epochs: np.ndarray) -> Grid:
+        """Return the smallest part of a grid that holds the places of some epochs."""
+        row, col = region.cell_of_xy(self.x_m[epochs], self.y_m[epochs])
+        west, south = -int(col.min()), -int(row.min())
+        east = int(col.max()) + 1 - region.num_cols
+        north = int(row.max()) + 1 - region.num_rows
+        return region.padded(west, south, east, north)
 
 
 def seen_along(task: MapTask, track: Track, report: Report) -> tuple[np.ndarray, np.ndarray]:
@@ -65,16 +87,15 @@ def seen_along(task: MapTask, track: Track, report: Report) -> tuple[np.ndarray,
     num_skies = len(track.sky_times)
     is_seen = np.zeros((len(track.sky), len(task.sky.names)), bool)
     is_known = np.zeros(len(track.sky), bool)
-    for leg in _legs(track):
+    for leg in track.legs(task.region, LEG_CELLS):
         # One tile holds all places of a leg; its times are the leg's skies.
-        in_leg = (leg[0] <= track.sky) & (track.sky <= leg[-1])
-        tile = _tile(task, _box(task.region, track.row[in_leg], track.col[in_leg]), leg)
+        skies = np.unique(track.sky[leg]).tolist()
+        tile = _tile(task, track.box(task.region, leg), skies)
         part = tile.surface.region
-        for t, number in enumerate(leg):
+        for t, number in enumerate(skies):
             report("skies", number, num_skies)
             epochs = np.flatnonzero(track.sky == number)
-            row = track.row[epochs] - part.first_row + task.region.first_row
-            col = track.col[epochs] - part.first_col + task.region.first_col
+            row, col = part.cell_of_xy(track.x_m[epochs], track.y_m[epochs])
             is_known[epochs] = ~np.asarray(tile.is_obstacle[0])[row, col]
             if tile.has_data is not None:
                 is_known[epochs] &= tile.has_data[row, col]
@@ -115,31 +136,6 @@ def quality_along(task: MapTask, sky: np.ndarray, is_seen: np.ndarray) -> dict[s
         for name, by_choice in zip(names, maps, strict=True):
             values[name][epochs] = by_choice[choice]
     return values
-
-
-def _legs(track: Track) -> Iterator[list[int]]:
-    """Yield legs: the numbers of successive skies whose places lie in one box of at most `LEG_CELLS` cells.
-
-    A leg has one sky at least, even if the box around the places of that sky is larger.
-    """
-    cells = np.stack([track.row, track.col])
-    num_skies = len(track.sky_times)
-    first = 0
-    for number in range(1, num_skies):
-        is_joined = (first <= track.sky) & (track.sky <= number)
-        num_rows, num_cols = np.ptp(cells[:, is_joined], axis=1) + 1
-        if num_rows * num_cols > LEG_CELLS:
-            yield list(range(first, number))
-            first = number
-    yield list(range(first, num_skies))
-
-
-def _box(region: Grid, row: np.ndarray, col: np.ndarray) -> Grid:
-    """Return the smallest part of a region that holds cells, given by rows and columns ``[N]`` in it."""
-    west, south = -int(col.min()), -int(row.min())
-    east = int(col.max()) + 1 - region.num_cols
-    north = int(row.max()) + 1 - region.num_rows
-    return region.padded(west, south, east, north)
 
 
 def _tile(task: MapTask, region: Grid, skies: list[int]) -> TileScene:

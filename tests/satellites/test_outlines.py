@@ -5,10 +5,11 @@ import pytest
 import shapely
 
 from jaxurban.kernels.dop import unit_vectors
+from jaxurban.satellites.outlines import NO_HIT, Outlines
+from jaxurban.satellites.rule import FARTHEST_MARGIN_M
 from jaxurban.settings import SLABS, TO_GROUND
 from jaxurban.world.footprints import Footprints
 from jaxurban.world.known import Rays
-from jaxurban.world.outline_rays import FARTHEST_MARGIN_M, NO_HIT, Outlines
 from tests.embree_scene import CityScene
 
 EAST = np.pi / 2
@@ -94,11 +95,11 @@ def test_rays_are_hidden_where_embree_meets_a_wall_and_by_the_roof_that_clears_l
 
 def test_a_wall_hides_up_to_its_roof_and_the_margin_is_the_closed_form():
     wall = footprints([shapely.box(100, -10, 110, 10)], [50.0])
-    elevation_rad = np.arctan2([40.0, 47.9, 48.1, 77.0, 79.0], 100.0)
+    elevation_rad = np.arctan2([40.0, 47.9, 48.1, 107.0, 109.0], 100.0)
     ones = np.ones(5)
     rays = Rays(0 * ones, 0 * ones, EAST * ones, elevation_rad)
     found = Outlines(wall, TO_GROUND).clearances(rays, 2 * ones)
-    np.testing.assert_allclose(found.margin_m, [-8.0, -0.1, 0.1, 29.0, np.inf], atol=1e-9)
+    np.testing.assert_allclose(found.margin_m, [-8.0, -0.1, 0.1, 59.0, np.inf], atol=1e-9)
     np.testing.assert_allclose(found.distance_m[:4], 100.0)
     away = Outlines(wall, TO_GROUND).clearances(Rays(*-ones[:4, None]), 2 * ones[:1])
     assert away.margin_m == np.inf
@@ -127,7 +128,7 @@ def test_a_ray_through_a_slab_is_as_deep_as_the_nearer_of_its_faces():
     for floor_m, depth_m in ((30.0, np.minimum(40 - z_m, z_m - 30)), (0.0, 40 - z_m)):
         found = Outlines(footprints(boxes, [40.0], floor_m), SLABS).clearances(rays, ones)
         margin_m = -depth_m.max(axis=1)
-        near = margin_m < 30.0
+        near = margin_m < FARTHEST_MARGIN_M
         np.testing.assert_allclose(found.margin_m[near], margin_m[near], atol=1e-3)
         np.testing.assert_array_equal(found.margin_m[~near], np.inf)
 

@@ -11,10 +11,10 @@ import shapely
 import jaxurban as ju
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.maps.build import region_of
-from jaxurban.paths import hiding
-from jaxurban.paths.sight import Sight
-from jaxurban.paths.sky import sky_from
 from jaxurban.report.figures.sky import plot_sky
+from jaxurban.satellites import outlines
+from jaxurban.satellites.along import sky_from
+from jaxurban.satellites.sight import Sight
 from jaxurban.world.footprints import Footprints
 from jaxurban.world.raster import Raster
 from tests.embree_scene import CityScene
@@ -355,8 +355,8 @@ def test_rays_are_followed_in_parts_and_too_many_are_refused_with_their_number(m
     _, places = at_cells(maps(), 6, seed=3)
     times = [TIMES[k % 2] for k in range(6)]
     whole = ju.sky_along(city(), places, 20.0, times, gps=GPS).table
-    monkeypatch.setattr(hiding, "MOST_AT_ONCE", 7)
+    monkeypatch.setattr(outlines, "MOST_AT_ONCE", 7)
     assert ju.sky_along(city(), places, 20.0, times, gps=GPS).table.equals(whole)
-    monkeypatch.setattr(hiding, "MOST_RAYS", 10)
+    monkeypatch.setattr(outlines, "MOST_RAYS", 10)
     with pytest.raises(ju.InputError, match=r"\d+ rays .* 10 are followed at most: give fewer"):
         ju.sky_along(city(), places, 20.0, times, gps=GPS)

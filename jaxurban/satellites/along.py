@@ -1,0 +1,299 @@
+"""The sky at a place, at one or several times, and along a track: what the city hides, and what is left."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.checks import positive, typed
+from jaxurban.errors import InputError
+from jaxurban.io.read.tracks import ALTITUDE, LAT, LON, UTC, track_of
+from jaxurban.maps.sources import CityLike
+from jaxurban.metrics.gps import FIX, Gps, has_no_fix
+from jaxurban.paths.lines import along_of
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.places import XY, Point
+from jaxurban.public import Caution, FactsRepr, listed
+from jaxurban.satellites.rule import STATES
+from jaxurban.satellites.sight import By, Sight, cautions_of, xy_of
+from jaxurban.settings import as_tuple, parse_time
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SkyAt(FactsRepr):
+    """The sky at a place, at one or several times.
+
+    Attributes:
+      lonlat: longitude, latitude of the place, degrees.
+      altitude_m: above the ground there.
+      by: ``"outlines"``, exact rays through outlines, or ``"map"``, the kernel of the maps in the cell of the place.
+      table: a row per time and satellite above the mask: ``time`` (UTC), ``satellite``, ``system``, ``azimuth_deg``
+        from true and ``grid_azimuth_deg`` from grid north, clockwise, ``elevation_deg``, ``state``: ``"seen"``,
+        ``"hidden"`` or ``"unknown"``, as its ray leaves the known buildings or terrain before it is above all roofs.
+        By outlines also ``margin_m``, how far the ray is above the roof (or below the floor of what hangs) that it
+        clears by least: 0 or less where it is hidden, inf from 60 m on, NaN where it is unknown; and of the roof that
+        hides it, NaN for others, ``roof_height_m`` above its ground (NaN: the ground hides it), ``roof_distance_m``
+        along the ground to where the ray enters the outline, ``roof_lon`` and ``roof_lat`` of that place, and
+        ``roof_is_guessed``.
+      dops: a row per time: ``time``, ``num_visible``, ``num_hidden``, ``num_unknown``, ``gdop``, ``pdop``, ``hdop``,
+        ``vdop``, ``tdop`` of the satellites that are seen, with a clock for each system; inf without a fix. By the map
+        ``num_visible`` and the DOPs are those of the map, which counts unknown ones as clear.
+      cautions: what whoever uses it must know.
+      attribution: whom to credit for the city.
+
+    Examples:
+      >>> here = ju.sky(city, (-73.971, 40.7795), 20.0)
+      >>> here.dops[["num_visible", "num_hidden", "num_unknown"]].to_numpy().tolist()
+      [[1, 0, 6]]
+    """
+
+    lonlat: tuple[float, float]
+    altitude_m: float
+    by: By
+    table: pd.DataFrame
+    dops: pd.DataFrame
+    cautions: list[Caution]
+    attribution: str
+    _sight: Sight = field(repr=False)
+
+    @property
+    def times(self) -> tuple[str, ...]:
+        """The times, UTC."""
+        return tuple(self.dops["time"])
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Place, height, times, how it was computed, and how many satellites are seen, hidden and unknown."""
+        lon, lat = self.lonlat
+        counts = [f"{(self.table['state'] == state).sum()} {state}" for state in STATES]
+        return {
+            "place": f"{lon:.6f}, {lat:.6f}",
+            "altitude": f"{self.altitude_m:g} m above ground",
+            "times": listed(self.times),
+            "by": self.by,
+            "satellites": ", ".join(counts),
+            "HDOP": listed([f"{value:.3g}" for value in self.dops[FIX]]),
+            "credit": self.attribution,
+        }
+
+    @cached_property
+    def horizon_deg(self) -> np.ndarray:
+        """``[360]`` elevation in degrees up to which buildings and hills fill the sky, by outlines.
+
+        At each whole degree of azimuth, clockwise from true north; at least the elevation mask, or 1 degree where that
+        is lower. NaN where a ray along the horizon leaves what is known.
+        """
+        sight = self._sight
+        mask_deg = sight.params.gps.mask_deg
+        return sight.hiding.horizon_deg(sight.region, self.lonlat, self.altitude_m, mask_deg)
+
+
+@typed
+def sky(
+    where: CityLike,
+    place: Point,
+    altitude_m: float,
+    *,
+    time: str | Sequence[str] | None = None,
+    by: By = "outlines",
+    gps: Gps | None = None,
+    sources: str | Path | None = None,
+    resolution_m: float | None = None,
+) -> SkyAt:
+    """Return which satellites are seen from a place, which roof hides the others, DOPs, and the horizon.
+
+    By outlines every ray is followed through the exact outlines of the city (of a raster of roofs every metre, of
+    terrain every 5 m), with satellites as the place sees them. By the map the answer is that of the maps' kernel in
+    the cell that holds the place: at its centre it is the map's own.
+
+    A ray that leaves the known buildings or terrain before it is above all roofs is unknown, whatever it meets. In a
+    building all that is not unknown is hidden.
+
+    Args:
+      where: a `City`; or maps that were opened from a folder, or the folder, whose city is read again from the files
+        that their run recorded, if these have not changed.
+      place: longitude, latitude in degrees, or an `XY` in the CRS of the city.
+      altitude_m: above the ground.
+      time: UTC, one or several; left out, those of the maps, or of the city's own satellites.
+      by: ``"outlines"`` or ``"map"``.
+      gps: satellites and elevation mask; left out, those of the maps or of the city.
+      sources: folder of the files that the run recorded; left out, they are looked for beside the maps.
+      resolution_m: of the maps, for ``by="map"``; left out, 5 m of a city, of a folder its first.
+
+    Returns:
+      `SkyAt`: a table of satellites, DOPs by time, and the horizon.
+
+    Raises:
+      InputError: no such place or time, an altitude that is not above 0, no satellite above the mask, files that are
+        gone or were changed, maps in memory, or by the map a place beyond its region.
+
+    Examples:
+      >>> here = ju.sky(city, (-73.971, 40.7795), 20.0)
+      >>> list(here.table)[:7]
+      ['time', 'satellite', 'system', 'azimuth_deg', 'grid_azimuth_deg', 'elevation_deg', 'state']
+    """
+    sight = Sight.of(where, gps, sources, resolution_m, by)
+    return sky_from(sight, place, altitude_m, time=time, by=by)
+
+
+def sky_from(
+    sight: Sight, place: Point, altitude_m: float, *, time: Any = None, by: By = "outlines"
+) -> SkyAt:
+    """Return the sky at a place of a city that is read already.
+
+    Args:
+      sight: the city, and how maps of it are made.
+      place, altitude_m, time, by: as for `sky`, with its errors.
+    """
+    positive("altitude_m", altitude_m)
+    xy_m = xy_of("place", [place], sight.region)
+    times = None if time is None else as_tuple(time)
+    look = sight.look(by, xy_m, altitude_m, times)
+    cautions = cautions_of(sight, look, by, xy_m)
+
+    # The tables of the look, which nobody else holds, get the times of their rows.
+    utc = np.array(look.sky.times)
+    look.rows.insert(0, "time", utc[look.epoch])
+    look.dops.insert(0, "time", utc)
+    lon, lat = sight.region.lonlat_of_xy(*xy_m[:, 0].tolist())
+    credit = sight.city.attribution
+    return SkyAt((lon, lat), altitude_m, by, look.rows, look.dops, cautions, credit, sight)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SkyAlong(FactsRepr):
+    """The sky along a track.
+
+    Attributes:
+      table: a row a place: ``time`` (UTC), ``lon``, ``lat``, ``altitude_m``, ``num_visible``, ``num_hidden``,
+        ``num_unknown``, ``gdop``, ``pdop``, ``hdop``, ``vdop``, ``tdop`` (inf without a fix) and ``has_fix``; as
+        `SkyAt.dops` has them.
+      by: ``"outlines"`` or ``"map"``, as of `SkyAt`.
+      cautions: what whoever uses it must know.
+      attribution: whom to credit for the city.
+
+    Examples:
+      >>> along = ju.sky_along(city, [start, goal], 60.0, "2020-04-27T16:00:00Z")
+      >>> along.table[["num_visible", "has_fix"]].to_numpy().tolist()
+      [[1, False], [3, False]]
+    """
+
+    table: pd.DataFrame
+    by: By
+    cautions: list[Caution]
+    attribution: str
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Places, times, how they were computed, how many satellites are seen, and where there is no fix."""
+        table = self.table
+        return {
+            "places": f"{len(table):,}",
+            "times": listed(list(dict.fromkeys(table["time"]))),
+            "by": self.by,
+            "satellites seen": f"{table['num_visible'].mean():.1f} in the mean",
+            "without a fix": f"{(~table['has_fix']).mean():.0%} of places",
+            "credit": self.attribution,
+        }
+
+
+@typed
+def sky_along(
+    where: CityLike,
+    places: PlannedPath | pd.DataFrame | Sequence[Point],
+    altitude_m: float | Sequence[float] | None = None,
+    times: str | Sequence[str] | None = None,
+    *,
+    speed_m_s: float | None = None,
+    by: By = "outlines",
+    gps: Gps | None = None,
+    sources: str | Path | None = None,
+    resolution_m: float | None = None,
+) -> SkyAlong:
+    """Return how many satellites are seen along a track, and the DOPs: a flight's log, or a route at its speed.
+
+    Args:
+      where, by, gps, sources, resolution_m: as for `sky`.
+      places: longitude, latitude in degrees, or an `XY`, each; a path from `plan`; or a table of the columns ``utc``,
+        ``lon_deg``, ``lat_deg`` and, if ``altitude_m`` is left out, ``altitude_m``.
+      altitude_m: above the ground, of all places or of each; left out, that of a path or a table.
+      times: UTC of each place, to the second, or one for all; with a speed, that of departure. Left out, those of a
+        table, else the first of the maps or of the city's own satellites.
+      speed_m_s: the places are the corners of a route that is flown at this speed in straight legs, and the table has
+        a row for each of its seconds.
+
+    Returns:
+      `SkyAlong`: a table with a row a place, in their order.
+
+    Raises:
+      InputError: as of `sky`; numbers of places, altitudes and times that differ, or no place.
+
+    Examples:
+      >>> flown = ju.sky_along(city, path, times="2020-04-27T16:00:00Z", speed_m_s=10.0)
+      >>> len(flown.table), list(flown.table)[:4]
+      (73, ['time', 'lon', 'lat', 'altitude_m'])
+    """
+    sight = Sight.of(where, gps, sources, resolution_m, by)
+
+    # Places, heights and times, each as many as were given.
+    if isinstance(places, PlannedPath):
+        if altitude_m is None:
+            altitude_m = places.z_m.tolist()
+        places = [XY(*xy_m) for xy_m in places.xy_m.tolist()]
+    elif isinstance(places, pd.DataFrame):
+        table = track_of(places, "the table of places")
+        if altitude_m is None and ALTITUDE in table:
+            altitude_m = table[ALTITUDE].tolist()
+        if times is None:
+            times = table[UTC].tolist()
+        places = list(zip(table[LON], table[LAT], strict=True))
+    if altitude_m is None:
+        raise InputError("altitude_m is missing: give metres above the ground")
+    x_m, y_m = xy_of("places", places, sight.region)
+    z_m = np.array([positive("altitude_m", value) for value in as_tuple(altitude_m)])
+    if times is None:
+        times = sight.task(None, float(z_m.min()), None).sky.times[0]
+    utc = pd.to_datetime([parse_time(time) for time in as_tuple(times)]).round("s")
+    if len({1, len(x_m), len(z_m)}) > 2 or len({1, len(x_m), len(utc)}) > 2:
+        raise InputError(
+            f"altitude_m and times must be one for all {len(x_m)} places or one for each, got {len(z_m)} and {len(utc)}"
+        )
+    x_m, y_m, z_m = np.broadcast_arrays(x_m, y_m, z_m)
+
+    # A route that is flown at a speed has a place a second instead.
+    if speed_m_s is not None:
+        positive("speed_m_s", speed_m_s)
+        if len(utc) > 1:
+            raise InputError(
+                "with speed_m_s times must be one, of departure: leave one of the two out"
+            )
+        x_m, y_m, z_m, elapsed_s = _flown(np.stack([x_m, y_m, z_m]), speed_m_s)
+        utc = (utc[0] + pd.to_timedelta(elapsed_s, "s")).round("s")
+
+    # What the places see, each under the sky of its time.
+    time_of_place = np.broadcast_to(utc.strftime("%Y-%m-%dT%H:%M:%SZ"), len(x_m))
+    sky_times, sky = np.unique(time_of_place, return_inverse=True)
+    xy_m = np.stack([x_m, y_m])
+    look = sight.look(by, xy_m, z_m, sky_times.tolist(), sky)
+    lon, lat = sight.region.lonlat_of_xy(x_m, y_m)
+    table = pd.DataFrame({"time": time_of_place, "lon": lon, "lat": lat, "altitude_m": z_m})
+    table = table.join(look.dops).assign(has_fix=~has_no_fix(look.dops[FIX].to_numpy()))
+    return SkyAlong(table, by, cautions_of(sight, look, by, xy_m), sight.city.attribution)
+
+
+def _flown(corners_m: np.ndarray, speed_m_s: float) -> np.ndarray:
+    """Return ``[4, N]`` x, y, z in metres and the time in seconds at each second of a flight, and at its end.
+
+    Args:
+      corners_m: ``[3, K]`` x, y, z of the corners, between which the flight is straight.
+      speed_m_s: of the flight.
+    """
+    corner_s = along_of(corners_m.T) / speed_m_s
+    end_s = corner_s[-1]
+    elapsed_s = np.append(np.arange(0.0, end_s), end_s)
+    xyz_m = [np.interp(elapsed_s, corner_s, values_m) for values_m in corners_m]
+    return np.stack([*xyz_m, elapsed_s])
