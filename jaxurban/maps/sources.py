@@ -78,7 +78,7 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     )
 
 
-def city_of(given: CityLike, sources: Path | None = None) -> City:
+def city_of(given: CityLike, sources: str | Path | None = None) -> City:
     """Return a city unchanged, or the one that maps were made of, read again from its files (`scenario_of`).
 
     Args:
@@ -117,21 +117,14 @@ def standing_on(maps: MetricMaps, sources: City | str | Path | None = None) -> S
     Raises:
       InputError: sources that are named and do not hold the city of these maps.
     """
-    if isinstance(sources, City):
-        city = sources
-    elif sources is not None and maps.folder is None:
-        raise InputError(
-            f"sources must be the City that maps in memory were made of, got {str(sources)!r}"
-        )
-    else:
-        try:
-            with warnings.catch_warnings(action="ignore", category=GuessWarning):  # maps hold it
-                city = city_of(maps, None if sources is None else Path(sources))
-        except InputError as error:
-            # Files that the caller has named must be there; those of the record may be gone.
-            if sources is not None:
-                raise
-            return Standing(None, BY_CELLS.format(error), isinstance(error, ChangedSourcesError))
+    try:
+        with warnings.catch_warnings(action="ignore", category=GuessWarning):  # maps hold it
+            city = sources if isinstance(sources, City) else city_of(maps, sources)
+    except InputError as error:
+        # Files that the caller has named must be there; those of the record may be gone.
+        if sources is not None:
+            raise
+        return Standing(None, BY_CELLS.format(error), isinstance(error, ChangedSourcesError))
     if city.buildings is None:
         return Standing(city, BY_CELLS.format("the city is a raster of heights"))
     return Standing(city, EXACT)

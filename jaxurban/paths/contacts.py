@@ -151,6 +151,8 @@ def merged(rows: pd.DataFrame, key: str | None = None) -> pd.DataFrame:
       rows: stretches in the order of travel, with ``from_m`` and ``to_m``.
       key: name of a column: stretches of other values there are not joined. None joins all.
     """
+    if rows.empty:
+        return rows
     group = np.zeros(len(rows)) if key is None else rows[key].to_numpy()
     order = np.lexsort((rows["from_m"], group))  # by group, and in the order of travel within each
     rows, group = rows.iloc[order], group[order]

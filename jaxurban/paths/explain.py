@@ -96,8 +96,7 @@ def explain(
     states, parts = cut_on(planned, maps)
     metrics = list(maps.metrics)
     shown = {name: name for name in metrics} | EXTRA_MAPS
-    time, time_of_day = (planned.settings[name] for name in ("time", "time_of_day"))
-    profile = profile_of(parts, maps, shown, time, time_of_day)
+    profile = profile_of(parts, maps, shown, planned.settings)
     given = values_given({"speed_m_s": speed_m_s, "power_w": power_w})
     vehicle = replace(Vehicle.of(planned.settings), **given)
     amounts = _amounts(parts, profile, vehicle, swath_m)

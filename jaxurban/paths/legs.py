@@ -333,8 +333,8 @@ def steps_of(
 
     # The steps: the segment of each, and the shares of it at which it begins and ends.
     part = np.flatnonzero(is_part)
-    ends = between(states[segment[part]], cut.shares[part])
-    rise_m, length_m = np.abs(ends[:, 1, 2:] - ends[:, 0, 2:]).T
+    moved_m = np.diff(between(states[segment[part]], cut.shares[part]), axis=1)
+    rise_m, length_m = np.abs(moved_m[:, 0, 2:]).T
     num_steps = np.ceil(np.maximum(rise_m / STEP_M, length_m / step_m)).clip(1).astype(int)
     number = np.arange(num_steps.sum()) - np.repeat(np.cumsum(num_steps) - num_steps, num_steps)
     evenly = (number[:, None] + [0, 1]) / np.repeat(num_steps, num_steps)[:, None]

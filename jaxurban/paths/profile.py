@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -54,13 +55,10 @@ def cut_evenly(states_m: np.ndarray, most: int) -> np.ndarray:
       most: the number of segments, at least 1.
     """
     along_m = along_of(states_m)
-    last = len(along_m) - 1
     ideal_m = along_m[-1] * np.arange(1, most) / most  # where segments of equal length would end
-    after = np.clip(np.searchsorted(along_m, ideal_m), 1, last)
-    before = after - 1
-    is_before_nearer = ideal_m - along_m[before] <= along_m[after] - ideal_m
-    cuts = np.setdiff1d(np.where(is_before_nearer, before, after), [0, last])
-    return np.searchsorted(cuts, np.arange(last), side="right")
+    middle_m = (along_m[:-1] + along_m[1:]) / 2
+    _, segment = np.unique(np.digitize(middle_m, ideal_m), return_inverse=True)
+    return segment
 
 
 def clearance_m(
@@ -138,8 +136,7 @@ def profile_of(
     parts: Steps,
     maps: MetricMaps,
     shown: Mapping[str, str],
-    time: str | None,
-    time_of_day: str | None,
+    settings: Mapping[str, Any],
 ) -> pd.DataFrame:
     """Return a row for each part of a flight: its place, the values of maps there (`values_on`), roofs and clearances.
 
@@ -149,9 +146,10 @@ def profile_of(
       parts: of the flight, each within a cell.
       maps: the maps that it leads over.
       shown: names of columns by the names of the maps that fill them; maps that are missing are left out.
-      time, time_of_day: of the maps.
+      settings: of the route, which name the time and the time of day.
     """
     grid = maps.grid
+    when = {name: settings[name] for name in ("time", "time_of_day")}
     from_m, to_m = parts.along_m.T
     lon, lat = grid.lonlat_of_xy(*parts.ends_m.mean(axis=1).T)
     columns = {
@@ -163,7 +161,7 @@ def profile_of(
     }
     for name, column in shown.items():
         if maps.variable(name) in maps.ds:
-            columns[column] = values_on(maps, name, parts, time, time_of_day)
+            columns[column] = values_on(maps, name, parts, **when)
     if VISIBLE in columns:
         columns[VISIBLE] = columns[VISIBLE].astype(int)
 
@@ -272,9 +270,8 @@ def cautious_profile(planned: PlannedPath, maps: MetricMaps) -> pd.DataFrame:
     Raises:
       InputError: there is no path, or the maps are others.
     """
-    settings = planned.settings
     _, parts = cut_on(planned, maps)
-    return profile_of(parts, maps, {FIX: FIX}, settings["time"], settings["time_of_day"])
+    return profile_of(parts, maps, {FIX: FIX}, planned.settings)
 
 
 def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
@@ -288,9 +285,9 @@ def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
     if FIX not in profile:
         return []
     # Where the fix is lost and regained, by turns: the first row of a stretch and the first one after it.
-    is_without = np.concatenate([[False], has_no_fix(profile[FIX].to_numpy()), [False]])
+    is_without = np.pad(has_no_fix(profile[FIX].to_numpy()), 1)
     first, after = np.flatnonzero(np.diff(is_without)).reshape(-1, 2).T
-    from_m, to_m = profile[["from_m", "to_m"]].to_numpy().T
+    from_m, to_m = profile["from_m"].to_numpy(), profile["to_m"].to_numpy()
     return list(zip(from_m[first].tolist(), to_m[after - 1].tolist(), strict=True))
 
 

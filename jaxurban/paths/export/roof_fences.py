@@ -17,7 +17,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.zone import made_valid
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
-from jaxurban.maps.sources import EXACT, standing_on
+from jaxurban.maps.sources import standing_on
 from jaxurban.paths.contacts import buildings_of
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.export.fences import exclusions, ring_of, without_holes
@@ -71,7 +71,6 @@ def roof_fences(route: PlannedPath, near_m: float) -> RoofFences:
     floor_m = route.z_m[ends].min(axis=1) - vertical_m
     city, outlines, _ = standing_on(route.maps)
     roofs = buildings_of(route.maps, city)
-    name = "roofs" if outlines == EXACT else f"cells of {grid.resolution_m:g} m with roofs"
     leg, roof = shapely.STRtree(roofs.polygons).query(legs, predicate="dwithin", distance=near_m)
     reaching = np.unique(roof[stands_at(roofs.top_m[roof], floor_m[leg])])
 
@@ -84,14 +83,14 @@ def roof_fences(route: PlannedPath, near_m: float) -> RoofFences:
     num_vertices = sum(map(len, rings))
     if num_vertices > most_vertices:
         raise InputError(
-            f"{len(reaching)} {name} within {near_m:g} m of the route take {num_vertices} vertices of a fence, "
+            f"{len(reaching)} roofs within {near_m:g} m of the route take {num_vertices} vertices of a fence, "
             f"and autopilots hold {MOST_VERTICES}, zones included: name a smaller distance, fly higher, or split the "
             "mission"
         )
 
     # The sentence.
     note = (
-        f"The geofence keeps out of the {name} within {near_m:g} m that reach the flight: "
+        f"The geofence keeps out of the roofs within {near_m:g} m that reach the flight: "
         f"{len(reaching) - num_met} ({outlines.partition(':')[0]})"
     )
     num_guessed = roofs.is_guessed[reaching].sum()
