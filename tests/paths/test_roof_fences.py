@@ -212,7 +212,7 @@ def test_vertices_of_zones_count_and_too_many_are_refused_with_a_remedy():
     assert sum(map(len, roof_fences(path, 25.0).rings)) <= MOST_VERTICES
     round_zone = shapely.Point(grid.x_min_m + 500, grid.y_min_m + 100).buffer(50)
     zoned = made_path(grid, xy_m, Z_M, maps=maps, zones=(Zone("round", round_zone, grid.crs),))
-    with pytest.raises(ju.InputError, match=r"cells of 10 m.*hold 63.*smaller distance"):
+    with pytest.raises(ju.InputError, match=r"roofs within 25 m.*hold 63.*smaller distance"):
         roof_fences(zoned, 25.0)
 
 
