@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -95,35 +96,37 @@ class Levels:
 
 
 def values_at(
-    z_m: float,
+    z_m: float | np.ndarray,
     altitudes_m: Sequence[float],
     read: Callable[[float], np.ndarray],
     is_under_sky: Callable[[float], np.ndarray],
     *,
     is_count: bool = False,
+    cells: Any = ...,
 ) -> np.ndarray:
-    """Return a map's values ``[y, x]`` at an altitude within the maps' range.
+    """Return a map's values ``[y, x]`` at an altitude within the maps' range, or in cells each at its own altitude.
 
     Between two of the maps' altitudes the values run linearly from the lower map to the upper one. A count stays that
     of the lower one, as what is in view there is in view above it too. Where a roof reaches the lower altitude, or
     something hangs over it, the value is the upper map's.
 
     Args:
-      z_m: the altitude, metres above ground.
+      z_m: the altitude, metres above ground; or one for each cell that is read, all between the same two altitudes.
       altitudes_m: of the maps.
       read: returns the values at one of these altitudes.
       is_under_sky: returns, for one of these altitudes, where no roof reaches it and nothing hangs above it.
       is_count: whether the values count whole things, such as satellites.
+      cells: rows and columns of the cells that are read; left out, all.
     """
-    if z_m in altitudes_m:
-        return read(z_m)
-    low_m = max(altitude_m for altitude_m in altitudes_m if altitude_m < z_m)
-    high_m = min(altitude_m for altitude_m in altitudes_m if altitude_m > z_m)
-    share = float((z_m - low_m) / (high_m - low_m))
-    lower, upper = read(low_m), read(high_m)
+    low_m = max(altitude_m for altitude_m in altitudes_m if np.all(altitude_m <= z_m))
+    if np.all(z_m == low_m):
+        return read(low_m)[cells]
+    high_m = min(altitude_m for altitude_m in altitudes_m if np.all(altitude_m > z_m))
+    share = (z_m - low_m) / (high_m - low_m)
+    lower, upper = read(low_m)[cells], read(high_m)[cells]
     if not is_count:
         lower = (1 - share) * lower + share * upper
-    return np.where(is_under_sky(low_m), lower, upper)
+    return np.where(is_under_sky(low_m)[cells], lower, upper)
 
 
 def listed_m(altitudes_m: Iterable[float]) -> str:

@@ -1,9 +1,11 @@
 """The city behind maps: read again from the files that the run which made them recorded."""
 
+import warnings
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
-from jaxurban.errors import InputError
+from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.city import City
 from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE, settings_of
@@ -13,6 +15,8 @@ from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
 
 CityLike = City | MetricMaps | str | Path
+EXACT = "exact outlines"
+BY_CELLS = "by cells that roofs touch, because {}"
 STANDING = ("buildings", "terrain")  # roles of the files that say what stands, and on which ground
 
 
@@ -74,7 +78,7 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     )
 
 
-def city_of(given: CityLike, sources: Path | None = None) -> City:
+def city_of(given: CityLike, sources: str | Path | None = None) -> City:
     """Return a city unchanged, or the one that maps were made of, read again from its files (`scenario_of`).
 
     Args:
@@ -85,6 +89,45 @@ def city_of(given: CityLike, sources: Path | None = None) -> City:
       InputError: maps that were made in memory, or files that are gone.
     """
     return given if isinstance(given, City) else load_city(scenario_of(folder_of(given), sources))
+
+
+class Standing(NamedTuple):
+    """What is known of what stands on maps.
+
+    Attributes:
+      city: of the maps; None if it is gone, or its files have changed.
+      outlines: how the buildings are known: `EXACT`, or by cells, with the reason.
+      has_changed: its files are there, and not as they were.
+    """
+
+    city: City | None
+    outlines: str
+    has_changed: bool = False
+
+
+def standing_on(maps: MetricMaps, sources: City | str | Path | None = None) -> Standing:
+    """Return what stands on maps: the outlines of their city, or else the cells of the maps that roofs touch.
+
+    It is the cells if the city's files are gone, or the city is a raster of heights without outlines.
+
+    Args:
+      maps: the maps, whose record names the city's files.
+      sources: the city itself, or the folder at which the files' paths begin; None for the paths of the record.
+
+    Raises:
+      InputError: sources that are named and do not hold the city of these maps.
+    """
+    try:
+        with warnings.catch_warnings(action="ignore", category=GuessWarning):  # maps hold it
+            city = sources if isinstance(sources, City) else city_of(maps, sources)
+    except InputError as error:
+        # Files that the caller has named must be there; those of the record may be gone.
+        if sources is not None:
+            raise
+        return Standing(None, BY_CELLS.format(error), isinstance(error, ChangedSourcesError))
+    if city.buildings is None:
+        return Standing(city, BY_CELLS.format("the city is a raster of heights"))
+    return Standing(city, EXACT)
 
 
 def folder_of(maps: MetricMaps | str | Path) -> Path:

@@ -17,8 +17,8 @@ from jaxurban.io.city import City
 from jaxurban.io.read.guesses import WITHOUT_DATA
 from jaxurban.io.read.mission import Datum, Leg, Mission, Place, read_mission
 from jaxurban.io.read.mission_parts import LonLat
-from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
-from jaxurban.maps.sources import ChangedSourcesError, city_of
+from jaxurban.maps.metric_maps import MapsLike, as_maps
+from jaxurban.maps.sources import EXACT, standing_on
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.check_result import MissionCheck
 from jaxurban.paths.constraints import Bound, Constraints
@@ -153,11 +153,10 @@ def check(
     figures = {"num_zones": len(zones), "num_zones_in_force": len(limits.zones)}
 
     # What is found along the mission, which parts of it are unknown, and the figures; limits are on figures.
-    city, outlines, not_judged = _city_of(maps, sources)
-    is_outlined = city is not None and city.buildings is not None
+    city, outlines, has_changed = standing_on(maps, sources)
+    is_outlined = outlines == EXACT
     known = city.known_ground if city and is_outlined else shapely.box(*maps.grid.bounds_m)
     flight = flight_of(mission, Elevation(maps, city), geoid_m)
-    outlines += flight.ground_note
     buildings = buildings_of(maps, city)
     findings, unknown = judged(flight, buildings, known, limits, times, time_of_day)
     figures |= figures_of(flight, maps, times, time_of_day, swath_m)
@@ -167,7 +166,7 @@ def check(
     tables = [table for table in (findings, exceeded) if len(table)]
     findings = pd.concat(tables or [findings])
 
-    not_judged += _not_judged(flight, unknown) + open_limits
+    not_judged = [CHANGED] * has_changed + _not_judged(flight, unknown) + open_limits
     for guess in maps.guesses:
         if not is_outlined and guess.endswith(WITHOUT_DATA):
             not_judged.append(
@@ -177,7 +176,7 @@ def check(
         findings=findings.reset_index(drop=True),
         not_judged=not_judged,
         figures=figures,
-        outlines=outlines,
+        outlines=outlines + flight.ground_note,
         limits=limits.to_dict(),
         flight=flight,
         maps=maps,
@@ -252,42 +251,6 @@ def _mission_of(path: PlannedPath) -> Mission:
         not_judged=(IN_THE_AIR,),
         speed_m_s=Vehicle.of(path.settings).speed_m_s,
     )
-
-
-def _city_of(
-    maps: MetricMaps, sources: City | str | Path | None
-) -> tuple[City | None, str, list[str]]:
-    """Return the city of maps, words on how its buildings are known, and sentences on what is not judged for that.
-
-    The city is None if its files are gone. Its buildings are then known by the cells that roofs touch, as they are for
-    a city that is a raster of heights without outlines. What is not judged is one sentence if the files have changed,
-    and nothing otherwise.
-
-    Args:
-      maps: the maps, whose record names the city's files.
-      sources: the city itself, or the folder at which the files' paths begin; None for the paths of the record.
-
-    Raises:
-      InputError: sources that are named and do not hold the city of these maps.
-    """
-    if isinstance(sources, City):
-        city = sources
-    elif sources is not None and maps.folder is None:
-        raise InputError(
-            f"sources must be the City that maps in memory were made of, got {str(sources)!r}"
-        )
-    else:
-        try:
-            city = city_of(maps, None if sources is None else Path(sources))
-        except InputError as error:
-            # Files that the caller has named must be there; those of the record may be gone.
-            if sources is not None:
-                raise
-            changed = [CHANGED] if isinstance(error, ChangedSourcesError) else []
-            return None, f"by cells that roofs touch, because {error}", changed
-    if city.buildings is None:
-        return city, "by cells that roofs touch, because the city is a raster of heights", []
-    return city, "exact outlines", []
 
 
 def _against_maxima(

@@ -16,6 +16,7 @@ from jaxurban.kernels.tolerances import FILE_MARGIN_M, SAME_LENGTH
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.rules import roof_limits_m
 from jaxurban.planners.base import Cell
+from jaxurban.world.surface import stands_at
 
 # Cell sides: steps between the centres of cells keep half a side from closed cells.
 MOST_LEG_MARGIN = 0.49
@@ -49,11 +50,10 @@ def obstacles_within(
             "(clearance_m and vertical_clearance_m 0, no radius of the vehicle)"
         )
     roof_m = np.maximum(maps.m(name), roof_limits_m(maps))  # NaN where either is
-    top_m = roof_m  # above the ground from which a path may pass it
-    if "terrain" in maps.ds:
-        top_m = roof_m + _over_lowest_ground_m(maps, horizontal_m)
-    is_obstacle = (roof_m > 0) & (top_m >= np.float32(altitude_m - vertical_m))
-    is_obstacle |= np.isnan(roof_m) | ~maps.ds["has_data"].values
+    is_obstacle = np.isnan(roof_m) | ~maps.ds["has_data"].values
+    if "terrain" in maps.ds:  # above the ground from which a path may pass it
+        roof_m = roof_m + (roof_m > 0) * _over_lowest_ground_m(maps, horizontal_m)
+    is_obstacle |= stands_at(roof_m, np.float32(altitude_m - vertical_m))
     # The maps' own obstacles count too, which are known at the altitudes of the maps alone.
     if altitude_m in maps.altitudes_m:
         is_obstacle |= maps.m("obstacle", altitude_m) != 0

@@ -12,7 +12,7 @@ from jaxurban.io.read.zone import cell_boxes
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.rules import roof_limits_m
 from jaxurban.paths.elevation import Elevation
-from jaxurban.paths.legs import Steps
+from jaxurban.paths.legs import DOT_M, Steps
 from jaxurban.paths.route_report import TOUCHED
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING
@@ -20,7 +20,6 @@ from jaxurban.world.footprints import BUILDING
 TOUCH_M = 0.01  # stretches so near along a mission are one
 MOST_PAIRS = 2_000_000  # of steps and prisms beside them: less than a GiB
 NUM_TRIED = 100  # steps by which their number is predicted
-DOT_M = 1e-6  # length that a step straight up or down has in plan
 
 
 class Prisms(NamedTuple):
@@ -152,6 +151,8 @@ def merged(rows: pd.DataFrame, key: str | None = None) -> pd.DataFrame:
       rows: stretches in the order of travel, with ``from_m`` and ``to_m``.
       key: name of a column: stretches of other values there are not joined. None joins all.
     """
+    if rows.empty:
+        return rows
     group = np.zeros(len(rows)) if key is None else rows[key].to_numpy()
     order = np.lexsort((rows["from_m"], group))  # by group, and in the order of travel within each
     rows, group = rows.iloc[order], group[order]

@@ -1,30 +1,28 @@
 """A planned route explained: what each layer and each segment costs, who is below, where GPS or room is scarce."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 
 from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
-from jaxurban.kernels.line.traversal import Crossings
 from jaxurban.maps.levels import Levels
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
-from jaxurban.metrics.gps import FIX
-from jaxurban.metrics.population import M2_PER_KM2
+from jaxurban.metrics.gps import FIX, has_no_fix
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.legs import Steps
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import map_at
 from jaxurban.paths.profile import (
     cautions,
     cut_evenly,
     cut_on,
+    people_below,
     profile_of,
-    without_fix,
 )
 from jaxurban.paths.route_report import (
     CLEARANCE,
@@ -64,8 +62,8 @@ def explain(
     route to the square of the nearest cell with a roof at its altitude (see `clearance_m`). The highest roof that
     touches a cell counts, where the maps hold it, so that 0 is contact. The maps do not hold what stands outside their
     region: ``walls_outside_m`` is the distance to the border, which those obstacles exceed.
-    Where a route climbs, each cell takes the maps of the level nearest to it, as the planner did. The number of
-    satellites and obstacles are those of the level below, where there are fewer satellites and more obstacles.
+    Where a route climbs, each cell takes the maps at its height: those of an altitude within a metre of it, else
+    both around it. The number of satellites there is that of the one below, where there are fewer.
 
     Args:
       planned: from `plan`; its settings say which weights, cost model, time and time of day.
@@ -94,30 +92,53 @@ def explain(
     if num_segments < 1:
         raise InputError(f"num_segments must be at least 1, got {num_segments}")
     positive("swath_m", swath_m)
-    # The route by cell, and who flies it.
-    cut = cut_on(planned, maps)
-    metrics = tuple(maps.metrics)
-    profile = profile_of(planned, maps, cut, {name: name for name in metrics} | EXTRA_MAPS)
+    # The route by cell, who flies it, and the map that it was planned on.
+    states, parts = cut_on(planned, maps)
+    metrics = list(maps.metrics)
+    shown = {name: name for name in metrics} | EXTRA_MAPS
+    profile = profile_of(parts, maps, shown, planned.settings)
     given = values_given({"speed_m_s": speed_m_s, "power_w": power_w})
     vehicle = replace(Vehicle.of(planned.settings), **given)
-    route = _Route(cut, profile, _cost_map_of(planned, maps), vehicle, swath_m)
+    amounts = _amounts(parts, profile, vehicle, swath_m)
+    cost_map = _cost_map_of(planned, maps)
+    num_axes = 2 if cost_map.levels is None else 3
+
+    def row(first: int, last: int) -> dict[str, float]:
+        """Return a row of `RouteReport.segments`: the part of the route between two states, by their numbers."""
+        is_part = (first <= parts.leg) & (parts.leg < max(last, 1))
+        part = profile[is_part]
+        features = cost_map.shortest.features(states[first : last + 1, :num_axes])
+        costs = (cost_map.weight_vector * features.phi).tolist()
+        sums = amounts[is_part].sum(skipna=False)
+        return {
+            "from_m": part["from_m"].min(),
+            "to_m": part["to_m"].max(),
+            "length_m": sums.pop("length_m"),
+            "cost": sum(costs),
+            **dict(zip([COST_OF + name for name in cost_map.weight_names], costs, strict=True)),
+            **{f"mean_{name}": mean for name, mean in cost_map.means(features).items()},
+            **sums,
+            **part[[CLEARANCE, OUTSIDE, OVER_ROOF]].min(),
+            **part[metrics].min().add_prefix("min_"),
+            **part[metrics].max().add_prefix("max_"),
+        }
 
     # The whole, and its segments, each from one step to another.
-    num_steps = len(route.states) - 1
-    whole = route.row(0, num_steps, metrics)
-    segment = cut_evenly(cut.points_m, num_segments)
+    num_steps = len(states) - 1
+    whole = row(0, num_steps)
+    segment = cut_evenly(states, num_segments)
     _, first_steps = np.unique(segment, return_index=True)
-    parts = list(pairwise([*first_steps.tolist(), num_steps]))
-    rows = [route.row(first, last, metrics) for first, last in parts]
-    numbers = pd.RangeIndex(1, len(parts) + 1, name="segment")
+    ends = list(pairwise([*first_steps.tolist(), num_steps]))
+    rows = [row(first, last) for first, last in ends]
+    numbers = pd.RangeIndex(1, len(ends) + 1, name="segment")
 
-    lonlat = maps.grid.lonlat_at(route.states[:, :2] + maps.grid.bounds_m[:2])
+    lonlat = maps.grid.lonlat_at(states[:, :2] + maps.grid.bounds_m[:2])
     not_of_whole = ("from_", "to_", "min_", "max_")
     return RouteReport(
         totals={name: whole[name] for name in whole if not name.startswith(not_of_whole)},
         segments=pd.DataFrame(rows, index=numbers, columns=list(whole)),
         profile=profile,
-        lines=tuple(lonlat[first : last + 1] for first, last in parts),
+        lines=tuple(lonlat[first : last + 1] for first, last in ends),
         settings={
             "swath_m": swath_m,
             "speed_m_s": vehicle.speed_m_s,
@@ -128,85 +149,25 @@ def explain(
     )
 
 
-@dataclass(frozen=True)
-class _Route:
-    """A route over maps; a part of it runs from one of its states to another, by their numbers.
+def _amounts(parts: Steps, profile: pd.DataFrame, vehicle: Vehicle, swath_m: float) -> pd.DataFrame:
+    """Return a row for each part of a route with what adds up along it: length, people, no fix, time and energy.
 
-    Attributes:
-      cut: the route, cut at the borders of cells.
-      profile: a row for each cell that it crosses (`profile_of`).
-      cost_map: the map that it was planned on.
-      vehicle: what flies it.
-      swath_m: width of the strip in which people are counted.
+    What the maps or the vehicle do not say is left out.
     """
-
-    cut: Crossings
-    profile: pd.DataFrame
-    cost_map: CostMap
-    vehicle: Vehicle
-    swath_m: float
-
-    @property
-    def states(self) -> np.ndarray:
-        """Corners of the route as the cost map takes them: ``[N, 2]`` x, y, in a volume ``[N, 3]`` with altitude."""
-        num_axes = 2 if self.cost_map.levels is None else 3
-        return self.cut.points_m[:, :num_axes]
-
-    def row(self, first: int, last: int, metrics: Iterable[str]) -> dict[str, float]:
-        """Return a row of `RouteReport.segments`: where a part lies, what it costs and meets, extremes of metrics.
-
-        Args:
-          first, last: numbers of the states at which the part begins and ends; both 0 for a route without length.
-          metrics: names of those whose least and greatest value are returned.
-        """
-        step = self.cut.segment  # of each cell that is crossed
-        is_part = (first <= step) & (step < max(last, 1))
-        part = self.profile[is_part]
-        row = {"from_m": part["from_m"].min(), "to_m": part["to_m"].max()}
-        row |= self._sums(first, last, is_part)
-        for extreme, metric in product(("min", "max"), metrics):
-            row[f"{extreme}_{metric}"] = part[metric].agg(extreme)
-        return row
-
-    def _sums(self, first: int, last: int, is_part: np.ndarray) -> dict[str, float]:
-        """Return what a part costs and meets, by name: sums, means, and the nearest obstacles.
-
-        What the maps or the vehicle do not say (people, fix, time, energy) is left out.
-
-        Args:
-          first, last: numbers of the states at which it begins and ends.
-          is_part: ``[M]`` bool: the rows of the profile that belong to it.
-        """
-        # Length, cost, its parts, and the mean of each metric.
-        part = self.profile[is_part]
-        features = self.cost_map.shortest.features(self.states[first : last + 1])
-        costs = (self.cost_map.weight_vector * features.phi).tolist()
-        row = {"length_m": float((part["to_m"] - part["from_m"]).to_numpy().sum())}
-        row["cost"] = sum(costs)
-        for name, cost in zip(self.cost_map.weight_names, costs, strict=True):
-            row[COST_OF + name] = cost
-        for name, mean in self.cost_map.means(features).items():
-            row[f"mean_{name}"] = mean
-
-        # People, fix and clearances.
-        east_m, north_m, rise_m = np.diff(self.cut.ends_m, axis=1)[is_part, 0].T
-        if DENSITY in part:
-            people_m = float(part[DENSITY] @ np.hypot(east_m, north_m))
-            row["people_overflown"] = people_m * self.swath_m / M2_PER_KM2
-        if FIX in part:
-            no_fix_m = sum((to_m - from_m for from_m, to_m in without_fix(part)), 0.0)
-            row["no_fix_m"] = row[NO_FIX_IN_1_0] = no_fix_m
-        for name in (CLEARANCE, OUTSIDE, OVER_ROOF):
-            row[name] = float(part[name].min())
-
-        # Time and energy.
-        speed_m_s, power_w = self.vehicle.speed_m_s, self.vehicle.power_w
-        if speed_m_s is not None:
-            flight_s = self.vehicle.flight_s(self.cut.length_m[is_part], rise_m, speed_m_s)
-            row["time_s"] = float(flight_s.sum())
-            if power_w is not None:
-                row["energy_wh"] = row["time_s"] * power_w / SECONDS_PER_HOUR
-        return row
+    length_m = parts.length_m
+    amounts = {"length_m": length_m}
+    if DENSITY in profile:
+        amounts["people_overflown"] = people_below(profile[DENSITY], parts, swath_m)
+    if FIX in profile:
+        amounts["no_fix_m"] = amounts[NO_FIX_IN_1_0] = length_m * has_no_fix(
+            profile[FIX].to_numpy()
+        )
+    if vehicle.speed_m_s is not None:
+        rise_m = parts.z_m[:, 1] - parts.z_m[:, 0]
+        amounts["time_s"] = vehicle.flight_s(length_m, rise_m, vehicle.speed_m_s)
+        if vehicle.power_w is not None:
+            amounts["energy_wh"] = amounts["time_s"] * vehicle.power_w / SECONDS_PER_HOUR
+    return pd.DataFrame(amounts)
 
 
 def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:

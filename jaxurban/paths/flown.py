@@ -2,57 +2,28 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
+from jaxurban.kernels.tolerances import AT_LIMIT
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import FIX
-from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.finish import measured
 from jaxurban.paths.legs import Flight, Steps
 from jaxurban.paths.places import XY
 from jaxurban.paths.plan import cost_map
-from jaxurban.paths.profile import nearest_level_m
+from jaxurban.paths.profile import clearances_on, people_below, values_on
+from jaxurban.paths.route_report import CLEARANCE, OVER_ROOF
 from jaxurban.paths.search import PathSearch
 
 WINDOW_M = 1000.0  # of the densest stretch
 SAME_SHARE = 1e-3  # costs of one route, whose places a file rounds, differ by less
 DEARER = "the cheapest one between free cells costs more than the mission, which need not keep to cells or clearances"
-
-
-def values_on(
-    maps: MetricMaps, name: str, steps: Steps, time: str | None, time_of_day: str | None
-) -> np.ndarray:
-    """Return ``[P]`` float64 the values of a map in the cells of steps, each at the altitude nearest to the step.
-
-    NaN where the map has no value, and where a step is more than `GROUND_TOLERANCE_M` above or below all altitudes.
-
-    Args:
-      maps: the maps.
-      name: of the map.
-      steps: ``P`` of them.
-      time, time_of_day: of the map; the first if None.
-    """
-    read = partial(maps.m, name, time=time, time_of_day=time_of_day)
-    cells = tuple(steps.cell.T)
-    if "altitude" not in maps.ds[maps.variable(name)].dims:
-        return read()[cells].astype(float)
-
-    z_m = steps.z_m.mean(axis=1)
-    levels_m = maps.altitudes_m
-    nearest_m = nearest_level_m(z_m, levels_m)
-    beyond_m = np.abs(z_m - z_m.clip(min(levels_m), max(levels_m)))
-    values = np.full(len(z_m), np.nan)
-    for level_m in levels_m:
-        is_at_level = (nearest_m == level_m) & (beyond_m <= GROUND_TOLERANCE_M)
-        values[is_at_level] = read(level_m)[cells][is_at_level]
-    return values
+FEW = 16  # of so many steps one is in a first look
 
 
 def figures_of(
@@ -62,10 +33,12 @@ def figures_of(
     time_of_day: str | None,
     swath_m: float,
 ) -> dict[str, Any]:
-    """Return the length of a mission, its metres without a fix and the people below it, by name.
+    """Return the length of a mission, its metres without a fix, the people below it and its clearances, by name.
 
-    Beside them stand the metres where the fix or the people are not known, what lies off the maps included, and where
-    the fix is first and last lost and the densest kilometre begins and ends. What the maps do not hold is left out.
+    They are measured as those of a planned route are (`explain`); clearances are of cells, and leave out take-off,
+    landing and what leads straight up or down. Beside them stand the metres where the fix or the people are not known,
+    what lies off the maps included, and where the fix is first and last lost and the densest kilometre begins and ends.
+    What the maps do not hold is left out.
 
     Args:
       flight: the mission over the maps.
@@ -101,11 +74,22 @@ def figures_of(
     # People below the strip, and metres where they are not known.
     if "density" in maps.ds:
         density = values_on(maps, "density", steps, None, time_of_day)
-        people = np.nan_to_num(density) * steps.over_m * swath_m / M2_PER_KM2
+        people = people_below(np.nan_to_num(density), steps, swath_m)
         unknown_m = float(length_m[np.isnan(density)].sum()) + off_m
         figures |= {"people_overflown": float(people.sum()), "people_unknown_m": unknown_m}
         figures |= densest_of(people, steps)
-    return figures
+
+    # Clearances: of a few steps, and of all that may be nearer to an obstacle.
+    is_known = np.isfinite(steps.z_m).all(axis=1)
+    steps = steps.take(np.flatnonzero(is_known & ~flight.is_on_site(steps)))
+    some = steps.take(np.arange(0, len(steps.leg), FEW))
+    away_m = clearances_on(maps, some)[CLEARANCE].min(initial=np.inf)
+    near = clearances_on(maps, steps, away_m + AT_LIMIT)
+    least = {
+        CLEARANCE: near[CLEARANCE].min(initial=away_m),
+        OVER_ROOF: np.fmin.reduce(near[OVER_ROOF], initial=np.inf),
+    }
+    return figures | {name: float(value) for name, value in least.items() if np.isfinite(value)}
 
 
 def densest_of(people: np.ndarray, steps: Steps) -> dict[str, float]:

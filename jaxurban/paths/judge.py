@@ -20,7 +20,6 @@ from jaxurban.paths.profile import nearest_level_m
 
 # So near an altitude of the maps a step is at it: files round heights up to centimetres.
 LEVEL_M = 0.02
-ON_SITE = ("climb", "land")  # kinds of legs between the ground and the height of flight
 CUT = "lie at corners that autopilots cut, with a building or a zone there, or nearer than the clearance"
 NO_DATA = "lie over cells without data"
 NO_CITY = "lie where the source of the buildings does not know what stands"
@@ -119,7 +118,7 @@ def _unsure(
     least_m = limits.vertical_m - FILE_MARGIN_M
     spare_m = near[["gap_m", "spare_m"]].min(axis=1) - least_m
     is_open = (spare_m >= 0) & (spare_m < off_m[near["step"]])
-    is_low = (steps.z_m.min(axis=1) < off_m) & ~_is_on_site(flight, steps)
+    is_low = (steps.z_m.min(axis=1) < off_m) & ~flight.is_on_site(steps)
     is_low[near.loc[is_open, "step"].to_numpy(int)] = True
     most_m = off_m[is_low].max(initial=0.0)
     reason = (
@@ -166,13 +165,7 @@ def _is_on_own_roof(
     is_below_home = shapely.intersects(buildings.polygons, home)
     step = near["step"].to_numpy(int)
     is_over = near["gap_m"].to_numpy() > -FILE_MARGIN_M
-    return is_over & is_below_home[near["prism"]] & _is_on_site(flight, steps)[step]
-
-
-def _is_on_site(flight: Flight, steps: Steps) -> np.ndarray:
-    """Return ``[P]`` whether steps lead between the ground and the height of flight, or straight up or down."""
-    leg_kinds = np.array([leg.kind for leg in flight.mission.legs], object)
-    return np.isin(leg_kinds[steps.leg], ON_SITE) | (steps.over_m == 0)
+    return is_over & is_below_home[near["prism"]] & flight.is_on_site(steps)[step]
 
 
 def _at_corners(flight: Flight, buildings: Prisms, limits: Constraints) -> Iterator[pd.DataFrame]:
@@ -212,7 +205,7 @@ def _beyond(
     is_off = ~shapely.intersects_xy(judged_area, *steps.ends_m.mean(axis=1).T)
     yield spans(steps.along_m[is_off], NO_CITY)
 
-    is_on_site = _is_on_site(flight, steps)
+    is_on_site = flight.is_on_site(steps)
     z_m = steps.z_m.mean(axis=1)
     altitudes_m = flight.ground.maps.altitudes_m
     low_m = min(altitudes_m)

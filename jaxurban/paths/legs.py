@@ -16,12 +16,15 @@ import pandas as pd
 from jaxurban.errors import InputError
 from jaxurban.io.read.mission import Leg, Mission, Place
 from jaxurban.io.read.mission_parts import GEOD
+from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.paths.elevation import Elevation
 from jaxurban.world.grid import Bounds
 
 STEP_M, MOST_STEPS = 0.5, 1_000_000  # steps of very long missions are longer,
 MOST_STEP_M = 5.0  # and no longer than this
+DOT_M = 1e-6  # length that what leads straight up or down has in plan
 NOWHERE_M = 1e12  # x and y where the projection has no value
+ON_SITE = ("climb", "land")  # kinds of legs between the ground and the height of flight
 CIRCLE_SAG_M = 0.05  # by which the chords of a loiter leave its circle
 FEWEST_CHORDS, MOST_CHORDS = 16, 720
 
@@ -36,7 +39,7 @@ NO_ZERO = {  # where the zero of a datum is not known
 
 
 class Steps(NamedTuple):
-    """Short straight parts of legs over the maps, in order of travel. ``P`` of them.
+    """Short straight parts of a flight over the maps, in order of travel. ``P`` of them.
 
     Attributes:
       ends_m: ``[P, 2, 2]`` x, y of begin and end in the maps' CRS.
@@ -44,7 +47,7 @@ class Steps(NamedTuple):
       ground_m: ``[P, 2]`` elevation of the ground; 0 over maps without terrain.
       along_m: ``[P, 2]`` metres flown.
       leg: ``[P]`` number of the leg, from 0.
-      cell: ``[P, 2]`` row and column of the middle.
+      cell: ``[P, 2]`` row and column of the cell that it lies in.
     """
 
     ends_m: np.ndarray
@@ -90,6 +93,11 @@ class Flight:
     length_m: float
     ground: Elevation
     lines_m: np.ndarray
+
+    def is_on_site(self, steps: Steps) -> np.ndarray:
+        """Return ``[P]`` whether steps lead between the ground and the height of flight, or straight up or down."""
+        leg_kinds = np.array([leg.kind for leg in self.mission.legs], object)
+        return np.isin(leg_kinds[steps.leg], ON_SITE) | (steps.over_m == 0)
 
     @property
     def line_m(self) -> np.ndarray:
@@ -234,7 +242,8 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     lacks = np.where(follows_ground[:, None] & np.isnan(ground_m), "ground", segments.datum)
     if geoid_m is not None:
         lacks[lacks == "ellipsoid"] = "geoid"  # which is what lacks a height then
-    along_m = _along_m(segments, z_m)
+    shares = _shares_within(ends_m, maps.grid.bounds_m)
+    along_m = _along_m(segments, ends_m, z_m, (shares == [0, 1]).all(axis=1))
 
     # Segments without a height over the ground, by the reason: the first of their ends that has none counts.
     is_known = np.isfinite(z_m).all(axis=1)
@@ -246,7 +255,6 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
 
     # What lies outside the maps: of a segment what comes before it enters them and after it leaves them. A segment that
     # does not meet them is taken to enter and leave them at its end, so that all of it comes before.
-    shares = _shares_within(ends_m, maps.grid.bounds_m)
     enters = shares[:, 0] < shares[:, 1]
     enter_m, leave_m = np.where(enters[:, None], between(along_m, shares), along_m[:, 1:]).T
     before_m = np.column_stack([along_m[:, 0], enter_m])
@@ -261,26 +269,32 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     ways = []
     for is_of_way in (is_main, ~is_main):
         flown = np.flatnonzero(enters & is_known & is_of_way)
-        legs = segments.leg[flown]
-        ways.append(_steps(states[flown], shares[flown], legs, follows_ground[flown], ground))
+        inside = between(states[flown], shares[flown])
+        ways.append(steps_of(inside, segments.leg[flown], follows_ground[flown], ground))
     steps, variants = ways
     length_m = float(along_m[is_main].max(initial=0.0))
     lines_m = between(ends_m, shares)[enters & is_main]
     return Flight(mission, steps, variants, pd.concat(unknown), length_m, ground, lines_m)
 
 
-def _along_m(segments: Segments, z_m: np.ndarray) -> np.ndarray:
+def _along_m(
+    segments: Segments, ends_m: np.ndarray, z_m: np.ndarray, is_inside: np.ndarray
+) -> np.ndarray:
     """Return ``[S, 2]`` metres flown since take-off at begin and end of each segment.
 
-    A segment with an end whose height is not known is taken to be level. Variants begin where the next segment that is
-    none does, or where the variant before them ends, if they go on from there; what follows does not count them.
+    Segments within the maps are measured in their CRS, as plans are, others on the ellipsoid. A segment with an end
+    whose height is not known is taken to be level. Variants begin where the next segment that is none does, or where
+    the variant before them ends, if they go on from there; what follows does not count them.
 
     Args:
       segments: of the mission.
+      ends_m: ``[S, 2, 2]`` x, y of begin and end of each.
       z_m: ``[S, 2]`` their heights above one zero; NaN where they are not known.
+      is_inside: ``[S]`` whether each lies within the maps.
     """
     lonlat = segments.lonlat
     _, _, over_m = GEOD.inv(*lonlat[:, 0].T, *lonlat[:, 1].T)
+    over_m = np.where(is_inside, np.linalg.norm(ends_m[:, 1] - ends_m[:, 0], axis=1), over_m)
     length_m = np.hypot(over_m, np.nan_to_num(z_m[:, 1] - z_m[:, 0]))
     flown_m = np.where(segments.is_variant, 0.0, length_m)
     begin_m = np.cumsum(flown_m) - flown_m
@@ -291,53 +305,57 @@ def _along_m(segments: Segments, z_m: np.ndarray) -> np.ndarray:
     return np.stack([begin_m, begin_m + length_m], axis=1)
 
 
-def _steps(
+def steps_of(
     states: np.ndarray,
-    shares: np.ndarray,
     leg: np.ndarray,
     follows_ground: np.ndarray,
     ground: Elevation,
+    step_m: float = STEP_M,
 ) -> Steps:
-    """Return the steps of ``S`` segments, as far as the maps hold them.
+    """Return the steps of ``S`` straight segments within the maps: cut at borders of cells, and evenly between these.
 
     Args:
       states: ``[S, 2, 4]`` x, y, height and metres flown at begin and end.
-      shares: ``[S, 2]`` of a segment's length, from 0 to 1, at which it enters and leaves the maps.
       leg: ``[S]`` number of its leg.
       follows_ground: ``[S]`` whether its heights are above the ground, or else above the zero of the terrain.
       ground: of the maps.
+      step_m: how long steps may be, unless more than `MOST_STEPS` would be made. None rises or falls by over `STEP_M`.
 
     Raises:
       InputError: more than `MOST_STEPS` steps of `MOST_STEP_M`.
     """
-    # How long a step is, and how many a segment has.
     grid = ground.maps.grid
-    share = shares[:, 1] - shares[:, 0]
-    begin_m, end_m = states[:, :, 3].T
-    inside_m = share * (end_m - begin_m)
-    total_m = inside_m.sum()
-    step_m = max(STEP_M, total_m / MOST_STEPS)
-    if step_m > MOST_STEP_M:
+    total_m = (states[:, 1, 3] - states[:, 0, 3]).sum()
+    if total_m > MOST_STEPS * MOST_STEP_M:
         raise InputError(
             f"mission flies {total_m / 1000:,.0f} km over the maps, too far to be looked at: split the file"
         )
-    num_steps = np.maximum(np.ceil(inside_m / step_m), 1).astype(int)
+    step_m = max(step_m, total_m / MOST_STEPS)
 
-    # The segment of each step, its number within the segment, and the shares at which it begins and ends.
-    segment = np.repeat(np.arange(len(num_steps)), num_steps)
-    first_step = np.cumsum(num_steps) - num_steps
-    number = np.arange(len(segment)) - first_step[segment]
-    ends = number[:, None] + [0, 1]
-    step_shares = shares[segment, :1] + (share / num_steps)[segment, None] * ends
+    # The parts within cells. One line runs through all segments, from a place apart: every second part of it is one.
+    lines_m = states[..., :2] - grid.bounds_m[:2]
+    lines_m[(lines_m[:, 0] == lines_m[:, 1]).all(axis=1), 1, 0] += DOT_M
+    cut = crossed_cells(np.vstack([[[0.0, 0.0]], lines_m.reshape(-1, 2)]), grid.resolution_m)
+    segment, is_part = np.divmod(cut.segment, 2)
+
+    # The steps: the segment of each, and the shares of it at which it begins and ends.
+    part = np.flatnonzero(is_part)
+    moved_m = np.diff(between(states[segment[part]], cut.shares[part]), axis=1)
+    rise_m, length_m = np.abs(moved_m[:, 0, 2:]).T
+    num_steps = np.ceil(np.maximum(rise_m / STEP_M, length_m / step_m)).clip(1).astype(int)
+    number = np.arange(num_steps.sum()) - np.repeat(np.cumsum(num_steps) - num_steps, num_steps)
+    evenly = (number[:, None] + [0, 1]) / np.repeat(num_steps, num_steps)[:, None]
+    part = np.repeat(part, num_steps)
+    segment = segment[part]
+    shares = between(cut.shares[part], evenly)
 
     # Place, height over the ground and cell of each step.
-    step_states = between(states[segment], step_shares)
+    step_states = between(states[segment], shares)
     places_m = step_states[..., :2]
     height_m, along_m = np.moveaxis(step_states[..., 2:], -1, 0)
     ground_m = ground.at(places_m)
     z_m = height_m - np.where(follows_ground[segment, None], 0.0, ground_m)
-    middle = (places_m.mean(axis=1) - grid.bounds_m[:2]) / grid.resolution_m
-    cell = np.clip(middle[:, ::-1].astype(int), 0, np.array(grid.shape) - 1)
+    cell = np.column_stack([cut.row, cut.col])[part].clip(0, np.array(grid.shape) - 1)
     return Steps(places_m, z_m, ground_m, along_m, leg[segment], cell)
 
 

@@ -1,19 +1,24 @@
 """What a route meets, cell by cell: maps at its height, roofs beneath, clearance; and what its pilot should know."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import shapely
+from numpy.typing import ArrayLike
 from scipy.ndimage import binary_erosion
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.kernels.line.traversal import Crossings, crossed_cells
-from jaxurban.kernels.tolerances import AT_LIMIT, SAME_HEIGHT_M
+from jaxurban.kernels.tolerances import AT_LIMIT, GROUND_TOLERANCE_M
 from jaxurban.maps.levels import values_at
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX, has_no_fix
+from jaxurban.metrics.population import M2_PER_KM2
+from jaxurban.paths.elevation import Elevation
+from jaxurban.paths.legs import Steps, steps_of
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.route_report import (
@@ -29,12 +34,14 @@ from jaxurban.paths.route_report import (
 from jaxurban.planners.cost import path_states
 from jaxurban.public import Caution, caution_of_guesses, sentences_of
 from jaxurban.settings import Vehicle
+from jaxurban.world.surface import stands_at
 
 MOST_SEGMENTS = 3  # that a terminal line lists
 # Of a guessed roof a route passes it: what the risk metric counts as near by default.
 NEAR_GUESSED_M = 50.0
 # Below which a height over a roof is beyond limits, where no vertical clearance was asked.
 LEAST_OVER_ROOFS_M = 1.0
+MOST_LEVELS = 16  # at which the distance to obstacles is measured
 
 
 def cut_evenly(states_m: np.ndarray, most: int) -> np.ndarray:
@@ -48,16 +55,15 @@ def cut_evenly(states_m: np.ndarray, most: int) -> np.ndarray:
       most: the number of segments, at least 1.
     """
     along_m = along_of(states_m)
-    last = len(along_m) - 1
     ideal_m = along_m[-1] * np.arange(1, most) / most  # where segments of equal length would end
-    after = np.clip(np.searchsorted(along_m, ideal_m), 1, last)
-    before = after - 1
-    is_before_nearer = ideal_m - along_m[before] <= along_m[after] - ideal_m
-    cuts = np.setdiff1d(np.where(is_before_nearer, before, after), [0, last])
-    return np.searchsorted(cuts, np.arange(last), side="right")
+    middle_m = (along_m[:-1] + along_m[1:]) / 2
+    _, segment = np.unique(np.digitize(middle_m, ideal_m), return_inverse=True)
+    return segment
 
 
-def clearance_m(ends_m: np.ndarray, is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:
+def clearance_m(
+    ends_m: np.ndarray, is_obstacle: np.ndarray, resolution_m: float, most_m: float | None = None
+) -> np.ndarray:
     """Return ``[M]`` the exact distance from straight lines to the nearest obstacle cell; inf without one.
 
     It is measured from the line itself to the side of the cell's square: half a cell where a line passes the middle of
@@ -68,6 +74,7 @@ def clearance_m(ends_m: np.ndarray, is_obstacle: np.ndarray, resolution_m: float
       ends_m: ``[M, 2, 2]`` start and end (x, y) of each line, metres from the map's southwest corner.
       is_obstacle: ``[Y, X]`` bool.
       resolution_m: side of a cell.
+      most_m: distances beyond it need not be known, and are inf: a quicker search.
     """
     # Where all four neighbours within the map are obstacles too, another one is nearer to a line outside.
     row, col = np.nonzero(is_obstacle & ~binary_erosion(is_obstacle, border_value=1))
@@ -76,21 +83,11 @@ def clearance_m(ends_m: np.ndarray, is_obstacle: np.ndarray, resolution_m: float
     sides_m = np.stack([col, row, col + 1, row + 1]) * resolution_m  # west, south, east, north
     squares = shapely.STRtree(shapely.box(*sides_m))
     (line, _), distance_m = squares.query_nearest(
-        shapely.linestrings(ends_m), return_distance=True, all_matches=False
+        shapely.linestrings(ends_m), most_m, return_distance=True, all_matches=False
     )
-    nearest_m = np.empty(len(ends_m))
+    nearest_m = np.full(len(ends_m), np.inf)
     nearest_m[line] = distance_m
     return nearest_m
-
-
-def level_below_m(z_m: np.ndarray, levels_m: Sequence[float]) -> np.ndarray:
-    """Return ``[M]`` the highest of some levels that is not above each height ``[M]``.
-
-    For a height beneath all levels it is the lowest of them.
-    """
-    ascending_m = np.sort(np.asarray(levels_m, float))
-    below = np.searchsorted(ascending_m, z_m + SAME_HEIGHT_M, side="right") - 1
-    return ascending_m[np.maximum(below, 0)]
 
 
 def nearest_level_m(z_m: np.ndarray, levels_m: Sequence[float]) -> np.ndarray:
@@ -99,10 +96,13 @@ def nearest_level_m(z_m: np.ndarray, levels_m: Sequence[float]) -> np.ndarray:
     return ascending_m[np.argmin(np.abs(z_m[:, None] - ascending_m), axis=1)]
 
 
-def cut_on(planned: PlannedPath, maps: MetricMaps) -> Crossings:
-    """Return a route cut at the borders of its maps' cells, x and y measured from the maps' southwest corner.
+def cut_on(planned: PlannedPath, maps: MetricMaps) -> tuple[np.ndarray, Steps]:
+    """Return a route as its cost model steps along it, and cut further, at the borders of its maps' cells (`steps_of`).
 
-    A step ends where the ``cell`` cost model counts a cell, and steps without length are left out.
+    Returns:
+      ``[N, 3]`` x, y from the maps' southwest corner, and height: the corners of the model's steps that have a length.
+      A step of the ``cell`` model ends where it counts a cell. And the parts of the route; ``leg`` is the number of the
+      model's step that each belongs to.
 
     Raises:
       InputError: there is no path, or the maps are others than those that it was planned on.
@@ -121,117 +121,147 @@ def cut_on(planned: PlannedPath, maps: MetricMaps) -> Crossings:
         raise InputError(
             "the path leaves the region of these maps: give the maps that it was planned on"
         )
-    states_m = path_states(np.column_stack([points_m, planned.z_m]), grid.resolution_m)
-    has_length = np.any(np.diff(states_m, axis=0) != 0, axis=1)
-    return crossed_cells(states_m[np.append(True, has_length)], grid.resolution_m)
+    corners_m = path_states(np.column_stack([points_m, planned.z_m]), grid.resolution_m)
+    has_length = np.any(np.diff(corners_m, axis=0) != 0, axis=1)
+    corners_m = corners_m[np.append(True, has_length)]
+
+    xyz_m = corners_m + np.array([*grid.bounds_m[:2], 0.0])
+    states = np.column_stack([xyz_m, along_of(corners_m)])
+    states = np.stack([states[:-1], states[1:]], axis=1) if has_length.any() else states[[[0, 0]]]
+    leg = np.arange(len(states))
+    return corners_m, steps_of(states, leg, leg >= 0, Elevation(maps, None), np.inf)
 
 
 def profile_of(
-    planned: PlannedPath, maps: MetricMaps, cut: Crossings, shown: Mapping[str, str]
+    parts: Steps,
+    maps: MetricMaps,
+    shown: Mapping[str, str],
+    settings: Mapping[str, Any],
 ) -> pd.DataFrame:
-    """Return a row for each crossing of a cell: its place, the values of maps there, roofs and clearances.
+    """Return a row for each part of a flight: its place, the values of maps there (`values_on`), roofs and clearances.
 
     Where the maps know which roofs are guessed, also whether the one beneath is, and how far the nearest is.
 
-    Each crossing takes the maps of the level nearest to it, as the planner did. The number of satellites and obstacles
-    are those of the level below, where there are fewer satellites and more obstacles. What stands outside the region is
-    not known: it is no nearer than the border.
-
     Args:
-      planned: the route.
-      maps: the maps that it was planned on.
-      cut: the route cut at the borders of cells, from `cut_on`.
+      parts: of the flight, each within a cell.
+      maps: the maps that it leads over.
       shown: names of columns by the names of the maps that fill them; maps that are missing are left out.
+      settings: of the route, which name the time and the time of day.
     """
-    # Where each crossing lies.
-    ends_m, grid = cut.ends_m, maps.grid
-    lines_m = ends_m[:, :, :2]
-    lowest_m = ends_m[:, :, 2].min(axis=1)
-    x_m, y_m, z_m = ends_m.mean(axis=1).T
-    lon, lat = grid.lonlat_of_xy(x_m + grid.x_min_m, y_m + grid.y_min_m)
-    to_m = np.cumsum(cut.length_m)
-    places = {"from_m": to_m - cut.length_m, "to_m": to_m, "lon": lon, "lat": lat, "z_m": z_m}
-    profile = pd.DataFrame(places)
-
-    # The values of maps. A roof is the highest that touches a cell where the maps hold it, else that at its middle.
-    levels_m = planned.settings.get("levels_m") or [planned.altitude_m]
-    level_m = nearest_level_m(z_m, levels_m)
-    roofs = TOUCHED if TOUCHED in maps.ds else "roof"
-    for name, column in {**shown, roofs: "roof_m", GUESSED: GUESSED}.items():
+    grid = maps.grid
+    when = {name: settings[name] for name in ("time", "time_of_day")}
+    from_m, to_m = parts.along_m.T
+    lon, lat = grid.lonlat_of_xy(*parts.ends_m.mean(axis=1).T)
+    columns = {
+        "from_m": from_m,
+        "to_m": to_m,
+        "lon": lon,
+        "lat": lat,
+        "z_m": parts.z_m.mean(axis=1),
+    }
+    for name, column in shown.items():
         if maps.variable(name) in maps.ds:
-            profile[column] = _sample(planned, maps, cut, name, level_m)
-    if VISIBLE in profile:
-        profile[VISIBLE] = profile[VISIBLE].astype(int)
+            columns[column] = values_on(maps, name, parts, **when)
+    if VISIBLE in columns:
+        columns[VISIBLE] = columns[VISIBLE].astype(int)
 
     # Guessed roofs. `clearance_m` leaves out what roofs surround, so that over one the distance is set here.
-    if GUESSED in profile:
-        profile[GUESSED] = profile[GUESSED].astype(bool)
-        away_m = clearance_m(lines_m, maps.m(GUESSED).astype(bool), grid.resolution_m)
-        profile[TO_GUESSED] = np.where(profile[GUESSED], 0.0, away_m)
-
-    # The height over roofs, NaN over none; the distance to the border, and that to obstacles.
-    over_m = lowest_m - profile["roof_m"]
-    profile[OVER_ROOF] = over_m.where(profile["roof_m"] > 0)
-    sides_m = np.array(grid.shape[::-1]) * grid.resolution_m
-    profile[OUTSIDE] = np.minimum(lines_m, sides_m - lines_m).min(axis=(1, 2))
-    profile[CLEARANCE] = _to_obstacles_m(lines_m, level_below_m(lowest_m, levels_m), maps, roofs)
-    return profile
+    if GUESSED in maps.ds:
+        is_guessed = maps.m(GUESSED).astype(bool)
+        away_m = clearance_m(parts.ends_m - grid.bounds_m[:2], is_guessed, grid.resolution_m)
+        columns[GUESSED] = is_guessed[tuple(parts.cell.T)]
+        columns[TO_GUESSED] = np.where(columns[GUESSED], 0.0, away_m)
+    return pd.DataFrame(columns | clearances_on(maps, parts))
 
 
-def _to_obstacles_m(
-    lines_m: np.ndarray, level_m: np.ndarray, maps: MetricMaps, roofs: str
-) -> np.ndarray:
-    """Return ``[M]`` the distance from straight lines to the nearest obstacle cell of a level (`clearance_m`).
+def clearances_on(
+    maps: MetricMaps, parts: Steps, most_m: float | None = None
+) -> dict[str, np.ndarray]:
+    """Return how far parts of a flight are from roofs and the border, ``[P]`` metres each, by the names of columns.
+
+    They are the roof of the cell; the least height over it, NaN over none; the distance to the maps' border; and the
+    distance to the nearest cell whose roof reaches the lowest point of the part, or a height less than that where the
+    parts are at more than `MOST_LEVELS` heights. What stands outside the maps is not known: it is no nearer than the
+    border.
 
     Args:
-      lines_m: ``[M, 2, 2]`` start and end of each, metres from the maps' southwest corner.
-      level_m: ``[M]`` the altitude at which each meets obstacles.
       maps: the maps. Without roofs that touch a cell, their own obstacles count at their altitudes.
-      roofs: name of the map of roofs, which are obstacles elsewhere if they reach the level.
+      parts: ``P`` of them.
+      most_m: distances to obstacles beyond it need not be known (`clearance_m`).
     """
+    # Over the roofs, and to the border.
+    grid = maps.grid
+    lowest_m = parts.z_m.min(axis=1)
+    roofs = TOUCHED if TOUCHED in maps.ds else "roof"
+    roof_m = values_on(maps, roofs, parts)
+    lines_m = parts.ends_m - grid.bounds_m[:2]
+    sides_m = np.array(grid.shape[::-1]) * grid.resolution_m
+    border_m = np.minimum(lines_m, sides_m - lines_m).min(axis=(1, 2))
+
+    # To the obstacles of each level.
+    levels_m = np.unique(lowest_m)
+    if len(levels_m) > MOST_LEVELS:
+        shares = np.linspace(0, 1, MOST_LEVELS)
+        levels_m = np.unique(np.quantile(lowest_m, shares, method="inverted_cdf"))
+    level = np.searchsorted(levels_m, lowest_m, side="right") - 1
     away_m = np.empty(len(lines_m))
-    for z_m in np.unique(level_m).tolist():
-        is_obstacle = maps.m(roofs) >= z_m
+    for number, z_m in enumerate(levels_m.tolist()):
+        is_obstacle = stands_at(maps.m(roofs), z_m)
         if roofs != TOUCHED and z_m in maps.altitudes_m:
             is_obstacle = maps.m("obstacle", z_m) == 1
-        is_on_level = level_m == z_m
-        away_m[is_on_level] = clearance_m(lines_m[is_on_level], is_obstacle, maps.grid.resolution_m)
-    return away_m
+        lines_there_m = lines_m[level == number]
+        away_m[level == number] = clearance_m(lines_there_m, is_obstacle, grid.resolution_m, most_m)
+    over_m = np.where(roof_m > 0, lowest_m - roof_m, np.nan)
+    return {"roof_m": roof_m, OVER_ROOF: over_m, OUTSIDE: border_m, CLEARANCE: away_m}
 
 
-def _sample(
-    planned: PlannedPath, maps: MetricMaps, cut: Crossings, name: str, level_m: np.ndarray
+def values_on(
+    maps: MetricMaps,
+    name: str,
+    parts: Steps,
+    time: str | None = None,
+    time_of_day: str | None = None,
 ) -> np.ndarray:
-    """Return ``[M]`` float64 the values of a map in the cells that a route crosses, each at its own level.
+    """Return ``[P]`` float64 the values of a map in the cells of parts of a flight, at the height of their middle.
 
-    A level between two altitudes of the maps takes its value from both (`values_at`).
+    A height within `GROUND_TOLERANCE_M` of an altitude of the maps takes the map there: files round heights, and follow
+    the ground by straight lines. One between two altitudes takes both (`values_at`), one beyond all of them none: NaN.
 
     Args:
-      planned: the route, whose settings name the time and the time of day.
-      maps: the maps that it was planned on.
-      cut: the route cut at the borders of cells: ``M`` crossings.
+      maps: the maps.
       name: of the map.
-      level_m: ``[M]`` the level of each crossing.
+      parts: ``P`` of them, each within a cell.
+      time, time_of_day: of the map; the first if None.
     """
-    when = {key: planned.settings[key] for key in ("time", "time_of_day")}
+    read = partial(maps.m, name, time=time, time_of_day=time_of_day)
+    rows, cols = parts.cell.T
     if "altitude" not in maps.ds[maps.variable(name)].dims:
-        return maps.m(name, **when)[cut.row, cut.col].astype(float)
+        return read()[rows, cols].astype(float)
 
-    def values_in(z_m: float, cells: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """Return the map's values on a level in some cells: their rows and their columns."""
-        return values_at(
-            z_m,
-            maps.altitudes_m,
-            lambda map_m: maps.m(name, map_m, **when)[cells],
-            lambda map_m: maps.is_under_sky(map_m)[cells],
+    z_m = parts.z_m.mean(axis=1)
+    levels_m = sorted(maps.altitudes_m)
+    nearest_m = nearest_level_m(z_m, levels_m)
+    z_m = np.where(np.abs(z_m - nearest_m) <= GROUND_TOLERANCE_M, nearest_m, z_m)
+
+    # Each altitude has a group, as has what lies between two of them; the first and the last lie beyond all.
+    group = np.searchsorted(levels_m, z_m) + np.searchsorted(levels_m, z_m, side="right")
+    values = np.full(len(z_m), np.nan)
+    for number in np.setdiff1d(group, [0, 2 * len(levels_m)]):
+        here = np.flatnonzero(group == number)
+        values[here] = values_at(
+            z_m[here],
+            levels_m,
+            read,
+            maps.is_under_sky,
             is_count=name == VISIBLE,
+            cells=(rows[here], cols[here]),
         )
-
-    values = np.empty(len(level_m))
-    for z_m in np.unique(level_m).tolist():
-        is_on_level = level_m == z_m
-        values[is_on_level] = values_in(z_m, (cut.row[is_on_level], cut.col[is_on_level]))
     return values
+
+
+def people_below(density: ArrayLike, parts: Steps, swath_m: float) -> np.ndarray:
+    """Return ``[P]`` the people below parts of a flight: of a density ``[P]`` per km2, in a strip of a width."""
+    return np.asarray(density) * parts.over_m * swath_m / M2_PER_KM2
 
 
 def cautious_profile(planned: PlannedPath, maps: MetricMaps) -> pd.DataFrame:
@@ -240,7 +270,8 @@ def cautious_profile(planned: PlannedPath, maps: MetricMaps) -> pd.DataFrame:
     Raises:
       InputError: there is no path, or the maps are others.
     """
-    return profile_of(planned, maps, cut_on(planned, maps), {FIX: FIX})
+    _, parts = cut_on(planned, maps)
+    return profile_of(parts, maps, {FIX: FIX}, planned.settings)
 
 
 def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
@@ -254,9 +285,9 @@ def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
     if FIX not in profile:
         return []
     # Where the fix is lost and regained, by turns: the first row of a stretch and the first one after it.
-    is_without = np.concatenate([[False], has_no_fix(profile[FIX].to_numpy()), [False]])
+    is_without = np.pad(has_no_fix(profile[FIX].to_numpy()), 1)
     first, after = np.flatnonzero(np.diff(is_without)).reshape(-1, 2).T
-    from_m, to_m = profile[["from_m", "to_m"]].to_numpy().T
+    from_m, to_m = profile["from_m"].to_numpy(), profile["to_m"].to_numpy()
     return list(zip(from_m[first].tolist(), to_m[after - 1].tolist(), strict=True))
 
 

@@ -26,7 +26,7 @@ from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.profile import cautious_profile, without_fix
+from jaxurban.paths.profile import cautions, cautious_profile, without_fix
 from jaxurban.paths.route_report import CLEARANCE, RouteReport
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
@@ -629,7 +629,8 @@ class Viewer:
         The clearance of its route, ``route_m``, follows if it is greater. Without buildings no clearance is finite, and
         the list is empty.
         """
-        least_m = float(cautious_profile(mission, self.maps)[CLEARANCE].min())
+        profile = cautious_profile(mission, self.maps)
+        least_m = float(profile[CLEARANCE].min())
         if not math.isfinite(least_m):
             return []
         text = f"least clearance {number(least_m)} m"
@@ -637,9 +638,8 @@ class Viewer:
             text = f"{text}, the route {number(route_m)} m"
 
         # The caution that says how near buildings are; every route past buildings has one.
-        level = next(
-            caution.level for caution in mission.cautions if caution.startswith("Buildings")
-        )
+        said = cautions(mission, self.maps, profile)
+        level = next(caution.level for caution in said if caution.startswith("Buildings"))
         return [f'<b class="jv-{level}">{text}</b>']
 
     def _on_page(self, lonlat: np.ndarray) -> np.ndarray:

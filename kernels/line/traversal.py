@@ -39,13 +39,6 @@ class Crossings(NamedTuple):
         before = np.append(0.0, end)[np.searchsorted(self.segment, self.segment)]
         return np.stack([end - share - before, end - before], axis=1)
 
-    @property
-    def ends_m(self) -> np.ndarray:
-        """``[M, 2, 2]`` or ``[M, 2, 3]`` the points at which each part begins and ends."""
-        start_m = self.points_m[self.segment, None]
-        end_m = self.points_m[np.minimum(self.segment + 1, len(self.points_m) - 1), None]
-        return start_m + self.shares[:, :, None] * (end_m - start_m)
-
 
 def crossed_cells(points_m: np.ndarray, resolution_m: float) -> Crossings:
     """Return the cells whose interior a polyline crosses, with the length in each.

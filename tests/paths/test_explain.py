@@ -16,6 +16,7 @@ import jaxurban as ju
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.metrics.registry import METRICS
+from jaxurban.paths.legs import between
 from jaxurban.paths.profile import clearance_m, cut_evenly, nearest_level_m
 from jaxurban.planners.cost import path_states
 from jaxurban.report.figures import plot_profile, save_profile
@@ -270,7 +271,10 @@ def straight_walk(seed: int, num: int = 12) -> np.ndarray:
 def test_a_climb_is_longer_in_the_air_than_over_the_ground():
     path_points_m = [[2.5, 2.5, 20.0], [32.5, 42.5, 20.0], [32.5, 42.5, 60.0], [62.5, 42.5, 20.0]]
     crossings = crossed_cells(np.array(path_points_m), RES)
-    ends_m = crossings.ends_m
+    ends_m = between(
+        np.stack([path_points_m[:-1], path_points_m[1:]], axis=1)[crossings.segment],
+        crossings.shares,
+    )
     np.testing.assert_allclose(ends_m[1:, 0], ends_m[:-1, 1])
     np.testing.assert_allclose(
         np.linalg.norm(np.diff(ends_m, axis=1)[:, 0], axis=1), crossings.length_m, atol=1e-9

@@ -108,7 +108,7 @@ def test_fences_cover_the_roofs_that_reach_the_flight_and_keep_off_it(
         city = box_city(seed, made_maps().grid)
         maps = maps_of(city)
         if is_again:
-            monkeypatch.setattr(sources, "city_of", lambda maps, city=city: city)
+            monkeypatch.setattr(sources, "city_of", lambda maps, place, city=city: city)
         for path in routes_on(maps, seed):
             fences = fences_within_limits(path)
             if fences is None:
@@ -129,14 +129,14 @@ def test_fences_cover_the_roofs_that_reach_the_flight_and_keep_off_it(
             if is_again:
                 assert shapely.covers(fences, buildings.polygons[is_near]).all()
                 num_guessed = int(buildings.is_guessed[is_near].sum())
-                assert f"that reach the flight: {is_near.sum()}, by their outlines" in note
+                assert f"that reach the flight: {is_near.sum()} (exact outlines)" in note
                 assert (f", {num_guessed} of guessed height" in note) == bool(num_guessed)
             else:
                 near = shapely.intersection(
                     shapely.union_all(buildings.polygons[is_near]), route.buffer(29.9)
                 )
                 assert near.is_empty or fences.covers(near)
-                assert "cannot be read again" in note
+                assert "(by cells that roofs touch, because maps that were made in memory" in note
     assert num_tried >= 12
     assert num_refused < num_tried
 
@@ -159,7 +159,7 @@ def test_a_fence_grows_only_as_far_as_the_vertices_need_and_keeps_three_metres_i
     )  # cells within 30 m
     assert "in 4 vertices; the nearest is 9.8 m from the route." in fences.note
     low = roof_fences(made_path(grid, path.xy_m, 40.0, maps=maps), 30.0)
-    assert (low.rings, "flight: 0, as" in low.note) == ([], True)
+    assert (low.rings, "flight: 0 (by cells" in low.note) == ([], True)
     beside = np.column_stack([x_m, [south + 399.9] * 2])
     close = roof_fences(made_path(grid, beside, Z_M, maps=maps), 30.0)
     y_m = grid.xy_of_lonlat(*np.concatenate(close.rings).T)[1] - south
@@ -195,7 +195,7 @@ def test_a_roof_that_the_route_meets_is_named_and_not_fenced(tmp_path):
     (ring,), note = roof_fences(path, 50.0)
     fence_m = np.column_stack(maps.grid.xy_of_lonlat(*ring.T))
     assert shapely.Polygon(fence_m).distance(shapely.LineString(xy_m)) > 10
-    assert "that reach the flight: 1," in note
+    assert "that reach the flight: 1 (by cells" in note
     assert "1 that the route itself meets are left out" in note
     with pytest.raises(ju.InputError, match="own check"):
         path.save(tmp_path / "a.plan", fence_roofs_m=50.0)
@@ -212,7 +212,7 @@ def test_vertices_of_zones_count_and_too_many_are_refused_with_a_remedy():
     assert sum(map(len, roof_fences(path, 25.0).rings)) <= MOST_VERTICES
     round_zone = shapely.Point(grid.x_min_m + 500, grid.y_min_m + 100).buffer(50)
     zoned = made_path(grid, xy_m, Z_M, maps=maps, zones=(Zone("round", round_zone, grid.crs),))
-    with pytest.raises(ju.InputError, match=r"cells of 10 m.*hold 63.*smaller distance"):
+    with pytest.raises(ju.InputError, match=r"roofs within 25 m.*hold 63.*smaller distance"):
         roof_fences(zoned, 25.0)
 
 

@@ -1,18 +1,17 @@
 """What is written is judged first: a mission that would meet a roof, the ground or a zone is refused."""
 
 import math
-import warnings
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.errors import GuessWarning, InputError
+from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.mission_items import read_plan
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.sources import city_of
+from jaxurban.maps.sources import standing_on
 from jaxurban.paths.check import constraints_of
 from jaxurban.paths.contacts import buildings_of
 from jaxurban.paths.elevation import Elevation
@@ -21,7 +20,6 @@ from jaxurban.paths.legs import flight_of
 from jaxurban.paths.path import PlannedPath
 
 NO_MAPS = "It was not checked, as the path has no maps."
-OUTLINES = "exact outlines"
 ANOTHER_PLAN = "plan it again with greater clearances, or save it as .kml, .gpx or .geojson"
 MOVE = "let the ends be moved there (--snap; snap=True, on_ground=True; the viewer's planners and rules)"
 FROM_ROOF = "pass --from-roof (from_roof=True) if the flight starts from that roof"
@@ -46,10 +44,10 @@ def check_own(route: PlannedPath, data: bytes) -> str:
     way = f"cells of {maps.grid.resolution_m:g} m"
     findings = _findings(route, maps, data, None)
     if len(findings) or not Elevation(maps, None).is_exact:
-        city = _city_of(maps)
+        city, outlines, _ = standing_on(maps)
         if city is not None:
             findings = _findings(route, maps, data, city)
-            way = way if city.buildings is None else OUTLINES
+            way = outlines
     if not len(findings):
         return f"Checked by {way} before it was written: it meets no building, ground or zone."
     first = findings.iloc[0]
@@ -70,15 +68,6 @@ def _findings(route: PlannedPath, maps: MetricMaps, data: bytes, city: City | No
     limits = replace(limits, zones=(*limits.zones, *mission.zones))
     findings, _ = judged(flight, buildings, known, limits, times, time_of_day)
     return findings
-
-
-def _city_of(maps: MetricMaps) -> City | None:
-    """Return the city that maps were made of; None where its files are gone, or the maps are in memory."""
-    with warnings.catch_warnings(action="ignore", category=GuessWarning):
-        try:
-            return city_of(maps)
-        except InputError:
-            return None
 
 
 def _remedy(route: PlannedPath, maps: MetricMaps) -> str:

@@ -6,7 +6,6 @@ for: neighbours are joined and corners cut outward. PX4 holds 64 points of a fen
 560 bytes, of which 63 points in polygons of three take 546.
 """
 
-import warnings
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -14,12 +13,12 @@ import numpy as np
 import shapely
 
 from jaxurban.checks import positive
-from jaxurban.errors import GuessWarning, InputError
+from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.zone import made_valid
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
-from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.contacts import Prisms, buildings_of
+from jaxurban.maps.sources import standing_on
+from jaxurban.paths.contacts import buildings_of
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.export.fences import exclusions, ring_of, without_holes
 from jaxurban.paths.lines import line_of
@@ -70,7 +69,8 @@ def roof_fences(route: PlannedPath, near_m: float) -> RoofFences:
     legs = shapely.linestrings(xy_m[ends])
     vertical_m = route.settings.get("limits", {}).get("vertical_clearance_m", 0.0)
     floor_m = route.z_m[ends].min(axis=1) - vertical_m
-    roofs, name, origin = _roofs_of(route.maps)
+    city, outlines, _ = standing_on(route.maps)
+    roofs = buildings_of(route.maps, city)
     leg, roof = shapely.STRtree(roofs.polygons).query(legs, predicate="dwithin", distance=near_m)
     reaching = np.unique(roof[stands_at(roofs.top_m[roof], floor_m[leg])])
 
@@ -83,15 +83,15 @@ def roof_fences(route: PlannedPath, near_m: float) -> RoofFences:
     num_vertices = sum(map(len, rings))
     if num_vertices > most_vertices:
         raise InputError(
-            f"{len(reaching)} {name} within {near_m:g} m of the route take {num_vertices} vertices of a fence, "
+            f"{len(reaching)} roofs within {near_m:g} m of the route take {num_vertices} vertices of a fence, "
             f"and autopilots hold {MOST_VERTICES}, zones included: name a smaller distance, fly higher, or split the "
             "mission"
         )
 
     # The sentence.
     note = (
-        f"The geofence keeps out of the {name} within {near_m:g} m that reach the flight: "
-        f"{len(reaching) - num_met}, {origin}"
+        f"The geofence keeps out of the roofs within {near_m:g} m that reach the flight: "
+        f"{len(reaching) - num_met} ({outlines.partition(':')[0]})"
     )
     num_guessed = roofs.is_guessed[reaching].sum()
     if num_guessed:
@@ -102,27 +102,6 @@ def roof_fences(route: PlannedPath, near_m: float) -> RoofFences:
     if num_met:
         note += f"; {num_met} that the route itself meets are left out, as a fence would stop it"
     return RoofFences(rings, f"{note}.")
-
-
-def _roofs_of(maps: MetricMaps) -> tuple[Prisms, str, str]:
-    """Return the roofs of the city that maps were made of, what each is, and a phrase on where they come from.
-
-    Where that city cannot be read again the roofs are the cells of the maps that a roof touches.
-    """
-    from jaxurban.maps.sources import city_of
-
-    with warnings.catch_warnings(
-        action="ignore", category=GuessWarning
-    ):  # the maps hold what the city guesses
-        try:
-            city = city_of(maps)
-        except InputError:
-            city = None
-    roofs = buildings_of(maps, city)
-    if city is not None and city.buildings is not None:
-        return roofs, "roofs", "by their outlines"
-    name = f"cells of {maps.grid.resolution_m:g} m with roofs"
-    return roofs, name, "as the city that the maps were made of cannot be read again"
 
 
 def _fewest(
