@@ -33,6 +33,8 @@ NUMBERS = {  # of `MissionCheck.figures`, in words; one that is missing leaves i
     "no fix": "{no_fix_by_time_m}; not known on {fix_unknown_m:,.0f} m",
     "people overflown": "{people_overflown:,.0f}; not known on {people_unknown_m:,.0f} m",
     "densest kilometre": "{densest_km_people:,.0f} people, from {densest_km_from_m:,.0f} m on",
+    "nearest obstacle": "{nearest_wall_m:,.1f} m away, by cells",
+    "lowest over roofs": "{least_over_roofs_m:,.1f} m, by cells",
     "cost": "{cost:,.1f} at {compared_at_m:g} m above the ground: {cost_by_layer}",
     "exposure": "{exposure_by_layer}",
     "cheapest route": "{cheapest_cost:,.1f} over {cheapest_length_m:,.0f} m, {saved_share:.1%} less",
@@ -50,7 +52,8 @@ class MissionCheck(Result):
         (the roof's height), ``by_m`` (metres inside, below the ground or short of the clearance; of a limit, beyond it)
         and ``is_guessed``. A limit is placed where the fix is first and last lost, or at the densest kilometre.
       not_judged: sentences.
-      figures: lengths, metres without a fix, people, cost and exposure; ``cost_note`` says what is missing.
+      figures: lengths, metres without a fix, people, clearances by cells as in the report of a route, cost and
+        exposure; ``cost_note`` says what is missing.
       outlines: ``"exact outlines"``, or ``"by cells"``, with the reason.
       limits: the constraints, as `Constraints.to_dict` has them.
       flight: the mission over the maps.

@@ -102,7 +102,7 @@ def densest_of(people: np.ndarray, steps: Steps) -> dict[str, float]:
     over_m = np.append(0.0, np.cumsum(steps.over_m))  # on the ground, at the begin of each step
     people_before = np.append(0.0, np.cumsum(people))
     people_in_km = np.interp(over_m + WINDOW_M, over_m, people_before) - people_before
-    densest = np.argmax(people_in_km)
+    densest = np.argmax(people_in_km.round(6))  # the first of those as dense, whatever rounds
     along_m = np.append(steps.along_m[:, 0], steps.along_m.max(initial=0.0))
     return {
         "densest_km_people": float(people_in_km[densest]),

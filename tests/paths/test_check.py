@@ -665,7 +665,7 @@ def test_a_limit_on_the_fix_is_shown_where_it_is_first_lost_at_the_worst_time(lo
 def test_figures_are_in_words_and_their_keys_stay(lost_scene):
     ends = [lost_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
     result = checked(lost_scene, mission_of(*ends, home=ends[0]), time=[ON, OFF])
-    lost = "70 m at 2020-04-27 16:00 UTC, 10 m at 2020-04-29 16:00 UTC; not known on 0 m"
+    lost = "70 m at 2020-04-27 16:00 UTC, 10 m at 2020-04-29 16:00 UTC"
     assert result.facts["no fix"] == lost
     assert f"no fix: {lost}" in result.lines
     assert result.facts["length"] == "600 m, 600 m of it over the maps"
