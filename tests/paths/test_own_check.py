@@ -163,6 +163,15 @@ def test_a_flight_from_a_roof_has_its_heights_from_there(town, city, tmp_path):
     for wrong_m in (0.0, roof_m - 1.0):
         wrong = ju.check(town, file, sources=city, home_above_ground_m=wrong_m)
         assert "building" in set(wrong.findings["kind"]), wrong
+    for wrong_m in (roof_m + 0.1, roof_m + 1.0, roof_m + 30.0):  # judged higher than it is flown
+        wrong = ju.check(town, file, sources=city, home_above_ground_m=wrong_m)
+        assert any("the flight may be lower than judged" in text for text in wrong.not_judged)
+        assert wrong.state != "clean"
+    plan = json.loads(file.read_text())
+    lon, lat = map(float, town.grid.lonlat_of_cell(*goal))
+    plan["mission"]["plannedHomePosition"][:2] = lat, lon
+    (tmp_path / "moved.plan").write_text(json.dumps(plan))
+    assert ju.check(town, tmp_path / "moved.plan", sources=city).state != "clean"
     with pytest.raises(ju.InputError, match="the mission has none"):
         ju.check(town, path, sources=city, home_above_ground_m=3.0)
 
