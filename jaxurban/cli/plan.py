@@ -294,8 +294,9 @@ def plan(
         start = (*start, altitude_m)
         goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
     if search["on_ground"] is None:
-        is_moved = search["snap"] is not False and not outputs.from_roof
-        search["on_ground"] = is_moved and outputs.has_mission
+        search["on_ground"] = search["snap"] is not False and outputs.has_mission
+    if search["on_ground"] and outputs.from_roof:
+        search["on_ground"] = "goal"
     path_search = PathSearch.of(maps, levels is not None, **search)
     costs = cost_map(maps, levels or altitude_m, **which_map, **rules)
     planned = costs.planned(start, goal, path_search)

@@ -28,7 +28,7 @@ from jaxurban.planners.base import Path, Status
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import Backend, solve_many
 from jaxurban.progress import LOG, Progress, Report, reporting
-from jaxurban.settings import CostKind, HeuristicName, Objective, PlannerName, Preset
+from jaxurban.settings import CostKind, HeuristicName, Objective, OnGround, PlannerName, Preset
 
 HELD_BYTES = 2 * 2**30  # most memory of the cost maps that are kept at a time
 BYTES_A_CELL = 160  # memory of a cost map for each of its cells: layers, metrics, landmarks
@@ -60,7 +60,7 @@ def plan_many(
     budget_s: float | None = None,
     seed: int | None = None,
     snap: bool | float = False,
-    on_ground: bool = False,
+    on_ground: OnGround = False,
     refine: bool = False,
     exposure: Mapping[str, float] | None = None,
 ) -> PlannedPaths:

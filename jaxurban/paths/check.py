@@ -17,12 +17,13 @@ from jaxurban.io.city import City
 from jaxurban.io.read.guesses import WITHOUT_DATA
 from jaxurban.io.read.mission import Datum, Leg, Mission, Place, read_mission
 from jaxurban.io.read.mission_parts import LonLat
+from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.maps.sources import EXACT, standing_on
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.check_result import MissionCheck
 from jaxurban.paths.constraints import Bound, Constraints
-from jaxurban.paths.contacts import buildings_of, union_m
+from jaxurban.paths.contacts import Prisms, buildings_of, union_m
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.flown import costs_of, figures_of
 from jaxurban.paths.judge import SPAN, judged, placed
@@ -166,12 +167,17 @@ def check(
     tables = [table for table in (findings, exceeded) if len(table)]
     findings = pd.concat(tables or [findings])
 
-    not_judged = [CHANGED] * has_changed + _not_judged(flight, unknown) + open_limits
-    for guess in maps.guesses:
-        if not is_outlined and guess.endswith(WITHOUT_DATA):
-            not_judged.append(
-                f"The city is gone, and with it where what it leaves open lies: {guess}."
-            )
+    lost = [] if is_outlined else [text for text in maps.guesses if text.endswith(WITHOUT_DATA)]
+    not_judged = [
+        *[CHANGED] * has_changed,
+        *_above_roof(flight, buildings),
+        *_not_judged(flight, unknown),
+        *open_limits,
+        *(
+            f"The city is gone, and with it where what it leaves open lies: {text}."
+            for text in lost
+        ),
+    ]
     return MissionCheck(
         findings=findings.reset_index(drop=True),
         not_judged=not_judged,
@@ -194,6 +200,23 @@ def _in_force(limits: Constraints, times: Sequence[str]) -> Constraints:
     moments = [parse_time(text) for text in times]
     zones = [zone for zone in limits.zones if not moments or any(map(zone.is_in_force, moments))]
     return replace(limits, zones=tuple(replace(zone, start=None, end=None) for zone in zones))
+
+
+def _above_roof(flight: Flight, buildings: Prisms) -> list[str]:
+    """Return a sentence where home is named higher above the ground than any roof there is known to be."""
+    mission = flight.mission
+    above_m = mission.home_above_ground_m
+    if mission.home is None or not above_m:
+        return []
+    home = shapely.Point(flight.ground.maps.grid.xy_of_lonlat(*mission.home))
+    is_there = shapely.intersects(buildings.polygons, home) & ~buildings.is_guessed
+    roof_m = buildings.top_m[is_there].max(initial=0.0)
+    if above_m <= roof_m + FILE_MARGIN_M:
+        return []
+    return [
+        f"Home is said to be {above_m:.1f} m above the ground, and the known roofs there reach {roof_m:.1f} m, so the "
+        "flight may be lower than judged: correct home_above_ground_m (--home-above-ground)."
+    ]
 
 
 def _not_judged(flight: Flight, unknown: pd.DataFrame) -> list[str]:

@@ -34,7 +34,7 @@ from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.progress import warn_if_slow
 from jaxurban.public import FactsRepr
-from jaxurban.settings import HeuristicName, Objective, PlannerName, as_tuple
+from jaxurban.settings import HeuristicName, Objective, OnGround, PlannerName, as_tuple
 from jaxurban.world.grid import Grid
 
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
@@ -368,7 +368,7 @@ class CostMap(FactsRepr):
         goal: Point | XY,
         *,
         snap: bool | float = False,
-        on_ground: bool = False,
+        on_ground: OnGround = False,
     ) -> tuple[End, End]:
         """Return the cells of a query, with arguments and errors as in `locate`.
 
@@ -385,8 +385,8 @@ class CostMap(FactsRepr):
           [(2, 2), (27, 27)]
         """
         # The possible ends of each place, the nearest first. An end that is not snapped is the only one of its place.
-        starts = self._places_near("start", start, snap, on_ground)
-        goals = self._places_near("goal", goal, snap, on_ground)
+        starts = self._places_near("start", start, snap, on_ground is True)
+        goals = self._places_near("goal", goal, snap, bool(on_ground))
         start_end, goal_end = starts[0], goals[0]
         if start_end.is_snapped or goal_end.is_snapped:
             return joined_ends(self, starts, goals)
@@ -489,7 +489,7 @@ class CostMap(FactsRepr):
         budget_s: float | None = None,
         seed: int | None = None,
         snap: bool | float = False,
-        on_ground: bool = False,
+        on_ground: OnGround = False,
         refine: bool = False,
         exposure: Mapping[str, float] | None = None,
     ) -> PlannedPath:

@@ -162,7 +162,7 @@ def _is_on_own_roof(
     if mission.home is None or not mission.home_above_ground_m:
         return np.zeros(len(near), bool)
     home = shapely.Point(flight.ground.maps.grid.xy_of_lonlat(*mission.home))
-    is_below_home = shapely.intersects(buildings.polygons, home)
+    is_below_home = shapely.intersects(buildings.polygons, home) & np.isfinite(buildings.top_m)
     step = near["step"].to_numpy(int)
     is_over = near["gap_m"].to_numpy() > -FILE_MARGIN_M
     return is_over & is_below_home[near["prism"]] & flight.is_on_site(steps)[step]

@@ -25,6 +25,7 @@ from jaxurban.settings import (
     CostKind,
     HeuristicName,
     Objective,
+    OnGround,
     PlannerName,
     Preset,
     Vehicle,
@@ -227,7 +228,7 @@ def plan(
     budget_s: float | None = None,
     seed: int | None = None,
     snap: bool | float = False,
-    on_ground: bool = False,
+    on_ground: OnGround = False,
     refine: bool = False,
     exposure: Mapping[str, float] | None = None,
 ) -> PlannedPath:
@@ -257,7 +258,8 @@ def plan(
       snap: whether a start or goal that is not free moves to the nearest free cell: True by at most 50 m, a number by
         at most that many metres (`PathSearch`).
       on_ground: plan a mission: start and goal are free only where the air is, down to the ground, so that it may take
-        off and land there. A `PlannedPath` that takes off or lands through a roof is not saved as a ``.plan``.
+        off and land there; ``"goal"`` asks it of the goal alone. What takes off or lands through a roof is not saved as
+        a ``.plan``.
       refine: then move the waypoints downhill, off the grid.
       exposure: budgets by layer, such as ``{"population": 120.0}``: most of (1 / l0) x integral of c ds along the path
         (`PlannedPath.exposure_by_layer`). The cheapest path of the grid within them is searched for; ``search`` carries

@@ -8,7 +8,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.places import snap_limit_m
 from jaxurban.planners.registry import EXACT_PLANNERS, VOLUME_PLANNERS, find_planner
-from jaxurban.settings import DEFAULTS, HeuristicName, PlannerName
+from jaxurban.settings import DEFAULTS, HeuristicName, OnGround, PlannerName
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,8 @@ class PathSearch:
         that is joined to the other end, instead of failing: True by at most 50 m, a number by at most so many metres.
         The path's message says how far.
       on_ground: the ends of a mission: a start and a goal are free only where the air is, from the ground up to the
-        flight, so that it may take off and land there (`Constraints.is_free_to_ground`).
+        flight, so that it may take off and land there (`Constraints.is_free_to_ground`); ``"goal"`` asks it of the goal
+        alone, for a flight that starts from a roof.
       exposure: most of (1 / l0) x integral of c ds to each layer by its name, in the cost model's units; the cheapest
         path of the grid that keeps them is searched for, with a lower bound (`planners.exposure`).
       refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
@@ -38,7 +39,7 @@ class PathSearch:
     snap: bool | float = False
     refine: bool = False
     exposure: Mapping[str, float] = field(default_factory=dict)
-    on_ground: bool = False
+    on_ground: OnGround = False
 
     @classmethod
     @typed
@@ -52,7 +53,7 @@ class PathSearch:
         budget_s: float | None = None,
         seed: int | None = None,
         snap: bool | float = False,
-        on_ground: bool = False,
+        on_ground: OnGround = False,
         refine: bool = False,
         exposure: Mapping[str, float] | None = None,
     ) -> "PathSearch":

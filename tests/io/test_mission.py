@@ -326,6 +326,7 @@ def test_a_geofence_is_read_and_what_of_it_is_damaged_is_named(read):
         fence_of("circles", circle | {"radius": 0}),
         fence_of("circles", circle | {"radius": -5}),
         fence_of("circles", circle | {"radius": "NaN"}),
+        fence_of("circles", circle | {"radius": 6e6}),  # holds a pole
         fence_of("circles", circle | {"center": [LAT, 999]}),
         fence_of("circles", {"center": [LAT, LON]}),
         fence_of("circles", [[LAT, LON]]),
@@ -338,6 +339,12 @@ def test_a_geofence_is_read_and_what_of_it_is_damaged_is_named(read):
         assert "is damaged, and not judged" in mission.not_judged[0]
     (note,) = read_with(read, fence_of() | {"version": 1}).not_judged
     assert note == "its version of its geofence is 1, and only 2 is understood"
+
+
+def test_a_fence_around_the_whole_earth_closes_nothing(read):
+    earth = [[lat, lon] for lat in (-90, 90) for lon in (-180, 0, 180)[:: -1 if lat > 0 else 1]]
+    mission = read_with(read, fence_of(outline=earth, inclusion=True))
+    assert (mission.zones, mission.not_judged) == ([], ())
 
 
 def test_of_several_areas_to_stay_in_px4_asks_for_one_and_others_for_all(read):

@@ -163,6 +163,15 @@ def test_a_flight_from_a_roof_has_its_heights_from_there(town, city, tmp_path):
     for wrong_m in (0.0, roof_m - 1.0):
         wrong = ju.check(town, file, sources=city, home_above_ground_m=wrong_m)
         assert "building" in set(wrong.findings["kind"]), wrong
+    for wrong_m in (roof_m + 0.1, roof_m + 1.0, roof_m + 30.0):  # judged higher than it is flown
+        wrong = ju.check(town, file, sources=city, home_above_ground_m=wrong_m)
+        assert any("the flight may be lower than judged" in text for text in wrong.not_judged)
+        assert wrong.state != "clean"
+    plan = json.loads(file.read_text())
+    lon, lat = map(float, town.grid.lonlat_of_cell(*goal))
+    plan["mission"]["plannedHomePosition"][:2] = lat, lon
+    (tmp_path / "moved.plan").write_text(json.dumps(plan))
+    assert ju.check(town, tmp_path / "moved.plan", sources=city).state != "clean"
     with pytest.raises(ju.InputError, match="the mission has none"):
         ju.check(town, path, sources=city, home_above_ground_m=3.0)
 
@@ -224,3 +233,42 @@ def test_the_command_moves_ends_to_the_ground_and_keeps_other_files(folder, tmp_
     code, facts = ended("--from-roof")
     assert (code, facts["snap_distance_m"]["start"] < 0.01) == (0, True)
     assert is_checked() in (0, 6)
+
+
+def test_the_remedy_of_a_refused_mission_works_and_is_of_the_end_at_fault(town, city, tmp_path):
+    on = ju.cost_map(town, ALTITUDE_M)
+    roofs, file = np.argwhere(is_roof(town)), tmp_path / "x.plan"
+    ends = ends_at(town, roofs[7], roofs[-7])
+    file.write_text("older")
+    with pytest.raises(
+        ju.InputError, match=r"take off is.*from_roof.*the older x\.plan stays as it is"
+    ):
+        on.plan(**ends).save(file)
+    assert file.read_text() == "older"
+    with pytest.raises(ju.InputError, match="nearest place to land is") as refusal:
+        on.plan(**ends).save(file, from_roof=True)
+    assert "from_roof" not in str(refusal.value)
+    path = on.plan(**ends, snap=True, on_ground="goal")
+    assert path.snap_distance_m[0] == pytest.approx(0.0)
+    path.save(file, from_roof=True)
+    assert ju.check(town, file, sources=city).findings.empty
+    with pytest.raises(ju.InputError, match="on_ground"):
+        on.plan(**ends, on_ground="start")
+
+
+def test_what_is_of_unknown_height_is_not_taken_off_through(town, tmp_path):
+    on = ju.cost_map(town, 600.0)
+    cells = np.argwhere(on.free_to_ground(0))[[10, -10]]
+    unknown = np.zeros(town.grid.shape, np.float32)
+    unknown[tuple(cells[0])] = 100.0
+    names = ("roof_limit", "roof_guessed")
+    layers = {
+        name: (("y", "x"), unknown if name == "roof_limit" else unknown > 0) for name in names
+    }
+    path = on.plan(**ends_at(town, *cells))
+    path.save(tmp_path / "known.plan")
+    guessed = replace(path, maps=ju.MetricMaps(town.ds.assign(layers)))
+    with pytest.raises(
+        ju.InputError, match=r"unknown height as it takes off.*place to take off is"
+    ):
+        guessed.save(tmp_path / "x.plan")

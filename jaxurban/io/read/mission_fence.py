@@ -17,6 +17,7 @@ from jaxurban.world.grid import WGS84, transformer
 
 EARTH = shapely.box(-180, -90, 180, 90)
 CHORDS = 180  # of a quarter of a circle: they leave one of 1 km by 1 cm
+MOST_RADIUS_M = 1e6  # around a city no such circle holds a pole, about which degrees go round
 
 
 def read_geofence(
@@ -45,7 +46,12 @@ def read_geofence(
     inside = [zone.polygon for zone in zones[True]]
     if any_is_enough and inside:
         inside = [shapely.union_all(inside)]
-    outside = [Zone("land outside the geofence", EARTH - area, source=source) for area in inside]
+    lands = [EARTH - area for area in inside]
+    outside = [
+        Zone("land outside the geofence", land, source=source)
+        for land in lands
+        if not land.is_empty
+    ]
     return zones[False] + outside, notes
 
 
@@ -58,9 +64,12 @@ def _places(rows: Any) -> np.ndarray:
 
 
 def _circle(circle: Any) -> np.ndarray:
-    """Return ``[N, 2]`` latitude and longitude in degrees of places on a circle."""
+    """Return ``[N, 2]`` latitude and longitude in degrees of places on a circle; ValueError where it is too large."""
     ((lat, lon),) = _places([circle["center"]])
-    ring = shapely.Point(0, 0).buffer(float(circle["radius"]), CHORDS)
+    radius_m = float(circle["radius"])
+    if radius_m > MOST_RADIUS_M:
+        raise ValueError(radius_m)
+    ring = shapely.Point(0, 0).buffer(radius_m, CHORDS)
     around = transformer(f"+proj=aeqd +lat_0={lat} +lon_0={lon} +datum=WGS84", WGS84)
     lonlat = around.transform(*shapely.get_coordinates(ring).T)
     return np.column_stack(lonlat[::-1])

@@ -100,11 +100,11 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
         notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
     speed_m_s = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
     flown = FlownItems(items, start[0], return_altitude_m, autopilot)
-    above_m = number_of(
-        HOME_HEIGHT, _object(plan.get("settings") or {}, "settings").get(HOME_HEIGHT)
-    )
+    settings = _object(plan.get("settings") or {}, "settings")
+    above_m = number_of(HOME_HEIGHT, settings.get(HOME_HEIGHT))
+    is_on_roof = above_m > 0 and home is None  # another home than the file's is on the ground
     read = _flown(name, flown, len(rows), start, notes, speed_m_s)
-    return replace(read, zones=zones, home_above_ground_m=above_m if above_m > 0 else 0.0)
+    return replace(read, zones=zones, home_above_ground_m=above_m if is_on_roof else 0.0)
 
 
 def read_waypoints(

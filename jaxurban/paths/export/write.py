@@ -244,7 +244,12 @@ def write_path(
     named = zip(names, routes, strict=True)
     reached = [(name, path) for name, path in named if path and path.status.has_path]
     if reached:
-        write_whole(file, encode(reached, report))
+        try:
+            data = encode(reached, report)
+        except InputError as error:
+            kept = f"; the older {file.name} stays as it is" if file.exists() else ""
+            raise InputError(f"{error}{kept}") from error
+        write_whole(file, data)
     return bool(reached)
 
 
