@@ -117,6 +117,10 @@ def standing_on(maps: MetricMaps, sources: City | str | Path | None = None) -> S
     Raises:
       InputError: sources that are named and do not hold the city of these maps.
     """
+    if isinstance(sources, str | Path) and maps.folder is None:
+        raise InputError(
+            f"sources must be the City that maps in memory were made of, got {str(sources)!r}"
+        )
     try:
         with warnings.catch_warnings(action="ignore", category=GuessWarning):  # maps hold it
             city = sources if isinstance(sources, City) else city_of(maps, sources)
