@@ -313,13 +313,12 @@ def plan(
             density = corridor(costs.maps, planned, time_of_day=time_of_day)
             density = replace(density, detours=density_detours(planned, costs, density))
         report = explain(planned, costs.maps, density=density, **flight)
-    refused = ""
+    refused = []
     for file in outputs.files:
         try:
             _write(file, planned, costs, report if with_report else None, outputs)
         except InputError as error:
-            refused = f"{file}: {error}."
-            LOG.info(f"error: {refused}")
+            refused.append(f"{file}: {error}")
     if report is not None and profile is not None:
         save_profile(planned, costs.maps, profile, report)
         LOG.info(f"wrote {profile}")
@@ -331,21 +330,19 @@ def plan(
         for sentence in planned.cautions:
             if sentence not in planned.message:  # which is printed too
                 LOG.info(sentence)
-    code = planned.status.exit_code
-    if refused:
-        code = ExitCode.BAD_INPUT
-        facts["message"] = f"{refused} {facts['message']}"
-    if as_json:
+    if as_json and not refused:
         if report is not None:
             facts["report"] = report.to_dict()
         for name in ("lonlat", "xy_m", "z_m"):
             facts[name] = getattr(planned, name).tolist()
-        print_json(facts, code)
-    else:
+        print_json(facts, planned.status.exit_code)
+    elif not as_json:
         print(_path_table(facts))
         if report is not None and with_report:
             print(f"\n{report.table()}")
-    return code
+    if refused:
+        raise InputError("; ".join(refused))
+    return planned.status.exit_code
 
 
 def _check_files(outputs: RouteFiles, is_when: bool) -> None:
