@@ -79,4 +79,4 @@ def _name_row(shape: shapely.Geometry, text: str, kind: str) -> list[Any]:
     angle = np.arctan2(last.y - first.y, last.x - first.x)
     angle = np.pi / 2 - (np.pi / 2 - angle) % np.pi  # above -pi / 2, up to pi / 2
     room_m = shapely.length(largest)
-    return [round(middle.x), round(middle.y), text, kind, round(float(angle), 2), round(room_m)]
+    return [round(middle.x), round(middle.y), text, kind, round(angle, 2), round(room_m)]

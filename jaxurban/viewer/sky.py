@@ -22,7 +22,7 @@ def sky_html(sky: SkyAt) -> str:
     dops = sky.dops.iloc[0]
 
     # A colour for each system of satellites, from the first again where there are more systems than colours.
-    systems = list(dict.fromkeys(sky.table["system"]))
+    systems = dict.fromkeys(sky.table["system"])
     colours = dict(zip(systems, cycle(SERIES_COLOURS), strict=False))
 
     facts = {

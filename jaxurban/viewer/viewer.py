@@ -475,7 +475,7 @@ class Viewer:
         rows: list[dict[str, Any]] = []
         if cell.view is not None:
             layer, _ = self._layer(cell.view)
-            value = float(self.values(cell.view)[cell.row, cell.col])
+            value = self.values(cell.view)[cell.row, cell.col]
             words = {"told": "Difference", "classes": [], "unit": unit_of(layer)}
             rows.append({"name": "difference", "value": number_or_none(value), **words})
 
@@ -624,7 +624,7 @@ class Viewer:
         the list is empty.
         """
         profile = cautious_profile(mission, self.maps)
-        least_m = float(profile[CLEARANCE].min())
+        least_m = profile[CLEARANCE].min()
         if not math.isfinite(least_m):
             return []
         text = f"least clearance {number(least_m)} m"

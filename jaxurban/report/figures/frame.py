@@ -285,7 +285,7 @@ def _add_key(
         None: it stands to the right of all panels.
       cell_in: width of a cell of that grid, inches.
     """
-    handles: list[Artist] = []
+    handles = []
     for entry in legend:
         if isinstance(entry, tuple):
             name, colour = entry

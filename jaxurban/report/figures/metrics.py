@@ -22,7 +22,6 @@ from jaxurban.report.figures.frame import (
     GUESSED_ROOF_COLOUR,
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
-    LegendEntry,
     MapLayer,
     MapPanel,
     availability_threshold,
@@ -147,7 +146,7 @@ def colours_of(
     high = low + span
     if np.issubdtype(variable.dtype, np.integer):
         step = int(high) // 5 or 1
-        ticks = [*range(0, int(high) + 1, step)]
+        ticks = range(0, int(high) + 1, step)
     if scale.stretch == "log":
         return Colours(scale.colour_map, LogNorm(high / 1000, high), label, extend="min")
     if scale.stretch == "sqrt":
@@ -531,7 +530,7 @@ def plot_heights(maps: MapsLike, *, width: Width = "page") -> Figure:
     """
     maps = as_maps(maps)
     no_data = obstacle_patches(maps)[1:]  # these pictures show no obstacles
-    legend: list[LegendEntry] = [("no building", EMPTY_COLOUR), *no_data]
+    legend = [("no building", EMPTY_COLOUR), *no_data]
     roof_m = maps.m("roof")
     _, highest_m = ends_of(roof_m)
     panels = [MapPanel(f"roofs above ground, up to {highest_m:.0f} m", roof_layers(maps))]

@@ -92,7 +92,7 @@ def plot_costs(table: pd.DataFrame) -> Figure:
     colours = planner_colours(sorted(table.planner.unique()))
     heading = "Share of pairs solved at so many times the cheapest cost known"
     figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True)
-    end = float(np.clip(table.ratio.quantile(0.98), *RATIO_AXIS))
+    end = np.clip(table.ratio.quantile(0.98), *RATIO_AXIS)
     for panel, rank, planner, rows in _curves(table, axes, colours):
         # Curves are drawn side by side around their place, so that all are seen where they coincide.
         lane = (len(colours) - 1) / 2 - rank

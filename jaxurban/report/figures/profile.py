@@ -76,7 +76,7 @@ def plot_profile(
     summary = joined(*facts, day, cost, by=", ")
 
     # The panels: heights, the metrics of which 1 is the best or the worst, one panel each, and the clearance.
-    meanings = list(dict.fromkeys(metric.one_is for metric in maps.metrics.values()))
+    meanings = dict.fromkeys(metric.one_is for metric in maps.metrics.values())
     height_in = HEIGHT_IN + SECOND_IN * (len(meanings) - 1)
     note = frame_note(maps, planned.settings["time"])
     figure = chart(height_in, f"Route profile: {summary}", note, width)
