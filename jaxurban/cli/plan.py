@@ -21,6 +21,7 @@ from jaxurban.cli.common import (
     PATH,
     ROUTE,
     DependentOption,
+    MapsOf,
     RouteRules,
     Settings,
     grouped,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.path import PlannedPath
     from jaxurban.paths.route_report import OverflownDensity, RouteReport
     from jaxurban.paths.when import Departures
-    from jaxurban.settings import MissionEnd, Objective, Obstacles
+    from jaxurban.settings import MissionEnd, Objective
 
 LEAST_NAME_WIDTH = 20  # characters of the table's first column
 NOT_WHEN = (
@@ -245,8 +246,7 @@ def plan(
     levels: "Levels | None",
     time: str | None,
     time_of_day: str | None,
-    resolution_m: float | None,
-    obstacles: "Obstacles | None",
+    maps_of: MapsOf,
     objective: "Objective | None",
     rules: RouteRules,
     with_report: bool,
@@ -260,7 +260,6 @@ def plan(
 ) -> int:
     """Plan a path over the maps in DIR."""
     # ``search`` holds all further options; they are keywords of the search.
-    from jaxurban.maps.saving import open_maps
     from jaxurban.paths.explain import explain
     from jaxurban.paths.finish import simplify
     from jaxurban.paths.plan import cost_map
@@ -274,7 +273,7 @@ def plan(
         from jaxurban.report.figures.profile import check_picture, save_profile
 
         check_picture(profile)
-    maps = open_maps(folder, resolution_m, obstacles=obstacles)
+    maps = maps_of(folder).open()
     which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
 
     # A route at every time of the maps: options that are of one route alone are refused.

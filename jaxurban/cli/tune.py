@@ -1,8 +1,6 @@
 """jaxurban tune."""
 
 import math
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,16 +13,16 @@ from jaxurban.cli.common import (
     DEVICE,
     FLAG,
     JSON_FLAG,
+    MAPS,
     NAMES,
     NUMBER,
-    OBSTACLES,
     OUTPUT,
     OVERWRITE,
     PATH,
     POSITIVE_COUNT,
     PRESET,
-    RESOLUTION,
     SEED,
+    MapsOf,
     Settings,
     grouped,
     print_json,
@@ -33,7 +31,6 @@ from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.settings import Obstacles
 
 
 def fits_of(
@@ -83,13 +80,12 @@ def fits_of(
 @click.option(
     "--time", help="Time of the GPS map, UTC.  [default: the routes' own, else the first]"
 )
-@RESOLUTION
+@MAPS
 @click.option(
     "--cost-model",
     type=click.Choice(["cell", "line"]),
     help="Cost model; cell is the paper's.  [default: the routes' own, else the scenario's]",
 )
-@OBSTACLES
 @PRESET
 @CONSTRAINTS
 @grouped(
@@ -126,8 +122,7 @@ def tune(
     pilot: str | None,
     planner: str | None,
     wishes: tuple[str, ...],
-    resolution_m: float | None,
-    obstacles: "Obstacles | None",
+    maps_of: MapsOf,
     fits: Settings,
     max_rounds: int,
     seed: int,
@@ -142,7 +137,6 @@ def tune(
     any, the study that `jaxurban study` kept in DIR. Several DIRs, each with its ROUTES, are fitted together.
     """
     from jaxurban.metrics.weights import Weights
-    from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.tuning import TuneSettings, run_tuning
     from jaxurban.studies.route_pool import FitSettings
 
@@ -167,8 +161,7 @@ def tune(
         fits=fits,
         fit=FitSettings(max_rounds=max_rounds, seed=seed, budget_s=budget_s),
     )
-    open_folder = partial(MapsFolder, resolution_m=resolution_m, obstacles=obstacles)
-    sources = _sources_of(words, open_folder, has_routes=sample is not None)
+    sources = _sources_of(words, maps_of, has_routes=sample is not None)
     facts = run_tuning(sources, output, settings, overwrite=overwrite)
 
     # What is printed: the message, warnings that it does not hold, and the weights.
@@ -187,7 +180,7 @@ def tune(
 
 
 def _sources_of(
-    words: tuple[Path, ...], maps_folder: "Callable[[Path], MapsFolder]", has_routes: bool
+    words: tuple[Path, ...], maps_of: MapsOf, has_routes: bool
 ) -> "dict[MapsFolder, list[Path]]":
     """Return the files and studies of each folder of maps, in the order of the command line.
 
@@ -196,7 +189,7 @@ def _sources_of(
 
     Args:
       words: names of folders and files, as the user gives them.
-      maps_folder: returns the maps of a folder, not opened yet.
+      maps_of: returns the maps of a folder, not opened yet.
       has_routes: whether routes are drawn, so that none need be read.
     """
     from jaxurban.io.store import ZARR_FOLDER
@@ -216,7 +209,7 @@ def _sources_of(
         # The first word and every folder of maps begin a new list; all else joins the last one.
         if not sources or (word.is_dir() and not is_study):
             folder = word.parent if is_study else word
-            routes = sources.setdefault(maps_folder(folder), [])
+            routes = sources.setdefault(maps_of(folder), [])
             needs_routes = not has_routes and not study_in(folder)
         if is_study or not word.is_dir():
             routes.append(word)

@@ -7,17 +7,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jaxurban.cli.common import FLAG, FOLDER, OBSTACLES, PATH, PRESET, RESOLUTION, SHOWN, SOURCES
+from jaxurban.cli.common import FLAG, FOLDER, MAPS, PATH, PRESET, SHOWN, SOURCES, MapsOf
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
-    from jaxurban.settings import Obstacles, Preset
+    from jaxurban.settings import Preset
 
 
 @click.command()
 @FOLDER
-@RESOLUTION
-@OBSTACLES
+@MAPS
 @PRESET
 @SOURCES
 @click.option(
@@ -45,8 +44,7 @@ if TYPE_CHECKING:
 @FLAG("--no-browser", help="Do not open a browser; the address is printed.")
 def view(
     folder: Path,
-    resolution_m: float | None,
-    obstacles: "Obstacles | None",
+    maps_of: MapsOf,
     preset: "Preset",
     sources: Path | None,
     against: Path | None,
@@ -63,7 +61,7 @@ def view(
 
     def open_viewer() -> Viewer:
         """Return the viewer of the maps, read again each time: the server calls it where their files have changed."""
-        maps = open_maps(folder, resolution_m, obstacles=obstacles)
+        maps = maps_of(folder).open()
         viewer = partial(
             Viewer,
             maps,

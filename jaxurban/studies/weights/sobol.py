@@ -60,7 +60,7 @@ def check_sampling(settings: Any) -> None:
 
 
 def varied_columns(
-    names: Sequence[str], weights: np.ndarray, vary: Sequence[str]
+    names: Sequence[str], weights: np.ndarray, vary: Sequence[str], where: str = ""
 ) -> dict[str, int]:
     """Return the columns of the weights to vary, by name.
 
@@ -68,6 +68,7 @@ def varied_columns(
       names: ``[K]`` of the weights, ``"distance"`` first.
       weights: ``[K]``.
       vary: names of the weights to vary; empty: all metrics whose weight is above 0.
+      where: ends "weight gps is 0" in an error, such as " on every route".
 
     Raises:
       InputError: no weight varies, or one is named that does not exist or is 0.
@@ -82,7 +83,7 @@ def varied_columns(
     for name, column in columns.items():
         if not weights[column] > 0:
             raise InputError(
-                f"weight {name} is 0, which no factor changes: give it a value above 0, or do not vary it"
+                f"weight {name} is 0{where}, which no factor changes: give it a value above 0, or do not vary it"
             )
     return columns
 
