@@ -55,7 +55,7 @@ def compare(
     overwrite: bool,
     as_json: bool,
     **options: Any,
-) -> int:
+) -> None:
     """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time, and for routes."""
     from jaxurban.io.tables import records_of
     from jaxurban.studies.map_comparison import compare as compare_maps
@@ -75,7 +75,6 @@ def compare(
             "regrets": records_of(result.regrets),
         }
         print_json(_places_of(output) | facts)
-    return 0
 
 
 def _places_of(output: Path) -> Settings:
@@ -163,7 +162,7 @@ def validate(
     overwrite: bool,
     as_json: bool,
     **settings: Any,
-) -> int:
+) -> None:
     """Compare the log of a receiver (LOG, .csv or .parquet) with maps of SCENARIO made at its times and its height.
 
     LOG has the columns utc, lon_deg, lat_deg, and with a row per satellite satellite and cn0_dbhz (azimuth_deg and
@@ -202,7 +201,6 @@ def validate(
         if result.satellites is not None:
             facts["satellites"] = _satellite_facts(result.satellites)
         print_json(_places_of(output) | facts)
-    return 0
 
 
 def _satellite_facts(agreement: "SatelliteAgreement") -> Settings:

@@ -62,7 +62,7 @@ def fetch(
     overwrite: bool,
     is_dry_run: bool,
     as_json: bool,
-) -> int:
+) -> None:
     """Download what the maps of a region need from public sources, and write a scenario that uses it."""
     from jaxurban.io.fetch import SCENARIO_FILE, FetchJob
     from jaxurban.io.fetch import fetch as fetch_files
@@ -99,4 +99,3 @@ def fetch(
             )
     if as_json:
         print_json(record)
-    return 0

@@ -64,7 +64,7 @@ def maps(
     device: str | None,
     engine: str | None,
     as_json: bool,
-) -> int:
+) -> None:
     """Make the metric maps of SCENARIO (TOML) as Zarr and GeoTIFF."""
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.memory import parse_bytes
@@ -111,7 +111,6 @@ def maps(
     LOG.info(f"maps finished: {output} (run.json holds their settings and sources)")
     if as_json:
         print_json(run.record)
-    return 0
 
 
 def _keep_pictures(pictures: "Workspace", settings: Settings) -> None:

@@ -122,11 +122,6 @@ class RouteFiles(NamedTuple):
     fence_roofs_m: float | None
     from_roof: bool
 
-    @property
-    def has_mission(self) -> bool:
-        """Whether one of the files is a mission, which takes off and lands."""
-        return any(file.suffix.lower() == ".plan" for file in self.files)
-
 
 @click.command()
 @ROUTE
@@ -294,7 +289,8 @@ def plan(
         goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
     if search["on_ground"] is None:
         is_moved = search["snap"] is not False and not outputs.from_roof
-        search["on_ground"] = is_moved and outputs.has_mission
+        is_mission = any(file.suffix.lower() == ".plan" for file in outputs.files)
+        search["on_ground"] = is_moved and is_mission
     path_search = PathSearch.of(maps, levels is not None, **search)
     costs = cost_map(maps, levels or altitude_m, **which_map, **rules)
     planned = costs.planned(start, goal, path_search)

@@ -68,7 +68,7 @@ def sky(
     files: tuple[Path, ...],
     as_json: bool,
     **source: Any,
-) -> int:
+) -> None:
     """Say which satellites are seen from a place, or along a track, over the maps in DIR, and what hides the others."""
     from jaxurban.report.figures.sky import plot_sky
     from jaxurban.report.write import PICTURES, Output, save
@@ -100,7 +100,7 @@ def sky(
     if as_json:
         facts = {"facts": dict(result.facts), "cautions": result.cautions}
         print_json(facts | finite_records(tables))
-        return 0
+        return
     for table in tables.values():
         text = table.drop(columns=NOT_PRINTED, errors="ignore").to_string(
             index=False, max_rows=MOST_ROWS, na_rep="", float_format="{:.8g}".format
@@ -109,7 +109,6 @@ def sky(
     for name, fact in result.facts.items():
         if fact:
             print(f"{name}: {fact}")
-    return 0
 
 
 def _check_files(files: tuple[Path, ...], track: Path | None) -> None:

@@ -130,7 +130,7 @@ def tune(
     overwrite: bool,
     as_json: bool,
     **routes: Any,
-) -> int:
+) -> None:
     """Fit weights to demonstrated ROUTES over the maps in each DIR, or to targets for outcomes.
 
     ROUTES are files of lines (GeoJSON, KML, GPX), tables of instances (.csv, .parquet) or folders of a study; without
@@ -176,7 +176,6 @@ def tune(
         print_json(facts)
     else:
         print(facts["weights_option"])
-    return 0
 
 
 def _sources_of(

@@ -52,7 +52,7 @@ def view(
     size_mib: float,
     port: int,
     no_browser: bool,
-) -> int:
+) -> None:
     """Look at the maps in DIR and plan on them, in a browser on this machine; Ctrl-C ends it."""
     from jaxurban.maps.saving import open_maps
     from jaxurban.viewer.html import write_page
@@ -80,7 +80,7 @@ def view(
     if export is not None:
         num_bytes = write_page(viewer, export, int(size_mib * 2**20))
         LOG.info(f"wrote {export} ({num_bytes / 2**20:.1f} MiB): open it in a browser")
-        return 0
+        return
     with ViewerServer(viewer, port, again=open_viewer) as server:
         LOG.info(f"look at {server.url} (Ctrl-C ends it)")
         if not no_browser:
@@ -89,4 +89,3 @@ def view(
             server.serve_forever()
         except KeyboardInterrupt:
             LOG.info("the viewer has ended")
-    return 0

@@ -414,8 +414,11 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
     # In all tracks but "any-angle" a line runs straight or diagonally from centre to centre of cells. Its points are
     # moved to the very centres, which undoes their rounding.
     if row["track"] != "any-angle":
-        centres_m = _on_grid(points_m, side_m)
-        if centres_m is None:
+        cells = points_m // side_m
+        centres_m = (cells + 0.5) * side_m
+        legs = np.abs(np.diff(cells, axis=0))
+        is_straight = (legs.min(axis=1) == 0) | (legs[:, 0] == legs[:, 1])
+        if np.abs(points_m - centres_m).max() > NEAR_M or not is_straight.all():
             return "off the grid", np.inf
         points_m = centres_m
 
@@ -431,25 +434,6 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
         if exposure > row["budget"] * (1 + SAME):
             return "over budget", np.inf
     return VALID, sums.cost(problem.weights)
-
-
-def _on_grid(points_m: np.ndarray, side_m: float) -> np.ndarray | None:
-    """Return ``[N, 2]`` the centres of the cells in which the points of a line lie; None for a line off the grid.
-
-    A line is on the grid if each point lies within `NEAR_M` of a centre, and each leg runs along a row, a column or a
-    diagonal of cells.
-
-    Args:
-      points_m: ``[N, 2]`` metres from the map's southwest corner.
-      side_m: side of a cell.
-    """
-    cells = points_m // side_m
-    centres_m = (cells + 0.5) * side_m
-    legs = np.abs(np.diff(cells, axis=0))
-    is_straight = (legs.min(axis=1) == 0) | (legs[:, 0] == legs[:, 1])
-    if np.abs(points_m - centres_m).max() > NEAR_M or not is_straight.all():
-        return None
-    return centres_m
 
 
 def _summary(routes: pd.DataFrame) -> dict[str, Any]:

@@ -315,17 +315,6 @@ class _Places:
                 "the constraints"
             )
 
-    def _next_kind(self) -> tuple[int, int, str]:
-        """Return the next kind: stratum of the start and of the goal, by number, and range, by name.
-
-        The kinds are shuffled again each time all of them were drawn.
-        """
-        # How many times all kinds were dealt before, and the place of this one in its shuffled order.
-        turn, place = divmod(self.num_dealt, len(self.kinds))
-        self.num_dealt += 1
-        order = np.random.default_rng([self.seed, 0, turn]).permutation(len(self.kinds))
-        return self.kinds[order[place]]
-
     def draw(self, rng: np.random.Generator) -> dict[str, object]:
         """Return the columns of a pair of places of the next kind that the maps offer: ends, distance, strata, range.
 
@@ -333,7 +322,11 @@ class _Places:
           InputError: no kind offers a pair.
         """
         for _ in self.kinds:
-            start_stratum, goal_stratum, name = self._next_kind()
+            # The next kind: they are shuffled again each time all of them were drawn.
+            turn, place = divmod(self.num_dealt, len(self.kinds))
+            self.num_dealt += 1
+            order = np.random.default_rng([self.seed, 0, turn]).permutation(len(self.kinds))
+            start_stratum, goal_stratum, name = self.kinds[order[place]]
             pair = self._pair(start_stratum, goal_stratum, RANGES[name], rng)
             if pair is not None:
                 return {
@@ -529,7 +522,10 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
         elif column == "instance":
             is_valid = (values >= 0) & (values <= MOST_NUMBER) & (values == np.floor(values))
             kind = "a whole number >= 0"
-        _check_all(is_valid, table[column], kind, name)
+        if not is_valid.all():
+            row = int(np.argmin(is_valid))
+            value = table[column].tolist()[row]  # a list's numbers are Python's
+            raise InputError(f"{name}, row {row + 1}: {column} must be {kind}, got {value!r}")
         table[column] = values.astype(np.int64) if column == "instance" else values
 
     # No instance twice at one altitude.
@@ -595,19 +591,3 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
                 f"the instances have a weight of {name}, of which these maps hold no layer: set {WEIGHT_PREFIX}{name} "
                 "to 0, or use maps with the layer"
             )
-
-
-def _check_all(is_valid: np.ndarray, column: pd.Series, kind: str, name: str) -> None:
-    """Raise InputError for the first invalid value of a column, if there is any.
-
-    Args:
-      is_valid: ``[N]`` bool.
-      column: ``[N]`` the values.
-      kind: what a valid value is, for the message.
-      name: of the table, for the message.
-    """
-    if not is_valid.all():
-        row = int(np.argmin(is_valid))
-        value = column.iloc[row]
-        plain = value.item() if isinstance(value, np.generic) else value
-        raise InputError(f"{name}, row {row + 1}: {column.name} must be {kind}, got {plain!r}")

@@ -77,7 +77,7 @@ def varied_columns(
         vary = [name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0]
     if not vary:
         raise InputError(
-            "no metric of these maps has a weight above 0, so nothing varies: give one, or name vary"
+            f"every metric has weight 0{where}, so nothing varies: give one a weight above 0, or name vary"
         )
     columns = {name: names.index(one_of("a weight that varies", name, names)) for name in vary}
     for name, column in columns.items():
