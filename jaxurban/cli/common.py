@@ -431,17 +431,14 @@ SOURCES = click.option(
 JSON_FLAG = FLAG("--json", "as_json", help="Print one machine-readable object on stdout.")
 
 
-def names_in(text: str) -> tuple[str, ...]:
-    """Return the names in ``"gps,risk"``."""
-    return tuple(filter(None, map(str.strip, text.split(","))))
+def names_in(
+    ctx: click.Context, param: click.Parameter, text: str | None
+) -> tuple[str, ...] | None:
+    """Return the names in ``"gps,risk"``; None where an option without a default is left out."""
+    return None if text is None else tuple(filter(None, map(str.strip, text.split(","))))
 
 
-def _named(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[str, ...] | None:
-    """Return the names in a text; None where an option without a default is left out."""
-    return None if text is None else names_in(text)
-
-
-NAMES = partial(click.option, default="", callback=_named)
+NAMES = partial(click.option, default="", callback=names_in)
 
 
 def all_cores() -> int:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 
 import click
 
@@ -100,9 +100,12 @@ def exposure_of(
     return exposure
 
 
-def flight_of(speed_m_s: float | None, power_w: float | None, swath_m: float | None) -> Settings:
-    """Return the keywords of `explain` that are given."""
-    return values_given({"speed_m_s": speed_m_s, "power_w": power_w, "swath_m": swath_m})
+class Flight(TypedDict):
+    """Keywords of `explain`; None where its own default counts."""
+
+    speed_m_s: float | None
+    power_w: float | None
+    swath_m: float | None
 
 
 class RouteFiles(NamedTuple):
@@ -184,7 +187,7 @@ class RouteFiles(NamedTuple):
 @FLAG("--report", "with_report", help="Report costs, people and clearance, by segment.")
 @grouped(
     "flight",
-    flight_of,
+    Flight,
     NUMBER("--speed", "speed_m_s", help="Metres per second, for times.  [default: the vehicle's]"),
     NUMBER(
         "--power", "power_w", help="Power in flight in watts, for energy.  [default: the vehicle's]"
@@ -262,6 +265,7 @@ def plan(
     from jaxurban.paths.when import when
 
     # Refuse what cannot be written before a long search.
+    flight = values_given(flight)
     with_report = with_report or bool(flight) or corridor is not None
     _check_files(outputs, is_when)
     if profile is not None:

@@ -141,11 +141,11 @@ def sensitivity(
             ranking = write_buildings(folder, first, output / "buildings", scenario=scenario)
             save(output, {REPORT_FILE: sensitivity_markdown(result, ranking)})
     if as_json:
-        tables = {name: records_of(table.reset_index()) for name, table in result.tables().items()}
+        tables = result.tables().items()
         facts = {
             "route": result.route.to_dict(),
             "ranges": {name: ranges(result, name) for name in result.lines},
-            "tables": tables,
+            "tables": {name: records_of(table.reset_index()) for name, table in tables},
             "num_plans": result.num_plans,
             "elapsed_s": result.elapsed_s,
         }

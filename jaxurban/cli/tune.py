@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import click
 
@@ -33,12 +33,13 @@ if TYPE_CHECKING:
     from jaxurban.paths.rows import MapsFolder
 
 
-def fits_of(
-    scale: str | None, bootstrap: int | None, hold_out: float | None, by_city: bool
-) -> Settings:
-    """Return the options of fits that are given, by the names of the arguments of `compare_fits`."""
-    fits = {"scale": scale, "bootstrap": bootstrap, "hold_out": hold_out}
-    return values_given(fits | {"by_city": by_city or None})
+class Fits(TypedDict):
+    """Keywords of `compare_fits`; None where its own default counts."""
+
+    scale: str | None
+    bootstrap: int | None
+    hold_out: float | None
+    by_city: bool | None
 
 
 @click.command()
@@ -90,7 +91,7 @@ def fits_of(
 @CONSTRAINTS
 @grouped(
     "fits",
-    fits_of,
+    Fits,
     click.option(
         "--scale",
         type=click.Choice(["simplex", "distance"]),
@@ -103,7 +104,7 @@ def fits_of(
         "--hold-out",
         help="Share of the routes that is kept from the fits, to test them.  [default: 0]",
     ),
-    FLAG("--by-city", help="Also fit to each city alone, and to all cities but it."),
+    FLAG("--by-city", default=None, help="Also fit to each city alone, and to all cities but it."),
 )
 @click.option(
     "--rounds", "max_rounds", type=POSITIVE_COUNT, default=20, help="Most rounds of searches."
@@ -140,6 +141,7 @@ def tune(
     from jaxurban.report.tuning import TuneSettings, run_tuning
     from jaxurban.studies.route_pool import FitSettings
 
+    fits = values_given(fits)
     if wishes and fits:
         raise click.UsageError(
             "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"

@@ -1,7 +1,6 @@
 """jaxurban view."""
 
 import webbrowser
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -62,18 +61,16 @@ def view(
     def open_viewer() -> Viewer:
         """Return the viewer of the maps, read again each time: the server calls it where their files have changed."""
         maps = maps_of(folder).open()
-        viewer = partial(
-            Viewer,
+        others = None if against is None else open_maps(against, maps.grid.resolution_m)
+        return Viewer(
             maps,
             name=folder.resolve().name,
             folder=str(folder),
             preset=preset,
             sources=sources,
+            against=others,
+            against_name=str(against),
         )
-        if against is None:
-            return viewer()
-        others = open_maps(against, maps.grid.resolution_m)
-        return viewer(against=others, against_name=str(against))
 
     # One page as a file, or a server until Ctrl-C.
     viewer = open_viewer()

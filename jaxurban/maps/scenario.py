@@ -68,7 +68,6 @@ MUST_BE = {
     **dict.fromkeys(("tuple_type", "list_type"), "must be a list in brackets"),
     **dict.fromkeys(("model_type", "dict_type", "dataclass_type"), "must be a table of settings"),
 }
-CONFIG = ConfigDict(extra="forbid", frozen=True)
 WeightTable = Annotated[  # weights by name; `Scenario` knows which names there are
     dict[str, Any],
     AfterValidator(lambda named: Weights(**named).checked()),
@@ -231,7 +230,7 @@ class Scenario(BaseModel):
       ((20.0, 60.0, 122.0, 600.0), 5.0)
     """
 
-    model_config = CONFIG
+    model_config = ConfigDict(extra="forbid", frozen=True)
     region: Region
     buildings: Buildings
     terrain: Terrain = Terrain()

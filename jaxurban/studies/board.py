@@ -278,7 +278,14 @@ def score(
         rows.append(keys | _summary(part))
     lines = pd.DataFrame(rows)
     if board is not None:
-        _enter(lines, Path(board))
+        # They replace lines of the same method, bundle, track and city.
+        board = Path(board)
+        with Workspace.open(board.parent, "score", names=[board.name], is_shared=True):
+            table = lines.set_index(LINE)
+            if board.exists():
+                former = read_table(board, "board").set_index(LINE)
+                table = pd.concat([former.drop(table.index, errors="ignore"), table])
+            write_table(table.sort_index().reset_index(), board)
     return lines, routes[["track", "query", "city", "outcome", "cost", "gap", "over_best", *claims]]
 
 
@@ -461,13 +468,3 @@ def _summary(routes: pd.DataFrame) -> dict[str, Any]:
         "over_best_median": routes["over_best"].quantile(0.5, "higher"),
         "cpu_s_median": routes["claimed_cpu_s"].quantile(0.5),
     }
-
-
-def _enter(lines: pd.DataFrame, file: Path) -> None:
-    """Write lines into the file of a board, where they replace lines of the same method, bundle, track and city."""
-    lines = lines.set_index(LINE)
-    with Workspace.open(file.parent, "score", names=[file.name], is_shared=True):
-        if file.exists():
-            board = read_table(file, "board").set_index(LINE)
-            lines = pd.concat([board.drop(lines.index, errors="ignore"), lines])
-        write_table(lines.sort_index().reset_index(), file)
