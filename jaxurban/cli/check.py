@@ -76,7 +76,6 @@ def check(
     times: tuple[str, ...],
     time_of_day: str | None,
     corridor: "Callable[..., OverflownDensity] | None",
-    weights_text: str,
     resolution_m: float | None,
     files: tuple[Path, ...],
     overwrite: bool,
@@ -90,7 +89,6 @@ def check(
     """
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.saving import open_maps
-    from jaxurban.metrics.weights import Weights
     from jaxurban.paths.check import check as check_mission
     from jaxurban.public import Caution
 
@@ -104,7 +102,6 @@ def check(
         mission,
         time=times or None,
         time_of_day=time_of_day,
-        weights=Weights.named_in(weights_text),
         **options,  # all other options are its arguments
     )
 

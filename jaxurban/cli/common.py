@@ -1,6 +1,5 @@
 """What commands share: option types, what they ask for, progress, messages."""
 
-import inspect
 import json
 import logging
 import os
@@ -15,7 +14,7 @@ import click
 
 from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
-from jaxurban.progress import LOG, Report, reporting
+from jaxurban.progress import LOG, reporting
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,11 +22,13 @@ if TYPE_CHECKING:
     from jaxurban.io.results import Result
     from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.route_report import OverflownDensity
-    from jaxurban.settings import CostKind, Preset
+    from jaxurban.paths.rows import MapsFolder
+    from jaxurban.settings import CostKind, Obstacles, Preset
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]
 Point = tuple[float, float]  # of LONLAT
+MapsOf = Callable[[Path], "MapsFolder"]  # the maps of a folder, not opened yet
 
 
 class RouteRules(TypedDict):
@@ -144,10 +145,10 @@ def grouped(
 
     Args:
       argument: name of the command's argument.
-      make: returns its value; it takes the values of the options, by their names in Python.
+      make: returns its value; it takes the values of the options, by their names in Python, all of them annotated.
       options: the options, in the order of the help.
     """
-    names = inspect.signature(make).parameters
+    names = make.__annotations__.keys() - {"return"}
 
     def add(command: Callable) -> Callable:
         @wraps(command)
@@ -191,26 +192,18 @@ class DependentOption(click.Option):
         return super().handle_parse_result(ctx, opts, args)
 
 
-def rules_of(
-    weights_text: str, cost_model: "CostKind | None", constraints: "Constraints", preset: "Preset"
-) -> RouteRules:
-    """Return the rules that the options of `RULES` ask for.
-
-    Args:
-      weights_text: such as ``"gps=1,risk=2"``; empty: no weight is named.
-      cost_model: None: that of the scenario.
-      constraints: on the cells of a route.
-      preset: ``"paper"``, or ``""`` for none.
-
-    Raises:
-      InputError: weights that cannot be read.
-    """
+def weights_in(ctx: click.Context, param: click.Parameter, text: str) -> dict[str, float]:
+    """Return the weights that a text such as ``"gps=1,risk=2"`` names; errors as of `Weights.named_in`."""
     from jaxurban.metrics.weights import Weights
 
-    weights = Weights.named_in(weights_text)
-    return RouteRules(
-        weights=weights, cost_model=cost_model, constraints=constraints, preset=preset
-    )
+    return Weights.named_in(text)
+
+
+def folders_of(resolution_m: float | None, obstacles: "Obstacles | None") -> MapsOf:
+    """Return a function of a folder that returns its maps, not opened yet, as the options of `MAPS` choose them."""
+    from jaxurban.paths.rows import MapsFolder
+
+    return partial(MapsFolder, resolution_m=resolution_m, obstacles=obstacles)
 
 
 def constraints_of(
@@ -309,11 +302,16 @@ RESOLUTION = NUMBER(
     "resolution_m",
     help="Cell size of the maps in metres; needed where DIR holds several.",
 )
-OBSTACLES = click.option(
-    "--obstacles",
-    type=click.Choice(["touched", "centre"]),
-    help="Cells that no path enters: all that a building touches, or (the paper) those whose centre it "
-    "covers; paths may then cut true outlines.  [default: the scenario's, else touched]",
+MAPS = grouped(
+    "maps_of",
+    folders_of,
+    RESOLUTION,
+    click.option(
+        "--obstacles",
+        type=click.Choice(["touched", "centre"]),
+        help="Cells that no path enters: all that a building touches, or (the paper) those whose centre it "
+        "covers; paths may then cut true outlines.  [default: the scenario's, else touched]",
+    ),
 )
 CONSTRAINTS = grouped(
     "constraints",
@@ -354,11 +352,11 @@ PRESET = click.option(
 )
 WEIGHTS = click.option(
     "--weights",
-    "weights_text",
     default="",
+    callback=weights_in,
     help="Weights such as gps=1,risk=2; others keep their values.",
 )
-RULES = grouped("rules", rules_of, PRESET, COST_MODEL, WEIGHTS, CONSTRAINTS)
+RULES = grouped("rules", RouteRules, PRESET, COST_MODEL, WEIGHTS, CONSTRAINTS)
 TIME_OF_DAY = click.option(
     "--time-of-day", help="Time of day of the population map, such as night.  [default: the first]"
 )
@@ -376,8 +374,7 @@ ROUTE = together(  # a route over maps
     ),
     TIME_OF_DAY,
     click.option("--time", help="Time of the GPS map, UTC.  [default: the first]"),
-    RESOLUTION,
-    OBSTACLES,
+    MAPS,
     RULES,
     NUMBER(
         "--snap",
@@ -434,17 +431,14 @@ SOURCES = click.option(
 JSON_FLAG = FLAG("--json", "as_json", help="Print one machine-readable object on stdout.")
 
 
-def names_in(text: str) -> tuple[str, ...]:
-    """Return the names in ``"gps,risk"``."""
-    return tuple(filter(None, map(str.strip, text.split(","))))
+def names_in(
+    ctx: click.Context, param: click.Parameter, text: str | None
+) -> tuple[str, ...] | None:
+    """Return the names in ``"gps,risk"``; None where an option without a default is left out."""
+    return None if text is None else tuple(filter(None, map(str.strip, text.split(","))))
 
 
-def _named(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[str, ...] | None:
-    """Return the names in a text; None where an option without a default is left out."""
-    return None if text is None else names_in(text)
-
-
-NAMES = partial(click.option, default="", callback=_named)
+NAMES = partial(click.option, default="", callback=names_in)
 
 
 def all_cores() -> int:
@@ -488,7 +482,7 @@ def logged_on_stderr() -> Iterator[None]:
 
 
 def run_study(
-    command: str, output: Path, study: Callable[[Report], StudyResult], overwrite: bool
+    command: str, output: Path, study: Callable[..., StudyResult], overwrite: bool
 ) -> StudyResult:
     """Run a study, write its result to a folder, and return the result.
 
@@ -497,7 +491,7 @@ def run_study(
     Args:
       command: name of the command that runs.
       output: the folder.
-      study: runs the study, and reports its progress to its argument.
+      study: runs the study, and reports its progress to its argument ``progress``.
       overwrite: replace another run of the command in the folder.
 
     Raises:
@@ -507,7 +501,7 @@ def run_study(
     from jaxurban.report.write import REPORT_FILE
 
     with Workspace.held(output, command), reporting(command) as report:
-        result = study(report)
+        result = study(progress=report)
         report("report")
         result.save(output, overwrite)
     figures = output / "figures"

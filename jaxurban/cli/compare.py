@@ -1,5 +1,6 @@
 """jaxurban compare, of maps with others, and jaxurban validate, of maps with a receiver's log."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,16 +11,16 @@ from jaxurban.cli.common import (
     COUNT,
     DEVICE,
     JSON_FLAG,
+    MAPS,
     NAMES,
-    OBSTACLES,
     OUTPUT,
     OVERWRITE,
     PATH,
     POSITIVE_COUNT,
-    RESOLUTION,
     SCENARIO,
     SEED,
     SHOWN,
+    MapsOf,
     Numbers,
     Settings,
     print_json,
@@ -27,7 +28,6 @@ from jaxurban.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from jaxurban.settings import Obstacles
     from jaxurban.studies.receiver.agreement import SatelliteAgreement
 
 
@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 @click.argument("folder_a", metavar="DIR_A", type=PATH)
 @click.argument("folder_b", metavar="DIR_B", type=PATH)
 @OUTPUT
-@RESOLUTION
-@OBSTACLES
+@MAPS
 @SHOWN("--tolerance", default=1e-6, help="Values that differ by no more count as equal.")
 @SHOWN(
     "--routes",
@@ -52,25 +51,20 @@ def compare(
     folder_a: Path,
     folder_b: Path,
     output: Path,
-    resolution_m: float | None,
-    obstacles: "Obstacles | None",
+    maps_of: MapsOf,
     overwrite: bool,
     as_json: bool,
     **options: Any,
-) -> int:
+) -> None:
     """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time, and for routes."""
     from jaxurban.io.tables import records_of
-    from jaxurban.paths.rows import MapsFolder
     from jaxurban.studies.map_comparison import compare as compare_maps
-
-    maps_a = MapsFolder(folder_a, resolution_m, obstacles)
-    maps_b = MapsFolder(folder_b, resolution_m, obstacles)
 
     # All options that are not named above are arguments of the comparison.
     result = run_study(
         "compare",
         output,
-        lambda report: compare_maps(maps_a, maps_b, progress=report, **options),
+        partial(compare_maps, maps_of(folder_a), maps_of(folder_b), **options),
         overwrite,
     )
     if as_json:
@@ -81,7 +75,6 @@ def compare(
             "regrets": records_of(result.regrets),
         }
         print_json(_places_of(output) | facts)
-    return 0
 
 
 def _places_of(output: Path) -> Settings:
@@ -169,7 +162,7 @@ def validate(
     overwrite: bool,
     as_json: bool,
     **settings: Any,
-) -> int:
+) -> None:
     """Compare the log of a receiver (LOG, .csv or .parquet) with maps of SCENARIO made at its times and its height.
 
     LOG has the columns utc, lon_deg, lat_deg, and with a row per satellite satellite and cn0_dbhz (azimuth_deg and
@@ -188,13 +181,13 @@ def validate(
     result = run_study(
         "validate",
         output,
-        lambda report: validate_log(
+        partial(
+            validate_log,
             scenario,
             log_file,
             receiver,
             navigation=navigation,
             reference=reference,
-            progress=report,
         ),
         overwrite,
     )
@@ -208,7 +201,6 @@ def validate(
         if result.satellites is not None:
             facts["satellites"] = _satellite_facts(result.satellites)
         print_json(_places_of(output) | facts)
-    return 0
 
 
 def _satellite_facts(agreement: "SatelliteAgreement") -> Settings:

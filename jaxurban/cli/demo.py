@@ -23,7 +23,7 @@ COLUMNS = "altitude_m", "settings.time_of_day", "planner", "status", "cost", "le
 @OVERWRITE
 @DEVICE
 @JSON_FLAG
-def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
+def demo(folder: Path, overwrite: bool, as_json: bool) -> None:
     """Make maps of Lower Manhattan, the paths of every planner across it, and pictures; no file is needed."""
     import pandas as pd
 
@@ -78,4 +78,3 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
     if as_json:
         record = {"folder": str(folder), "record": str(folder / RUN_FILE)}
         print_json(record | {"figures": [str(figure) for figure in figures], "paths": facts})
-    return 0

@@ -8,11 +8,11 @@ import click
 from jaxurban.cli.common import (
     FLAG,
     JSON_FLAG,
+    NAMES,
     PATH,
     SHOWN,
     Numbers,
     Settings,
-    names_in,
     print_json,
 )
 from jaxurban.errors import InputError
@@ -27,7 +27,7 @@ from jaxurban.progress import LOG
     help="Region in degrees.",
 )
 @click.option("-o", "folder", type=PATH, required=True, help="Folder for the files.")
-@SHOWN("--what", default="osm,census,districts,orbits", help="What to fetch.")
+@NAMES("--what", default="osm,census,districts,orbits", show_default=True, help="What to fetch.")
 @click.option(
     "--date",
     "day",
@@ -54,7 +54,7 @@ from jaxurban.progress import LOG
 def fetch(
     bounds: tuple[float, ...],
     folder: Path,
-    what: str,
+    what: tuple[str, ...],
     day: datetime | None,
     margin_m: float,
     places: tuple[str, ...],
@@ -62,7 +62,7 @@ def fetch(
     overwrite: bool,
     is_dry_run: bool,
     as_json: bool,
-) -> int:
+) -> None:
     """Download what the maps of a region need from public sources, and write a scenario that uses it."""
     from jaxurban.io.fetch import SCENARIO_FILE, FetchJob
     from jaxurban.io.fetch import fetch as fetch_files
@@ -77,7 +77,7 @@ def fetch(
                 f"--source must be NAME=URL, such as osm=https://a.mirror/town.osm.pbf, got {text!r}"
             )
         urls[name.strip()] = url.strip()
-    job = FetchJob(bounds, names_in(what), day.date() if day else None, urls, margin_m)
+    job = FetchJob(bounds, what, day.date() if day else None, urls, margin_m)
     most_bytes = parse_bytes(max_size, "--max-size")
 
     # List the requests, or make them.
@@ -99,4 +99,3 @@ def fetch(
             )
     if as_json:
         print_json(record)
-    return 0

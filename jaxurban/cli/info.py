@@ -75,6 +75,8 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     Raises:
       InputError: a file that cannot be read.
     """
+    import numpy as np
+
     from jaxurban.io.city import City
     from jaxurban.io.read.city import lonlat_extent
     from jaxurban.io.read.raster import RASTER_SUFFIXES, read_raster
@@ -85,9 +87,20 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     if file.suffix.lower() in RASTER_SUFFIXES:
         raster = read_raster(file, WGS84)
         num_rows, num_cols = raster.values.shape
-        range_facts, range_numbers = _range_of(raster.values)
-        facts |= {"CRS": raster.crs, "cells": f"{num_rows:,} x {num_cols:,}"} | range_facts
-        return facts, {"num_rows": num_rows, "num_cols": num_cols} | range_numbers
+        facts |= {"CRS": raster.crs, "cells": f"{num_rows:,} x {num_cols:,}"}
+        numbers: Settings = {"num_rows": num_rows, "num_cols": num_cols}
+
+        # The range of the heights, and the share of cells without one.
+        known = raster.values[np.isfinite(raster.values)]
+        if not known.size:
+            return facts | {"values": "none"}, numbers | {"missing_share": 1.0}
+        lowest_m = float(known.min())
+        highest_m = float(known.max())
+        missing_share = 1 - known.size / raster.values.size
+        facts["values"] = f"{lowest_m:g} to {highest_m:g} m"
+        facts["without a value"] = f"{missing_share:.1%}"
+        heights = {"lowest_m": lowest_m, "highest_m": highest_m, "missing_share": missing_share}
+        return facts, numbers | heights
 
     # Buildings: guesses are among the facts, so that their warnings are not needed.
     with warnings.catch_warnings(action="ignore", category=UserWarning):
@@ -104,24 +117,3 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
         "num_by_height_origin": num_by_origin,
         "num_structures_by_kind": dict(num_by_kind),
     }
-
-
-def _range_of(values: Any) -> tuple[Settings, Settings]:
-    """Return two dictionaries on the heights of a raster: texts to print, and the same as numbers.
-
-    They hold the range of the heights and the share of cells without a height.
-
-    Args:
-      values: ``[Y, X]`` heights in metres, not finite in cells without one. Without any height there is no range.
-    """
-    import numpy as np
-
-    known = values[np.isfinite(values)]
-    if not known.size:
-        return {"values": "none"}, {"missing_share": 1.0}
-    lowest_m = float(known.min())
-    highest_m = float(known.max())
-    missing_share = 1 - known.size / values.size
-    numbers = {"lowest_m": lowest_m, "highest_m": highest_m, "missing_share": missing_share}
-    range_text = f"{lowest_m:g} to {highest_m:g} m"
-    return {"values": range_text, "without a value": f"{missing_share:.1%}"}, numbers

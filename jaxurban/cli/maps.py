@@ -1,7 +1,6 @@
 """jaxurban maps."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -15,16 +14,12 @@ from jaxurban.cli.common import (
     OVERWRITE,
     SCENARIO,
     WORKERS,
-    Settings,
     print_json,
     stay_on_cpu,
     use_device,
 )
 from jaxurban.errors import InputError
 from jaxurban.progress import LOG, reporting
-
-if TYPE_CHECKING:
-    from jaxurban.io.workspace import Workspace
 
 
 @click.command()
@@ -64,7 +59,7 @@ def maps(
     device: str | None,
     engine: str | None,
     as_json: bool,
-) -> int:
+) -> None:
     """Make the metric maps of SCENARIO (TOML) as Zarr and GeoTIFF."""
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.memory import parse_bytes
@@ -99,7 +94,14 @@ def maps(
 
         # Pictures of other maps are removed, and pictures of these maps are drawn if they are asked for.
         with Workspace.open(output, "maps --figures", is_shared=True) as pictures:
-            _keep_pictures(pictures, Workspace.settings_of(output, "maps"))
+            settings = Workspace.settings_of(output, "maps")
+            are_of_these_maps = pictures.settings == settings
+            pictures.settings.update(settings)
+            if pictures.written and not are_of_these_maps:
+                pictures.remove(list(pictures.written))
+                LOG.info(
+                    "the pictures of the former maps are removed; --figures draws those of these maps"
+                )
             if figures:
                 from jaxurban.report.figures import save_figures
 
@@ -111,18 +113,3 @@ def maps(
     LOG.info(f"maps finished: {output} (run.json holds their settings and sources)")
     if as_json:
         print_json(run.record)
-    return 0
-
-
-def _keep_pictures(pictures: "Workspace", settings: Settings) -> None:
-    """Remove the pictures of a folder where they show other maps, and keep the settings of these maps with them.
-
-    Args:
-      pictures: the folder, opened for pictures; its settings are those of the maps that they show, and change.
-      settings: of these maps.
-    """
-    are_of_these_maps = pictures.settings == settings
-    pictures.settings.update(settings)
-    if pictures.written and not are_of_these_maps:
-        pictures.remove(list(pictures.written))
-        LOG.info("the pictures of the former maps are removed; --figures draws those of these maps")

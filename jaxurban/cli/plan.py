@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 
 import click
 
@@ -21,6 +21,7 @@ from jaxurban.cli.common import (
     PATH,
     ROUTE,
     DependentOption,
+    MapsOf,
     RouteRules,
     Settings,
     grouped,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.path import PlannedPath
     from jaxurban.paths.route_report import OverflownDensity, RouteReport
     from jaxurban.paths.when import Departures
-    from jaxurban.settings import MissionEnd, Objective, Obstacles
+    from jaxurban.settings import MissionEnd, Objective
 
 LEAST_NAME_WIDTH = 20  # characters of the table's first column
 NOT_WHEN = (
@@ -99,9 +100,12 @@ def exposure_of(
     return exposure
 
 
-def flight_of(speed_m_s: float | None, power_w: float | None, swath_m: float | None) -> Settings:
-    """Return the keywords of `explain` that are given."""
-    return values_given({"speed_m_s": speed_m_s, "power_w": power_w, "swath_m": swath_m})
+class Flight(TypedDict):
+    """Keywords of `explain`; None where its own default counts."""
+
+    speed_m_s: float | None
+    power_w: float | None
+    swath_m: float | None
 
 
 class RouteFiles(NamedTuple):
@@ -120,11 +124,6 @@ class RouteFiles(NamedTuple):
     end: "MissionEnd | None"
     fence_roofs_m: float | None
     from_roof: bool
-
-    @property
-    def has_mission(self) -> bool:
-        """Whether one of the files is a mission, which takes off and lands."""
-        return any(file.suffix.lower() == ".plan" for file in self.files)
 
 
 @click.command()
@@ -188,7 +187,7 @@ class RouteFiles(NamedTuple):
 @FLAG("--report", "with_report", help="Report costs, people and clearance, by segment.")
 @grouped(
     "flight",
-    flight_of,
+    Flight,
     NUMBER("--speed", "speed_m_s", help="Metres per second, for times.  [default: the vehicle's]"),
     NUMBER(
         "--power", "power_w", help="Power in flight in watts, for energy.  [default: the vehicle's]"
@@ -245,8 +244,7 @@ def plan(
     levels: "Levels | None",
     time: str | None,
     time_of_day: str | None,
-    resolution_m: float | None,
-    obstacles: "Obstacles | None",
+    maps_of: MapsOf,
     objective: "Objective | None",
     rules: RouteRules,
     with_report: bool,
@@ -260,7 +258,6 @@ def plan(
 ) -> int:
     """Plan a path over the maps in DIR."""
     # ``search`` holds all further options; they are keywords of the search.
-    from jaxurban.maps.saving import open_maps
     from jaxurban.paths.explain import explain
     from jaxurban.paths.finish import simplify
     from jaxurban.paths.plan import cost_map
@@ -268,13 +265,14 @@ def plan(
     from jaxurban.paths.when import when
 
     # Refuse what cannot be written before a long search.
+    flight = values_given(flight)
     with_report = with_report or bool(flight) or corridor is not None
     _check_files(outputs, is_when)
     if profile is not None:
         from jaxurban.report.figures.profile import check_picture, save_profile
 
         check_picture(profile)
-    maps = open_maps(folder, resolution_m, obstacles=obstacles)
+    maps = maps_of(folder).open()
     which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
 
     # A route at every time of the maps: options that are of one route alone are refused.
@@ -294,7 +292,8 @@ def plan(
         start = (*start, altitude_m)
         goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
     if search["on_ground"] is None:
-        search["on_ground"] = search["snap"] is not False and outputs.has_mission
+        is_mission = any(file.suffix.lower() == ".plan" for file in outputs.files)
+        search["on_ground"] = search["snap"] is not False and is_mission
     if search["on_ground"] and outputs.from_roof:
         search["on_ground"] = "goal"
     path_search = PathSearch.of(maps, levels is not None, **search)

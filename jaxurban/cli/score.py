@@ -26,7 +26,7 @@ from jaxurban.progress import LOG
 @JSON_FLAG
 def score(
     bench: Path, submission: Path | None, make: bool, board: Path | None, method: str, as_json: bool
-) -> int:
+) -> None:
     """Score SUBMISSION, a CSV file of routes from any planner, on the benchmark in the folder BENCH.
 
     Every route is checked and its cost computed again; the gap is to a proven lower bound. A route that fails counts as
@@ -40,10 +40,9 @@ def score(
     if submission is None:
         queries = benchmark.make_benchmark(bench, progress=True)
         LOG.info(f"score finished: the queries are in {queries}")
-        return 0
+        return
     lines, routes = benchmark.score(bench, submission, board, method)
     if as_json:
         print_json(finite_records({"board": lines, "routes": routes}))
     else:
         print(lines.drop(columns=["bundle"]).to_string(index=False, na_rep=""))
-    return 0

@@ -1,7 +1,8 @@
 """jaxurban sensitivity, of one route, and jaxurban sensitivity-study, of many routes in one or several cities."""
 
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -10,17 +11,18 @@ from jaxurban.cli.common import (
     DEVICE,
     FLAG,
     JSON_FLAG,
+    MAPS,
     NAMES,
-    OBSTACLES,
     OVERWRITE,
     PATH,
     POSITIVE_COUNT,
-    RESOLUTION,
     ROUTE,
     RULES,
     SEED,
     SHOWN,
     WORKERS,
+    DependentOption,
+    MapsOf,
     Numbers,
     Point,
     RouteRules,
@@ -32,9 +34,6 @@ from jaxurban.cli.common import (
     together,
 )
 from jaxurban.progress import LOG
-
-if TYPE_CHECKING:
-    from jaxurban.settings import Obstacles
 
 NO_ROUTE = "no route was found, so that nothing can be said: the report says why"
 WEIGHT_RANGES = together(
@@ -76,6 +75,8 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @FLAG("--buildings", help="Also rank buildings by what they cost the route.")
 @click.option(
     "--scenario",
+    cls=DependentOption,
+    owner="--buildings",
     type=SCENARIO_FILE,
     help="Scenario of the maps, for --buildings, if its paths are relative.",
 )
@@ -88,8 +89,7 @@ def sensitivity(
     altitude_m: float,
     time: str | None,
     time_of_day: str | None,
-    resolution_m: float | None,
-    obstacles: "Obstacles | None",
+    maps_of: MapsOf,
     rules: RouteRules,
     snap: bool | float,
     buildings: bool,
@@ -102,7 +102,6 @@ def sensitivity(
     """Find the weights at which a route over the maps in DIR changes."""
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
-    from jaxurban.maps.saving import open_maps
     from jaxurban.paths.plan import cost_map
     from jaxurban.report.buildings import write_buildings
     from jaxurban.report.sensitivity import ranges, sensitivity_markdown, sensitivity_outputs
@@ -110,12 +109,10 @@ def sensitivity(
     from jaxurban.studies.weights.study import SensitivitySettings
     from jaxurban.studies.weights.study import sensitivity as study
 
-    if scenario is not None and not buildings:
-        raise click.UsageError("--scenario belongs to --buildings: add that")
     settings = SensitivitySettings(**options)  # all other options are its fields
 
     # The maps and the route; without a route there is nothing to study.
-    maps = open_maps(folder, resolution_m, obstacles=obstacles)
+    maps = maps_of(folder).open()
     costs = cost_map(
         maps, altitude_m, objective="weighted", time=time, time_of_day=time_of_day, **rules
     )
@@ -132,7 +129,7 @@ def sensitivity(
     result = run_study(
         "sensitivity",
         output,
-        lambda report: study(costs, start, goal, snap=snap, settings=settings, progress=report),
+        partial(study, costs, start, goal, snap=snap, settings=settings),
         overwrite,
     )
 
@@ -144,11 +141,11 @@ def sensitivity(
             ranking = write_buildings(folder, first, output / "buildings", scenario=scenario)
             save(output, {REPORT_FILE: sensitivity_markdown(result, ranking)})
     if as_json:
-        tables = {name: records_of(table.reset_index()) for name, table in result.tables().items()}
+        tables = result.tables().items()
         facts = {
             "route": result.route.to_dict(),
             "ranges": {name: ranges(result, name) for name in result.lines},
-            "tables": tables,
+            "tables": {name: records_of(table.reset_index()) for name, table in tables},
             "num_plans": result.num_plans,
             "elapsed_s": result.elapsed_s,
         }
@@ -173,8 +170,7 @@ def sensitivity(
 @click.option(
     "--queries", type=PATH, help="Table of routes to study instead of drawn ones (.csv, .parquet)."
 )
-@RESOLUTION
-@OBSTACLES
+@MAPS
 @RULES
 @SHOWN("--wrong", default=2.0, help="Factor by which a wrong weight is off, for its regret.")
 @SHOWN("--samples", "num_samples", default=32, help="Sobol samples of each route; a power of two.")
@@ -203,8 +199,7 @@ def sensitivity_study(
     num_routes: int | None,
     altitudes_m: tuple[float, ...] | None,
     queries: Path | None,
-    resolution_m: float | None,
-    obstacles: "Obstacles | None",
+    maps_of: MapsOf,
     rules: Settings,
     scenario: Path | None,
     workers: int | str | None,
@@ -216,7 +211,6 @@ def sensitivity_study(
     """Find the weights at which many routes over the maps in each DIR change."""
     from jaxurban.io.tables import read_table, records_of
     from jaxurban.maps.sources import scenario_of
-    from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.run_sensitivity import sensitivity_study as study
     from jaxurban.studies.weights.routes import SensitivityStudySettings
 
@@ -237,7 +231,7 @@ def sensitivity_study(
     settings = SensitivityStudySettings(**options, **rules)
     routes = num_routes or DRAWN_ROUTES
     result = study(
-        [MapsFolder(folder, resolution_m, obstacles) for folder in folders],
+        [maps_of(folder) for folder in folders],
         output,
         routes if queries is None else read_table(queries, "queries"),
         altitudes_m=altitudes_m,

@@ -2,7 +2,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -20,9 +20,6 @@ from jaxurban.cli.common import (
     print_json,
 )
 from jaxurban.progress import LOG
-
-if TYPE_CHECKING:
-    from jaxurban.satellites.along import SkyAlong
 
 MOST_ROWS = 40
 NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
@@ -68,25 +65,42 @@ def sky(
     files: tuple[Path, ...],
     as_json: bool,
     **source: Any,
-) -> int:
+) -> None:
     """Say which satellites are seen from a place, or along a track, over the maps in DIR, and what hides the others."""
+    from jaxurban.io.read.routes import read_routes
+    from jaxurban.io.read.tracks import read_track
+    from jaxurban.io.tables import SUFFIXES
     from jaxurban.report.figures.sky import plot_sky
     from jaxurban.report.write import PICTURES, Output, save
-    from jaxurban.satellites.along import sky as sky_at
+    from jaxurban.satellites import along
 
     # The sky at a place, or along a track; further options are arguments of both.
     _check_files(files, track)
     result: Any
-    if track is not None and place is None:
-        result = _sky_along(folder, track, altitude_m, times, speed_m_s, **source)
-        tables = {"table": result.table}
-    elif place is not None and track is None:
+    if place is not None and track is None:
         if altitude_m is None or speed_m_s is not None:
             raise click.UsageError("--at needs --altitude, and takes no --speed")
-        result = sky_at(folder, place, altitude_m, time=times or None, **source)
-        tables = {"table": result.table, "dops": result.dops}
-    else:
+        result = along.sky(folder, place, altitude_m, time=times or None, **source)
+    elif place is not None or track is None:
         raise click.UsageError("give either --at, a place, or --track, a file")
+
+    # A table has a time and a place in each row, and maybe an altitude. A route is flown at a speed from the time of
+    # departure on.
+    elif track.suffix.lower() in SUFFIXES:
+        if times or speed_m_s is not None:
+            raise click.UsageError("a table has its own times: leave --time and --speed out")
+        result = along.sky_along(folder, read_track(track), altitude_m, **source)
+    else:
+        if speed_m_s is None or len(times) > 1:
+            raise click.UsageError("a route needs --speed, and one --time, of departure")
+        route = read_routes(track)[0]
+        places = [(lon, lat) for lon, lat in route.lonlat.tolist()]
+        route_m = route.altitude_m if altitude_m is None else altitude_m
+        departure = times[0] if times else None
+        result = along.sky_along(folder, places, route_m, departure, speed_m_s=speed_m_s, **source)
+    tables = {"table": result.table}
+    if track is None:
+        tables["dops"] = result.dops
 
     # Files, and what is printed.
     for file in files:
@@ -100,7 +114,7 @@ def sky(
     if as_json:
         facts = {"facts": dict(result.facts), "cautions": result.cautions}
         print_json(facts | finite_records(tables))
-        return 0
+        return
     for table in tables.values():
         text = table.drop(columns=NOT_PRINTED, errors="ignore").to_string(
             index=False, max_rows=MOST_ROWS, na_rep="", float_format="{:.8g}".format
@@ -109,7 +123,6 @@ def sky(
     for name, fact in result.facts.items():
         if fact:
             print(f"{name}: {fact}")
-    return 0
 
 
 def _check_files(files: tuple[Path, ...], track: Path | None) -> None:
@@ -128,45 +141,3 @@ def _check_files(files: tuple[Path, ...], track: Path | None) -> None:
             raise click.UsageError(f"-o must end in {' or '.join(suffixes)}, got {str(file)!r}")
         if track is not None and file.resolve() == track.resolve():
             raise click.UsageError(f"-o must not be the track itself, {str(track)!r}")
-
-
-def _sky_along(
-    folder: Path,
-    track: Path,
-    altitude_m: float | None,
-    times: tuple[str, ...],
-    speed_m_s: float | None,
-    **source: Any,
-) -> "SkyAlong":
-    """Return the sky along the track or the route in a file.
-
-    Args:
-      folder: of the maps.
-      track: a table with a time and a place per row, or a file of lines, whose first line is the route.
-      altitude_m: above ground; None: that of the track or the route.
-      times: none for a table; of a route the one of departure, or none for that of the maps.
-      speed_m_s: along a route; None for a table.
-      source: further arguments of `sky_along`.
-
-    Raises:
-      UsageError: a time or a speed for a table, no speed for a route, or several times.
-    """
-    from jaxurban.io.read.routes import read_routes
-    from jaxurban.io.read.tracks import read_track
-    from jaxurban.io.tables import SUFFIXES
-    from jaxurban.satellites.along import sky_along
-
-    # A table has a time and a place in each row, and maybe an altitude.
-    if track.suffix.lower() in SUFFIXES:
-        if times or speed_m_s is not None:
-            raise click.UsageError("a table has its own times: leave --time and --speed out")
-        return sky_along(folder, read_track(track), altitude_m, **source)
-
-    # A route is flown at a speed from the time of departure on.
-    if speed_m_s is None or len(times) > 1:
-        raise click.UsageError("a route needs --speed, and one --time, of departure")
-    route = read_routes(track)[0]
-    places = [(lon, lat) for lon, lat in route.lonlat.tolist()]
-    route_m = route.altitude_m if altitude_m is None else altitude_m
-    departure = times[0] if times else None
-    return sky_along(folder, places, route_m, departure, speed_m_s=speed_m_s, **source)

@@ -1,10 +1,8 @@
 """jaxurban tune."""
 
 import math
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import click
 
@@ -15,16 +13,16 @@ from jaxurban.cli.common import (
     DEVICE,
     FLAG,
     JSON_FLAG,
+    MAPS,
     NAMES,
     NUMBER,
-    OBSTACLES,
     OUTPUT,
     OVERWRITE,
     PATH,
     POSITIVE_COUNT,
     PRESET,
-    RESOLUTION,
     SEED,
+    MapsOf,
     Settings,
     grouped,
     print_json,
@@ -33,15 +31,15 @@ from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.settings import Obstacles
 
 
-def fits_of(
-    scale: str | None, bootstrap: int | None, hold_out: float | None, by_city: bool
-) -> Settings:
-    """Return the options of fits that are given, by the names of the arguments of `compare_fits`."""
-    fits = {"scale": scale, "bootstrap": bootstrap, "hold_out": hold_out}
-    return values_given(fits | {"by_city": by_city or None})
+class Fits(TypedDict):
+    """Keywords of `compare_fits`; None where its own default counts."""
+
+    scale: str | None
+    bootstrap: int | None
+    hold_out: float | None
+    by_city: bool | None
 
 
 @click.command()
@@ -83,18 +81,17 @@ def fits_of(
 @click.option(
     "--time", help="Time of the GPS map, UTC.  [default: the routes' own, else the first]"
 )
-@RESOLUTION
+@MAPS
 @click.option(
     "--cost-model",
     type=click.Choice(["cell", "line"]),
     help="Cost model; cell is the paper's.  [default: the routes' own, else the scenario's]",
 )
-@OBSTACLES
 @PRESET
 @CONSTRAINTS
 @grouped(
     "fits",
-    fits_of,
+    Fits,
     click.option(
         "--scale",
         type=click.Choice(["simplex", "distance"]),
@@ -107,7 +104,7 @@ def fits_of(
         "--hold-out",
         help="Share of the routes that is kept from the fits, to test them.  [default: 0]",
     ),
-    FLAG("--by-city", help="Also fit to each city alone, and to all cities but it."),
+    FLAG("--by-city", default=None, help="Also fit to each city alone, and to all cities but it."),
 )
 @click.option(
     "--rounds", "max_rounds", type=POSITIVE_COUNT, default=20, help="Most rounds of searches."
@@ -126,8 +123,7 @@ def tune(
     pilot: str | None,
     planner: str | None,
     wishes: tuple[str, ...],
-    resolution_m: float | None,
-    obstacles: "Obstacles | None",
+    maps_of: MapsOf,
     fits: Settings,
     max_rounds: int,
     seed: int,
@@ -135,17 +131,17 @@ def tune(
     overwrite: bool,
     as_json: bool,
     **routes: Any,
-) -> int:
+) -> None:
     """Fit weights to demonstrated ROUTES over the maps in each DIR, or to targets for outcomes.
 
     ROUTES are files of lines (GeoJSON, KML, GPX), tables of instances (.csv, .parquet) or folders of a study; without
     any, the study that `jaxurban study` kept in DIR. Several DIRs, each with its ROUTES, are fitted together.
     """
     from jaxurban.metrics.weights import Weights
-    from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.tuning import TuneSettings, run_tuning
     from jaxurban.studies.route_pool import FitSettings
 
+    fits = values_given(fits)
     if wishes and fits:
         raise click.UsageError(
             "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"
@@ -167,8 +163,7 @@ def tune(
         fits=fits,
         fit=FitSettings(max_rounds=max_rounds, seed=seed, budget_s=budget_s),
     )
-    open_folder = partial(MapsFolder, resolution_m=resolution_m, obstacles=obstacles)
-    sources = _sources_of(words, open_folder, has_routes=sample is not None)
+    sources = _sources_of(words, maps_of, has_routes=sample is not None)
     facts = run_tuning(sources, output, settings, overwrite=overwrite)
 
     # What is printed: the message, warnings that it does not hold, and the weights.
@@ -183,11 +178,10 @@ def tune(
         print_json(facts)
     else:
         print(facts["weights_option"])
-    return 0
 
 
 def _sources_of(
-    words: tuple[Path, ...], maps_folder: "Callable[[Path], MapsFolder]", has_routes: bool
+    words: tuple[Path, ...], maps_of: MapsOf, has_routes: bool
 ) -> "dict[MapsFolder, list[Path]]":
     """Return the files and studies of each folder of maps, in the order of the command line.
 
@@ -196,7 +190,7 @@ def _sources_of(
 
     Args:
       words: names of folders and files, as the user gives them.
-      maps_folder: returns the maps of a folder, not opened yet.
+      maps_of: returns the maps of a folder, not opened yet.
       has_routes: whether routes are drawn, so that none need be read.
     """
     from jaxurban.io.store import ZARR_FOLDER
@@ -216,7 +210,7 @@ def _sources_of(
         # The first word and every folder of maps begin a new list; all else joins the last one.
         if not sources or (word.is_dir() and not is_study):
             folder = word.parent if is_study else word
-            routes = sources.setdefault(maps_folder(folder), [])
+            routes = sources.setdefault(maps_of(folder), [])
             needs_routes = not has_routes and not study_in(folder)
         if is_study or not word.is_dir():
             routes.append(word)

@@ -1,23 +1,21 @@
 """jaxurban view."""
 
 import webbrowser
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from jaxurban.cli.common import FLAG, FOLDER, OBSTACLES, PATH, PRESET, RESOLUTION, SHOWN, SOURCES
+from jaxurban.cli.common import FLAG, FOLDER, MAPS, PATH, PRESET, SHOWN, SOURCES, MapsOf
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
-    from jaxurban.settings import Obstacles, Preset
+    from jaxurban.settings import Preset
 
 
 @click.command()
 @FOLDER
-@RESOLUTION
-@OBSTACLES
+@MAPS
 @PRESET
 @SOURCES
 @click.option(
@@ -45,8 +43,7 @@ if TYPE_CHECKING:
 @FLAG("--no-browser", help="Do not open a browser; the address is printed.")
 def view(
     folder: Path,
-    resolution_m: float | None,
-    obstacles: "Obstacles | None",
+    maps_of: MapsOf,
     preset: "Preset",
     sources: Path | None,
     against: Path | None,
@@ -54,7 +51,7 @@ def view(
     size_mib: float,
     port: int,
     no_browser: bool,
-) -> int:
+) -> None:
     """Look at the maps in DIR and plan on them, in a browser on this machine; Ctrl-C ends it."""
     from jaxurban.maps.saving import open_maps
     from jaxurban.viewer.html import write_page
@@ -63,26 +60,24 @@ def view(
 
     def open_viewer() -> Viewer:
         """Return the viewer of the maps, read again each time: the server calls it where their files have changed."""
-        maps = open_maps(folder, resolution_m, obstacles=obstacles)
-        viewer = partial(
-            Viewer,
+        maps = maps_of(folder).open()
+        others = None if against is None else open_maps(against, maps.grid.resolution_m)
+        return Viewer(
             maps,
             name=folder.resolve().name,
             folder=str(folder),
             preset=preset,
             sources=sources,
+            against=others,
+            against_name=str(against),
         )
-        if against is None:
-            return viewer()
-        others = open_maps(against, maps.grid.resolution_m)
-        return viewer(against=others, against_name=str(against))
 
     # One page as a file, or a server until Ctrl-C.
     viewer = open_viewer()
     if export is not None:
         num_bytes = write_page(viewer, export, int(size_mib * 2**20))
         LOG.info(f"wrote {export} ({num_bytes / 2**20:.1f} MiB): open it in a browser")
-        return 0
+        return
     with ViewerServer(viewer, port, again=open_viewer) as server:
         LOG.info(f"look at {server.url} (Ctrl-C ends it)")
         if not no_browser:
@@ -91,4 +86,3 @@ def view(
             server.serve_forever()
         except KeyboardInterrupt:
             LOG.info("the viewer has ended")
-    return 0

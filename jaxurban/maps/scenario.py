@@ -68,7 +68,6 @@ MUST_BE = {
     **dict.fromkeys(("tuple_type", "list_type"), "must be a list in brackets"),
     **dict.fromkeys(("model_type", "dict_type", "dataclass_type"), "must be a table of settings"),
 }
-CONFIG = ConfigDict(extra="forbid", frozen=True)
 WeightTable = Annotated[  # weights by name; `Scenario` knows which names there are
     dict[str, Any],
     AfterValidator(lambda named: Weights(**named).checked()),
@@ -231,7 +230,7 @@ class Scenario(BaseModel):
       ((20.0, 60.0, 122.0, 600.0), 5.0)
     """
 
-    model_config = CONFIG
+    model_config = ConfigDict(extra="forbid", frozen=True)
     region: Region
     buildings: Buildings
     terrain: Terrain = Terrain()
@@ -365,9 +364,9 @@ class Scenario(BaseModel):
             scenario = cls.model_validate(with_bounds)
         except ValidationError as error:
             raise InputError(f"{name}: {_sentence_of(error, settings, cls)}") from error
-        if extent is not None:
-            _check_extent(scenario, folder, extent)
         scenario._folder = folder
+        if extent is not None:
+            _check_extent(scenario, extent)
         return scenario
 
     def to_toml(self) -> str:
@@ -466,25 +465,22 @@ def _with_bounds(
       The settings, and the bounds that were added (west, south, east, north in degrees); None in their place where the
       settings have bounds, or where no file of buildings is named.
     """
-    region = settings.get("region", {})
-    buildings = settings.get("buildings")
-    source = buildings.get("source") if isinstance(buildings, Mapping) else None
-    if not isinstance(source, str) or source == SYNTHETIC:
-        return settings, None
-    if not isinstance(region, Mapping) or "bounds" in region:
-        return settings, None
-    from jaxurban.io.read.city import lonlat_extent  # imported here: it brings the readers
+    match {"region": {}, **settings}:
+        case {"region": {"bounds": _}}:
+            pass
+        case {"region": {**region}, "buildings": {"source": str(source)}} if source != SYNTHETIC:
+            from jaxurban.io.read.city import lonlat_extent  # imported here: it brings the readers
 
-    extent = lonlat_extent(located(source) if is_sample(source) else folder / source)
-    return {**settings, "region": {**region, "bounds": extent}}, extent
+            extent = lonlat_extent(located(source) if is_sample(source) else folder / source)
+            return {**settings, "region": {**region, "bounds": extent}}, extent
+    return settings, None
 
 
-def _check_extent(scenario: Scenario, folder: Path, extent: Bounds) -> None:
+def _check_extent(scenario: Scenario, extent: Bounds) -> None:
     """Warn where bounds that were left out make a region far larger than the box that holds most buildings.
 
     Args:
       scenario: with the bounds of all buildings.
-      folder: that the path of the file of buildings is relative to.
       extent: what the file covers: west, south, east, north in degrees.
 
     Raises:
@@ -493,8 +489,8 @@ def _check_extent(scenario: Scenario, folder: Path, extent: Bounds) -> None:
     from jaxurban.io.read.city import covers_too_much, proposed_bounds, size_m
 
     region, file = scenario.region, scenario.buildings
-    source = file.source if is_sample(file.source) else folder / file.source
-    main = proposed_bounds(replace(file, source=source), extent, region.crs)
+    located_file = replace(file, source=scenario.path_of(file.source))
+    main = proposed_bounds(located_file, extent, region.crs)
     if main is None:
         return
     sentence = covers_too_much(file.source, extent, main)
@@ -625,8 +621,4 @@ def model_in(annotation: Any) -> type | None:
         issubclass(annotation, BaseModel) or is_dataclass(annotation)
     ):
         return annotation
-    for part in get_args(annotation):
-        model = model_in(part)
-        if model:
-            return model
-    return None
+    return next(filter(None, map(model_in, get_args(annotation))), None)

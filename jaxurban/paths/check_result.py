@@ -101,7 +101,7 @@ class MissionCheck(Result):
         """The figures in words, by what they are about, such as ``"no fix"``."""
         by_time = self.figures.get("no_fix_by_time_m", {})
         lost = [f"{lost_m:,.0f} m at {time_said(time)}" for time, lost_m in by_time.items()]
-        texts = dict(self.figures) | {"no_fix_by_time_m": ", ".join(lost)}
+        texts = {**self.figures, "no_fix_by_time_m": ", ".join(lost)}
         for name in {"cost_by_layer", "exposure_by_layer"} & texts.keys():
             texts[name] = ", ".join(f"{layer} {cost:,.1f}" for layer, cost in texts[name].items())
         numbers = {}

@@ -181,7 +181,7 @@ class Segments(NamedTuple):
         Where a leg may be straight or follow the ground, it follows it, and is straight as a variant, unless the ground
         is flat, where the two are the same.
         """
-        rows: list[tuple[int, bool, bool]] = []
+        rows = []
         ends: list[Place] = []
         for number, leg in enumerate(mission.legs):
             is_above_ground = leg.end.datum == "ground"

@@ -32,7 +32,7 @@ from jaxurban.paths.route_report import (
     guessed_clearances,
 )
 from jaxurban.planners.cost import path_states
-from jaxurban.public import Caution, caution_of_guesses, sentences_of
+from jaxurban.public import Caution, Level, caution_of_guesses, sentences_of
 from jaxurban.settings import Vehicle
 from jaxurban.world.surface import stands_at
 
@@ -92,7 +92,7 @@ def clearance_m(
 
 def nearest_level_m(z_m: np.ndarray, levels_m: Sequence[float]) -> np.ndarray:
     """Return ``[M]`` the nearest of some levels, the lower one where two are as near."""
-    ascending_m = np.sort(np.asarray(levels_m, float))
+    ascending_m = np.sort(levels_m)
     return ascending_m[np.argmin(np.abs(z_m[:, None] - ascending_m), axis=1)]
 
 
@@ -287,7 +287,7 @@ def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
     # Where the fix is lost and regained, by turns: the first row of a stretch and the first one after it.
     is_without = np.pad(has_no_fix(profile[FIX].to_numpy()), 1)
     first, after = np.flatnonzero(np.diff(is_without)).reshape(-1, 2).T
-    from_m, to_m = profile["from_m"].to_numpy(), profile["to_m"].to_numpy()
+    from_m, to_m = profile[["from_m", "to_m"]].to_numpy().T
     return list(zip(from_m[first].tolist(), to_m[after - 1].tolist(), strict=True))
 
 
@@ -407,16 +407,17 @@ def _clearance(profile: pd.DataFrame, least_m: float) -> Caution:
         if np.isfinite(nearest_m):
             sentence += f"; in the region the nearest is {nearest_m:.1f} m away"
 
-    is_guess = CLEARANCE in guessed_clearances(profile)
-    if is_guess:
+    level: Level = "note"
+    if CLEARANCE in guessed_clearances(profile):
+        level = "guess"
         guessed_m = profile[TO_GUESSED].min()
         where = f"the nearest of them is {guessed_m:.1f} m away"
         if guessed_m <= 0:
             where = "the route passes over some of them"
         sentence += f". This holds only if guessed roofs are right: {where}"
     if nearest_m < least_m - AT_LIMIT or nearest_m <= 0:
-        return Caution(f"{sentence}.", "limit")
-    return Caution(f"{sentence}.", "guess" if is_guess else "note")
+        level = "limit"
+    return Caution(f"{sentence}.", level)
 
 
 def _roofs(profile: pd.DataFrame, limit_m: float) -> Iterator[Caution]:

@@ -191,7 +191,7 @@ class RouteReport(FactsRepr):
         facts = {"why": self.why}
         for name, value in self.totals.items():
             if name != NO_FIX_IN_1_0:  # the same value stands under its new name
-                facts[name.replace("_", " ")] = _short(value) + notes.get(name, "")
+                facts[name.replace("_", " ")] = short(value) + notes.get(name, "")
         return facts
 
     @property
@@ -219,7 +219,7 @@ class RouteReport(FactsRepr):
         if not layer_costs.max() > 0:
             return f"{sentence}, all of it for its length."
         layer = str(layer_costs.idxmax()).removeprefix(COST_OF)
-        paid = f"{_short(layer_costs.max())} of {_short(costliest['cost'])}"
+        paid = f"{short(layer_costs.max())} of {short(costliest['cost'])}"
         return f"{sentence}; beside its length it pays most for {layer} ({paid})."
 
     @property
@@ -295,7 +295,7 @@ class RouteReport(FactsRepr):
             heads[name] = sign + name.removeprefix(COST_OF)
             sign = "+"
         heads |= SEGMENT_HEADS
-        texts = self.segments.filter(list(heads)).map(_short)  # those of the columns that exist
+        texts = self.segments.filter(list(heads)).map(short)  # those of the columns that exist
         texts = texts.rename(columns=heads)
         return texts.rename_axis(None).rename_axis("segment", axis="columns")
 
@@ -320,7 +320,7 @@ def guessed_clearances(profile: pd.DataFrame) -> set[str]:
     return names
 
 
-def _short(value: float) -> str:
+def short(value: float) -> str:
     """Return a number in a few digits: whole from 1,000 up, else three significant digits, ``none`` if not finite."""
     if not math.isfinite(value):
         return "none"

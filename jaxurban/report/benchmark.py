@@ -90,7 +90,8 @@ def export_benchmark(
       InputError: a name of other characters, a folder that cannot be written to, or what `check_exportable` refuses.
     """
     folder = Path(folder)
-    check_exportable(CostModel.of(settings.cost_model), settings.constraints)
+    model = CostModel.of(settings.cost_model)
+    check_exportable(model, settings.constraints)
     if not name.replace("-", "").isalnum():
         raise InputError(
             f"the benchmark's name must be of letters, digits and hyphens, got {name!r}"
@@ -114,7 +115,6 @@ def export_benchmark(
         }
 
         # The page that describes the format.
-        model = CostModel.of(settings.cost_model)
         cost_rule = "plus w_j c_j(Q) summed over j, Q the cell in which the step ends"
         if model.kind == "line":
             length = f"{model.reference_length_m:g} m"

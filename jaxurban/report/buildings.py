@@ -21,7 +21,6 @@ from jaxurban.maps.sources import scenario_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.frame import (
     ENDS,
-    LegendEntry,
     MapPanel,
     draw_maps,
     ground_said,
@@ -31,7 +30,7 @@ from jaxurban.report.figures.frame import (
 )
 from jaxurban.report.figures.paths import draw_ends
 from jaxurban.report.figures.style import Colours
-from jaxurban.report.write import Look, save
+from jaxurban.report.write import save
 from jaxurban.studies.weights.buildings import building_costs
 from jaxurban.world.grid import Grid, covering_grid
 
@@ -63,7 +62,7 @@ def plot_building_costs(
     )
 
     # The scale of colours ends at the largest cost or gain on both sides, and is linear up to a thousandth of that.
-    most = max(float(table.per_metre.abs().max()) if len(table) else 0.0, 1e-12)
+    most = table.per_metre.abs().to_numpy().max(initial=1e-12)
     ticks = -most, -most / 100, 0.0, most / 100, most
     norm = SymLogNorm(most / 1000, vmin=-most, vmax=most)
     colours = Colours("RdBu_r", norm, "cost per metre of height", ticks=ticks)
@@ -78,21 +77,27 @@ def plot_building_costs(
     heading = "What one more metre of each building costs the route"
     heading = joined(heading, settings["time_of_day"], by=", ")
     note = f"{facts}\n{rules_said(settings)}"
-    legend: list[LegendEntry] = [("route", ROUTE_COLOUR), *ENDS]
-    figure, (panel,) = draw_maps(near, panels, heading, note, legend=legend, colours=colours)
+    figure, (panel,) = draw_maps(
+        near, panels, heading, note, legend=[("route", ROUTE_COLOUR), *ENDS], colours=colours
+    )
     panel.set_facecolor(LAND_COLOUR)
 
     # The outlines near the route, in the colour of no effect where the table has no row, and the route over them.
     per_metre = np.zeros(len(polygons))
     per_metre[table.building] = table.per_metre
     is_near = shapely.intersects(polygons, shapely.box(*near.bounds_m))
-    look: Look
     if is_near.any():
-        look = {"edgecolor": "#555555", "linewidth": 0.25, "aspect": None, "autolim": False}
-        look["color"] = list(colours(per_metre[is_near]))
-        gpd.GeoSeries(polygons[is_near]).plot(ax=panel, **look)
-    look = {"color": ROUTE_COLOUR, "linewidth": 1.5, "solid_joinstyle": "round"}
-    panel.plot(*planned.xy_m.T, zorder=4, **look)
+        gpd.GeoSeries(polygons[is_near]).plot(
+            ax=panel,
+            edgecolor="#555555",
+            linewidth=0.25,
+            aspect=None,
+            autolim=False,
+            color=list(colours(per_metre[is_near])),
+        )
+    panel.plot(
+        *planned.xy_m.T, zorder=4, color=ROUTE_COLOUR, linewidth=1.5, solid_joinstyle="round"
+    )
     draw_ends(panel, [planned])
     return figure
 

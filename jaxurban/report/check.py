@@ -26,7 +26,6 @@ from jaxurban.report.write import (
     Figures,
     Look,
     Markdown,
-    Outputs,
     Written,
     bullets,
     fill,
@@ -67,11 +66,11 @@ def check_outputs(result: MissionCheck) -> Written:
         figures["profile"] = partial(plot_flown_heights, result)
     report = check_markdown(result, list(figures))
     record = result.to_dict()
-    outputs: Outputs = {
+    return {
         "findings.geojson": json.dumps(result.to_geojson(), indent=1),
         "check.json": json.dumps(record, indent=1),
-    }
-    return outputs | study_outputs(report, {"findings": result.findings}, figures), record
+        **study_outputs(report, {"findings": result.findings}, figures),
+    }, record
 
 
 def check_markdown(result: MissionCheck, figures: list[str]) -> str:

@@ -60,7 +60,7 @@ def report_markdown(
     # The share of pairs of places that some path joins, by altitude, and the budget of a run in words.
     table = result.table
     settings = result.settings
-    study = result.settings.study
+    study = settings.study
     pairs = table.drop_duplicates(["instance", "altitude_m"])
     share_joined = pairs.groupby("altitude_m").is_joined.mean()
     budget = f"{study.budget_iterations} samples, others to their end"

@@ -22,7 +22,6 @@ from jaxurban.report.satellites import (
 )
 from jaxurban.report.write import (
     Figures,
-    Look,
     Written,
     bullets,
     fill,
@@ -86,17 +85,21 @@ def plot_scatter(result: ReceiverValidation) -> Figure:
         title = f"within blocks {row[WITHIN]:.2f}, whole track {row[SPEARMAN]:.2f}"
         if name == NUM_VISIBLE:
             medians = known.groupby(np.round(known[name]))[witness].median()
-            look: Look = {"marker": "o", "markersize": 3.5, "linewidth": 1.2}
-            panel.plot(medians.index, medians, color=RECEIVER_COLOUR, **look)
+            panel.plot(
+                medians.index,
+                medians,
+                color=RECEIVER_COLOUR,
+                marker="o",
+                markersize=3.5,
+                linewidth=1.2,
+            )
             title += "  ·  line: medians"
 
         label = f"maps: {name_of(name)}"
-        num_infinite = int(np.isinf(known[name]).sum())
+        num_infinite = np.isinf(known[name]).sum()
         if num_infinite:
             label += f" ({num_infinite} undetermined, at the right edge)"
-        panel.set_title(title)
-        panel.set_xlabel(label)
-        panel.set_ylabel(f"receiver: {LABELS[witness]}")
+        panel.set(title=title, xlabel=label, ylabel=f"receiver: {LABELS[witness]}")
     letter_all(axes)
     return figure
 

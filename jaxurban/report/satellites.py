@@ -29,7 +29,7 @@ from jaxurban.report.figures.style import (
     letter_all,
     styled,
 )
-from jaxurban.report.write import Figures, Look, framed, interval, without_ends
+from jaxurban.report.write import Figures, framed, interval, without_ends
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.agreement import SatelliteAgreement
 from jaxurban.studies.receiver.validate import ReceiverValidation
@@ -225,13 +225,20 @@ def plot_margin(of: SatelliteAgreement) -> Figure:
     figure = chart(4.2, "How strongly satellites are heard, by how deep they are hidden", note)
     panel, below = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     edge = len(MARGINS_M) / 2  # the classes are symmetric around a margin of 0
-    look: Look = {"whis": (5, 95), "showfliers": False, "patch_artist": True}
     for k in np.unique(margin_class):
         strength_dbhz = judged.cn0_dbhz[margin_class == k]
         is_heard = strength_dbhz > 0
         colour = HIDDEN if k < edge else SEEN
-        look |= {"boxprops": {"facecolor": colour}, "medianprops": {"color": "white"}}
-        panel.boxplot(strength_dbhz[is_heard], positions=[k], widths=0.7, **look)
+        panel.boxplot(
+            strength_dbhz[is_heard],
+            positions=[k],
+            widths=0.7,
+            whis=(5, 95),
+            showfliers=False,
+            patch_artist=True,
+            boxprops={"facecolor": colour},
+            medianprops={"color": "white"},
+        )
         num_judged = f"{len(is_heard):,}"
         panel.annotate(num_judged, (k, 1.0), xycoords=("data", "axes fraction"), ha="center")
         below.bar(k, 1 - is_heard.mean(), color=colour, width=0.7)
@@ -241,10 +248,10 @@ def plot_margin(of: SatelliteAgreement) -> Figure:
         dress(each)
         each.axvline(edge, color=INK, linewidth=1.2)
     below.set_xticks(np.arange(len(MARGINS_M)) + 0.5, MARGINS_M)
-    below.set_xlabel(
-        "hidden  ←  height of the antenna above the edge of the shadow (m)  →  in view"
+    below.set(
+        xlabel="hidden  ←  height of the antenna above the edge of the shadow (m)  →  in view",
+        ylabel="not received",
     )
-    below.set_ylabel("not received")
     below.yaxis.set_major_formatter(PercentFormatter(1.0))
     panel.set_ylabel("C/N0 (dBHz)")
     return figure

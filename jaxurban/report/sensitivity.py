@@ -29,8 +29,8 @@ def sensitivity_outputs(result: Sensitivity) -> Written:
         "route": route.settings,
         "lonlat": route.lonlat[[0, -1]].tolist(),
         "weights": result.weights.tolist(),
+        **asdict(result.settings),
     }
-    settings |= asdict(result.settings)
     tables = {name: table.reset_index() for name, table in result.tables().items()}
     outputs = study_outputs(sensitivity_markdown(result), tables, sensitivity_figures(result))
     return outputs, json.loads(json.dumps(settings, default=str))
@@ -45,7 +45,7 @@ def sensitivity_markdown(result: Sensitivity, buildings: pd.DataFrame | None = N
         first, of which the report shows the first `TOP_BUILDINGS`; None: the report has no such table.
     """
     route = result.route
-    settings = result.route.settings
+    settings = route.settings
     tables = report_tables(result)
     if buildings is not None:
         ranking = buildings.head(TOP_BUILDINGS).rename_axis("rank").reset_index()[[*RANKING]]
@@ -160,8 +160,8 @@ def ranges(result: Sensitivity, name: str) -> dict[str, float]:
     num_others = is_other.cumsum()
     alike = table[~is_other & (num_others == num_others[given])]
     return {
-        "same_from": float(table.loc[given, "from"]),
-        "same_to": float(table.loc[given, "to"]),
-        "alike_from": float(alike["from"].iloc[0]),
-        "alike_to": float(alike["to"].iloc[-1]),
+        "same_from": table.loc[given, "from"],
+        "same_to": table.loc[given, "to"],
+        "alike_from": alike["from"].iloc[0],
+        "alike_to": alike["to"].iloc[-1],
     }

@@ -29,8 +29,17 @@ from jaxurban.studies.weights.routes import SensitivityStudySettings
 from jaxurban.studies.weights.sobol import FEW_SAMPLES
 from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES, UNCLEAR
 
-TABLES = ["routes", "weights", "summary", "sobol", "sobol_summary"]
-TABLES += ["remade", "remade_summary", "parameters", "parameters_summary"]
+TABLES = [
+    "routes",
+    "weights",
+    "summary",
+    "sobol",
+    "sobol_summary",
+    "remade",
+    "remade_summary",
+    "parameters",
+    "parameters_summary",
+]
 FIGURES = ["figures/regret.png", "figures/nearest.png"]
 FILES = files_of([*(f"tables/{name}" for name in TABLES), *FIGURES, REPORT_FILE])
 SAMPLED = (

@@ -82,10 +82,9 @@ def study_outputs(report: str, tables: Mapping[str, pd.DataFrame], figures: Figu
       tables: by name; one whose name has no end is written in each format.
       figures: functions that draw the pictures, by name.
     """
-    outputs: Outputs = {f"tables/{name}": frame for name, frame in tables.items()}
-    for name, draw in figures.items():
-        outputs[f"figures/{name}.png"] = draw
-    return outputs | {REPORT_FILE: report}
+    shown = {f"tables/{name}": frame for name, frame in tables.items()}
+    drawn = {f"figures/{name}.png": draw for name, draw in figures.items()}
+    return {**shown, **drawn, REPORT_FILE: report}
 
 
 def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:
@@ -208,23 +207,6 @@ def without_ends(frame: pd.DataFrame) -> list[Any]:
     return [name for name in frame if name not in ends]
 
 
-def interval(row: Mapping[Any, Any], name: Any, text_of: Callable[[Any], str] | None = None) -> str:
-    """Return a value of a table's row as text, with its interval where it has one: ``0.42 (0.29 to 0.54)``.
-
-    Args:
-      row: values by the names of columns; the ends of the interval are NAME_low and NAME_high, which are missing or NaN
-        where there is none.
-      name: of the value's column.
-      text_of: returns the text of a number; left out, `cell`.
-    """
-    text_of = text_of or cell
-    text = text_of(row[name])
-    low = row.get(f"{name}_low", math.nan)
-    if not np.isfinite(low):
-        return text
-    return f"{text} ({text_of(low)} to {text_of(row[f'{name}_high'])})"
-
-
 def cell(value: Any) -> str:
     """Return a value of a table: numbers that are not whole with three digits, nothing for no number."""
     if not isinstance(value, float):
@@ -232,6 +214,22 @@ def cell(value: Any) -> str:
     if not math.isfinite(value):
         return ""
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+
+
+def interval(row: Mapping[Any, Any], name: Any, text_of: Callable[[Any], str] = cell) -> str:
+    """Return a value of a table's row as text, with its interval where it has one: ``0.42 (0.29 to 0.54)``.
+
+    Args:
+      row: values by the names of columns; the ends of the interval are NAME_low and NAME_high, which are missing or NaN
+        where there is none.
+      name: of the value's column.
+      text_of: returns the text of a number.
+    """
+    text = text_of(row[name])
+    low = row.get(f"{name}_low", math.nan)
+    if not np.isfinite(low):
+        return text
+    return f"{text} ({text_of(low)} to {text_of(row[f'{name}_high'])})"
 
 
 def listed(items: Iterable[str]) -> str:

@@ -278,7 +278,14 @@ def score(
         rows.append(keys | _summary(part))
     lines = pd.DataFrame(rows)
     if board is not None:
-        _enter(lines, Path(board))
+        # They replace lines of the same method, bundle, track and city.
+        board = Path(board)
+        with Workspace.open(board.parent, "score", names=[board.name], is_shared=True):
+            table = lines.set_index(LINE)
+            if board.exists():
+                former = read_table(board, "board").set_index(LINE)
+                table = pd.concat([former.drop(table.index, errors="ignore"), table])
+            write_table(table.sort_index().reset_index(), board)
     return lines, routes[["track", "query", "city", "outcome", "cost", "gap", "over_best", *claims]]
 
 
@@ -414,8 +421,11 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
     # In all tracks but "any-angle" a line runs straight or diagonally from centre to centre of cells. Its points are
     # moved to the very centres, which undoes their rounding.
     if row["track"] != "any-angle":
-        centres_m = _on_grid(points_m, side_m)
-        if centres_m is None:
+        cells = points_m // side_m
+        centres_m = (cells + 0.5) * side_m
+        legs = np.abs(np.diff(cells, axis=0))
+        is_straight = (legs.min(axis=1) == 0) | (legs[:, 0] == legs[:, 1])
+        if np.abs(points_m - centres_m).max() > NEAR_M or not is_straight.all():
             return "off the grid", np.inf
         points_m = centres_m
 
@@ -431,25 +441,6 @@ def _judged(problem: Problem, names: list[str], row: Mapping[str, Any]) -> tuple
         if exposure > row["budget"] * (1 + SAME):
             return "over budget", np.inf
     return VALID, sums.cost(problem.weights)
-
-
-def _on_grid(points_m: np.ndarray, side_m: float) -> np.ndarray | None:
-    """Return ``[N, 2]`` the centres of the cells in which the points of a line lie; None for a line off the grid.
-
-    A line is on the grid if each point lies within `NEAR_M` of a centre, and each leg runs along a row, a column or a
-    diagonal of cells.
-
-    Args:
-      points_m: ``[N, 2]`` metres from the map's southwest corner.
-      side_m: side of a cell.
-    """
-    cells = points_m // side_m
-    centres_m = (cells + 0.5) * side_m
-    legs = np.abs(np.diff(cells, axis=0))
-    is_straight = (legs.min(axis=1) == 0) | (legs[:, 0] == legs[:, 1])
-    if np.abs(points_m - centres_m).max() > NEAR_M or not is_straight.all():
-        return None
-    return centres_m
 
 
 def _summary(routes: pd.DataFrame) -> dict[str, Any]:
@@ -477,13 +468,3 @@ def _summary(routes: pd.DataFrame) -> dict[str, Any]:
         "over_best_median": routes["over_best"].quantile(0.5, "higher"),
         "cpu_s_median": routes["claimed_cpu_s"].quantile(0.5),
     }
-
-
-def _enter(lines: pd.DataFrame, file: Path) -> None:
-    """Write lines into the file of a board, where they replace lines of the same method, bundle, track and city."""
-    lines = lines.set_index(LINE)
-    with Workspace.open(file.parent, "score", names=[file.name], is_shared=True):
-        if file.exists():
-            board = read_table(file, "board").set_index(LINE)
-            lines = pd.concat([board.drop(lines.index, errors="ignore"), lines])
-        write_table(lines.sort_index().reset_index(), file)

@@ -250,37 +250,22 @@ def demonstrations_from_paths(
     demonstrations = []
     for number, path in enumerate(paths, start=1):
         try:
-            demonstrations.append(_from_path(map_of, path, f"{number}"))
+            if len(path.z_m) and np.ptp(path.z_m) > 0:
+                raise InputError("it changes its altitude, and fits take one: leave it out")
+            if len(path.xy_m) == 0:
+                raise InputError(f"it has no points ({path.status.value}): leave it out")
+            cost_map = map_of(path.altitude_m, path.settings["time"], path.settings["time_of_day"])
+            for xy_m in path.xy_m[[0, -1]]:
+                _, cell = cost_map.cell_of("it", XY(*xy_m.tolist()))
+                if not cost_map.is_free[cell]:
+                    raise InputError(
+                        "it starts or ends in a cell that is closed here: give the maps and constraints that it was "
+                        "planned on, or choose obstacles = centre if it was planned by centres"
+                    )
+            demonstrations.append(demonstration_from_line(cost_map, path.xy_m, f"{number}"))
         except InputError as error:
             raise InputError(f"path {number}: {error}") from error
     return demonstrations
-
-
-def _from_path(map_of: MapOf, path: PlannedPath, name: str) -> Demonstration:
-    """Return a planned path as a demonstration on its own map.
-
-    Args:
-      map_of: gives the cost map at the path's altitude and times.
-      path: as planned.
-      name: of its query.
-
-    Raises:
-      InputError: fits cannot take the path: it changes its altitude, has no points, or starts or ends in a cell that is
-        closed on its map.
-    """
-    if len(path.z_m) and np.ptp(path.z_m) > 0:
-        raise InputError("it changes its altitude, and fits take one: leave it out")
-    if len(path.xy_m) == 0:
-        raise InputError(f"it has no points ({path.status.value}): leave it out")
-    cost_map = map_of(path.altitude_m, path.settings["time"], path.settings["time_of_day"])
-    for xy_m in path.xy_m[[0, -1]]:
-        _, cell = cost_map.cell_of("it", XY(*xy_m.tolist()))
-        if not cost_map.is_free[cell]:
-            raise InputError(
-                "it starts or ends in a cell that is closed here: give the maps and constraints that it was planned "
-                "on, or choose obstacles = centre if it was planned by centres"
-            )
-    return demonstration_from_line(cost_map, path.xy_m, name)
 
 
 def _cost_maps(
@@ -409,10 +394,7 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
 
     # A grid path is moved to the exact centres of its cells, since a diagonal step must not graze a third cell because
     # a file has lost decimals. Any other line is redrawn.
-    filled = _filled(local)
-    route = _Followed(np.floor(filled) + 0.5, within_cells=0.0)
-    if not _is_grid_path(cost_map, filled):
-        route = _redrawn(cost_map, points, local)
+    route = _grid_path(cost_map, local) or _redrawn(cost_map, points, local)
 
     # The cells of the ends as row and column, while points are x and y.
     start, goal = map(tuple, np.floor(route.centres[[0, -1], ::-1]).astype(int).tolist())
@@ -462,60 +444,8 @@ def _redrawn(cost_map: CostMap, xy_m: np.ndarray, local: np.ndarray) -> _Followe
         if end.is_snapped:
             line[index] = np.array(end.cell[::-1]) + 0.5
 
-    # The grid path along the line, and what had to be done.
-    route = _follow(cost_map, line)
-    notes = [snap_note(*ends).removesuffix(".")]
-    if route.within_cells > CORRIDORS_CELLS[0]:
-        width_m = route.within_cells * cost_map.grid.resolution_m
-        notes.append(f"followed within {width_m:.0f} m, since obstacles block the way nearer to it")
-    note = "; ".join(filter(None, notes))
-    return _Followed(route.centres, max(route.within_cells, DRAWN_CELLS), note)
-
-
-def _filled(local: np.ndarray) -> np.ndarray:
-    """Return points ``[N, 2]``, in cell sides, with a point in every cell between them.
-
-    This holds for points that are joined by straight runs along rows, columns or diagonals of cells. If one is not, or
-    two neighbours lie in one cell, the points are returned unchanged.
-    """
-    steps = np.diff(np.floor(local), axis=0)
-    sizes = np.abs(steps).max(axis=1)  # of a run, in cells
-    is_along = (steps == 0) | (np.abs(steps) == sizes[:, None])
-    if not is_along.all() or not sizes.all():
-        return local
-
-    # Of each run its points but the last one, from which the next run begins.
-    runs = [
-        point + step / size * np.arange(size)[:, None]
-        for point, step, size in zip(local, steps, sizes.astype(int), strict=False)
-    ]
-    return np.concatenate([*runs, local[-1:]])
-
-
-def _is_grid_path(cost_map: CostMap, local: np.ndarray) -> bool:
-    """Return whether points ``[N, 2]``, in cell sides, are the centres of neighbouring cells that form a valid path.
-
-    Under a cost model of 4 neighbours diagonal steps are none. A path is valid where planners could fly it.
-    """
-    cells = np.floor(local)
-    is_centre = np.abs(local - cells - 0.5) < ON_CENTRE
-
-    # Between neighbours a step has the size 1: rows and columns together, or the larger one where diagonals count.
-    steps = np.abs(np.diff(cells, axis=0))
-    sizes = steps.sum(axis=1) if cost_map.cost_model.connectivity == 4 else steps.max(axis=1)
-    if not is_centre.all() or not np.all(sizes == 1):
-        return False
-    return cost_map.problem.features((cells + 0.5) * cost_map.grid.resolution_m).is_valid
-
-
-def _follow(cost_map: CostMap, local: np.ndarray) -> _Followed:
-    """Return a grid path along a line ``[N, 2]``, in cell sides, leg by leg; both of its ends are in free cells.
-
-    Raises:
-      InputError: a leg cannot be followed through free cells.
-    """
     # The corners of the line, simplified by half a cell, and their cells as row and column.
-    corners = shapely.get_coordinates(shapely.LineString(local).simplify(0.5))
+    corners = shapely.get_coordinates(shapely.LineString(line).simplify(0.5))
     cells = [tuple(cell) for cell in np.floor(corners[:, ::-1]).astype(int).tolist()]
 
     # A corner inside an obstacle is skipped, and the legs before and after it become one that bends there.
@@ -528,68 +458,91 @@ def _follow(cost_map: CostMap, local: np.ndarray) -> _Followed:
             path = _follow_leg(cost_map, leg, cells[first], cells[last])
             centres.extend(path.centres[1:])
             widest = max(widest, path.within_cells)
-    return _Followed(np.array(centres), widest)
+
+    # What had to be done.
+    notes = [snap_note(*ends).removesuffix(".")]
+    if widest > CORRIDORS_CELLS[0]:
+        width_m = widest * cost_map.grid.resolution_m
+        notes.append(f"followed within {width_m:.0f} m, since obstacles block the way nearer to it")
+    note = "; ".join(filter(None, notes))
+    return _Followed(np.array(centres), max(widest, DRAWN_CELLS), note)
+
+
+def _grid_path(cost_map: CostMap, local: np.ndarray) -> _Followed | None:
+    """Return a line that is a valid grid path, no cell skipped; None for any other line.
+
+    A grid path joins centres of cells by straight runs along rows, columns and, unless the cost model has 4 neighbours,
+    diagonals. It is valid where planners could fly it.
+
+    Args:
+      cost_map: whose cost model and free cells count.
+      local: ``[N, 2]`` the line, in cell sides from the southwest corner.
+    """
+    steps = np.diff(np.floor(local), axis=0)
+    sizes = np.abs(steps).max(axis=1)  # of a run, in cells
+    is_along = (steps == 0) | (np.abs(steps) == sizes[:, None])
+    if cost_map.cost_model.connectivity == 4:
+        is_along &= (steps == 0).any(axis=1, keepdims=True)
+    if not is_along.all() or not sizes.all():
+        return None
+
+    # Of each run its points but the last one, from which the next run begins.
+    runs = [
+        point + step / size * np.arange(size)[:, None]
+        for point, step, size in zip(local, steps, sizes.astype(int), strict=False)
+    ]
+    points = np.concatenate([*runs, local[-1:]])
+    centres = np.floor(points) + 0.5
+    if np.abs(points - centres).max() >= ON_CENTRE:
+        return None
+    sums = cost_map.problem.features(centres * cost_map.grid.resolution_m)
+    return _Followed(centres, within_cells=0.0) if sums.is_valid else None
 
 
 def _follow_leg(cost_map: CostMap, leg: shapely.LineString, start: Cell, goal: Cell) -> _Followed:
     """Return the shortest grid path between two cells in the narrowest corridor around a leg that holds one.
 
+    All lengths are in cell sides, and places are counted from the map's southwest corner.
+
     Args:
-      cost_map: whose free cells the path uses.
-      leg: part of a line, in cell sides from the southwest corner.
+      cost_map: whose free cells, cost model and margin of legs the path keeps.
+      leg: part of a line.
       start, goal: the cells at its ends, row and column.
 
     Raises:
       InputError: no corridor holds one.
     """
     for width in CORRIDORS_CELLS:
-        centres = _shortest_within(cost_map, leg, width, start, goal)
-        if centres is not None:
-            return _Followed(centres, width)
+        # The part of the map that can lie in the corridor, and its free cells that do.
+        west, south, east, north = np.floor(leg.bounds).astype(int)
+        pad = int(np.ceil(width)) + 1
+        first = np.maximum([south - pad, west - pad], 0)
+        window = _window(first, np.array([north + pad, east + pad]))
+        is_free = cost_map.is_free[window]
+        rows, cols = np.indices(is_free.shape) + first[:, None, None]
+        is_free = is_free & shapely.dwithin(shapely.points(cols + 0.5, rows + 0.5), leg, width)
+        begin, end = map(tuple, (np.array([start, goal]) - first).tolist())
+        if not is_free[begin] or not is_free[end]:
+            continue
+
+        # The unit of length is the side of a cell. The one layer costs nothing, so that only the distance counts.
+        problem = Problem(
+            costs=np.zeros((1, *is_free.shape)),
+            is_free=is_free,
+            start=begin,
+            goal=end,
+            resolution_m=1.0,
+            weights=1.0,
+            cost_model=cost_map.cost_model,
+            leg_margin_m=cost_map.leg_margin_m / cost_map.grid.resolution_m,
+        )
+        path = astar(problem)
+        if path.status.has_path:
+            return _Followed(path.points_m + first[::-1], width)
     raise InputError(
         f"it cannot be followed through free cells at {cost_map.altitude_m:g} m within "
         f"{CORRIDORS_CELLS[-1] * cost_map.grid.resolution_m:.0f} m of it: fly higher, or draw it elsewhere"
     )
-
-
-def _shortest_within(
-    cost_map: CostMap, leg: shapely.LineString, width: float, start: Cell, goal: Cell
-) -> np.ndarray | None:
-    """Return ``[N, 2]`` the shortest grid path along a leg, x and y of the centres of its cells; None if there is none.
-
-    All lengths are in cell sides, and places are counted from the map's southwest corner.
-
-    Args:
-      cost_map: whose free cells, cost model and margin of legs the path keeps.
-      leg: part of the line.
-      width: how far from the leg the centres of the path's cells may lie.
-      start, goal: cells of the map, row and column.
-    """
-    # The part of the map that can lie in the corridor, and its free cells that do.
-    west, south, east, north = np.floor(leg.bounds).astype(int)
-    pad = int(np.ceil(width)) + 1
-    first = np.maximum([south - pad, west - pad], 0)
-    window = _window(first, np.array([north + pad, east + pad]))
-    is_free = cost_map.is_free[window]
-    rows, cols = np.indices(is_free.shape) + first[:, None, None]
-    is_free = is_free & shapely.dwithin(shapely.points(cols + 0.5, rows + 0.5), leg, width)
-    start, goal = map(tuple, (np.array([start, goal]) - first).tolist())
-    if not is_free[start] or not is_free[goal]:
-        return None
-
-    # The unit of length is the side of a cell. The one layer costs nothing, so that only the distance counts.
-    problem = Problem(
-        costs=np.zeros((1, *is_free.shape)),
-        is_free=is_free,
-        start=start,
-        goal=goal,
-        resolution_m=1.0,
-        weights=1.0,
-        cost_model=cost_map.cost_model,
-        leg_margin_m=cost_map.leg_margin_m / cost_map.grid.resolution_m,
-    )
-    path = astar(problem)
-    return path.points_m + first[::-1] if path.status.has_path else None
 
 
 def _window(first: np.ndarray, last: np.ndarray) -> tuple[slice, ...]:

@@ -145,7 +145,7 @@ def make_queries(
 
 def weights_from(query: RouteQuery, values: np.ndarray) -> Weights:
     """Return `Weights` from values ``[K]`` in the order of the query's names; metrics it does not have weigh 0."""
-    others = dict.fromkeys(("distance", *METRICS, *query.cost_map.maps.metrics), 0.0)
+    others = dict.fromkeys((*METRICS, *query.cost_map.maps.metrics), 0.0)
     return Weights(**others | dict(zip(query.names, map(float, values), strict=True)))
 
 

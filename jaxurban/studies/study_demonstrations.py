@@ -129,9 +129,7 @@ def demonstrations_from_study(
     maps = as_maps(_maps_of(study) if maps is None else maps)
 
     # The instances, with the weights of the pilot if there is one, and the rules under which their routes are planned.
-    pilot_columns = {}
-    if pilot is not None:
-        pilot_columns = as_columns(weights_on(maps, pilot), maps.metrics)
+    pilot_columns = {} if pilot is None else as_columns(weights_on(maps, pilot), maps.metrics)
     source = _source(study, maps, planner, pilot_columns)
     if cost_model is None and source.settings:
         cost_model = CostModel.from_settings(source.settings)
@@ -142,7 +140,17 @@ def demonstrations_from_study(
         preset=preset,
     )
     maps, job = job.under(maps)
-    _check_settings(source, job.deciding(maps))
+    for name, value in job.deciding(maps).items():
+        before = source.settings.get(
+            name, value
+        )  # one that the study does not record counts as equal
+        # The budget may differ: a route that it cut short is found by its cost.
+        if name != "budget" and before != value:
+            raise InputError(
+                f"the study in {source.name!r} was run on other maps or settings than those given: its {name} is "
+                f"{before}, here {value}: give its own (DIR, --resolution, --obstacles, --cost-model, --preset, "
+                "--no-fly, --require, --clearance, --vertical-clearance; maps=, cost_model=, constraints=, preset=)"
+            )
     check_instances(source.table, maps)
 
     # The rows at the altitude and times that are asked for.
@@ -332,24 +340,6 @@ def _of_folder(folder: Path, planner: str | None, pilot_columns: Mapping) -> _So
     rows = rows[rows.planner == one_of("planner", planner, counts.index)]
     instances = table.merge(rows[[*KEY, *OF_ROW]], "left", list(KEY))
     return _Source(str(folder), instances, settings, planner)
-
-
-def _check_settings(source: _Source, now: Mapping[str, Any]) -> None:
-    """Raise InputError unless maps, cost model and constraints are the ones that a study was run under.
-
-    Args:
-      source: whose settings are compared; a setting that it does not record counts as equal.
-      now: the same settings by name (`Benchmark.deciding`) of this call. The budget may differ: a route that it cut
-        short is found by its cost.
-    """
-    for name, value in now.items():
-        before = source.settings.get(name, value)
-        if name != "budget" and before != value:
-            raise InputError(
-                f"the study in {source.name!r} was run on other maps or settings than those given: its {name} is "
-                f"{before}, here {value}: give its own (DIR, --resolution, --obstacles, --cost-model, --preset, "
-                "--no-fly, --require, --clearance, --vertical-clearance; maps=, cost_model=, constraints=, preset=)"
-            )
 
 
 def _check_one_weights(name: str, table: pd.DataFrame) -> None:

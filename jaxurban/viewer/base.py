@@ -27,7 +27,7 @@ def base_of(maps: MetricMaps) -> dict[str, Any]:
 
     # Metres from the southwest corner.
     frame = frame.to_crs(maps.grid.crs)
-    corner_m = maps.grid.x_min_m, maps.grid.y_min_m
+    corner_m = maps.grid.bounds_m[:2]
     shapes = shapely.transform(frame.geometry.to_numpy(), lambda points: points - corner_m)
     kinds = frame["kind"].to_numpy()
 
@@ -49,7 +49,7 @@ def base_of(maps: MetricMaps) -> dict[str, Any]:
     # Names by kind, and within a kind those with the most room first.
     named = zip(shapes, frame["name"], kinds, strict=True)
     names = [_name_row(shape, text, kind) for shape, text, kind in named if text]
-    names.sort(key=_name_order)
+    names.sort(key=lambda row: (NAMES_FIRST.index(row[3]), -row[-1]))
     flat = {kind: [_whole_metres(line) for line in lines] for kind, lines in lines_of.items()}
     return {"shapes": flat, "names": names[:MOST_NAMES]}
 
@@ -57,12 +57,6 @@ def base_of(maps: MetricMaps) -> dict[str, Any]:
 def _whole_metres(line: shapely.LineString) -> list[int]:
     """Return the corners of a line as x, y, x, y ..., rounded to whole metres."""
     return np.round(shapely.get_coordinates(line)).astype(int).ravel().tolist()
-
-
-def _name_order(row: list[Any]) -> tuple[int, int]:
-    """Return what the rows of names are sorted by: kinds as in `NAMES_FIRST`, then the most room first."""
-    *_, kind, _, room_m = row
-    return NAMES_FIRST.index(kind), -room_m
 
 
 def _name_row(shape: shapely.Geometry, text: str, kind: str) -> list[Any]:
@@ -85,4 +79,4 @@ def _name_row(shape: shapely.Geometry, text: str, kind: str) -> list[Any]:
     angle = np.arctan2(last.y - first.y, last.x - first.x)
     angle = np.pi / 2 - (np.pi / 2 - angle) % np.pi  # above -pi / 2, up to pi / 2
     room_m = shapely.length(largest)
-    return [round(middle.x), round(middle.y), text, kind, round(float(angle), 2), round(room_m)]
+    return [round(middle.x), round(middle.y), text, kind, round(angle, 2), round(room_m)]

@@ -1,15 +1,15 @@
 """Pieces of the page that Python writes: lists to choose from, legends, tables and the profile."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 import numpy as np
 import pandas as pd
+from matplotlib.ticker import MaxNLocator
 
 from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.export.write import FORMATS
-from jaxurban.paths.route_report import CLEARANCE, GUESSED
+from jaxurban.paths.route_report import CLEARANCE, GUESSED, short
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR
 
 # Of the profile, in pixels: its size, the borders of its two panels from above, the height of the lower panel's axis,
@@ -23,9 +23,7 @@ MOST_STEPS = 1000  # of a line of the profile
 
 def number(value: float | None) -> str:
     """Return a number as people read it: three digits, whole from 1000 on; a dash for None, inf and NaN."""
-    if value is None or not np.isfinite(value):
-        return "–"
-    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return "–" if value is None or not np.isfinite(value) else short(value)
 
 
 def options(items: Sequence[str], chosen: int = 0) -> str:
@@ -117,7 +115,7 @@ def sentences(texts: Iterable[tuple[str, str]]) -> str:
 def legend(
     label: str,
     colours: np.ndarray,
-    ticks: Iterable[tuple[float, str]],
+    ticks: Sequence[tuple[float, str]],
     patches: Iterable[Sequence[str]],
 ) -> str:
     """Return a legend: a label, below it a bar with ticks, and patches of flat colours.
@@ -129,7 +127,6 @@ def legend(
       patches: each a name and a colour of CSS.
     """
     bar = ",".join(f"rgb({r},{g},{b})" for r, g, b in colours.tolist())
-    ticks = list(ticks)
 
     # Texts stand in the middle below their ticks, but the first and the last one within the bar. (Without ticks these
     # two shifts have no text.)
@@ -161,9 +158,9 @@ def profile(
       no_fix: begin and end of each segment without a fix, metres along the route.
     """
     # Scales: `WIDE` for the whole route (a metre, if it has no length), the upper panel for what is highest.
-    total_m = float(table["to_m"].iloc[-1]) or 1.0
-    flight_m = float(table["z_m"].max())
-    roof_m = float(table["roof_m"].max())
+    total_m = table["to_m"].iloc[-1] or 1.0
+    flight_m = table["z_m"].max()
+    roof_m = table["roof_m"].max()
     per_m = (MIDDLE - TOP) / max(flight_m, roof_m, 1.0)
 
     # Lines go through a begin and an end of each crossing, or of `MOST_STEPS` among them.
@@ -203,10 +200,10 @@ def profile(
 
     # Texts along the route: round distances, and the least clearance, which has a line of its own too.
     places = [(at_m / total_m, BOTTOM + 2, text) for at_m, text in _distances(total_m)]
-    nearest = int(np.argmin(table[CLEARANCE]))
-    least_m = float(table[CLEARANCE].iloc[nearest])
+    nearest = table.iloc[np.argmin(table[CLEARANCE])]
+    least_m = nearest[CLEARANCE]
     if np.isfinite(least_m):
-        share = float(table[["from_m", "to_m"]].iloc[nearest].mean()) / total_m
+        share = nearest[["from_m", "to_m"]].mean() / total_m
         places.append((share, MIDDLE + 1, f"least clearance {number(least_m)} m"))
         metrics += f'<path d="M{WIDE * share:.1f} {TOP}V{MIDDLE + 3}" stroke="#1f2429" stroke-dasharray="2 2"/>'
     # At a third of the way a third of a text lies left of its place, and so on, so that none leaves the drawing.
@@ -248,8 +245,6 @@ def _height_words(flight_m: float, roof_m: float, per_m: float) -> str:
 def _distances(total_m: float) -> list[tuple[float, str]]:
     """Return round distances along a route of ``total_m`` above 0, seven at most, each in metres and as a text."""
     # The least of 1, 2, 5 and 10 times a power of ten that makes six steps or fewer.
-    power = 10.0 ** math.floor(math.log10(total_m / 6))
-    step_m = next(factor * power for factor in (1, 2, 5, 10) if factor * power * 6 >= total_m)
-    distances_m = [k * step_m for k in range(int(total_m / step_m) + 1)]
+    distances_m = MaxNLocator(6, steps=[1, 2, 5, 10]).tick_values(0, total_m)
     unit, unit_m = ("km", 1000) if total_m >= 1000 else ("m", 1)
-    return [(at_m, f"{at_m / unit_m:g} {unit}") for at_m in distances_m]
+    return [(at_m, f"{at_m / unit_m:g} {unit}") for at_m in distances_m if at_m <= total_m]

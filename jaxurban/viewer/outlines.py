@@ -45,8 +45,7 @@ def outlines_of(maps: MetricMaps, standing: Footprints | None) -> bytes:
     building = chosen[of_polygon[of_part]]
 
     # Steps between corners, the first one from 0, 0.
-    corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
-    corners = np.round((shapely.get_coordinates(rings) - corner_m) / STEP_M)
+    corners = np.round((shapely.get_coordinates(rings) - maps.grid.bounds_m[:2]) / STEP_M)
     steps = np.diff(corners, axis=0, prepend=0)
     facts = [shapely.get_num_coordinates(rings), height_m[building], is_guessed[building]]
     return packed(np.concatenate([[len(rings)], *facts, *steps.T]))
@@ -73,8 +72,9 @@ def _from_roofs(maps: MetricMaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     # Polygons around cells of a kind.
     traced = list(shapes(kind, mask=roof_m > 0))  # in cells from the southwest corner
     polygons = np.array([shapely.geometry.shape(shape) for shape, _ in traced], dtype=object)
-    corner_m = np.array([grid.x_min_m, grid.y_min_m])
-    polygons = shapely.transform(polygons, lambda cells: corner_m + grid.resolution_m * cells)
+    polygons = shapely.transform(
+        polygons, lambda cells: grid.bounds_m[:2] + grid.resolution_m * cells
+    )
     polygon_kind = np.array([number for _, number in traced], dtype=int)
 
     # The highest roof of each kind.

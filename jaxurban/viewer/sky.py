@@ -6,7 +6,7 @@ from itertools import cycle
 import numpy as np
 import pandas as pd
 
-from jaxurban.report.figures.sky import EDGE_DEG, MARKS, ROOFS, short_name
+from jaxurban.report.figures.sky import EDGE_DEG, ROOFS, short_name
 from jaxurban.report.figures.style import INK, SERIES_COLOURS
 from jaxurban.satellites.along import SkyAt
 from jaxurban.satellites.rule import HIDDEN, SEEN, UNKNOWN
@@ -20,14 +20,13 @@ DIRECTIONS = {"N": 0, "E": 90, "S": 180, "W": 270}
 def sky_html(sky: SkyAt) -> str:
     """Return the sky at a place and one time as HTML: picture, key, facts, a line for each satellite, and cautions."""
     dops = sky.dops.iloc[0]
-    counts = {state: int((sky.table["state"] == state).sum()) for state in MARKS}
 
     # A colour for each system of satellites, from the first again where there are more systems than colours.
-    systems = list(dict.fromkeys(sky.table["system"]))
+    systems = dict.fromkeys(sky.table["system"])
     colours = dict(zip(systems, cycle(SERIES_COLOURS), strict=False))
 
     facts = {
-        "Satellites": ", ".join(f"{num} {state}" for state, num in counts.items()),
+        "Satellites": sky.facts["satellites"],
         "GDOP, HDOP, VDOP": ", ".join(number(dops[name]) for name in ("gdop", "hdop", "vdop")),
     }
     key = " ".join(f"{dot(colours[name])}{escape(name)}" for name in systems)

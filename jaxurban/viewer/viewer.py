@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from html import escape
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
@@ -295,9 +296,8 @@ class Viewer:
         """Whether the page first shows a difference: there are other maps, of the same altitudes and times."""
         if self.against is None:
             return False
-        maps, others = self.maps, self.against
-        is_same = maps.altitudes_m == others.altitudes_m and maps.times == others.times
-        return is_same and maps.times_of_day == others.times_of_day
+        values = attrgetter("altitudes_m", "times", "times_of_day")
+        return values(self.maps) == values(self.against)
 
     @cached_property
     def axes(self) -> dict[str, tuple]:
@@ -475,7 +475,7 @@ class Viewer:
         rows: list[dict[str, Any]] = []
         if cell.view is not None:
             layer, _ = self._layer(cell.view)
-            value = float(self.values(cell.view)[cell.row, cell.col])
+            value = self.values(cell.view)[cell.row, cell.col]
             words = {"told": "Difference", "classes": [], "unit": unit_of(layer)}
             rows.append({"name": "difference", "value": number_or_none(value), **words})
 
@@ -496,24 +496,18 @@ class Viewer:
     def _value_in(self, layer: DrawnLayer, cell: Cell) -> float:
         """Return a layer's value in a cell, NaN where it has none.
 
-        A layer that the maps do not hold is computed from them for all cells at once.
+        A layer that the maps do not hold is computed from them for all cells at once. Of one that they hold the block
+        of cells around the cell is read and kept.
 
         Raises:
           InputError: a number beyond its list.
         """
-        if self.maps.variable(layer.name) in self.maps.ds:
-            return self._stored_value(layer, cell)
-        value = self.values(View(layer=layer.name, at=cell.at))[cell.row, cell.col]
-        return float(value) if np.isfinite(value) else math.nan
-
-    def _stored_value(self, layer: DrawnLayer, cell: Cell) -> float:
-        """Return the value in a cell of a layer that the maps hold; the block of cells around it is read and kept.
-
-        Raises:
-          InputError: a number beyond its list.
-        """
+        variable = self.maps.variable(layer.name)
+        if variable not in self.maps.ds:
+            value = self.values(View(layer=layer.name, at=cell.at))[cell.row, cell.col]
+            return float(value) if np.isfinite(value) else math.nan
         at = self.place(cell.at, layer.dims)
-        array = self.maps.ds[self.maps.variable(layer.name)]
+        array = self.maps.ds[variable]
         # The row and the column of the southwest corner of the block.
         row = cell.row // BLOCK * BLOCK
         col = cell.col // BLOCK * BLOCK
@@ -630,7 +624,7 @@ class Viewer:
         the list is empty.
         """
         profile = cautious_profile(mission, self.maps)
-        least_m = float(profile[CLEARANCE].min())
+        least_m = profile[CLEARANCE].min()
         if not math.isfinite(least_m):
             return []
         text = f"least clearance {number(least_m)} m"

@@ -172,7 +172,7 @@ def draw_maps(
     # Each panel with its title, and its ticks or the bar below it.
     for number, (spot, panel, bar) in enumerate(zip(axes, panels, bars, strict=True)):
         title = letter(number, len(panels)) + panel.title
-        _draw_panel(spot, panel._replace(title=title, grid=panel.grid or grid), size)
+        _draw_panel(spot, panel._replace(title=title), panel.grid or grid, size)
         if has_ticks:
             is_left = number % size.num_cols == 0
             is_bottom = number + size.num_cols >= len(panels)
@@ -211,15 +211,15 @@ def _size(grid: Grid, num: int, width_in: float, foot_in: float) -> Size:
     return Size(num_rows, num_cols, width_in / num_cols, panel_in, tall, is_beside)
 
 
-def _draw_panel(spot: Axes, panel: MapPanel, size: Size) -> None:
+def _draw_panel(spot: Axes, panel: MapPanel, grid: Grid, size: Size) -> None:
     """Draw a map into its axes: title, foot, layers, scale bar and north, without ticks.
 
     Args:
       spot: the axes.
-      panel: what to draw; its grid must be set.
+      panel: what to draw.
+      grid: of its layers.
       size: of the panels.
     """
-    grid: Any = panel.grid
     spot.set(xticks=[], yticks=[], facecolor=NO_DATA_COLOUR, gid=MAP)
     spot.set_title(wrapped(panel.title, size.cell_in, TEXT_PT), pad=4)
     spot.set_xlabel(wrapped(panel.foot, size.cell_in), loc="left")
@@ -245,8 +245,9 @@ def _add_ticks(spot: Axes, size: Size, is_left: bool, is_bottom: bool) -> None:
     for axis in (spot.xaxis, spot.yaxis):
         axis.set_major_locator(MaxNLocator(num_ticks, steps=[1, 2, 5, 10], min_n_ticks=1))
         axis.set_major_formatter(lambda value, _: f"{value / 1000:.7g}")
-    look: Look = {"labelsize": SMALL_PT, "length": 3, "color": FAINT_INK}
-    spot.tick_params(labelleft=is_left, labelbottom=is_bottom, **look)
+    spot.tick_params(
+        labelleft=is_left, labelbottom=is_bottom, labelsize=SMALL_PT, length=3, color=FAINT_INK
+    )
     if is_left:
         spot.set_ylabel("northing (km)")
     if is_bottom:
@@ -284,7 +285,7 @@ def _add_key(
         None: it stands to the right of all panels.
       cell_in: width of a cell of that grid, inches.
     """
-    handles: list[Artist] = []
+    handles = []
     for entry in legend:
         if isinstance(entry, tuple):
             name, colour = entry
@@ -397,9 +398,18 @@ def _orient(panel: Axes) -> None:
     name = f"{length_m / 1000:g} km" if length_m >= 1000 else f"{length_m:g} m"
 
     thick_m = 0.006 * (high_m - low_m)
-    look: Look = {"label_top": True, "color": INK, "size_vertical": thick_m, "pad": 0.25}
-    scale = AnchoredSizeBar(panel.transData, length_m, name, "lower left", sep=2, **look)
-    letters: Look = {"color": INK, "ha": "center", "linespacing": 0.9}
+    scale = AnchoredSizeBar(
+        panel.transData,
+        length_m,
+        name,
+        "lower left",
+        sep=2,
+        label_top=True,
+        color=INK,
+        size_vertical=thick_m,
+        pad=0.25,
+    )
+    letters = {"color": INK, "ha": "center", "linespacing": 0.9}
     north = AnchoredText(NORTH, "upper right", prop=letters, pad=0.15)
     for mark in (scale, north):
         mark.borderpad = 0.3

@@ -22,7 +22,6 @@ from jaxurban.report.figures.frame import (
     GUESSED_ROOF_COLOUR,
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
-    LegendEntry,
     MapLayer,
     MapPanel,
     availability_threshold,
@@ -147,7 +146,7 @@ def colours_of(
     high = low + span
     if np.issubdtype(variable.dtype, np.integer):
         step = int(high) // 5 or 1
-        ticks = [*range(0, int(high) + 1, step)]
+        ticks = range(0, int(high) + 1, step)
     if scale.stretch == "log":
         return Colours(scale.colour_map, LogNorm(high / 1000, high), label, extend="min")
     if scale.stretch == "sqrt":
@@ -178,7 +177,7 @@ def values_of(
     return maps.m(name, altitude_m, time=time)
 
 
-def free_layer(maps: MetricMaps, name: str, altitude_m: float, time: str | None = None) -> MapLayer:
+def free_layer(maps: MetricMaps, name: str, altitude_m: float, time: str | None) -> MapLayer:
     """Return a layer of a map at one altitude: free cells only, values cut at the upper end of their scale."""
     colours = metric_colours(maps, name)
     values = values_of(maps, name, altitude_m, time).astype(np.float32)
@@ -307,18 +306,15 @@ def _panel(
       time: UTC time of a map that has times, else None.
     """
     layers = [free_layer(maps, name, altitude_m, time), obstacle_layer(maps, altitude_m)]
-    return MapPanel(f"{what}  ·  {_middle_of(maps, name, variable, altitude_m, time)}", layers)
-
-
-def _middle_of(
-    maps: MetricMaps, name: str, variable: Variable, altitude_m: float, time: str | None
-) -> str:
-    """Return the mean of a map over its free cells as a text, with its unit.
-
-    Of two classes it is the share of the second one; of counts, and of values that may be infinite, the median. The
-    arguments are those of `_panel`.
-    """
     values = values_of(maps, name, altitude_m, time)[maps.is_free(altitude_m, "centre")]
+    return MapPanel(f"{what}  ·  {_middle_of(values, variable)}", layers)
+
+
+def _middle_of(values: np.ndarray, variable: Variable) -> str:
+    """Return the mean of a map's values over its free cells as a text, with its unit.
+
+    Of two classes it is the share of the second one; of counts, and of values that may be infinite, the median.
+    """
     unit = "" if variable.unit == "1" else f" {variable.unit}"
     if values.size == 0:
         return "no free cell"
@@ -375,29 +371,39 @@ def percent(share: float) -> str:
     return f"{100 * share:.1f} %" if has_decimal else f"{100 * share:.0f} %"
 
 
-def _class_panel(
+def _class_figure(
     maps: MetricMaps,
-    altitude_m: float,
-    numbers: np.ndarray,
+    numbers_at: Mapping[float, np.ndarray],
     classes: Sequence[tuple[str, str]],
     last: int,
     title: str,
-) -> MapPanel:
-    """Return a panel of the class of each free cell at an altitude, with obstacles over them.
+    heading: str,
+    time: str | None,
+    width: Width,
+) -> Figure:
+    """Return panels of the class of each free cell by altitude, with obstacles over them.
 
     Args:
-      maps: with the altitude.
-      altitude_m: of the panel.
-      numbers: ``[Y, X]`` class of each cell, from 0.
+      maps: with the altitudes.
+      numbers_at: ``[Y, X]`` class of each cell, from 0, by altitude.
       classes: name and colour of each class, in the order of their numbers.
-      last: the title gives the share of free cells whose class is this one or an earlier one; 0 without free cells.
+      last: the titles give the share of free cells whose class is this one or an earlier one; 0 without free cells.
       title: ``{}`` in it stands for that share, and the altitude before it.
+      heading: of the figure; ``by altitude above ground`` follows.
+      time: UTC time of the GPS maps.
+      width: of the figure.
     """
-    is_free = maps.is_free(altitude_m, "centre")
-    share = float((numbers[is_free] <= last).mean()) if is_free.any() else 0.0
-    drawn = classes_layer(np.where(is_free, numbers, -1), [colour for _, colour in classes])
-    title = f"{altitude_m:g} m  ·  {title.format(percent(share))}"
-    return MapPanel(title, [drawn, obstacle_layer(maps, altitude_m)])
+    panels = []
+    for z, numbers in numbers_at.items():
+        is_free = maps.is_free(z, "centre")
+        share = (numbers[is_free] <= last).mean() if is_free.any() else 0.0
+        drawn = classes_layer(np.where(is_free, numbers, -1), [colour for _, colour in classes])
+        text = f"{z:g} m  ·  {title.format(percent(share))}"
+        panels.append(MapPanel(text, [drawn, obstacle_layer(maps, z)]))
+    heading += ", by altitude above ground"
+    note = frame_note(maps, time)
+    legend = [*classes, *obstacle_patches(maps)]
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, width=width)[0]
 
 
 @renamed
@@ -427,15 +433,12 @@ def plot_gps_rating(
         name = f"{item.name.capitalize()}\n(GDOP {dops})"
         classes.append((name, matplotlib.colors.to_hex(colour)))
 
-    panels = []
-    for z in altitudes_of(maps, altitude_m):
-        numbers = np.asarray(rating(maps.m(RATED, z, time=time))).astype(int)
-        panels.append(_class_panel(maps, z, numbers, classes, Rating.GOOD, "{} good or better"))
-    heading = "GPS rating, by altitude above ground"
-    legend = [*classes, *obstacle_patches(maps)]
-    return draw_maps(
-        maps.grid, panels, heading, frame_note(maps, time), legend=legend, width=width
-    )[0]
+    ratings = {
+        z: np.asarray(rating(maps.m(RATED, z, time=time))).astype(int)
+        for z in altitudes_of(maps, altitude_m)
+    }
+    title = "{} good or better"
+    return _class_figure(maps, ratings, classes, Rating.GOOD, title, "GPS rating", time, width)
 
 
 @renamed
@@ -459,15 +462,11 @@ def plot_sensor_choice(
         ("GPS\n($m_\\mathrm{gps}$ > $m_\\mathrm{lidar}$)", METRICS["gps"].colour),
         ("lidar\n(otherwise)", METRICS["lidar"].colour),
     ]
-    panels = []
-    for z in altitudes_of(maps, altitude_m):
-        numbers = np.where(maps.prefers_gps(z, time=time), 0, 1)
-        panels.append(_class_panel(maps, z, numbers, classes, 0, "GPS in {}"))
-    heading = "The better sensor, by altitude above ground"
-    legend = [*classes, *obstacle_patches(maps)]
-    return draw_maps(
-        maps.grid, panels, heading, frame_note(maps, time), legend=legend, width=width
-    )[0]
+    sensors = {
+        z: np.where(maps.prefers_gps(z, time=time), 0, 1) for z in altitudes_of(maps, altitude_m)
+    }
+    heading = "The better sensor"
+    return _class_figure(maps, sensors, classes, 0, "GPS in {}", heading, time, width)
 
 
 def plot_population(maps: MapsLike, *, width: Width = "page") -> Figure:
@@ -531,7 +530,7 @@ def plot_heights(maps: MapsLike, *, width: Width = "page") -> Figure:
     """
     maps = as_maps(maps)
     no_data = obstacle_patches(maps)[1:]  # these pictures show no obstacles
-    legend: list[LegendEntry] = [("no building", EMPTY_COLOUR), *no_data]
+    legend = [("no building", EMPTY_COLOUR), *no_data]
     roof_m = maps.m("roof")
     _, highest_m = ends_of(roof_m)
     panels = [MapPanel(f"roofs above ground, up to {highest_m:.0f} m", roof_layers(maps))]

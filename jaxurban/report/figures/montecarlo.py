@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, PercentFormatter
+from matplotlib.ticker import MaxNLocator
 
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.report.figures.frame import symbol_of
@@ -18,13 +18,13 @@ from jaxurban.report.figures.style import (
     FAINT_INK,
     Colours,
     add_colour_bar,
-    legend_below,
     letter_all,
     panels,
+    show_shares,
     step_up,
     styled,
 )
-from jaxurban.report.write import Figures, Look, listed
+from jaxurban.report.write import Figures, listed
 from jaxurban.studies.montecarlo.analysis import range_names, weighted_rows
 
 SHARES = Colours(
@@ -73,10 +73,9 @@ def plot_success(success: pd.DataFrame) -> Figure:
     width = BARS_SHARE / len(colours)  # of a bar
     for panel, rank, planner, rows in _curves(success, axes, colours):
         share = rows.set_index("range").share_joined.reindex(ranges)
-        look: Look = {"color": colours[planner], "label": planner}
-        panel.bar(x + rank * width, share, width, **look)
+        panel.bar(x + rank * width, share, width, color=colours[planner], label=planner)
         panel.set_xticks(x + (BARS_SHARE - width) / 2, ranges)  # below the middle of the bars
-    _show_shares(figure, axes, "joined pairs solved (%)")
+    show_shares(figure, axes, "joined pairs solved (%)", (0.0, 1.04))
     return figure
 
 
@@ -93,34 +92,24 @@ def plot_costs(table: pd.DataFrame) -> Figure:
     colours = planner_colours(sorted(table.planner.unique()))
     heading = "Share of pairs solved at so many times the cheapest cost known"
     figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True)
-    end = float(np.clip(table.ratio.quantile(0.98), *RATIO_AXIS))
+    end = np.clip(table.ratio.quantile(0.98), *RATIO_AXIS)
     for panel, rank, planner, rows in _curves(table, axes, colours):
         # Curves are drawn side by side around their place, so that all are seen where they coincide.
         lane = (len(colours) - 1) / 2 - rank
-        look: Look = {"color": colours[planner], "label": planner}
-        look |= {"path_effects": [Beside(lane * CURVES_APART_PT)], "linewidth": 1.4}
-        step_up(panel, rows.ratio.to_numpy(), end, **look)
+        step_up(
+            panel,
+            rows.ratio.to_numpy(),
+            end,
+            color=colours[planner],
+            label=planner,
+            path_effects=[Beside(lane * CURVES_APART_PT)],
+            linewidth=1.4,
+        )
         left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1
         panel.set(xlim=(left, end), xlabel="cost / cheapest known")
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
-    _show_shares(figure, axes, "joined pairs solved at that ratio (%)", lowest=-0.04)
+    show_shares(figure, axes, "joined pairs solved at that ratio (%)", (-0.04, 1.04))
     return figure
-
-
-def _show_shares(figure: Figure, axes: Sequence[Axes], label: str, lowest: float = 0.0) -> None:
-    """Give panels of one vertical scale its label, percent and letters, and the figure a legend.
-
-    Args:
-      figure: that holds the panels.
-      axes: the panels, whose values are shares from 0 to 1.
-      label: of the vertical axis.
-      lowest: where the scale begins; below 0, curves at 0 are seen whole.
-    """
-    letter_all(axes, label)
-    axes[0].set_ylim(lowest, 1.04)
-    for panel in axes:
-        panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
-    legend_below(figure, axes[0])
 
 
 @styled
@@ -147,9 +136,9 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
         is_free = maps.is_free(row.altitude_m, "centre")
         x, y = (maps.m(name, row.altitude_m)[is_free] for name in names)
         share_of_a_cell = np.full(len(x), 1 / max(len(x), 1))
-        look: Look = {"cmap": SHARES.cmap, "norm": SHARES.norm}
-        look["cmin"] = 1e-12
-        panel.hist2d(x, y, bins, weights=share_of_a_cell, **look)
+        panel.hist2d(
+            x, y, bins, weights=share_of_a_cell, cmap=SHARES.cmap, norm=SHARES.norm, cmin=1e-12
+        )
         panel.plot([0, 1], [0, 1], "--", color=FAINT_INK, linewidth=0.8)
         panel.grid(visible=False)
         title = f"{row.altitude_m:g} m"

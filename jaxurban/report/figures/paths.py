@@ -27,7 +27,6 @@ from jaxurban.metrics.variables import AUXILIARY_VARIABLES
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.frame import (
     ENDS,
-    LegendEntry,
     MapLayer,
     MapPanel,
     draw_maps,
@@ -60,7 +59,7 @@ from jaxurban.report.figures.metrics import (
     roof_layers,
 )
 from jaxurban.report.figures.style import Colours, Width
-from jaxurban.report.write import Figures, Look, save
+from jaxurban.report.write import Figures, save
 
 # A family of planners has a hue, its members a dark and a light tone: the colour-blind see both.
 PLANNER_COLOURS = {
@@ -186,13 +185,17 @@ def plot_paths(
     colours = planner_colours(each.name for each in named)
     paths_at = [[each.path for each in shown] for shown in named_at.values()]
     entries = path_entries({each.name: colours[each.name] for each in drawn}, *paths_at)
-    legend: list[LegendEntry] = [*obstacle_patches(maps, BLOCKED_COLOUR), *entries]
-
     figure, axes = draw_maps(
-        maps.grid, panels, heading, note, legend=legend, colours=COST_COLOURS, width=width
+        maps.grid,
+        panels,
+        heading,
+        note,
+        legend=[*obstacle_patches(maps, BLOCKED_COLOUR), *entries],
+        colours=COST_COLOURS,
+        width=width,
     )
-    for panel, shown in zip(axes, named_at.values(), strict=True):
-        draw_paths(panel, [each.path for each in shown], [colours[each.name] for each in shown])
+    for panel, shown, here in zip(axes, named_at.values(), paths_at, strict=True):
+        draw_paths(panel, here, [colours[each.name] for each in shown])
     return figure
 
 
@@ -280,9 +283,14 @@ def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]
         if path.status.has_path:
             offset_pt = next(lanes) * APART_PT
             edge = Beside(offset_pt, LINE_PT + 2 * EDGE_PT, "white")
-            look: Look = {"path_effects": [edge, Beside(offset_pt)]}
-            look |= {"color": colour, "linewidth": LINE_PT, "solid_joinstyle": "round"}
-            panel.plot(*path.xy_m.T, zorder=4, **look)
+            panel.plot(
+                *path.xy_m.T,
+                zorder=4,
+                path_effects=[edge, Beside(offset_pt)],
+                color=colour,
+                linewidth=LINE_PT,
+                solid_joinstyle="round",
+            )
     draw_ends(panel, paths)
 
 
@@ -443,8 +451,7 @@ def plot_overview(
     if z is None:
         z = min((path.altitude_m for path in planned), default=maps.altitudes_m[0])
     place = _places_at(maps, z, planned)[0]
-    time = place.time
-    time_of_day = place.time_of_day
+    _, time, time_of_day = place
     named = [each for each in named if each.place == place and each.path.status.has_path]
     drawn = [each.path for each in named]
 
@@ -465,18 +472,26 @@ def plot_overview(
 
     # The cost. It is the last layer of its panel, which has the colour bar, as obstacles have none of their own.
     what = " and paths" if drawn else ""
-    cost, obstacles = cost_layers(maps, z, time, time_of_day)
+    cost, obstacles = cost_layers(maps, *place)
     panels.append(MapPanel(joined(f"Cost{what}", time_of_day), [obstacles, cost]))
 
-    # Legend, note and heading of the picture, and the paths over the last panel.
+    # Note, heading and legend of the picture, and the paths over the last panel.
     colours = planner_colours(each.name for each in named)
-    legend: list[LegendEntry] = [(",\n".join(blank), EMPTY_COLOUR)]
-    legend += [*obstacle_patches(maps, BLOCKED_COLOUR), *path_entries(colours, drawn)]
     rules = rules_said(*(path.settings for path in drawn))
     note = joined(frame_note(maps, time), rules, by="\n")
     heading = joined(f"Metric maps{what}, {z:g} m above ground", time_of_day, by=", ")
     figure, axes = draw_maps(
-        maps.grid, panels, heading, note, legend=legend, has_ticks=False, width=width
+        maps.grid,
+        panels,
+        heading,
+        note,
+        legend=[
+            (",\n".join(blank), EMPTY_COLOUR),
+            *obstacle_patches(maps, BLOCKED_COLOUR),
+            *path_entries(colours, drawn),
+        ],
+        has_ticks=False,
+        width=width,
     )
     draw_paths(axes[-1], drawn, [colours[each.name] for each in named])
     return figure

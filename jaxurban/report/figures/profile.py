@@ -29,7 +29,7 @@ from jaxurban.report.figures.style import (
     show_plain,
     styled,
 )
-from jaxurban.report.write import PICTURES, Look, save
+from jaxurban.report.write import PICTURES, save
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#c51b8a", "#1a1a1a", "#ffd9d4"
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
@@ -76,7 +76,7 @@ def plot_profile(
     summary = joined(*facts, day, cost, by=", ")
 
     # The panels: heights, the metrics of which 1 is the best or the worst, one panel each, and the clearance.
-    meanings = list(dict.fromkeys(metric.one_is for metric in maps.metrics.values()))
+    meanings = dict.fromkeys(metric.one_is for metric in maps.metrics.values())
     height_in = HEIGHT_IN + SECOND_IN * (len(meanings) - 1)
     note = frame_note(maps, planned.settings["time"])
     figure = chart(height_in, f"Route profile: {summary}", note, width)
@@ -89,8 +89,14 @@ def plot_profile(
     for meaning, panel in zip(meanings, of_metrics, strict=True):
         for name, metric in maps.metrics.items():
             if metric.one_is == meaning:
-                look: Look = {"color": metric.colour, "label": metric.label}
-                panel.stairs(profile[name], edges_km, baseline=None, linewidth=1.3, **look)
+                panel.stairs(
+                    profile[name],
+                    edges_km,
+                    baseline=None,
+                    linewidth=1.3,
+                    color=metric.colour,
+                    label=metric.label,
+                )
         panel.set(ylim=(-0.03, 1.03), ylabel=f"metric m\n(1 is {meaning})")
     _draw_clearance(clearance, profile, edges_km)
     clearance.set_xlabel("distance flown (km)")
@@ -100,11 +106,17 @@ def plot_profile(
     # lines at the ends of segments.
     for place, panel in enumerate(axes):
         panel.set_ylabel(letter(place, len(axes)) + panel.get_ylabel())
-        look = {"color": NO_FIX_COLOUR, "linewidth": NO_FIX_PT, "zorder": 0}
         for number, (from_m, to_m) in enumerate(without_fix(profile)):
             is_named = place == 1 and number == 0
             label = "no fix" if is_named else "_"
-            panel.axvspan(from_m / 1000, to_m / 1000, label=label, **look)
+            panel.axvspan(
+                from_m / 1000,
+                to_m / 1000,
+                label=label,
+                color=NO_FIX_COLOUR,
+                linewidth=NO_FIX_PT,
+                zorder=0,
+            )
         for cut_m in report.segments["from_m"].iloc[1:]:
             panel.axvline(cut_m / 1000, color=FAINT_INK, linewidth=0.4, linestyle=":", zorder=0)
         dress(panel)
@@ -164,11 +176,17 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
         return
 
     drawn_m = profile[CLEARANCE].where(is_known)
-    look: Look = {"color": CLEARANCE_COLOUR, "label": "distance to obstacles"}
-    panel.stairs(drawn_m, edges_km, baseline=None, linewidth=1.3, **look)
+    panel.stairs(
+        drawn_m,
+        edges_km,
+        baseline=None,
+        linewidth=1.3,
+        color=CLEARANCE_COLOUR,
+        label="distance to obstacles",
+    )
 
     # A mark in the middle of the cell with the least distance.
-    place = int(np.argmin(profile[CLEARANCE]))
+    place = np.argmin(profile[CLEARANCE])
     nearest_m = profile[CLEARANCE].iloc[place]
     at_km = edges_km[place : place + 2].mean()
     label = f"least: {nearest_m:.3g} m"

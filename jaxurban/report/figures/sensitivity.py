@@ -11,7 +11,6 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from jaxurban.report.figures.frame import (
     ENDS,
-    LegendEntry,
     MapPanel,
     draw_maps,
     frame_note,
@@ -66,13 +65,26 @@ def plot_breakpoints(result: Sensitivity) -> Figure:
         evenly = (np.geomspace(low, high, 400) - low) / (high - low)
         shares = np.sort(np.append(evenly, line.breakpoints))
         costs = line.cost_at(np.stack([1 - shares, shares], axis=-1))
-        look: Look = {"markersize": 4, "markeredgewidth": 0, "linewidth": 1.1}
-        look["markevery"] = np.isin(shares, line.breakpoints)
-        panel.plot(low + shares * (high - low), costs, "o-", color=line_colour(name), **look)
+        panel.plot(
+            low + shares * (high - low),
+            costs,
+            "o-",
+            color=line_colour(name),
+            markersize=4,
+            markeredgewidth=0,
+            linewidth=1.1,
+            markevery=np.isin(shares, line.breakpoints),
+        )
 
         # The given weight, the axes and the title.
-        look = {"linestyle": (0, (3, 2)), "zorder": 1, "label": "given weight"}
-        panel.axvline(result.weights[column], color=INK, linewidth=0.9, **look)
+        panel.axvline(
+            result.weights[column],
+            color=INK,
+            linewidth=0.9,
+            linestyle=(0, (3, 2)),
+            zorder=1,
+            label="given weight",
+        )
 
         panel.set_xscale("log")
         panel.xaxis.set_major_locator(LogLocator(numticks=6))
@@ -115,13 +127,17 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     heading = joined(heading, settings["time_of_day"], by=", ")
     facts = joined(f"{z:g} m above ground", "grey: normalised cost, black: lowest")
     note = "\n".join([facts, frame_note(result.maps, settings["time"]), rules_said(settings)])
-    legend: list[LegendEntry] = [
-        *obstacle_patches(result.maps, BLOCKED_COLOUR),
-        ("given weights\n(dashed)", ON_ROUTES_COLOUR),
-        *ENDS,
-    ]
     figure, axes = draw_maps(
-        result.maps.grid, panels_of, heading, note, legend=legend, colours=colours
+        result.maps.grid,
+        panels_of,
+        heading,
+        note,
+        legend=[
+            *obstacle_patches(result.maps, BLOCKED_COLOUR),
+            ("given weights\n(dashed)", ON_ROUTES_COLOUR),
+            *ENDS,
+        ],
+        colours=colours,
     )
 
     for panel, name in zip(axes, result.lines, strict=True):
@@ -132,14 +148,25 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
         given_weight = result.weights[result.names.index(name)]
         middle = np.sqrt(table["from"] * table["to"]) / given_weight
         widths = np.linspace(3.2, 1.4, len(table))
-        look: Look = {"colors": colours(middle), "linewidths": widths, "zorder": 4}
-        routes = LineCollection(result.line_routes[name], capstyle="round", **look)
+        routes = LineCollection(
+            result.line_routes[name],
+            capstyle="round",
+            colors=colours(middle),
+            linewidths=widths,
+            zorder=4,
+        )
         panel.add_collection(routes)
 
         # The route under the given weights, white with a dark edge, so that it is seen over all colours.
         edge = [Stroke(linewidth=2.4, foreground=INK), Normal()]
-        look = {"linewidth": 1.2, "linestyle": (0, (3, 2)), "path_effects": edge, "zorder": 6}
-        panel.plot(*result.route.xy_m.T, color=ON_ROUTES_COLOUR, **look)
+        panel.plot(
+            *result.route.xy_m.T,
+            color=ON_ROUTES_COLOUR,
+            linewidth=1.2,
+            linestyle=(0, (3, 2)),
+            path_effects=edge,
+            zorder=6,
+        )
     return figure
 
 

@@ -18,9 +18,9 @@ from jaxurban.report.figures.style import (
     SERIES_COLOURS,
     dots,
     legend_below,
-    letter_all,
     panels,
     show_plain_log,
+    show_shares,
     step_up,
     styled,
 )
@@ -58,12 +58,18 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
     figure, (panel,) = panels(1, heading, height_in=2.5)
     for number, city in enumerate(cities):
         rows = by_city[by_city.value == city].set_index("weight_name").reindex(weights)
-        look = {"color": SERIES_COLOURS[number % len(SERIES_COLOURS)], "label": city}
-        look["marker"] = MARKERS[number % len(MARKERS)]
 
         # Dots of several cities stand side by side around the place of the weight.
         x = np.arange(len(weights)) + (number - (len(cities) - 1) / 2) * DOT_GAP
-        dots(panel, x, rows, "regret", look)
+        dots(
+            panel,
+            x,
+            rows,
+            "regret",
+            color=SERIES_COLOURS[number % len(SERIES_COLOURS)],
+            label=city,
+            marker=MARKERS[number % len(MARKERS)],
+        )
     panel.set_xticks(range(len(weights)), weights)
     panel.set(xlim=(-0.6, len(weights) - 0.4), ylabel="regret (% of the cost)")
     panel.set_ylim(bottom=0)
@@ -97,8 +103,7 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
         at_altitude = varied[varied.altitude_m == altitude_m]
         for name, rows in at_altitude.groupby("weight_name", sort=False):
             colour = line_colour(str(name))
-            look = {"label": name, "linewidth": 1.3}
-            step_up(panel, rows.nearest.to_numpy(), end, color=colour, **look)
+            step_up(panel, rows.nearest.to_numpy(), end, color=colour, label=name, linewidth=1.3)
 
             # Intervals of the share at these factors. Each weight has a lane of its own, to the left or to the right of
             # the middle, so that bars of different weights stand side by side.
@@ -110,10 +115,8 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
             panel.vlines(factors, *ends, color=colour, linewidth=2.2, alpha=0.75)
 
         panel.axvline(wrong, color=FAINT_INK, linewidth=0.8, linestyle=(0, (3, 2)))
-        panel.set(xscale="log", xlim=(1, end), ylim=(0, 1.02), title=f"{altitude_m:g} m")
+        panel.set(xscale="log", xlim=(1, end), title=f"{altitude_m:g} m")
         panel.set_xlabel("factor by which the weight is off")
         show_plain_log(panel.xaxis)
-        panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
-    letter_all(axes, "routes that change (%)")
-    legend_below(figure, axes[0])
+    show_shares(figure, axes, "routes that change (%)", (0, 1.02))
     return figure

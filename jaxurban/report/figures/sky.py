@@ -22,7 +22,6 @@ from jaxurban.report.figures.style import (
     legend_columns,
     styled,
 )
-from jaxurban.report.write import Look
 from jaxurban.satellites.along import SkyAt
 from jaxurban.satellites.rule import HIDDEN, SEEN, UNKNOWN
 
@@ -74,9 +73,13 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
         rows = now[(now["system"] == system) & (now["state"] == state)]
         if rows.empty:
             continue
-        look = {"edgecolors": INK, "s": 55, "zorder": 5}
-        look["marker"] = MARKERS[number % len(MARKERS)]
-        look["facecolors"] = SERIES_COLOURS[number % len(SERIES_COLOURS)]
+        look = {
+            "edgecolors": INK,
+            "s": 55,
+            "zorder": 5,
+            "marker": MARKERS[number % len(MARKERS)],
+            "facecolors": SERIES_COLOURS[number % len(SERIES_COLOURS)],
+        }
         label = f"{system.upper()}, {state}{MARKS[state]}"
         panel.scatter(*sky_places(rows).T, label=label, **(look | state_look))
     labels = panel.get_legend_handles_labels()[1]
@@ -121,6 +124,14 @@ def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
     panel.fill_between(around, roof_edge, 90, color=ROOFS, label="buildings")
     is_missing = np.isnan(roof_edge)
     if is_missing.any():
-        look: Look = {"facecolor": "white", "edgecolor": ROOFS, "hatch": "////"}
-        look |= {"linewidth": 0.0, "label": "horizon not known"}
-        panel.fill_between(around, 90 - EDGE_DEG, 90, is_missing, **look)
+        panel.fill_between(
+            around,
+            90 - EDGE_DEG,
+            90,
+            is_missing,
+            facecolor="white",
+            edgecolor=ROOFS,
+            hatch="////",
+            linewidth=0.0,
+            label="horizon not known",
+        )

@@ -4,7 +4,7 @@ import math
 import re
 import string
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -20,7 +20,13 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import (
+    FuncFormatter,
+    LogLocator,
+    MaxNLocator,
+    NullFormatter,
+    PercentFormatter,
+)
 from matplotlib.transforms import Bbox
 
 from jaxurban.errors import InputError
@@ -222,9 +228,16 @@ def legend_above(panel: Axes, lift: float = 0.0) -> None:
     """
     handles, names = panel.get_legend_handles_labels()
     figure: Any = panel.figure
-    look: Look = {"borderaxespad": 0.3, "columnspacing": 1.2}
-    look["ncols"] = legend_columns(names, figure.get_figwidth())
-    panel.legend(handles, names, loc="lower left", bbox_to_anchor=(0, 1 + lift), **look)
+    num_cols = legend_columns(names, figure.get_figwidth())
+    panel.legend(
+        handles,
+        names,
+        loc="lower left",
+        bbox_to_anchor=(0, 1 + lift),
+        borderaxespad=0.3,
+        columnspacing=1.2,
+        ncols=num_cols,
+    )
 
 
 def legend_below(figure: Figure, panel: Axes) -> None:
@@ -235,6 +248,24 @@ def legend_below(figure: Figure, panel: Axes) -> None:
     for handle in legend.legend_handles:  # a line that is drawn beside its place stands at it here
         if isinstance(handle, Artist):
             handle.set_path_effects([])
+
+
+def show_shares(
+    figure: Figure, axes: Sequence[Axes], label: str, ends: tuple[float, float]
+) -> None:
+    """Give panels of one vertical scale its label, percent and letters, and the figure a legend.
+
+    Args:
+      figure: that holds the panels.
+      axes: the panels, whose values are shares from 0 to 1.
+      label: of the vertical axis.
+      ends: of the scale; where it begins below 0, curves at 0 are seen whole.
+    """
+    letter_all(axes, label)
+    axes[0].set_ylim(ends)
+    for panel in axes:
+        panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
+    legend_below(figure, axes[0])
 
 
 def label_apart(panel: Axes, names: Iterable[str], marks: np.ndarray, **look: Any) -> None:
@@ -290,9 +321,7 @@ def step_up(panel: Axes, values: np.ndarray, end: float, **look: Any) -> None:
     panel.step([1.0, *reached, end], [*share, share[-1]], where="post", **look)
 
 
-def dots(
-    panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, look: Mapping[str, Any]
-) -> None:
+def dots(panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, **look: Any) -> None:
     """Draw a statistic of a table's rows as dots with their intervals as bars; dots without an interval are hollow.
 
     Args:
@@ -303,18 +332,25 @@ def dots(
       look: of the dots, as Matplotlib's keywords: a ``color``, and maybe a ``label`` for the legend.
     """
     # How far each bar reaches below and above its dot; NaN, which is drawn as 0, without an interval.
-    values = rows[name].to_numpy(np.float64)
-    below = values - rows[f"{name}_low"].to_numpy(np.float64)
-    above = rows[f"{name}_high"].to_numpy(np.float64) - values
-    bars = np.nan_to_num([below, above]).clip(min=0)
+    columns = [name, f"{name}_low", f"{name}_high"]
+    values, low, high = rows[columns].to_numpy(np.float64).T
+    below = values - low
+    bars = np.nan_to_num([below, high - values]).clip(min=0)
     has_bar = np.isfinite(below)
 
     # Dots with a bar, filled, and known values without one, hollow.
     label = look.get("label")
     for is_drawn, face in ((has_bar, look["color"]), (~has_bar & np.isfinite(values), "white")):
         if is_drawn.any():
-            look_here = {**DOT, **look, "label": label, "markerfacecolor": face}
-            panel.errorbar(x[is_drawn], values[is_drawn], yerr=bars[:, is_drawn], **look_here)
+            look["label"] = label
+            panel.errorbar(
+                x[is_drawn],
+                values[is_drawn],
+                yerr=bars[:, is_drawn],
+                markerfacecolor=face,
+                **DOT,
+                **look,
+            )
             label = None  # the legend names a series once
 
 

@@ -10,7 +10,6 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.finish import map_settings
 from jaxurban.report.figures.frame import (
     ENDS,
-    LegendEntry,
     MapLayer,
     MapPanel,
     draw_maps,
@@ -41,8 +40,14 @@ def plot_weights(fit: WeightFit) -> Figure:
     table = table.where(table.weight > 0)
     figure, (panel,) = panels(1, "Fitted weights and their intervals", height_in=2.5)
     for place, name in enumerate(table.index):
-        look = {"color": line_colour(name), "marker": "o"}
-        dots(panel, np.array([place]), table.loc[[name]], "weight", look)
+        dots(
+            panel,
+            np.array([place]),
+            table.loc[[name]],
+            "weight",
+            color=line_colour(name),
+            marker="o",
+        )
     panel.set_xticks(range(len(table)), table.index)
     panel.set(yscale="log", xlim=(-0.6, len(table) - 0.4), ylabel="weight (each in its unit)")
     show_plain_log(panel.yaxis)
@@ -84,16 +89,22 @@ def plot_routes(
     closed = flat_layer(~cost_map.is_free & maps.ds["has_data"].values, BLOCKED_COLOUR)
     shown = MapLayer(np.where(cost_map.is_free, cost, np.nan), colours)
     panels_of = [MapPanel(title, [shown, closed])]
-    legend: list[LegendEntry] = [
-        (given, DEMONSTRATION_COLOUR),
-        ("fitted weights", PLANNED_COLOUR),
-        ("closed to paths", BLOCKED_COLOUR),
-        *obstacle_patches(maps)[1:],
-        *ENDS,
-        BESIDE,
-    ]
     heading = f"{given.capitalize()}s and routes under the fitted weights"
-    figure, (panel,) = draw_maps(grid, panels_of, heading, note, legend=legend, colours=colours)
+    figure, (panel,) = draw_maps(
+        grid,
+        panels_of,
+        heading,
+        note,
+        legend=[
+            (given, DEMONSTRATION_COLOUR),
+            ("fitted weights", PLANNED_COLOUR),
+            ("closed to paths", BLOCKED_COLOUR),
+            *obstacle_patches(maps)[1:],
+            *ENDS,
+            BESIDE,
+        ],
+        colours=colours,
+    )
 
     # A demonstration and the route between its ends, side by side where both coincide. Their points are in metres from
     # the southwest corner of the map.

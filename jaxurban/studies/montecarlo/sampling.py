@@ -229,7 +229,10 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
                     xy_m = grid.xy_of_lonlat(*xy_m)
                 x_m, y_m = map(float, xy_m)
                 row |= _end_facts(grid, end, x_m, y_m)
-                row[f"{end}_stratum"] = _stratum_at(strata, grid, x_m, y_m)
+                stratum = NO_STRATUM
+                if grid.contains_xy(x_m, y_m):
+                    stratum = int(strata[grid.cell_of_xy(x_m, y_m)])
+                row[f"{end}_stratum"] = None if stratum == NO_STRATUM else STRATA[stratum]
         except InputError as error:
             raise InputError(f"query {number + 1}: {error}") from error
 
@@ -237,7 +240,9 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
         distance_m = np.hypot(
             row["goal_x_m"] - row["start_x_m"], row["goal_y_m"] - row["start_y_m"]
         )
-        row["range"] = _range_of(distance_m / _diagonal_m(grid))
+        share = distance_m / _diagonal_m(grid)
+        ranges = [name for name, (low, high) in RANGES.items() if low <= share < high]
+        row["range"] = next(iter(ranges), None)
         row["time"] = maps.default_time
         if query.time is not None and maps.default_time is not None:
             row["time"] = iso_utc(query.time)
@@ -261,20 +266,6 @@ def _end_facts(grid: Grid, end: str, x_m: float, y_m: float) -> dict[str, object
         f"{end}_lon": float(lon),
         f"{end}_lat": float(lat),
     }
-
-
-def _stratum_at(strata: np.ndarray, grid: Grid, x_m: float, y_m: float) -> str | None:
-    """Return the name of the stratum at a place, from all cells' strata ``[Y, X]``; None outside or without data."""
-    stratum = NO_STRATUM
-    if grid.contains_xy(x_m, y_m):
-        stratum = int(strata[grid.cell_of_xy(x_m, y_m)])
-    return None if stratum == NO_STRATUM else STRATA[stratum]
-
-
-def _range_of(share: float) -> str | None:
-    """Return the name of the range that a share of the region's diagonal lies in; None outside all ranges."""
-    names = [name for name, (low, high) in RANGES.items() if low <= share < high]
-    return next(iter(names), None)
 
 
 def _diagonal_m(grid: Grid) -> float:
@@ -315,17 +306,6 @@ class _Places:
                 "the constraints"
             )
 
-    def _next_kind(self) -> tuple[int, int, str]:
-        """Return the next kind: stratum of the start and of the goal, by number, and range, by name.
-
-        The kinds are shuffled again each time all of them were drawn.
-        """
-        # How many times all kinds were dealt before, and the place of this one in its shuffled order.
-        turn, place = divmod(self.num_dealt, len(self.kinds))
-        self.num_dealt += 1
-        order = np.random.default_rng([self.seed, 0, turn]).permutation(len(self.kinds))
-        return self.kinds[order[place]]
-
     def draw(self, rng: np.random.Generator) -> dict[str, object]:
         """Return the columns of a pair of places of the next kind that the maps offer: ends, distance, strata, range.
 
@@ -333,49 +313,34 @@ class _Places:
           InputError: no kind offers a pair.
         """
         for _ in self.kinds:
-            start_stratum, goal_stratum, name = self._next_kind()
-            pair = self._pair(start_stratum, goal_stratum, RANGES[name], rng)
-            if pair is not None:
-                return {
-                    **pair,
-                    "start_stratum": STRATA[start_stratum],
-                    "goal_stratum": STRATA[goal_stratum],
-                    "range": name,
-                }
+            # The next kind: they are shuffled again each time all of them were drawn.
+            turn, place = divmod(self.num_dealt, len(self.kinds))
+            self.num_dealt += 1
+            order = np.random.default_rng([self.seed, 0, turn]).permutation(len(self.kinds))
+            start_stratum, goal_stratum, name = self.kinds[order[place]]
+            low_m, high_m = np.multiply(RANGES[name], _diagonal_m(self.grid))
+
+            # Each try draws one start and many goals, and takes the first goal that is as far away as is wanted. Cells
+            # are flat numbers: row times the number of columns, plus column.
+            for _ in range(NUM_TRIES):
+                row, col = np.divmod(rng.choice(self.cells[start_stratum]), self.grid.num_cols)
+                goals = rng.choice(self.cells[goal_stratum], NUM_GOALS)
+                rows, cols = np.divmod(goals, self.grid.num_cols)
+                away_m = np.hypot(rows - row, cols - col) * self.grid.resolution_m
+                fits = np.flatnonzero((away_m >= low_m) & (away_m < high_m))
+                if len(fits):
+                    first = fits[0]
+                    goal = rows[first], cols[first]
+                    ends = self._end("start", (row, col)) | self._end("goal", goal)
+                    return ends | {
+                        "distance_m": float(away_m[first]),
+                        "start_stratum": STRATA[start_stratum],
+                        "goal_stratum": STRATA[goal_stratum],
+                        "range": name,
+                    }
         raise InputError(
             "no two free cells of these maps lie far enough apart for a benchmark: use a larger region"
         )
-
-    def _pair(
-        self,
-        start_stratum: int,
-        goal_stratum: int,
-        range_shares: tuple[float, float],
-        rng: np.random.Generator,
-    ) -> dict[str, object] | None:
-        """Return the columns of the ends and the distance of a pair of places; None where no try finds one.
-
-        Each try draws one start and many goals, and takes the first goal that is as far away as is wanted.
-
-        Args:
-          start_stratum, goal_stratum: by number in `STRATA`.
-          range_shares: the least distance, and the one that it must stay below, as shares of the region's diagonal.
-          rng: draws the cells.
-        """
-        low_m, high_m = np.multiply(range_shares, _diagonal_m(self.grid))
-        for _ in range(NUM_TRIES):
-            # Cells are flat numbers: row times the number of columns, plus column.
-            row, col = np.divmod(rng.choice(self.cells[start_stratum]), self.grid.num_cols)
-            goals = rng.choice(self.cells[goal_stratum], NUM_GOALS)
-            rows, cols = np.divmod(goals, self.grid.num_cols)
-            away_m = np.hypot(rows - row, cols - col) * self.grid.resolution_m
-            fits = np.flatnonzero((away_m >= low_m) & (away_m < high_m))
-            if len(fits):
-                first = fits[0]
-                goal = rows[first], cols[first]
-                ends = self._end("start", (row, col)) | self._end("goal", goal)
-                return ends | {"distance_m": float(away_m[first])}
-        return None
 
     def _end(self, end: str, cell: tuple[int, int]) -> dict[str, object]:
         return _end_facts(self.grid, end, *map(float, self.grid.xy_of_cell(*cell)))
@@ -529,7 +494,10 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
         elif column == "instance":
             is_valid = (values >= 0) & (values <= MOST_NUMBER) & (values == np.floor(values))
             kind = "a whole number >= 0"
-        _check_all(is_valid, table[column], kind, name)
+        if not is_valid.all():
+            row = int(np.argmin(is_valid))
+            value = table[column].tolist()[row]  # a list's numbers are Python's
+            raise InputError(f"{name}, row {row + 1}: {column} must be {kind}, got {value!r}")
         table[column] = values.astype(np.int64) if column == "instance" else values
 
     # No instance twice at one altitude.
@@ -595,19 +563,3 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
                 f"the instances have a weight of {name}, of which these maps hold no layer: set {WEIGHT_PREFIX}{name} "
                 "to 0, or use maps with the layer"
             )
-
-
-def _check_all(is_valid: np.ndarray, column: pd.Series, kind: str, name: str) -> None:
-    """Raise InputError for the first invalid value of a column, if there is any.
-
-    Args:
-      is_valid: ``[N]`` bool.
-      column: ``[N]`` the values.
-      kind: what a valid value is, for the message.
-      name: of the table, for the message.
-    """
-    if not is_valid.all():
-        row = int(np.argmin(is_valid))
-        value = column.iloc[row]
-        plain = value.item() if isinstance(value, np.generic) else value
-        raise InputError(f"{name}, row {row + 1}: {column.name} must be {kind}, got {plain!r}")

@@ -166,7 +166,8 @@ class SatelliteAgreement(FactsRepr):
             )
 
         # A best fit that may lie beyond the search, and satellites of which the log says too little.
-        if self._is_at_edge:
+        away_m = np.hypot(self.peak["east_m"], self.peak["north_m"])
+        if away_m > AROUND_M - STEP_M or self.peak["scale"] in (SCALES[0], SCALES[-1]):
             sentences.append(
                 "The city fits best at the edge of the search (40 m, heights times 0.8 or 1.2): see whether places, "
                 "heights and the CRS are right."
@@ -175,11 +176,6 @@ class SatelliteAgreement(FactsRepr):
             f"{name} is left out: {reason}." for name, reason in counts["left_out"].items()
         ]
         return [Caution(sentence) for sentence in sentences]
-
-    @property
-    def _is_at_edge(self) -> bool:
-        away_m = np.hypot(self.peak["east_m"], self.peak["north_m"])
-        return bool(away_m > AROUND_M - STEP_M) or self.peak["scale"] in (SCALES[0], SCALES[-1])
 
     def score(self, which: str = "all") -> pd.Series:
         """Return the scores of a choice of rows.

@@ -120,31 +120,22 @@ class Displaced:
             by_move = np.full_like(by_move, np.nan)
             by_scale = np.full_like(by_scale, np.nan)
         best_moves_m = peaks(by_move, near[["east_m", "north_m"]].to_numpy())
+        best_scales = peaks(by_scale, SCALES)
+        east_m, north_m = best_moves_m[0].tolist()
+        low, high = np.quantile(best_scales[1:], [0.025, 0.975]).tolist()
         return {
             "displaced": cities[: self.num_null].assign(auc=null[:, 0], within=null[:, 1]),
             "field": near,
             "scales": pd.DataFrame(scales),
-            "peak": _peak(best_moves_m, peaks(by_scale, SCALES)),
+            "peak": {
+                "east_m": east_m,
+                "north_m": north_m,
+                "within_95_m": float(np.quantile(np.hypot(*best_moves_m[1:].T), 0.95)),
+                "scale": float(best_scales[0]),
+                "scale_low": low,
+                "scale_high": high,
+            },
         }
-
-
-def _peak(moves_m: np.ndarray, scale: np.ndarray) -> dict[str, float]:
-    """Return where a city fits best, as `SatelliteAgreement.peak` holds it; NaN without a peak.
-
-    Args:
-      moves_m: ``[D, 2]`` the displacement, east and north, that is best in each draw, the first without drawing.
-      scale: ``[D]`` the scale of the roofs that is best in each draw.
-    """
-    east_m, north_m = moves_m[0].tolist()
-    low, high = np.quantile(scale[1:], [0.025, 0.975]).tolist()
-    return {
-        "east_m": east_m,
-        "north_m": north_m,
-        "within_95_m": float(np.quantile(np.hypot(*moves_m[1:].T), 0.95)),
-        "scale": float(scale[0]),
-        "scale_low": low,
-        "scale_high": high,
-    }
 
 
 def peaks(values: np.ndarray, candidates: np.ndarray) -> np.ndarray:

@@ -268,7 +268,12 @@ def _read_strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame,
         raise InputError(
             f"{what} counts in {scale}, and only GPS time is read: convert it to a file of GPS time"
         )
-    codes = _strength_codes(file)
+    codes = []  # of each system with observables of C/N0, these observables
+    for system in file.header.systems:
+        bands = BANDS.get(system.letter, ("S1",))
+        own = [code for code in file.obs_codes(system) if code.startswith(bands)]
+        if own:
+            codes.append((system, own))
     if not codes:
         raise InputError(
             f"{what} has no C/N0 of L1, E1 or B1 (S1C, S2I ...): write it with these observables"
@@ -295,17 +300,6 @@ def _read_strengths(observations: str | Path) -> tuple[np.ndarray, pd.DataFrame,
     rows = pd.DataFrame({"observation": observation, SATELLITE: names, CN0: np.concatenate(values)})
     strongest = rows.dropna().groupby(["observation", SATELLITE], as_index=False).max()
     return np.array(times_s), strongest, [system.letter for system, _ in codes]
-
-
-def _strength_codes(file: Any) -> list[tuple[Any, list[str]]]:
-    """Return each system of a file that has observables of C/N0 in `BANDS`, with the codes of these observables."""
-    codes = []
-    for system in file.header.systems:
-        bands = BANDS.get(system.letter, ("S1",))
-        own = [code for code in file.obs_codes(system) if code.startswith(bands)]
-        if own:
-            codes.append((system, own))
-    return codes
 
 
 def _text(file: str | Path, letter: str, kind: str) -> str:

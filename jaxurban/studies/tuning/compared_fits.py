@@ -105,9 +105,16 @@ def compare_fits(
     group, _ = pd.factorize(pd.Series(list(zip(city.tolist(), ends, strict=True))))
     is_held_out = split(city, group, hold_out, settings.seed)
 
-    # The fits, by name, to the cities that each is made of. Only the first one goes on from the state file.
-    members = _members(list(dict.fromkeys(city.tolist())), by_city)
-    without_file = replace(settings, state_file=None)
+    # The fits, by name, to the cities that each is made of: all; each city alone; and, of three or more, all but one.
+    in_turn = list(dict.fromkeys(city.tolist()))
+    members = {ALL: in_turn}
+    if by_city and len(in_turn) > 1:
+        members |= {f"only {each}": [each] for each in in_turn}
+    if by_city and len(in_turn) > 2:
+        members |= {
+            f"without {each}": [other for other in in_turn if other != each] for each in in_turn
+        }
+    without_file = replace(settings, state_file=None)  # of all fits but the first one
     fits = {}
     for name, cities_of_fit in members.items():
         is_fitted = ~is_held_out & np.isin(city, cities_of_fit)
@@ -167,13 +174,3 @@ def split(city: np.ndarray, group: np.ndarray, share: float, seed: int) -> np.nd
             )
         is_held_out |= np.isin(group, groups[:num])
     return is_held_out
-
-
-def _members(cities: list[str], by_city: bool) -> dict[str, list[str]]:
-    """Return the cities of each fit by its name: all; each city alone; and, of three or more, all but one."""
-    fits = {ALL: cities}
-    if by_city and len(cities) > 1:
-        fits |= {f"only {city}": [city] for city in cities}
-    if by_city and len(cities) > 2:
-        fits |= {f"without {city}": [each for each in cities if each != city] for city in cities}
-    return fits

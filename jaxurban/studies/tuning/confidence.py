@@ -154,9 +154,11 @@ def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray
       demo: ``[Q, K]`` features of the routes, metres first.
     """
     # Steps of the mean route: cells, or reference lengths under the cost model ``line``.
-    num_steps = demo[:, 0].mean() / queries[0].cost_map.grid.resolution_m
-    if queries[0].cost_map.cost_model.kind == "line":
-        num_steps = demo[:, 0].mean() / queries[0].cost_map.cost_model.reference_length_m
+    first = queries[0].cost_map
+    step_m = first.grid.resolution_m
+    if first.cost_model.kind == "line":
+        step_m = first.cost_model.reference_length_m
+    num_steps = demo[:, 0].mean() / step_m
 
     # The usual features of a random walk: the mean cost of the free cells, over all maps, at each step.
     free_costs = [cost_map.costs[:, cost_map.is_free] for cost_map in maps_of(queries)]

@@ -170,7 +170,9 @@ def fit_weights(
     unidentified = [_constant_sentence(name, name in left_out) for name in constant]
     unidentified += _wide_sentences(table.drop(index=list(constant)))
     unidentified += indistinct_weights(fit.pool, fit.unit, fit.weights, is_fitted)
-    near_regret = _regret_without_redrawing(fit, regret)
+    # The regret without what redrawing on the grid adds: that of the cheapest route near each demonstration.
+    near = np.array([each.cheapest_near(fit.weights) for each in demonstrations])
+    near_regret = (1 + regret) * (near @ fit.weights) / (fit.demo @ fit.weights) - 1
     drawn_cells = [each.drawn_cells for each in demonstrations]
     bar = float(np.where(drawn_cells, OPTIMAL_DRAWN_REGRET, OPTIMAL_REGRET).mean())
     metric_share = 1 - table.share_of_cost["distance"]
@@ -209,19 +211,6 @@ def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str
         return set(constant)
     costs = [cost_map.cost_of for cost_map in maps_of(queries)]
     return {name for name in constant if not np.any([cost_of(name) for cost_of in costs])}
-
-
-def _regret_without_redrawing(fit: FitUnderWay, regret: np.ndarray) -> np.ndarray:
-    """Return ``[Q]`` the regret of the cheapest route near each demonstration that was redrawn on the grid.
-
-    It leaves out what redrawing adds to the cost. Of a demonstration that was not redrawn it is the regret itself.
-
-    Args:
-      fit: when it has ended.
-      regret: ``[Q]`` of the demonstrations, with what redrawing adds.
-    """
-    near = np.array([each.cheapest_near(fit.weights) for each in fit.demonstrations])
-    return (1 + regret) * (near @ fit.weights) / (fit.demo @ fit.weights) - 1
 
 
 def _weight_table(fit: FitUnderWay, scale: str, interval: np.ndarray) -> pd.DataFrame:

@@ -64,15 +64,6 @@ def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVis
     return path_visits(points_m, region.shape, region.resolution_m, model)
 
 
-def weights_of(planned: PlannedPath) -> Weights:
-    """Return the weights that a route was planned under; 0 for metrics that its maps did not hold."""
-    used = planned.settings["weights"]
-    return Weights(
-        **dict.fromkeys(("distance", *METRICS), 0.0)
-        | {name: float(value) for name, value in used.items()}
-    )
-
-
 @typed
 def building_costs(
     city: City,
@@ -120,7 +111,10 @@ def building_costs(
     assert city.buildings is not None
     visits = _visits(soft, planned, params)
     named = weights
-    weights = weights_of(planned) if named is None else Weights.of(named).checked(soft.names)
+    if named is None:  # those of the route; 0 for metrics that its maps did not hold
+        weights = Weights(**dict.fromkeys(METRICS, 0.0) | planned.settings["weights"])
+    else:
+        weights = Weights.of(named).checked(soft.names)
     check_held(named, soft.names)
     slopes, soft_cost = _slopes(soft, params, weights, visits)
     parts = pd.DataFrame({name: np.asarray(slope, np.float64) for name, slope in slopes.items()})

@@ -119,18 +119,13 @@ def _add_city(
             )
             lacking = tasks_of(instances, job, store)
             if lacking:
-                changed_maps = _made(changed).with_obstacles(maps.obstacles)
-                rows = solve_here(lacking, {city: changed_maps}, job)
+                check_fits(changed)
+                with warnings.catch_warnings(action="ignore", category=GuessWarning):
+                    changed_maps = compute_maps(changed)
+                rows = solve_here(lacking, {city: changed_maps.with_obstacles(maps.obstacles)}, job)
                 store.add(list(chain.from_iterable(rows)))
         report(stage, len(changes), len(changes))
     return errors
-
-
-def _made(task: MapTask) -> MetricMaps:
-    """Return the maps of a task whose guesses were reported when the nominal maps were made."""
-    check_fits(task)
-    with warnings.catch_warnings(action="ignore", category=GuessWarning):
-        return compute_maps(task)
 
 
 def _map_task(source: Source, maps: MetricMaps, scenario: Scenario | None) -> MapTask:

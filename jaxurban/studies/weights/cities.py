@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from jaxurban.checks import one_of
 from jaxurban.errors import InputError
 from jaxurban.io.tables import fingerprint
 from jaxurban.maps.metric_maps import MetricMaps
@@ -29,6 +28,7 @@ from jaxurban.studies.weights.routes import (
     SensitivityStudySettings,
     seed_at,
 )
+from jaxurban.studies.weights.sobol import varied_columns
 
 
 class Cities(NamedTuple):
@@ -62,41 +62,27 @@ def named_sources(sources: Any) -> dict[str, Source]:
     Raises:
       InputError: there is no city, two have one name, or maps in memory have none.
     """
-    # One or several sources, and what each of them opens as.
-    several = sources
-    if isinstance(sources, Mapping):
-        several = sources.values()
-    elif isinstance(sources, str | Path | MapsFolder):
-        several = [sources]
-    opened = [
-        source if isinstance(source, MetricMaps | MapsFolder) else MapsFolder(source)
-        for source in several
-    ]
-
-    # The names of the cities, in the same order.
-    names = list(map(str, sources)) if isinstance(sources, Mapping) else _folder_names(opened)
+    is_named = isinstance(sources, Mapping)
+    if isinstance(sources, str | Path | MapsFolder):
+        sources = [sources]
+    names = list(map(str, sources)) if is_named else []
+    opened = []
+    for source in sources.values() if is_named else sources:
+        if not isinstance(source, MetricMaps | MapsFolder):
+            source = MapsFolder(source)
+        if not is_named:
+            if isinstance(source, MetricMaps):
+                raise InputError(
+                    "maps in memory have no name: give them by name, as {'manhattan': maps}"
+                )
+            names.append(Path(source.folder).resolve().name)
+        opened.append(source)
     if not names or len(set(names)) < len(names):
         raise InputError(
             f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}: folders "
             "are called as they are, so name each once and rename one of two alike (in Python give {'name': folder})"
         )
     return dict(zip(names, opened, strict=True))
-
-
-def _folder_names(sources: Iterable[Source]) -> list[str]:
-    """Return the name of each folder of maps, without its path.
-
-    Raises:
-      InputError: maps in memory, which have no name.
-    """
-    names = []
-    for source in sources:
-        if isinstance(source, MetricMaps):
-            raise InputError(
-                "maps in memory have no name: give them by name, as {'manhattan': maps}"
-            )
-        names.append(Path(source.folder).resolve().name)
-    return names
 
 
 def open_cities(
@@ -173,7 +159,9 @@ def routes_of_cities(
         names = {"distance", *maps.metrics}
         of_city = Weights(**{name: weights[name] for name in weights if name in names})
         if isinstance(routes, pd.DataFrame):
-            part = _listed_routes(_without(routes, {*cities.metrics} - names), city, maps, of_city)
+            foreign = {WEIGHT_PREFIX + name for name in cities.metrics if name not in names}
+            own = routes.assign(**dict.fromkeys(foreign & {*routes}, 0.0))
+            part = _listed_routes(own, city, maps, of_city)
         else:
             part = sample_joined(
                 maps,
@@ -191,12 +179,6 @@ def routes_of_cities(
     no_weights = dict.fromkeys(weight_columns(cities.metrics), 0.0)
     columns = dict.fromkeys([*table, *no_weights])
     return table.reindex(columns=list(columns)).fillna(no_weights)
-
-
-def _without(routes: pd.DataFrame, metrics: set[str]) -> pd.DataFrame:
-    """Return routes whose weights of some metrics, which only other cities have, are 0."""
-    columns = {WEIGHT_PREFIX + name for name in metrics} & {*routes}
-    return routes.assign(**dict.fromkeys(columns, 0.0))
 
 
 def _listed_routes(
@@ -241,18 +223,8 @@ def check_some_vary(cities: Cities, instances: pd.DataFrame) -> None:
       instances: the routes, with a column for each weight.
     """
     names = ("distance", *cities.metrics)
-    counted = [name for name in names if (instances[f"{WEIGHT_PREFIX}{name}"] > 0).any()]
-    vary = cities.settings.vary
-    if not vary and not set(counted) - {"distance"}:
-        raise InputError(
-            "every metric has weight 0 on every route, so nothing varies: give one a weight above 0"
-        )
-    for name in vary:
-        if one_of("a weight that varies", name, names) not in counted:
-            raise InputError(
-                f"weight {name} is 0 on every route, which no factor changes: give it a value above 0, or do not vary "
-                "it"
-            )
+    largest = instances[[WEIGHT_PREFIX + name for name in names]].max().to_numpy()
+    varied_columns(names, largest, cities.settings.vary, " on every route")
 
 
 def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:

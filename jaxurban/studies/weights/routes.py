@@ -142,15 +142,28 @@ class SensitivityStudySettings(RouteJob):
         for name, share in zip(query.names, weights * features / cost, strict=True):
             facts[f"elasticity:{name}"] = float(share)
 
-        # How it changes with each weight that varies; the draws of each route have a seed of their own.
+        # How it changes with each weight that varies.
         pool = RoutePool([query], workers=self.num_threads)
-        facts |= _changes(pool, weights, varied, self, cost)
+        columns = list(varied.values())
+        nearest = nearest_breakpoints(pool, weights, columns, self.factors)
+
+        # [varied, 2, K] the weights with each that varies too small, then too large, and the regrets [varied, 2].
+        wrong = np.tile(weights, (len(columns), 2, 1))
+        for number, column in enumerate(columns):
+            wrong[number, :, column] *= 1 / self.wrong, self.wrong
+        cheapest = pool.cheapest(wrong.reshape(-1, len(weights)))[0, 0]
+        regret = np.maximum(cheapest @ weights / cost - 1, 0.0).reshape(-1, 2)
+        for name, values in zip(varied, np.hstack([nearest, regret]).tolist(), strict=True):
+            for kind, value in zip(OF_WEIGHT[1:], values, strict=True):
+                facts[f"{kind}:{name}"] = value
+
+        # The Sobol shares of its outcomes; the draws of each route have a seed of their own.
         if self.num_samples:
             seed = seed_at(self.seed, int(instance.get(CITY_NUMBER, 0)), int(instance["instance"]))
             shares = sobol_of_weights(
                 pool,
                 weights,
-                list(varied.values()),
+                columns,
                 self.factors,
                 self.num_samples,
                 seed % 2**31,
@@ -190,41 +203,6 @@ def query_of(cost_map: CostMap, instance: Row) -> tuple[RouteQuery, np.ndarray]:
     """
     start, goal, weights = located(cost_map, instance)
     return query_between(cost_map, start, goal, str(instance["instance"])), weights
-
-
-def _changes(
-    pool: RoutePool,
-    weights: np.ndarray,
-    varied: Mapping[str, int],
-    settings: SensitivityStudySettings,
-    cost: float,
-) -> dict[str, float]:
-    """Return the breakpoints of the weights that vary, and the regrets of wrong weights, as columns of a row.
-
-    They are ``below``, ``above``, ``regret_low`` and ``regret_high`` of each weight (see `row_columns`).
-
-    Args:
-      pool: of the route's query; routes that searches find join it.
-      weights: ``[K]``.
-      varied: columns of the weights that vary, by their names.
-      settings: of the study, with the range of factors and the factor of a wrong weight.
-      cost: of the cheapest route under the given weights, above 0.
-    """
-    columns = list(varied.values())
-    nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
-
-    # [varied, 2, K] the weights with each that varies too small, then too large, and the regrets [varied, 2].
-    wrong = np.tile(weights, (len(columns), 2, 1))
-    for number, column in enumerate(columns):
-        wrong[number, :, column] *= 1 / settings.wrong, settings.wrong
-    cheapest = pool.cheapest(wrong.reshape(-1, len(weights)))[0, 0]
-    regret = np.maximum(cheapest @ weights / cost - 1, 0.0).reshape(-1, 2)
-
-    facts = {}
-    for name, values in zip(varied, np.hstack([nearest, regret]).tolist(), strict=True):
-        for kind, value in zip(OF_WEIGHT[1:], values, strict=True):
-            facts[f"{kind}:{name}"] = value
-    return facts
 
 
 def seed_at(seed: int, *place: int) -> int:

@@ -60,7 +60,7 @@ def check_sampling(settings: Any) -> None:
 
 
 def varied_columns(
-    names: Sequence[str], weights: np.ndarray, vary: Sequence[str]
+    names: Sequence[str], weights: np.ndarray, vary: Sequence[str], where: str = ""
 ) -> dict[str, int]:
     """Return the columns of the weights to vary, by name.
 
@@ -68,6 +68,7 @@ def varied_columns(
       names: ``[K]`` of the weights, ``"distance"`` first.
       weights: ``[K]``.
       vary: names of the weights to vary; empty: all metrics whose weight is above 0.
+      where: ends "weight gps is 0" in an error, such as " on every route".
 
     Raises:
       InputError: no weight varies, or one is named that does not exist or is 0.
@@ -76,13 +77,13 @@ def varied_columns(
         vary = [name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0]
     if not vary:
         raise InputError(
-            "no metric of these maps has a weight above 0, so nothing varies: give one, or name vary"
+            f"every metric has weight 0{where}, so nothing varies: give one a weight above 0, or name vary"
         )
     columns = {name: names.index(one_of("a weight that varies", name, names)) for name in vary}
     for name, column in columns.items():
         if not weights[column] > 0:
             raise InputError(
-                f"weight {name} is 0, which no factor changes: give it a value above 0, or do not vary it"
+                f"weight {name} is 0{where}, which no factor changes: give it a value above 0, or do not vary it"
             )
     return columns
 
