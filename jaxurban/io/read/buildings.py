@@ -1,5 +1,6 @@
 """The rules that make of features Footprints: buildings and their parts, and what else stands."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -42,6 +43,7 @@ PODIUM_M2 = 1.0  # less than this between two drawings of one wall is no podium
 STRIP_M = 2.0  # narrower is what parts that are drawn roughly leave of their outline
 SAME_HEIGHT_M = 0.5  # an outline and its highest part
 MOST_RADIUS_M = 100.0  # of what is a point: more is a slip of the unit
+OCTAGON = 1 / math.cos(math.pi / 8)  # its circle outside to that inside: crowns are octagons
 RESHAPED = ("polygons", "height_m", "origin", "limit_m")
 
 
@@ -176,7 +178,13 @@ def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
     width_m = np.where(is_tree, lengths_m("crown"), np.fmax(lengths_m("diameter"), rotor_m))
     by_kind_m = np.where(is_tree, CROWN_SHARE * height_m, of_kinds("radius_m"))
     radius_m = np.where(np.isfinite(width_m), np.minimum(width_m / 2, MOST_RADIUS_M), by_kind_m)
-    polygons = np.where(is_areal & ~is_hull, shapes, shapely.buffer(shapes, radius_m))
+    is_wide = is_areal & ~is_hull
+    polygons = shapes.copy()
+    for is_of, num_sides, share in ((is_tree, 8, OCTAGON), (~is_tree, 32, 1.0)):
+        thin = np.flatnonzero(is_of & ~is_wide)
+        polygons[thin] = shapely.buffer(
+            shapes[thin], share * radius_m[thin], quad_segs=num_sides // 4
+        )
     names[(names == "tower") & ~is_areal] = "mast"
     is_grounded = np.isin(names, (*PLANTS, *WIRES))
     return replace(

@@ -32,9 +32,10 @@ OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
     *("building:min_level", "building:levels:underground", "location", "layer", "level"),
     *("parking", "man_made", "building:height", "est_height"),
 )
+OF_TREES = ("natural", "height", "est_height", "diameter_crown", "leaf_type", "location", "level")
 OF_OTHERS = (
     *("barrier", "waterway", "diameter", "width", "rotor:diameter", "height:hub"),
-    *("generator:source", "generator:method", "diameter_crown", "leaf_type", *GROWN),
+    *("generator:source", "generator:method", *OF_TREES, *GROWN),
     *(f"{life}:{key}" for life in NOT_BUILT for key in KINDS),
 )
 TAGS = {*OF_BUILDINGS, *MAYBE, *OF_OTHERS}
@@ -223,10 +224,14 @@ class _Objects:
 def _tags_of(item: Any) -> dict[str, str]:
     """Return the tags of an object that say what stands."""
     tags = item.tags
+    get = tags.get
     if "building" in tags:  # with many others
-        get = tags.get
-        return {name: value for name in OF_BUILDINGS if (value := get(name)) is not None}
-    return {name: value for name, value in tags if name in TAGS}
+        names = OF_BUILDINGS
+    elif get("natural") == "tree":  # there are many
+        names = OF_TREES
+    else:
+        return {name: value for name, value in tags if name in TAGS}
+    return {name: value for name in names if (value := get(name)) is not None}
 
 
 def _may_stand(tags: Any) -> bool:
