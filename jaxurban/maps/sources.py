@@ -13,11 +13,20 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
 from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
+from jaxurban.world.kinds import ALL_KINDS, PLANTS, WIRES
 
 CityLike = City | MetricMaps | str | Path
 EXACT = "exact outlines"
 BY_CELLS = "by cells that roofs touch, because {}"
-STANDING = ("buildings", "terrain")  # roles of the files that say what stands, and on which ground
+STANDING = (
+    "buildings",
+    "terrain",
+    "vegetation",
+)  # roles of the files that say what stands, and on which ground
+
+
+# What counts where the record does not say it: plants and wires are newer than such maps.
+KINDS_BEFORE = [kind for kind in ALL_KINDS if kind not in (*PLANTS, *WIRES)]
 
 
 class ChangedSourcesError(InputError):
@@ -40,7 +49,7 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     """
     if sources is not None and not Path(sources).is_dir():
         raise InputError(f"sources must be a folder, and {str(sources)!r} is none: check the path")
-    settings = settings_of(folder)
+    settings = {"obstacles": {"kinds": KINDS_BEFORE}, **settings_of(folder)}
     if "bounds" not in settings.get("region", {}):
         raise InputError(
             f"the maps in {str(folder)!r} were not made by `jaxurban maps`, so what they are of is not on record: make "

@@ -237,6 +237,7 @@ def _by_numba(
       oversample: n.
       is_obstacle: on the map's cells.
     """
+    surface = surface.of_returning()
     n = oversample
     steps = kernel.num_steps(surface.grid.resolution_m, params.range_m)
     halo = kernel.halo_cells(steps, n)  # in cells of the map
@@ -273,6 +274,7 @@ def _by_jax(
       params: the lidar.
       oversample: n.
     """
+    surface = surface.of_returning()
     resolution_m = surface.grid.resolution_m
     n = oversample
     halo = halo_cells(params, resolution_m * n, n)
@@ -427,7 +429,7 @@ def soft_lidar(
     softness = jnp.asarray(softness_m, dtype)
 
     # Rasters with all that rays can reach, and the roofs of the receivers' own cells.
-    roof_m = surface.crop_with_halo(surface.roof_m, steps - 1)
+    roof_m = surface.crop_with_halo(surface.of_returning().roof_m, steps - 1)
     terrain_m = surface.crop_with_halo(surface.terrain_m, steps - 1)
     own_roof_m = surface.crop(surface.roof_m)
     if cells is not None:

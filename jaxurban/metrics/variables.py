@@ -8,9 +8,18 @@ from typing import Any
 import numpy as np
 
 from jaxurban.metrics.base import ALTITUDE, TIME, UNDERSIDE, Metric, Scale, Variable
+from jaxurban.world.footprints import BUILDING, UNKNOWN
+from jaxurban.world.kinds import EFFECTS, PLANTS, WIRES
 
 FREE_COLOUR, BUILT_COLOUR = "#f4f4ee", "#4a4a4a"
 GUESSED_CELL_COLOUR, NO_DATA_COLOUR = "#d55e00", "#bdbdbd"
+KIND_COLOURS = {  # colour-blind safe, after Okabe and Ito
+    **dict.fromkeys(EFFECTS, "#e69f00"),
+    BUILDING: BUILT_COLOUR,
+    **dict.fromkeys(PLANTS, "#009e73"),
+    **dict.fromkeys(WIRES, "#cc79a7"),
+    UNKNOWN: "#d55e00",
+}
 CAVEAT = "comment"  # attribute: what whoever reads the values must know; the name is that of the CF conventions
 NEEDED = ("obstacle", "has_data")  # without these maps it is not a folder of maps
 # What is kept of a long series, behind the metric's name.
@@ -57,6 +66,15 @@ AUXILIARY_VARIABLES = {
             scale=Scale(high=None, stretch="sqrt", zero="height known, or no roof"),
             title="Bound of guessed heights",
             is_averaged=False,
+        ),
+        Variable(
+            "roof_kind",
+            "what has the highest roof that touches the cell",
+            "",
+            dtype=np.uint8,
+            classes=(("nothing", FREE_COLOUR), *((kind, KIND_COLOURS[kind]) for kind in EFFECTS)),
+            title="What stands",
+            standard_name="status_flag",
         ),
         _roof(
             UNDERSIDE,

@@ -71,6 +71,9 @@ class Sight:
     region: Grid
     params: MapParams
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "city", self.city.seen_by(self.params.gps))
+
     @classmethod
     def of(
         cls,

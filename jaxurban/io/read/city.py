@@ -80,6 +80,7 @@ COLUMNS_SAID = "height_column, ground_column and levels_column are for tables of
 GEOD = pyproj.Geod(ellps="WGS84")
 GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
 BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
+TALLEST_PLANT_M = 150.0  # the tallest tree stands at 116 m; birds and cables are above
 LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
@@ -93,6 +94,7 @@ def read_city(
     population: Population | None,
     terrain: settings.Terrain,
     gps: Gps | None,
+    vegetation: settings.Vegetation,
 ) -> City:
     """Return the city that files hold around a region; arguments, warnings and errors are as of `City.from_files`."""
     # A sample city (`SAMPLES`) gives what the arguments leave out.
@@ -107,10 +109,14 @@ def read_city(
         people = replace(people, **left_out)
 
     # The names of the files as the arguments have them are kept for provenance. The files are read by their paths.
-    files = {"buildings": buildings.source, "terrain": terrain.source}
+    files = {
+        "buildings": buildings.source,
+        "terrain": terrain.source,
+        "vegetation": vegetation.source,
+    }
     files |= {role: getattr(people, role) for role in FILES}
     buildings = _placed(buildings)
-    terrain = _placed(terrain)
+    terrain, vegetation = _placed(terrain), _placed(vegetation)
     people = _placed(people)
     check_has_people(people, people.has_blocks)
 
@@ -130,6 +136,10 @@ def read_city(
         ground = read_raster(terrain.source, crs, wide_m)
         ground_extent_m = raster_extent_m(terrain.source, crs)
         ground, guesses = filled_terrain(repr(str(terrain.source)), ground, crs, box_m)
+    plants = None
+    if vegetation.source is not None:
+        plants = read_raster(vegetation.source, crs, wide_m)
+        check_range(repr(str(vegetation.source)), plants.values, (LOWEST_ROOF_M, TALLEST_PLANT_M))
     source = read_buildings(buildings, crs, bounds_m=wide_m, terrain=ground)
     if not buildings.allow_none:
         _check_has_building(buildings, source, region, box_m)
@@ -159,7 +169,11 @@ def read_city(
         terrain_extent_m=ground_extent_m,
         read_issues=issues,
         attribution=joined_credits(
-            source.attribution, buildings.credit, terrain.credit, people.credit
+            source.attribution,
+            buildings.credit,
+            terrain.credit,
+            people.credit,
+            vegetation.credit,
         ),
         guesses=guesses,
         sources={role: str(path) for role, path in files.items() if path is not None},
@@ -167,6 +181,7 @@ def read_city(
         gps=own_gps,
         population=population and people,
         heights=buildings,
+        vegetation=plants,
     )
 
 
