@@ -109,6 +109,7 @@ class SoftCity:
       reach_m: how far each metric looks at most, by name: the largest range and threshold of the parameters. Left
         out, those of the default settings.
       own: cost layers that a user added, name and settings.
+      built_m: ``[B]`` heights of which the surface was made, where others than buildings stand; else None.
 
     Examples:
       >>> params = ju.grad.SoftParams(altitude_m=60.0)
@@ -128,6 +129,7 @@ class SoftCity:
         metadata={"static": True},
     )
     own: tuple[tuple[str, Layer], ...] = field(default=(), metadata={"static": True})
+    built_m: Float[Array, " B"] | None = None
 
     @property
     def metrics(self) -> dict[str, Metric]:
@@ -172,7 +174,7 @@ class SoftCity:
         assert metric.soft is not None
         settings = dict(self.own).get(name) or params.settings_of(metric)
         scene = SoftScene(
-            surface=self.surface.with_heights(height_m, self.building, self.height_m),
+            surface=self.surface.with_heights(height_m, self.building, self.built_m),
             altitude_m=params.altitude_m,
             softness_m=params.softness_m,
             cells=cells,
@@ -414,10 +416,13 @@ def soften(
     reach_m = {
         name: metric.reach_m(task.settings_of(metric)) for name, metric in task.metrics.items()
     }
+    height_m = jnp.asarray(city.buildings.height_m, dtype)
+    has_others = city.structures is not None or city.plants is not None
     return SoftCity(
         surface=surface,
         building=jnp.asarray(building),
-        height_m=jnp.asarray(city.buildings.height_m, dtype),
+        height_m=height_m,
+        built_m=height_m if has_others else None,
         view=SkyView.of(surface, *in_view.angles, clocks=in_view.clocks),
         population=population,
         time_of_day=time_of_day or params.population.times_of_day[0],

@@ -206,7 +206,10 @@ def lidar_of_beams(
     if _runs_numba(engine, surface, altitudes_m, heights_m):
         is_obstacle = obstacles_on(surface, np.asarray(altitudes_m))
         return _by_numba(surface, heights_m, params, oversample=1, is_obstacle=is_obstacle)
-    return _by_jax(surface, altitudes_m, heights_m, params, oversample=1)
+    share = _by_jax(surface, altitudes_m, heights_m, params, oversample=1)
+    if surface.returning_m is None:
+        return share
+    return share * ~obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
 
 
 def _runs_numba(engine: Engine, surface: Surface, *values: Any) -> bool:

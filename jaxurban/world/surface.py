@@ -247,7 +247,7 @@ class Surface:
         self,
         height_m: Float[Array, " B"],
         building: Int[Array, "Y X"],
-        own_m: Float[Array, " B"],
+        built_m: Float[Array, " B"] | None = None,
     ) -> "Surface":
         """Return this surface with other heights of its buildings, and nothing that hangs.
 
@@ -255,14 +255,16 @@ class Surface:
 
         Args:
           height_m, building: as for `roofs_of`.
-          own_m: ``[B]`` the heights of which the surface was made.
+          built_m: ``[B]`` the heights of which the surface was made; None where nothing but buildings stands.
         """
         new_m = roofs_of(height_m, building)
-        before_m = roofs_of(own_m, building).astype(np.float32)
-        roofs: dict[str, Any] = {
-            name: jnp.where(before_m >= roof_m.astype(np.float32), new_m, roof_m)
-            for name, roof_m in self.roofs.items()
-        }
+        roofs: dict[str, Any] = {"roof_m": new_m}
+        if built_m is not None:
+            before_m = roofs_of(built_m, building).astype(np.float32)
+            roofs = {
+                name: jnp.where(before_m >= roof_m.astype(np.float32), new_m, roof_m)
+                for name, roof_m in self.roofs.items()
+            }
         unknown: dict[str, Any] = dict.fromkeys(
             ("roof_touched_m", "roof_guessed", "roof_limit_m", "roof_kind", "slabs")
         )
