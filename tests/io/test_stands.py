@@ -39,7 +39,7 @@ def stand(*features, **rules):
         (AREA, {"man_made": "storage_tank"}, "tank", 10, 30, 100),
         (PLACE, {"man_made": "crane", "height": "60"}, "crane", 60, 60, np.pi * 25),
         (PLACE, {"man_made": "silo", "diameter": "8"}, "tank", 20, np.inf, np.pi * 16),
-        (PLACE, {"power": "tower"}, "pylon", 30, np.inf, np.pi * 16),
+        (PLACE, {"power": "tower"}, "pylon", 30, 100, np.pi * 16),
         (
             PLACE,
             {"power": "generator", "height:hub": "90", "rotor:diameter": "100"},
@@ -65,7 +65,7 @@ def stand(*features, **rules):
             100,
         ),
         (PLACE, {"man_made": "thing;mast"}, "mast", 20, np.inf, np.pi),
-        (PLACE, {"tower:type": "communication"}, "tower", 30, np.inf, np.pi * 25),
+        (PLACE, {"tower:type": "communication"}, "mast", 30, np.inf, np.pi * 25),
         (
             PLACE,
             {"power": "generator", "generator:source": "wind"},
@@ -80,6 +80,28 @@ def stand(*features, **rules):
         (AREA, {"barrier": "fence", "height": "30"}, "structure", 30, 30, 80 - 4 + np.pi),
         # A bridge is known to stand, but not how high.
         (AREA, {"man_made": "bridge"}, "unknown", 0, 100, 100),
+        (AREA, {"man_made": "bridge", "height": "20"}, "bridge", 20, 20, 100),
+        # Crowns: as wide as they say, else 0.8 times as wide as the tree is high; a trunk's diameter is none.
+        (
+            PLACE,
+            {"natural": "tree", "height": "20", "diameter_crown": "6"},
+            "tree",
+            20,
+            20,
+            np.pi * 9,
+        ),
+        (PLACE, {"natural": "tree", "height": "20", "diameter": "90"}, "tree", 20, 20, np.pi * 64),
+        (PLACE, {"natural": "tree"}, "tree", 12, 35, np.pi * 4.8**2),
+        (PLACE, {"natural": "tree", "leaf_type": "needleleaved"}, "tree", 15, 35, np.pi * 36),
+        (WAY, {"natural": "tree_row", "height": "10"}, "tree", 10, 10, 30 * 8 + np.pi * 16),
+        (AREA, {"natural": "wood"}, "wood", 20, 45, 100),
+        (AREA, {"landuse": "forest", "height": "12"}, "wood", 12, 12, 100),
+        (LineString([(0, 0), (10, 0), (10, 10)]), {"landuse": "forest"}, "wood", 20, 45, 50),
+        (WAY, {"power": "line"}, "wire", 30, 100, 30 * 30 + np.pi * 225),
+        (WAY, {"power": "minor_line", "height": "9", "min_height": "8"}, "wire", 9, 9, 132.6),
+        (WAY, {"aerialway": "gondola"}, "cableway", 30, np.inf, 300 + np.pi * 25),
+        (PLACE, {"kind": "Wood"}, "wood", 20, 45, np.pi * 100),
+        (AREA, {"type": "crane"}, "crane", 30, np.inf, 100),
         # A building that is not whole: the hull of what is known of it.
         (LineString([(0, 0), (10, 0), (10, 10)]), {"building": "yes"}, "unknown", 0, 100, 130.8),
         (PLACE, {"building": "garage"}, "unknown", 0, 25, np.pi * 4),
@@ -118,8 +140,9 @@ def test_structures_stand_with_a_height_or_an_upper_bound(
         ({"man_made": "surveillance", "height": "5"}, "not_standing"),
         ({"power": "substation"}, "not_standing"),
         ({"barrier": "wall", "height": "2"}, "not_standing"),
-        ({"power": "minor_line"}, "wires"),
-        ({"natural": "tree", "height": "20"}, "trees"),
+        *(({"natural": kind, "height": "20", "building": ""}, "not_standing") for kind in ("peak", "cliff")),
+        ({"natural": "scrub", "height": "4"}, "not_standing"),
+        ({"power": "line", "location": "underground"}, "underground"),
     ],
 )  # fmt: skip
 def test_what_does_not_stand_is_counted_by_its_reason(tags, reason):
@@ -220,6 +243,35 @@ def test_a_point_within_a_building_may_stand_on_its_roof():
     roof = (AREA, {"building": "yes", "height": "60"})
     _, mast, _ = stand(roof, (PLACE, {"man_made": "mast", "height": "20"}))
     assert (mast.height_m, mast.upper_m, mast.is_guessed) == (20, 80, True)
+
+
+def test_a_tree_within_a_building_stands_in_its_yard():
+    _, tree, _ = stand((AREA, {"building": "yes", "height": "60"}), (PLACE, {"natural": "tree"}))
+    assert (tree.height_m, tree.upper_m) == (12, 35)
+
+
+def test_a_wire_is_a_curtain_up_to_the_higher_of_its_two_supports():
+    line = LineString([(0, 0), (300, 0), (600, 0), (600, 300), (600, 1000)])
+    towers = [
+        (Point(0, 0), {"power": "tower", "height": "40"}),
+        (Point(300, 0), {"power": "tower", "height": "55"}),
+        (Point(600, 0), {"power": "pole"}),
+        (Point(600, 1000), {"power": "tower"}),
+    ]
+    _, structures, issues = stand((line, {"power": "line"}), *towers)
+    spans = structures.take(structures.kinds == "wire")
+    # Between the pole and a vertex without a support; and so long that nothing bounds its towers.
+    assert spans.height_m.tolist() == [55, 55, 30, 30]
+    assert spans.upper_m.tolist() == [55, 55, 100, np.inf]
+    assert spans.is_guessed.tolist() == [False, True, True, True]
+    for span, ends in zip(
+        spans.polygons, zip(line.coords, line.coords[1:], strict=False), strict=True
+    ):
+        assert span.equals_exact(LineString(ends).buffer(15, quad_segs=8), 1e-6)
+    assert issues == {"unknown_height": 5}
+    # A line with a height of its own keeps it.
+    _, structures, _ = stand((line, {"power": "line", "height": "50"}), *towers)
+    assert structures.height_m[structures.kinds == "wire"].tolist() == [50] * 4
 
 
 def test_a_point_within_a_building_names_it():

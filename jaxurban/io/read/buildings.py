@@ -13,18 +13,24 @@ from jaxurban.io.read.heights import estimate_heights, parse_length_m, read_colu
 from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.kinds import (
     ABOVE_LEVELS_M,
+    BRIDGE,
+    CROWN_SHARE,
     FENCE,
     HULL,
     LEVEL_LIMIT_M,
     LIMIT_M,
     LOW_BUILDINGS,
     LOW_LIMIT_M,
+    PLANTS,
     ROUGH_LIMIT,
     TURBINE,
+    WIRES,
+    WOOD,
 )
 from jaxurban.io.read.outlines import Outlines, polygonal
 from jaxurban.io.read.solids import prisms_of_solids, rises_m, with_solids
 from jaxurban.io.read.stands import what_stands
+from jaxurban.io.read.wires import in_spans, with_supports
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING, UNKNOWN, Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds, transformer
@@ -107,9 +113,10 @@ def to_buildings(
     issues[ReadIssue.PARTS_HANGING] = int(np.sum(buildings.min_height_m > 0))
 
     # What else stands.
-    others = features.take(~is_building)
+    others = in_spans(features.take(~is_building))
     structures = _structures(others, file)
     structures, is_same = _on_roofs(structures, others.polygons, buildings)
+    structures = with_supports(structures, others.polygons)
     is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
     issues[ReadIssue.NOT_STANDING] += int(np.sum(is_left_out))
     structures = structures.take(~is_left_out & ~is_same)
@@ -122,7 +129,8 @@ def to_buildings(
 def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
     """Return structures with their heights: points as discs, lines as strips, and hulls of what is not whole.
 
-    Their height is 0 where it is unknown and their kind has none.
+    Their height is 0 where it is unknown and their kind has none. Trees are as wide as their crowns, which have
+    `CROWN_SHARE` of their height where no width is known. Towers without an area are masts.
 
     Args:
       outlines: ``N`` from `what_stands`, in a projected CRS; a `BUILDING` is a polygon without area.
@@ -139,32 +147,46 @@ def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
         """Return ``[N]`` a number of each kind."""
         return np.array([getattr(kind, field) for kind in kinds], float)
 
-    # Shapes.
-    is_hull = kinds == HULL
-    shapes = np.where(is_hull, shapely.convex_hull(outlines.polygons), outlines.polygons)
-    is_fence = np.array([kind is FENCE for kind in kinds], bool)  # equals `SITE`
-    shapes[is_fence] = shapely.boundary(shapes[is_fence])
-    is_areal = shapely.get_dimensions(shapes) == 2
-    rotor_m = lengths_m("rotor")
-    radius_m = np.minimum(np.fmax(lengths_m("diameter"), rotor_m) / 2, MOST_RADIUS_M)
-    radius_m = np.where(np.isfinite(radius_m), radius_m, of_kinds("radius_m"))
-    polygons = np.where(is_areal & ~is_hull, shapes, shapely.buffer(shapes, radius_m))
-
     # Heights. The blades of a turbine reach above its hub.
-    whole = estimate_heights(outlines.tags, polygons, np.zeros(len(kinds), bool), rules, {})
+    is_part = np.zeros(len(kinds), bool)
+    whole = estimate_heights(outlines.tags, outlines.polygons, is_part, rules, {})
+    rotor_m = lengths_m("rotor")
     tip_m = lengths_m("hub") + np.nan_to_num(rotor_m) / 2
     has_tip = np.isfinite(tip_m) & (kinds == TURBINE)
     origin = np.where(has_tip, HeightOrigin.HEIGHT, whole.origin)
     is_lost = origin == HeightOrigin.UNREADABLE
     has_height = (origin != HeightOrigin.DEFAULT) & ~is_lost
     height_m = np.where(has_height, np.fmax(whole.height_m, tip_m), of_kinds("height_m"))
+    is_hull = kinds == HULL
     names = np.array([kind.name for kind in kinds], object)
     names[has_height & (names == UNKNOWN)] = "structure"
+    names[~has_height & (kinds == BRIDGE)] = UNKNOWN
     origin[names == UNKNOWN] = HeightOrigin.UNKNOWN
     limit_m = np.where(is_hull, _limits_by_name_m(outlines.texts("building")), of_kinds("limit_m"))
     limit_m[is_lost] = np.inf
+
+    # Shapes.
+    is_wood_line = (kinds == WOOD) & (shapely.get_dimensions(outlines.polygons) == 1)
+    is_hulled = is_hull | is_wood_line
+    shapes = np.where(is_hulled, shapely.convex_hull(outlines.polygons), outlines.polygons)
+    is_fence = kinds == FENCE
+    shapes[is_fence] = shapely.boundary(shapes[is_fence])
+    is_areal = shapely.get_dimensions(shapes) == 2
+    is_tree = names == "tree"
+    width_m = np.where(is_tree, lengths_m("crown"), np.fmax(lengths_m("diameter"), rotor_m))
+    by_kind_m = np.where(is_tree, CROWN_SHARE * height_m, of_kinds("radius_m"))
+    radius_m = np.where(np.isfinite(width_m), np.minimum(width_m / 2, MOST_RADIUS_M), by_kind_m)
+    polygons = np.where(is_areal & ~is_hull, shapes, shapely.buffer(shapes, radius_m))
+    names[(names == "tower") & ~is_areal] = "mast"
+    is_grounded = np.isin(names, (*PLANTS, *WIRES))
     return replace(
-        whole, height_m=height_m, origin=origin.astype(np.uint8), kind=names, limit_m=limit_m
+        whole,
+        polygons=polygons,
+        height_m=height_m,
+        min_height_m=np.where(is_grounded, 0.0, whole.min_height_m),
+        origin=origin.astype(np.uint8),
+        kind=names,
+        limit_m=limit_m,
     )
 
 
@@ -174,7 +196,7 @@ def _on_roofs(
     """Return structures of which points within buildings may stand on roofs, and which merely name these.
 
     Whether a height counts from the roof or from the ground is not known unless there is an underside: the higher is a
-    bound. A point of unknown extent names its building, ``[N]`` bool.
+    bound; a tree stands in a yard. A point of unknown extent names its building, ``[N]`` bool.
 
     Args:
       structures: ``N`` of them.
@@ -185,6 +207,7 @@ def _on_roofs(
     point, building = shapely.STRtree(buildings.polygons).query(shapes, predicate="within")
     np.maximum.at(roof_m, point, buildings.upper_m[building])
     is_on = (roof_m > 0) & (shapely.get_dimensions(shapes) == 0) & (structures.min_height_m == 0)
+    is_on &= ~np.isin(structures.kinds, PLANTS)
     limit_m = structures.upper_m + np.where(is_on, roof_m, 0.0)
     origin = structures.origin.copy()
     origin[is_on & ~structures.is_guessed] = HeightOrigin.ROUGH

@@ -13,7 +13,7 @@ from jaxurban import settings
 from jaxurban.errors import InputError
 from jaxurban.io.read.heights import FOOT_M, is_given, parse_length_m, read_column
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.kinds import KINDS, NOT_BUILT, STANDING
+from jaxurban.io.read.kinds import IN_WORDS, KINDS, NOT_BUILT, STANDING
 from jaxurban.settings import MAX_HEIGHT_M, Unit
 
 Columns = Mapping[str, np.ndarray]
@@ -38,9 +38,21 @@ COLUMNS = {
     "rotor": "rotor_diameter",
     "hub": "height_hub",
     "wind": "generator_source generator_method",
+    "crown": "diameter_crown diameter_c crown_diameter",
+    "leaf": "leaf_type",
 }
 # Columns that are named as what they hold.
-OF_OTHERS = ("layer", "level", "parking", "barrier", "natural", "waterway", "tower_type")
+OF_OTHERS = (
+    "layer",
+    "level",
+    "parking",
+    "barrier",
+    "natural",
+    "landuse",
+    "waterway",
+    "tower_type",
+    *IN_WORDS,
+)
 COLUMNS |= {name: name for name in OF_OTHERS}
 for key in ("building", *KINDS):  # also of what stands no more, or not yet
     COLUMNS[key] = " ".join([key, *(f"{life}_{key}" for life in STANDING)])

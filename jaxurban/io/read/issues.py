@@ -21,8 +21,6 @@ class ReadIssue(StrEnum):
       RAZED, PLANNED: buildings that do not stand any more, or not yet, left out.
       NOT_STANDING: piers, cameras, sites of plants, low things, left out.
       NOT_IN_TABLE: of a kind that no table knows, without an area or a height, left out.
-      WIRES: lines of power and aerialways, left out.
-      TREES: with a height, left out.
       UNKNOWN_EXTENT: something stands there, but its extent or kind is not known.
       UNKNOWN_HEIGHT: structures without a height.
       OUTLINES_REPLACED_BY_PARTS: covered by their own parts to 90 % or more.
@@ -61,8 +59,6 @@ class ReadIssue(StrEnum):
     PLANNED = "planned"
     NOT_STANDING = "not_standing"
     NOT_IN_TABLE = "not_in_table"
-    WIRES = "wires"
-    TREES = "trees"
     UNKNOWN_EXTENT = "unknown_extent"
     UNKNOWN_HEIGHT = "unknown_height"
     OUTLINES_REPLACED_BY_PARTS = "outlines_replaced_by_parts"
@@ -95,10 +91,8 @@ LEFT_OUT = (  # why nothing stands where a file names something
     ReadIssue.PLANNED,
     ReadIssue.NOT_STANDING,
     ReadIssue.NOT_IN_TABLE,
-    ReadIssue.WIRES,
-    ReadIssue.TREES,
 )
-NOT_READ = LEFT_OUT[-3:]  # of these, what may stand all the same
+NOT_READ = (ReadIssue.NOT_IN_TABLE,)  # of these, what may stand all the same
 
 
 def listed_counts(counts: Mapping[str, int]) -> str:

@@ -14,7 +14,7 @@ from osmium.filter import IdFilter, KeyFilter
 from jaxurban.errors import readable
 from jaxurban.io.read.columns import tags_of
 from jaxurban.io.read.issues import ReadIssue, ReadIssues
-from jaxurban.io.read.kinds import KINDS, NOT_BUILT, STANDING
+from jaxurban.io.read.kinds import GROWN, KINDS, NOT_BUILT, STANDING
 from jaxurban.io.read.osm_plain import plain_osm
 from jaxurban.io.read.outlines import Outlines
 from jaxurban.io.read.sniff import in_own_words, sniff, unpacked
@@ -33,16 +33,16 @@ OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
     *("parking", "man_made", "building:height", "est_height"),
 )
 OF_OTHERS = (
-    *("barrier", "natural", "waterway", "diameter", "width", "rotor:diameter", "height:hub"),
-    *("generator:source", "generator:method"),
+    *("barrier", "waterway", "diameter", "width", "rotor:diameter", "height:hub"),
+    *("generator:source", "generator:method", "diameter_crown", "leaf_type", *GROWN),
     *(f"{life}:{key}" for life in NOT_BUILT for key in KINDS),
 )
 TAGS = {*OF_BUILDINGS, *MAYBE, *OF_OTHERS}
 Key = tuple[str, int]  # "n", "w" or "r", and an id
 OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
-MAY_STAND = KeyFilter(*MAYBE)
-MAY_STAND_OR_TYPE = KeyFilter(*MAYBE, "type")  # of relations
+MAY_STAND = KeyFilter(*MAYBE, *GROWN)  # and what `_may_stand` leaves out
+MAY_STAND_OR_TYPE = KeyFilter(*MAYBE, *GROWN, "type")  # of relations
 _AREA_RELATIONS = ("multipolygon", "boundary")  # what libosmium makes areas of
 _OUTER = ("outline", "outer")  # of members of a relation of the type building
 
@@ -114,6 +114,8 @@ class _Objects:
         self.places = processor.node_location_storage
         item: Any
         for item in processor:
+            if not (item.is_relation() or _may_stand(item.tags)):
+                continue
             key = item.type_str(), item.id
             if item.is_area():
                 key = "w" if item.from_way() else "r", item.orig_id()
@@ -170,7 +172,8 @@ class _Objects:
         self.degenerate = {
             key
             for key in lost - self.missing - self.of_members.keys()
-            if shapely.build_area(self.lines[key[1]]).is_empty
+            if not self.tags[key].keys().isdisjoint(BUILDINGS)
+            and shapely.build_area(self.lines[key[1]]).is_empty
         }
 
     def _join_relations(self) -> None:
@@ -228,7 +231,10 @@ def _tags_of(item: Any) -> dict[str, str]:
 
 def _may_stand(tags: Any) -> bool:
     """Return whether an object with these tags may stand."""
-    return any(key in tags for key in MAYBE)
+    if "building" in tags:
+        return True
+    is_grown = any(tags.get(key) in by_value for key, by_value in GROWN.items())
+    return is_grown or any(key in tags for key in MAYBE)
 
 
 def _points_of(way: osmium.osm.Way, places: Any) -> list[tuple[float, float]]:
@@ -348,6 +354,8 @@ def _in_box(file: osmium.io.File, chosen: IdFilter | KeyFilter, box: Bounds) -> 
     processor = osmium.FileProcessor(file, osmium.osm.NODE | osmium.osm.WAY).with_locations()
     item: Any
     for item in processor.with_filter(chosen):
+        if chosen is MAY_STAND and not _may_stand(item.tags):
+            continue
         nodes = item.nodes if item.is_way() else [item]
         places = (node.location for node in nodes if node.location.valid())
         if any(west <= place.lon <= east and south <= place.lat <= north for place in places):

@@ -10,10 +10,13 @@ import shapely
 from jaxurban.io.read.heights import is_given, parse_count, parse_height_m, read_column
 from jaxurban.io.read.issues import LEFT_OUT, ReadIssue, ReadIssues
 from jaxurban.io.read.kinds import (
+    CONIFER,
     FALLS,
     FENCE,
     GARAGES,
+    GROWN,
     HULL,
+    IN_WORDS,
     KINDS,
     LOW_M,
     NOT_BUILT,
@@ -21,6 +24,7 @@ from jaxurban.io.read.kinds import (
     OTHER,
     SITE,
     TOWER,
+    TREE,
     TURBINE,
     WIND,
     Kind,
@@ -79,7 +83,7 @@ def what_stands(outlines: Outlines, has_decks: bool, issues: ReadIssues) -> Outl
 def _says_yes(outlines: Outlines, name: str) -> np.ndarray:
     """Return ``[N]`` whether a tag has any value but those that mean no."""
     text = outlines.texts(name)
-    is_number = {value for value in text if value[:1].isdigit()}
+    is_number = {value for value in {*text} if value[:1].isdigit()}
     no = NO if is_number - FLAGS else (*NO, "0", "0.0")
     return ~np.isin(text, no)
 
@@ -88,7 +92,8 @@ def _kinds(outlines: Outlines, is_areal: np.ndarray) -> np.ndarray:
     """Return the `Kind` of each feature by its tags, or a `ReadIssue`, ``[N]`` objects, None where they say nothing.
 
     A height makes anything stand that no table knows, or that does not stand by its kind, from `LOW_M` on; one that
-    cannot be read makes it unknown. Trees are left out, and what is razed or planned unless its other tags name a kind.
+    cannot be read makes it unknown. What is of nature and not in `GROWN` (peaks, cliffs, water) does not stand; what is
+    razed or planned is left out unless its other tags name a kind.
 
     Args:
       outlines: with their tags.
@@ -106,7 +111,7 @@ def _kinds(outlines: Outlines, is_areal: np.ndarray) -> np.ndarray:
         if height_m > MAX_HEIGHT_M:
             kind[index] = OTHER
     nature = outlines.texts("natural")
-    kind[(nature != "") & ~is_said] = ReadIssue.TREES
+    kind[(nature != "") & ~np.isin(nature, list(GROWN["natural"])) & ~is_said] = NOTHING
     for column in (nature, outlines.texts("waterway")):
         kind[np.isin(column, FALLS)] = NOTHING
     kind[_says_yes(outlines, "tower_type")] = TOWER
@@ -116,16 +121,21 @@ def _kinds(outlines: Outlines, is_areal: np.ndarray) -> np.ndarray:
         values = [value for value, why in NOT_BUILT.items() if why is reason]
         kind[_says_yes(outlines, reason) | np.isin(building, values)] = reason
 
-    for key, by_value in KINDS.items():
-        words = outlines.texts(key)
-        for index in np.flatnonzero(words != ""):
-            parts = [word.strip() for word in words[index].split(";")]
+    for key, by_value in (GROWN | IN_WORDS | KINDS).items():
+        texts = outlines.texts(key)
+        found_by_text = {}
+        for text in {*texts}:
+            parts = [word.strip() for word in text.split(";")]
             listed = [by_value.get(word) for word in parts if word[:1].isalpha() and word not in NO]
-            found = min(listed, key=WEAK.__contains__, default=NOTHING)
-            if not listed or (found in WEAK and isinstance(kind[index], Kind)):
+            if listed:
+                found_by_text[text] = min(listed, key=WEAK.__contains__)
+        for index in np.flatnonzero([text in found_by_text for text in texts]):
+            found = found_by_text[texts[index]]
+            if found in WEAK and isinstance(kind[index], Kind):
                 continue
-            unlisted = OTHER if is_areal[index] else None
+            unlisted = OTHER if is_areal[index] and key in KINDS else None
             kind[index] = found or kind[index] or unlisted
+    kind[(kind == TREE) & (outlines.texts("leaf") == "needleleaved")] = CONIFER
     return kind
 
 

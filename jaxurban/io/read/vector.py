@@ -18,7 +18,7 @@ from jaxurban.io.geoparquet import facts_of
 from jaxurban.io.read.columns import is_of_buildings, named_columns, tags_of, tags_of_table
 from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.kinds import KINDS
+from jaxurban.io.read.kinds import GROWN, IN_WORDS, KINDS
 from jaxurban.io.read.outlines import Near, Outlines, extent_of, near_rows
 from jaxurban.io.read.sniff import HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
 from jaxurban.io.read.solids import openable, streamed
@@ -371,6 +371,10 @@ def read_vector(
     columns = {name: _values(frame[name]) for name in names}
     tags = tags_of(columns) if file is None else tags_of_table(columns, file, frame.crs)
     named_kinds = [is_given(tags[key]) for key in ("building", "height", *KINDS) if key in tags]
+    for key, by_value in (GROWN | IN_WORDS).items():
+        if key in tags:
+            words = pd.Series(tags[key]).astype(str).str.lower()
+            named_kinds.append(words.isin(by_value).to_numpy())
     is_kept = np.logical_or.reduce([is_polygon, *named_kinds])
     is_ring = is_kept & shapely.is_ring(shapes)
     shapes[is_ring] = [shapely.Polygon(ring) for ring in shapes[is_ring]]
