@@ -22,7 +22,7 @@ from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import MAIN_SHARE, main_bounds
 from jaxurban.world.footprints import UNKNOWN, Footprints
 from jaxurban.world.grid import WGS84, Bounds, box_of, transformer
-from jaxurban.world.kinds import ALL_KINDS, EFFECTS, PLANTS, KindName
+from jaxurban.world.kinds import ALL_KINDS, EFFECTS, PLANTS, KindName, Obstacles
 from jaxurban.world.raster import Raster
 
 WOOD = "wood"  # the kind of what a raster of vegetation holds
@@ -116,12 +116,16 @@ class City(FactsRepr):
     @cached_property
     def standing(self) -> Footprints | None:
         """All outlines that count: the buildings and, after them, the structures; None where ``roofs`` is given."""
-        if self.buildings is None:
+        return None if self.buildings is None else self.buildings.joined(self.others)
+
+    @cached_property
+    def others(self) -> Footprints | None:
+        """The structures that count. Those that rays pass reach the ground, as what hangs is solid to rays."""
+        if self.structures is None:
             return None
-        others = self.structures
-        if others is not None and set(self.kinds) != {*ALL_KINDS}:
-            others = others.take(np.isin(others.kinds, [*self.kinds, UNKNOWN]))
-        return self.buildings.joined(others)
+        others = self.structures.take(np.isin(self.structures.kinds, [*self.kinds, UNKNOWN]))
+        is_solid = np.array([all(EFFECTS[kind]) for kind in others.kinds], bool)
+        return replace(others, min_height_m=others.min_height_m * is_solid)
 
     @cached_property
     def plants(self) -> Raster | None:
@@ -132,11 +136,6 @@ class City(FactsRepr):
     def counted(self) -> "Counted":
         """All that counts beside a raster of roofs."""
         return Counted(self.standing, self.plants)
-
-    def seen_by(self, gps: Gps) -> "City":
-        """Return the city in which plants hide satellites as settings of these say."""
-        own = self.gps or Gps()
-        return self if own.plants == gps.plants else replace(self, gps=gps)
 
     @cached_property
     def hides(self) -> "Counted":
@@ -273,7 +272,8 @@ class City(FactsRepr):
             terrain = settings.Terrain(terrain)
         if not isinstance(vegetation, settings.Vegetation):
             vegetation = settings.Vegetation(vegetation)
-        city = read_city(
+        counted = Obstacles(None if kinds is None else tuple(kinds))
+        return read_city(
             buildings,
             bounds=bounds,
             crs=crs,
@@ -281,5 +281,11 @@ class City(FactsRepr):
             terrain=terrain,
             gps=gps,
             vegetation=vegetation,
+            kinds=counted.kinds or ALL_KINDS,
         )
-        return city if kinds is None else replace(city, kinds=tuple(kinds))
+
+
+def seen_by(city: City, gps: Gps) -> City:
+    """Return a city in which plants hide satellites as settings of these say."""
+    own = city.gps or Gps()
+    return city if own.plants == gps.plants else replace(city, gps=gps)

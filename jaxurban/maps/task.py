@@ -15,7 +15,7 @@ from xarray.indexes import PandasIndex
 
 from jaxurban.checks import at_least, typed
 from jaxurban.errors import InputError
-from jaxurban.io.city import City, joined_credits
+from jaxurban.io.city import City, joined_credits, seen_by
 from jaxurban.io.read.guesses import Guesses, guessed_share
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.engine import Engine, uses_numba
@@ -125,7 +125,7 @@ class MapTask:
 
     def __post_init__(self) -> None:
         """Check what city, sky and layers do not allow together; errors as of the class."""
-        object.__setattr__(self, "city", self.city.seen_by(self.params.gps))
+        object.__setattr__(self, "city", seen_by(self.city, self.params.gps))
         if self.params.gps.bounds and self.in_view(0).clocks is not None:
             raise InputError(
                 "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "

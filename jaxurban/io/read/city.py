@@ -33,7 +33,12 @@ from jaxurban.io.read.guesses import (
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets
-from jaxurban.io.read.plausible import filled_terrain, pixel_guesses, terrain_guesses
+from jaxurban.io.read.plausible import (
+    filled_terrain,
+    pixel_guesses,
+    read_plants,
+    terrain_guesses,
+)
 from jaxurban.io.read.raster import (
     RASTER_SUFFIXES,
     check_is_no_surface,
@@ -61,6 +66,7 @@ from jaxurban.world.grid import (
     utm_of,
     where_it_lies,
 )
+from jaxurban.world.kinds import KindName
 from jaxurban.world.raster import Raster
 
 OutlineReader = Callable[[Path, Near | None, settings.Buildings | None], Outlines]
@@ -80,7 +86,6 @@ COLUMNS_SAID = "height_column, ground_column and levels_column are for tables of
 GEOD = pyproj.Geod(ellps="WGS84")
 GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
 BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
-TALLEST_PLANT_M = 150.0  # the tallest tree stands at 116 m; birds and cables are above
 LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
@@ -95,6 +100,7 @@ def read_city(
     terrain: settings.Terrain,
     gps: Gps | None,
     vegetation: settings.Vegetation,
+    kinds: tuple[KindName, ...],
 ) -> City:
     """Return the city that files hold around a region; arguments, warnings and errors are as of `City.from_files`."""
     # A sample city (`SAMPLES`) gives what the arguments leave out.
@@ -138,9 +144,10 @@ def read_city(
         ground, guesses = filled_terrain(repr(str(terrain.source)), ground, crs, box_m)
     plants = None
     if vegetation.source is not None:
-        plants = read_raster(vegetation.source, crs, wide_m)
-        check_range(repr(str(vegetation.source)), plants.values, (LOWEST_ROOF_M, TALLEST_PLANT_M))
+        plants, plant_guesses = read_plants(vegetation.source, crs, wide_m, box_m)
+        guesses |= plant_guesses
     source = read_buildings(buildings, crs, bounds_m=wide_m, terrain=ground)
+    source = replace(source, kinds=kinds)
     if not buildings.allow_none:
         _check_has_building(buildings, source, region, box_m)
 
@@ -153,7 +160,7 @@ def read_city(
 
     # People, and what was guessed of heights, of people and of the ground.
     guesses |= dict(source.guesses) | height_guesses(source.buildings, box_m, buildings, crs)
-    guesses |= structure_guesses(source.structures, source.read_issues, box_m)
+    guesses |= structure_guesses(source.others, source.read_issues, box_m)
     blocks = None
     if people.has_blocks:
         blocks, block_issues = read_blocks(people, crs, wide_m, box_m)
