@@ -50,9 +50,8 @@ from jaxurban.settings import (
     as_tuple,
     iso_utc,
 )
-from jaxurban.world.footprints import BUILDING
 from jaxurban.world.grid import Bounds, check_bounds, projected_crs
-from jaxurban.world.kinds import ALL_KINDS, KindName, Obstacles
+from jaxurban.world.kinds import KindName, Obstacles
 
 SYNTHETIC = "synthetic"
 MOST_INSTANCES = 1_000_000
@@ -429,9 +428,7 @@ class Scenario(BaseModel):
     @property
     def kinds(self) -> tuple[KindName, ...]:
         """The kinds of what stands that count."""
-        if self.obstacles.kinds is None and self.planning.preset == "paper":
-            return (BUILDING,)
-        return self.obstacles.kinds or ALL_KINDS
+        return self.obstacles.under(self.planning.preset)
 
     @property
     def is_synthetic(self) -> bool:

@@ -12,6 +12,7 @@ from jaxurban.io.read.sampling import resample_raster
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.rules import roof_limits_m
+from jaxurban.metrics.variables import ROOF_KIND
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.legs import DOT_M, Steps
 from jaxurban.paths.route_report import TOUCHED
@@ -87,9 +88,9 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
     cells = np.argwhere((roofs_m > 0) | (limits_m > 0))
     rows, cols = cells.T
     kind = np.full(len(cells), BUILDING, object)
-    if "roof_kind" in maps.ds:
+    if ROOF_KIND in maps.ds:
         names = np.array([BUILDING, *EFFECTS], object)  # 0: nothing is known of the kind
-        kind = names[maps.m("roof_kind")[rows, cols].astype(int)]
+        kind = names[maps.m(ROOF_KIND)[rows, cols].astype(int)]
     return _of_cells(grid, cells, roofs_m[rows, cols], kind, limits_m[rows, cols])
 
 
@@ -138,7 +139,7 @@ def contacts(
         num_near = len(tree.query(some, predicate="dwithin", distance=beside_m)[0])
         if num_near * len(lines) > MOST_PAIRS * len(some):
             raise InputError(
-                f"clearance_m of {beside_m:g} m is too far: {num_near / len(some):,.0f} buildings are as near to a "
+                f"clearance_m of {beside_m:g} m is too far: {num_near / len(some):,.0f} outlines are as near to a "
                 "place of the mission, more than can be looked at; choose a smaller one"
             )
     step, prism = tree.query(lines, predicate="dwithin", distance=beside_m)

@@ -108,7 +108,7 @@ class RouteRules:
         maps, cost_model, constraints = rules_on(
             maps, self.cost_model, self.constraints, self.preset
         )
-        return maps, replace(self, cost_model=cost_model, constraints=constraints, preset="")
+        return maps, replace(self, cost_model=cost_model, constraints=constraints)
 
     def rules(self) -> dict[str, Any]:
         """Return cost model and constraints as plain, JSON-ready values."""

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple, get_args
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
+from jaxurban.settings import Preset
 from jaxurban.world.footprints import BUILDING, UNKNOWN
 
 KindName = Literal[
@@ -34,6 +35,7 @@ KindName = Literal[
 ALL_KINDS: tuple[KindName, ...] = get_args(KindName)
 PLANTS = "tree", "wood"
 WIRES = "wire", "cableway"
+OTHERS = "others"
 
 
 class Effects(NamedTuple):
@@ -55,6 +57,14 @@ EFFECTS: dict[str, Effects] = {
     **dict.fromkeys(("crane", "turbine", *WIRES), Effects(hides=False, returns=False)),
 }
 CODES = {kind: number for number, kind in enumerate(EFFECTS, 1)}
+# By kind: the group in which pictures show it.
+GROUPS = {
+    **dict.fromkeys(EFFECTS, OTHERS),
+    BUILDING: "buildings",
+    **dict.fromkeys(PLANTS, "plants"),
+    **dict.fromkeys(WIRES, "wires"),
+    UNKNOWN: UNKNOWN,
+}
 
 
 @typed
@@ -79,3 +89,9 @@ class Obstacles:
     def __post_init__(self) -> None:
         if self.kinds is not None and BUILDING not in self.kinds:
             raise InputError(f"kinds must hold {BUILDING!r}, got {[*self.kinds]}: add it")
+
+    def under(self, preset: Preset) -> tuple[KindName, ...]:
+        """Return the kinds that count under a preset."""
+        if self.kinds is None and preset == "paper":
+            return (BUILDING,)
+        return self.kinds or ALL_KINDS
