@@ -275,7 +275,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
     ),
     "GPS, soft": lambda: Call(
         gps_soft._soft_gps,
-        (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None, None),
+        (array(*SURFACE), array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None, None),
         {"window": WINDOW, "dop": "gdop"},
     ),
     "lidar: flat, 5 m": lambda: Call(

@@ -50,8 +50,10 @@ from jaxurban.settings import Heights as Heights
 from jaxurban.settings import HeightStd as HeightStd
 from jaxurban.settings import Planning as Planning
 from jaxurban.settings import Terrain as Terrain
+from jaxurban.settings import Vegetation as Vegetation
 from jaxurban.settings import Vehicle as Vehicle
 from jaxurban.viewer.widget import view as view
 from jaxurban.world.grid import Grid as Grid
+from jaxurban.world.kinds import Obstacles as Obstacles
 
 __version__: str

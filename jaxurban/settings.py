@@ -18,7 +18,7 @@ from jaxurban.errors import InputError
 CostKind = Literal["cell", "line"]
 Diagonal = Literal["both-free", "always"]
 Objective = Literal["weighted", "distance"]
-Obstacles = Literal["touched", "centre"]
+ObstacleRule = Literal["touched", "centre"]
 Preset = Literal["", "paper"]
 PlannerName = Literal[
     "ptp",
@@ -279,6 +279,25 @@ class Terrain:
     credit: str = ""
 
 
+@typed
+@dataclass(frozen=True)
+class Vegetation:
+    """Plants as a raster, beside those of the file of buildings.
+
+    Attributes:
+      source: a raster of heights above the ground in metres (a canopy model, CHM); left out, none. Where it has no
+        data nothing grows.
+      credit: what its licence asks for.
+
+    Examples:
+      >>> ju.Vegetation("canopy.tif", credit="City of Gothenburg")
+      Vegetation(source='canopy.tif', credit='City of Gothenburg')
+    """
+
+    source: str | Path | None = None
+    credit: str = ""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rules:
     """What a preset decides where nothing else does.
@@ -288,7 +307,7 @@ class Rules:
     """
 
     cost_model: CostKind = "line"
-    obstacles: Obstacles = "touched"
+    obstacles: ObstacleRule = "touched"
     clearance_m: float = 0.0
     vertical_clearance_m: float = 3.0
 
@@ -328,7 +347,7 @@ class Planning:
     preset: Preset = ""
     planner: PlannerText = "astar-plus"
     cost_model: CostKind | None = None
-    obstacles: Obstacles | None = None
+    obstacles: ObstacleRule | None = None
     clearance_m: float | None = None
     vertical_clearance_m: float | None = None
     objective: Objective = "weighted"

@@ -1,6 +1,7 @@
 """Metric maps made up by NumPy alone: a city of blocks with smooth random metrics, for tests that need no real ones."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import shapely
@@ -8,9 +9,12 @@ import xarray as xr
 from scipy.ndimage import gaussian_filter
 
 from jaxurban.io.city import City
+from jaxurban.io.read.rasterise import build_surface
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.world.footprints import Footprints
+from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import Grid
+from jaxurban.world.raster import Raster
+from jaxurban.world.surface import obstacles_on
 
 FLOWN = ("altitude", "y", "x")
 
@@ -93,3 +97,47 @@ def missing_inside(maps: MetricMaps, **attrs) -> MetricMaps:
     return MetricMaps(
         maps.ds.assign({name: maps.ds[name].where(is_free) for name in names}).assign_attrs(attrs)
     )
+
+
+def city_of_kinds(corner_m=(0.0, 0.0), **more) -> City:
+    """Return a square city of 200 m: two houses, a chimney, a row of trees, a wood, a wire, and plants as a raster.
+
+    The trees are guessed to have 12 m and may have 30 m. The raster's plants have 14 m in a square of 20 m.
+    """
+    city = city_of_boxes([(0, 0, 40, 40), (100, 100, 140, 160)], [20.0, 30.0], 200.0, corner_m)
+    rows = np.arange(5)
+    shapes = [
+        shapely.box(60, 10, 70, 20),
+        *shapely.buffer(shapely.points(20 + 10 * rows, 90), 4.0, quad_segs=4),
+        shapely.box(150, 0, 190, 60),
+        shapely.box(50, 180, 200, 181),
+    ]
+    kinds = ["chimney", *["tree"] * 5, "wood", "wire"]
+    is_tree = np.array(kinds) == "tree"
+    structures = Footprints(
+        polygons=shapely.transform(np.array(shapes), lambda xy: xy + corner_m),
+        height_m=np.array([90.0, *[12.0] * 5, 15.0, 10.0]),
+        min_height_m=np.zeros(8),
+        origin=np.where(is_tree, HeightOrigin.DEFAULT, HeightOrigin.HEIGHT).astype(np.uint8),
+        is_part=np.zeros(8, bool),
+        kind=np.array(kinds, object),
+        limit_m=np.where(is_tree, 30.0, np.inf),
+    )
+    heights_m = np.zeros((40, 40), np.float32)  # row 0 in the north
+    heights_m[12:16, 4:8] = 14.0
+    place = 5.0, 0.0, corner_m[0], 0.0, -5.0, corner_m[1] + 200.0
+    return replace(
+        city, structures=structures, vegetation=Raster(heights_m, place, city.crs), **more
+    )
+
+
+def maps_of_kinds(**more) -> tuple[MetricMaps, City]:
+    """Return maps in cells of 5 m of `city_of_kinds`, with an obstacle at 8, 13 and 20 m, and the city."""
+    maps = made_maps(40, 40, (8.0, 13.0, 20.0), 5.0)
+    city = city_of_kinds(maps.grid.bounds_m[:2], **more)
+    surface = build_surface(city, maps.grid, maps.grid, has_guessed=True, has_kinds=True)
+    names = {"roof": "roof_m", "roof_touched": "roof_touched_m", "roof_guessed": "roof_guessed"}
+    names |= {"roof_limit": "roof_limit_m", "roof_kind": "roof_kind"}
+    ds = maps.ds.assign({name: (("y", "x"), getattr(surface, of)) for name, of in names.items()})
+    obstacle = obstacles_on(surface, maps.altitudes_m).astype(np.uint8)
+    return replace(maps, ds=ds.assign(obstacle=ds["obstacle"].copy(data=obstacle))), city

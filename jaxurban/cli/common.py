@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.route_report import OverflownDensity
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.settings import CostKind, Obstacles, Preset
+    from jaxurban.settings import CostKind, ObstacleRule, Preset
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]
@@ -199,7 +199,7 @@ def weights_in(ctx: click.Context, param: click.Parameter, text: str) -> dict[st
     return Weights.named_in(text)
 
 
-def folders_of(resolution_m: float | None, obstacles: "Obstacles | None") -> MapsOf:
+def folders_of(resolution_m: float | None, obstacles: "ObstacleRule | None") -> MapsOf:
     """Return a function of a folder that returns its maps, not opened yet, as the options of `MAPS` choose them."""
     from jaxurban.paths.rows import MapsFolder
 

@@ -1,11 +1,13 @@
 """City: what stands and who lives in a region, as vectors in one projected CRS."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import shapely
 
 from jaxurban import settings
@@ -18,11 +20,25 @@ from jaxurban.public import Caution, FactsRepr, caution_of_guesses
 from jaxurban.settings import TO_GROUND, Hanging
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import MAIN_SHARE, main_bounds
-from jaxurban.world.footprints import Footprints
+from jaxurban.world.footprints import UNKNOWN, Footprints
 from jaxurban.world.grid import WGS84, Bounds, box_of, transformer
+from jaxurban.world.kinds import ALL_KINDS, EFFECTS, PLANTS, KindName, Obstacles
 from jaxurban.world.raster import Raster
 
+WOOD = "wood"  # the kind of what a raster of vegetation holds
 MOST_IN = f"{100 * MAIN_SHARE:.0f} % of buildings in"
+
+
+class Counted(NamedTuple):
+    """What of a city counts for something.
+
+    Attributes:
+      outlines: None where roofs are a raster.
+      plants: a raster of their heights, None without one.
+    """
+
+    outlines: Footprints | None
+    plants: Raster | None
 
 
 def joined_credits(*credits: str) -> str:
@@ -42,6 +58,9 @@ class City(FactsRepr):
       buildings: outlines with heights, or None where ``roofs`` is given.
       structures: what else stands (chimneys, masts, tanks ...), and where something of unknown extent does; None or
         empty for nothing.
+      vegetation: raster of heights of plants above ground, or None.
+      kinds: of `jaxurban.world.kinds`, those of buildings, structures and vegetation (a ``"wood"``) that count; what is
+        of unknown extent always does.
       roofs: raster of roof heights above ground, or None.
       blocks: census blocks, or None without population data.
       terrain: raster of ground elevation, or None for flat ground.
@@ -84,6 +103,8 @@ class City(FactsRepr):
     population: Population | None = None
     heights: settings.Heights | None = None
     structures: Footprints | None = None
+    vegetation: Raster | None = None
+    kinds: tuple[KindName, ...] = ALL_KINDS
 
     def __post_init__(self) -> None:
         """Check that there is one kind of roofs; errors as of the class."""
@@ -94,8 +115,50 @@ class City(FactsRepr):
 
     @cached_property
     def standing(self) -> Footprints | None:
-        """All outlines that stand: the buildings and, after them, the structures; None where ``roofs`` is given."""
-        return None if self.buildings is None else self.buildings.joined(self.structures)
+        """All outlines that count: the buildings and, after them, the structures; None where ``roofs`` is given."""
+        return None if self.buildings is None else self.buildings.joined(self.others)
+
+    @cached_property
+    def others(self) -> Footprints | None:
+        """The structures that count. Those that rays pass reach the ground, as what hangs is solid to rays."""
+        if self.structures is None:
+            return None
+        others = self.structures.take(np.isin(self.structures.kinds, [*self.kinds, UNKNOWN]))
+        is_solid = np.array([all(EFFECTS[kind]) for kind in others.kinds], bool)
+        return replace(others, min_height_m=others.min_height_m * is_solid)
+
+    @cached_property
+    def plants(self) -> Raster | None:
+        """``vegetation``, where it counts."""
+        return self.vegetation if WOOD in self.kinds else None
+
+    @cached_property
+    def counted(self) -> "Counted":
+        """All that counts beside a raster of roofs."""
+        return Counted(self.standing, self.plants)
+
+    @cached_property
+    def hides(self) -> "Counted":
+        """What hides satellites: with ``[gps] plants = "hide"`` plants do too."""
+        plants = PLANTS if self.gps is not None and self.gps.plants == "hide" else ()
+        return self._which(lambda kind: EFFECTS[kind].hides or kind in plants)
+
+    @cached_property
+    def returns(self) -> "Counted":
+        """What returns a lidar's beam."""
+        return self._which(lambda kind: EFFECTS[kind].returns)
+
+    def _which(self, counts: Callable[[str], bool]) -> "Counted":
+        """Return what counts of its kind: `counted` itself, if all does."""
+        standing, plants = self.counted
+        are_counted = plants is None or counts(WOOD)
+        if standing is not None:
+            is_counted = np.array([counts(kind) for kind in standing.kinds], bool)
+            standing = standing.take(is_counted)
+            are_counted &= bool(is_counted.all())
+        if are_counted:
+            return self.counted
+        return Counted(standing, plants if counts(WOOD) else None)
 
     @property
     def facts(self) -> dict[str, str]:
@@ -165,6 +228,8 @@ class City(FactsRepr):
         population: Population | None = None,
         terrain: str | Path | settings.Terrain | None = None,
         gps: Gps | None = None,
+        vegetation: str | Path | settings.Vegetation | None = None,
+        kinds: Sequence[KindName] | None = None,
     ) -> "City":
         """Return the city in a set of files, around a region.
 
@@ -180,6 +245,8 @@ class City(FactsRepr):
           terrain: ground elevation raster; left out, flat.
           gps: satellites, times and elevation mask of the city's maps and skies; left out, those of the sample city,
             else the nominal ones over 5 degrees.
+          vegetation: raster of heights of plants above the ground; left out, none.
+          kinds: of what stands that count, from `jaxurban.world.kinds`; left out, all.
 
         Returns:
           The city, its coordinates in metres in ``crs``. What lies around the region is there too.
@@ -203,6 +270,22 @@ class City(FactsRepr):
             buildings = settings.Buildings(buildings)
         if not isinstance(terrain, settings.Terrain):
             terrain = settings.Terrain(terrain)
+        if not isinstance(vegetation, settings.Vegetation):
+            vegetation = settings.Vegetation(vegetation)
+        counted = Obstacles(None if kinds is None else tuple(kinds))
         return read_city(
-            buildings, bounds=bounds, crs=crs, population=population, terrain=terrain, gps=gps
+            buildings,
+            bounds=bounds,
+            crs=crs,
+            population=population,
+            terrain=terrain,
+            gps=gps,
+            vegetation=vegetation,
+            kinds=counted.kinds or ALL_KINDS,
         )
+
+
+def seen_by(city: City, gps: Gps) -> City:
+    """Return a city in which plants hide satellites as settings of these say."""
+    own = city.gps or Gps()
+    return city if own.plants == gps.plants else replace(city, gps=gps)

@@ -100,16 +100,16 @@ class SoftCity:
     Attributes:
       surface: roofs, terrain and blocks; the type of its roofs is that of the layers (float64 under
         ``jax.enable_x64(True)``).
-      building: ``[Y, X]`` which building or structure has the roof of each cell
-        (`jaxurban.io.read.rasterise.building_index`).
+      building: ``[Y, X]`` the highest building over each cell (`jaxurban.io.read.rasterise.building_index`); cells that
+        a structure or a plant tops do not change with its height.
       height_m: ``[B]`` the buildings' own heights.
       view: the satellites.
       population: of the census blocks; None without population.
-      structure_m: ``[S]`` heights of the structures, which stay as they are; None without structures.
       time_of_day: of the population.
       reach_m: how far each metric looks at most, by name: the largest range and threshold of the parameters. Left
         out, those of the default settings.
       own: cost layers that a user added, name and settings.
+      built_m: ``[B]`` heights of which the surface was made, where others than buildings stand; else None.
 
     Examples:
       >>> params = ju.grad.SoftParams(altitude_m=60.0)
@@ -123,13 +123,13 @@ class SoftCity:
     height_m: Float[Array, " B"]
     view: SkyView
     population: BlockPopulation | None = None
-    structure_m: Float[Array, " S"] | None = None
     time_of_day: str = field(default="day", metadata={"static": True})
     reach_m: tuple[tuple[str, float], ...] = field(
         default=tuple((name, metric.reach_m(metric.params())) for name, metric in METRICS.items()),
         metadata={"static": True},
     )
     own: tuple[tuple[str, Layer], ...] = field(default=(), metadata={"static": True})
+    built_m: Float[Array, " B"] | None = None
 
     @property
     def metrics(self) -> dict[str, Metric]:
@@ -173,11 +173,8 @@ class SoftCity:
         metric = self.metrics[one_of("the metric of a soft layer", name, self.names)]
         assert metric.soft is not None
         settings = dict(self.own).get(name) or params.settings_of(metric)
-        standing_m = height_m
-        if self.structure_m is not None:
-            standing_m = jnp.append(height_m, self.structure_m)
         scene = SoftScene(
-            surface=self.surface.with_heights(standing_m, self.building),
+            surface=self.surface.with_heights(height_m, self.building, self.built_m),
             altitude_m=params.altitude_m,
             softness_m=params.softness_m,
             cells=cells,
@@ -409,23 +406,25 @@ def soften(
     # The rasters and the people in the type of the layers, and how far each metric looks.
     surface = task.surface().of_jax()
     terrain_m = None if surface.terrain_m is None else jnp.asarray(surface.terrain_m, dtype)
-    surface = replace(surface, roof_m=jnp.asarray(surface.roof_m, dtype), terrain_m=terrain_m)
+    roofs_m: dict[str, Any] = {
+        name: jnp.asarray(getattr(surface, name), dtype) for name in surface.roofs
+    }
+    surface = replace(surface, **roofs_m, terrain_m=terrain_m)
     population = None
     if city.blocks is not None:
         population = BlockPopulation.of(city.blocks, task.region.bounds_m, dtype)
-    structure_m = None
-    if city.structures is not None:
-        structure_m = jnp.asarray(city.structures.height_m, dtype)
     reach_m = {
         name: metric.reach_m(task.settings_of(metric)) for name, metric in task.metrics.items()
     }
+    height_m = jnp.asarray(city.buildings.height_m, dtype)
+    has_others = city.structures is not None or city.plants is not None
     return SoftCity(
         surface=surface,
         building=jnp.asarray(building),
-        height_m=jnp.asarray(city.buildings.height_m, dtype),
+        height_m=height_m,
+        built_m=height_m if has_others else None,
         view=SkyView.of(surface, *in_view.angles, clocks=in_view.clocks),
         population=population,
-        structure_m=structure_m,
         time_of_day=time_of_day or params.population.times_of_day[0],
         reach_m=tuple(reach_m.items()),
         own=tuple(task.layers.items()),

@@ -17,7 +17,7 @@ from jaxurban.metrics.base import TIME_OF_DAY, UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.progress import LOG
 from jaxurban.public import Caution, FactsRepr, caution_of_guesses, listed
-from jaxurban.settings import Obstacles, Planning, iso_utc
+from jaxurban.settings import ObstacleRule, Planning, iso_utc
 from jaxurban.world.grid import Grid, crs_said, grid_of
 from jaxurban.world.surface import stands_at
 
@@ -96,7 +96,7 @@ class MetricMaps(FactsRepr):
     """
 
     ds: xr.Dataset
-    rule: Obstacles | None = None
+    rule: ObstacleRule | None = None
     base: str | Path | None = None
 
     def __post_init__(self) -> None:
@@ -139,7 +139,7 @@ class MetricMaps(FactsRepr):
         return replace(self, ds=self.ds.assign_attrs(settings=json.dumps(kept)))
 
     @property
-    def obstacles(self) -> Obstacles:
+    def obstacles(self) -> ObstacleRule:
         """Where every planner may fly.
 
         ``"touched"``: in cells that share no area with a roof that reaches the altitude. ``"centre"``: in cells whose
@@ -368,7 +368,7 @@ class MetricMaps(FactsRepr):
         return median if name not in self.ds and median in self.ds else name
 
     @typed
-    def is_free(self, altitude_m: float, obstacles: Obstacles | None = None) -> np.ndarray:
+    def is_free(self, altitude_m: float, obstacles: ObstacleRule | None = None) -> np.ndarray:
         """Return ``[y, x]`` bool: cells without an obstacle, with data, and with a value of every layer of a user.
 
         At one of the maps' altitudes a cell that ``obstacle`` blocks is never free, whatever the roofs say. Metrics are
@@ -410,7 +410,7 @@ class MetricMaps(FactsRepr):
                 is_free = is_free & ~np.isnan(self.m(name, z_m))
         return is_free
 
-    def _is_above_roofs(self, altitude_m: float, rule: Obstacles) -> np.ndarray:
+    def _is_above_roofs(self, altitude_m: float, rule: ObstacleRule) -> np.ndarray:
         """Return ``[y, x]`` bool: where no roof, as a rule sees them, reaches an altitude; False where one is unknown.
 
         Raises:
@@ -438,7 +438,7 @@ class MetricMaps(FactsRepr):
         return self.with_obstacles("centre").is_free(altitude_m)
 
     @typed
-    def with_obstacles(self, obstacles: Obstacles) -> "MetricMaps":
+    def with_obstacles(self, obstacles: ObstacleRule) -> "MetricMaps":
         """Return the same maps with another rule of where planners may fly (see ``obstacles``).
 
         Returns:

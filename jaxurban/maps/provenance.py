@@ -142,8 +142,8 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
 def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str, dict[str, Any]]:
     """Return path, SHA-256 and bytes of every file that a scenario names, by its role.
 
-    Roles are ``buildings``, ``terrain``, ``orbits``, ``orbits_2`` and so on, those of `FILES` and ``layer_NAME``. The
-    companions of a file, such as the .dbf of a Shapefile, are hashed and counted with it.
+    Roles are ``buildings``, ``terrain``, ``vegetation``, ``orbits``, ``orbits_2`` and so on, those of `FILES` and
+    ``layer_NAME``. The companions of a file, such as the .dbf of a Shapefile, are hashed and counted with it.
 
     Args:
       scenario: the settings.
@@ -154,7 +154,11 @@ def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str,
       InputError: a file that is missing (without a record) or cannot be read, or one of the system (`SYSTEM_FOLDERS`).
     """
     buildings = None if scenario.is_synthetic else scenario.buildings.source
-    named: dict[str, Any] = {"buildings": buildings, "terrain": scenario.terrain.source}
+    named: dict[str, Any] = {
+        "buildings": buildings,
+        "terrain": scenario.terrain.source,
+        "vegetation": scenario.vegetation.source,
+    }
     orbits = [name for name in as_tuple(scenario.gps.orbits) if name != NOMINAL]
     for number, name in enumerate(orbits, start=1):
         named["orbits" if number == 1 else f"orbits_{number}"] = name

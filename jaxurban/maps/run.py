@@ -86,6 +86,8 @@ def load_city(scenario: Scenario) -> City:
         population=placed(scenario.population, *FILES),
         terrain=placed(scenario.terrain, "source"),
         gps=gps_of(scenario),
+        vegetation=placed(scenario.vegetation, "source"),
+        kinds=scenario.kinds,
     )
 
 

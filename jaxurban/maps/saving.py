@@ -22,7 +22,7 @@ from jaxurban.io.store import (
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.variables import NEEDED
-from jaxurban.settings import Obstacles
+from jaxurban.settings import ObstacleRule
 
 
 def save_maps(maps: MetricMaps, folder: Path, layers: Sequence[str]) -> None:
@@ -73,7 +73,7 @@ def _check_can_be_opened(maps: MetricMaps) -> None:
 
 @typed
 def open_maps(
-    folder: str | Path, resolution_m: float | None = None, *, obstacles: Obstacles | None = None
+    folder: str | Path, resolution_m: float | None = None, *, obstacles: ObstacleRule | None = None
 ) -> MetricMaps:
     """Return the maps that ``MetricMaps.save`` or ``jaxurban maps`` wrote under ``folder``.
 

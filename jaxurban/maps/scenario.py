@@ -45,11 +45,13 @@ from jaxurban.settings import (
     PlannerText,
     Planning,
     Terrain,
+    Vegetation,
     Vehicle,
     as_tuple,
     iso_utc,
 )
 from jaxurban.world.grid import Bounds, check_bounds, projected_crs
+from jaxurban.world.kinds import KindName, Obstacles
 
 SYNTHETIC = "synthetic"
 MOST_INSTANCES = 1_000_000
@@ -218,7 +220,7 @@ class Scenario(BaseModel):
     A subclass with a further field takes the section of a metric of one's own, by the metric's name.
 
     Attributes:
-      region, buildings, terrain, weights, planning, vehicle, study: as their classes say.
+      region, buildings, terrain, vegetation, obstacles, weights, planning, vehicle, study: as their classes say.
       gps, lidar, population, risk: settings of the metrics of every cost.
       gps_horizontal, gps_vertical, protection: of metrics that are made where their settings or a weight is given.
       layers: cost layers of one's own, by name.
@@ -234,6 +236,8 @@ class Scenario(BaseModel):
     region: Region
     buildings: Buildings
     terrain: Terrain = Terrain()
+    vegetation: Vegetation = Vegetation()
+    obstacles: Obstacles = Obstacles()
     gps: Gps = Gps()
     lidar: Lidar = Lidar()
     population: Population = Population()
@@ -420,6 +424,11 @@ class Scenario(BaseModel):
             sections=values_given(sections),
             engine=region.engine,
         )
+
+    @property
+    def kinds(self) -> tuple[KindName, ...]:
+        """The kinds of what stands that count."""
+        return self.obstacles.under(self.planning.preset)
 
     @property
     def is_synthetic(self) -> bool:

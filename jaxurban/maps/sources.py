@@ -1,6 +1,7 @@
 """The city behind maps: read again from the files that the run which made them recorded."""
 
 import warnings
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -13,11 +14,21 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
 from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
+from jaxurban.metrics.variables import ROOF_KIND
+from jaxurban.world.kinds import ALL_KINDS, PLANTS, WIRES, Obstacles
 
 CityLike = City | MetricMaps | str | Path
 EXACT = "exact outlines"
 BY_CELLS = "by cells that roofs touch, because {}"
-STANDING = ("buildings", "terrain")  # roles of the files that say what stands, and on which ground
+STANDING = (
+    "buildings",
+    "terrain",
+    "vegetation",
+)  # roles of the files that say what stands, and on which ground
+NOT_LOOKED_AT = "Kinds of obstacles that were not looked at: {}."
+# What counts where the record does not say it: plants and wires are newer than such maps.
+KINDS_BEFORE = [kind for kind in ALL_KINDS if kind not in (*PLANTS, *WIRES)]
+BEFORE = {"obstacles": {"kinds": KINDS_BEFORE}}
 
 
 class ChangedSourcesError(InputError):
@@ -40,7 +51,7 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     """
     if sources is not None and not Path(sources).is_dir():
         raise InputError(f"sources must be a folder, and {str(sources)!r} is none: check the path")
-    settings = settings_of(folder)
+    settings = BEFORE | settings_of(folder)
     if "bounds" not in settings.get("region", {}):
         raise InputError(
             f"the maps in {str(folder)!r} were not made by `jaxurban maps`, so what they are of is not on record: make "
@@ -132,6 +143,25 @@ def standing_on(maps: MetricMaps, sources: City | str | Path | None = None) -> S
     if city.buildings is None:
         return Standing(city, BY_CELLS.format("the city is a raster of heights"))
     return Standing(city, EXACT)
+
+
+def left_out(maps: MetricMaps, city: City | None) -> str:
+    """Return a sentence on the kinds of what stands that do not count on maps, as far as is known; else ``""``.
+
+    Args:
+      maps: the maps.
+      city: that they are of; None for what their record says.
+    """
+    counted: Sequence[str] = ALL_KINDS
+    if city is not None:
+        counted = city.kinds
+    elif maps.folder is not None:
+        settings = settings_of(maps.folder)
+        if "obstacles" in settings or ROOF_KIND not in maps.ds:
+            obstacles = Obstacles(**(BEFORE | settings)["obstacles"])
+            counted = obstacles.under(maps.planning.preset)
+    kinds = [kind for kind in ALL_KINDS if kind not in counted]
+    return NOT_LOOKED_AT.format(", ".join(kinds)) if kinds else ""
 
 
 def folder_of(maps: MetricMaps | str | Path) -> Path:

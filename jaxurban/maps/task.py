@@ -15,7 +15,7 @@ from xarray.indexes import PandasIndex
 
 from jaxurban.checks import at_least, typed
 from jaxurban.errors import InputError
-from jaxurban.io.city import City, joined_credits
+from jaxurban.io.city import City, joined_credits, seen_by
 from jaxurban.io.read.guesses import Guesses, guessed_share
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.engine import Engine, uses_numba
@@ -28,6 +28,7 @@ from jaxurban.metrics.registry import checked_sections
 from jaxurban.metrics.variables import AUXILIARY_VARIABLES, CAVEAT, TimeTotals, derived
 from jaxurban.metrics.visibility import shadow_reach_m
 from jaxurban.settings import SLABS, Heights
+from jaxurban.world.footprints import BUILDING
 from jaxurban.world.grid import Grid
 from jaxurban.world.raster import Raster
 from jaxurban.world.sky import InView, Sky
@@ -124,6 +125,7 @@ class MapTask:
 
     def __post_init__(self) -> None:
         """Check what city, sky and layers do not allow together; errors as of the class."""
+        object.__setattr__(self, "city", seen_by(self.city, self.params.gps))
         if self.params.gps.bounds and self.in_view(0).clocks is not None:
             raise InputError(
                 "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "
@@ -236,6 +238,13 @@ class MapTask:
         standing = self.city.standing
         return standing is not None and guessed_share(standing, self.region.bounds_m) > 0
 
+    @cached_property
+    def has_kinds(self) -> bool:
+        """Whether anything but a building stands in the region. If so, the maps say what stands."""
+        standing = self.city.standing
+        is_other = standing is not None and standing.inside(self.region.bounds_m).kinds != BUILDING
+        return self.city.plants is not None or bool(np.any(is_other))
+
     def in_view(self, time_index: int) -> InView:
         """Return the satellites in view at a time, with one receiver clock or several as the settings of GPS say."""
         in_view = self.sky.in_view(time_index)
@@ -273,6 +282,7 @@ class MapTask:
             self.with_margin(),
             self.params.heights.all_touched,
             self.has_guessed_roofs,
+            self.has_kinds,
         )
 
 
@@ -299,6 +309,7 @@ def variables(task: MapTask) -> dict[str, Variable]:
         "obstacle_share": task.params.heights.height_samples,
         "roof_guessed": task.has_guessed_roofs,
         "roof_limit": task.has_guessed_roofs,
+        "roof_kind": task.has_kinds,
         UNDERSIDE: task.city.hanging == SLABS and task.city.buildings is not None,
         "terrain": task.has_terrain,
     }
@@ -450,12 +461,14 @@ def _attributes(variable: Variable, array: xr.DataArray | xr.Variable) -> dict[s
       array: the values. Times have no unit here, as xarray writes one itself. Arrays over y and x name the CRS.
     """
     is_time = array.dtype.kind == "M"
+    has_flags = len(variable.classes) > 2
     texts = {
         "long_name": variable.long_name,
         CAVEAT: variable.caveat,
         "standard_name": variable.standard_name,
         "units": "" if is_time else variable.unit,
         "one_means": variable.one_means,
+        "flag_meanings": " ".join(name for name, _ in variable.classes) if has_flags else "",
         "grid_mapping": "spatial_ref" if {*PLANE} <= {*array.dims} else "",
     }
     return {key: value for key, value in texts.items() if value}

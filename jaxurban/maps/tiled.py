@@ -26,7 +26,7 @@ from jaxurban.metrics.visibility import ringed_lines
 from jaxurban.progress import Stopwatch
 from jaxurban.settings import SLABS
 from jaxurban.world.grid import Grid
-from jaxurban.world.surface import Slabs, Surface
+from jaxurban.world.surface import ROOFS, Slabs, Surface
 
 Tile = tuple[int, int]  # row and column of a tile in its tiling, the southwest one first
 # 1 or -1 each: the source stands in the north (1) or south, in the east (1) or west.
@@ -262,13 +262,19 @@ def _name(kind: str, *parts: int | str) -> str:
     return "_".join(map(str, (kind, *parts)))
 
 
-RASTERS = ("roof_m", "terrain_m", "has_data", "roof_guessed", "roof_limit_m")  # of a `Surface`
+OF_REGION = (
+    "roof_touched_m",
+    "roof_guessed",
+    "roof_limit_m",
+    "roof_kind",
+)  # rasters of a `Surface`
+RASTERS = (*ROOFS, "terrain_m", "has_data")
 
 
 def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     """Rasterise a tile into the work folder, unless that is done, and return the ``seconds`` it took by stage.
 
-    A tile of the region also gets its touched roofs and census blocks, which roofs are guessed, and their bounds.
+    A tile of the region also gets what is known of its roofs by touch (`OF_REGION`), and its census blocks.
 
     Args:
       job: what the tiles need, and the work folder.
@@ -282,12 +288,14 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             grid = job.tiling.grid_of(tile)
             is_reported = tile in job.tiling.region_tiles
             has_guessed = is_reported and job.task.has_guessed_roofs
-            surface = rasterise(city, grid, job.task.params.heights.all_touched, has_guessed)
-            arrays = {key: getattr(surface, key) for key in RASTERS}
+            has_kinds = is_reported and job.task.has_kinds
+            all_touched = job.task.params.heights.all_touched
+            surface = rasterise(city, grid, all_touched, has_guessed, has_kinds)
+            names = (*RASTERS, *OF_REGION) if is_reported else RASTERS
+            arrays = {key: getattr(surface, key) for key in names}
             if surface.slabs is not None:
                 arrays |= {f"slab_{key}": values for key, values in surface.slabs._asdict().items()}
             if is_reported:
-                arrays["roof_touched_m"] = surface.roof_touched_m
                 arrays["block"] = rasterise_blocks(city, grid)
             job.work.save_arrays(name, **values_given(arrays))
     return {"seconds": watch.elapsed_s}
@@ -310,8 +318,8 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
     if job.work.done(name) is None:
         with watch.stage("gps"):
             grid = job.tiling.grid_of(tile)
-            kept = job.work.load_arrays(_name("raster", *tile), "roof_m", "terrain_m")
-            top_m = kept["roof_m"] + kept.get("terrain_m", np.float32(0))
+            kept = job.work.load_arrays(_name("raster", *tile), *ROOFS, "terrain_m")
+            top_m = kept.get("hiding_m", kept["roof_m"]) + kept.get("terrain_m", np.float32(0))
             pairs = job.order[quadrant]
             azimuth_rad = np.array([sky.azimuth_rad[pair] for pair in pairs])
             elevation_rad = np.array([sky.elevation_rad[pair] for pair in pairs])
@@ -419,8 +427,15 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
         "roof_m": np.zeros(grid.shape, np.float32),
         "has_data": np.ones(grid.shape, bool),
     }
-    if job.task.has_terrain:
-        rasters["terrain_m"] = np.zeros(grid.shape, np.float32)
+    city = job.task.city
+    is_needed = {
+        "terrain_m": job.task.has_terrain,
+        "hiding_m": city.hides is not city.counted,
+        "returning_m": city.returns is not city.counted,
+    }
+    for key, needed in is_needed.items():
+        if needed:
+            rasters[key] = np.zeros(grid.shape, np.float32)
     for near in job.tiling.touching(grid):
         other = job.tiling.grid_of(near)
         row = other.first_row - grid.first_row
@@ -437,20 +452,15 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
     rasters["has_data"][halo:north_rows] = False
     rasters["has_data"][:, west_cols : grid.num_cols - halo] = False
 
-    own: dict[str, Any] = job.work.load_arrays(
-        _name("raster", *tile), "block", "roof_touched_m", "roof_guessed", "roof_limit_m"
-    )
+    if rasters["has_data"].all():
+        rasters["has_data"] = None
+    own: dict[str, Any] = job.work.load_arrays(_name("raster", *tile), "block", *OF_REGION)
+    given = {"terrain_m": None, "block": None, **rasters, **own}
     return Surface(
-        roof_m=rasters["roof_m"],
-        terrain_m=rasters.get("terrain_m"),
-        has_data=None if rasters["has_data"].all() else rasters["has_data"],
-        block=own.get("block"),
+        **given,
         grid=grid,
         region=region,
-        roof_touched_m=own["roof_touched_m"],
-        roof_guessed=own.get("roof_guessed"),
-        roof_limit_m=own.get("roof_limit_m"),
-        slabs=_slabs(job, tile) if job.task.city.hanging == SLABS else None,
+        slabs=_slabs(job, tile) if city.hanging == SLABS else None,
     )
 
 

@@ -98,7 +98,7 @@ class Variable:
         that nobody sees; None where it has values there as anywhere else.
       one_means: what a value of one means; "" where that needs no word.
       scale: how its values become colours.
-      classes: name and colour of 0 and of 1, of what is nothing else.
+      classes: name and colour of 0, of 1 and so on, of what is nothing else.
       symbol: short for it in pictures; "" for none.
       title: of its pictures; left out, its long name and the symbol (`heading`).
       dims: along which it varies beside y and x.

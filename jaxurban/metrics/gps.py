@@ -67,6 +67,7 @@ class Gps:
       mask_deg: elevation mask; lower satellites are not used.
       max_age_days: older element sets are refused.
       reference: longitude, latitude where look angles are taken; left out, the region's centre.
+      plants: whether trees and woods let signals through (``"pass"``), or hide satellites (``"hide"``): the two bounds.
 
     Raises:
       InputError: a value out of its range, or times that are not different.
@@ -93,6 +94,7 @@ class Gps:
     mask_deg: float = 5.0
     max_age_days: float = 90.0
     reference: tuple[float, float] | None = None
+    plants: Literal["pass", "hide"] = "pass"
 
     def __post_init__(self) -> None:
         """Check the settings, and write orbits and times, in place, as tuples; errors as of the class."""

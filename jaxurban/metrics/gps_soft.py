@@ -86,6 +86,7 @@ def soft_gps(
     window = rows.start, rows.stop, cols.start, cols.stop, 1  # 1: every cell is kept
     return _soft_gps(
         surface.roof_m,
+        surface.of_hiding().roof_m,
         surface.terrain_m,
         altitude_m,
         threshold,
@@ -101,6 +102,7 @@ def soft_gps(
 @partial(jax.jit, static_argnames=("window", "dop"))
 def _soft_gps(
     roof_m: Array,
+    hiding_m: Array,
     terrain_m: Array | None,
     altitude_m: Array,
     dop_threshold: Array,
@@ -115,7 +117,8 @@ def _soft_gps(
     """Return the soft metric of one DOP on the region, ``[y, x]``, or at chosen cells, ``[P]``.
 
     Args:
-      roof_m, terrain_m: ``[Y, X]`` on the surface's grid; no terrain where the ground is flat.
+      roof_m, hiding_m, terrain_m: ``[Y, X]`` on the surface's grid: all roofs, those that hide satellites, and no
+        terrain where the ground is flat.
       altitude_m, dop_threshold, softness_m, view, cells, reception, dop: as for `soft_gps`.
       window: the region's first and end row, first and end column, and the step between cells.
     """
@@ -134,9 +137,9 @@ def _soft_gps(
         return chosen(values[first_row:end_row, first_col:end_col])
 
     # Shadows of roofs and ground or, with a curve of reception, of roofs alone: height of their edge by satellite.
-    top_m = roof_m if terrain_m is None else terrain_m + roof_m
+    top_m = hiding_m if terrain_m is None else terrain_m + hiding_m
     if reception is not None:
-        top_m = jnp.where(roof_m > 0, top_m, -jnp.inf)
+        top_m = jnp.where(hiding_m > 0, top_m, -jnp.inf)
     shadows_m = shadow_heights(top_m, view.lines, window)
 
     # Weights of satellites by the height of receivers over these edges; hills hide satellites in either case.

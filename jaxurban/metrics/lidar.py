@@ -206,7 +206,10 @@ def lidar_of_beams(
     if _runs_numba(engine, surface, altitudes_m, heights_m):
         is_obstacle = obstacles_on(surface, np.asarray(altitudes_m))
         return _by_numba(surface, heights_m, params, oversample=1, is_obstacle=is_obstacle)
-    return _by_jax(surface, altitudes_m, heights_m, params, oversample=1)
+    share = _by_jax(surface, altitudes_m, heights_m, params, oversample=1)
+    if surface.returning_m is None:
+        return share
+    return share * ~obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
 
 
 def _runs_numba(engine: Engine, surface: Surface, *values: Any) -> bool:
@@ -237,6 +240,7 @@ def _by_numba(
       oversample: n.
       is_obstacle: on the map's cells.
     """
+    surface = surface.of_returning()
     n = oversample
     steps = kernel.num_steps(surface.grid.resolution_m, params.range_m)
     halo = kernel.halo_cells(steps, n)  # in cells of the map
@@ -273,6 +277,7 @@ def _by_jax(
       params: the lidar.
       oversample: n.
     """
+    surface = surface.of_returning()
     resolution_m = surface.grid.resolution_m
     n = oversample
     halo = halo_cells(params, resolution_m * n, n)
@@ -427,7 +432,7 @@ def soft_lidar(
     softness = jnp.asarray(softness_m, dtype)
 
     # Rasters with all that rays can reach, and the roofs of the receivers' own cells.
-    roof_m = surface.crop_with_halo(surface.roof_m, steps - 1)
+    roof_m = surface.crop_with_halo(surface.of_returning().roof_m, steps - 1)
     terrain_m = surface.crop_with_halo(surface.terrain_m, steps - 1)
     own_roof_m = surface.crop(surface.roof_m)
     if cells is not None:

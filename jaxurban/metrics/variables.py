@@ -8,10 +8,21 @@ from typing import Any
 import numpy as np
 
 from jaxurban.metrics.base import ALTITUDE, TIME, UNDERSIDE, Metric, Scale, Variable
+from jaxurban.world.footprints import UNKNOWN
+from jaxurban.world.kinds import GROUPS, OTHERS
 
 FREE_COLOUR, BUILT_COLOUR = "#f4f4ee", "#4a4a4a"
 GUESSED_CELL_COLOUR, NO_DATA_COLOUR = "#d55e00", "#bdbdbd"
+GROUP_COLOURS = {  # of `GROUPS`, colour-blind safe, after Okabe and Ito
+    "buildings": BUILT_COLOUR,
+    "plants": "#009e73",
+    "wires": "#cc79a7",
+    OTHERS: "#e69f00",
+    UNKNOWN: "#d55e00",
+}
+KIND_COLOURS = {kind: GROUP_COLOURS[group] for kind, group in GROUPS.items()}
 CAVEAT = "comment"  # attribute: what whoever reads the values must know; the name is that of the CF conventions
+ROOF_KIND = "roof_kind"
 NEEDED = ("obstacle", "has_data")  # without these maps it is not a folder of maps
 # What is kept of a long series, behind the metric's name.
 SERIES = ("availability", "median", "p05")
@@ -57,6 +68,15 @@ AUXILIARY_VARIABLES = {
             scale=Scale(high=None, stretch="sqrt", zero="height known, or no roof"),
             title="Bound of guessed heights",
             is_averaged=False,
+        ),
+        Variable(
+            ROOF_KIND,
+            "what has the highest roof that touches the cell",
+            "",
+            dtype=np.uint8,
+            classes=(("nothing", FREE_COLOUR), *KIND_COLOURS.items()),
+            title="What stands",
+            standard_name="status_flag",
         ),
         _roof(
             UNDERSIDE,

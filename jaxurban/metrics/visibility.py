@@ -115,6 +115,7 @@ def visible_words(
       altitudes_m: ``[A]`` heights of the receivers above the ground.
       sky: the satellites over this surface.
     """
+    surface = surface.of_hiding()
     rows, cols = surface.window
     window = rows.start, rows.stop, cols.start, cols.stop, 1  # 1: every cell is kept
     height_m = _heights(surface.crop(surface.terrain_m), altitudes_m)
@@ -157,6 +158,7 @@ def visibility(
         ways, from ``n // 2`` on. With an odd n these cells hold the centres of the map's cells; with an even one,
         whose centres are corners of four cells, they lie half a cell northeast of them.
     """
+    surface = surface.of_hiding()
     azimuth = np.asarray(azimuth_rad, float)
     elevation = np.asarray(elevation_rad, float)
 
@@ -268,6 +270,7 @@ def bounding_visibility(
       every: how many times finer the surface is; odd.
       hides_most: True for roofs that hide most, False for roofs that hide least.
     """
+    surface = surface.of_hiding()
     rows, cols = surface.window
     extreme_of_three = partial(_of_three, np.maximum if hides_most else np.minimum)
     top_m = np.asarray(surface.top_m)

@@ -19,7 +19,7 @@ from jaxurban.io.read.mission import Datum, Leg, Mission, Place, read_mission
 from jaxurban.io.read.mission_parts import LonLat
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.maps.metric_maps import MapsLike, as_maps
-from jaxurban.maps.sources import EXACT, standing_on
+from jaxurban.maps.sources import EXACT, left_out, standing_on
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.check_result import MissionCheck
 from jaxurban.paths.constraints import Bound, Constraints
@@ -187,6 +187,7 @@ def check(
         flight=flight,
         maps=maps,
         zones=limits.zones,
+        left_out=left_out(maps, city),
     )
 
 

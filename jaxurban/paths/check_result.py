@@ -58,6 +58,8 @@ class MissionCheck(Result):
       limits: the constraints, as `Constraints.to_dict` has them.
       flight: the mission over the maps.
       maps: the maps.
+      left_out: a sentence on the kinds of obstacles that were not looked at, ``""`` if none was left out: as the maps'
+        ``[obstacles]`` say, and in maps that are older than it plants and wires.
       zones: the no-fly zones in force, with those of the mission's geofence.
 
     Examples:
@@ -78,6 +80,7 @@ class MissionCheck(Result):
     flight: Flight
     maps: MetricMaps
     zones: Sequence[Zone] = ()
+    left_out: str = ""
 
     @property
     def state(self) -> State:
@@ -88,8 +91,9 @@ class MissionCheck(Result):
 
     @property
     def sentence(self) -> str:
-        """The state, as one sentence."""
-        return STATES[self.state].format(num=len(self.findings))
+        """The state, as one sentence; another one follows if kinds of obstacles were left out."""
+        state = STATES[self.state].format(num=len(self.findings))
+        return f"{state} {self.left_out}".rstrip()
 
     @property
     def sentences(self) -> list[str]:

@@ -7,15 +7,19 @@ import pandas as pd
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.city import City
+from jaxurban.io.city import WOOD, City
+from jaxurban.io.read.sampling import resample_raster
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.rules import roof_limits_m
+from jaxurban.metrics.variables import ROOF_KIND
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.legs import DOT_M, Steps
 from jaxurban.paths.route_report import TOUCHED
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING
+from jaxurban.world.grid import Grid
+from jaxurban.world.kinds import EFFECTS
 
 TOUCH_M = 0.01  # stretches so near along a mission are one
 MOST_PAIRS = 2_000_000  # of steps and prisms beside them: less than a GiB
@@ -69,7 +73,13 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
         floor_m = np.where(is_slab, standing.min_height_m, -np.inf)
         top_m = np.where(standing.height_m > 0, standing.height_m, -np.inf)
         limit_m = np.where(standing.is_guessed, standing.upper_m, -np.inf)
-        return Prisms(standing.polygons, floor_m, top_m, limit_m, standing.kinds)
+        outlines = Prisms(standing.polygons, floor_m, top_m, limit_m, standing.kinds)
+        if city.plants is None:
+            return outlines
+        plants_m = resample_raster(city.plants, grid, "max")
+        cells = np.argwhere(plants_m > 0)
+        plants = _of_cells(grid, cells, plants_m[tuple(cells.T)], np.full(len(cells), WOOD, object))
+        return Prisms(*(np.concatenate(values) for values in zip(outlines, plants, strict=True)))
     if TOUCHED not in maps.ds:
         raise InputError(
             f"maps hold no {TOUCHED!r}, and no City that they are of is there: make them again, or name it (sources)"
@@ -77,12 +87,24 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
     roofs_m, limits_m = maps.m(TOUCHED), roof_limits_m(maps)
     cells = np.argwhere((roofs_m > 0) | (limits_m > 0))
     rows, cols = cells.T
-    floor_m = np.full(len(cells), -np.inf)
-    top_m, limit_m = (
-        np.where(values > 0, values, -np.inf)
-        for values in (roofs_m[rows, cols], limits_m[rows, cols])
-    )
     kind = np.full(len(cells), BUILDING, object)
+    if ROOF_KIND in maps.ds:
+        names = np.array([BUILDING, *EFFECTS], object)  # 0: nothing is known of the kind
+        kind = names[maps.m(ROOF_KIND)[rows, cols].astype(int)]
+    return _of_cells(grid, cells, roofs_m[rows, cols], kind, limits_m[rows, cols])
+
+
+def _of_cells(
+    grid: Grid,
+    cells: np.ndarray,
+    top_m: np.ndarray,
+    kind: np.ndarray,
+    limit_m: np.ndarray | float = 0.0,
+) -> Prisms:
+    """Return cells, ``[N, 2]``, as prisms from far below the ground; tops and limits of 0 are none."""
+    floor_m = np.full(len(cells), -np.inf)
+    limit_m = np.broadcast_to(limit_m, len(cells))
+    top_m, limit_m = (np.where(values > 0, values, -np.inf) for values in (top_m, limit_m))
     return Prisms(cell_boxes(grid, cells, 1), floor_m, top_m, limit_m, kind)
 
 
@@ -117,7 +139,7 @@ def contacts(
         num_near = len(tree.query(some, predicate="dwithin", distance=beside_m)[0])
         if num_near * len(lines) > MOST_PAIRS * len(some):
             raise InputError(
-                f"clearance_m of {beside_m:g} m is too far: {num_near / len(some):,.0f} buildings are as near to a "
+                f"clearance_m of {beside_m:g} m is too far: {num_near / len(some):,.0f} outlines are as near to a "
                 "place of the mission, more than can be looked at; choose a smaller one"
             )
     step, prism = tree.query(lines, predicate="dwithin", distance=beside_m)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import SAME_EXPOSURE, SAME_PLACE_M
+from jaxurban.metrics.variables import ROOF_KIND
 from jaxurban.paths.constraints import describe_kept
 from jaxurban.paths.ground import ground_along
 from jaxurban.paths.path import PlannedPath
@@ -24,6 +25,10 @@ from jaxurban.public import renamed_arguments
 if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
 
+NOT_THE_PAPER = (
+    "The paper's preset knows buildings alone, and these maps hold other kinds of obstacles too: to compare, make them "
+    'with [obstacles] kinds = ["building"].'
+)
 NOT_MEASURED: dict[str, Any] = {  # of a search without a path, under the names of `PlannedPath`
     "xy_m": np.empty((0, 2)),
     "lonlat": np.empty((0, 2)),
@@ -136,9 +141,13 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
             f"Metrics at {cost_map.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
         )
 
+    maps = cost_map.maps
+    if maps.planning.preset == "paper" and ROOF_KIND in maps.ds:
+        notes.append(NOT_THE_PAPER)
+
     # Why there may be no path.
     if str(constraints) and not has_path:
-        free_on_maps = [cost_map.maps.is_free(z_m) for z_m in cost_map.altitudes_m.tolist()]
+        free_on_maps = [maps.is_free(z_m) for z_m in cost_map.altitudes_m.tolist()]
         share = 1 - cost_map.is_free.sum() / np.sum(free_on_maps)
         notes.append(
             f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."

@@ -20,7 +20,7 @@ from jaxurban.paths.profile import nearest_level_m
 
 # So near an altitude of the maps a step is at it: files round heights up to centimetres.
 LEVEL_M = 0.02
-CUT = "lie at corners that autopilots cut, with a building or a zone there, or nearer than the clearance"
+CUT = "lie at corners that autopilots cut, with an obstacle or a zone there, or nearer than the clearance"
 NO_DATA = "lie over cells without data"
 NO_CITY = "lie where the source of the buildings does not know what stands"
 GUESSED_ROOFS = "lie over roofs of guessed height, or nearer to them than the clearance: what is there ({kind}) {reach}"
@@ -262,7 +262,9 @@ def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> li
       buildings: that they are near.
       limits: the clearances. `FILE_MARGIN_M` less is still kept.
     """
-    # Contacts that count. Beside a building the height over it means nothing, so that it is NaN.
+    # Contacts that count, which are joined by kind. Beside a building the height over it means nothing, so that it is
+    # NaN.
+    near = near.assign(kind=pd.factorize(buildings.kind[near["prism"]])[0])
     is_over = near["apart_m"] == 0
     is_close = near["gap_m"] < limits.vertical_m - FILE_MARGIN_M
     is_close &= is_over | (near["apart_m"] < limits.horizontal_m - FILE_MARGIN_M)
@@ -276,9 +278,9 @@ def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> li
     place = np.searchsorted(of_hits["from_m"] - TOUCH_M, close["from_m"], side="right") - 1
     close = close[close["to_m"] > np.append(of_hits["to_m"] + TOUCH_M, -np.inf)[place]]
 
-    hits = merged(near[is_hit])
-    over = merged(close[close["gap_m"] > 0])
-    beside = merged(close[close["gap_m"].isna()])
+    hits = merged(near[is_hit], "kind")
+    over = merged(close[close["gap_m"] > 0], "kind")
+    beside = merged(close[close["gap_m"].isna()], "kind")
     over_text = "passes {:.1f} m over or under a {}"
     beside_text = "passes {:.1f} m beside a {}"
     return [

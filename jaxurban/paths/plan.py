@@ -44,7 +44,8 @@ def rules_on(
 ) -> tuple[MetricMaps, CostModel, Constraints]:
     """Return maps under a rule of obstacles, a cost model and constraints, in none of which anything is left out.
 
-    What the arguments leave out is as the maps' scenario says, or as the preset does (see `cost_map`).
+    What the arguments leave out is as the maps' scenario says, or as the preset does (see `cost_map`), which the maps
+    then record.
 
     Args:
       maps: that keep the rule of obstacles with which they were opened, if one was named then.
@@ -56,8 +57,12 @@ def rules_on(
       InputError: an unknown preset or cost model.
     """
     planning = replace(maps.planning, preset=preset or maps.planning.preset)
-    if preset and maps.rule is None:
-        maps = maps.with_obstacles(planning.rules.obstacles)
+    if preset:
+        recorded = maps.recorded
+        own = recorded.get("planning", {}) | {"preset": preset}
+        maps = maps.with_recorded(recorded | {"planning": own})
+        if maps.rule is None:
+            maps = maps.with_obstacles(planning.rules.obstacles)
     if not isinstance(cost_model, CostModel):
         kind = cost_model or planning.rules.cost_model
         cost_model = CostModel.from_settings(vars(planning) | {"cost_model": kind})

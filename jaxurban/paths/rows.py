@@ -26,7 +26,7 @@ from jaxurban.paths.plan import cost_map, rules_on
 from jaxurban.planners.base import Status
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Report
-from jaxurban.settings import CostKind, Obstacles, Planning, Preset
+from jaxurban.settings import CostKind, ObstacleRule, Planning, Preset
 
 CRASHED, BAD_INPUT = "crashed", "bad-input"  # beside the names of `Status`
 KILLED = "Its worker process was killed again and again, most likely for lack of memory."
@@ -52,7 +52,7 @@ class MapsFolder:
 
     folder: str | Path
     resolution_m: float | None = None
-    obstacles: Obstacles | None = None
+    obstacles: ObstacleRule | None = None
 
     def at(self, opened: MetricMaps) -> "MapsFolder":
         """Return the folder by its whole path, with the resolution and the rule of its opened maps.
@@ -108,7 +108,7 @@ class RouteRules:
         maps, cost_model, constraints = rules_on(
             maps, self.cost_model, self.constraints, self.preset
         )
-        return maps, replace(self, cost_model=cost_model, constraints=constraints, preset="")
+        return maps, replace(self, cost_model=cost_model, constraints=constraints)
 
     def rules(self) -> dict[str, Any]:
         """Return cost model and constraints as plain, JSON-ready values."""

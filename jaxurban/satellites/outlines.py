@@ -215,14 +215,15 @@ class Hiding:
 
     @cached_property
     def outlines(self) -> Outlines | None:
-        """The outlines of all that stands with a height, for rays to meet; None where a raster holds the city's roofs.
+        """The outlines of all that hides satellites and has a height, for rays; None where a raster holds the roofs.
 
         Over terrain they stand on the ground, whose greatest height they are given too.
         """
         city = self.city
-        if city.standing is None:
+        if city.hides.outlines is None:
             return None
-        standing = city.standing.take(city.standing.height_m > 0)
+        hiding = city.hides.outlines
+        standing = hiding.take(hiding.height_m > 0)
         if city.terrain is None:
             return Outlines(standing, city.hanging)
         highest_m = float(np.nanmax(city.terrain.values))
@@ -247,7 +248,7 @@ class Hiding:
         return highest_top_m(self.city) - altitude_m
 
     def samples(self, rays: Rays, rise_m: np.ndarray) -> Iterator[Samples]:
-        """Yield what terrain and roofs of a raster are under rays, at one distance after the other.
+        """Yield what terrain and roofs or plants of a raster are under rays, at one distance after the other.
 
         Yields nothing where the city has neither.
 
@@ -255,16 +256,22 @@ class Hiding:
           rays: ``R`` of them.
           rise_m: ``[R]`` how far each rises before it is above all roofs; samples end there.
         """
-        if self.city.terrain is None and self.city.roofs is None:
+        rasters = [
+            roofs for roofs in (self.city.roofs, self.city.hides.plants) if roofs is not None
+        ]
+        if self.city.terrain is None and not rasters:
             return
-        step_m = GROUND_STEP_M if self.city.roofs is None else ROOF_STEP_M
+        step_m = ROOF_STEP_M if rasters else GROUND_STEP_M
         run_m = np.maximum(rise_m, 0.0) / np.tan(rays.elevation_rad)
         for along_m in np.arange(0.0, run_m.max(initial=0.0) + step_m, step_m):
             ray = np.flatnonzero(run_m >= along_m)
             places = rays.places_m(ray, along_m)
             roof_m = np.zeros(len(ray))
-            if self.city.roofs is not None:
-                roof_m = values_at(self.city.roofs, *places, self.city.crs, "nearest")
+            for roofs in rasters:
+                above_m = values_at(roofs, *places, self.city.crs, "nearest")
+                if roofs is not self.city.roofs:  # where plants have no data, none grow
+                    above_m = np.nan_to_num(above_m)
+                roof_m = np.maximum(roof_m, above_m)
             yield Samples(ray, along_m, self.ground_at(*places), roof_m)
 
     def behind(self, rays: Rays, altitude_m: np.ndarray) -> pd.DataFrame:

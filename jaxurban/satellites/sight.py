@@ -13,7 +13,7 @@ import shapely
 from numpy.typing import ArrayLike
 
 from jaxurban.errors import InputError
-from jaxurban.io.city import City
+from jaxurban.io.city import City, seen_by
 from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.maps.build import region_of, view_sky
 from jaxurban.maps.levels import listed_m
@@ -70,6 +70,9 @@ class Sight:
     city: City
     region: Grid
     params: MapParams
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "city", seen_by(self.city, self.params.gps))
 
     @classmethod
     def of(

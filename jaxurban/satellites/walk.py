@@ -54,7 +54,7 @@ class Ground:
         """
         whole = replace(city, blocks=None, hanging=TO_GROUND)
         toward_m = (around_m + reach_m,) * 4
-        surface = rasterise(whole, surface_grid(city, box, around_m, toward_m))
+        surface = rasterise(whole, surface_grid(city, box, around_m, toward_m)).of_hiding()
         on_host = surface.roof_m, surface.terrain_m, surface.has_data
         roof_m, terrain_m, has_data = jax.device_get(on_host)
         return cls(surface.grid, roof_m, terrain_m, has_data, antenna_m)

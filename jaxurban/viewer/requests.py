@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from jaxurban.errors import InputError
-from jaxurban.settings import DEFAULTS, CostKind, Obstacles, Rules
+from jaxurban.settings import DEFAULTS, CostKind, ObstacleRule, Rules
 
 MOST_LETTERS = 64 * 1024  # of zones
 Index = Annotated[int, Field(strict=True, ge=0, le=10**6)]
@@ -79,7 +79,7 @@ class Plan(Request):
     weights: dict[Name, Weight]
     planner: Name = DEFAULTS.planner
     cost_model: CostKind = Rules.cost_model
-    obstacles: Obstacles = Rules.obstacles
+    obstacles: ObstacleRule = Rules.obstacles
     clearance_m: Metres = Rules.clearance_m
     vertical_clearance_m: Metres | None = None
     flight_m: Metres | None = None

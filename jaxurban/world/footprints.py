@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 
@@ -34,7 +35,8 @@ GUESSED_BY = {  # the origins of heights that are guesses, as reports say them w
     HeightOrigin.ROUGH: "by rough figures such as 30-40",
     HeightOrigin.UNREADABLE: "for want of a readable one",
 }
-BUILDING, UNKNOWN = "building", "unknown"  # kinds
+BUILDING: Literal["building"] = "building"
+UNKNOWN = "unknown"  # of a kind that nothing says
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, DTypeLike, Float, Int
+from jaxtyping import Array, Bool, DTypeLike, Float, Int, UInt8
 
+from jaxurban.checks import values_given
 from jaxurban.errors import InputError
 from jaxurban.kernels.blocks import blocks_of, part_of
 from jaxurban.world.grid import Grid
@@ -30,7 +31,12 @@ RASTERS = (
     "roof_guessed",
     "roof_limit_m",
     "slabs",
+    "roof_kind",
+    "hiding_m",
+    "returning_m",
 )
+
+ROOFS = ("roof_m", "hiding_m", "returning_m")  # of all that stands, and of what counts for rays
 
 
 class Slabs(NamedTuple):
@@ -168,6 +174,10 @@ class Surface:
       most_halo: cells beyond the region that `crop_with_halo` gives at most; None for any number.
       slabs: what hangs over the grid, and beyond it whatever can shadow the region; None where everything reaches the
         ground, as ``roof_m`` then says.
+      roof_kind: what has the highest roof that touches a cell of the region, a place in `jaxurban.world.kinds.EFFECTS`
+        from 1 on, 0 for nothing; None where nothing but buildings stands.
+      hiding_m, returning_m: as ``roof_m``, of what hides satellites, and of what returns a lidar's beam; None where
+        that is all that stands.
     """
 
     roof_m: Float[Array, "Y X"]
@@ -181,6 +191,9 @@ class Surface:
     roof_limit_m: Float[Array, "y x"] | None = None
     most_halo: int | None = None
     slabs: Slabs | None = None
+    roof_kind: UInt8[Array, "y x"] | None = None
+    hiding_m: Float[Array, "Y X"] | None = None
+    returning_m: Float[Array, "Y X"] | None = None
 
     def tree_flatten(self) -> tuple[tuple, Frame]:
         """Return the rasters, which JAX may trace, and what decides a program."""
@@ -217,20 +230,45 @@ class Surface:
         """Absolute height of roofs and bare ground: terrain plus roof."""
         return self.roof_m if self.terrain_m is None else self.terrain_m + self.roof_m
 
-    def with_heights(self, height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> "Surface":
+    @property
+    def roofs(self) -> dict[str, Any]:
+        """The rasters of `ROOFS` that there are, by name."""
+        return values_given({name: getattr(self, name) for name in ROOFS})
+
+    def of_hiding(self) -> "Surface":
+        """Return the surface of what hides satellites."""
+        return self if self.hiding_m is None else replace(self, roof_m=self.hiding_m)
+
+    def of_returning(self) -> "Surface":
+        """Return the surface of what returns a lidar's beam."""
+        return self if self.returning_m is None else replace(self, roof_m=self.returning_m)
+
+    def with_heights(
+        self,
+        height_m: Float[Array, " B"],
+        building: Int[Array, "Y X"],
+        built_m: Float[Array, " B"] | None = None,
+    ) -> "Surface":
         """Return this surface with other heights of its buildings, and nothing that hangs.
+
+        Cells that a structure or a plant tops stay as they are.
 
         Args:
           height_m, building: as for `roofs_of`.
+          built_m: ``[B]`` the heights of which the surface was made; None where nothing but buildings stands.
         """
-        return replace(
-            self,
-            roof_m=roofs_of(height_m, building),
-            roof_touched_m=None,
-            roof_guessed=None,
-            roof_limit_m=None,
-            slabs=None,
+        new_m = roofs_of(height_m, building)
+        roofs: dict[str, Any] = {"roof_m": new_m}
+        if built_m is not None:
+            before_m = roofs_of(built_m, building).astype(np.float32)
+            roofs = {
+                name: jnp.where(before_m >= roof_m.astype(np.float32), new_m, roof_m)
+                for name, roof_m in self.roofs.items()
+            }
+        unknown: dict[str, Any] = dict.fromkeys(
+            ("roof_touched_m", "roof_guessed", "roof_limit_m", "roof_kind", "slabs")
         )
+        return replace(self, **roofs, **unknown)
 
     def at_altitude(self, altitude_m: float) -> "Surface":
         """Return the surface as it counts at an altitude: slabs with their floor at or below it become roofs.
@@ -244,8 +282,11 @@ class Surface:
         if self.slabs is None:
             return self
         is_below = self.slabs.floor_m <= np.float32(altitude_m)
-        roof_m: Any = self.slabs.take(is_below).raised(np.asarray(self.roof_m), self.grid)
-        return replace(self, roof_m=roof_m, slabs=self.slabs.take(~is_below))
+        below = self.slabs.take(is_below)
+        roofs: dict[str, Any] = {
+            name: below.raised(np.asarray(roof_m), self.grid) for name, roof_m in self.roofs.items()
+        }
+        return replace(self, **roofs, slabs=self.slabs.take(~is_below))
 
     @property
     def window(self) -> tuple[slice, slice]:

@@ -1,5 +1,7 @@
 """The city behind a folder of maps: read again only from files that are still those of the run."""
 
+import shutil
+
 import numpy as np
 import pytest
 from shapely import box
@@ -9,6 +11,7 @@ from jaxurban.io.files import read_json, write_json
 from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.sources import city_of
+from jaxurban.world.kinds import ALL_KINDS
 from tests.cli_runs import write_city
 from tests.made_maps import made_maps
 
@@ -62,3 +65,30 @@ def test_a_record_of_somebody_else_names_no_file_that_is_read(maps, tmp_path):
     write_json(tmp_path / RUN_FILE, record)
     with pytest.raises(ju.InputError, match="not made by `jaxurban maps`"):
         city_of(tmp_path)
+
+
+@pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
+def test_a_check_says_first_which_kinds_the_maps_leave_out(maps, folder, tmp_path):
+    record = read_json(maps / RUN_FILE)
+    shutil.copytree(maps, tmp_path / "maps")
+    own = record["settings"].pop("obstacles")
+
+    def told(**settings) -> set[str]:
+        """Return the end of the verdict where the city's files are there, and where they are gone."""
+        changed = record["settings"] | settings
+        write_json(tmp_path / "maps" / RUN_FILE, record | {"settings": changed})
+        of = ju.open_maps(tmp_path / "maps")
+        (row, col), *_ = np.argwhere(of.is_free(60.0))
+        place = of.grid.lonlat_of_cell(row, col)
+        path = ju.plan(of, place, place, altitude_m=60.0)
+        checks = [ju.check(of, path, sources=sources) for sources in (folder, None)]
+        assert [check.outlines[:5] for check in checks] == ["exact", "by ce"]
+        return {check.lines[0].partition("judged.")[2] for check in checks}
+
+    newer = "tree, wood, wire, cableway"
+    assert told() == {f" Kinds of obstacles that were not looked at: {newer}."}
+    assert told(obstacles=own) == {""}
+    (alone,) = told(planning={"preset": "paper"}, obstacles={})
+    assert alone.endswith(f": {', '.join(ALL_KINDS[1:])}.")
+    (some,) = told(obstacles={"kinds": ["building", "tree", *ALL_KINDS[4:-3]]})
+    assert some.endswith(": chimney, tank, tower, wood, wire, cableway.")

@@ -23,7 +23,7 @@ from jaxurban.report.check import check_markdown, plot_flown_heights, plot_missi
 from jaxurban.settings import parse_time
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.raster import Raster
-from tests.made_maps import made_maps
+from tests.made_maps import made_maps, maps_of_kinds
 from tests.paths.volumes import ends_at
 
 SIDE_M, GEOID_M, CLEARANCE_M = 600.0, 37.0, 4.0
@@ -834,3 +834,28 @@ def test_a_height_above_the_ellipsoid_says_what_is_missing_once_the_geoid_is_nam
         assert word in " ".join(result.not_judged)
         assert result.state == "not-judged"
         assert any(line.startswith("  not judged: ") for line in result.lines)
+
+
+def test_what_is_flown_into_is_named_by_its_kind_by_outlines_and_by_cells():
+    maps, city = maps_of_kinds()
+    corner_m = np.array(maps.grid.bounds_m[:2])
+
+    def told(height_m: float, *corners, sources) -> list[str]:
+        places = [
+            Place(*map(float, maps.grid.lonlat_of_xy(*(corner_m + corner))), height_m, "ground")
+            for corner in corners
+        ]
+        mission = mission_of(*places, home=places[0])
+        result = ju.check(maps, mission, sources=sources, clearance_m=0, vertical_clearance_m=0)
+        return [text.partition(" m ")[2] for text in result.findings["what"]]
+
+    # Through a tree, plants of the raster, another tree and a wood; and through a wire.
+    through = (31, 60), (31, 150), (41, 150), (41, 80), (80, 30), (160, 30)
+    for sources in (city, None):
+        assert told(9.0, *through, sources=sources) == [
+            "into a tree of guessed height",
+            "into a wood",
+            "into a tree of guessed height",
+            "into a wood",
+        ]
+        assert told(9.0, (100, 190), (100, 170), sources=sources) == ["into a wire"]

@@ -299,7 +299,7 @@ def test_a_clearance_that_holds_too_many_buildings_is_refused(tmp_path, monkeypa
     plan = scene.plan((WAYPOINT, 3, (500.0, 300.0), 60.0, ()))
     monkeypatch.setattr("jaxurban.paths.contacts.MOST_PAIRS", 20_000)
     assert checked(scene, tmp_path, plan, clearance_m=5.0).state == "clean"
-    with pytest.raises(ju.InputError, match=r"150 m is too far: \d+ buildings are as near"):
+    with pytest.raises(ju.InputError, match=r"150 m is too far: \d+ outlines are as near"):
         checked(scene, tmp_path, plan, clearance_m=150.0)
 
 

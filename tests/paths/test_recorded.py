@@ -15,7 +15,7 @@ from jaxurban.maps.run import run_scenario
 from jaxurban.settings import Planning, Rules
 from jaxurban.viewer.plans import Plans
 from tests.cli_runs import TOWN, run
-from tests.made_maps import made_maps
+from tests.made_maps import made_maps, maps_of_kinds
 from tests.paths.volumes import options_of
 
 ALTITUDE_M = 20.0
@@ -235,3 +235,21 @@ def test_what_is_named_as_its_default_is_not_what_is_left_out():
     paper = replace(Planning(), preset="paper")
     assert (paper.rules.vertical_clearance_m, paper) == (0.0, Planning(preset="paper"))
     assert replace(named, preset="paper").rules.vertical_clearance_m == 3.0
+
+
+def test_the_preset_of_the_paper_over_other_kinds_than_buildings_is_a_caution():
+    maps, _ = maps_of_kinds()
+    cells = np.argwhere(maps.is_free(20.0))[[10, -10]]
+    ends = [tuple(map(float, maps.grid.lonlat_of_cell(*cell))) for cell in cells]
+    plain = replace(maps, ds=maps.ds.drop_vars("roof_kind"))
+
+    def cautions(on, **options) -> str:
+        path = ju.plan(on, *ends, altitude_m=20.0, **options)
+        (many,) = ju.plan_many(on, [ends], altitude_m=20.0, progress=False, **options)
+        assert path.message == many.message
+        return " ".join(path.cautions)
+
+    said = "The paper's preset knows buildings alone, and these maps hold other kinds"
+    assert said in cautions(maps, preset="paper")
+    assert said in cautions(maps.with_recorded({"planning": {"preset": "paper"}}))
+    assert said not in cautions(maps) + cautions(plain, preset="paper")

@@ -10,7 +10,7 @@ import jaxurban as ju
 from jaxurban.io.read.rasterise import rasterise
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.settings import Obstacles
+from jaxurban.settings import ObstacleRule
 from jaxurban.world.footprints import Footprints
 from tests.made_maps import made_maps
 
@@ -61,7 +61,7 @@ class Wall:
         segments = shapely.linestrings(np.stack([path.xy_m[:-1], path.xy_m[1:]], axis=1)[is_low])
         return float(shapely.length(shapely.intersection(segments, self.outline)).sum())
 
-    def flat_paths(self, obstacles: Obstacles) -> Iterator[tuple[str, PlannedPath]]:
+    def flat_paths(self, obstacles: ObstacleRule) -> Iterator[tuple[str, PlannedPath]]:
         """Yield the paths of every planner, as it is and refined, where there are any."""
         flat = ju.cost_map(self.maps.with_obstacles(obstacles), ALTITUDE_M, cost_model="line")
         for planner in PLANNERS:

@@ -33,7 +33,12 @@ from jaxurban.io.read.guesses import (
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets
-from jaxurban.io.read.plausible import filled_terrain, pixel_guesses, terrain_guesses
+from jaxurban.io.read.plausible import (
+    filled_terrain,
+    pixel_guesses,
+    read_plants,
+    terrain_guesses,
+)
 from jaxurban.io.read.raster import (
     RASTER_SUFFIXES,
     check_is_no_surface,
@@ -61,6 +66,7 @@ from jaxurban.world.grid import (
     utm_of,
     where_it_lies,
 )
+from jaxurban.world.kinds import KindName
 from jaxurban.world.raster import Raster
 
 OutlineReader = Callable[[Path, Near | None, settings.Buildings | None], Outlines]
@@ -93,6 +99,8 @@ def read_city(
     population: Population | None,
     terrain: settings.Terrain,
     gps: Gps | None,
+    vegetation: settings.Vegetation,
+    kinds: tuple[KindName, ...],
 ) -> City:
     """Return the city that files hold around a region; arguments, warnings and errors are as of `City.from_files`."""
     # A sample city (`SAMPLES`) gives what the arguments leave out.
@@ -107,10 +115,14 @@ def read_city(
         people = replace(people, **left_out)
 
     # The names of the files as the arguments have them are kept for provenance. The files are read by their paths.
-    files = {"buildings": buildings.source, "terrain": terrain.source}
+    files = {
+        "buildings": buildings.source,
+        "terrain": terrain.source,
+        "vegetation": vegetation.source,
+    }
     files |= {role: getattr(people, role) for role in FILES}
     buildings = _placed(buildings)
-    terrain = _placed(terrain)
+    terrain, vegetation = _placed(terrain), _placed(vegetation)
     people = _placed(people)
     check_has_people(people, people.has_blocks)
 
@@ -130,7 +142,12 @@ def read_city(
         ground = read_raster(terrain.source, crs, wide_m)
         ground_extent_m = raster_extent_m(terrain.source, crs)
         ground, guesses = filled_terrain(repr(str(terrain.source)), ground, crs, box_m)
+    plants = None
+    if vegetation.source is not None:
+        plants, plant_guesses = read_plants(vegetation.source, crs, wide_m, box_m)
+        guesses |= plant_guesses
     source = read_buildings(buildings, crs, bounds_m=wide_m, terrain=ground)
+    source = replace(source, kinds=kinds)
     if not buildings.allow_none:
         _check_has_building(buildings, source, region, box_m)
 
@@ -143,7 +160,7 @@ def read_city(
 
     # People, and what was guessed of heights, of people and of the ground.
     guesses |= dict(source.guesses) | height_guesses(source.buildings, box_m, buildings, crs)
-    guesses |= structure_guesses(source.structures, source.read_issues, box_m)
+    guesses |= structure_guesses(source.others, source.read_issues, box_m)
     blocks = None
     if people.has_blocks:
         blocks, block_issues = read_blocks(people, crs, wide_m, box_m)
@@ -159,7 +176,11 @@ def read_city(
         terrain_extent_m=ground_extent_m,
         read_issues=issues,
         attribution=joined_credits(
-            source.attribution, buildings.credit, terrain.credit, people.credit
+            source.attribution,
+            buildings.credit,
+            terrain.credit,
+            people.credit,
+            vegetation.credit,
         ),
         guesses=guesses,
         sources={role: str(path) for role, path in files.items() if path is not None},
@@ -167,6 +188,7 @@ def read_city(
         gps=own_gps,
         population=population and people,
         heights=buildings,
+        vegetation=plants,
     )
 
 

@@ -6,7 +6,7 @@ nothing bounds masts, towers, chimneys, cranes and cable cars. Towers of power l
 carry a wire across a river or a strait, in spans of more than `LONG_SPAN_M` (the Elbe: 227 m, 1,200 m). Half widths of
 wires are those of the widest arms (a Danube tower of 380 kV), choices as those of cableways are.
 
-Of the 1,219 trees of Lower Manhattan, Boston and a cadastre in `../shared/formats` that have a height, 95 % end below
+Of the 1,219 trees of Lower Manhattan, Boston and a cadastre of trees that have a height, 95 % end below
 15 m and all below 35 m; of the 266 with a crown it is at most 0.8 times as wide as they are high in 95 %. The canopy of
 5 % of all land is higher than 30 m (Lang et al. 2023, doi:10.1038/s41559-023-02206-6). Scrub, hedges and orchards
 stay below `LOW_M`.

@@ -1,6 +1,7 @@
 """What a city's files hold against what cities are like: a refusal, or a guess with its number and the remedy."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import shapely
@@ -10,7 +11,15 @@ from scipy.ndimage import binary_erosion, uniform_filter
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.guesses import Guesses, share_guess
-from jaxurban.io.read.raster import GROUND_M, pixel_m
+from jaxurban.io.read.raster import (
+    GROUND_M,
+    check_range,
+    open_raster,
+    pixel_m,
+    raster_extent_m,
+    raster_window,
+    read_raster,
+)
 from jaxurban.io.read.rasterise import rasterise
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.settings import TO_GROUND
@@ -31,7 +40,11 @@ LEAST_RISE = 0.1
 LEAST_CORRELATION = 0.2
 LEAST_CELLS = 2000  # 20 hectares: on less, slopes of bare ground pass for a rise
 
-# Roofs and people.
+# Plants, roofs and people.
+TALLEST_PLANT_M = 150.0  # the tallest tree stands at 116 m; birds and cables are above
+LEAST_BARE = (
+    0.1  # of the pixels around a city; Gothenburg 0.93, the same as elevations 0.06 and 0.07
+)
 WIDEST_PIXEL_M = 30.0  # wider ones hold more than one building and streets
 MOST_MEDIAN_M = 60.0  # of a raster's roofs
 MOST_PER_KM2 = 300_000  # the densest quarters of Hong Kong and Manila have about 100,000
@@ -75,6 +88,39 @@ def filled_terrain(name: str, terrain: Raster, crs: str, box_m: Bounds) -> tuple
         "the terrain filled",
         f"the region has no elevation in the terrain {name} and takes that of the ground around, up to {REACH_M:g} m "
         "away: give a terrain without voids where that is too rough",
+    )
+
+
+def read_plants(
+    path: str | Path, crs: str, wide_m: Bounds, box_m: Bounds
+) -> tuple[Raster, Guesses]:
+    """Return heights of plants, NaN where none grow, and the guess that none do where the raster ends.
+
+    Args:
+      path: of the raster.
+      crs: projected CRS of the boxes.
+      wide_m: x_min, y_min, x_max, y_max of what is read.
+      box_m: the same of the region.
+
+    Raises:
+      InputError: as for `read_raster`, for either box, or values that are no heights above the ground.
+    """
+    name = repr(str(path))
+    with open_raster(path) as source:
+        raster_window(name, source, crs, box_m)
+    plants = read_raster(path, crs, wide_m)
+    check_range(name, plants.values, (-TALLEST_PLANT_M, TALLEST_PLANT_M))
+    if np.mean(np.abs(plants.values) > GROUND_M) > 1 - LEAST_BARE:
+        raise InputError(
+            f"{name} looks like elevations and not heights of plants above the ground: less than {LEAST_BARE:.0%} of "
+            "it is near 0; give a canopy height model, as surface less terrain is one"
+        )
+    region = shapely.box(*box_m)
+    beyond = shapely.difference(region, shapely.box(*raster_extent_m(path, crs)))
+    return plants, share_guess(
+        beyond.area / region.area,
+        "the region without a raster of plants",
+        f"the region lies beyond {name} and is taken to hold no plants: give a raster that covers it",
     )
 
 

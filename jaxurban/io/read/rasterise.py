@@ -10,15 +10,16 @@ import numpy as np
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.city import City
+from jaxurban.io.city import WOOD, City, Counted
 from jaxurban.io.read.outlines import meets
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.kernels.blocks import part_of, rounded_up
 from jaxurban.kernels.outlines import burn_outlines, settle
 from jaxurban.metrics.custom import Layer, check_values
 from jaxurban.settings import SLABS
-from jaxurban.world.footprints import Footprints
+from jaxurban.world.footprints import BUILDING, Footprints
 from jaxurban.world.grid import WGS84, Grid, transformer
+from jaxurban.world.kinds import CODES
 from jaxurban.world.raster import Raster
 from jaxurban.world.surface import NO_BUILDING, PER_CELL, Slabs, Surface
 
@@ -31,15 +32,15 @@ Margins = tuple[float, float, float, float]  # west, south, east, north, metres
 
 
 def highest_top_m(city: City) -> float:
-    """Return a bound on how far the highest roof of a city stands above its lowest ground, metres.
+    """Return a bound on how far the highest roof that hides satellites stands above a city's lowest ground, metres.
 
     It is the height of the highest roof above its own ground, plus the relief of the terrain.
     """
-    if city.standing is not None:
-        roof_m = float(city.standing.height_m.max(initial=0.0))
-    else:
-        assert city.roofs is not None
-        roof_m = float(np.nanmax(city.roofs.values, initial=0.0))
+    hiding = city.hides
+    roof_m = 0.0 if hiding.outlines is None else float(hiding.outlines.height_m.max(initial=0.0))
+    for raster in (city.roofs, hiding.plants):
+        if raster is not None:
+            roof_m = float(np.nanmax(raster.values, initial=roof_m))
     if city.terrain is None:
         return roof_m
     return roof_m + float(np.nanmax(city.terrain.values) - np.nanmin(city.terrain.values))
@@ -67,7 +68,11 @@ def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -
 
 
 def rasterise(
-    city: City, grid: Grid, all_touched: bool = False, has_guessed: bool = False
+    city: City,
+    grid: Grid,
+    all_touched: bool = False,
+    has_guessed: bool = False,
+    has_kinds: bool = False,
 ) -> Surface:
     """Return the roofs and the terrain of a city on a grid and where they are known, as NumPy arrays, without blocks.
 
@@ -82,24 +87,32 @@ def rasterise(
       all_touched: ``roof_m`` is ``roof_touched_m`` too.
       has_guessed: for a city with outlines, also return ``roof_guessed`` and ``roof_limit_m``: whether the height of a
         cell's roof is guessed, and how high guessed ones there may be.
+      has_kinds: also return ``roof_kind``.
     """
     # `has_data` stays None where all cells have data.
-    has_data = terrain_m = guessed = limit_m = slabs = None
+    has_data = terrain_m = guessed = limit_m = slabs = kind = None
 
     # Roofs, by centres and by touch.
-    if city.standing is not None:
-        centre_m, touched_m, guessed = _burn_roofs(city.standing, grid, has_guessed)
-        roof_m = touched_m if all_touched else centre_m
+    standing = city.standing
+    roofs_m: Sequence[np.ndarray]
+    if standing is not None:
+        *roofs_m, guessed, kind = _burn_roofs(standing, grid, has_guessed, has_kinds)
         if has_guessed:
-            unsure = city.standing.take(city.standing.is_guessed)
+            unsure = standing.take(standing.is_guessed)
             _, limit_m = _burn_heights(replace(unsure, height_m=unsure.upper_m), grid)
     else:
         assert city.roofs is not None
-        touched_m = resample_raster(city.roofs, grid, "max")
-        roof_m = touched_m if all_touched else resample_raster(city.roofs, grid)
-        has_data = np.isfinite(roof_m)
-        roof_m = np.fmax(roof_m, np.float32(0))
-        touched_m = np.fmax(touched_m, np.float32(0))
+        roofs_m = _resampled(city.roofs, grid)
+        has_data = np.isfinite(roofs_m[all_touched])
+        roofs_m = [np.fmax(roof_m, np.float32(0)) for roof_m in roofs_m]
+        if has_kinds:
+            kind = np.where(roofs_m[1] > 0, CODES[BUILDING], 0)
+    if city.plants is not None:
+        plants_m = _resampled(city.plants, grid)
+        if kind is not None:
+            kind = np.where(plants_m[1] > roofs_m[1], CODES[WOOD], kind)
+        roofs_m = list(map(np.fmax, roofs_m, plants_m))
+    roof_m, touched_m = roofs_m[all_touched], roofs_m[1]
 
     # The ground.
     if city.terrain is not None:
@@ -110,11 +123,20 @@ def rasterise(
     if has_data is not None and has_data.all():
         has_data = None
 
+    # What counts for rays, where that is not all of it.
+    hiding_m, returning_m = (
+        None if counted is city.counted else _roofs_of(city, counted, grid)[all_touched]
+        for counted in (city.hides, city.returns)
+    )
+
     # What hangs. Roofs are then of what stands on the ground, and `burn_hanging` raises the roofs that carry slabs.
-    if city.standing is not None and city.hanging == SLABS:
-        on_ground = city.standing.take(city.standing.min_height_m == 0)
-        roof_m = _burn_heights(on_ground, grid)[all_touched]
-        slabs = burn_hanging(city.standing, grid, roof_m, terrain_m, all_touched)
+    if standing is not None and city.hanging == SLABS:
+        roof_m = _roofs_of(city, city.counted, grid)[all_touched]
+        solid_m = roof_m if hiding_m is None else hiding_m
+        slabs = burn_hanging(standing, grid, solid_m, terrain_m, all_touched)
+        for others_m in (roof_m, returning_m):
+            if others_m is not None:
+                np.maximum(others_m, solid_m, out=others_m)
     rasters: dict[str, Any] = {
         "roof_m": roof_m,
         "terrain_m": terrain_m,
@@ -124,8 +146,33 @@ def rasterise(
         "roof_guessed": guessed,
         "roof_limit_m": limit_m,
         "slabs": slabs,
+        "roof_kind": None if kind is None else kind.astype(np.uint8),
+        "hiding_m": hiding_m,
+        "returning_m": returning_m,
     }
     return Surface(**rasters, grid=grid, region=grid)
+
+
+def _roofs_of(city: City, counted: Counted, grid: Grid) -> Sequence[np.ndarray]:
+    """Return the roofs of a part of a city by centres and by touch, ``[Y, X]`` float32 metres each.
+
+    Where what hangs does so, they are of what stands on the ground.
+    """
+    roofs_m: Sequence[np.ndarray]
+    if counted.outlines is None:
+        assert city.roofs is not None
+        roofs_m = [np.fmax(roof_m, np.float32(0)) for roof_m in _resampled(city.roofs, grid)]
+    else:
+        on_ground = (counted.outlines.min_height_m == 0) | (city.hanging != SLABS)
+        roofs_m = _burn_heights(counted.outlines.take(on_ground), grid)
+    if counted.plants is None:
+        return roofs_m
+    return list(map(np.fmax, roofs_m, _resampled(counted.plants, grid)))
+
+
+def _resampled(heights: Raster, grid: Grid) -> list[np.ndarray]:
+    """Return a raster of heights by cells' centres and by touch, ``[Y, X]`` float32, NaN without data."""
+    return [resample_raster(heights, grid), resample_raster(heights, grid, "max")]
 
 
 def _burn_heights(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
@@ -136,19 +183,26 @@ def _burn_heights(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.nda
 
 
 def _burn_roofs(
-    buildings: Footprints, grid: Grid, has_guessed: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return roofs by centres and by touch as `_burn_heights`, and where the height of either roof is guessed.
+    buildings: Footprints, grid: Grid, has_guessed: bool, has_kinds: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """Return roofs by centres and by touch as `_burn_heights`, and what is known of them.
 
-    The last array is ``[Y, X]`` bool, None without ``has_guessed``.
+    This is where the height of either roof is guessed, ``[Y, X]`` bool, None without ``has_guessed``, and the code of
+    what touches a cell, ``[Y, X]``, 0 for nothing, None without ``has_kinds``.
     """
-    if not has_guessed:
-        return *_burn_heights(buildings, grid), None
+    if not (has_guessed or has_kinds):
+        return *_burn_heights(buildings, grid), None, None
     by_height, centre, touched = _burn_ranks(buildings, grid)
     # By rank; without a building the rank is -1, the last entry.
     roofs_m = np.append(buildings.height_m[by_height], 0.0).astype(np.float32)
-    is_guessed = np.append(buildings.is_guessed[by_height], False)
-    return roofs_m[centre], roofs_m[touched], is_guessed[touched] | is_guessed[centre]
+    guessed = kind = None
+    if has_guessed:
+        is_guessed = np.append(buildings.is_guessed[by_height], False)
+        guessed = is_guessed[touched] | is_guessed[centre]
+    if has_kinds:
+        codes = [CODES[name] for name in buildings.kinds[by_height]]
+        kind = np.append(codes, 0)[touched]
+    return roofs_m[centre], roofs_m[touched], guessed, kind
 
 
 def _burn_ranks(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -169,10 +223,9 @@ def _burn_ranks(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarr
 
 
 def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndarray:
-    """Return the index in `City.standing` of what has the highest roof in each cell, ``[Y, X]`` int32.
+    """Return the index of the building that has the highest roof in each cell, ``[Y, X]`` int32.
 
-    Buildings come first there, then structures. It is `NO_BUILDING` where nothing stands. With the heights of all
-    `jaxurban.world.surface.roofs_of` makes of it the roofs that `rasterise` burns.
+    It is `NO_BUILDING` without one. Of the heights `jaxurban.world.surface.roofs_of` makes the roofs of buildings.
 
     Args:
       city: with outlines.
@@ -182,11 +235,11 @@ def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndar
     Raises:
       InputError: a city without outlines, whose roofs are a raster.
     """
-    if city.standing is None:
+    if city.buildings is None:
         raise InputError(
             "this city's roofs are a height raster: gradients by building need outlines as its source"
         )
-    by_height, centre, touched = _burn_ranks(city.standing, grid)
+    by_height, centre, touched = _burn_ranks(city.buildings, grid)
     return np.append(by_height, NO_BUILDING).astype(np.int32)[touched if all_touched else centre]
 
 
@@ -240,21 +293,26 @@ def check_has_data(has_data: Iterable[Any], city: City) -> None:
 
 
 def build_surface(
-    city: City, region: Grid, grid: Grid, all_touched: bool = False, has_guessed: bool = False
+    city: City,
+    region: Grid,
+    grid: Grid,
+    all_touched: bool = False,
+    has_guessed: bool = False,
+    has_kinds: bool = False,
 ) -> Surface:
     """Return the city as rasters on a grid, with blocks, of which a region is the part that maps report.
 
     Args:
       city: what stands there.
-      region: a part of ``grid``; blocks, ``roof_touched_m``, ``roof_guessed`` and ``roof_limit_m`` have its shape.
+      region: a part of ``grid``; blocks and what is known of roofs by touch have its shape.
       grid: of roofs and terrain.
       all_touched: a roof covers every cell that its outline shares area with, and not only those whose centre it holds.
-      has_guessed: with ``roof_guessed`` and ``roof_limit_m``, as `rasterise`.
+      has_guessed, has_kinds: as for `rasterise`.
 
     Raises:
       InputError: the terrain or the height raster does not cover any of the region.
     """
-    surface = replace(rasterise(city, grid, all_touched, has_guessed), region=region)
+    surface = replace(rasterise(city, grid, all_touched, has_guessed, has_kinds), region=region)
     check_has_data([surface.crop(surface.has_data)], city)
     block: Any = rasterise_blocks(city, region)
     return replace(
@@ -263,6 +321,7 @@ def build_surface(
         roof_touched_m=surface.crop(surface.roof_touched_m),
         roof_guessed=surface.crop(surface.roof_guessed),
         roof_limit_m=surface.crop(surface.roof_limit_m),
+        roof_kind=surface.crop(surface.roof_kind),
     )
 
 

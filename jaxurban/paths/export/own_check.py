@@ -11,7 +11,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.mission_items import read_plan
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.sources import standing_on
+from jaxurban.maps.sources import left_out, standing_on
 from jaxurban.paths.check import constraints_of
 from jaxurban.paths.contacts import buildings_of
 from jaxurban.paths.elevation import Elevation
@@ -39,14 +39,14 @@ def check_own(route: PlannedPath, data: bytes) -> str:
       data: the bytes of its ``.plan``.
 
     Raises:
-      InputError: the mission meets a building, the ground, a zone or a closed cell, or takes off or lands through what
+      InputError: the mission meets an obstacle, the ground, a zone or a closed cell, or takes off or lands through what
         is of unknown height: says where, and what to do. Or nothing says what stands there.
     """
     maps = route.maps
     if maps is None:
         return NO_MAPS
     way = f"cells of {maps.grid.resolution_m:g} m"
-    findings = None
+    city = findings = None
     if TOUCHED in maps.ds:
         findings = _findings(route, maps, data, None)
     if findings is None or len(findings) or not Elevation(maps, None).is_exact:
@@ -55,7 +55,8 @@ def check_own(route: PlannedPath, data: bytes) -> str:
             findings = _findings(route, maps, data, city)
             way = outlines
     if not len(findings):
-        return f"Checked by {way} before it was written: it meets no building, ground or zone."
+        verdict = f"Checked by {way} before it was written: it meets no obstacle, ground or zone."
+        return f"{verdict} {left_out(maps, city)}".rstrip()
     first = findings.iloc[0]
     raise InputError(
         f"the mission is not written, as its own check ({way}) finds that it {first['what']}, from "
@@ -66,7 +67,7 @@ def check_own(route: PlannedPath, data: bytes) -> str:
 def _findings(route: PlannedPath, maps: MetricMaps, data: bytes, city: City | None) -> pd.DataFrame:
     """Return the findings of a mission over maps (`judged`), and where it may meet something on its way up or down.
 
-    Without a city buildings are the maps' cells.
+    Without a city the maps' cells stand.
     """
     mission = read_plan(data, "the mission", None, math.nan)
     flight = flight_of(mission, Elevation(maps, city))

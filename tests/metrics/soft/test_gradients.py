@@ -314,7 +314,10 @@ def test_roofs_by_index_are_the_burnt_roofs_exactly(all_touched):
     region = grid.padded(-5, -5, -5, -5)
     surface = build_surface(city, region, grid, all_touched)
     np.testing.assert_array_equal(
-        surface.with_heights(jnp.asarray(height_m), jnp.asarray(building)).roof_m, roof_m
+        surface.with_heights(
+            jnp.asarray(2 * height_m), jnp.asarray(building), jnp.asarray(height_m)
+        ).roof_m,
+        2 * roof_m,
     )
 
 
