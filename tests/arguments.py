@@ -95,6 +95,7 @@ def home() -> Path:
         "day.tif": [[9.0, 1.0], [2.0, 7.0]],
         "night.tif": [[1.0, 2.0], [30.0, 4.0]],
         "ground.tif": [[5.0, 9.0], [5.0, 90.0]],
+        "canopy.tif": [[0.0, 0.0], [30.0, 0.0]],
     }.items():
         wide = 0.05 if name == "ground.tif" else 0.0
         side = (east - west) / 2 + wide

@@ -108,6 +108,16 @@ def with_gps(**given: Any) -> ju.MetricMaps:
     return on.made(gps=ju.Gps(**given))
 
 
+def under_trees(**given: Any) -> Any:
+    return on.read(vegetation=home() / "canopy.tif", gps=ju.Gps(**given))
+
+
+def of_kinds(**given: Any) -> Any:
+    settings = {"region": {"bounds": BOX}, "buildings": {"source": str(home() / "few.geojson")}}
+    settings |= {"vegetation": {"source": str(home() / "canopy.tif")}, "obstacles": given}
+    return load_city(ju.Scenario.from_dict(settings)).plants
+
+
 def few_maps() -> ju.MetricMaps:
     return ju.open_maps(home() / "few", 20.0)
 
@@ -253,6 +263,7 @@ USES: dict[str, Callable[..., Any]] = {
     "MetricMaps.save": lambda **given: sorted(
         each.name for each in (on.maps().save(on.a_file("maps"), **given) / "geotiff").iterdir()
     ),
+    "Obstacles": of_kinds,
     "PlannedPath.save": saved,
     "PlannedPaths.to_dataframe": lambda **given: on.many().to_dataframe(**given),
     "Planning": on.under,
@@ -270,6 +281,7 @@ USES: dict[str, Callable[..., Any]] = {
         .as_posix()
     ),
     "Terrain": lambda **given: on.read(terrain=ju.Terrain(**given)),
+    "Vegetation": lambda **given: on.read(vegetation=ju.Vegetation(**given)),
     "Vehicle": on.flown,
     "Weights": lambda **given: on.planned(weights=ju.Weights(**given)),
     "Weights.parse": lambda **given: ju.Weights.parse("gps=2", **given),
@@ -375,6 +387,8 @@ TABLE: dict[str, dict[str, Any]] = {
         "population": lambda: ju.Population(blocks=home() / "blocks.geojson"),
         "terrain": lambda: home() / "ground.tif",
         "gps": ju.Gps(mask_deg=45.0),
+        "vegetation": lambda: home() / "canopy.tif",
+        "kinds": ("building",),
     },
     "Constraints": {
         "zones": lambda: zone().zones,
@@ -409,6 +423,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "mask_deg": 40.0,
         "max_age_days": Case(0.01, TOKYO, refused="days"),
         "reference": (-60.0, 50.0),
+        "plants": Case("hide", {"use": under_trees}),
     },
     "Grid.from_bounds": {"crs": "EPSG:32617", "nest_with_m": (70.0,)},
     "HeightStd": {
@@ -516,7 +531,9 @@ TABLE: dict[str, dict[str, Any]] = {
         "name": Case("my.toml", {"more": {"reigon": {}}}, refused="my.toml"),
         "folder": "elsewhere",
     },
+    "Obstacles": {"kinds": ("building",)},
     "Terrain": {"source": lambda: home() / "ground.tif", "credit": "a surveyor"},
+    "Vegetation": {"source": lambda: home() / "canopy.tif", "credit": "a surveyor"},
     "Vehicle": {
         "radius_m": 5.0,
         "max_climb_m_s": 0.1,

@@ -15,6 +15,8 @@ from jaxurban.settings import (
     Preset,
     SampleName,
 )
+from jaxurban.world.footprints import UNKNOWN
+from jaxurban.world.kinds import EFFECTS, KindName
 
 ALL_PLANNERS = PLANNERS | VOLUME_PLANNERS
 HEURISTICS = {name for entry in ALL_PLANNERS.values() for name in entry.heuristics}
@@ -28,6 +30,7 @@ HEURISTICS = {name for entry in ALL_PLANNERS.values() for name in entry.heuristi
         (MissionEnd, END_NOTES),
         (SampleName, SAMPLES),
         (Preset, PRESETS),
+        (KindName, {*EFFECTS} - {UNKNOWN}),
     ],
 )
 def test_names_are_those_of_their_table(names, table):

@@ -268,7 +268,8 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ),
     (
         RIGHT,
-        "City.from_files.terrain Gps.orbits Buildings.source Terrain.source read_demonstrations.metrics",
+        "City.from_files.terrain Gps.orbits Buildings.source Terrain.source read_demonstrations.metrics "
+        "City.from_files.vegetation Vegetation.source",
     ),
     (RIGHT, "Study.land_cover FitSettings.state_file"),
 )
