@@ -13,7 +13,13 @@ from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Variable, high_is_bad
 from jaxurban.metrics.gps import FIX
 from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
-from jaxurban.report.figures.metrics import EMPTY_COLOUR, drawn_variables, metric_colours, values_of
+from jaxurban.report.figures.metrics import (
+    EMPTY_COLOUR,
+    class_patches,
+    drawn_variables,
+    metric_colours,
+    values_of,
+)
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
 from jaxurban.report.figures.style import Colours, bar_ticks, difference_colours, tick_label
 from jaxurban.viewer.markup import legend
@@ -212,7 +218,7 @@ def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "")
     if isinstance(scale.norm, BoundaryNorm):
         edges = scale.norm.boundaries
         colours = scale.cmap(np.arange(len(edges) - 1), bytes=True)  # type: ignore[operator]
-        patches = [*layer.variable.classes, *patches]
+        patches = [*class_patches(maps, layer.variable), *patches]
     else:
         steps = np.linspace(0, 1, BAR_COLOURS + 1)
         edges = scale.norm.inverse(steps)

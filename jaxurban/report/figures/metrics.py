@@ -16,7 +16,13 @@ from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
 from jaxurban.metrics.custom import colour_of, held_variables
 from jaxurban.metrics.gps import RATING_UPPER_GDOP, Rating, rating
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR, derived
+from jaxurban.metrics.variables import (
+    BUILT_COLOUR,
+    FREE_COLOUR,
+    GROUP_COLOURS,
+    ROOF_KIND,
+    derived,
+)
 from jaxurban.public import renamed_arguments
 from jaxurban.report.figures.frame import (
     GUESSED_ROOF_COLOUR,
@@ -33,6 +39,7 @@ from jaxurban.report.figures.frame import (
     symbol_of,
 )
 from jaxurban.report.figures.style import Colours, Width, ends_of
+from jaxurban.world.kinds import GROUPS
 
 AVAILABILITY, RATED = "gps_availability", "gdop"
 DISTANCE_COLOUR = "#555555"
@@ -53,11 +60,27 @@ def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tu
 
 def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> MapLayer:
     """Return a layer of the obstacle cells at an altitude, which may lie between two altitudes of the maps."""
+    return flat_layer(_is_blocked(maps, altitude_m), colour)
+
+
+def _is_blocked(maps: MetricMaps, altitude_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` bool: the obstacle cells at an altitude."""
     if altitude_m in maps.altitudes_m:
         is_blocked = maps.m("obstacle", altitude_m) != 0
     else:
         is_blocked = ~maps.is_free(altitude_m, "centre")
-    return flat_layer(is_blocked & maps.ds["has_data"].values, colour)
+    return is_blocked & maps.ds["has_data"].values
+
+
+def class_patches(maps: MetricMaps, variable: Variable) -> list[tuple[str, str]]:
+    """Return the legend entries of a variable's classes; of more than two, those that occur, by their colours."""
+    if len(variable.classes) <= 2:
+        return list(variable.classes)
+    by_colour: dict[str, list[str]] = {}
+    for number in np.unique(maps.m(variable.name)):
+        name, colour = variable.classes[number]
+        by_colour.setdefault(colour, []).append(name)
+    return [(", ".join(names), colour) for colour, names in by_colour.items()]
 
 
 def line_colour(name: str) -> str:
@@ -139,7 +162,8 @@ def colours_of(
     ticks = None
     if variable.classes:
         colours = ListedColormap([colour for _, colour in variable.classes])
-        return Colours(colours, BoundaryNorm([-0.5, 0.5, 1.5], 2), label, ticks=())
+        edges = np.arange(colours.N + 1) - 0.5
+        return Colours(colours, BoundaryNorm(edges, colours.N), label, ticks=())
 
     # The ends of the scale, with ticks at whole numbers for counts, and how it is stretched.
     low, span = scale.range(attrs or {}, lambda: ends_of(read()))
@@ -252,7 +276,7 @@ def plot_metric(
         patches = patches[1:]  # all but obstacles
 
     # The legend of classes, whose second one means a value of one, or a colour bar.
-    classes = list(variable.classes)
+    classes = class_patches(maps, variable)
     meaning = meaning_of(maps, name, variable.one_means)
     if classes and meaning:
         positive, colour = classes[1]
@@ -346,16 +370,29 @@ def plot_obstacles(
     maps = as_maps(maps)
     has_data = maps.ds["has_data"].values
     panels = []
+    groups = _cells_by_group(maps)
     for z in altitudes_of(maps, altitude_m):
         share = "no data"
         if has_data.any():
             share = f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked"
-        layers = [flat_layer(has_data, FREE_COLOUR), obstacle_layer(maps, z, BUILT_COLOUR)]
+        layers = [flat_layer(has_data, FREE_COLOUR)]
+        for is_there, colour in groups.values():
+            layers.append(flat_layer(_is_blocked(maps, z) & is_there, colour))
         panels.append(MapPanel(f"{z:g} m  ·  {share}", layers))
-    legend = [("free", FREE_COLOUR), *obstacle_patches(maps, BUILT_COLOUR)]
+    entries = [(name, colour) for name, (_, colour) in groups.items()]
+    legend = [("free", FREE_COLOUR), *entries, *obstacle_patches(maps)[1:]]
     heading = "Obstacles, by altitude above ground"
     note = frame_note(maps, has_sky=False)
     return draw_maps(maps.grid, panels, heading, note, legend=legend, width=width)[0]
+
+
+def _cells_by_group(maps: MetricMaps) -> dict[str, tuple[np.ndarray, str]]:
+    """Return where a group of kinds is the highest, ``[Y, X]`` bool, and its colour; ``"obstacle"`` is all of them."""
+    if ROOF_KIND not in maps.ds:
+        return {"obstacle": (np.array(True), BUILT_COLOUR)}
+    group = np.array(["", *GROUPS.values()])[maps.m(ROOF_KIND)]
+    colours = GROUP_COLOURS.items()
+    return {name: (group == name, colour) for name, colour in colours if (group == name).any()}
 
 
 def percent(share: float) -> str:
