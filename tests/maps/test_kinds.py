@@ -1,12 +1,16 @@
 """What each kind does in every map, against cities in which it is a building or is left out; rasters of vegetation."""
 
+import math
+from collections import Counter
 from dataclasses import replace
 
+import geopandas as gpd
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+import rasterio
 import shapely
 import xarray as xr
 
@@ -24,6 +28,7 @@ from jaxurban.world.kinds import ALL_KINDS
 from jaxurban.world.known import Rays
 from jaxurban.world.raster import Raster
 from tests import tiled_runs
+from tests.kernels.test_lidar import march_rays
 from tests.made_maps import city_of_boxes
 
 CRS, SIDE_M, EAST_M, NORTH_M = "EPSG:32618", 400.0, 585_000.0, 4_511_000.0
@@ -308,3 +313,180 @@ def test_soft_layers_agree_with_those_of_kinds_as_buildings_and_slopes_with_diff
                 assert slope[number] == pytest.approx(
                     float(ends[0] - ends[1]) / 2e-4, rel=1e-3, abs=1e-6
                 ), name
+
+
+KML = (
+    '<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark><LineString>'
+    "<coordinates>{}</coordinates></LineString></Placemark></Document></kml>"
+)
+# Gothenburg's canopy, beside three made-up houses on whole metres; brute force over the files' own pixels of 1 m.
+CORNER_M, GOTHENBURG = (147_720, 6_398_557), (11.962, 57.7063, 11.9652, 57.708)
+BLOCKS = {(40, 40, 60, 76): 15.0, (100, 80, 130, 90): 22.0, (150, 150, 170, 200): 6.0}
+FAR = {(0, 0, 2, 2): 3.0, (232, 221, 234, 223): 3.0}  # so that the file covers the raster
+
+
+@pytest.fixture(scope="module")
+def gothenburg(data_dir, tmp_path_factory):
+    """Return a function to the city, with terrain or without, and what stands on each pixel, from the south."""
+    file = tmp_path_factory.mktemp("houses") / "houses.gpkg"
+    outlines = [shapely.box(*np.add(box, CORNER_M * 2)) for box in BLOCKS | FAR]
+    houses = {"height": list((BLOCKS | FAR).values())}
+    gpd.GeoDataFrame(houses, geometry=outlines, crs="EPSG:3007").to_file(file)
+
+    def read(name: str) -> np.ndarray:
+        with rasterio.open(data_dir / f"raster/gothenburg_{name}.tif") as source:
+            return source.read(1)[::-1].astype(np.float32)
+
+    top_m = read("cdsm")
+    for (west, south, east, north), height_m in (BLOCKS | FAR).items():
+        part = top_m[south:north, west:east]
+        np.maximum(part, height_m, out=part)
+
+    def city(has_terrain: bool) -> City:
+        return City.from_files(
+            ju.Buildings(file, height_column="height", unit="m"),
+            bounds=GOTHENBURG,
+            crs="EPSG:3007",
+            terrain=data_dir / "raster/gothenburg_dem.tif" if has_terrain else None,
+            vegetation=data_dir / "raster/gothenburg_cdsm.tif",
+            gps=Gps(mask_deg=20.0),
+        )
+
+    return city, top_m, read("dem")
+
+
+def around(middle: float) -> slice:
+    """Return the pixels that hold a coordinate: one, or two where it lies between them."""
+    return slice(math.ceil(middle) - 1, math.floor(middle) + 1)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("has_terrain", "side_m"), [(False, 5), (True, 5), (True, 2)])
+def test_gothenburgs_canopy_closes_cells_and_returns_as_brute_force_says(
+    gothenburg, has_terrain, side_m
+):
+    city, top_m, ground_m = gothenburg
+    maps = ju.build_maps(
+        city(has_terrain),
+        resolution_m=float(side_m),
+        altitudes_m=(3.0, 8.0, 15.0),
+        lidar=ju.Lidar(azimuths=24, range_m=40.0),
+        risk=ju.Risk(threshold_m=30.0),
+        progress=False,
+    )
+    halo = 40 // side_m
+    grid = maps.grid.padded(halo, halo, halo, halo)
+    touched_m, centre_m, level_m = np.zeros((3, *grid.shape), np.float32)
+    for row, col in np.ndindex(grid.shape):
+        south = (grid.first_row + row) * side_m - CORNER_M[1]
+        west = (grid.first_col + col) * side_m - CORNER_M[0]
+        cell = slice(max(south, 0), south + side_m), slice(max(west, 0), west + side_m)
+        middle = around(south + side_m / 2), around(west + side_m / 2)
+        touched_m[row, col] = top_m[cell].max(initial=0)
+        centre_m[row, col] = top_m[middle].max(initial=0)
+        level_m[row, col] = ground_m[middle].mean() if ground_m[middle].size else -500
+    inner = (slice(halo, -halo),) * 2
+    np.testing.assert_array_equal(maps.m("roof_touched"), touched_m[inner])
+    np.testing.assert_array_equal(maps.m("roof"), centre_m[inner])
+    cells = np.argwhere(np.ones(maps.grid.shape)) + halo
+    for altitude_m in maps.altitudes_m:
+        is_closed = centre_m >= altitude_m
+        np.testing.assert_array_equal(maps.m("obstacle", altitude_m), is_closed[inner])
+        np.testing.assert_array_equal(
+            maps.is_free(altitude_m, "touched"), touched_m[inner] < altitude_m
+        )
+        distance_m = np.full(len(cells), 30.0)
+        for source in np.argwhere(is_closed):
+            np.minimum(distance_m, side_m * np.hypot(*(cells - source).T), out=distance_m)
+        free = ~is_closed[inner]
+        np.testing.assert_allclose(
+            maps.m("risk", altitude_m)[free],
+            distance_m.reshape(maps.grid.shape)[free] / 30,
+            atol=1e-6,
+        )
+        scan = np.radians(np.linspace(-15, 15, 16)), 24, 40.0, float(side_m)
+        ground = level_m if has_terrain else np.zeros_like(level_m)
+        counts = march_rays(centre_m, ground, halo, altitude_m, *scan)
+        np.testing.assert_allclose(maps.m("lidar", altitude_m)[free], counts[free] / 24, atol=1e-6)
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize("has_terrain", [False, True])
+def test_no_flight_into_gothenburgs_canopy_is_clean(gothenburg, has_terrain, tmp_path):
+    city, top_m, ground_m = gothenburg
+    of = city(has_terrain)
+    maps = ju.build_maps(of, altitudes_m=(3.0, 15.0, 30.0), resolution_m=5.0, progress=False)
+    level_m = ground_m if has_terrain else np.zeros_like(ground_m)
+    rng = np.random.default_rng(5)
+    x_min, y_min, x_max, y_max = np.add(maps.grid.bounds_m, (8, 8, -8, -8)) - np.tile(CORNER_M, 2)
+    counts = Counter()
+    for _ in range(150):
+        start, angle, run_m = (
+            rng.uniform((x_min, y_min), (x_max, y_max)),
+            *rng.uniform((0, 5), (7, 40)),
+        )
+        step = run_m * np.array([np.cos(angle), np.sin(angle)])
+        ends = np.clip([start, start + step], (x_min, y_min), (x_max, y_max))
+        height_m = rng.uniform(3, 30)
+        lonlat = np.transpose(transformer("EPSG:3007", WGS84).transform(*(ends + CORNER_M).T))
+        places = " ".join(f"{lon:.9f},{lat:.9f},{height_m:.3f}" for lon, lat in lonlat)
+        line = tmp_path / "line.kml"
+        line.write_text(KML.format(places))
+        result = ju.check(maps, line, heights="ground", home=tuple(lonlat[0]), sources=of)
+
+        # The witness looks at a point every few centimetres, over the pixels; the climb at the start.
+        share = np.linspace(0, 1, 1000)
+        x, y = ends[0][:, None] + share * (ends[1] - ends[0])[:, None]
+        at = np.floor(y).astype(int), np.floor(x).astype(int)
+        own_m = level_m[at]
+        flown_m = height_m + (1 - share) * own_m[0] + share * own_m[-1]
+        is_into = (top_m[at] > 0) & (flown_m < own_m + top_m[at] - (1.5 if has_terrain else 0.01))
+        has_contact = bool(is_into.any()) or top_m[at][0] > 0
+        is_clean = result.findings.empty and not result.not_judged
+        counts[has_contact, is_clean] += 1
+    assert counts[True, True] == 0
+    assert counts[True, False] > 20
+    assert counts[False, True] > 20
+
+
+@pytest.mark.data
+def test_a_raster_that_is_no_canopy_or_not_there_is_refused_and_a_part_is_a_guess(
+    data_dir, tmp_path
+):
+    raster = data_dir / "raster"
+    with rasterio.open(raster / "gothenburg_cdsm.tif") as source:
+        canopy_m, profile = source.read(1), source.profile
+
+    def read(name: str, values=None, unit: str = "", **changed) -> City:
+        file = raster / name
+        if values is not None:
+            file = tmp_path / name
+            size = {"height": len(values), "width": len(values[0]), "dtype": "float32"}
+            with rasterio.open(file, "w", **profile | {"nodata": None} | size | changed) as target:
+                target.write(values.astype(np.float32), 1)
+                target.set_band_unit(1, unit)
+        terrain = raster / "gothenburg_dem.tif"
+        houses = ju.Buildings(raster / "gothenburg_dsm.tif", kind="surface")
+        return City.from_files(
+            houses, terrain=terrain, bounds=GOTHENBURG, crs="EPSG:3007", vegetation=file
+        )
+
+    far = rasterio.Affine(1, 0, profile["transform"].c + 400, 0, -1, profile["transform"].f)
+    for given, sentence in [
+        ({"name": "gothenburg_dsm.tif"}, "looks like elevations"),
+        ({"name": "gothenburg_dem.tif"}, "looks like elevations"),
+        ({"name": "bilbao_dem.tif"}, "does not reach the region: it covers"),
+        ({"name": "far.tif", "values": canopy_m, "transform": far}, "does not reach the region"),
+        ({"name": "crs.tif", "values": canopy_m, "crs": "EPSG:3006"}, "does not reach the region"),
+        ({"name": "cm.tif", "values": 100 * canopy_m}, "cells outside -150 to 150 m"),
+        ({"name": "none.tif"}, "cannot be read as a raster"),
+    ]:
+        with pytest.raises(ju.InputError, match=sentence):
+            read(**given)
+    in_feet = read("feet.tif", canopy_m / 0.3048, unit="ft").vegetation
+    np.testing.assert_allclose(in_feet.values, canopy_m, atol=1e-5)
+    assert any(
+        "without a raster of plants" in guess
+        for guess in read("half.tif", canopy_m[:, :100]).guesses
+    )
