@@ -91,7 +91,18 @@ class Obstacles:
             raise InputError(f"kinds must hold {BUILDING!r}, got {[*self.kinds]}: add it")
 
     def under(self, preset: Preset) -> tuple[KindName, ...]:
-        """Return the kinds that count under a preset."""
+        """Return the kinds that count under a preset.
+
+        Args:
+          preset: of the settings of planning.
+
+        Returns:
+          Names, of `ALL_KINDS`.
+
+        Examples:
+          >>> ju.Obstacles().under("paper")
+          ('building',)
+        """
         if self.kinds is None and preset == "paper":
             return (BUILDING,)
         return self.kinds or ALL_KINDS

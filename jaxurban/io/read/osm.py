@@ -225,6 +225,7 @@ def _tags_of(item: Any) -> dict[str, str]:
     """Return the tags of an object that say what stands."""
     tags = item.tags
     get = tags.get
+    names: tuple[str, ...]
     if "building" in tags:  # with many others
         names = OF_BUILDINGS
     elif get("natural") == "tree":  # there are many
