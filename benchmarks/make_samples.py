@@ -92,7 +92,7 @@ GALILEO = Constellation(
 
 
 def make_lower_manhattan(data: Path, home: Path) -> None:
-    """Write the files of Lower Manhattan: outlines, what else stands, base map, census blocks, districts and satellites.
+    """Write the files of Lower Manhattan: what stands, base map, census blocks, districts and satellites.
 
     Args:
       data: folder of the sources.

@@ -99,7 +99,9 @@ NOTHING = {  # reported where a file holds nothing for the region or the day
 # All that the reader knows: by keys, and what grows by values.
 ASKED = [f'"{key}"' for key in MAYBE]
 for key, by_value in GROWN.items():
-    ASKED += [f'"{key}"="{value}"' for value, kind in by_value.items() if kind is not NOTHING_STANDS]
+    ASKED += [
+        f'"{key}"="{value}"' for value, kind in by_value.items() if kind is not NOTHING_STANDS
+    ]
 OVERPASS = (
     "[out:xml][timeout:180][bbox:{south},{west},{north},{east}];("
     + "".join(f"nwr[{each}];" for each in ASKED)

@@ -98,7 +98,7 @@ def structures_of(source: Any, kinds: Collection[str]) -> str | None:
 
 
 def _file_of(source: Any, file: str) -> str | None:
-    """Return the name of a file of the sample city ``sample:CITY``, None where there is none; errors as `sample_name`."""
+    """Return the name of a file of the sample city ``sample:CITY``, None where there is none."""
     name = sample_name(source)
     has_file = name is not None and (HOME / name / file).is_file()
     return f"{PREFIX}{name}/{file}" if has_file else None
@@ -131,6 +131,12 @@ def located(name: str | Path) -> Path:
     return home / (file or BUILDINGS_FILE)
 
 
+def sample_of(settings: Mapping[str, Any]) -> str | None:
+    """Return the sample city that the buildings of a scenario's settings are from, or None; errors as `sample_name`."""
+    buildings = settings.get("buildings")
+    return sample_name(buildings.get("source")) if isinstance(buildings, Mapping) else None
+
+
 def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the settings of a scenario, filled up with those of the sample city that its buildings are from.
 
@@ -143,8 +149,7 @@ def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     Raises:
       InputError: there is no such sample city.
     """
-    buildings = settings.get("buildings")
-    name = sample_name(buildings.get("source")) if isinstance(buildings, Mapping) else None
+    name = sample_of(settings)
     if name is None:
         return settings
     merged = dict(settings)

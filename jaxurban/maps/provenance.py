@@ -143,7 +143,8 @@ def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str,
     """Return path, SHA-256 and bytes of every file that a scenario names, by its role.
 
     Roles are ``buildings``, ``structures``, ``terrain``, ``vegetation``, ``orbits``, ``orbits_2`` and so on, those of
-    `FILES` and ``layer_NAME``. The companions of a file, such as the .dbf of a Shapefile, are hashed and counted with it.
+    `FILES` and ``layer_NAME``. The companions of a file, such as the .dbf of a Shapefile, are hashed and counted with
+    it.
 
     Args:
       scenario: the settings.

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.city import City
 from jaxurban.io.files import read_json
+from jaxurban.io.samples import sample_of
 from jaxurban.io.store import RUN_FILE, settings_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
@@ -93,8 +94,7 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
 
 def _with_kinds(settings: dict[str, Any]) -> dict[str, Any]:
     """Return recorded settings with the kinds that count."""
-    is_of_sample = is_sample(settings.get("buildings", {}).get("source"))
-    kinds = [BUILDING] if is_of_sample else KINDS_BEFORE
+    kinds = KINDS_BEFORE if sample_of(settings) is None else [BUILDING]
     return {"obstacles": {"kinds": kinds}} | settings
 
 

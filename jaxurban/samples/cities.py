@@ -15,13 +15,14 @@ def sample_city(name: SampleName, *, kinds: Sequence[KindName] | None = None) ->
 
     ``"lower-manhattan"`` is the paper's: 13,000 outlines and parts of OpenStreetMap (data of 2024-05-29, ODbL) in the
     box -74.031, 40.695, -73.968, 40.730, and what else stands there (11,251 trees, 20 woods, 115 flagpoles, 13 power
-    lines, ...), with the 2010 census blocks, New York's community districts and GPS at 2020-04-27, 16:00 UTC (noon there).
+    lines, ...), with the 2010 census blocks, New York's community districts and GPS at 2020-04-27, 16:00 UTC (noon
+    there).
 
     ``"shinjuku"`` is 2 x 2 km around the station in Tokyo: 53,000 roof planes of Project PLATEAU (2020, CC BY 4.0), all
     within 400 m of the region and farther away those that hide satellites above 5 degrees from some place in it, with
     GPS and Galileo at 2018-12-19, 03:00 UTC (noon there). It has no people. Coordinates are rounded to 1e-6 degrees,
-    about 0.1 m, and heights to 0.1 m. The ground of all is flat, and the satellites of all stand in their nominal slots,
-    not where the real ones stood: give ``gps`` elements of a day for these.
+    about 0.1 m, and heights to 0.1 m. The ground of all is flat, and the satellites of all stand in their nominal
+    slots, not where the real ones stood: give ``gps`` elements of a day for these.
 
     ``"nihonbashi"`` is a drive of 1.65 km between towers in Tokyo, with a receiver's log (2023-06-22, 01:08:42 UTC on)
     that `jaxurban.studies.validate` sets beside the maps, and the roof planes of Project PLATEAU (2020, CC BY 4.0)
