@@ -22,10 +22,8 @@ from jaxurban.io.read.kinds import (
     LIMIT_M,
     LOW_BUILDINGS,
     LOW_LIMIT_M,
-    PLANTS,
     ROUGH_LIMIT,
     TURBINE,
-    WIRES,
     WOOD,
 )
 from jaxurban.io.read.outlines import Outlines, polygonal
@@ -35,6 +33,7 @@ from jaxurban.io.read.wires import in_spans, with_supports
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING, UNKNOWN, Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds, transformer
+from jaxurban.world.kinds import PLANTS, WIRES
 
 # An outline covered at least so far by its parts is dropped (design, section 3).
 REPLACED_SHARE = 0.9

@@ -7,6 +7,7 @@ a region, a line in `OUTLINE_READERS`, and one in `jaxurban.io.read.sniff`.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -147,8 +148,9 @@ def read_city(
     if vegetation.source is not None:
         plants, plant_guesses = read_plants(vegetation.source, crs, wide_m, box_m)
         guesses |= plant_guesses
-    beside = files["structures"]
-    source = read_buildings(buildings, crs, bounds_m=wide_m, terrain=ground, beside=beside)
+    source = read_buildings(
+        buildings, crs, bounds_m=wide_m, terrain=ground, beside=files["structures"]
+    )
     source = replace(source, kinds=kinds)
     if not buildings.allow_none:
         _check_has_building(buildings, source, region, box_m)
@@ -279,19 +281,15 @@ def read_buildings(
 
     if read is None:
         return _read_roofs(path, crs, bounds_m, file.kind, terrain)
-
-    def outlines_of(near: Near | None) -> Outlines:
-        """Return the outlines of the files near a region, or all."""
-        outlines = read(path, near, file)
-        return outlines if beside is None else outlines.joined(read_vector(located(beside), near))
-
+    if beside is not None:
+        read = partial(read_vector, beside=located(beside))
     if bounds_m is not None:
-        outlines = outlines_of(Near(bounds_m, crs))
+        outlines = read(path, Near(bounds_m, crs), file)
         city = _city_of(file, outlines, crs, bounds_m)
         if not outlines.is_part or len(city.buildings or ()):
             return city
     # A file without a building near the region is read whole, so that all it covers is known.
-    return _city_of(file, outlines_of(None), crs, bounds_m)
+    return _city_of(file, read(path, None, file), crs, bounds_m)
 
 
 def _reader_of(path: Path) -> OutlineReader | None:

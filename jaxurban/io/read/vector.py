@@ -337,7 +337,10 @@ def _layers_of(source: str | bytes, name: str, role: str) -> list[str]:
 
 
 def read_vector(
-    path: str | Path, near: Near | None = None, file: settings.Buildings | None = None
+    path: str | Path,
+    near: Near | None = None,
+    file: settings.Buildings | None = None,
+    beside: Path | None = None,
 ) -> Outlines:
     """Return the polygons of a vector file, with what its columns say of heights (see `tags_of_table`).
 
@@ -350,6 +353,7 @@ def read_vector(
         Shapefiles and FlatGeobuf it is not even decoded. None reads all.
       file: what the settings say of its columns. None: columns are known by name alone (`tags_of`), and nothing of
         their heights is checked.
+      beside: another file of the same CRS and credit, whose features come after those of ``path``.
 
     Raises:
       InputError: a file that cannot be read, has no CRS, or holds coordinates beyond the globe though its CRS is in
@@ -359,6 +363,8 @@ def read_vector(
     named = [] if file is None else named_columns(file)
     (frame,) = _read(path, BUILDINGS, near=near, named=named)
     facts = frame.attrs  # empty of files that are not ours
+    if beside is not None:
+        frame = pd.concat([frame, *_read(beside, BUILDINGS)], ignore_index=True)
     box = None if near is None else near.box_in(frame.crs.to_wkt())
     if box is not None:
         frame = frame[near_rows(shapely.bounds(frame.geometry.to_numpy()), box)]

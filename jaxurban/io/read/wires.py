@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
-from jaxurban.io.read.kinds import LONG_SPAN_M, WIRES, Kind
+from jaxurban.io.read.kinds import LONG_SPAN_M, Kind
 from jaxurban.io.read.outlines import Outlines
 from jaxurban.world.footprints import Footprints, HeightOrigin
+from jaxurban.world.kinds import WIRES
 
 SUPPORT_M = 1.0  # so near a vertex a point carries the wire
 
