@@ -297,6 +297,7 @@ USES: dict[str, Callable[..., Any]] = {
     ),
     "plan": on.planned,
     "plan_many": on.many,
+    "sample_city": lambda **given: ju.sample_city("nihonbashi", **given).kinds,
     "sky": lambda **given: ju.sky(given.pop("where", home() / "maps"), START, 20.0, **given),
     "sky_along": lambda **given: ju.sky_along(
         given.pop("where", home() / "maps"), [on.BETWEEN, GOAL], **{"altitude_m": 3.0} | given
@@ -584,6 +585,7 @@ TABLE: dict[str, dict[str, Any]] = {
         ),
     },
     "cost_map": ON_A_MAP,
+    "sample_city": {"kinds": ("building",)},
     "demo_city": {
         "width_m": 500.0,
         "height_m": 500.0,
