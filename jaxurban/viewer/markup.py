@@ -1,13 +1,13 @@
 """Pieces of the page that Python writes: lists to choose from, legends, tables and the profile."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from html import escape
 
 import numpy as np
 import pandas as pd
 from matplotlib.ticker import MaxNLocator
 
-from jaxurban.metrics.variables import BUILT_COLOUR
+from jaxurban.metrics.variables import BUILT_COLOUR, GROUP_COLOURS
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.route_report import CLEARANCE, GUESSED, short
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR
@@ -84,6 +84,15 @@ def planners(summaries: Mapping[str, str], colours: Mapping[str, str], chosen: s
         box = f'<input type="checkbox" value="{name}"{checked}>'
         html += f'<label title="{escape(summary)}">{box}{dot(colours[name])}{name}</label>'
     return html
+
+
+def group_boxes(numbers: Container[int]) -> str:
+    """Return a ticked box for each group of what stands, of `GROUP_COLOURS`, whose number is given."""
+    return "".join(
+        f'<label><input type="checkbox" name="group-{number}" checked>{dot(colour)}{name}</label>'
+        for number, (name, colour) in enumerate(GROUP_COLOURS.items())
+        if number in numbers
+    )
 
 
 def rows(cells: Iterable[tuple[str, str]]) -> str:

@@ -24,6 +24,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap, paired_times, shared_part
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.gps import FIX
+from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.path import PlannedPath
@@ -32,7 +33,7 @@ from jaxurban.paths.route_report import CLEARANCE, RouteReport
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, time_said
-from jaxurban.report.figures.metrics import line_colour
+from jaxurban.report.figures.metrics import group_numbers, line_colour
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.satellites.along import sky_from
 from jaxurban.satellites.sight import Sight
@@ -219,6 +220,7 @@ class Viewer:
             "no_fix": FIX if FIX in self.layers else None,
             "file_name": re.sub(r"[^\w.-]+", "-", self.name).strip("-."),
             "step_m": STEP_M,
+            "group_colours": list(GROUP_COLOURS.values()),
             "fields": {
                 "cost_model": self.plans.cost_model.kind,
                 "obstacles": self.maps.obstacles,
@@ -259,6 +261,7 @@ class Viewer:
         side = "west" if north_deg > 0 else "east"
         north = f"true north {abs(north_deg):.2f}° {side} of the grid's north"
         guessed = guesses_said(maps, has_sky=True)
+        groups = np.unique(group_numbers(maps)).tolist()
 
         # Lists to choose from; those of the map that is subtracted are the same. `H_NORM` is a layer of all maps.
         first = "gps" if "gps" in self.layers else H_NORM
@@ -278,6 +281,7 @@ class Viewer:
             "guesses-text": escape("\n".join(maps.guesses.values())),
             "place": "<br>".join([place_said(grid), cells, north]),
             "credit": escape(maps.attribution),
+            "groups": markup.group_boxes(groups if any(groups) else ()),
             "sliders": markup.sliders(self._labels, self._colours),
             "planners": markup.planners(summaries, PLANNER_LINES, "astar-plus"),
             "formats": markup.save_buttons(of_waypoints=False),

@@ -44,7 +44,7 @@ from jaxurban.world.kinds import GROUPS
 AVAILABILITY, RATED = "gps_availability", "gdop"
 DISTANCE_COLOUR = "#555555"
 # Behind what a colour bar names; others as they are.
-UNITS = {"1": "", "km-2": "", "m": " in metres"}
+UNITS = {"": "", "1": "", "km-2": "", "m": " in metres"}
 EMPTY_COLOUR = "#ffffff"
 Altitudes = float | Sequence[float] | None
 renamed = renamed_arguments(altitudes_m="altitude_m")
@@ -370,29 +370,34 @@ def plot_obstacles(
     maps = as_maps(maps)
     has_data = maps.ds["has_data"].values
     panels = []
-    groups = _cells_by_group(maps)
+    group = group_numbers(maps)
+    numbers = set[int]()
     for z in altitudes_of(maps, altitude_m):
         share = "no data"
         if has_data.any():
             share = f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked"
-        layers = [flat_layer(has_data, FREE_COLOUR)]
-        for is_there, colour in groups.values():
-            layers.append(flat_layer(_is_blocked(maps, z) & is_there, colour))
-        panels.append(MapPanel(f"{z:g} m  ·  {share}", layers))
-    entries = [(name, colour) for name, (_, colour) in groups.items()]
-    legend = [("free", FREE_COLOUR), *entries, *obstacle_patches(maps)[1:]]
+        is_blocked = _is_blocked(maps, z)
+        numbers.update(group[is_blocked].tolist())
+        obstacles = classes_layer(np.where(is_blocked, group, -1), [*GROUP_COLOURS.values()])
+        panels.append(MapPanel(f"{z:g} m  ·  {share}", [flat_layer(has_data, FREE_COLOUR), obstacles]))
+
+    # The groups that are drawn; buildings alone are obstacles.
+    patches = obstacle_patches(maps, BUILT_COLOUR)
+    if any(numbers):
+        entries = list(GROUP_COLOURS.items())
+        patches[:1] = [entries[number] for number in sorted(numbers)]
+    legend = [("free", FREE_COLOUR), *patches]
     heading = "Obstacles, by altitude above ground"
     note = frame_note(maps, has_sky=False)
     return draw_maps(maps.grid, panels, heading, note, legend=legend, width=width)[0]
 
 
-def _cells_by_group(maps: MetricMaps) -> dict[str, tuple[np.ndarray, str]]:
-    """Return where a group of kinds is the highest, ``[Y, X]`` bool, and its colour; ``"obstacle"`` is all of them."""
+def group_numbers(maps: MetricMaps) -> np.ndarray:
+    """Return ``[Y, X]`` the number, in `GROUP_COLOURS`, of the highest thing's group; 0, buildings, without kinds."""
     if ROOF_KIND not in maps.ds:
-        return {"obstacle": (np.array(True), BUILT_COLOUR)}
-    group = np.array(["", *GROUPS.values()])[maps.m(ROOF_KIND)]
-    colours = GROUP_COLOURS.items()
-    return {name: (group == name, colour) for name, colour in colours if (group == name).any()}
+        return np.zeros(maps.grid.shape, int)
+    names = list(GROUP_COLOURS)
+    return np.array([0, *map(names.index, GROUPS.values())])[maps.m(ROOF_KIND)]
 
 
 def percent(share: float) -> str:
@@ -567,7 +572,7 @@ def plot_heights(maps: MapsLike, *, width: Width = "page") -> Figure:
     """
     maps = as_maps(maps)
     no_data = obstacle_patches(maps)[1:]  # these pictures show no obstacles
-    legend = [("no building", EMPTY_COLOUR), *no_data]
+    legend = [("no roof", EMPTY_COLOUR), *no_data]
     roof_m = maps.m("roof")
     _, highest_m = ends_of(roof_m)
     panels = [MapPanel(f"roofs above ground, up to {highest_m:.0f} m", roof_layers(maps))]
