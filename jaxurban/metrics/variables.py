@@ -20,6 +20,7 @@ GROUP_COLOURS = {  # of `GROUPS`; apart from each other and from free cells for 
     OTHERS: "#f0b323",
     GROUPS[UNKNOWN]: "#d55e00",
 }
+GROUP_NUMBERS = {kind: [*GROUP_COLOURS].index(group) for kind, group in GROUPS.items()}
 KIND_COLOURS = {kind: GROUP_COLOURS[group] for kind, group in GROUPS.items()}
 CAVEAT = "comment"  # attribute: what whoever reads the values must know; the name is that of the CF conventions
 ROOF_KIND = "roof_kind"

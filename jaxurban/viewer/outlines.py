@@ -5,11 +5,10 @@ import shapely
 from rasterio.features import shapes
 
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.variables import GROUP_COLOURS
+from jaxurban.metrics.variables import GROUP_COLOURS, GROUP_NUMBERS
 from jaxurban.report.figures.metrics import group_numbers
 from jaxurban.viewer.tiles import packed
 from jaxurban.world.footprints import Footprints
-from jaxurban.world.kinds import GROUPS
 
 TOLERANCE_M = 1.0  # outlines are simplified to it
 STEP_M = 0.5  # of corners
@@ -36,8 +35,7 @@ def outlines_of(maps: MetricMaps, standing: Footprints | None) -> bytes:
         inside = standing.inside(maps.grid.bounds_m)
         polygons = shapely.simplify(inside.polygons, TOLERANCE_M)
         height_m = np.where(inside.height_m > 0, inside.height_m, inside.upper_m)
-        groups = list(GROUP_COLOURS)
-        group = [groups.index(GROUPS[kind]) for kind in inside.kinds]
+        group = [GROUP_NUMBERS[kind] for kind in inside.kinds]
         facts = [height_m, inside.is_guessed, np.array(group, int)]
 
     # The largest ones, in their order.
@@ -72,14 +70,15 @@ def _from_roofs(maps: MetricMaps) -> tuple[np.ndarray, ...]:
     # A number for each kind of roof: by how many altitudes it reaches, whether it is guessed, and its group.
     grid = maps.grid
     roof_m = np.nan_to_num(maps.m("roof"))
-    has_guesses = "roof_guessed" in maps.ds
-    is_guessed = maps.m("roof_guessed") if has_guesses else np.zeros(grid.shape)
+    is_guessed = np.asarray(maps.ds.get("roof_guessed", 0)) == 1
     level = np.digitize(roof_m, maps.altitudes_m)
     num_groups = len(GROUP_COLOURS)
-    kind = (2 * level + (is_guessed == 1)) * num_groups + group_numbers(maps)
+    kind = (2 * level + is_guessed) * num_groups + group_numbers(maps)
 
     # Polygons around cells of a kind.
-    traced = list(shapes(kind.astype(np.int16), mask=roof_m > 0))  # in cells from the southwest corner
+    traced = list(
+        shapes(kind.astype(np.int16), mask=roof_m > 0)
+    )  # in cells from the southwest corner
     polygons = np.array([shapely.geometry.shape(shape) for shape, _ in traced], dtype=object)
     polygons = shapely.transform(
         polygons, lambda cells: grid.bounds_m[:2] + grid.resolution_m * cells

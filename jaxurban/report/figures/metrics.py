@@ -20,6 +20,7 @@ from jaxurban.metrics.variables import (
     BUILT_COLOUR,
     FREE_COLOUR,
     GROUP_COLOURS,
+    GROUP_NUMBERS,
     ROOF_KIND,
     derived,
 )
@@ -39,7 +40,6 @@ from jaxurban.report.figures.frame import (
     symbol_of,
 )
 from jaxurban.report.figures.style import Colours, Width, ends_of
-from jaxurban.world.kinds import GROUPS
 
 AVAILABILITY, RATED = "gps_availability", "gdop"
 DISTANCE_COLOUR = "#555555"
@@ -376,16 +376,18 @@ def plot_obstacles(
         share = "no data"
         if has_data.any():
             share = f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked"
-        is_blocked = _is_blocked(maps, z)
-        numbers.update(group[is_blocked].tolist())
-        obstacles = classes_layer(np.where(is_blocked, group, -1), [*GROUP_COLOURS.values()])
-        panels.append(MapPanel(f"{z:g} m  ·  {share}", [flat_layer(has_data, FREE_COLOUR), obstacles]))
+        drawn = np.where(_is_blocked(maps, z), group, -1)
+        numbers.update(np.unique(drawn).tolist())
+        obstacles = classes_layer(drawn, [*GROUP_COLOURS.values()])
+        panels.append(
+            MapPanel(f"{z:g} m  ·  {share}", [flat_layer(has_data, FREE_COLOUR), obstacles])
+        )
 
     # The groups that are drawn; buildings alone are obstacles.
     patches = obstacle_patches(maps, BUILT_COLOUR)
-    if any(numbers):
+    if numbers - {-1, 0}:
         entries = list(GROUP_COLOURS.items())
-        patches[:1] = [entries[number] for number in sorted(numbers)]
+        patches[:1] = [entries[number] for number in sorted(numbers - {-1})]
     legend = [("free", FREE_COLOUR), *patches]
     heading = "Obstacles, by altitude above ground"
     note = frame_note(maps, has_sky=False)
@@ -393,11 +395,8 @@ def plot_obstacles(
 
 
 def group_numbers(maps: MetricMaps) -> np.ndarray:
-    """Return ``[Y, X]`` the number, in `GROUP_COLOURS`, of the highest thing's group; 0, buildings, without kinds."""
-    if ROOF_KIND not in maps.ds:
-        return np.zeros(maps.grid.shape, int)
-    names = list(GROUP_COLOURS)
-    return np.array([0, *map(names.index, GROUPS.values())])[maps.m(ROOF_KIND)]
+    """Return ``[Y, X]`` the number, in `GROUP_COLOURS`, of the highest thing's group; without kinds 0, no array."""
+    return np.array([0, *GROUP_NUMBERS.values()])[np.asarray(maps.ds.get(ROOF_KIND, 0))]
 
 
 def percent(share: float) -> str:

@@ -37,7 +37,7 @@ LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obst
 CLEARANCE_TICKS_M = (0, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 NO_FIX_PT = 1.0  # at the ends of what is shaded, so that a single cell is seen
 LIFT = 0.2  # of the first legend, over the numbers of segments
-HATCHED: Look = {"facecolor": "none", "edgecolor": "white", "hatch": "/////", "linewidth": 0.0}
+HATCHED: Look = {"facecolor": "#00000033", "edgecolor": "white", "hatch": "/////", "linewidth": 0.0}
 HEIGHT_IN, SECOND_IN = 6.1, 1.2  # of the figure; of a second panel of metrics
 
 
@@ -145,6 +145,7 @@ def beneath(profile: pd.DataFrame) -> dict[str, tuple[str, pd.Series]]:
     return {
         name: (GROUP_COLOURS[name], part_m.reindex(roof_m.index, fill_value=0.0))
         for name, part_m in by_group
+        if part_m.any()
     }
 
 
