@@ -15,10 +15,10 @@ FREE_COLOUR, BUILT_COLOUR = "#f4f4ee", "#4a4a4a"
 GUESSED_CELL_COLOUR, NO_DATA_COLOUR = "#d55e00", "#bdbdbd"
 GROUP_COLOURS = {  # of `GROUPS`; apart from each other and from free cells for the colour-blind
     "buildings": BUILT_COLOUR,
-    "trees": "#009e73",
+    "trees": "#006d2c",
     "wires": "#8e44ad",
-    OTHERS: "#f0b323",
-    GROUPS[UNKNOWN]: "#d55e00",
+    OTHERS: "#ffc20a",
+    GROUPS[UNKNOWN]: "#f26b21",
 }
 GROUP_NUMBERS = {kind: [*GROUP_COLOURS].index(group) for kind, group in GROUPS.items()}
 KIND_COLOURS = {kind: GROUP_COLOURS[group] for kind, group in GROUPS.items()}

@@ -65,7 +65,7 @@ LOG = logging.getLogger("jaxurban")
 SECONDS_PER_MINUTE = 60
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
 PLANNER_LINES = planner_colours(PLANNERS)
-TOTALS = {  # of `RouteReport.totals` and `Vehicle.to_dict`, as the page shows them; of climb, descent and turns the limits
+TOTALS = {  # of `RouteReport.totals`, and of `Vehicle.to_dict`, of which climb, descent and turns are the limits
     "length_m": ("Length", "m"),
     "cost": ("Cost", ""),
     "people_overflown": ("People overflown", ""),
