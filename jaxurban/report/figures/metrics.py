@@ -36,6 +36,7 @@ from jaxurban.report.figures.frame import (
     draw_maps,
     flat_layer,
     frame_note,
+    joined,
     meaning_of,
     symbol_of,
 )
@@ -60,27 +61,22 @@ def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tu
 
 def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> MapLayer:
     """Return a layer of the obstacle cells at an altitude, which may lie between two altitudes of the maps."""
-    return flat_layer(_is_blocked(maps, altitude_m), colour)
-
-
-def _is_blocked(maps: MetricMaps, altitude_m: float) -> np.ndarray:
-    """Return ``[Y, X]`` bool: the obstacle cells at an altitude."""
     if altitude_m in maps.altitudes_m:
         is_blocked = maps.m("obstacle", altitude_m) != 0
     else:
         is_blocked = ~maps.is_free(altitude_m, "centre")
-    return is_blocked & maps.ds["has_data"].values
+    return flat_layer(is_blocked & maps.ds["has_data"].values, colour)
 
 
 def class_patches(maps: MetricMaps, variable: Variable) -> list[tuple[str, str]]:
     """Return the legend entries of a variable's classes; of more than two, those that occur, by their colours."""
     if len(variable.classes) <= 2:
         return list(variable.classes)
-    by_colour: dict[str, list[str]] = {}
+    by_colour: dict[str, str] = {}
     for number in np.unique(maps.m(variable.name)):
         name, colour = variable.classes[number]
-        by_colour.setdefault(colour, []).append(name)
-    return [(", ".join(names), colour) for colour, names in by_colour.items()]
+        by_colour[colour] = joined(by_colour.get(colour), name, by=", ")
+    return [(names, colour) for colour, names in by_colour.items()]
 
 
 def line_colour(name: str) -> str:
@@ -376,7 +372,7 @@ def plot_obstacles(
         share = "no data"
         if has_data.any():
             share = f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked"
-        drawn = np.where(_is_blocked(maps, z), group, -1)
+        drawn = np.where(obstacle_layer(maps, z).values == 0, group, -1)
         numbers.update(np.unique(drawn).tolist())
         obstacles = classes_layer(drawn, [*GROUP_COLOURS.values()])
         panels.append(
