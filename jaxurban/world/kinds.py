@@ -35,7 +35,7 @@ KindName = Literal[
 ALL_KINDS: tuple[KindName, ...] = get_args(KindName)
 PLANTS = "tree", "wood"
 WIRES = "wire", "cableway"
-OTHERS = "others"
+OTHERS = "other structures"
 
 
 class Effects(NamedTuple):
@@ -61,9 +61,9 @@ CODES = {kind: number for number, kind in enumerate(EFFECTS, 1)}
 GROUPS = {
     **dict.fromkeys(EFFECTS, OTHERS),
     BUILDING: "buildings",
-    **dict.fromkeys(PLANTS, "plants"),
+    **dict.fromkeys(PLANTS, "trees"),
     **dict.fromkeys(WIRES, "wires"),
-    UNKNOWN: UNKNOWN,
+    UNKNOWN: "unknown extent",
 }
 
 
