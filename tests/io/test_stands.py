@@ -84,6 +84,14 @@ def stand(*features, **rules):
         # A bridge is known to stand, but not how high.
         (AREA, {"man_made": "bridge"}, "unknown", 0, 100, 100),
         (AREA, {"man_made": "bridge", "height": "20"}, "bridge", 20, 20, 100),
+        (
+            LineString([(90, 0), (0, 0), (0, 10), (90, 10)]),  # the border of one that is cut off
+            {"man_made": "bridge", "height": "20"},
+            "bridge",
+            20,
+            20,
+            900,
+        ),
         # Crowns, octagons around a circle: as wide as they say, else 0.8 times as wide as the tree is
         # high; a trunk's diameter is none.
         (

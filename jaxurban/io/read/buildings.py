@@ -168,8 +168,10 @@ def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
     limit_m[is_lost] = np.inf
 
     # Shapes.
-    is_wood_line = (kinds == WOOD) & (shapely.get_dimensions(outlines.polygons) == 1)
-    is_hulled = is_hull | is_wood_line
+    is_border = ((kinds == WOOD) | (kinds == BRIDGE)) & (
+        shapely.get_dimensions(outlines.polygons) == 1
+    )
+    is_hulled = is_hull | is_border
     shapes = np.where(is_hulled, shapely.convex_hull(outlines.polygons), outlines.polygons)
     is_fence = kinds == FENCE
     shapes[is_fence] = shapely.boundary(shapes[is_fence])
