@@ -282,8 +282,15 @@ def test_with_buildings_alone_maps_and_inputs_are_those_of_a_city_without_others
     assert "roof_kind" not in compute_maps(task(replace(both, structures=None))).ds
 
 
-def test_all_maps_are_those_of_build_maps():
-    city = replace(by_raster(), structures=structures())
+def test_one_text_of_kinds_is_one_kind():
+    assert ju.Obstacles(kinds="building").kinds == ("building",)
+    with pytest.raises(ju.InputError, match=r"kinds must hold 'building', got \['tree'\]: add it"):
+        City.from_files("synthetic", kinds="tree")
+
+
+@pytest.mark.parametrize("gps", [None, Gps(plants="hide")], ids=["pass", "hide"])
+def test_all_maps_are_those_of_build_maps(gps):
+    city = replace(by_raster(), structures=structures(), gps=gps)
     inputs, skies = ju.grad.map_inputs(city, REGION, altitudes_m=(30.0,))
     made = jax.jit(ju.grad.all_maps)(inputs, jax.tree.map(lambda values: values[0], skies))
     maps = ju.build_maps(city, grid=REGION, altitudes_m=(30.0,), progress=False).ds
