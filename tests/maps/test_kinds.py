@@ -462,6 +462,28 @@ def test_no_flight_into_gothenburgs_canopy_is_clean(gothenburg, has_terrain, tmp
     assert counts[False, True] > 20
 
 
+def test_plants_beyond_the_maps_are_not_looked_at_so_that_nearby_is_not_judged(tmp_path):
+    canopy = pixels()
+    canopy.values[:, 12:20] = 0.0
+    canopy.values[:, :12] = 60.0  # up to the maps' western side
+    city = town(vegetation=canopy)
+    maps = ju.build_maps(city, grid=REGION, altitudes_m=(30.0, 50.0), progress=False)
+    x_m, y_m = [REGION.x_min_m + 2.0] * 2, np.add(REGION.y_min_m, [100.0, 130.0])
+    lonlat = np.transpose(transformer(CRS, WGS84).transform(x_m, y_m))
+    line = tmp_path / "line.kml"
+    line.write_text(KML.format(" ".join(f"{lon:.9f},{lat:.9f},45" for lon, lat in lonlat)))
+    for clearance_m, state in ((0.0, "clean"), (5.0, "not-judged")):
+        result = ju.check(
+            maps,
+            line,
+            heights="ground",
+            home=tuple(lonlat[0]),
+            sources=city,
+            clearance_m=clearance_m,
+        )
+        assert result.state == state
+
+
 @pytest.mark.data
 def test_a_raster_that_is_no_canopy_or_not_there_is_refused_and_a_part_is_a_guess(
     gothenburg, data_dir, tmp_path
