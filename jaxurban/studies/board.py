@@ -124,7 +124,7 @@ def make_benchmark(
 
 def city_maps() -> dict[str, MetricMaps]:
     """Return by name the maps, 20 m up and in cells of 5 m, of buildings: of `SAMPLED` and of the synthetic city."""
-    cities = {name: sample_city(name, kinds=[BUILDING]) for name in SAMPLED}
+    cities = {str(name): sample_city(name, kinds=[BUILDING]) for name in SAMPLED}
     cities[SYNTHETIC] = demo_city(DEMO_M, DEMO_M)
     return {
         name: build_maps(city, resolution_m=5.0, altitudes_m=(20.0,))
