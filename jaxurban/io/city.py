@@ -273,7 +273,6 @@ class City(FactsRepr):
             terrain = settings.Terrain(terrain)
         if not isinstance(vegetation, settings.Vegetation):
             vegetation = settings.Vegetation(vegetation)
-        counted = Obstacles(None if kinds is None else tuple(kinds))
         return read_city(
             buildings,
             bounds=bounds,
@@ -282,7 +281,7 @@ class City(FactsRepr):
             terrain=terrain,
             gps=gps,
             vegetation=vegetation,
-            kinds=counted.kinds or ALL_KINDS,
+            kinds=Obstacles(kinds).under(""),  # type: ignore[arg-type]
         )
 
 

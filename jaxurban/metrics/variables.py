@@ -13,20 +13,21 @@ from jaxurban.world.kinds import GROUPS, OTHERS
 
 FREE_COLOUR, BUILT_COLOUR = "#f4f4ee", "#4a4a4a"
 GUESSED_CELL_COLOUR, NO_DATA_COLOUR = "#d55e00", "#bdbdbd"
-GROUP_COLOURS = {  # of `GROUPS`, colour-blind safe, after Okabe and Ito
+GROUP_COLOURS = {  # of `GROUPS`; apart from each other and from free cells for the colour-blind
     "buildings": BUILT_COLOUR,
-    "plants": "#009e73",
-    "wires": "#cc79a7",
-    OTHERS: "#e69f00",
-    UNKNOWN: "#d55e00",
+    "trees": "#006d2c",
+    "wires": "#8e44ad",
+    OTHERS: "#ffc20a",
+    GROUPS[UNKNOWN]: "#f26b21",
 }
+GROUP_NUMBERS = {kind: [*GROUP_COLOURS].index(group) for kind, group in GROUPS.items()}
 KIND_COLOURS = {kind: GROUP_COLOURS[group] for kind, group in GROUPS.items()}
 CAVEAT = "comment"  # attribute: what whoever reads the values must know; the name is that of the CF conventions
 ROOF_KIND = "roof_kind"
 NEEDED = ("obstacle", "has_data")  # without these maps it is not a folder of maps
 # What is kept of a long series, behind the metric's name.
 SERIES = ("availability", "median", "p05")
-_roof = partial(Variable, unit="m", scale=Scale(high=None, stretch="sqrt", zero="no building"))
+_roof = partial(Variable, unit="m", scale=Scale(high=None, stretch="sqrt", zero="no roof"))
 
 AUXILIARY_VARIABLES = {
     variable.name: variable

@@ -17,6 +17,7 @@ from jaxurban.maps.levels import values_at
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX, has_no_fix
 from jaxurban.metrics.population import M2_PER_KM2
+from jaxurban.metrics.variables import ROOF_KIND
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.legs import Steps, steps_of
 from jaxurban.paths.lines import along_of
@@ -34,6 +35,7 @@ from jaxurban.paths.route_report import (
 from jaxurban.planners.cost import path_states
 from jaxurban.public import Caution, Level, caution_of_guesses, sentences_of
 from jaxurban.settings import Vehicle
+from jaxurban.world.kinds import EFFECTS
 from jaxurban.world.surface import stands_at
 
 MOST_SEGMENTS = 3  # that a terminal line lists
@@ -140,7 +142,8 @@ def profile_of(
 ) -> pd.DataFrame:
     """Return a row for each part of a flight: its place, the values of maps there (`values_on`), roofs and clearances.
 
-    Where the maps know which roofs are guessed, also whether the one beneath is, and how far the nearest is.
+    Where the maps know which roofs are guessed, also whether the one beneath is, and how far the nearest is; where they
+    know kinds, that of the highest roof that touches the cell, of ``jaxurban.world.kinds.EFFECTS``, else ``""``.
 
     Args:
       parts: of the flight, each within a cell.
@@ -171,6 +174,9 @@ def profile_of(
         away_m = clearance_m(parts.ends_m - grid.bounds_m[:2], is_guessed, grid.resolution_m)
         columns[GUESSED] = is_guessed[tuple(parts.cell.T)]
         columns[TO_GUESSED] = np.where(columns[GUESSED], 0.0, away_m)
+    if ROOF_KIND in maps.ds:
+        names = np.array(["", *EFFECTS], object)
+        columns[ROOF_KIND] = names[maps.m(ROOF_KIND)[tuple(parts.cell.T)]]
     return pd.DataFrame(columns | clearances_on(maps, parts))
 
 

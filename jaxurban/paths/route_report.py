@@ -161,7 +161,7 @@ class RouteReport(FactsRepr):
       segments: a row for each of a few parts of nearly equal length: the same, ``from_m`` and ``to_m`` along
         the route, and ``min_*`` and ``max_*`` of each metric. The sums of costs, lengths and people are the totals.
       profile: a row for each cell that a step of the route crosses, in order: ``from_m`` and ``to_m``, the
-        middle's ``lon``, ``lat`` and ``z_m``, and the value of every map.
+        middle's ``lon``, ``lat`` and ``z_m``, and the value of every map; ``roof_kind`` where the maps know kinds.
       lines: longitude and latitude ``[K, 2]`` of each segment.
       settings: ``swath_m``, ``speed_m_s`` and ``power_w`` as they were given.
       cautions: what a pilot should know of the route (`jaxurban.cautions`).

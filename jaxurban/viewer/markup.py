@@ -1,23 +1,27 @@
 """Pieces of the page that Python writes: lists to choose from, legends, tables and the profile."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from html import escape
 
 import numpy as np
 import pandas as pd
 from matplotlib.ticker import MaxNLocator
 
-from jaxurban.metrics.variables import BUILT_COLOUR
+from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.route_report import CLEARANCE, GUESSED, short
-from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR
+from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR, beneath
 
 # Of the profile, in pixels: its size, the borders of its two panels from above, the height of the lower panel's axis,
 # and that of a line of text.
 WIDE, HIGH = 1000, 150
 TOP, MIDDLE, BOTTOM = 7, 62, 134
 METRICS_HIGH, LETTERS = 52, 14
-GUESSED_STRIP_COLOUR = "#b9a473"
+GUESSED_HATCH = "repeating-linear-gradient(135deg,#4a4a4a 0 2px,#fff 2px 4px)"
+HATCHES = (
+    '<pattern id="jv-guessed" width="6" height="6" patternUnits="userSpaceOnUse">'
+    '<path d="M0 6L6 0" stroke="#fff"/></pattern>'
+)
 MOST_STEPS = 1000  # of a line of the profile
 
 
@@ -84,6 +88,15 @@ def planners(summaries: Mapping[str, str], colours: Mapping[str, str], chosen: s
         box = f'<input type="checkbox" value="{name}"{checked}>'
         html += f'<label title="{escape(summary)}">{box}{dot(colours[name])}{name}</label>'
     return html
+
+
+def group_boxes(numbers: Container[int]) -> str:
+    """Return a ticked box for each group of what stands, of `GROUP_COLOURS`, whose number is given."""
+    return "".join(
+        f'<label><input type="checkbox" name="group-{number}" checked>{dot(colour)}{name}</label>'
+        for number, (name, colour) in enumerate(GROUP_COLOURS.items())
+        if number in numbers
+    )
 
 
 def rows(cells: Iterable[tuple[str, str]]) -> str:
@@ -175,12 +188,13 @@ def profile(
         points = np.stack([x, y], axis=-1).tolist()
         return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
 
-    # Roofs, over them those of guessed height.
-    roofs_m = table["roof_m"].fillna(0.0)
-    roofs = {"roofs beneath": (BUILT_COLOUR, roofs_m)}
+    # Roofs by group, over them hatches where their heights are guessed.
+    roofs = beneath(table)
+    keys = {name: colour for name, (colour, _) in roofs.items()}
     if GUESSED in table:
-        roofs["of guessed height"] = GUESSED_STRIP_COLOUR, roofs_m * table[GUESSED]
-    beneath = "".join(
+        roofs["guessed"] = "url(#jv-guessed)", table["roof_m"].fillna(0.0) * table[GUESSED]
+        keys["of guessed height"] = GUESSED_HATCH
+    shapes = HATCHES + "".join(
         f'<path d="{trace(values_m, MIDDLE, per_m)}L{WIDE} {MIDDLE}L0 {MIDDLE}Z" fill="{colour}" stroke="none"/>'
         for colour, values_m in roofs.values()
     )
@@ -213,14 +227,13 @@ def profile(
     )
 
     # The key.
-    keys = {name: colour for name, (colour, _) in roofs.items()}
     keys |= {"flight": ALTITUDE_COLOUR, **dict(lines.values())}
     if shaded:
         keys["no fix"] = NO_FIX_COLOUR
     key = "".join(f"<span>{dot(colour)}{escape(label)}</span>" for label, colour in keys.items())
     return (
         f'<div><svg viewBox="0 0 {WIDE} {HIGH}" preserveAspectRatio="none" fill="none" stroke-width="1.4">'
-        f'{shaded}{beneath}{flight}{metrics}<path class="jv-here" d="M0 {TOP}V{BOTTOM}" stroke="#000" '
+        f'{shaded}{shapes}{flight}{metrics}<path class="jv-here" d="M0 {TOP}V{BOTTOM}" stroke="#000" '
         f'transform="translate(-9)"/></svg>{words}</div><p>{key}</p>'
     )
 

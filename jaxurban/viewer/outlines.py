@@ -5,6 +5,8 @@ import shapely
 from rasterio.features import shapes
 
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.variables import GROUP_COLOURS, GROUP_NUMBERS
+from jaxurban.report.figures.metrics import group_numbers
 from jaxurban.viewer.tiles import packed
 from jaxurban.world.footprints import Footprints
 
@@ -16,8 +18,9 @@ MOST_CORNERS = 400_000  # that are sent, of the largest buildings first
 def outlines_of(maps: MetricMaps, standing: Footprints | None) -> bytes:
     """Return the outlines of what stands as `packed` numbers, of the largest ones where all have over `MOST_CORNERS`.
 
-    The number of rings, R, comes first. Then come three rows of R numbers: how many corners each ring has, its height
-    in metres above the ground, and 1 where that height is guessed, else 0. Last come two rows with a number for each
+    The number of rings, R, comes first. Then come four rows of R numbers: how many corners each ring has, its height
+    in metres above the ground (where that is not known, its bound), 1 where it is guessed, else 0, and the number of
+    its group in `GROUP_COLOURS`. Holes run against their outer rings. Last come two rows with a number for each
     corner, ring after ring: the steps to the east and to the north from the corner before, in units of `STEP_M`, of
     the very first corner from the maps' southwest corner.
 
@@ -27,12 +30,13 @@ def outlines_of(maps: MetricMaps, standing: Footprints | None) -> bytes:
     """
     # What stands in the region.
     if standing is None:
-        polygons, height_m, is_guessed = _from_roofs(maps)
+        polygons, *facts = _from_roofs(maps)
     else:
         inside = standing.inside(maps.grid.bounds_m)
         polygons = shapely.simplify(inside.polygons, TOLERANCE_M)
-        height_m = inside.height_m
-        is_guessed = inside.is_guessed
+        height_m = np.where(inside.height_m > 0, inside.height_m, inside.upper_m)
+        group = [GROUP_NUMBERS[kind] for kind in inside.kinds]
+        facts = [height_m, inside.is_guessed, np.array(group, int)]
 
     # The largest ones, in their order.
     order = np.argsort(-shapely.area(polygons), kind="stable")
@@ -40,37 +44,41 @@ def outlines_of(maps: MetricMaps, standing: Footprints | None) -> bytes:
     chosen = np.sort(order[largest])
 
     # Their rings, and the building of each ring.
-    parts, of_polygon = shapely.get_parts(polygons[chosen], return_index=True)
+    polygons = shapely.orient_polygons(polygons[chosen])
+    parts, of_polygon = shapely.get_parts(polygons, return_index=True)
     rings, of_part = shapely.get_rings(parts, return_index=True)
     building = chosen[of_polygon[of_part]]
 
     # Steps between corners, the first one from 0, 0.
     corners = np.round((shapely.get_coordinates(rings) - maps.grid.bounds_m[:2]) / STEP_M)
     steps = np.diff(corners, axis=0, prepend=0)
-    facts = [shapely.get_num_coordinates(rings), height_m[building], is_guessed[building]]
-    return packed(np.concatenate([[len(rings)], *facts, *steps.T]))
+    rows = [shapely.get_num_coordinates(rings), *(fact[building] for fact in facts)]
+    return packed(np.concatenate([[len(rings)], *rows, *steps.T]))
 
 
-def _from_roofs(maps: MetricMaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _from_roofs(maps: MetricMaps) -> tuple[np.ndarray, ...]:
     """Return polygons around cells with roofs, from the maps alone.
 
-    Cells that touch are in one polygon if their roofs reach equally many of the maps' altitudes and are both guessed or
-    both not.
+    Cells that touch are in one polygon if their roofs reach equally many of the maps' altitudes, are both guessed or
+    both not, and of one group.
 
     Returns:
       ``[N]`` the polygons; ``[N]`` their heights in metres, each that of the highest of all roofs that reach as many
-      altitudes, so that a polygon reaches the altitudes that its roofs reach; ``[N]`` whether the height is guessed.
+      altitudes, so that a polygon reaches the altitudes that its roofs reach; ``[N]`` whether the height is guessed;
+      ``[N]`` the number of the group.
     """
-    # A number for each kind of roof: twice the number of altitudes that it reaches, and 1 more if it is guessed.
+    # A number for each kind of roof: by how many altitudes it reaches, whether it is guessed, and its group.
     grid = maps.grid
     roof_m = np.nan_to_num(maps.m("roof"))
-    has_guesses = "roof_guessed" in maps.ds
-    is_guessed = maps.m("roof_guessed") if has_guesses else np.zeros(grid.shape)
+    is_guessed = np.asarray(maps.ds.get("roof_guessed", 0)) == 1
     level = np.digitize(roof_m, maps.altitudes_m)
-    kind = (2 * level + (is_guessed == 1)).astype(np.int16)
+    num_groups = len(GROUP_COLOURS)
+    kind = (2 * level + is_guessed) * num_groups + group_numbers(maps)
 
     # Polygons around cells of a kind.
-    traced = list(shapes(kind, mask=roof_m > 0))  # in cells from the southwest corner
+    traced = list(
+        shapes(kind.astype(np.int16), mask=roof_m > 0)
+    )  # in cells from the southwest corner
     polygons = np.array([shapely.geometry.shape(shape) for shape, _ in traced], dtype=object)
     polygons = shapely.transform(
         polygons, lambda cells: grid.bounds_m[:2] + grid.resolution_m * cells
@@ -78,6 +86,7 @@ def _from_roofs(maps: MetricMaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     polygon_kind = np.array([number for _, number in traced], dtype=int)
 
     # The highest roof of each kind.
-    highest_m = np.zeros(2 * len(maps.altitudes_m) + 2)
+    highest_m = np.zeros(2 * num_groups * (len(maps.altitudes_m) + 1))
     np.maximum.at(highest_m, kind, roof_m)
-    return polygons, highest_m[polygon_kind], polygon_kind % 2 == 1
+    polygon_level, polygon_group = np.divmod(polygon_kind, num_groups)
+    return polygons, highest_m[polygon_kind], polygon_level % 2 == 1, polygon_group

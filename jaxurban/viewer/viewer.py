@@ -24,6 +24,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap, paired_times, shared_part
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.gps import FIX
+from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.path import PlannedPath
@@ -32,7 +33,7 @@ from jaxurban.paths.route_report import CLEARANCE, RouteReport
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, time_said
-from jaxurban.report.figures.metrics import line_colour
+from jaxurban.report.figures.metrics import group_numbers, line_colour
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.satellites.along import sky_from
 from jaxurban.satellites.sight import Sight
@@ -64,16 +65,15 @@ LOG = logging.getLogger("jaxurban")
 SECONDS_PER_MINUTE = 60
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
 PLANNER_LINES = planner_colours(PLANNERS)
-TOTALS = {  # of `RouteReport.totals`, as the page shows them
+TOTALS = {  # of `RouteReport.totals`, and of `Vehicle.to_dict`, of which climb, descent and turns are the limits
     "length_m": ("Length", "m"),
     "cost": ("Cost", ""),
     "people_overflown": ("People overflown", ""),
     "no_fix_m": ("Without a fix", "m"),
     "nearest_wall_m": ("Least clearance", "m"),
     "least_over_roofs_m": ("Least over roofs", "m"),
-}
-
-VEHICLE = {  # of `Vehicle.to_dict`, as the page shows it; of climb, descent and turns the limits
+    "time_s": ("Time", "s"),
+    "energy_wh": ("Energy", "Wh"),
     "vehicle_radius_m": ("Vehicle, radius", "m"),
     "vehicle_speed_m_s": ("Vehicle, speed", "m/s"),
     "vehicle_power_w": ("Vehicle, power", "W"),
@@ -219,6 +219,7 @@ class Viewer:
             "no_fix": FIX if FIX in self.layers else None,
             "file_name": re.sub(r"[^\w.-]+", "-", self.name).strip("-."),
             "step_m": STEP_M,
+            "group_colours": list(GROUP_COLOURS.values()),
             "fields": {
                 "cost_model": self.plans.cost_model.kind,
                 "obstacles": self.maps.obstacles,
@@ -259,6 +260,7 @@ class Viewer:
         side = "west" if north_deg > 0 else "east"
         north = f"true north {abs(north_deg):.2f}° {side} of the grid's north"
         guessed = guesses_said(maps, has_sky=True)
+        groups = np.unique(group_numbers(maps)).tolist()
 
         # Lists to choose from; those of the map that is subtracted are the same. `H_NORM` is a layer of all maps.
         first = "gps" if "gps" in self.layers else H_NORM
@@ -278,6 +280,7 @@ class Viewer:
             "guesses-text": escape("\n".join(maps.guesses.values())),
             "place": "<br>".join([place_said(grid), cells, north]),
             "credit": escape(maps.attribution),
+            "groups": markup.group_boxes(groups if any(groups) else ()),
             "sliders": markup.sliders(self._labels, self._colours),
             "planners": markup.planners(summaries, PLANNER_LINES, "astar-plus"),
             "formats": markup.save_buttons(of_waypoints=False),
@@ -590,14 +593,6 @@ class Viewer:
         profile = markup.profile(table, lines, without_fix(table))
         profile += sentences([("note", rules_said(planned.settings))])
 
-        # The table of totals.
-        rows = [
-            (label, f"{number(totals[name])} {unit}")
-            for name, (label, unit) in TOTALS.items()
-            if name in totals
-        ]
-        rows += _flight_rows(report, planned)
-
         # The waypoints, and how they differ from the route.
         lonlat = waypoints(mission).lonlat
         saved = [f"{len(lonlat)} waypoints, cost {number(mission.cost)}"]
@@ -608,7 +603,7 @@ class Viewer:
         length_m = max(planned.length_m, 1e-9)  # a route of no length has one crossing, to 0 m
         return {
             "cautions": sentences((caution.level, caution) for caution in report.cautions),
-            "totals": markup.rows(rows),
+            "totals": markup.rows(_total_rows(report, planned)),
             "profile": profile,
             "to_share": np.round(table["to_m"].to_numpy() / length_m, 5),
             "xy": self._on_page(table[["lon", "lat"]].to_numpy()),
@@ -651,27 +646,23 @@ class Viewer:
         return self.plans.file(route, self.flight(query), query.format)
 
 
-def _flight_rows(report: RouteReport, planned: PlannedPath) -> list[tuple[str, str]]:
-    """Return rows (label, text) on the time and energy of a route and on its vehicle, as far as these are known."""
-    totals, settings = report.totals, report.settings
-    rows = []
-    if "time_s" in totals:
-        minutes, seconds = divmod(round(totals["time_s"]), SECONDS_PER_MINUTE)
-        time = f"{seconds} s"
-        if minutes:
-            time = f"{minutes} min {time}"
-        rows.append(("Time", time))
-    if "energy_wh" in totals:
-        rows.append(("Energy", f"{number(totals['energy_wh'])} Wh"))
-
+def _total_rows(report: RouteReport, planned: PlannedPath) -> list[tuple[str, str]]:
+    """Return rows (label, text) of `TOTALS`: a route's totals and its vehicle, as far as these are known."""
     # The vehicle that the route was planned for, at the speed and power of its report.
+    settings = report.settings
     vehicle = replace(
         Vehicle.of(planned.settings), speed_m_s=settings["speed_m_s"], power_w=settings["power_w"]
     )
-    facts = vehicle.to_dict()
-    for name, (label, unit) in VEHICLE.items():
-        if name in facts:
-            rows.append((label, f"{number(facts[name])} {unit}"))
+    facts = {**report.totals, **vehicle.to_dict()}
+    rows = []
+    for name, (label, unit) in TOTALS.items():
+        if name not in facts:
+            continue
+        text = f"{number(facts[name])} {unit}"
+        if name == "time_s":
+            minutes, seconds = divmod(round(facts[name]), SECONDS_PER_MINUTE)
+            text = f"{minutes} min {seconds} s".removeprefix("0 min ")
+        rows.append((label, text))
     return rows
 
 

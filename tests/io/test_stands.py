@@ -42,6 +42,7 @@ def stand(*features, **rules):
         (AREA, {"man_made": "storage_tank"}, "tank", 10, 30, 100),
         (PLACE, {"man_made": "crane", "height": "60"}, "crane", 60, 60, np.pi * 25),
         (PLACE, {"man_made": "silo", "diameter": "8"}, "tank", 20, np.inf, np.pi * 16),
+        (PLACE, {"man_made": "silo", "diameter": "0"}, "tank", 20, np.inf, np.pi * 100),
         (PLACE, {"power": "tower"}, "pylon", 30, 100, np.pi * 16),
         (
             PLACE,

@@ -16,12 +16,14 @@ import jaxurban as ju
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.paths.legs import between
 from jaxurban.paths.profile import clearance_m, cut_evenly, nearest_level_m
 from jaxurban.planners.cost import path_states
 from jaxurban.report.figures import plot_profile, save_profile
-from jaxurban.report.figures.frame import GUESSED_ROOF_COLOUR
 from jaxurban.report.figures.profile import NO_FIX_COLOUR
+from jaxurban.viewer.markup import profile as profile_html
+from jaxurban.world.kinds import CODES
 from tests.cli_runs import run
 from tests.made_maps import missing_inside
 from tests.paths.volumes import WEIGHTS, options_of
@@ -386,6 +388,36 @@ def test_a_profile_without_walls_or_of_one_place_is_drawn(maps, ends, planned, t
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.png", "b.png"]
 
 
+def test_what_is_beneath_is_drawn_and_named_by_its_group(maps, ends):
+    kind = np.zeros(maps.grid.shape, np.uint8)
+    kind[maps.m("roof_touched") > 0] = CODES["building"]
+    kind[:, 30:50] = CODES["tree"]
+    kind[:, 50:60] = CODES["turbine"]
+    ds = maps.ds.assign(roof_kind=(("y", "x"), kind))
+    ds["roof_touched"][:, 30:50] = 11.0
+    ds["roof_touched"][:, 50:60] = 0.0
+    wooded = ju.MetricMaps(ds)
+    path = ju.plan(wooded, **ends, altitude_m=60.0)
+    report = ju.explain(path, wooded)
+    names = report.profile["roof_kind"]
+    row, col = maps.grid.cell_of_lonlat(report.profile["lon"], report.profile["lat"])
+    of_code = {0: "", **{code: name for name, code in CODES.items()}}
+    assert names.tolist() == [of_code[code] for code in kind[row, col]]
+    assert {"tree", "turbine"} < {*names}
+    drawn = steps(plot_profile(path, wooded, report).axes[0])
+    assert "roofs beneath" not in drawn
+    assert "other structures" not in drawn  # of no height
+    trees = drawn["trees"]
+    assert to_hex(trees.get_facecolor()) == GROUP_COLOURS["trees"]
+    np.testing.assert_array_equal(
+        trees.get_data().values, report.profile["roof_m"].where(names == "tree", 0.0)
+    )
+    shown = profile_html(report.profile, {}, [])
+    assert f'fill="{GROUP_COLOURS["trees"]}"' in shown
+    assert "</i>trees</span>" in shown
+    assert "roof_kind" not in ju.explain(ju.plan(maps, **ends, altitude_m=60.0), maps).profile
+
+
 def test_roofs_of_guessed_height_and_stretches_above_every_obstacle_are_told_apart(
     maps, planned, report
 ):
@@ -394,7 +426,7 @@ def test_roofs_of_guessed_height_and_stretches_above_every_obstacle_are_told_apa
     profile = report.profile.assign(roof_m=12.0, roof_guessed=is_first, nearest_wall_m=clear_m)
     heights, *_, walls = plot_profile(planned, maps, replace(report, profile=profile)).axes
     guessed = steps(heights)["of guessed height"]
-    assert to_hex(guessed.get_facecolor()) == GUESSED_ROOF_COLOUR
+    assert guessed.get_hatch()
     np.testing.assert_array_equal(guessed.get_data().values, np.where(is_first, 12.0, 0.0))
     assert "of guessed height" not in steps(plot_profile(planned, maps, report).axes[0])
     np.testing.assert_array_equal(

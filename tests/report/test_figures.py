@@ -20,6 +20,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.guesses import BEYOND_DATA, NOMINAL_SKY
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.variables import FREE_COLOUR, GROUP_COLOURS
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import Status
 from jaxurban.report import figures as plotting
@@ -28,7 +29,8 @@ from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.paths import LINE_PT, PLANNER_COLOURS, lanes_of, maps_figures
 from jaxurban.report.figures.style import chart
 from jaxurban.report.write import DPI, write_picture
-from tests.made_maps import made_maps
+from jaxurban.world.kinds import EFFECTS, GROUPS
+from tests.made_maps import made_maps, maps_of_kinds
 from tests.paths.volumes import made_path
 from tests.report.legible import assert_legible, drawn_texts
 
@@ -180,6 +182,33 @@ def test_pictures_say_what_they_show():
     ):
         text = texts_of(figure)
         assert [words for words in said if words not in text] == []
+
+
+def legend_of(figure) -> dict[str, str]:
+    """Return the colours of a legend's patches by their names."""
+    (legend,) = figure.findobj(Legend)
+    patches = legend.get_patches()
+    return {patch.get_label(): to_hex(patch.get_facecolor()) for patch in patches}
+
+
+def test_obstacles_have_the_colours_of_their_groups_and_the_legend_names_those_drawn():
+    maps, _ = maps_of_kinds()
+    kinds = set(np.array(["", *EFFECTS])[np.unique(maps.m("roof_kind"))[1:]])
+    assert kinds == {"building", "chimney", "tree", "wood", "wire"}
+    legend = legend_of(plotting.plot_metric(maps, "roof_kind"))
+    assert [*legend] == ["nothing", "building", "chimney", "tree, wood", "wire"]
+    groups = ["buildings", "trees", "other structures"]  # the wire is over no cell's centre
+    for altitude_m, names in ((8.0, groups), (20.0, ["buildings", "other structures"])):
+        figure = plotting.plot_obstacles(maps, altitude_m=altitude_m)
+        assert legend_of(figure) == {"free": FREE_COLOUR} | {
+            name: GROUP_COLOURS[name] for name in names
+        }
+        (panel,) = panels_of(figure)
+        colours = np.array([FREE_COLOUR, *(GROUP_COLOURS[GROUPS[kind]] for kind in EFFECTS)])
+        number = np.where(maps.m("obstacle", altitude_m) == 1, maps.m("roof_kind"), 0)
+        np.testing.assert_array_equal(drawn(panel), colours[number])
+    bare = MetricMaps(maps.ds.drop_vars("roof_kind"))
+    assert [*legend_of(plotting.plot_obstacles(bare))] == ["free", "obstacle"]
 
 
 def test_classes_people_and_costs_have_the_colours_of_their_values(maps):

@@ -17,8 +17,9 @@ from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.viewer.html import part, write_page
 from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to
+from jaxurban.world.kinds import CODES
 from tests.cli_runs import run
-from tests.made_maps import made_maps
+from tests.made_maps import made_maps, maps_of_kinds
 from tests.viewer.browser import READY, SIZE, opened, shown
 
 pytestmark = pytest.mark.slow
@@ -302,6 +303,32 @@ def test_the_view_fits_the_route_the_map_keeps_its_size_and_0_shows_all(page):
     page.wait_for_timeout(400)
     assert math.isclose(metres_per_pixel(page), whole, rel_tol=0.02)
     page.set_viewport_size(SIZE)
+
+
+def test_groups_of_what_stands_are_switched_off_and_on(browser):
+    maps, _ = maps_of_kinds()
+    maps.ds["gps"][:] = 1  # which is yellow
+    row, col = np.argwhere((maps.m("roof_kind") == CODES["wood"]) & (maps.m("roof") == 15))[20]
+
+    def ink() -> list[int]:
+        """Return the colour in the middle of a wood, of which the page shows all maps."""
+        page.wait_for_timeout(700)
+        box = page.locator('[data-is="map"]').bounding_box()
+        scale = 1.06 * max(40 / box["width"], 40 / box["height"])
+        x = box["x"] + box["width"] / 2 + (col + 0.5 - 20) / scale
+        return ink_at(page, (x, box["y"] + box["height"] / 2 - (row + 0.5 - 20) / scale))
+
+    with shown(browser, Viewer(maps)) as page:
+        wood = ink()
+        assert wood[1] > wood[0] + 40
+        assert wood[1] > wood[2] + 30
+        page.uncheck('[name="group-1"]')
+        assert np.ptp(ink()) < 10  # the grey of obstacles
+        page.reload()
+        page.wait_for_selector(READY)
+        assert not page.is_checked('[name="group-1"]')  # the address keeps it
+        page.check('[name="group-1"]')
+        assert np.allclose(ink(), wood, atol=2)
 
 
 def test_outlines_of_buildings_below_the_flight_are_pale_and_guessed_ones_dashed(browser):

@@ -20,6 +20,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.files import write_json
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.shared import OneMap
+from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
@@ -31,8 +32,9 @@ from jaxurban.viewer.requests import Request
 from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to, view, widget_of
 from jaxurban.world.footprints import HeightOrigin
+from jaxurban.world.kinds import EFFECTS, GROUPS
 from tests.cli_runs import TOWN, run, write_city
-from tests.made_maps import city_of_boxes, made_maps
+from tests.made_maps import city_of_boxes, made_maps, maps_of_kinds
 from tests.viewer.browser import unpacked
 
 MAPS, LITTLE = made_maps(), made_maps(24, 30)
@@ -168,15 +170,16 @@ def test_other_maps_are_subtracted_on_the_cells_and_at_the_times_that_both_hold(
         write_page(viewer, tmp_path / "page.html", 10**7)
 
 
-def rings_of(viewer: Viewer) -> list[tuple[np.ndarray, float, bool]]:
-    """Return the outlines that the page gets: corners in metres, height and whether it is guessed."""
+def rings_of(viewer: Viewer) -> list[tuple[np.ndarray, float, bool, str]]:
+    """Return the outlines that the page gets: corners in metres, height, whether it is guessed, and group."""
     values = unpacked(answer(viewer, "outlines"))
     num = int(values[0])
-    counts, heights_m, guessed = values[1 : 3 * num + 1].reshape(3, num)
-    steps = values[3 * num + 1 :].reshape(2, -1).T
+    counts, heights_m, guessed, numbers = values[1 : 4 * num + 1].reshape(4, num)
+    steps = values[4 * num + 1 :].reshape(2, -1).T
+    groups = np.array([*GROUP_COLOURS])[numbers.astype(int)].tolist()
     corners_m = STEP_M * np.cumsum(steps, axis=0)
     parts = np.split(corners_m, np.cumsum(counts.astype(int))[:-1])
-    return list(zip(parts, heights_m.tolist(), (guessed == 1).tolist(), strict=True))
+    return list(zip(parts, heights_m.tolist(), (guessed == 1).tolist(), groups, strict=True))
 
 
 def test_outlines_of_maps_in_memory_are_around_their_roofs_and_reach_the_altitudes_that_these_reach(
@@ -187,7 +190,8 @@ def test_outlines_of_maps_in_memory_are_around_their_roofs_and_reach_the_altitud
     viewer = Viewer(type(MAPS)(MAPS.ds.assign(roof_guessed=(("y", "x"), guessed))))
     cell_m2 = MAPS.grid.resolution_m**2
     of_height = dict.fromkeys(np.unique(roof_m[roof_m > 0]).tolist(), 0.0)
-    for corners_m, height_m, is_guessed in rings_of(viewer):
+    for corners_m, height_m, is_guessed, group in rings_of(viewer):
+        assert group == "buildings"
         of_height[height_m] += shapely.Polygon(corners_m).area
         assert is_guessed == (height_m == 30)
         row, col = np.floor(np.min(corners_m, axis=0) / MAPS.grid.resolution_m).astype(int)[::-1]
@@ -208,9 +212,47 @@ def test_outlines_of_a_city_are_exact_to_a_metre_with_their_heights_and_guesses(
         city=SimpleNamespace(standing=replace(buildings, origin=origin))
     )
     rings = rings_of(viewer)  # the third one lies outside
-    assert [(height_m, is_guessed) for _, height_m, is_guessed in rings] == [(8, False), (40, True)]
-    for (corners_m, _, _), box in zip(rings, boxes, strict=False):
+    assert [ring[1:] for ring in rings] == [(8, False, "buildings"), (40, True, "buildings")]
+    for (corners_m, *_), box in zip(rings, boxes, strict=False):
         assert shapely.Polygon(corners_m).bounds == pytest.approx(box, abs=STEP_M / 2)
+
+
+@pytest.mark.parametrize("by_outlines", [True, False])
+def test_outlines_name_their_groups_each_of_which_the_page_switches(by_outlines):
+    maps, city = maps_of_kinds()
+    viewer = Viewer(maps)
+    if by_outlines:
+        viewer.__dict__["_sight"] = SimpleNamespace(city=city)
+    area_m2 = dict.fromkeys(GROUP_COLOURS, 0.0)
+    for corners_m, height_m, is_guessed, group in rings_of(viewer):
+        area_m2[group] += shapely.Polygon(corners_m).area
+        assert is_guessed == (group == "trees" and height_m == 12)
+    if by_outlines:
+        assert area_m2["buildings"] == 40 * 40 + 40 * 60
+        assert area_m2["other structures"] == 100
+        assert 50 < area_m2["wires"] <= 150  # of 1 m of width, to a metre
+        assert area_m2["trees"] == pytest.approx(2400 + 5 * np.pi * 16, rel=0.04)
+    else:
+        group = np.array(["", *map(GROUPS.get, EFFECTS)])[maps.m("roof_kind")]
+        for name, metres2 in area_m2.items():
+            assert metres2 == 25 * ((group == name) & (maps.m("roof") > 0)).sum()
+    boxes = answer(viewer, "scene")["html"]["groups"]
+    names = ["buildings", "trees", "wires", "other structures"]
+    assert re.findall(r'name="group-(\d)" checked', boxes) == ["0", "1", "2", "3"]
+    assert re.findall(r"</i>([a-z ]+)</label>", boxes) == names
+    assert answer(Viewer(MAPS), "scene")["html"]["groups"] == ""
+
+
+def test_holes_of_outlines_run_against_their_outer_rings():
+    shape = shapely.box(10, 10, 90, 90) - shapely.box(30, 30, 50, 60)
+    buildings = city_of_boxes([(0, 0, 1, 1)], [8.0], 200.0, MAPS.grid.bounds_m[:2]).buildings
+    moved = shapely.transform(shape, lambda xy: xy + MAPS.grid.bounds_m[:2])
+    for polygon in (moved, moved.reverse()):
+        viewer = Viewer(MAPS)
+        standing = replace(buildings, polygons=np.array([polygon]))
+        viewer.__dict__["_sight"] = SimpleNamespace(city=SimpleNamespace(standing=standing))
+        turns = [shapely.is_ccw(shapely.LinearRing(corners)) for corners, *_ in rings_of(viewer)]
+        assert turns[0] != turns[1]
 
 
 def test_outlines_and_skies_are_of_moved_files_where_their_folder_is_named(

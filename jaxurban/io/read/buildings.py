@@ -178,7 +178,7 @@ def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
     is_tree = names == "tree"
     width_m = np.where(is_tree, lengths_m("crown"), np.fmax(lengths_m("diameter"), rotor_m))
     by_kind_m = np.where(is_tree, CROWN_SHARE * height_m, of_kinds("radius_m"))
-    radius_m = np.where(np.isfinite(width_m), np.minimum(width_m / 2, MOST_RADIUS_M), by_kind_m)
+    radius_m = np.where(width_m > 0, np.minimum(width_m / 2, MOST_RADIUS_M), by_kind_m)
     is_wide = is_areal & ~is_hull
     polygons = shapes.copy()
     for is_of, num_sides, share in ((is_tree, 8, OCTAGON), (~is_tree, 32, 1.0)):

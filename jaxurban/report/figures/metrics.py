@@ -20,6 +20,7 @@ from jaxurban.metrics.variables import (
     BUILT_COLOUR,
     FREE_COLOUR,
     GROUP_COLOURS,
+    GROUP_NUMBERS,
     ROOF_KIND,
     derived,
 )
@@ -35,16 +36,16 @@ from jaxurban.report.figures.frame import (
     draw_maps,
     flat_layer,
     frame_note,
+    joined,
     meaning_of,
     symbol_of,
 )
 from jaxurban.report.figures.style import Colours, Width, ends_of
-from jaxurban.world.kinds import GROUPS
 
 AVAILABILITY, RATED = "gps_availability", "gdop"
 DISTANCE_COLOUR = "#555555"
 # Behind what a colour bar names; others as they are.
-UNITS = {"1": "", "km-2": "", "m": " in metres"}
+UNITS = {"": "", "1": "", "km-2": "", "m": " in metres"}
 EMPTY_COLOUR = "#ffffff"
 Altitudes = float | Sequence[float] | None
 renamed = renamed_arguments(altitudes_m="altitude_m")
@@ -60,27 +61,22 @@ def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tu
 
 def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> MapLayer:
     """Return a layer of the obstacle cells at an altitude, which may lie between two altitudes of the maps."""
-    return flat_layer(_is_blocked(maps, altitude_m), colour)
-
-
-def _is_blocked(maps: MetricMaps, altitude_m: float) -> np.ndarray:
-    """Return ``[Y, X]`` bool: the obstacle cells at an altitude."""
     if altitude_m in maps.altitudes_m:
         is_blocked = maps.m("obstacle", altitude_m) != 0
     else:
         is_blocked = ~maps.is_free(altitude_m, "centre")
-    return is_blocked & maps.ds["has_data"].values
+    return flat_layer(is_blocked & maps.ds["has_data"].values, colour)
 
 
 def class_patches(maps: MetricMaps, variable: Variable) -> list[tuple[str, str]]:
     """Return the legend entries of a variable's classes; of more than two, those that occur, by their colours."""
     if len(variable.classes) <= 2:
         return list(variable.classes)
-    by_colour: dict[str, list[str]] = {}
+    by_colour: dict[str, str] = {}
     for number in np.unique(maps.m(variable.name)):
         name, colour = variable.classes[number]
-        by_colour.setdefault(colour, []).append(name)
-    return [(", ".join(names), colour) for colour, names in by_colour.items()]
+        by_colour[colour] = joined(by_colour.get(colour), name, by=", ")
+    return [(names, colour) for colour, names in by_colour.items()]
 
 
 def line_colour(name: str) -> str:
@@ -370,29 +366,33 @@ def plot_obstacles(
     maps = as_maps(maps)
     has_data = maps.ds["has_data"].values
     panels = []
-    groups = _cells_by_group(maps)
+    group = group_numbers(maps)
+    numbers = set[int]()
     for z in altitudes_of(maps, altitude_m):
         share = "no data"
         if has_data.any():
             share = f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked"
-        layers = [flat_layer(has_data, FREE_COLOUR)]
-        for is_there, colour in groups.values():
-            layers.append(flat_layer(_is_blocked(maps, z) & is_there, colour))
-        panels.append(MapPanel(f"{z:g} m  ·  {share}", layers))
-    entries = [(name, colour) for name, (_, colour) in groups.items()]
-    legend = [("free", FREE_COLOUR), *entries, *obstacle_patches(maps)[1:]]
+        drawn = np.where(obstacle_layer(maps, z).values == 0, group, -1)
+        numbers.update(np.unique(drawn).tolist())
+        obstacles = classes_layer(drawn, [*GROUP_COLOURS.values()])
+        panels.append(
+            MapPanel(f"{z:g} m  ·  {share}", [flat_layer(has_data, FREE_COLOUR), obstacles])
+        )
+
+    # The groups that are drawn; buildings alone are obstacles.
+    patches = obstacle_patches(maps, BUILT_COLOUR)
+    if numbers - {-1, 0}:
+        entries = list(GROUP_COLOURS.items())
+        patches[:1] = [entries[number] for number in sorted(numbers - {-1})]
+    legend = [("free", FREE_COLOUR), *patches]
     heading = "Obstacles, by altitude above ground"
     note = frame_note(maps, has_sky=False)
     return draw_maps(maps.grid, panels, heading, note, legend=legend, width=width)[0]
 
 
-def _cells_by_group(maps: MetricMaps) -> dict[str, tuple[np.ndarray, str]]:
-    """Return where a group of kinds is the highest, ``[Y, X]`` bool, and its colour; ``"obstacle"`` is all of them."""
-    if ROOF_KIND not in maps.ds:
-        return {"obstacle": (np.array(True), BUILT_COLOUR)}
-    group = np.array(["", *GROUPS.values()])[maps.m(ROOF_KIND)]
-    colours = GROUP_COLOURS.items()
-    return {name: (group == name, colour) for name, colour in colours if (group == name).any()}
+def group_numbers(maps: MetricMaps) -> np.ndarray:
+    """Return ``[Y, X]`` the number, in `GROUP_COLOURS`, of the highest thing's group; without kinds 0, no array."""
+    return np.array([0, *GROUP_NUMBERS.values()])[np.asarray(maps.ds.get(ROOF_KIND, 0))]
 
 
 def percent(share: float) -> str:
@@ -567,7 +567,7 @@ def plot_heights(maps: MapsLike, *, width: Width = "page") -> Figure:
     """
     maps = as_maps(maps)
     no_data = obstacle_patches(maps)[1:]  # these pictures show no obstacles
-    legend = [("no building", EMPTY_COLOUR), *no_data]
+    legend = [("no roof", EMPTY_COLOUR), *no_data]
     roof_m = maps.m("roof")
     _, highest_m = ends_of(roof_m)
     panels = [MapPanel(f"roofs above ground, up to {highest_m:.0f} m", roof_layers(maps))]

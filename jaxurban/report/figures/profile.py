@@ -10,13 +10,13 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MapsLike, as_maps
-from jaxurban.metrics.variables import BUILT_COLOUR
+from jaxurban.metrics.variables import BUILT_COLOUR, GROUP_COLOURS, ROOF_KIND
 from jaxurban.paths.explain import explain
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import without_fix
 from jaxurban.paths.route_report import CLEARANCE, GUESSED, RouteReport
-from jaxurban.report.figures.frame import GUESSED_ROOF_COLOUR, frame_note, joined
+from jaxurban.report.figures.frame import frame_note, joined
 from jaxurban.report.figures.style import (
     FAINT_INK,
     SMALL_PT,
@@ -29,13 +29,15 @@ from jaxurban.report.figures.style import (
     show_plain,
     styled,
 )
-from jaxurban.report.write import PICTURES, save
+from jaxurban.report.write import PICTURES, Look, save
+from jaxurban.world.kinds import GROUPS
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#c51b8a", "#1a1a1a", "#ffd9d4"
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
 CLEARANCE_TICKS_M = (0, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 NO_FIX_PT = 1.0  # at the ends of what is shaded, so that a single cell is seen
 LIFT = 0.2  # of the first legend, over the numbers of segments
+HATCHED: Look = {"facecolor": "#00000033", "edgecolor": "white", "hatch": "/////", "linewidth": 0.0}
 HEIGHT_IN, SECOND_IN = 6.1, 1.2  # of the figure; of a second panel of metrics
 
 
@@ -51,8 +53,8 @@ def plot_profile(
 
     Metrics of which 1 is the best are in one panel, and those of which 1 is the worst in another.
 
-    Segments without a position fix are shaded, roofs of guessed height coloured. The numbers on top
-    are the report's segments.
+    Segments without a position fix are shaded, roofs of guessed height hatched, and trees, wires and the like in
+    colours. The numbers on top are the report's segments.
 
     Args:
       planned: from `plan`.
@@ -134,10 +136,23 @@ def plot_profile(
     return figure
 
 
+def beneath(profile: pd.DataFrame) -> dict[str, tuple[str, pd.Series]]:
+    """Return the colour and the heights of the roofs beneath a route by group, 0 elsewhere; of all without kinds."""
+    roof_m = profile["roof_m"].fillna(0.0)
+    if ROOF_KIND not in profile:
+        return {"roofs beneath": (BUILT_COLOUR, roof_m)}
+    by_group = roof_m.groupby(profile[ROOF_KIND].map(GROUPS))
+    return {
+        name: (GROUP_COLOURS[name], part_m.reindex(roof_m.index, fill_value=0.0))
+        for name, part_m in by_group
+        if part_m.any()
+    }
+
+
 def _draw_heights(
     panel: Axes, planned: PlannedPath, profile: pd.DataFrame, edges_km: np.ndarray
 ) -> None:
-    """Draw the flight altitude and the roofs beneath, those of guessed height in another colour.
+    """Draw the flight altitude and what is beneath by its group, hatched where its height is guessed.
 
     Args:
       panel: to draw in.
@@ -145,12 +160,11 @@ def _draw_heights(
       profile: a row per cell along the route.
       edges_km: ``[N + 1]`` distance flown at the ends of the rows.
     """
-    panel.stairs(profile["roof_m"], edges_km, fill=True, color=BUILT_COLOUR, label="roofs beneath")
+    for name, (colour, roof_m) in beneath(profile).items():
+        panel.stairs(roof_m, edges_km, fill=True, color=colour, label=name)
     if GUESSED in profile and profile[GUESSED].any():
         guessed_m = profile["roof_m"].where(profile[GUESSED], 0.0)
-        panel.stairs(
-            guessed_m, edges_km, fill=True, color=GUESSED_ROOF_COLOUR, label="of guessed height"
-        )
+        panel.stairs(guessed_m, edges_km, fill=True, **HATCHED, label="of guessed height")
 
     # The flight: legs are measured in the air, as climbs have a length too.
     along_km = along_of(np.column_stack([planned.xy_m, planned.z_m])) / 1000

@@ -58,15 +58,16 @@ function baseMap({ shapes, names }) {
   };
   return { fill, draw, write };
 }
-// Outlines of buildings (`jaxurban.viewer.outlines`): pale where the flight is above them, dashed where guessed.
-function outlinesOf(values, step) {
-  const [num] = values, counts = values.subarray(1, num + 1), heights = values.subarray(num + 1, 2 * num + 1);
-  const guesses = values.subarray(2 * num + 1, 3 * num + 1), steps = values.subarray(3 * num + 1);
-  const half = steps.length / 2, drawn = { flight: null, paths: [] };
+// Outlines of what stands (`jaxurban.viewer.outlines`), by group: pale where the flight is above it, dashed where its
+// height is guessed, and filled where it is no building and reaches the flight.
+function outlinesOf(values, { step_m: step, group_colours: colours, cols, rows, resolution_m: side }) {
+  const [num] = values, [counts, heights, guesses, groups] = [0, 1, 2, 3].map(k => values.subarray(k * num + 1));
+  const steps = values.subarray(4 * num + 1), half = steps.length / 2, drawn = { flight: null, paths: [] };
+  const inks = colours.map((colour, group) => group ? `color-mix(in srgb, ${colour}, #1f2429 40%)` : '#1f2429');
   const pathsAt = flight => {
-    const paths = [0, 1, 2, 3].map(() => new Path2D());
+    const paths = colours.map(() => [0, 1, 2, 3].map(() => new Path2D()));
     for (let ring = 0, k = 0, x = 0, y = 0; ring < num; ring++) {
-      const path = paths[2 * (heights[ring] >= flight) + guesses[ring]];
+      const path = paths[groups[ring]][2 * (heights[ring] >= flight) + guesses[ring]];
       for (let corner = 0; corner < counts[ring]; corner++, k++) {
         x += step * steps[k];
         y += step * steps[half + k];
@@ -75,14 +76,22 @@ function outlinesOf(values, step) {
     }
     return paths;
   };
-  return (pen, toPixel, { scale }, flight) => {
+  return (pen, toPixel, { scale }, flight, isShown) => {
     if (!Object.is(drawn.flight, flight)) Object.assign(drawn, { flight, paths: pathsAt(flight) });
-    inMetres(pen, toPixel, scale, () => drawn.paths.forEach((path, kind) => {
-      const isBelow = kind < 2, isGuessed = kind % 2;
+    const drawPath = (path, kind, group) => {
+      const isBelow = kind < 2, isGuessed = kind % 2, alpha = isBelow ? 40 : 100;
       pen.setLineDash(isGuessed ? [4 * scale, 3 * scale] : []);
-      Object.assign(pen, { strokeStyle: isBelow ? '#1f242966' : '#1f2429', lineWidth: (scale < 2 ? 1 : 0.6) * scale });
+      Object.assign(pen, { strokeStyle: `color-mix(in srgb, ${inks[group]} ${alpha}%, transparent)`,
+        fillStyle: `${colours[group]}cc`, lineWidth: (scale < 2 ? 1 : 0.6) * scale });
+      if (group && !isBelow) pen.fill(path);
       pen.stroke(path);
-    }));
+    };
+    inMetres(pen, toPixel, scale, () => {
+      pen.beginPath();
+      pen.rect(0, 0, cols * side, rows * side);
+      pen.clip();
+      drawn.paths.forEach((paths, group) => isShown[group] && paths.forEach((path, kind) => drawPath(path, kind, group)));
+    });
   };
 }
 function keptSheet() { // what is drawn again only where its key has changed

@@ -72,9 +72,10 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     if (state.shown) drawTiles(pen, state.shown, { alpha });
     if (state.noFix && field('hatch').checked) drawTiles(pen, state.noFix, { isHatched: true });
     const { x, y, scale } = view;
-    drawLines(pen, [x, y, scale, flight(), Boolean(state.outlines)], ink => {
+    const isShown = scene.group_colours.map((_, k) => field(`group-${k}`)?.checked ?? true);
+    drawLines(pen, [x, y, scale, flight(), Boolean(state.outlines), isShown], ink => {
       base?.draw(ink, toPixel, scale);
-      state.outlines?.(ink, toPixel, view, flight());
+      state.outlines?.(ink, toPixel, view, flight(), isShown);
     });
     base?.write(pen, toPixel, view.scale, width, height);
     for (const zone of state.zones) line(zone, '#a01830', 1.5, { fill: '#a0183033' });
@@ -424,7 +425,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     if (each.name === 'altitude' || each.name === 'flight_m') between();
     for (const settle of [fitModel, show, showSky, plan]) settle();
   };
-  Object.assign(field('opacity'), { oninput: draw, onchange: keep });
+  for (const each of all('[name="opacity"], [name="hatch"], [name^="group-"]'))
+    Object.assign(each, { oninput: draw, onchange: keep });
   root.querySelector('nav').hidden = is('sky-box').hidden = is('minus').hidden = !scene.can_plan;
   const choose = tab => {
     state.tab = tab;
@@ -448,7 +450,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   new ResizeObserver(() => (view.refit ?? draw)()).observe(map);
   await show();
   guard(async () => { // after the picture, as it may take seconds
-    state.outlines = outlinesOf(await unpack(await ask('outlines', {})), scene.step_m);
+    state.outlines = outlinesOf(await unpack(await ask('outlines', {})), scene);
     draw();
   })();
   if (scene.can_plan) plan();
