@@ -15,7 +15,7 @@ BOUNDS = ("octile", "tiles", "landmarks", "auto")
 def main(num_queries: int = 100, num_runs: int = 5) -> None:
     """Print the medians over runs in turn, the first of each left out: Lower Manhattan, 5 m cells, preset ``paper``."""
     warnings.simplefilter("ignore", GuessWarning)
-    city = ju.sample_city("lower-manhattan")
+    city = ju.sample_city("lower-manhattan", kinds=["building"])
     maps = ju.build_maps(city, resolution_m=5.0, altitudes_m=(ALTITUDE_M,), progress=False)
     free = np.argwhere(ju.cost_map(maps, ALTITUDE_M, preset="paper").is_free)
     cells = np.random.default_rng(0).choice(free, (num_queries, 2))

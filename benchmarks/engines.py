@@ -88,8 +88,13 @@ def in_memory(city: Callable[[Path], ju.City], **options: object) -> Job:
 
 
 def manhattan(folder: Path) -> ju.City:
-    """Lower Manhattan."""
+    """Lower Manhattan, with its trees, masts and wires."""
     return ju.sample_city("lower-manhattan")
+
+
+def buildings_alone(folder: Path) -> ju.City:
+    """The buildings of Lower Manhattan; older checkouts know no others."""
+    return ju.sample_city("lower-manhattan", kinds=["building"])
 
 
 def with_slabs(folder: Path) -> ju.City:
@@ -153,6 +158,7 @@ source = "{SAMPLE}"
 """
 SMALL: dict[str, Job] = {
     "flat": in_memory(manhattan, resolution_m=10.0, altitudes_m=FOUR),
+    "buildings alone": in_memory(buildings_alone, resolution_m=10.0, altitudes_m=FOUR),
     "flat, 2 m": in_memory(manhattan, resolution_m=2.0, altitudes_m=THREE),
     "second city": second_city,
     "small city": in_memory(lambda _: ju.demo_city(600, 600), resolution_m=20.0),

@@ -40,7 +40,10 @@ def main() -> None:
     for side_m in parser.parse_args().sides_m:
         for city in ("lower-manhattan", "shinjuku"):
             maps = ju.build_maps(
-                ju.sample_city(city), resolution_m=side_m, altitudes_m=(ALTITUDE_M,), progress=False
+                ju.sample_city(city, kinds=["building"]),
+                resolution_m=side_m,
+                altitudes_m=(ALTITUDE_M,),
+                progress=False,
             )
             is_free = [ju.cost_map(maps, ALTITUDE_M, **rule).is_free for rule in RULES.values()]
             shares = [f"{joined_percent(free, is_free[0] & is_free[1]):.1f} %" for free in is_free]

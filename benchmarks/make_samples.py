@@ -13,6 +13,7 @@ from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import shapely
 from sgp4.exporter import export_tle
 from skyfield.api import load
@@ -23,7 +24,15 @@ from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.land_cover import projected
 from jaxurban.io.read.nominal import GPS, MARK, Constellation, nominal_satellites
 from jaxurban.io.read.osm import OSM_CREDIT, header_box, read_osm
-from jaxurban.io.samples import BASE_MAP_FILE, BUILDINGS_FILE, HOME, LOG_FILE, SAMPLES
+from jaxurban.io.read.stands import what_stands
+from jaxurban.io.samples import (
+    BASE_MAP_FILE,
+    BUILDINGS_FILE,
+    HOME,
+    LOG_FILE,
+    SAMPLES,
+    STRUCTURES_FILE,
+)
 from jaxurban.metrics.population import Population
 from jaxurban.studies.receiver.logs import read_receiver_log
 from jaxurban.world.grid import WGS84, Bounds, box_of, transformer, utm_of
@@ -51,6 +60,11 @@ TAG_OF = {  # of the names of `Outlines` that differ from OpenStreetMap's
     "levels": "building:levels",
     "roof_levels": "roof:levels",
     "min_level": "building:min_level",
+    "crown": "diameter_crown",
+    "leaf": "leaf_type",
+    "wind": "generator:source",
+    "rotor": "rotor:diameter",
+    "hub": "height:hub",
 }
 
 # Source: European GNSS Service Centre, Orbital and technical parameters (www.gsc-europa.eu), reference constellation:
@@ -78,7 +92,7 @@ GALILEO = Constellation(
 
 
 def make_lower_manhattan(data: Path, home: Path) -> None:
-    """Write the files of Lower Manhattan: outlines, base map, census blocks, districts and satellites.
+    """Write the files of Lower Manhattan: what stands, base map, census blocks, districts and satellites.
 
     Args:
       data: folder of the sources.
@@ -92,12 +106,20 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     # Areas of buildings and bridges, with the tags that these have.
     is_kept = frame["building"].notna() | frame["building:part"].notna()
     is_kept |= frame["man_made"] == "bridge"
-    is_area = frame.geom_type.isin(["Polygon", "MultiPolygon"])
-    frame = frame.loc[is_kept & is_area, [*SAMPLE_TAGS, "geometry"]].reset_index(drop=True)
+    is_kept &= frame.geom_type.isin(["Polygon", "MultiPolygon"])
+    frame = frame.loc[is_kept, [*SAMPLE_TAGS, "geometry"]].reset_index(drop=True)
     issues = {issue.value: count for issue, count in outlines.issues.items() if count}
     facts = {"credit": OSM_CREDIT, "licence": ODBL, "boxes": outlines.boxes, "issues": issues}
     # Not rounded: its maps are those of the extract itself.
     write_geoparquet(home / BUILDINGS_FILE, frame, facts)
+
+    # What else stands, with all tags that say so.
+    others = what_stands(outlines.take(~is_kept.to_numpy()), False, {})
+    columns = {TAG_OF.get(name, name): others.column(name) for name in outlines.tags}
+    filled = {name: values for name, values in columns.items() if pd.notna(values).any()}
+    frame = gpd.GeoDataFrame(filled, geometry=others.polygons, crs=WGS84)
+    facts = {"credit": OSM_CREDIT, "licence": ODBL}
+    write_geoparquet(home / STRUCTURES_FILE, frame, facts)
 
     # Base map and census blocks in the extract's box.
     box = header_box(osm)

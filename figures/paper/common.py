@@ -88,9 +88,8 @@ def _town(name: str, title: str, sample: str, *orbits: Path) -> Town:
     if all(file.exists() for file in orbits):
         gps["orbits"] = [str(file) for file in orbits]
     buildings = {"source": f"sample:{sample}"}
-    return Town(
-        name, title, {"region": region, "buildings": buildings, "gps": gps, "planning": rule}
-    )
+    scenario = {"region": region, "buildings": buildings, "gps": gps, "planning": rule}
+    return Town(name, title, scenario | {"obstacles": {"kinds": ["building"]}})
 
 
 MANHATTAN = _town("manhattan", "Lower Manhattan", "lower-manhattan", ORBITS)

@@ -151,14 +151,15 @@ class City(FactsRepr):
     def _which(self, counts: Callable[[str], bool]) -> "Counted":
         """Return what counts of its kind: `counted` itself, if all does."""
         standing, plants = self.counted
-        are_counted = plants is None or counts(WOOD)
+        kinds = {kind for kind in EFFECTS if counts(kind)}
+        are_counted = plants is None or WOOD in kinds
         if standing is not None:
-            is_counted = np.array([counts(kind) for kind in standing.kinds], bool)
+            is_counted = np.array([kind in kinds for kind in standing.kinds], bool)
             standing = standing.take(is_counted)
             are_counted &= bool(is_counted.all())
         if are_counted:
             return self.counted
-        return Counted(standing, plants if counts(WOOD) else None)
+        return Counted(standing, plants if WOOD in kinds else None)
 
     @property
     def facts(self) -> dict[str, str]:
@@ -272,7 +273,6 @@ class City(FactsRepr):
             terrain = settings.Terrain(terrain)
         if not isinstance(vegetation, settings.Vegetation):
             vegetation = settings.Vegetation(vegetation)
-        counted = Obstacles(None if kinds is None else tuple(kinds))
         return read_city(
             buildings,
             bounds=bounds,
@@ -281,7 +281,7 @@ class City(FactsRepr):
             terrain=terrain,
             gps=gps,
             vegetation=vegetation,
-            kinds=counted.kinds or ALL_KINDS,
+            kinds=Obstacles(kinds).under(""),  # type: ignore[arg-type]
         )
 
 

@@ -21,8 +21,10 @@ from jaxurban.io.download import Source, cache_folder, download
 from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, only_writer, sweep_scraps
 from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.heights import is_given
+from jaxurban.io.read.kinds import GROWN
+from jaxurban.io.read.kinds import NOTHING as NOTHING_STANDS
 from jaxurban.io.read.orbits import WARN_AGE_DAYS, middle_epoch, read_orbits
-from jaxurban.io.read.osm import cut_buildings, format_of, header_box, read_osm
+from jaxurban.io.read.osm import MAYBE, cut_buildings, format_of, header_box, read_osm
 from jaxurban.io.read.vector import OF_DAMAGED
 from jaxurban.io.workspace import Workspace
 from jaxurban.metrics.population import Population
@@ -94,10 +96,16 @@ NOTHING = {  # reported where a file holds nothing for the region or the day
     "orbits": f"element sets: these are more than {WARN_AGE_DAYS:.0f} days from --date, so the nominal constellation "
     "stands in; historical ones need a login at space-track.org (free): set [gps] orbits to a file of them",
 }
+# All that the reader knows: by keys, and what grows by values.
+ASKED = [f'"{key}"' for key in MAYBE]
+for key, by_value in GROWN.items():
+    ASKED += [
+        f'"{key}"="{value}"' for value, kind in by_value.items() if kind is not NOTHING_STANDS
+    ]
 OVERPASS = (
-    "[out:xml][timeout:180][bbox:{south},{west},{north},{east}];"
-    '(nwr["building"];nwr["building:part"];nwr["man_made"];nwr["power"];nwr["aerialway"];'
-    'relation["type"="building"];);(._;>;);out body;'
+    "[out:xml][timeout:180][bbox:{south},{west},{north},{east}];("
+    + "".join(f"nwr[{each}];" for each in ASKED)
+    + 'relation["type"="building"];);(._;>;);out body;'
 )
 Settings = dict[str, Any]
 

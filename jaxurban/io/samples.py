@@ -3,16 +3,18 @@
 Such names stand where a setting takes the path of a file: they mean the same on every machine.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path, PurePath
 from typing import Any
 
 from jaxurban.checks import nearest_name
 from jaxurban.errors import InputError
+from jaxurban.world.footprints import BUILDING
 
 PREFIX = "sample:"
 HOME = Path(__file__).parents[1] / "samples"  # a folder per city
 BUILDINGS_FILE = "buildings.parquet"
+STRUCTURES_FILE = "structures.parquet"
 BASE_MAP_FILE = "basemap.parquet"
 LOG_FILE = "log.csv.gz"
 SAMPLES: dict[
@@ -79,9 +81,27 @@ def log_of(source: Any) -> str | None:
     Raises:
       InputError: there is no such city.
     """
+    return _file_of(source, LOG_FILE)
+
+
+def structures_of(source: Any, kinds: Collection[str]) -> str | None:
+    """Return the name of the file of what stands beside the buildings of ``sample:CITY``, None where there is none.
+
+    Args:
+      source: of the buildings.
+      kinds: that count; without any but buildings the file is left out.
+
+    Raises:
+      InputError: there is no such city.
+    """
+    return _file_of(source, STRUCTURES_FILE) if {*kinds} - {BUILDING} else None
+
+
+def _file_of(source: Any, file: str) -> str | None:
+    """Return the name of a file of the sample city ``sample:CITY``, None where there is none."""
     name = sample_name(source)
-    has_log = name is not None and (HOME / name / LOG_FILE).is_file()
-    return f"{PREFIX}{name}/{LOG_FILE}" if has_log else None
+    has_file = name is not None and (HOME / name / file).is_file()
+    return f"{PREFIX}{name}/{file}" if has_file else None
 
 
 def check_sample(name: str) -> None:
@@ -111,6 +131,12 @@ def located(name: str | Path) -> Path:
     return home / (file or BUILDINGS_FILE)
 
 
+def sample_of(settings: Mapping[str, Any]) -> str | None:
+    """Return the sample city that the buildings of a scenario's settings are from, or None; errors as `sample_name`."""
+    buildings = settings.get("buildings")
+    return sample_name(buildings.get("source")) if isinstance(buildings, Mapping) else None
+
+
 def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the settings of a scenario, filled up with those of the sample city that its buildings are from.
 
@@ -123,8 +149,7 @@ def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     Raises:
       InputError: there is no such sample city.
     """
-    buildings = settings.get("buildings")
-    name = sample_name(buildings.get("source")) if isinstance(buildings, Mapping) else None
+    name = sample_of(settings)
     if name is None:
         return settings
     merged = dict(settings)

@@ -19,7 +19,7 @@ from jaxurban.checks import values_given
 from jaxurban.errors import readable
 from jaxurban.io.city import City
 from jaxurban.io.files import digest_of, read_json, write_json
-from jaxurban.io.samples import located
+from jaxurban.io.samples import located, structures_of
 from jaxurban.io.store import RUN_FILE, short_number
 from jaxurban.maps.guesses import leaving_shares
 from jaxurban.maps.scenario import Scenario
@@ -142,8 +142,9 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
 def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str, dict[str, Any]]:
     """Return path, SHA-256 and bytes of every file that a scenario names, by its role.
 
-    Roles are ``buildings``, ``terrain``, ``vegetation``, ``orbits``, ``orbits_2`` and so on, those of `FILES` and
-    ``layer_NAME``. The companions of a file, such as the .dbf of a Shapefile, are hashed and counted with it.
+    Roles are ``buildings``, ``structures``, ``terrain``, ``vegetation``, ``orbits``, ``orbits_2`` and so on, those of
+    `FILES` and ``layer_NAME``. The companions of a file, such as the .dbf of a Shapefile, are hashed and counted with
+    it.
 
     Args:
       scenario: the settings.
@@ -156,6 +157,7 @@ def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str,
     buildings = None if scenario.is_synthetic else scenario.buildings.source
     named: dict[str, Any] = {
         "buildings": buildings,
+        "structures": structures_of(buildings, scenario.kinds),
         "terrain": scenario.terrain.source,
         "vegetation": scenario.vegetation.source,
     }

@@ -4,17 +4,19 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.city import City
 from jaxurban.io.files import read_json
+from jaxurban.io.samples import sample_of
 from jaxurban.io.store import RUN_FILE, settings_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
 from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.variables import ROOF_KIND
+from jaxurban.world.footprints import BUILDING
 from jaxurban.world.kinds import ALL_KINDS, PLANTS, WIRES, Obstacles
 
 CityLike = City | MetricMaps | str | Path
@@ -22,13 +24,14 @@ EXACT = "exact outlines"
 BY_CELLS = "by cells that roofs touch, because {}"
 STANDING = (
     "buildings",
+    "structures",
     "terrain",
     "vegetation",
 )  # roles of the files that say what stands, and on which ground
 NOT_LOOKED_AT = "Kinds of obstacles that were not looked at: {}."
-# What counts where the record does not say it: plants and wires are newer than such maps.
+# What counts where the record does not say it: plants and wires are newer than such maps, and so are the samples' files
+# of what stands beside buildings.
 KINDS_BEFORE = [kind for kind in ALL_KINDS if kind not in (*PLANTS, *WIRES)]
-BEFORE = {"obstacles": {"kinds": KINDS_BEFORE}}
 
 
 class ChangedSourcesError(InputError):
@@ -51,7 +54,7 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     """
     if sources is not None and not Path(sources).is_dir():
         raise InputError(f"sources must be a folder, and {str(sources)!r} is none: check the path")
-    settings = BEFORE | settings_of(folder)
+    settings = _with_kinds(settings_of(folder))
     if "bounds" not in settings.get("region", {}):
         raise InputError(
             f"the maps in {str(folder)!r} were not made by `jaxurban maps`, so what they are of is not on record: make "
@@ -87,6 +90,12 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
         "name the folder of these files (sources, --sources) or the scenario in it (scenario, --scenario), or make the "
         "maps again"
     )
+
+
+def _with_kinds(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return recorded settings with the kinds that count."""
+    kinds = KINDS_BEFORE if sample_of(settings) is None else [BUILDING]
+    return {"obstacles": {"kinds": kinds}} | settings
 
 
 def city_of(given: CityLike, sources: str | Path | None = None) -> City:
@@ -158,7 +167,7 @@ def left_out(maps: MetricMaps, city: City | None) -> str:
     elif maps.folder is not None:
         settings = settings_of(maps.folder)
         if "obstacles" in settings or ROOF_KIND not in maps.ds:
-            obstacles = Obstacles(**(BEFORE | settings)["obstacles"])
+            obstacles = Obstacles(**_with_kinds(settings)["obstacles"])
             counted = obstacles.under(maps.planning.preset)
     kinds = [kind for kind in ALL_KINDS if kind not in counted]
     return NOT_LOOKED_AT.format(", ".join(kinds)) if kinds else ""

@@ -156,7 +156,9 @@ def check(
     # What is found along the mission, which parts of it are unknown, and the figures; limits are on figures.
     city, outlines, has_changed = standing_on(maps, sources)
     is_outlined = outlines == EXACT
-    known = city.known_ground if city and is_outlined else shapely.box(*maps.grid.bounds_m)
+    known = shapely.box(*maps.grid.bounds_m)
+    if city and is_outlined:  # a raster of plants is looked at in the maps' cells alone
+        known = shapely.intersection(known, city.known_ground) if city.plants else city.known_ground
     flight = flight_of(mission, Elevation(maps, city), geoid_m)
     buildings = buildings_of(maps, city)
     findings, unknown = judged(flight, buildings, known, limits, times, time_of_day)

@@ -33,6 +33,7 @@ from jaxurban.samples.cities import sample_city
 from jaxurban.samples.synthetic import demo_city
 from jaxurban.settings import SampleName
 from jaxurban.studies.montecarlo.sampling import sample_joined
+from jaxurban.world.footprints import BUILDING
 
 QUERIES, DEMONSTRATIONS, CHECKSUMS = "queries.csv", "demonstrations.csv", "CHECKSUMS"
 TEXTS = {"README.md": "report/templates/board.md", "CITATION.cff": "report/templates/board.cff"}
@@ -122,8 +123,9 @@ def make_benchmark(
 
 
 def city_maps() -> dict[str, MetricMaps]:
-    """Return by name the maps, 20 m up and in cells of 5 m, of the cities in the package and of the synthetic one."""
-    cities = {name: sample_city(name) for name in SAMPLED} | {SYNTHETIC: demo_city(DEMO_M, DEMO_M)}
+    """Return by name the maps, 20 m up and in cells of 5 m, of buildings: of `SAMPLED` and of the synthetic city."""
+    cities = {str(name): sample_city(name, kinds=[BUILDING]) for name in SAMPLED}
+    cities[SYNTHETIC] = demo_city(DEMO_M, DEMO_M)
     return {
         name: build_maps(city, resolution_m=5.0, altitudes_m=(20.0,))
         for name, city in cities.items()

@@ -7,7 +7,7 @@ turbines stand with the discs that they sweep, most of which is empty.
 """
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
@@ -87,8 +87,12 @@ class Obstacles:
     kinds: tuple[KindName, ...] | None = None
 
     def __post_init__(self) -> None:
-        if self.kinds is not None and BUILDING not in self.kinds:
-            raise InputError(f"kinds must hold {BUILDING!r}, got {[*self.kinds]}: add it")
+        given: Any = self.kinds  # one text is taken for several
+        if given is not None:
+            kinds = (given,) if isinstance(given, str) else tuple(given)
+            if BUILDING not in kinds:
+                raise InputError(f"kinds must hold {BUILDING!r}, got {[*kinds]}: add it")
+            object.__setattr__(self, "kinds", kinds)
 
     def under(self, preset: Preset) -> tuple[KindName, ...]:
         """Return the kinds that count under a preset.

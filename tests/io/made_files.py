@@ -86,9 +86,9 @@ def _tags(values) -> str:
     return "".join(f'<tag k="{key}" v="{value}"/>' for key, value in values.items())
 
 
-def node(number: int, lon: float, lat: float) -> str:
+def node(number: int, lon: float, lat: float, **tags) -> str:
     """Return a node of OpenStreetMap's XML."""
-    return f'<node id="{number}" version="1" lon="{lon:.9f}" lat="{lat:.9f}"/>'
+    return f'<node id="{number}" version="1" lon="{lon:.9f}" lat="{lat:.9f}">{_tags(tags)}</node>'
 
 
 def way(number: int, nodes, **tags) -> str:

@@ -1,9 +1,11 @@
 """From a region to files and a scenario that runs: real formats, made here, from a server in this process."""
 
 import json
+import re
 import tempfile
 import tomllib
 from datetime import UTC, date, datetime
+from urllib.parse import unquote
 
 import geopandas as gpd
 import numpy as np
@@ -16,12 +18,13 @@ import jaxurban as ju
 from jaxurban.io.fetch import SOURCES, FetchJob
 from jaxurban.io.files import only_writer
 from jaxurban.io.read.city import read_buildings
+from jaxurban.io.read.kinds import GROWN, KINDS, Kind
 from jaxurban.io.read.nominal import nominal_satellites
 from jaxurban.io.read.orbits import _timescale
 from jaxurban.io.read.osm import cut_buildings, read_osm
-from jaxurban.maps.run import run_scenario
+from jaxurban.maps.run import load_city, run_scenario
 from tests.cli_runs import assert_one_sentence, run
-from tests.io.made_files import node, osm, way
+from tests.io.made_files import line, node, osm, way
 from tests.misbehaving_server import send
 from tests.tiled_runs import files_of
 
@@ -260,6 +263,53 @@ def test_a_cut_extract_holds_the_same_buildings_and_the_decks(data_dir, tmp_path
         part = read_buildings(ju.Buildings(path), "EPSG:32618", bounds_m=inside_m).buildings
         assert shapely.equals_exact(part.polygons, near.polygons).all()
         np.testing.assert_array_equal(part.height_m, near.height_m)
+
+
+def asked_of(url):
+    """Keys that a URL of the Overpass API asks for, and pairs of keys and values."""
+    statements = re.findall(r'nwr\["([^"]+)"(?:="([^"]+)")?\]', unquote(url))
+    return {key for key, value in statements if not value}, {each for each in statements if each[1]}
+
+
+BESIDE = {  # what stands beside houses, and what does not
+    "tree": {"natural": "tree"},
+    "wood": {"natural": "wood"},
+    "pole": {"man_made": "flagpole"},
+    "mast": {"disused:man_made": "mast"},
+    "crane": {"man_made": "crane"},
+    "structure": {"amenity": "fountain", "height": "9"},
+    "turbine": {"power": "generator", "generator:source": "wind"},
+    "wire": {"power": "line"},
+    "cableway": {"aerialway": "gondola"},
+    "": {"amenity": "bench"},
+}
+
+
+def test_trees_wires_and_all_that_the_reader_knows_are_asked_for_and_stand(
+    server, tmp_path, capsys
+):
+    url = FetchJob(BOUNDS).requests()[0].url
+    keys, pairs = asked_of(url)
+    for key, by_value in (KINDS | GROWN).items():
+        for value, kind in by_value.items():
+            assert key in keys or ((key, value) in pairs) == isinstance(kind, Kind), (key, value)
+    assert len(url) < 4000  # servers take 8,000
+
+    # What such a query brings of a town.
+    elements = []
+    for number, (kind, tags) in enumerate(BESIDE.items(), 100):
+        if not (keys.isdisjoint(tags) and pairs.isdisjoint(tags.items())):
+            west, north = -74.0099 + 0.0002 * (number - 100), 40.7112
+            if kind in ("wood", "wire", "cableway"):
+                lonlat = (west, north), (west + 1e-4, north), (west, north + 1e-4)
+                elements.append(line(number, lonlat, **tags))
+            else:
+                elements.append(node(number, west, north, **tags))
+    server.put("/osm", send(osm(*houses(), *elements).encode()))
+    assert fetch(capsys, server, tmp_path / "a", "--what", "osm")[0] == 0
+    assert asked_of(server.asked[0][0]) == (keys, pairs)
+    city = load_city(ju.Scenario.from_toml(tmp_path / "a/scenario.toml"))
+    assert set(city.structures.kinds) == {*filter(None, BESIDE)}
 
 
 WEB_PAGE, NOISE = b"<!DOCTYPE html><html><body>Sorry</body></html>", b"\x00\x01\x02" * 99

@@ -317,6 +317,19 @@ def test_a_closed_way_is_an_area_with_its_tags_also_before_its_nodes(tmp_path):
         assert not any(outlines.issues.values())
 
 
+def test_nodes_are_found_in_any_order_of_their_numbers_and_between_ways(tmp_path):
+    numbers = [10_100, 7, 30, 102, 90_000, 5, 2_000]
+    elements = []
+    for place, number in enumerate(numbers):
+        ring = [number, number + 1, number + 2, number + 3, number]
+        corners = corners_of(number, x=2 * place)
+        elements += [corners, way(place + 1, ring, building="yes")]
+    outlines = read(tmp_path, *elements)
+    assert len(outlines.polygons) == len(numbers)
+    assert shapely.area(outlines.polygons) == pytest.approx(outlines.polygons[0].area)
+    assert not any(outlines.issues.values())
+
+
 COURT = (
     *(
         corners_of(1, side=4),

@@ -3,6 +3,7 @@
 import doctest
 import json
 import math
+from collections import Counter
 from dataclasses import asdict
 from datetime import date
 
@@ -17,16 +18,18 @@ from skyfield.api import load
 import jaxurban as ju
 from benchmarks import make_samples as make
 from benchmarks.make_samples import GALILEO
-from jaxurban.io.files import digest_of
+from jaxurban.io.files import digest_of, read_json, write_json
 from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.io.read.nominal import GPS
 from jaxurban.io.read.orbits import look_angles, read_orbits
-from jaxurban.io.samples import SAMPLES, located, log_of
+from jaxurban.io.samples import SAMPLES, located, log_of, structures_of
 from jaxurban.maps.run import load_city, run_scenario
 from jaxurban.maps.scenario import Scenario
+from jaxurban.maps.sources import scenario_of
 from jaxurban.samples import cities
 from jaxurban.studies.receiver.logs import ReceiverLog, read_receiver_log
 from jaxurban.world.grid import WGS84, transformer
+from jaxurban.world.kinds import ALL_KINDS
 from tests.io.test_orbits import places_of, separation_deg
 
 CITIES = sorted(SAMPLES)
@@ -95,7 +98,49 @@ def test_gps_of_a_sample_stands_as_nominal_satellites_do(name):
 
 
 def test_the_example_of_sample_city_runs():
-    assert doctest.testmod(cities) == (0, 3)
+    assert doctest.testmod(cities) == (0, 4)
+
+
+def bits_of(buildings):
+    """What stands, as bytes."""
+    columns = buildings.height_m, buildings.min_height_m, buildings.origin, buildings.limit_m
+    return shapely.to_wkb(buildings.polygons).tolist(), [column.tobytes() for column in columns]
+
+
+def test_lower_manhattan_brings_trees_and_wires_unless_buildings_alone_count():
+    city = ju.sample_city("lower-manhattan")
+    alone = ju.sample_city("lower-manhattan", kinds=["building"])
+    num_by_kind = Counter(city.structures.kinds)
+    few = {"crane": 9, "chimney": 5, "tank": 3, "mast": 1, "pole": 115, "wire": 36, "wood": 20}
+    assert few.items() <= num_by_kind.items()
+    assert num_by_kind["tree"] == 11_270  # of which 19 are rows
+    assert "OpenStreetMap" in city.attribution
+    assert set(alone.structures.kinds) == {"bridge", "unknown"}  # of the file of buildings
+    assert bits_of(city.buildings) == bits_of(alone.buildings)
+    assert "structures" in city.sources
+    assert "structures" not in alone.sources
+    for name in ("shinjuku", "nihonbashi"):
+        assert structures_of(f"sample:{name}", city.kinds) is None
+    assert structures_of("sample:lower-manhattan/buildings.parquet", city.kinds) is None
+
+
+@pytest.mark.slow
+def test_a_run_records_what_else_stands_and_folders_of_1_1_are_of_buildings_alone(tmp_path):
+    region = {"bounds": SMALL["lower-manhattan"], "resolution_m": 10.0, "altitudes_m": [20.0]}
+    settings = {"region": region, "buildings": {"source": "sample:lower-manhattan"}}
+    for name, more in (("all", {}), ("alone", {"obstacles": {"kinds": ["building"]}})):
+        folder = tmp_path / name
+        run_scenario(Scenario.from_dict(settings | more), folder, progress=False)
+    record = read_json(tmp_path / "all/run.json")
+    assert record["inputs"]["structures"]["path"] == "sample:lower-manhattan/structures.parquet"
+    assert scenario_of(tmp_path / "all").kinds == ALL_KINDS
+
+    # A folder without the key reads so, and is of the files as they are.
+    record = read_json(tmp_path / "alone/run.json")
+    assert "structures" not in record["inputs"]
+    del record["settings"]["obstacles"]
+    write_json(tmp_path / "alone/run.json", record)
+    assert scenario_of(tmp_path / "alone").kinds == ("building",)
 
 
 def drive_of(city: ju.City) -> tuple[ReceiverLog, shapely.LineString]:
@@ -170,6 +215,13 @@ def test_a_scenario_of_a_sample_keeps_what_it_says_itself():
                 load_city(Scenario.from_dict(settings | {"buildings": {"source": source}} | region))
 
 
+def rows_of(standing):
+    """What stands, in the order of nothing: kind, heights, bound, and shape to 0.1 mm."""
+    shapes = shapely.normalize(shapely.set_precision(standing.polygons, 1e-4))
+    columns = standing.kinds, standing.height_m, standing.min_height_m, standing.upper_m
+    return list(zip(*columns, shapely.to_wkb(shapes), strict=True))
+
+
 @pytest.mark.slow
 @pytest.mark.data
 def test_maps_of_lower_manhattan_are_those_of_its_sources(data_dir):
@@ -181,7 +233,8 @@ def test_maps_of_lower_manhattan_are_those_of_its_sources(data_dir):
     sample, osm = ju.sample_city("lower-manhattan"), data_dir / "osm/lower-manhattan.osm.pbf"
     city = ju.City.from_files(osm, bounds=sample.bounds, population=census)
     assert shapely.equals(sample.known_area, city.known_area)
-    assert len(sample.buildings) == len(city.buildings)
+    for ours, theirs in ((sample.buildings, city.buildings), (sample.structures, city.structures)):
+        assert sorted(rows_of(ours)) == sorted(rows_of(theirs))
     orbits = data_dir / "gps/gps-ops_2020-04-27.tle"
     gps = ju.Gps(orbits=orbits, times=sample.gps.times, reference=(-74.0, 40.715))
     for bounds in (SMALL["lower-manhattan"], (-73.990, 40.722, -73.984, 40.726)):
@@ -189,7 +242,10 @@ def test_maps_of_lower_manhattan_are_those_of_its_sources(data_dir):
             ju.build_maps(each, bounds, altitudes_m=[20.0, 60.0], gps=gps).ds
             for each in (sample, city)
         )
-        for name in ("obstacle", "roof", "gps", "num_visible", "lidar", "risk", "population"):
+        assert ours.keys() == theirs.keys()
+        for name in ("obstacle", "roof", "roof_kind", "roof_limit", "gps", "num_visible"):
+            np.testing.assert_array_equal(ours[name].values, theirs[name].values, err_msg=name)
+        for name in ("lidar", "risk", "population"):
             np.testing.assert_array_equal(ours[name].values, theirs[name].values, err_msg=name)
     blocks = [
         each.blocks.take(each.blocks.touches(sample.known_area.bounds)) for each in (sample, city)

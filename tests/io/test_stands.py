@@ -15,6 +15,9 @@ UTM = "EPSG:32618"
 AREA = box(0, 0, 10, 10)
 WAY = LineString([(0, 0), (30, 0)])
 PLACE = Point(5, 5)
+# The octagon around a circle of a radius of 1: its area, and how far its corners lie.
+CROWN = 8 * np.tan(np.pi / 8)
+WIDE = 1 / np.cos(np.pi / 8)
 
 
 def stand(*features, **rules):
@@ -39,6 +42,7 @@ def stand(*features, **rules):
         (AREA, {"man_made": "storage_tank"}, "tank", 10, 30, 100),
         (PLACE, {"man_made": "crane", "height": "60"}, "crane", 60, 60, np.pi * 25),
         (PLACE, {"man_made": "silo", "diameter": "8"}, "tank", 20, np.inf, np.pi * 16),
+        (PLACE, {"man_made": "silo", "diameter": "0"}, "tank", 20, np.inf, np.pi * 100),
         (PLACE, {"power": "tower"}, "pylon", 30, 100, np.pi * 16),
         (
             PLACE,
@@ -81,19 +85,28 @@ def stand(*features, **rules):
         # A bridge is known to stand, but not how high.
         (AREA, {"man_made": "bridge"}, "unknown", 0, 100, 100),
         (AREA, {"man_made": "bridge", "height": "20"}, "bridge", 20, 20, 100),
-        # Crowns: as wide as they say, else 0.8 times as wide as the tree is high; a trunk's diameter is none.
+        (
+            LineString([(90, 0), (0, 0), (0, 10), (90, 10)]),  # the border of one that is cut off
+            {"man_made": "bridge", "height": "20"},
+            "bridge",
+            20,
+            20,
+            900,
+        ),
+        # Crowns, octagons around a circle: as wide as they say, else 0.8 times as wide as the tree is
+        # high; a trunk's diameter is none.
         (
             PLACE,
             {"natural": "tree", "height": "20", "diameter_crown": "6"},
             "tree",
             20,
             20,
-            np.pi * 9,
+            CROWN * 9,
         ),
-        (PLACE, {"natural": "tree", "height": "20", "diameter": "90"}, "tree", 20, 20, np.pi * 64),
-        (PLACE, {"natural": "tree"}, "tree", 12, 35, np.pi * 4.8**2),
-        (PLACE, {"natural": "tree", "leaf_type": "needleleaved"}, "tree", 15, 35, np.pi * 36),
-        (WAY, {"natural": "tree_row", "height": "10"}, "tree", 10, 10, 30 * 8 + np.pi * 16),
+        (PLACE, {"natural": "tree", "height": "20", "diameter": "90"}, "tree", 20, 20, CROWN * 64),
+        (PLACE, {"natural": "tree"}, "tree", 12, 35, CROWN * 4.8**2),
+        (PLACE, {"natural": "tree", "leaf_type": "needleleaved"}, "tree", 15, 35, CROWN * 36),
+        (WAY, {"natural": "tree_row", "height": "10"}, "tree", 10, 10, 30 * WIDE * 8 + CROWN * 16),
         (AREA, {"natural": "wood"}, "wood", 20, 45, 100),
         (AREA, {"landuse": "forest", "height": "12"}, "wood", 12, 12, 100),
         (LineString([(0, 0), (10, 0), (10, 10)]), {"landuse": "forest"}, "wood", 20, 45, 50),

@@ -16,6 +16,7 @@ import xarray as xr
 
 import jaxurban as ju
 from jaxurban.io.city import City
+from jaxurban.io.read.rasterise import rasterise
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import Gps
@@ -281,8 +282,15 @@ def test_with_buildings_alone_maps_and_inputs_are_those_of_a_city_without_others
     assert "roof_kind" not in compute_maps(task(replace(both, structures=None))).ds
 
 
-def test_all_maps_are_those_of_build_maps():
-    city = replace(by_raster(), structures=structures())
+def test_one_text_of_kinds_is_one_kind():
+    assert ju.Obstacles(kinds="building").kinds == ("building",)
+    with pytest.raises(ju.InputError, match=r"kinds must hold 'building', got \['tree'\]: add it"):
+        City.from_files("synthetic", kinds="tree")
+
+
+@pytest.mark.parametrize("gps", [None, Gps(plants="hide")], ids=["pass", "hide"])
+def test_all_maps_are_those_of_build_maps(gps):
+    city = replace(by_raster(), structures=structures(), gps=gps)
     inputs, skies = ju.grad.map_inputs(city, REGION, altitudes_m=(30.0,))
     made = jax.jit(ju.grad.all_maps)(inputs, jax.tree.map(lambda values: values[0], skies))
     maps = ju.build_maps(city, grid=REGION, altitudes_m=(30.0,), progress=False).ds
@@ -295,24 +303,27 @@ def test_all_maps_are_those_of_build_maps():
 
 
 @pytest.mark.parametrize("plants", ["pass", "hide"])
-def test_soft_layers_agree_with_those_of_kinds_as_buildings_and_slopes_with_differences(plants):
+def test_soft_layers_are_those_of_kinds_as_buildings_and_slopes_those_by_differences(plants):
     trees = replace(by_raster(), structures=structures())
     params = ju.grad.SoftParams(altitude_m=25.0, sections={"gps": Gps(plants=plants)})
+    hiding = (*HIDE, "tree", "wood") if plants == "hide" else HIDE
+    is_free = rasterise(trees, REGION).roof_m < 25
     with jax.enable_x64(True):
         soft = ju.grad.soft_city(trees, REGION, params)
-        assert soft.height_m.shape == (2,)
+        for name, kinds in (("gps", hiding), ("lidar", (*HIDE, *RETURN_ALONE)), ("risk", OTHERS)):
+            as_built = ju.grad.soft_city(as_buildings(trees, kinds), REGION, params)
+            layers = [of.layer(name, of.height_m, params) for of in (soft, as_built)]
+            np.testing.assert_allclose(*(layer[is_free] for layer in layers), err_msg=name)
 
-        def total(name, height_m):
-            return soft.layer(name, height_m, params).sum()
+            def total(height_m, name=name):
+                return soft.layer(name, height_m, params).sum()
 
-        for name in ("gps", "lidar", "risk"):
-            slope = jax.grad(total, 1)(name, soft.height_m)
-            for number in range(2):
-                step = jnp.zeros(2).at[number].set(1e-4)
-                ends = [total(name, soft.height_m + sign * step) for sign in (1, -1)]
-                assert slope[number] == pytest.approx(
-                    float(ends[0] - ends[1]) / 2e-4, rel=1e-3, abs=1e-6
-                ), name
+            by_difference = [
+                (total(soft.height_m + step) - total(soft.height_m - step)) / 2e-4
+                for step in 1e-4 * jnp.eye(2)
+            ]
+            slope = jax.grad(total)(soft.height_m)
+            np.testing.assert_allclose(slope, by_difference, 1e-3, 1e-6, err_msg=name)
 
 
 KML = (
@@ -321,8 +332,9 @@ KML = (
 )
 # Gothenburg's canopy, beside three made-up houses on whole metres; brute force over the files' own pixels of 1 m.
 CORNER_M, GOTHENBURG = (147_720, 6_398_557), (11.962, 57.7063, 11.9652, 57.708)
-BLOCKS = {(40, 40, 60, 76): 15.0, (100, 80, 130, 90): 22.0, (150, 150, 170, 200): 6.0}
-FAR = {(0, 0, 2, 2): 3.0, (232, 221, 234, 223): 3.0}  # so that the file covers the raster
+# Their sides run through no centre of a cell, 5 m or 2 m wide: whether such a cell is under the roof is a convention.
+BLOCKS = {(40, 41, 60, 77): 15.0, (100, 81, 130, 91): 22.0, (150, 149, 170, 201): 6.0}
+FAR = {(0, 1, 2, 3): 3.0, (232, 221, 234, 223): 3.0}  # so that the file covers the raster
 
 
 @pytest.fixture(scope="module")
@@ -342,13 +354,13 @@ def gothenburg(data_dir, tmp_path_factory):
         part = top_m[south:north, west:east]
         np.maximum(part, height_m, out=part)
 
-    def city(has_terrain: bool) -> City:
+    def city(has_terrain: bool = False, vegetation=data_dir / "raster/gothenburg_cdsm.tif") -> City:
         return City.from_files(
             ju.Buildings(file, height_column="height", unit="m"),
             bounds=GOTHENBURG,
             crs="EPSG:3007",
             terrain=data_dir / "raster/gothenburg_dem.tif" if has_terrain else None,
-            vegetation=data_dir / "raster/gothenburg_cdsm.tif",
+            vegetation=vegetation,
             gps=Gps(mask_deg=20.0),
         )
 
@@ -356,8 +368,8 @@ def gothenburg(data_dir, tmp_path_factory):
 
 
 def around(middle: float) -> slice:
-    """Return the pixels that hold a coordinate: one, or two where it lies between them."""
-    return slice(math.ceil(middle) - 1, math.floor(middle) + 1)
+    """Return the pixels that hold a coordinate: one, two where it lies between them, none beyond the raster."""
+    return slice(max(math.ceil(middle) - 1, 0), max(math.floor(middle) + 1, 0))
 
 
 @pytest.mark.data
@@ -450,10 +462,33 @@ def test_no_flight_into_gothenburgs_canopy_is_clean(gothenburg, has_terrain, tmp
     assert counts[False, True] > 20
 
 
+def test_plants_beyond_the_maps_are_not_looked_at_so_that_nearby_is_not_judged(tmp_path):
+    canopy = pixels()
+    canopy.values[:, 12:20] = 0.0
+    canopy.values[:, :12] = 60.0  # up to the maps' western side
+    city = town(vegetation=canopy)
+    maps = ju.build_maps(city, grid=REGION, altitudes_m=(30.0, 50.0), progress=False)
+    x_m, y_m = [REGION.x_min_m + 2.0] * 2, np.add(REGION.y_min_m, [100.0, 130.0])
+    lonlat = np.transpose(transformer(CRS, WGS84).transform(x_m, y_m))
+    line = tmp_path / "line.kml"
+    line.write_text(KML.format(" ".join(f"{lon:.9f},{lat:.9f},45" for lon, lat in lonlat)))
+    for clearance_m, state in ((0.0, "clean"), (5.0, "not-judged")):
+        result = ju.check(
+            maps,
+            line,
+            heights="ground",
+            home=tuple(lonlat[0]),
+            sources=city,
+            clearance_m=clearance_m,
+        )
+        assert result.state == state
+
+
 @pytest.mark.data
 def test_a_raster_that_is_no_canopy_or_not_there_is_refused_and_a_part_is_a_guess(
-    data_dir, tmp_path
+    gothenburg, data_dir, tmp_path
 ):
+    city, _, _ = gothenburg
     raster = data_dir / "raster"
     with rasterio.open(raster / "gothenburg_cdsm.tif") as source:
         canopy_m, profile = source.read(1), source.profile
@@ -466,11 +501,7 @@ def test_a_raster_that_is_no_canopy_or_not_there_is_refused_and_a_part_is_a_gues
             with rasterio.open(file, "w", **profile | {"nodata": None} | size | changed) as target:
                 target.write(values.astype(np.float32), 1)
                 target.set_band_unit(1, unit)
-        terrain = raster / "gothenburg_dem.tif"
-        houses = ju.Buildings(raster / "gothenburg_dsm.tif", kind="surface")
-        return City.from_files(
-            houses, terrain=terrain, bounds=GOTHENBURG, crs="EPSG:3007", vegetation=file
-        )
+        return city(vegetation=file)
 
     far = rasterio.Affine(1, 0, profile["transform"].c + 400, 0, -1, profile["transform"].f)
     for given, sentence in [

@@ -168,8 +168,10 @@ def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
     limit_m[is_lost] = np.inf
 
     # Shapes.
-    is_wood_line = (kinds == WOOD) & (shapely.get_dimensions(outlines.polygons) == 1)
-    is_hulled = is_hull | is_wood_line
+    is_border = ((kinds == WOOD) | (kinds == BRIDGE)) & (
+        shapely.get_dimensions(outlines.polygons) == 1
+    )
+    is_hulled = is_hull | is_border
     shapes = np.where(is_hulled, shapely.convex_hull(outlines.polygons), outlines.polygons)
     is_fence = kinds == FENCE
     shapes[is_fence] = shapely.boundary(shapes[is_fence])
@@ -177,7 +179,7 @@ def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
     is_tree = names == "tree"
     width_m = np.where(is_tree, lengths_m("crown"), np.fmax(lengths_m("diameter"), rotor_m))
     by_kind_m = np.where(is_tree, CROWN_SHARE * height_m, of_kinds("radius_m"))
-    radius_m = np.where(np.isfinite(width_m), np.minimum(width_m / 2, MOST_RADIUS_M), by_kind_m)
+    radius_m = np.where(width_m > 0, np.minimum(width_m / 2, MOST_RADIUS_M), by_kind_m)
     is_wide = is_areal & ~is_hull
     polygons = shapes.copy()
     for is_of, num_sides, share in ((is_tree, 8, OCTAGON), (~is_tree, 32, 1.0)):

@@ -51,7 +51,7 @@ from jaxurban.io.read.raster import (
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.sniff import sniff
 from jaxurban.io.read.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
-from jaxurban.io.samples import SAMPLES, located, sample_name
+from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES, Population, check_has_people
 from jaxurban.settings import SLABS
@@ -117,6 +117,7 @@ def read_city(
     # The names of the files as the arguments have them are kept for provenance. The files are read by their paths.
     files = {
         "buildings": buildings.source,
+        "structures": structures_of(buildings.source, kinds),
         "terrain": terrain.source,
         "vegetation": vegetation.source,
     }
@@ -146,7 +147,8 @@ def read_city(
     if vegetation.source is not None:
         plants, plant_guesses = read_plants(vegetation.source, crs, wide_m, box_m)
         guesses |= plant_guesses
-    source = read_buildings(buildings, crs, bounds_m=wide_m, terrain=ground)
+    beside = files["structures"]
+    source = read_buildings(buildings, crs, bounds_m=wide_m, terrain=ground, beside=beside)
     source = replace(source, kinds=kinds)
     if not buildings.allow_none:
         _check_has_building(buildings, source, region, box_m)
@@ -245,6 +247,7 @@ def read_buildings(
     *,
     bounds_m: Bounds | None = None,
     terrain: Raster | None = None,
+    beside: str | Path | None = None,
 ) -> City:
     """Return the buildings in a file as a city without anything else, with the area where the file knows what stands.
 
@@ -254,6 +257,7 @@ def read_buildings(
       bounds_m: x_min, y_min, x_max, y_max in ``crs``; buildings whose box does not touch it are left out. Which parts
         replace which outlines does not depend on it. None keeps all buildings.
       terrain: elevation of the ground, which a raster of surface elevations needs.
+      beside: the file of what else stands in a sample city.
 
     Raises:
       InputError: no such file, a format that is not read, a file that cannot be read or is in a wrong CRS, (raster)
@@ -275,13 +279,19 @@ def read_buildings(
 
     if read is None:
         return _read_roofs(path, crs, bounds_m, file.kind, terrain)
+
+    def outlines_of(near: Near | None) -> Outlines:
+        """Return the outlines of the files near a region, or all."""
+        outlines = read(path, near, file)
+        return outlines if beside is None else outlines.joined(read_vector(located(beside), near))
+
     if bounds_m is not None:
-        outlines = read(path, Near(bounds_m, crs), file)
+        outlines = outlines_of(Near(bounds_m, crs))
         city = _city_of(file, outlines, crs, bounds_m)
         if not outlines.is_part or len(city.buildings or ()):
             return city
     # A file without a building near the region is read whole, so that all it covers is known.
-    return _city_of(file, read(path, None, file), crs, bounds_m)
+    return _city_of(file, outlines_of(None), crs, bounds_m)
 
 
 def _reader_of(path: Path) -> OutlineReader | None:

@@ -282,12 +282,13 @@ def _file(path: str | Path) -> osmium.io.File:
 def open_osm(path: str | Path) -> osmium.FileProcessor:
     """Return a processor that knows every node's place when a way comes by, even if the nodes follow the ways.
 
-    In XML, as the Overpass API writes it, they may; its nodes are read before. PBF files are sorted.
+    In XML, as the Overpass API writes it, they may, in any order; its nodes are read before. PBF files are sorted.
     """
     file = _file(path)
+    is_sorted = format_of(path) == "pbf"
     # Any: the package's own annotation says str.
-    locations: Any = osmium.index.create_map("flex_mem")
-    if format_of(path) == "osm":
+    locations: Any = osmium.index.create_map("flex_mem" if is_sorted else "sparse_mem_map")
+    if not is_sorted:
         with osmium.io.Reader(file, osmium.osm.NODE) as reader:
             osmium.apply(reader, osmium.NodeLocationsForWays(locations))
     return osmium.FileProcessor(file).with_locations(locations)

@@ -44,6 +44,12 @@ class Outlines:
         tags = {name: column[index] for name, column in self.tags.items()}
         return replace(self, polygons=self.polygons[index], tags=tags)
 
+    def joined(self, other: "Outlines") -> "Outlines":
+        """Return the outlines of both, of which the second is in the same CRS and of the same sources."""
+        names = {**self.tags, **other.tags}
+        tags = {name: np.append(self.column(name), other.column(name)) for name in names}
+        return replace(self, polygons=np.append(self.polygons, other.polygons), tags=tags)
+
     def column(self, name: str) -> np.ndarray:
         """Return a tag of every outline, ``[N]`` objects, None where it is missing."""
         return self.tags.get(name, np.full(len(self.polygons), None, object))

@@ -125,13 +125,13 @@ def rasterise(
 
     # What counts for rays, where that is not all of it.
     hiding_m, returning_m = (
-        None if counted is city.counted else _roofs_of(city, counted, grid)[all_touched]
+        None if counted is city.counted else _roofs_of(city, counted, grid, all_touched)
         for counted in (city.hides, city.returns)
     )
 
     # What hangs. Roofs are then of what stands on the ground, and `burn_hanging` raises the roofs that carry slabs.
     if standing is not None and city.hanging == SLABS:
-        roof_m = _roofs_of(city, city.counted, grid)[all_touched]
+        roof_m = _roofs_of(city, city.counted, grid, all_touched)
         solid_m = roof_m if hiding_m is None else hiding_m
         slabs = burn_hanging(standing, grid, solid_m, terrain_m, all_touched)
         for others_m in (roof_m, returning_m):
@@ -153,21 +153,21 @@ def rasterise(
     return Surface(**rasters, grid=grid, region=grid)
 
 
-def _roofs_of(city: City, counted: Counted, grid: Grid) -> Sequence[np.ndarray]:
-    """Return the roofs of a part of a city by centres and by touch, ``[Y, X]`` float32 metres each.
+def _roofs_of(city: City, counted: Counted, grid: Grid, all_touched: bool) -> np.ndarray:
+    """Return the roofs of a part of a city by centres or by touch, ``[Y, X]`` float32 metres.
 
     Where what hangs does so, they are of what stands on the ground.
     """
-    roofs_m: Sequence[np.ndarray]
     if counted.outlines is None:
         assert city.roofs is not None
-        roofs_m = [np.fmax(roof_m, np.float32(0)) for roof_m in _resampled(city.roofs, grid)]
+        roof_m = np.fmax(_resampled(city.roofs, grid)[all_touched], np.float32(0))
     else:
         on_ground = (counted.outlines.min_height_m == 0) | (city.hanging != SLABS)
-        roofs_m = _burn_heights(counted.outlines.take(on_ground), grid)
+        standing = counted.outlines.take(on_ground)
+        roof_m = _burn_heights(standing, grid, has_touched=all_touched)[all_touched]
     if counted.plants is None:
-        return roofs_m
-    return list(map(np.fmax, roofs_m, _resampled(counted.plants, grid)))
+        return roof_m
+    return np.fmax(roof_m, _resampled(counted.plants, grid)[all_touched])
 
 
 def _resampled(heights: Raster, grid: Grid) -> list[np.ndarray]:
@@ -175,10 +175,18 @@ def _resampled(heights: Raster, grid: Grid) -> list[np.ndarray]:
     return [resample_raster(heights, grid), resample_raster(heights, grid, "max")]
 
 
-def _burn_heights(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+def _burn_heights(
+    buildings: Footprints, grid: Grid, *, has_touched: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
     """Return roofs by centres and by touch (see `burn`), ``[Y, X]`` float32 metres each, 0 without a building."""
     return burn(
-        buildings.polygons, buildings.height_m, grid, 0.0, "float32", boxes_m=buildings.boxes_m
+        buildings.polygons,
+        buildings.height_m,
+        grid,
+        0.0,
+        "float32",
+        boxes_m=buildings.boxes_m,
+        has_touched=has_touched,
     )
 
 

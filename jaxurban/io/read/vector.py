@@ -370,7 +370,9 @@ def read_vector(
     names = [name for name in frame if is_of_buildings(name, named)]
     columns = {name: _values(frame[name]) for name in names}
     tags = tags_of(columns) if file is None else tags_of_table(columns, file, frame.crs)
-    named_kinds = [is_given(tags[key]) for key in ("building", "height", *KINDS) if key in tags]
+    named_kinds = [
+        is_given(tags[key]) for key in ("building", "part", "height", *KINDS) if key in tags
+    ]
     for key, by_value in (GROWN | IN_WORDS).items():
         if key in tags:
             words = pd.Series(tags[key]).astype(str).str.lower()
