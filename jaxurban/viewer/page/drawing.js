@@ -88,7 +88,7 @@ function outlinesOf(values, { step_m: step, group_colours: colours, cols, rows, 
     };
     inMetres(pen, toPixel, scale, () => {
       for (const act of ['beginPath', 'rect', 'clip']) pen[act](...act === 'rect' ? border : []);
-      drawn.paths.forEach((paths, group) => isShown[group] && paths.forEach((path, kind) => drawPath(path, kind, group)));
+      drawn.paths.forEach((paths, k) => isShown[k] && paths.forEach((path, kind) => drawPath(path, kind, k)));
     });
   };
 }
