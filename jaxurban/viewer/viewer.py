@@ -656,13 +656,12 @@ def _total_rows(report: RouteReport, planned: PlannedPath) -> list[tuple[str, st
     facts = {**report.totals, **vehicle.to_dict()}
     rows = []
     for name, (label, unit) in TOTALS.items():
-        if name not in facts:
-            continue
-        text = f"{number(facts[name])} {unit}"
-        if name == "time_s":
-            minutes, seconds = divmod(round(facts[name]), SECONDS_PER_MINUTE)
-            text = f"{minutes} min {seconds} s".removeprefix("0 min ")
-        rows.append((label, text))
+        if name in facts:
+            text = f"{number(facts[name])} {unit}"
+            if name == "time_s":
+                minutes, seconds = divmod(round(facts[name]), SECONDS_PER_MINUTE)
+                text = f"{minutes} min {seconds} s".removeprefix("0 min ")
+            rows.append((label, text))
     return rows
 
 

@@ -381,9 +381,10 @@ def plot_obstacles(
 
     # The groups that are drawn; buildings alone are obstacles.
     patches = obstacle_patches(maps, BUILT_COLOUR)
-    if numbers - {-1, 0}:
+    numbers.discard(-1)
+    if any(numbers):
         entries = list(GROUP_COLOURS.items())
-        patches[:1] = [entries[number] for number in sorted(numbers - {-1})]
+        patches[:1] = [entries[number] for number in sorted(numbers)]
     legend = [("free", FREE_COLOUR), *patches]
     heading = "Obstacles, by altitude above ground"
     note = frame_note(maps, has_sky=False)

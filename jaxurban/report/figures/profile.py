@@ -141,10 +141,9 @@ def beneath(profile: pd.DataFrame) -> dict[str, tuple[str, pd.Series]]:
     roof_m = profile["roof_m"].fillna(0.0)
     if ROOF_KIND not in profile:
         return {"roofs beneath": (BUILT_COLOUR, roof_m)}
-    by_group = roof_m.groupby(profile[ROOF_KIND].map(GROUPS))
     return {
         name: (GROUP_COLOURS[name], part_m.reindex(roof_m.index, fill_value=0.0))
-        for name, part_m in by_group
+        for name, part_m in roof_m.groupby(profile[ROOF_KIND].map(GROUPS))
         if part_m.any()
     }
 

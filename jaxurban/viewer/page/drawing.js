@@ -64,7 +64,7 @@ function outlinesOf(values, { step_m: step, group_colours: colours, cols, rows, 
   const [num] = values, [counts, heights, guesses, groups] = [0, 1, 2, 3].map(k => values.subarray(k * num + 1));
   const steps = values.subarray(4 * num + 1), half = steps.length / 2, drawn = { flight: null, paths: [] };
   const inks = colours.map((colour, group) => group ? `color-mix(in srgb, ${colour}, #1f2429 40%)` : '#1f2429');
-  const pathsAt = flight => {
+  const border = [0, 0, cols * side, rows * side], pathsAt = flight => {
     const paths = colours.map(() => [0, 1, 2, 3].map(() => new Path2D()));
     for (let ring = 0, k = 0, x = 0, y = 0; ring < num; ring++) {
       const path = paths[groups[ring]][2 * (heights[ring] >= flight) + guesses[ring]];
@@ -87,10 +87,8 @@ function outlinesOf(values, { step_m: step, group_colours: colours, cols, rows, 
       pen.stroke(path);
     };
     inMetres(pen, toPixel, scale, () => {
-      pen.beginPath();
-      pen.rect(0, 0, cols * side, rows * side);
-      pen.clip();
-      drawn.paths.forEach((paths, group) => isShown[group] && paths.forEach((path, kind) => drawPath(path, kind, group)));
+      for (const act of ['beginPath', 'rect', 'clip']) pen[act](...act === 'rect' ? border : []);
+      drawn.paths.forEach((paths, k) => isShown[k] && paths.forEach((path, kind) => drawPath(path, kind, k)));
     });
   };
 }
