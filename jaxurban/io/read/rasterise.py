@@ -163,7 +163,7 @@ def _roofs_of(city: City, counted: Counted, grid: Grid, all_touched: bool) -> np
         roof_m = np.fmax(_resampled(city.roofs, grid)[all_touched], np.float32(0))
     else:
         on_ground = (counted.outlines.min_height_m == 0) | (city.hanging != SLABS)
-        roof_m = _burn_heights(counted.outlines.take(on_ground), grid)[all_touched]
+        roof_m = _burn_heights(counted.outlines.take(on_ground), grid, all_touched)[all_touched]
     if counted.plants is None:
         return roof_m
     return np.fmax(roof_m, _resampled(counted.plants, grid)[all_touched])
@@ -174,10 +174,19 @@ def _resampled(heights: Raster, grid: Grid) -> list[np.ndarray]:
     return [resample_raster(heights, grid), resample_raster(heights, grid, "max")]
 
 
-def _burn_heights(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+def _burn_heights(
+    buildings: Footprints, grid: Grid, has_touched: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
     """Return roofs by centres and by touch (see `burn`), ``[Y, X]`` float32 metres each, 0 without a building."""
+    heights_m, boxes_m = buildings.height_m, buildings.boxes_m
     return burn(
-        buildings.polygons, buildings.height_m, grid, 0.0, "float32", boxes_m=buildings.boxes_m
+        buildings.polygons,
+        heights_m,
+        grid,
+        0.0,
+        "float32",
+        boxes_m=boxes_m,
+        has_touched=has_touched,
     )
 
 
