@@ -9,7 +9,6 @@ from typing import Any
 
 from jaxurban.checks import nearest_name
 from jaxurban.errors import InputError
-from jaxurban.world.footprints import BUILDING
 
 PREFIX = "sample:"
 HOME = Path(__file__).parents[1] / "samples"  # a folder per city
@@ -94,7 +93,7 @@ def structures_of(source: Any, kinds: Collection[str]) -> str | None:
     Raises:
       InputError: there is no such city.
     """
-    return _file_of(source, STRUCTURES_FILE) if {*kinds} - {BUILDING} else None
+    return _file_of(source, STRUCTURES_FILE) if any(kind != "building" for kind in kinds) else None
 
 
 def _file_of(source: Any, file: str) -> str | None:

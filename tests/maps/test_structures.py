@@ -17,6 +17,7 @@ from jaxurban.io.read.rasterise import highest_top_m, rasterise
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.maps.provenance import _building_record
 from jaxurban.maps.uncertain_heights import perturbed_cities
+from jaxurban.metrics.variables import GROUP_NUMBERS
 from jaxurban.satellites.outlines import Hiding
 from jaxurban.settings import SLABS, HeightStd
 from jaxurban.viewer.outlines import outlines_of
@@ -110,10 +111,11 @@ def test_the_viewer_outlines_structures_and_what_is_unknown():
     maps = made_maps()
     moved = shapely.transform(works().standing.polygons, lambda xy: xy + maps.grid.bounds_m[:2])
     values = unpacked(outlines_of(maps, replace(works().standing, polygons=moved)))
-    counts, heights_m, is_guessed = values[1:16].reshape(3, 5)
+    counts, heights_m, is_guessed, group = values[1:21].reshape(4, 5)
     assert (counts == 5).all()
-    assert heights_m.tolist() == [20.0, 30.0, 90.0, 35.0, 0.0]
+    assert heights_m.tolist() == [20.0, 30.0, 90.0, 35.0, 50.0]  # the last is its bound
     assert is_guessed.tolist() == [0, 0, 0, 0, 1]
+    assert group.tolist() == [GROUP_NUMBERS[kind] for kind in works().standing.kinds]
 
 
 def test_the_bound_of_a_cell_is_the_highest_of_the_guessed_outlines_that_touch_it(tmp_path):
