@@ -26,6 +26,7 @@ pytestmark = pytest.mark.slow
 MAPS = made_maps(160, 200)
 GRID = MAPS.grid
 FREE = np.argwhere(MAPS.is_free(20.0))
+LANDING = np.argwhere(MAPS.m("roof_touched") == 0)  # where missions may take off and land
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +148,7 @@ def plan_between(page, *cells) -> None:
     page.click('[data-tab="plan"]')
     page.click('[data-do="clear"]')
     show_all(page)
-    for cell in cells or FREE[[300, -300]].tolist():
+    for cell in cells or LANDING[[330, -330]].tolist():
         page.mouse.click(*middle_of(page, cell))
     settle(page)
 
@@ -429,6 +430,24 @@ def test_every_format_of_paths_has_a_button_whose_file_bears_city_altitude_time_
             button.click()
         name = f"city_20m_day_2020-04-27T1600Z_astar-plus{suffix}"
         assert waiting.value.suggested_filename == name
+
+
+def test_a_mission_that_would_land_on_a_roof_is_refused_in_sight_until_its_ends_are_on_the_ground(
+    browser,
+):
+    low = np.argwhere(MAPS.is_free(20.0) & (MAPS.m("roof") == 12))
+    with shown(browser, Viewer(MAPS), is_well=False) as page:
+        plan_between(page, LANDING[300].tolist(), low[-1].tolist())
+        page.click('[data-format=".plan"]')
+        tell = page.locator('[data-is="tell"]')
+        until(page, lambda: "the mission is not written" in tell.inner_text())
+        assert "the nearest place to land is" in tell.inner_text()
+        assert tell.is_visible()
+        page.click("text=Planners and rules")
+        page.check('[name="on_ground"]')
+        settle(page)
+        assert "the mission is not written" not in tell.inner_text()
+        assert json.loads(saved(page, '[data-format=".plan"]'))["fileType"] == "Plan"
 
 
 @pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
