@@ -393,7 +393,7 @@ def test_what_is_beneath_is_drawn_and_named_by_its_group(maps, ends):
     kind[maps.m("roof_touched") > 0] = CODES["building"]
     kind[:, 30:50] = CODES["tree"]
     kind[:, 50:60] = CODES["turbine"]
-    ds = maps.ds.assign(roof_kind=(("y", "x"), kind))
+    ds = maps.ds.copy(deep=True).assign(roof_kind=(("y", "x"), kind))
     ds["roof_touched"][:, 30:50] = 11.0
     ds["roof_touched"][:, 50:60] = 0.0
     wooded = ju.MetricMaps(ds)
