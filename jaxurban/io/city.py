@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -273,6 +273,7 @@ class City(FactsRepr):
             terrain = settings.Terrain(terrain)
         if not isinstance(vegetation, settings.Vegetation):
             vegetation = settings.Vegetation(vegetation)
+        given: Any = kinds  # `Obstacles` makes a tuple of them
         return read_city(
             buildings,
             bounds=bounds,
@@ -281,7 +282,7 @@ class City(FactsRepr):
             terrain=terrain,
             gps=gps,
             vegetation=vegetation,
-            kinds=Obstacles(kinds).under(""),  # type: ignore[arg-type]
+            kinds=Obstacles(given).under(""),
         )
 
 

@@ -31,13 +31,8 @@ LEVEL = 1  # of Zstandard: on these maps a predictor takes more time and more by
 ALL = "all"  # stands for every map that is held
 CREDIT = "attribution"  # attribute of the maps
 RUN_KEY = "run_key"
-TEXTS = (
-    "long_name",
-    "units",
-    "one_means",
-    "flag_meanings",
-    CAVEAT,
-)  # attributes of variables that become tags
+# Attributes of variables that become tags.
+TEXTS = ("long_name", "units", "one_means", "flag_meanings", CAVEAT)
 NUM_PLACES = 17  # of a colour map in QGIS styles, from low to high
 
 

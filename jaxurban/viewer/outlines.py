@@ -76,9 +76,8 @@ def _from_roofs(maps: MetricMaps) -> tuple[np.ndarray, ...]:
     kind = (2 * level + is_guessed) * num_groups + group_numbers(maps)
 
     # Polygons around cells of a kind.
-    traced = list(
-        shapes(kind.astype(np.int16), mask=roof_m > 0)
-    )  # in cells from the southwest corner
+    # In cells from the southwest corner.
+    traced = list(shapes(kind.astype(np.int16), mask=roof_m > 0))
     polygons = np.array([shapely.geometry.shape(shape) for shape, _ in traced], dtype=object)
     polygons = shapely.transform(
         polygons, lambda cells: grid.bounds_m[:2] + grid.resolution_m * cells
