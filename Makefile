@@ -124,7 +124,7 @@ $(VENV)/.run: $(VENV)/bin/python $(SOURCES)
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.run
-	$(PIP) install -c constraints.txt --no-build-isolation -e '.[cluster,export,notebook]' --group dev
+	$(PIP) install -c constraints.txt --no-build-isolation -e '.[cluster,export,lidar,notebook,ulog]' --group dev
 	touch $@
 
 $(VENV)/.bench: $(VENV)/.run
@@ -141,13 +141,13 @@ $(VENV)/.docs: $(VENV)/.run
 
 $(NEWEST)/.dev: $(NEWEST)/bin/python pyproject.toml constraints-newest.txt
 	$(PIP) install -c constraints-newest.txt pip setuptools
-	$(PIP) install -c constraints-newest.txt --no-build-isolation -e '.[cluster,export,notebook]' --group dev
+	$(PIP) install -c constraints-newest.txt --no-build-isolation -e '.[cluster,export,lidar,notebook,ulog]' --group dev
 	touch $@
 
 $(OLDEST)/.dev: $(OLDEST)/bin/python pyproject.toml
 	grep -oE '[A-Za-z][A-Za-z0-9_-]*(\[[a-z0-9]+\])?>=[0-9.a-z]+' pyproject.toml | sed -E 's/(\[.*\])?>=/==/' > $(@D)/floors.txt
 	$(PIP) install -c $(@D)/floors.txt pip setuptools
-	$(PIP) install -c $(@D)/floors.txt --no-build-isolation -e '.[cluster,export,notebook]' --group dev
+	$(PIP) install -c $(@D)/floors.txt --no-build-isolation -e '.[cluster,export,lidar,notebook,ulog]' --group dev
 	touch $@
 
 $(CUDA_VENV)/.compiler: $(CUDA_VENV)/bin/python $(SOURCES) constraints-cuda.txt
