@@ -51,6 +51,7 @@ from jaxurban.io.read.raster import (
 )
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.sniff import sniff
+from jaxurban.io.read.tiles import READERS, read_tiles
 from jaxurban.io.read.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
 from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
 from jaxurban.metrics.gps import Gps
@@ -70,10 +71,12 @@ from jaxurban.world.grid import (
 from jaxurban.world.kinds import KindName
 from jaxurban.world.raster import Raster
 
-OutlineReader = Callable[[Path, Near | None, settings.Buildings | None], Outlines]
+OutlineReader = Callable[[Path, Near | None, settings.Buildings | None, str | None], Outlines]
 
 
-def _read_osm(path: Path, near: Near | None, file: settings.Buildings | None) -> Outlines:
+def _read_osm(
+    path: Path, near: Near | None, file: settings.Buildings | None, crs: str | None
+) -> Outlines:
     """Return all outlines of OpenStreetMap, as nodes lie anywhere before their ways; it has no columns to name."""
     return read_osm(path)
 
@@ -81,6 +84,7 @@ def _read_osm(path: Path, near: Near | None, file: settings.Buildings | None) ->
 OUTLINE_READERS: dict[str, OutlineReader] = {  # by `sniff`, or by the file's own suffix
     **dict.fromkeys(OSM_SUFFIXES, _read_osm),
     **dict.fromkeys((*VECTOR_SUFFIXES, *OTHER_SUFFIXES), read_vector),
+    **dict.fromkeys((*READERS, ".zip"), read_tiles),
 }
 FILE_FIELDS = ("source", *FILES)
 COLUMNS_SAID = "height_column, ground_column and levels_column are for tables of outlines"
@@ -129,7 +133,9 @@ def read_city(
     check_has_people(people, people.has_blocks)
 
     # The region, and the wider box from which a shadow can reach it.
-    region = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
+    region = check_bounds(
+        lonlat_extent(buildings.source, buildings.crs) if bounds is None else bounds
+    )
     if crs is None:
         crs = utm_of(region)
     projected_crs(crs)
@@ -238,7 +244,7 @@ def _check_has_building(
         return
     raise InputError(
         f"{str(buildings.source)!r} has no building in the region {list(bounds)}: "
-        f"{where_it_lies(lonlat_extent(buildings.source), bounds)}; "
+        f"{where_it_lies(lonlat_extent(buildings.source, buildings.crs), bounds)}; "
         "move [region] bounds there, or set [buildings] allow_none = true if there are none"
     )
 
@@ -273,6 +279,7 @@ def read_buildings(
     is_misplaced = {
         'hanging = "slabs" is for outlines': file.hanging == SLABS and read is None,
         'kind = "surface" is for rasters': file.kind == "surface" and read is not None,
+        "crs is for outlines": file.crs is not None and read in (None, _read_osm),
         COLUMNS_SAID: len(named_columns(file)) > 0 and read in (None, _read_osm),
     }
     for what, is_wrong in is_misplaced.items():
@@ -284,12 +291,12 @@ def read_buildings(
     if beside is not None:
         read = partial(read_vector, beside=located(beside))
     if bounds_m is not None:
-        outlines = read(path, Near(bounds_m, crs), file)
+        outlines = read(path, Near(bounds_m, crs), file, file.crs)
         city = _city_of(file, outlines, crs, bounds_m)
         if not outlines.is_part or len(city.buildings or ()):
             return city
     # A file without a building near the region is read whole, so that all it covers is known.
-    return _city_of(file, read(path, None, file), crs, bounds_m)
+    return _city_of(file, read(path, None, file, file.crs), crs, bounds_m)
 
 
 def _reader_of(path: Path) -> OutlineReader | None:
@@ -298,6 +305,8 @@ def _reader_of(path: Path) -> OutlineReader | None:
     Raises:
       InputError: no such file, or a format that is not read.
     """
+    if path.is_dir():
+        return read_tiles
     if not path.is_file():
         raise InputError(f"{str(path)!r} does not exist: check the path")
     suffix = path.suffix.lower()
@@ -313,11 +322,15 @@ def _reader_of(path: Path) -> OutlineReader | None:
     return read
 
 
-def lonlat_extent(path: str | Path) -> Bounds:
+def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
     """Return west, south, east, north in degrees of the box that a file of buildings or a raster covers.
 
     For a file of OpenStreetMap it is the box that the file declares. For one that declares none and for other files of
     outlines it is the box around all outlines, for which the whole file is read.
+
+    Args:
+      path: of the file.
+      crs: in place of the one that it declares, as of `settings.Buildings`.
 
     Raises:
       InputError: a file that cannot be read, or one without an outline.
@@ -329,7 +342,7 @@ def lonlat_extent(path: str | Path) -> Bounds:
     box = header_box(path) if read is _read_osm else None
     if box is not None:
         return box
-    outlines = read(file, None, None)
+    outlines = read(file, None, None, crs)
     if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
         raise InputError(
             f"{str(path)!r} holds no outline that would say where it lies: give bounds"
