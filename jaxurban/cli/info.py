@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import JSON_FLAG, PATH, Settings, print_json
-from jaxurban.io.files import visible_files
 from jaxurban.io.samples import located
 
 
@@ -20,8 +19,7 @@ def info(path: Path, as_json: bool) -> None:
     """Say what a file of buildings, a raster or a folder of maps holds: extent, CRS, counts, guessed heights."""
     from jaxurban.io.store import ZARR_FOLDER
 
-    has_tiles = path.is_dir() and not (path / ZARR_FOLDER).exists() and visible_files(path)
-    if path.is_dir() and not has_tiles:
+    if (path / ZARR_FOLDER).exists():
         facts, numbers = _facts_of_maps(path)
     else:
         facts, file_numbers = _facts_of_file(located(path))

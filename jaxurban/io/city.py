@@ -179,14 +179,14 @@ class City(FactsRepr):
                 buildings += f", and {num_around:,} around"
             extent = self.bounds or transformer(self.crs, WGS84).transform_bounds(*region_m)
             main = main_bounds(self.buildings.polygons, self.crs, extent)
-        num_solids = self.read_issues.get(ReadIssue.SOLIDS, 0)
+        solids = self.read_issues.get(ReadIssue.SOLIDS, 0)
         inside = self.structures and self.structures.inside(region_m)
         left_out: dict[str, int] = {reason: self.read_issues.get(reason, 0) for reason in LEFT_OUT}
         return {
             "CRS": self.crs,
             "extent": f"{(x_max - x_min) / 1000:.3g} x {(y_max - y_min) / 1000:.3g} km",
             "buildings": buildings,
-            "solids": f"{num_solids:,}, on their lowest vertices" if num_solids else "",
+            "solids": listed_counts({"on_their_lowest_vertex": solids}),
             "structures": listed_counts(Counter(inside.kinds)) if inside else "",
             "left out": listed_counts(left_out),
             MOST_IN: "" if main is None else str(list(main)),

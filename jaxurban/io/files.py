@@ -177,8 +177,7 @@ def sweep_scraps(*folders: Path) -> None:
 
 def visible_files(folder: Path) -> list[Path]:
     """Return the files in a folder and its folders, sorted, but for hidden ones."""
-    files = sorted(filter(Path.is_file, folder.rglob("*")))
-    return [path for path in files if "/." not in f"/{path.relative_to(folder).as_posix()}"]
+    return sorted(filter(Path.is_file, folder.rglob("[!.]*")))
 
 
 def digest_of(path: Path) -> str:

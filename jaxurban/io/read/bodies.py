@@ -10,26 +10,25 @@ import numpy as np
 import pandas as pd
 import pyproj
 import shapely
-from numpy.typing import ArrayLike
 from pyproj.exceptions import CRSError
 
 from jaxurban.errors import InputError, shortened
-from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.outlines import Outlines
 from jaxurban.world.grid import check_on_earth
 
 PIECE = re.compile(r"(Building|Bridge|Tunnel)[A-Z]\w+")  # of another object, whatever it is
 ROOFS = (None, "RoofSurface", "OuterFloorSurface")  # labels of faces above which is air, or may be
-GROUND = (  # kinds that are no obstacles, and groups of what stands elsewhere in the file
-    "Road Railway Track Square TransportSquare TransportationComplex Waterway WaterBody LandUse "
-    "ReliefFeature TINRelief CityObjectGroup"
-).split()
+# Kinds that are no obstacles, and groups of what stands elsewhere in the file.
+GROUND = re.compile(
+    "Road|Railway|Track|Square|TransportSquare|TransportationComplex|Waterway|WaterBody|LandUse|"
+    "ReliefFeature|TINRelief|CityObjectGroup"
+)
 TAGS = {  # of OpenStreetMap, by kind
-    "building": {"Building": "yes"},
-    "man_made": {"Bridge": "bridge", "Tunnel": "tunnel"},
-    "natural": {"SolitaryVegetationObject": "tree"},
+    "Building": {"building": "yes"},
+    "Bridge": {"man_made": "bridge"},
+    "Tunnel": {"man_made": "tunnel"},
+    "SolitaryVegetationObject": {"natural": "tree"},
 }
-NAMED = [kind for kinds in TAGS.values() for kind in kinds]
 LOST_M = 1e9  # in place of what is no number: no reader takes it for a height
 CRS_NAMES = {  # of German and Swiss surveys, and those with a code of EPSG
     r".*ETRS89_UTM(3[1-3]).*": r"EPSG:258\1",
@@ -74,17 +73,16 @@ class CityObject:
     faces: list[Face] = field(default_factory=list)
     pieces: list["CityObject"] = field(default_factory=list)
 
-    def draw(self, lod: float, label: str | None, rings: Iterable[ArrayLike]) -> None:
+    def draw(self, lod: float, label: str | None, rings: Iterable[np.ndarray]) -> None:
         """Add a face.
 
         Args:
           lod, label: as of `Face`.
-          rings: its border, then its holes: numbers, x, y and z of each vertex; of fewer than three there is no ring.
+          rings: its border, then its holes, ``[V, 3]`` x, y and z; of fewer than three vertices there is no ring.
         """
-        points = [np.reshape(np.nan_to_num(ring, nan=LOST_M), (-1, 3)) for ring in rings]
-        points = [ring for ring in points if len(ring) > 2]
-        if points:
-            self.faces.append(Face(lod, label, shapely.Polygon(points[0], points[1:])))
+        whole = [np.nan_to_num(ring, nan=LOST_M) for ring in rings if len(ring) > 2]
+        if whole:
+            self.faces.append(Face(lod, label, shapely.Polygon(whole[0], whole[1:])))
 
     def best_faces(self) -> list[Face]:
         """Return the faces of the highest level of detail that has roofs or no labels, and the same of its pieces.
@@ -93,15 +91,11 @@ class CityObject:
         """
         ranks = [(face.label in ROOFS, face.lod) for face in self.faces]
         _, lod = max(ranks, default=(True, 0))
-        faces = []
-        part_lod = 0.0
+        parts = [piece for piece in self.pieces if piece.kind.endswith("Part")]
+        part_lods = [face.lod for part in parts for face in part.best_faces()]
+        faces = [face for face in self.faces if face.lod == lod >= max(part_lods, default=0)]
         for piece in self.pieces:
-            best = piece.best_faces()
-            faces += best
-            if piece.kind.endswith("Part"):
-                part_lod = max([part_lod, *(face.lod for face in best)])
-        if lod >= part_lod:
-            faces += [face for face in self.faces if face.lod == lod]
+            faces += piece.best_faces()
         return faces
 
 
@@ -110,30 +104,34 @@ def body_of(whole: CityObject) -> dict[str, Any]:
 
     Returns:
       ``polygon``, all faces, roofs first, as a MultiPolygon with heights, empty without a face; ``num_roofs``, how many
-      are roofs by their labels or have none, 0 where all are; ``rise``, of its highest vertex above the lowest, below 0
-      without a face; and ``kind``, ``height`` and ``levels`` as of the whole.
+      are roofs by their labels or have none, 0 where all are; and tags as of `Outlines`. The height of kinds that
+      `TAGS` lacks is how far they rise.
     """
     faces = whole.best_faces()
     faces.sort(key=lambda face: face.label not in ROOFS)
     num_roofs = sum(face.label in ROOFS for face in faces)
     polygon = shapely.MultiPolygon([face.polygon for face in faces])
-    z = shapely.get_coordinates(polygon, include_z=True)[:, 2]
-    return {
-        "kind": PIECE.sub(r"\1", whole.kind),
-        "height": whole.height,
-        "levels": whole.levels,
+    kind = PIECE.sub(r"\1", whole.kind)
+    height = whole.height
+    if GROUND.fullmatch(kind):
+        height = 0.0
+    elif kind not in TAGS:
+        z = shapely.get_coordinates(polygon, include_z=True)[:, 2]
+        height = z.max(initial=-LOST_M) - z.min(initial=LOST_M)
+    body = {
         "polygon": polygon,
-        "rise": z.max(initial=-LOST_M) - z.min(initial=LOST_M),
         "num_roofs": num_roofs if num_roofs < len(faces) else 0,
+        "building": None,
+        "height": height,
+        "levels": whole.levels,
     }
+    return body | TAGS.get(kind, {})
 
 
 def outlines_of(
     path: Path, bodies: Sequence[dict[str, Any]], crs_names: Collection[str]
 ) -> Outlines:
-    """Return bodies as outlines, x before y; what is no obstacle by its kind is counted.
-
-    Of other kinds than those of `TAGS` the height is how far they rise.
+    """Return bodies as outlines, x before y.
 
     Args:
       path: of the file, for messages.
@@ -153,11 +151,8 @@ def outlines_of(
             '"EPSG:..." to that of its coordinates'
         ) from error
     table = pd.DataFrame(bodies, dtype=object)
-    polygons = table["polygon"].to_numpy()
-    kind = table["kind"]
-    table["height"] = table["height"].where(kind.isin(NAMED), table["rise"])
-    tags = {name: table[name].to_numpy() for name in ("height", "levels", "num_roofs")}
-    tags |= {key: kind.map(kinds).to_numpy(object) for key, kinds in TAGS.items()}
+    polygons = table.pop("polygon").to_numpy()
+    tags = {str(name): table[name].to_numpy() for name in table}
 
     # Degrees are in the order of their CRS, unless the first is no latitude.
     axis = crs.axis_info[0]
@@ -165,9 +160,7 @@ def outlines_of(
     if is_lat_first and shapely.total_bounds(polygons)[2] <= 90:
         polygons = shapely.transform(polygons, lambda xyz: xyz[:, [1, 0, 2]], include_z=True)
     check_on_earth(repr(str(path)), crs, shapely.total_bounds(polygons))
-    is_ground = kind.isin(GROUND).to_numpy()
-    issues = {ReadIssue.NOT_STANDING: int(np.sum(is_ground))}
-    return Outlines(polygons, tags, crs.to_wkt(), (), issues).take(~is_ground)
+    return Outlines(polygons, tags, crs.to_wkt(), (), {})
 
 
 def _code_of(name: str) -> str:

@@ -51,7 +51,7 @@ from jaxurban.io.read.raster import (
 )
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.sniff import sniff
-from jaxurban.io.read.tiles import READERS, read_tiles
+from jaxurban.io.read.tiles import ARCHIVE, READERS, read_tiles
 from jaxurban.io.read.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
 from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
 from jaxurban.metrics.gps import Gps
@@ -71,12 +71,10 @@ from jaxurban.world.grid import (
 from jaxurban.world.kinds import KindName
 from jaxurban.world.raster import Raster
 
-OutlineReader = Callable[[Path, Near | None, settings.Buildings | None, str | None], Outlines]
+OutlineReader = Callable[..., Outlines]  # of a path, a `Near` or None, and settings or None
 
 
-def _read_osm(
-    path: Path, near: Near | None, file: settings.Buildings | None, crs: str | None
-) -> Outlines:
+def _read_osm(path: Path, near: Near | None, file: settings.Buildings | None) -> Outlines:
     """Return all outlines of OpenStreetMap, as nodes lie anywhere before their ways; it has no columns to name."""
     return read_osm(path)
 
@@ -84,7 +82,7 @@ def _read_osm(
 OUTLINE_READERS: dict[str, OutlineReader] = {  # by `sniff`, or by the file's own suffix
     **dict.fromkeys(OSM_SUFFIXES, _read_osm),
     **dict.fromkeys((*VECTOR_SUFFIXES, *OTHER_SUFFIXES), read_vector),
-    **dict.fromkeys((*READERS, ".zip"), read_tiles),
+    **dict.fromkeys((*READERS, ARCHIVE), read_tiles),
 }
 FILE_FIELDS = ("source", *FILES)
 COLUMNS_SAID = "height_column, ground_column and levels_column are for tables of outlines"
@@ -273,7 +271,7 @@ def read_buildings(
     """
     projected_crs(crs)
     path = Path(file.source)
-    read = _reader_of(path)
+    read = _reader_of(path, file.crs)
 
     # Settings that are meant for files of another kind are refused.
     is_misplaced = {
@@ -291,35 +289,38 @@ def read_buildings(
     if beside is not None:
         read = partial(read_vector, beside=located(beside))
     if bounds_m is not None:
-        outlines = read(path, Near(bounds_m, crs), file, file.crs)
+        outlines = read(path, Near(bounds_m, crs), file)
         city = _city_of(file, outlines, crs, bounds_m)
         if not outlines.is_part or len(city.buildings or ()):
             return city
     # A file without a building near the region is read whole, so that all it covers is known.
-    return _city_of(file, read(path, None, file, file.crs), crs, bounds_m)
+    return _city_of(file, read(path, None, file), crs, bounds_m)
 
 
-def _reader_of(path: Path) -> OutlineReader | None:
+def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
     """Return the function that reads a file of outlines; None for a raster.
+
+    Args:
+      path: of the file, or a folder of tiles.
+      crs: in place of the one that outlines declare; OpenStreetMap has one.
 
     Raises:
       InputError: no such file, or a format that is not read.
     """
-    if path.is_dir():
-        return read_tiles
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{str(path)!r} does not exist: check the path")
     suffix = path.suffix.lower()
     if suffix in RASTER_SUFFIXES:
         return None
-    read = OUTLINE_READERS.get(sniff(path)) or OUTLINE_READERS.get(suffix)
+    kind = ARCHIVE if path.is_dir() else sniff(path)
+    read = OUTLINE_READERS.get(kind) or OUTLINE_READERS.get(suffix)
     if read is None:
         known = ", ".join((*OUTLINE_READERS, *RASTER_SUFFIXES))
         raise InputError(
             f"{str(path)!r} has the suffix {suffix!r} and no content that is known: buildings are read from {known}, "
             "and from outlines packed as .gz or .bz2"
         )
-    return read
+    return read if crs is None or read is _read_osm else partial(read, crs=crs)
 
 
 def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
@@ -336,13 +337,13 @@ def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
       InputError: a file that cannot be read, or one without an outline.
     """
     file = Path(path)
-    read = _reader_of(file)
+    read = _reader_of(file, crs)
     if read is None:
         return raster_extent_m(path, WGS84)
     box = header_box(path) if read is _read_osm else None
     if box is not None:
         return box
-    outlines = read(file, None, None, crs)
+    outlines = read(file, None, None)
     if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
         raise InputError(
             f"{str(path)!r} holds no outline that would say where it lies: give bounds"

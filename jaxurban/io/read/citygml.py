@@ -76,10 +76,9 @@ def _fill(one: CityObject, element: Element, lod: float | None, label: str | Non
         elif name in VALUES:
             setattr(one, VALUES[name], child.text)
         elif name in FACES and lod is not None:
-            rings = [" ".join(ring.itertext()) for ring in child.iter("LinearRing")]
-            one.draw(
-                lod, label, [np.array(ring.replace(",", " ").split(), float) for ring in rings]
-            )
+            texts = [" ".join(ring.itertext()) for ring in child.iter("LinearRing")]
+            numbers = [np.array(text.replace(",", " ").split(), float) for text in texts]
+            one.draw(lod, label, [ring.reshape(-1, 3) for ring in numbers])
         elif level is not None:
             _fill(one, child, float(level[1]), label)
         else:

@@ -37,9 +37,14 @@ def read_cityjson(path: Path, crs_names: set[str]) -> list[dict[str, Any]]:
         vertices = np.array(document["vertices"], float).reshape(-1, 3)
         vertices = vertices * transform.get("scale", 1.0) + transform.get("translate", 0.0)
         things = document["CityObjects"]
-        pieces = {name for thing in things.values() for name in _pieces(thing, things)}
-        wholes = [things[name] for name in things if name not in pieces]
-        bodies += [body_of(_object(whole, things, vertices)) for whole in wholes]
+        objects = {name: _object(thing, vertices) for name, thing in things.items()}
+        pieces = set()
+        for name, thing in things.items():
+            if PIECE.fullmatch(thing["type"]):
+                for parent in thing.get("parents", ()):
+                    objects[parent].pieces.append(objects[name])
+                    pieces.add(name)
+        bodies += [body_of(objects[name]) for name in objects if name not in pieces]
     return bodies
 
 
@@ -53,22 +58,15 @@ def _documents(path: Path) -> Iterator[dict[str, Any]]:
             yield from map(json.loads, filter(str.strip, file))
 
 
-def _pieces(thing: dict[str, Any], things: dict[str, Any]) -> list[str]:
-    """Return the pieces of an object; the whole objects in a group are none."""
-    return [name for name in thing.get("children", ()) if PIECE.fullmatch(things[name]["type"])]
-
-
-def _object(thing: dict[str, Any], things: dict[str, Any], vertices: np.ndarray) -> CityObject:
-    """Return an object with its faces and pieces; what a template draws has none.
+def _object(thing: dict[str, Any], vertices: np.ndarray) -> CityObject:
+    """Return an object with its faces; what a template draws has none.
 
     Args:
       thing: as the file has it.
-      things: all, by their identifiers.
       vertices: ``[V, 3]`` x, y and z.
     """
     facts = thing.get("attributes") or {}
     one = CityObject(thing["type"], facts.get("measuredHeight"), facts.get("storeysAboveGround"))
-    one.pieces = [_object(things[name], things, vertices) for name in _pieces(thing, things)]
     for geometry in thing.get("geometry", ()):
         depth = SHELLS.get(geometry["type"])
         if depth is None:

@@ -75,8 +75,7 @@ def what_stands(outlines: Outlines, has_decks: bool, issues: ReadIssues) -> Outl
     verdict[is_nothing & has_key] = ReadIssue.NOT_IN_TABLE
     is_something = ~np.isin(verdict, LEFT_OUT)
     verdict[is_something & _is_below(outlines)] = ReadIssue.UNDERGROUND
-    for reason in LEFT_OUT:
-        issues[reason] = issues.get(reason, 0) + int(np.sum(verdict == reason))
+    issues |= {reason: int(np.sum(verdict == reason)) for reason in LEFT_OUT}
     more = {"verdict": verdict, "is_part": is_part, "is_deck": is_deck}
     return replace(outlines, tags={**outlines.tags, **more}).take(~np.isin(verdict, LEFT_OUT))
 

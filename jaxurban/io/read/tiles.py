@@ -3,7 +3,6 @@
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,11 +15,11 @@ from jaxurban.io.read.bodies import outlines_of
 from jaxurban.io.read.citygml import read_citygml
 from jaxurban.io.read.cityjson import read_cityjson
 from jaxurban.io.read.outlines import Near, Outlines
-from jaxurban.io.read.sniff import MOST_UNPACKED, in_own_words, sniff, unpacked
+from jaxurban.io.read.sniff import MOST_UNPACKED, sniff, unpacked
+from jaxurban.io.read.vector import OF_DAMAGED
 
 READERS = {".gml": read_citygml, ".city.json": read_cityjson}
-OF_DAMAGED = (LookupError, TypeError, AttributeError, RuntimeError, EOFError)
-OF_LIBRARIES = (ExpatError, zlib.error, zipfile.BadZipFile)
+ARCHIVE = ".zip"
 
 
 def read_tiles(
@@ -45,14 +44,14 @@ def read_tiles(
     others = []
     for name, tile in _files(path, str(path)):
         with (
-            readable(tile, "a city model", "fetch it again", what=repr(name)),
-            in_own_words(*OF_DAMAGED, *OF_LIBRARIES),
+            readable(
+                tile, "a city model", "fetch it again", *OF_DAMAGED, ExpatError, what=repr(name)
+            ),
             unpacked(tile) as plain,
         ):
-            read = None
-            with suppress(InputError):  # of a format that is known and no city model
-                read = READERS.get(sniff(plain))
-            if read is None:
+            try:
+                read = READERS[sniff(plain)]
+            except (InputError, KeyError):  # of another format
                 others.append(name)
             else:
                 bodies += read(plain, crs_names)
@@ -84,8 +83,9 @@ def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[s
             yield from _files(file, f"{name}/{file.relative_to(path).as_posix()}", room)
     elif zipfile.is_zipfile(path):
         remedy = "unpack it yourself if you trust it, and name the folder"
+        errors = (*OF_DAMAGED, EOFError, zlib.error, zipfile.BadZipFile)
         with (
-            readable(path, "an archive", remedy, *OF_DAMAGED, *OF_LIBRARIES, what=repr(name)),
+            readable(path, "an archive", remedy, *errors, what=repr(name)),
             TemporaryDirectory(prefix="jaxurban-") as folder,
             zipfile.ZipFile(path) as archive,
         ):
