@@ -12,7 +12,7 @@ import pyproj
 import shapely
 from pyproj.exceptions import CRSError
 
-from jaxurban.errors import InputError, shortened
+from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import Outlines
 from jaxurban.world.grid import check_on_earth
 
@@ -80,7 +80,11 @@ class CityObject:
           lod, label: as of `Face`.
           rings: its border, then its holes, ``[V, 3]`` x, y and z; of fewer than three vertices there is no ring.
         """
-        whole = [np.nan_to_num(ring, nan=LOST_M) for ring in rings if len(ring) > 2]
+        whole = [
+            np.where(np.isnan(ring), LOST_M, ring)  # quicker than `np.nan_to_num`
+            for ring in rings
+            if len(ring) > 2
+        ]
         if whole:
             self.faces.append(Face(lod, label, shapely.Polygon(whole[0], whole[1:])))
 
@@ -91,8 +95,12 @@ class CityObject:
         """
         ranks = [(face.label in ROOFS, face.lod) for face in self.faces]
         _, lod = max(ranks, default=(True, 0))
-        parts = [piece for piece in self.pieces if piece.kind.endswith("Part")]
-        part_lods = [face.lod for part in parts for face in part.best_faces()]
+        part_lods = [
+            face.lod
+            for piece in self.pieces
+            if piece.kind.endswith("Part")
+            for face in piece.best_faces()
+        ]
         faces = [face for face in self.faces if face.lod == lod >= max(part_lods, default=0)]
         for piece in self.pieces:
             faces += piece.best_faces()
@@ -117,7 +125,7 @@ def body_of(whole: CityObject) -> dict[str, Any]:
         height = 0.0
     elif kind not in TAGS:
         z = shapely.get_coordinates(polygon, include_z=True)[:, 2]
-        height = z.max(initial=-LOST_M) - z.min(initial=LOST_M)
+        height = np.ptp(z) if len(z) else 0.0
     body = {
         "polygon": polygon,
         "num_roofs": num_roofs if num_roofs < len(faces) else 0,
@@ -141,11 +149,14 @@ def outlines_of(
     Raises:
       InputError: no CRS, several, one that is not known, or one that is made for a place far off.
     """
+    codes = set(crs_names)
+    for pattern, code in CRS_NAMES.items():
+        codes = {re.sub(pattern, code, name) for name in codes}
     try:
-        (code,) = set(map(_code_of, crs_names))
+        (code,) = codes
         crs = pyproj.CRS(code)
     except (ValueError, CRSError) as error:
-        names = shortened(", ".join(crs_names)) or "none"
+        names = ", ".join(crs_names) or "none"
         raise InputError(
             f"{str(path)!r} does not say where it lies, as it declares the CRS {names}: set [buildings] crs = "
             '"EPSG:..." to that of its coordinates'
@@ -161,10 +172,3 @@ def outlines_of(
         polygons = shapely.transform(polygons, lambda xyz: xyz[:, [1, 0, 2]], include_z=True)
     check_on_earth(repr(str(path)), crs, shapely.total_bounds(polygons))
     return Outlines(polygons, tags, crs.to_wkt(), (), {})
-
-
-def _code_of(name: str) -> str:
-    """Return a CRS as pyproj knows it, of a name as publishers write it."""
-    for pattern, code in CRS_NAMES.items():
-        name = re.sub(pattern, code, name)
-    return name

@@ -77,8 +77,7 @@ def _fill(one: CityObject, element: Element, lod: float | None, label: str | Non
             setattr(one, VALUES[name], child.text)
         elif name in FACES and lod is not None:
             texts = [" ".join(ring.itertext()) for ring in child.iter("LinearRing")]
-            numbers = [np.array(text.replace(",", " ").split(), float) for text in texts]
-            one.draw(lod, label, [ring.reshape(-1, 3) for ring in numbers])
+            one.draw(lod, label, [np.array(text.split(), float).reshape(-1, 3) for text in texts])
         elif level is not None:
             _fill(one, child, float(level[1]), label)
         else:
