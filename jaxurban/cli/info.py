@@ -17,7 +17,9 @@ from jaxurban.io.samples import located
 @JSON_FLAG
 def info(path: Path, as_json: bool) -> None:
     """Say what a file of buildings, a raster or a folder of maps holds: extent, CRS, counts, guessed heights."""
-    if path.is_dir():
+    from jaxurban.io.store import ZARR_FOLDER
+
+    if (path / ZARR_FOLDER).exists():
         facts, numbers = _facts_of_maps(path)
     else:
         facts, file_numbers = _facts_of_file(located(path))

@@ -69,7 +69,8 @@ def to_buildings(
     # What stands, the valid shapes of it, and the heights that solids have by their faces.
     issues = dict(outlines.issues)
     features = what_stands(outlines, file.hanging == SLABS, issues)
-    prisms = prisms_of_solids(features.polygons, outlines.crs)
+    num_roofs = features.tags.get("num_roofs")
+    prisms = prisms_of_solids(features.polygons, outlines.crs, num_roofs)
     rise_m = rises_m(features.polygons, outlines.crs)
     shapes, is_sound, is_whole = _project(prisms["polygon"].to_numpy(), outlines.crs, crs, issues)
     prisms = prisms[is_sound]

@@ -51,6 +51,7 @@ from jaxurban.io.read.raster import (
 )
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.sniff import sniff
+from jaxurban.io.read.tiles import ARCHIVE, READERS, read_tiles
 from jaxurban.io.read.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
 from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
 from jaxurban.metrics.gps import Gps
@@ -70,7 +71,7 @@ from jaxurban.world.grid import (
 from jaxurban.world.kinds import KindName
 from jaxurban.world.raster import Raster
 
-OutlineReader = Callable[[Path, Near | None, settings.Buildings | None], Outlines]
+OutlineReader = Callable[..., Outlines]  # of a path, a `Near` or None, and settings or None
 
 
 def _read_osm(path: Path, near: Near | None, file: settings.Buildings | None) -> Outlines:
@@ -81,6 +82,7 @@ def _read_osm(path: Path, near: Near | None, file: settings.Buildings | None) ->
 OUTLINE_READERS: dict[str, OutlineReader] = {  # by `sniff`, or by the file's own suffix
     **dict.fromkeys(OSM_SUFFIXES, _read_osm),
     **dict.fromkeys((*VECTOR_SUFFIXES, *OTHER_SUFFIXES), read_vector),
+    **dict.fromkeys((*READERS, ARCHIVE), read_tiles),
 }
 FILE_FIELDS = ("source", *FILES)
 COLUMNS_SAID = "height_column, ground_column and levels_column are for tables of outlines"
@@ -129,7 +131,9 @@ def read_city(
     check_has_people(people, people.has_blocks)
 
     # The region, and the wider box from which a shadow can reach it.
-    region = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
+    region = check_bounds(
+        lonlat_extent(buildings.source, buildings.crs) if bounds is None else bounds
+    )
     if crs is None:
         crs = utm_of(region)
     projected_crs(crs)
@@ -238,7 +242,7 @@ def _check_has_building(
         return
     raise InputError(
         f"{str(buildings.source)!r} has no building in the region {list(bounds)}: "
-        f"{where_it_lies(lonlat_extent(buildings.source), bounds)}; "
+        f"{where_it_lies(lonlat_extent(buildings.source, buildings.crs), bounds)}; "
         "move [region] bounds there, or set [buildings] allow_none = true if there are none"
     )
 
@@ -267,12 +271,13 @@ def read_buildings(
     """
     projected_crs(crs)
     path = Path(file.source)
-    read = _reader_of(path)
+    read = _reader_of(path, file.crs)
 
     # Settings that are meant for files of another kind are refused.
     is_misplaced = {
         'hanging = "slabs" is for outlines': file.hanging == SLABS and read is None,
         'kind = "surface" is for rasters': file.kind == "surface" and read is not None,
+        "crs is for outlines": file.crs is not None and read in (None, _read_osm),
         COLUMNS_SAID: len(named_columns(file)) > 0 and read in (None, _read_osm),
     }
     for what, is_wrong in is_misplaced.items():
@@ -292,38 +297,47 @@ def read_buildings(
     return _city_of(file, read(path, None, file), crs, bounds_m)
 
 
-def _reader_of(path: Path) -> OutlineReader | None:
+def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
     """Return the function that reads a file of outlines; None for a raster.
+
+    Args:
+      path: of the file, or a folder of tiles.
+      crs: in place of the one that outlines declare; OpenStreetMap has one.
 
     Raises:
       InputError: no such file, or a format that is not read.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{str(path)!r} does not exist: check the path")
     suffix = path.suffix.lower()
     if suffix in RASTER_SUFFIXES:
         return None
-    read = OUTLINE_READERS.get(sniff(path)) or OUTLINE_READERS.get(suffix)
+    kind = ARCHIVE if path.is_dir() else sniff(path)
+    read = OUTLINE_READERS.get(kind) or OUTLINE_READERS.get(suffix)
     if read is None:
         known = ", ".join((*OUTLINE_READERS, *RASTER_SUFFIXES))
         raise InputError(
             f"{str(path)!r} has the suffix {suffix!r} and no content that is known: buildings are read from {known}, "
             "and from outlines packed as .gz or .bz2"
         )
-    return read
+    return read if crs is None or read is _read_osm else partial(read, crs=crs)
 
 
-def lonlat_extent(path: str | Path) -> Bounds:
+def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
     """Return west, south, east, north in degrees of the box that a file of buildings or a raster covers.
 
     For a file of OpenStreetMap it is the box that the file declares. For one that declares none and for other files of
     outlines it is the box around all outlines, for which the whole file is read.
 
+    Args:
+      path: of the file.
+      crs: in place of the one that it declares, as of `settings.Buildings`.
+
     Raises:
       InputError: a file that cannot be read, or one without an outline.
     """
     file = Path(path)
-    read = _reader_of(file)
+    read = _reader_of(file, crs)
     if read is None:
         return raster_extent_m(path, WGS84)
     box = header_box(path) if read is _read_osm else None

@@ -33,7 +33,7 @@ FORMATS = {
     rb"SQLite format 3\0.{52}\0{4}": "a database of SpatiaLite or SQLite: make a GeoPackage of it with `ogr2ogr "
     "buildings.gpkg FILE`",
     rb"SQLite format 3": ".gpkg",
-    rb"PK\x03\x04": _ARCHIVE % "unzip",
+    rb"PK\x03\x04": ".zip",
     rb"7z\xbc\xaf\x27\x1c": _ARCHIVE % "7z x",
     rb".{257}ustar": _ARCHIVE % "tar -xf",
     rb"LASF": "a cloud of lidar points: make a raster of their highest ones with `pdal translate FILE surface.tif "
@@ -44,12 +44,9 @@ FORMATS = {
     rb"\xff\xfe|\xfe\xff": "text in UTF-16: make UTF-8 of it with `iconv -f UTF-16 -t UTF-8 FILE > FILE.utf8`",
     _ROOT + rb"kml\b": ".kml",
     _ROOT + rb"gpx\b": ".gpx",
-    _ROOT
-    + rb"CityModel\b": "CityGML: make outlines of it with `ogr2ogr -nlt MULTIPOLYGON buildings.gpkg FILE`",
+    _ROOT + rb"CityModel\b": ".gml",
     rb"(?i:<[<\s]*html\b)": "a web page: fetch the file again, and look at what the server says",
-    _JSON
-    + rb'"City(?:JSON|JSONFeature|Objects)"': "CityJSON: make CityGML of it with `citygml-tools from-cityjson "
-    "FILE`, and outlines of that with `ogr2ogr -nlt MULTIPOLYGON buildings.gpkg` and the name of the new file",
+    _JSON + rb'"City(?:JSON|JSONFeature|Objects)"': ".city.json",
     _JSON + rb'"(?:osm3s|elements)"\s*:': ".osm.json",
     # A whole feature in the first line, or one that is longer than what is looked at.
     _JSON + rb'(?<!\n)"Feature"[^\n]*(?:\}\r?\n|\Z)': ".geojsonl",
@@ -89,8 +86,8 @@ def sniff(path: str | Path) -> str:
     """Return the suffix that files with such content bear, of a packed file that of what is in it.
 
     It is one of ``.osm``, ``.pbf`` and ``.osm.json`` (OpenStreetMap), ``.geojson``, ``.geojsonl`` (one feature a
-    line), ``.csv`` (with outlines as WKT), ``.fgb``, ``.gpkg``, ``.parquet``, ``.shp``, ``.kml``, ``.gpx``; empty for
-    any other content.
+    line), ``.csv`` (with outlines as WKT), ``.fgb``, ``.gpkg``, ``.parquet``, ``.shp``, ``.kml``, ``.gpx``, ``.gml``
+    (CityGML), ``.city.json`` (CityJSON, in lines too) and ``.zip``; empty for any other content.
 
     Raises:
       InputError: no such file, a packed one that is damaged, or a format that is known and not read; the message

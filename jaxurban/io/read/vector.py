@@ -88,6 +88,7 @@ def _read(
     every_layer: bool = False,
     near: Near | None = None,
     named: Collection[str] | None = None,
+    crs: str | None = None,
 ) -> list[gpd.GeoDataFrame]:
     """Return the features of the one layer of polygons, or of every layer, checked; see `open_frame`, `open_layers`.
 
@@ -97,6 +98,7 @@ def _read(
       near: a region: features of GeoPackages, Shapefiles and FlatGeobuf that are not near it are left out.
       named: the only columns to read, with those that describe buildings (`is_of_buildings`); None: all. Only Parquet,
         and files that are read near a region, leave columns out.
+      crs: in place of the one that the file declares.
     """
     name = f"the {role} file {str(path)!r}"
     with readable(path, "a vector file", WHOLE, what=name), unpacked(path) as plain:
@@ -119,7 +121,7 @@ def _read(
                 frames = []
                 for layer in layers:
                     fewer = {}
-                    if near is not None and kind in INDEXED_SUFFIXES:
+                    if near is not None and crs is None and kind in INDEXED_SUFFIXES:
                         fewer = _only_near(source, layer, near, named or ())
                     frame = _features(source, layer, options | fewer)
                     if role == BUILDINGS and isinstance(source, str):
@@ -133,6 +135,8 @@ def _read(
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
     for frame in frames:
+        if crs is not None:
+            frame.set_crs(crs, allow_override=True, inplace=True)
         if kind == ".csv" and frame.crs is None:
             frame.set_crs(WGS84, inplace=True)
             warn(
@@ -264,7 +268,7 @@ def _check(name: str, frame: gpd.GeoDataFrame) -> None:
     if frame.crs is None:
         raise InputError(
             f"{name} declares no CRS: write it into the file, as with `ogr2ogr -a_srs EPSG:... OUT IN` "
-            "(a Shapefile has it in its .prj)"
+            "(a Shapefile has it in its .prj), or set [buildings] crs if it is that of buildings"
         )
     check_on_earth(name, frame.crs.to_wkt(), frame.total_bounds)
     x_min, y_min, x_max, y_max = frame.total_bounds
@@ -340,6 +344,7 @@ def read_vector(
     path: str | Path,
     near: Near | None = None,
     file: settings.Buildings | None = None,
+    crs: str | None = None,
     beside: Path | None = None,
 ) -> Outlines:
     """Return the polygons of a vector file, with what its columns say of heights (see `tags_of_table`).
@@ -353,6 +358,7 @@ def read_vector(
         Shapefiles and FlatGeobuf it is not even decoded. None reads all.
       file: what the settings say of its columns. None: columns are known by name alone (`tags_of`), and nothing of
         their heights is checked.
+      crs: in place of the one that the file declares.
       beside: another file of the same CRS and credit, whose features come after those of ``path``.
 
     Raises:
@@ -361,7 +367,7 @@ def read_vector(
         `tags_of_table`.
     """
     named = [] if file is None else named_columns(file)
-    (frame,) = _read(path, BUILDINGS, near=near, named=named)
+    (frame,) = _read(path, BUILDINGS, near=near, named=named, crs=crs)
     facts = frame.attrs  # empty of files that are not ours
     if beside is not None:
         frame = pd.concat([frame, *_read(beside, BUILDINGS)], ignore_index=True)
