@@ -322,7 +322,7 @@ def bare_parquet(path):
             b'<?xml version="1.0"?><!-- of <osm --><core:CityModel xmlns:core="x">',
             "is CityGML: .*ogr2ogr",
         ),
-        ("a.laz", b"LASF" + bytes(100), "lidar.*pdal translate"),
+        ("a.laz", b"LASF" + bytes(100), "as lidar points .*damaged or cut short"),
         ("a.zip", archive, "an archive: .*`unzip "),
         ("a.7z", b"7z\xbc\xaf\x27\x1c", "an archive: .*`7z x "),
         ("a.tar", tape, "an archive: .*`tar -xf "),

@@ -32,6 +32,7 @@ from jaxurban.io.read.guesses import (
     warn_of,
 )
 from jaxurban.io.read.issues import ReadIssue
+from jaxurban.io.read.lidar import Points, heights_of_points, is_lidar, read_points
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets
 from jaxurban.io.read.plausible import (
@@ -49,7 +50,7 @@ from jaxurban.io.read.raster import (
     read_raster,
     zero_is_ground,
 )
-from jaxurban.io.read.sampling import pixel_xy
+from jaxurban.io.read.sampling import heights_above, pixel_xy
 from jaxurban.io.read.sniff import sniff
 from jaxurban.io.read.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
 from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
@@ -104,6 +105,12 @@ def read_city(
     kinds: tuple[KindName, ...],
 ) -> City:
     """Return the city that files hold around a region; arguments, warnings and errors are as of `City.from_files`."""
+    # Lidar points are of the ground and of plants too. What was read of a file before may have changed.
+    read_points.cache_clear()
+    if is_lidar(located(buildings.source)):
+        terrain = replace(terrain, source=terrain.source or buildings.source)
+        vegetation = replace(vegetation, source=vegetation.source or buildings.source)
+
     # A sample city (`SAMPLES`) gives what the arguments leave out.
     sample = SAMPLES.get(sample_name(buildings.source) or "", {})
     if bounds is None and sample:
@@ -141,11 +148,22 @@ def read_city(
     ground = ground_extent_m = None
     guesses: Guesses = {}
     if terrain.source is not None:
-        ground = read_raster(terrain.source, crs, wide_m)
-        ground_extent_m = raster_extent_m(terrain.source, crs)
+        if is_lidar(terrain.source):
+            ground = _points_of(terrain.source, buildings).ground
+            ground_extent_m = area_of_raster(ground, crs).bounds
+        else:
+            ground = read_raster(terrain.source, crs, wide_m)
+            ground_extent_m = raster_extent_m(terrain.source, crs)
         ground, guesses = filled_terrain(repr(str(terrain.source)), ground, crs, box_m)
     plants = None
-    if vegetation.source is not None:
+    if is_lidar(vegetation.source):
+        if ground is None:
+            raise InputError(
+                f"plants of the lidar points {str(vegetation.source)!r} stand on the ground: give its elevation as "
+                "[terrain] source, which may be the same file"
+            )
+        plants = heights_above(_points_of(vegetation.source, buildings).plants, ground)
+    elif vegetation.source is not None:
         plants, plant_guesses = read_plants(vegetation.source, crs, wide_m, box_m)
         guesses |= plant_guesses
     source = read_buildings(
@@ -280,7 +298,7 @@ def read_buildings(
             raise InputError(f"[buildings] {what}, and {str(path)!r} is none: leave it out")
 
     if read is None:
-        return _read_roofs(path, crs, bounds_m, file.kind, terrain)
+        return _read_roofs(file, crs, bounds_m, terrain)
     if beside is not None:
         read = partial(read_vector, beside=located(beside))
     if bounds_m is not None:
@@ -301,7 +319,7 @@ def _reader_of(path: Path) -> OutlineReader | None:
     if not path.is_file():
         raise InputError(f"{str(path)!r} does not exist: check the path")
     suffix = path.suffix.lower()
-    if suffix in RASTER_SUFFIXES:
+    if suffix in RASTER_SUFFIXES or is_lidar(path):
         return None
     read = OUTLINE_READERS.get(sniff(path)) or OUTLINE_READERS.get(suffix)
     if read is None:
@@ -324,6 +342,8 @@ def lonlat_extent(path: str | Path) -> Bounds:
     """
     file = Path(path)
     read = _reader_of(file)
+    if is_lidar(path):
+        return area_of_raster(read_points(file).highest, WGS84).bounds
     if read is None:
         return raster_extent_m(path, WGS84)
     box = header_box(path) if read is _read_osm else None
@@ -421,35 +441,44 @@ def _city_of(
     )
 
 
+def _points_of(path: Any, file: settings.Buildings) -> Points:
+    """Return the points of a file, which may be that of the buildings and so in the CRS that its settings declare."""
+    is_same = str(path) == str(file.source)
+    return read_points(Path(path), file.kind, getattr(file, "crs", None) if is_same else None)
+
+
 def _read_roofs(
-    path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None
+    file: settings.Buildings, crs: str, bounds_m: Bounds | None, terrain: Raster | None
 ) -> City:
-    """Return the city of a raster of heights.
+    """Return the city of a raster of heights, or of lidar points.
 
     Cells below 0, the noise of surface minus terrain, count as ground; a read issue says how many they are.
 
     Args:
-      path: path of the raster.
+      file: names it; its ``kind`` is ``"surface"`` for elevations of roofs and ground, ``"height"`` for heights.
       crs: projected CRS of the city.
       bounds_m: as of `read_buildings`.
-      kind: ``"surface"`` for elevations of roofs and ground, ``"height"`` for heights above ground.
       terrain: as of `read_buildings`.
 
     Raises:
       InputError: as of `read_buildings`.
     """
+    path = Path(file.source)
     name = repr(str(path))
-    raster = read_raster(path, crs, bounds_m)
     guesses: Guesses = {}
-    if kind == "surface":
+    if is_lidar(path):
+        roofs, issues = heights_of_points(name, _points_of(path, file), terrain, crs)
+        raster = roofs
+    elif file.kind == "surface":
+        raster = read_raster(path, crs, bounds_m)
         roofs, issues = heights_of_surface(name, raster, terrain, crs)
     else:
-        raster, guesses = zero_is_ground(path, raster)
+        raster, guesses = zero_is_ground(path, read_raster(path, crs, bounds_m))
         check_is_no_surface(name, raster, crs)
         is_below = raster.values < 0
         roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
         issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
-    heights = raster if kind == "height" else roofs
+    heights = raster if file.kind == "height" else roofs
     check_range(name, heights.values, (LOWEST_ROOF_M, HIGHEST_M))
     area = area_of_raster(roofs, crs)
     guesses |= pixel_guesses(roofs, crs)

@@ -14,6 +14,7 @@ from typing import Any
 
 from jaxurban.errors import InputError, readable
 
+LIDAR = ".laz"  # of LAS and COPC too
 HEAD_BYTES = 1 << 16  # that are looked at; GDAL looks at fewer
 MOST_UNPACKED = 20 * 2**30  # bytes
 PACKED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open}
@@ -36,8 +37,7 @@ FORMATS = {
     rb"PK\x03\x04": _ARCHIVE % "unzip",
     rb"7z\xbc\xaf\x27\x1c": _ARCHIVE % "7z x",
     rb".{257}ustar": _ARCHIVE % "tar -xf",
-    rb"LASF": "a cloud of lidar points: make a raster of their highest ones with `pdal translate FILE surface.tif "
-    '--writers.gdal.resolution=1 --writers.gdal.output_type=max`, and read it with kind = "surface" over a terrain',
+    rb"LASF": LIDAR,
     _ROOT + rb"osm\b": ".osm",
     _ROOT + rb"osmChange\b": "a list of changes to OpenStreetMap: apply it to a whole extract with "
     "`osmium apply-changes -o changed.osm.pbf EXTRACT FILE`",
@@ -89,8 +89,8 @@ def sniff(path: str | Path) -> str:
     """Return the suffix that files with such content bear, of a packed file that of what is in it.
 
     It is one of ``.osm``, ``.pbf`` and ``.osm.json`` (OpenStreetMap), ``.geojson``, ``.geojsonl`` (one feature a
-    line), ``.csv`` (with outlines as WKT), ``.fgb``, ``.gpkg``, ``.parquet``, ``.shp``, ``.kml``, ``.gpx``; empty for
-    any other content.
+    line), ``.csv`` (with outlines as WKT), ``.fgb``, ``.gpkg``, ``.parquet``, ``.shp``, ``.kml``, ``.gpx``, ``.laz``
+    (lidar points, of LAS and COPC too); empty for any other content.
 
     Raises:
       InputError: no such file, a packed one that is damaged, or a format that is known and not read; the message
