@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import JSON_FLAG, PATH, Settings, print_json
+from jaxurban.io.read.sniff import DATABASE, sniff
 from jaxurban.io.samples import located
 
 
@@ -17,7 +18,7 @@ from jaxurban.io.samples import located
 @JSON_FLAG
 def info(path: Path, as_json: bool) -> None:
     """Say what a file of buildings, a raster or a folder of maps holds: extent, CRS, counts, guessed heights."""
-    if path.is_dir():
+    if path.is_dir() and sniff(path) != DATABASE:
         facts, numbers = _facts_of_maps(path)
     else:
         facts, file_numbers = _facts_of_file(located(path))
@@ -89,7 +90,7 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     has_points = is_lidar(file)
     if has_points or file.suffix.lower() in RASTER_SUFFIXES:
         if has_points:
-            points = read_points(file)
+            points = read_points(file, Buildings(file))
             raster = points.highest
             facts["points"] = listed_counts(points.counts)
         else:

@@ -32,7 +32,7 @@ from jaxurban.io.read.guesses import (
     warn_of,
 )
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.lidar import Points, heights_of_points, is_lidar, read_points
+from jaxurban.io.read.lidar import heights_of_points, is_lidar, read_points
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets
 from jaxurban.io.read.plausible import (
@@ -149,7 +149,7 @@ def read_city(
     guesses: Guesses = {}
     if terrain.source is not None:
         if is_lidar(terrain.source):
-            ground = _points_of(terrain.source, buildings).ground
+            ground = read_points(terrain.source, buildings).ground
             ground_extent_m = area_of_raster(ground, crs).bounds
         else:
             ground = read_raster(terrain.source, crs, wide_m)
@@ -162,7 +162,7 @@ def read_city(
                 f"plants of the lidar points {str(vegetation.source)!r} stand on the ground: give its elevation as "
                 "[terrain] source, which may be the same file"
             )
-        plants = heights_above(_points_of(vegetation.source, buildings).plants, ground)
+        plants = heights_above(read_points(vegetation.source, buildings).plants, ground)
     elif vegetation.source is not None:
         plants, plant_guesses = read_plants(vegetation.source, crs, wide_m, box_m)
         guesses |= plant_guesses
@@ -316,7 +316,7 @@ def _reader_of(path: Path) -> OutlineReader | None:
     Raises:
       InputError: no such file, or a format that is not read.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{str(path)!r} does not exist: check the path")
     suffix = path.suffix.lower()
     if suffix in RASTER_SUFFIXES or is_lidar(path):
@@ -343,7 +343,7 @@ def lonlat_extent(path: str | Path) -> Bounds:
     file = Path(path)
     read = _reader_of(file)
     if is_lidar(path):
-        return area_of_raster(read_points(file).highest, WGS84).bounds
+        return area_of_raster(read_points(file, settings.Buildings(file)).highest, WGS84).bounds
     if read is None:
         return raster_extent_m(path, WGS84)
     box = header_box(path) if read is _read_osm else None
@@ -441,12 +441,6 @@ def _city_of(
     )
 
 
-def _points_of(path: Any, file: settings.Buildings) -> Points:
-    """Return the points of a file, which may be that of the buildings and so in the CRS that its settings declare."""
-    is_same = str(path) == str(file.source)
-    return read_points(Path(path), file.kind, getattr(file, "crs", None) if is_same else None)
-
-
 def _read_roofs(
     file: settings.Buildings, crs: str, bounds_m: Bounds | None, terrain: Raster | None
 ) -> City:
@@ -467,7 +461,7 @@ def _read_roofs(
     name = repr(str(path))
     guesses: Guesses = {}
     if is_lidar(path):
-        roofs, issues = heights_of_points(name, _points_of(path, file), terrain, crs)
+        roofs, issues = heights_of_points(name, read_points(path, file), terrain, crs)
         raster = roofs
     elif file.kind == "surface":
         raster = read_raster(path, crs, bounds_m)

@@ -14,6 +14,7 @@ from typing import Any
 
 from jaxurban.errors import InputError, readable
 
+DATABASE = ".gdb"  # of Esri: a folder, or packed as .gdb.zip
 LIDAR = ".laz"  # of LAS and COPC too
 HEAD_BYTES = 1 << 16  # that are looked at; GDAL looks at fewer
 MOST_UNPACKED = 20 * 2**30  # bytes
@@ -31,8 +32,7 @@ FORMATS = {
     rb"fgb": ".fgb",
     rb"\0\0\x27\x0a": ".shp",
     rb"....\n\tOSMHeader": ".pbf",
-    rb"SQLite format 3\0.{52}\0{4}": "a database of SpatiaLite or SQLite: make a GeoPackage of it with `ogr2ogr "
-    "buildings.gpkg FILE`",
+    rb"SQLite format 3\0.{52}\0{4}": ".sqlite",  # SpatiaLite
     rb"SQLite format 3": ".gpkg",
     rb"PK\x03\x04": _ARCHIVE % "unzip",
     rb"7z\xbc\xaf\x27\x1c": _ARCHIVE % "7z x",
@@ -89,14 +89,19 @@ def sniff(path: str | Path) -> str:
     """Return the suffix that files with such content bear, of a packed file that of what is in it.
 
     It is one of ``.osm``, ``.pbf`` and ``.osm.json`` (OpenStreetMap), ``.geojson``, ``.geojsonl`` (one feature a
-    line), ``.csv`` (with outlines as WKT), ``.fgb``, ``.gpkg``, ``.parquet``, ``.shp``, ``.kml``, ``.gpx``, ``.laz``
-    (lidar points, of LAS and COPC too); empty for any other content.
+    line), ``.csv`` (with outlines as WKT), ``.fgb``, ``.gpkg``, ``.parquet``, ``.shp``, ``.kml``, ``.gpx``, ``.sqlite``
+    (SpatiaLite), ``.gdb`` (Esri's folder, packed as ``.gdb.zip`` or not), ``.laz`` (lidar points, of LAS and COPC too);
+    empty for any other content.
 
     Raises:
       InputError: no such file, a packed one that is damaged, or a format that is known and not read; the message
         names it and the line that converts it.
     """
     path = Path(path)
+    if path.name.lower().endswith((DATABASE, f"{DATABASE}.zip")) and path.exists():
+        return DATABASE
+    if path.is_dir():
+        return ""
     with (
         readable(path, "a file", "fetch it again"),
         in_own_words(EOFError, zlib.error),
