@@ -318,6 +318,8 @@ def _reader_of(path: Path) -> OutlineReader | None:
     """
     if not path.exists():
         raise InputError(f"{str(path)!r} does not exist: check the path")
+    if path.is_dir():
+        return read_vector
     suffix = path.suffix.lower()
     if suffix in RASTER_SUFFIXES or is_lidar(path):
         return None

@@ -95,7 +95,6 @@ def _read(
     every_layer: bool = False,
     near: Near | None = None,
     named: Collection[str] | None = None,
-    crs: str | None = None,
 ) -> list[gpd.GeoDataFrame]:
     """Return the features of the one layer of polygons, or of every layer, checked; see `open_frame`, `open_layers`.
 
@@ -105,7 +104,6 @@ def _read(
       near: a region: features of GeoPackages, Shapefiles and FlatGeobuf that are not near it are left out.
       named: the only columns to read, with those that describe buildings (`is_of_buildings`); None: all. Only Parquet,
         and files that are read near a region, leave columns out.
-      crs: of a file that declares none.
     """
     name = f"the {role} file {str(path)!r}"
     with readable(path, "a vector file", WHOLE, what=name), unpacked(path) as plain:
@@ -142,9 +140,7 @@ def _read(
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
     for frame in frames:
-        if frame.crs is None and crs:
-            frame.set_crs(crs, inplace=True)
-        elif frame.crs is None and kind in (".csv", ".parquet"):
+        if kind in (".csv", ".parquet") and frame.crs is None:
             frame.set_crs(WGS84, inplace=True)
             warn(
                 f"{name} cannot say its CRS: its coordinates are taken for longitude and latitude (EPSG:4326); set "
@@ -365,7 +361,7 @@ def read_vector(
     columns do not say what stands there are left out and counted.
 
     Args:
-      path: the file.
+      path: the file, or a folder of several, as of Overture's buildings and of their parts.
       near: the region whose surroundings are needed: what lies elsewhere may be left out. Of GeoPackages,
         Shapefiles and FlatGeobuf it is not even decoded. None reads all.
       file: what the settings say of its columns. None: columns are known by name alone (`tags_of`), and nothing of
@@ -378,11 +374,14 @@ def read_vector(
         `tags_of_table`.
     """
     named = [] if file is None else named_columns(file)
-    crs = getattr(file, "crs", None)
-    (frame,) = _read(path, BUILDINGS, near=near, named=named, crs=crs)
+    path, *others = [Path(path)] if beside is None else [Path(path), beside]
+    if path.is_dir() and sniff(path) != DATABASE:
+        path, *others = sorted(path.iterdir())
+    (frame,) = _read(path, BUILDINGS, near=near, named=named)
     facts = frame.attrs  # empty of files that are not ours
-    if beside is not None:
-        frame = pd.concat([frame, *_read(beside, BUILDINGS)], ignore_index=True)
+    for other in others:
+        (more,) = _read(other, BUILDINGS, near=near, named=named)
+        frame = pd.concat([frame, more.to_crs(frame.crs)], ignore_index=True)
     box = None if near is None else near.box_in(frame.crs.to_wkt())
     if box is not None:
         frame = frame[near_rows(shapely.bounds(frame.geometry.to_numpy()), box)]
