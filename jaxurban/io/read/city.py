@@ -88,7 +88,10 @@ COLUMNS_SAID = "height_column, ground_column and levels_column are for tables of
 GEOD = pyproj.Geod(ellps="WGS84")
 GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
 BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
-LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
+ROOF_RANGE_M = (
+    -100.0,
+    HIGHEST_M,
+)  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
 
@@ -464,18 +467,17 @@ def _read_roofs(
     guesses: Guesses = {}
     if is_lidar(path):
         roofs, issues = heights_of_points(name, read_points(path, file), terrain, crs)
-        raster = roofs
     elif file.kind == "surface":
-        raster = read_raster(path, crs, bounds_m)
-        roofs, issues = heights_of_surface(name, raster, terrain, crs)
+        surface = read_raster(path, crs, bounds_m)
+        roofs, issues = heights_of_surface(name, surface, terrain, crs)
     else:
         raster, guesses = zero_is_ground(path, read_raster(path, crs, bounds_m))
+        check_range(name, raster.values, ROOF_RANGE_M)
         check_is_no_surface(name, raster, crs)
         is_below = raster.values < 0
         roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
         issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
-    heights = raster if file.kind == "height" else roofs
-    check_range(name, heights.values, (LOWEST_ROOF_M, HIGHEST_M))
+    check_range(name, roofs.values, ROOF_RANGE_M)
     area = area_of_raster(roofs, crs)
     guesses |= pixel_guesses(roofs, crs)
     return City(crs, area.bounds, roofs=roofs, area=area, read_issues=issues, guesses=guesses)

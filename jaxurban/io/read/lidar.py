@@ -1,6 +1,7 @@
 """Lidar points to rasters of what is built, what grows and the ground, by the classes of points."""
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pyproj
+from pyproj.exceptions import CRSError
 from rasterio.fill import fillnodata
 
 from jaxurban import settings
@@ -102,15 +104,17 @@ def read_points(path: str | Path, file: settings.Buildings) -> Points:
     with (
         readable(path, "lidar points", "fetch it again"),
         in_own_words(*damage),
-        laspy.open(path) as reader,
+        laspy.open(path, read_evlrs=False) as reader,
     ):
         header = reader.header
         is_source = str(path) == str(file.source)
         declared = getattr(file, "crs", None) if is_source else None
-        crs = pyproj.CRS(declared) if declared else header.parse_crs()
+        crs = None
+        with suppress(CRSError):
+            crs = pyproj.CRS(declared) if declared else header.parse_crs()
         if crs is None:
             raise InputError(
-                f"{name} declares no CRS: set [buildings] crs to that of the plan and of the heights, as in "
+                f"{name} declares no CRS that is known: set [buildings] crs to that of the plan and of the heights, as in "
                 '"EPSG:28992+5709", or write it into the header with `pdal translate IN OUT --writers.las.a_srs=...`'
             )
         records = header.vlrs.get("GeoKeyDirectoryVlr")

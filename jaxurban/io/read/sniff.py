@@ -15,6 +15,7 @@ from typing import Any
 from jaxurban.errors import InputError, readable
 
 DATABASE = ".gdb"  # of Esri: a folder, or packed as .gdb.zip
+PANIC = "PanicException"  # of libraries in Rust, under a module of its own each
 LIDAR = ".laz"  # of LAS and COPC too
 HEAD_BYTES = 1 << 16  # that are looked at; GDAL looks at fewer
 MOST_UNPACKED = 20 * 2**30  # bytes
@@ -37,7 +38,7 @@ FORMATS = {
     rb"PK\x03\x04": _ARCHIVE % "unzip",
     rb"7z\xbc\xaf\x27\x1c": _ARCHIVE % "7z x",
     rb".{257}ustar": _ARCHIVE % "tar -xf",
-    rb"LASF": LIDAR,
+    rb"LASF.{98}\0\0": LIDAR,  # one with 65,536 records or more is damaged, and laspy would not come to their end
     _ROOT + rb"osm\b": ".osm",
     _ROOT + rb"osmChange\b": "a list of changes to OpenStreetMap: apply it to a whole extract with "
     "`osmium apply-changes -o changed.osm.pbf EXTRACT FILE`",
@@ -79,8 +80,9 @@ def in_own_words(*errors: type[Exception]) -> Iterator[None]:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module="pyogrio")
             yield
-    except caught as error:
-        if isinstance(error, InputError) or getattr(error, "errno", None):
+    except BaseException as error:
+        is_caught = isinstance(error, caught) or type(error).__name__ == PANIC
+        if not is_caught or isinstance(error, InputError) or getattr(error, "errno", None):
             raise
         raise ValueError("it is damaged or cut short, or holds what is not read") from error
 
