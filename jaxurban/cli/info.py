@@ -81,13 +81,21 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
 
     from jaxurban.io.city import City
     from jaxurban.io.read.city import lonlat_extent
+    from jaxurban.io.read.issues import listed_counts
+    from jaxurban.io.read.lidar import is_lidar, read_points
     from jaxurban.io.read.raster import RASTER_SUFFIXES, read_raster
     from jaxurban.settings import Buildings
     from jaxurban.world.grid import WGS84
 
     facts: Settings = {"bounds": _rounded(lonlat_extent(file))}  # as [region] bounds takes them
-    if file.suffix.lower() in RASTER_SUFFIXES:
-        raster = read_raster(file, WGS84)
+    has_points = is_lidar(file)
+    if has_points or file.suffix.lower() in RASTER_SUFFIXES:
+        if has_points:
+            points = read_points(file, Buildings(file))
+            raster = points.highest
+            facts["points"] = listed_counts(points.counts)
+        else:
+            raster = read_raster(file, WGS84)
         num_rows, num_cols = raster.values.shape
         facts |= {"CRS": raster.crs, "cells": f"{num_rows:,} x {num_cols:,}"}
         numbers: Settings = {"num_rows": num_rows, "num_cols": num_cols}

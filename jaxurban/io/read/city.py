@@ -32,6 +32,7 @@ from jaxurban.io.read.guesses import (
     warn_of,
 )
 from jaxurban.io.read.issues import ReadIssue
+from jaxurban.io.read.lidar import heights_of_points, is_lidar, read_points
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets
 from jaxurban.io.read.plausible import (
@@ -49,7 +50,7 @@ from jaxurban.io.read.raster import (
     read_raster,
     zero_is_ground,
 )
-from jaxurban.io.read.sampling import pixel_xy
+from jaxurban.io.read.sampling import heights_above, pixel_xy
 from jaxurban.io.read.sniff import sniff
 from jaxurban.io.read.tiles import ARCHIVE, READERS, read_tiles
 from jaxurban.io.read.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
@@ -89,7 +90,10 @@ COLUMNS_SAID = "height_column, ground_column and levels_column are for tables of
 GEOD = pyproj.Geod(ellps="WGS84")
 GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
 BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
-LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
+ROOF_RANGE_M = (
+    -100.0,
+    HIGHEST_M,
+)  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
 
@@ -106,6 +110,12 @@ def read_city(
     kinds: tuple[KindName, ...],
 ) -> City:
     """Return the city that files hold around a region; arguments, warnings and errors are as of `City.from_files`."""
+    # Lidar points are of the ground and of plants too. What was read of a file before may have changed.
+    read_points.cache_clear()
+    if is_lidar(located(buildings.source)):
+        terrain = replace(terrain, source=terrain.source or buildings.source)
+        vegetation = replace(vegetation, source=vegetation.source or buildings.source)
+
     # A sample city (`SAMPLES`) gives what the arguments leave out.
     sample = SAMPLES.get(sample_name(buildings.source) or "", {})
     if bounds is None and sample:
@@ -145,11 +155,22 @@ def read_city(
     ground = ground_extent_m = None
     guesses: Guesses = {}
     if terrain.source is not None:
-        ground = read_raster(terrain.source, crs, wide_m)
-        ground_extent_m = raster_extent_m(terrain.source, crs)
+        if is_lidar(terrain.source):
+            ground = read_points(terrain.source, buildings).ground
+            ground_extent_m = area_of_raster(ground, crs).bounds
+        else:
+            ground = read_raster(terrain.source, crs, wide_m)
+            ground_extent_m = raster_extent_m(terrain.source, crs)
         ground, guesses = filled_terrain(repr(str(terrain.source)), ground, crs, box_m)
     plants = None
-    if vegetation.source is not None:
+    if is_lidar(vegetation.source):
+        if ground is None:
+            raise InputError(
+                f"plants of the lidar points {str(vegetation.source)!r} stand on the ground: give its elevation as "
+                "[terrain] source, which may be the same file"
+            )
+        plants = heights_above(read_points(vegetation.source, buildings).plants, ground)
+    elif vegetation.source is not None:
         plants, plant_guesses = read_plants(vegetation.source, crs, wide_m, box_m)
         guesses |= plant_guesses
     source = read_buildings(
@@ -285,7 +306,7 @@ def read_buildings(
             raise InputError(f"[buildings] {what}, and {str(path)!r} is none: leave it out")
 
     if read is None:
-        return _read_roofs(path, crs, bounds_m, file.kind, terrain)
+        return _read_roofs(file, crs, bounds_m, terrain)
     if beside is not None:
         read = partial(read_vector, beside=located(beside))
     if bounds_m is not None:
@@ -310,9 +331,9 @@ def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
     if not path.exists():
         raise InputError(f"{str(path)!r} does not exist: check the path")
     suffix = path.suffix.lower()
-    if suffix in RASTER_SUFFIXES:
+    if suffix in RASTER_SUFFIXES or is_lidar(path):
         return None
-    kind = ARCHIVE if path.is_dir() else sniff(path)
+    kind = sniff(path) or (ARCHIVE if path.is_dir() else "")
     read = OUTLINE_READERS.get(kind) or OUTLINE_READERS.get(suffix)
     if read is None:
         known = ", ".join((*OUTLINE_READERS, *RASTER_SUFFIXES))
@@ -338,6 +359,8 @@ def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
     """
     file = Path(path)
     read = _reader_of(file, crs)
+    if is_lidar(path):
+        return area_of_raster(read_points(file, settings.Buildings(file)).highest, WGS84).bounds
     if read is None:
         return raster_extent_m(path, WGS84)
     box = header_box(path) if read is _read_osm else None
@@ -436,35 +459,37 @@ def _city_of(
 
 
 def _read_roofs(
-    path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None
+    file: settings.Buildings, crs: str, bounds_m: Bounds | None, terrain: Raster | None
 ) -> City:
-    """Return the city of a raster of heights.
+    """Return the city of a raster of heights, or of lidar points.
 
     Cells below 0, the noise of surface minus terrain, count as ground; a read issue says how many they are.
 
     Args:
-      path: path of the raster.
+      file: names it; its ``kind`` is ``"surface"`` for elevations of roofs and ground, ``"height"`` for heights.
       crs: projected CRS of the city.
       bounds_m: as of `read_buildings`.
-      kind: ``"surface"`` for elevations of roofs and ground, ``"height"`` for heights above ground.
       terrain: as of `read_buildings`.
 
     Raises:
       InputError: as of `read_buildings`.
     """
+    path = Path(file.source)
     name = repr(str(path))
-    raster = read_raster(path, crs, bounds_m)
     guesses: Guesses = {}
-    if kind == "surface":
-        roofs, issues = heights_of_surface(name, raster, terrain, crs)
+    if is_lidar(path):
+        roofs, issues = heights_of_points(name, read_points(path, file), terrain, crs)
+    elif file.kind == "surface":
+        surface = read_raster(path, crs, bounds_m)
+        roofs, issues = heights_of_surface(name, surface, terrain, crs)
     else:
-        raster, guesses = zero_is_ground(path, raster)
+        raster, guesses = zero_is_ground(path, read_raster(path, crs, bounds_m))
+        check_range(name, raster.values, ROOF_RANGE_M)
         check_is_no_surface(name, raster, crs)
         is_below = raster.values < 0
         roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
         issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
-    heights = raster if kind == "height" else roofs
-    check_range(name, heights.values, (LOWEST_ROOF_M, HIGHEST_M))
+    check_range(name, roofs.values, ROOF_RANGE_M)
     area = area_of_raster(roofs, crs)
     guesses |= pixel_guesses(roofs, crs)
     return City(crs, area.bounds, roofs=roofs, area=area, read_issues=issues, guesses=guesses)

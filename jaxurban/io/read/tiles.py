@@ -1,8 +1,9 @@
-"""City models: one file, or a folder or archive of tiles, which are joined."""
+"""City models, and folders and archives of these and of vector files, which are joined."""
 
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -14,9 +15,9 @@ from jaxurban.io.files import visible_files
 from jaxurban.io.read.bodies import outlines_of
 from jaxurban.io.read.citygml import read_citygml
 from jaxurban.io.read.cityjson import read_cityjson
-from jaxurban.io.read.outlines import Near, Outlines
+from jaxurban.io.read.outlines import Near, Outlines, joined
 from jaxurban.io.read.sniff import MOST_UNPACKED, sniff, unpacked
-from jaxurban.io.read.vector import OF_DAMAGED
+from jaxurban.io.read.vector import OF_DAMAGED, VECTOR_SUFFIXES, read_vector
 
 READERS = {".gml": read_citygml, ".city.json": read_cityjson}
 ARCHIVE = ".zip"
@@ -28,44 +29,55 @@ def read_tiles(
     file: settings.Buildings | None = None,
     crs: str | None = None,
 ) -> Outlines:
-    """Return the city objects of city models as outlines (see `body_of`).
+    """Return the objects of city models (see `body_of`) and the features of vector files as outlines.
 
     Args:
-      path: a file of CityGML or CityJSON, packed or not, or a folder or an archive of such files, and of archives.
-      near, file: not used: all is read, and there are no columns to name.
+      path: a file of CityGML or CityJSON, packed or not, or a folder or an archive of such files, of vector files (see
+        `read_vector`), and of archives.
+      near, file: as of `read_vector`; city models are read as a whole, and have no columns to name.
       crs: of all coordinates, in place of the one that the files declare.
 
     Raises:
-      InputError: no such file among others, of which a warning says how many they are, one that cannot be read, or an
-        archive with more in it than `MOST_UNPACKED`; as of `outlines_of`, so for tiles in several CRSs.
+      InputError: no such file among others, of which a warning says how many they are, one that cannot be read, an
+        archive with more in it than `MOST_UNPACKED`, or files in several CRSs; as of `outlines_of` and `read_vector`.
     """
     bodies: list[dict[str, Any]] = []
     crs_names: set[str] = set()
-    others = []
+    tables = []
+    kinds = {}  # of each file by its name
     for name, tile in _files(path, str(path)):
-        with (
-            readable(
-                tile, "a city model", "fetch it again", *OF_DAMAGED, ExpatError, what=repr(name)
-            ),
-            unpacked(tile) as plain,
-        ):
-            try:
-                read = READERS[sniff(plain)]
-            except (InputError, KeyError):  # of another format
-                others.append(name)
-            else:
-                bodies += read(plain, crs_names)
-    if not bodies:
+        kind = ""
+        with suppress(InputError):  # of a format that is known and not read
+            kind = sniff(tile)
+        kinds[name] = kind
+        if kind in READERS:
+            with (
+                readable(
+                    tile, "a city model", "fetch it again", *OF_DAMAGED, ExpatError, what=repr(name)
+                ),
+                unpacked(tile) as plain,
+            ):
+                bodies += READERS[kind](plain, crs_names)
+        elif kind in VECTOR_SUFFIXES:
+            tables.append(read_vector(tile, near, file, crs))
+    if bodies:
+        tables.append(outlines_of(path, bodies, {crs} if crs else crs_names - {""}))
+    if not tables:
         raise InputError(
-            f"{str(path)!r} holds no object of CityGML or CityJSON: unpack it if it is an archive, and name the file "
-            "of buildings that is in it"
+            f"{str(path)!r} holds no object of CityGML or CityJSON and no outlines: name the file of buildings"
         )
+
+    # What is beside them, but for the companions of Shapefiles.
+    stems = {Path(name).stem for name, kind in kinds.items() if kind == ".shp"}
+    read = (*READERS, *VECTOR_SUFFIXES)
+    others = [name for name in kinds if kinds[name] not in read and Path(name).stem not in stems]
     if others:
         warn(
-            f"{len(others)} files in {str(path)!r}, such as {others[0]!r}, are no city models and are left out",
+            f"{len(others)} files in {str(path)!r}, such as {others[0]!r}, hold no city model and no outlines, and are "
+            "left out",
             GuessWarning,
         )
-    return outlines_of(path, bodies, {crs} if crs else crs_names - {""})
+    return joined(path, tables)
 
 
 def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[str, Path]]:

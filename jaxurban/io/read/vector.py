@@ -20,11 +20,17 @@ from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.kinds import GROWN, IN_WORDS, KINDS
 from jaxurban.io.read.outlines import Near, Outlines, extent_of, near_rows
-from jaxurban.io.read.sniff import HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
+from jaxurban.io.read.sniff import DATABASE, HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
 from jaxurban.io.read.solids import openable, streamed
 from jaxurban.world.grid import WGS84, check_on_earth
 
-INDEXED_SUFFIXES = (".gpkg", ".shp", ".fgb")  # whose features are found by their boxes
+INDEXED_SUFFIXES = (
+    ".gpkg",
+    ".shp",
+    ".fgb",
+    ".sqlite",
+    DATABASE,
+)  # whose features are found by their boxes
 JSON_SUFFIXES = (".geojson", ".geojsonl")
 # What is read as outlines, by `sniff`; and other names of these formats.
 VECTOR_SUFFIXES = (*JSON_SUFFIXES, ".csv", *INDEXED_SUFFIXES, ".parquet")
@@ -33,6 +39,7 @@ OTHER_SUFFIXES = (".json", ".geoparquet")
 FORMATS = (*VECTOR_SUFFIXES, ".kml", ".gpx")
 DRIVERS = {".geojsonl": "GeoJSONSeq:", ".csv": "CSV:"}  # which GDAL would choose by the file's name
 CSV_OPTIONS = {"GEOM_POSSIBLE_NAMES": WKT_COLUMNS, "KEEP_GEOM_COLUMNS": "NO"}
+WKB_COLUMNS = ("geometry", "geom", "wkb", "wkb_geometry", "the_geom")  # of Parquet
 BUILDINGS = "buildings"  # the role, and the layer of several
 WHOLE = "give a whole one, with its companions"
 # Raised by readers.
@@ -137,10 +144,11 @@ def _read(
     for frame in frames:
         if crs is not None:
             frame.set_crs(crs, allow_override=True, inplace=True)
-        if kind == ".csv" and frame.crs is None:
+        if kind in (".csv", ".parquet") and frame.crs is None:
             frame.set_crs(WGS84, inplace=True)
             warn(
-                f"{name} cannot say its CRS: its coordinates are taken for longitude and latitude (EPSG:4326)",
+                f"{name} cannot say its CRS: its coordinates are taken for longitude and latitude (EPSG:4326); set "
+                "[buildings] crs if they are others",
                 GuessWarning,
             )
         _check(name, frame)
@@ -182,27 +190,27 @@ def _read_parquet(path: Path, file: str, named: Collection[str] | None) -> gpd.G
       file: its name, for messages.
       named: read only geometries, these columns, and those that describe buildings (`is_of_buildings`); None: all.
 
-    Raises:
-      InputError: it has no metadata on geometry.
+    Without metadata of GeoParquet shapes are WKB in a binary column, without a CRS.
     """
     import pyarrow.parquet as pq  # imported here: it takes 0.1 s to load, for which other formats need not wait
 
     schema = pq.read_schema(path)
     facts = (schema.metadata or {}).get(b"geo")
+    shapes = json.loads(facts or b"{}").get("columns", {})
     if facts is None:
-        binary = (field.name for field in schema if "binary" in str(field.type))
-        column = next(binary, "geometry")
-        raise InputError(
-            f"{file} is Parquet without the metadata `geo`: if {column!r} is its WKB in longitude and latitude, write "
-            "it again with `python -c \"import geopandas as g, pandas as p; t = p.read_parquet('IN'); t['geometry'] = "
-            f"g.GeoSeries.from_wkb(t['{column}']); g.GeoDataFrame(t, crs=4326).to_parquet('OUT')\"`"
-        )
-    shapes = json.loads(facts).get("columns", {})
+        # Of several binary columns the first that is named as one of shapes.
+        binary = [field.name for field in schema if "binary" in str(field.type)]
+        shapes = sorted(binary, key=lambda name: name.lower() not in WKB_COLUMNS)[:1]
     columns = [
         name
         for name in schema.names
         if name in shapes or named is None or is_of_buildings(name, named)
     ]
+    if facts is None:
+        frame = pd.read_parquet(path, columns=columns)
+        for name in shapes:
+            frame = gpd.GeoDataFrame(frame, geometry=gpd.GeoSeries.from_wkb(frame[name]))
+        return frame
     frame = gpd.read_parquet(path, columns=columns)
     frame.attrs = facts_of(schema.metadata)
     index = [name for name in frame.index.names if name is not None and name not in frame.columns]
@@ -220,12 +228,17 @@ def _checked_format(path: Path, plain: Path) -> str:
       InputError: a folder, or another format.
       ValueError: it does not begin as its suffix says, or refers to others.
     """
-    kind = "" if path.is_dir() else sniff(plain)
+    kind = sniff(plain)
+    if kind == DATABASE:
+        return kind
     if kind not in FORMATS:
         suffix = path.suffix.lower()
         if not kind and suffix == ".csv":
-            raise ValueError(
-                f"it has no column {WKT_COLUMNS.replace(',', ' or ')} of polygons as WKT"
+            raise InputError(
+                f"{str(path)!r} is a table without shapes, as it has no column {WKT_COLUMNS.replace(',', ' or ')} of "
+                "WKT: if columns are longitude and latitude, make points of it with `ogr2ogr -a_srs EPSG:4326 -oo "
+                "X_POSSIBLE_NAMES=LON -oo Y_POSSIBLE_NAMES=LAT points.gpkg FILE`, and name what stands there in "
+                "columns such as kind and height, or height_hub and rotor_diameter of wind turbines"
             )
         if not kind and suffix in (*FORMATS, *OTHER_SUFFIXES):
             raise ValueError(f"it does not begin as a {suffix} file does")
@@ -313,8 +326,8 @@ def _layers_of(source: str | bytes, name: str, role: str) -> list[str]:
     Raises:
       InputError: there is no such layer.
     """
-    layers = {str(layer): str(kind) for layer, kind in pyogrio.list_layers(source)}
-    if len(layers) == 1:
+    layers = {str(layer): str(kind) for layer, kind in pyogrio.list_layers(source) if kind}
+    if len(layers) < 2:
         return list(layers)
     areal = [
         layer
