@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import JSON_FLAG, PATH, Settings, print_json
+from jaxurban.io.read.sniff import LIDAR, sniff
 from jaxurban.io.samples import located
 
 
@@ -82,13 +83,13 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     from jaxurban.io.city import City
     from jaxurban.io.read.city import lonlat_extent
     from jaxurban.io.read.issues import listed_counts
-    from jaxurban.io.read.lidar import is_lidar, read_points
+    from jaxurban.io.read.lidar import read_points
     from jaxurban.io.read.raster import RASTER_SUFFIXES, read_raster
     from jaxurban.settings import Buildings
     from jaxurban.world.grid import WGS84
 
     facts: Settings = {"bounds": _rounded(lonlat_extent(file))}  # as [region] bounds takes them
-    has_points = is_lidar(file)
+    has_points = sniff(file) == LIDAR
     if has_points or file.suffix.lower() in RASTER_SUFFIXES:
         if has_points:
             points = read_points(file, Buildings(file))

@@ -32,7 +32,7 @@ from jaxurban.io.read.guesses import (
     warn_of,
 )
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.lidar import heights_of_points, is_lidar, read_points
+from jaxurban.io.read.lidar import heights_of_points, read_points
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets
 from jaxurban.io.read.plausible import (
@@ -51,7 +51,7 @@ from jaxurban.io.read.raster import (
     zero_is_ground,
 )
 from jaxurban.io.read.sampling import heights_above, pixel_xy
-from jaxurban.io.read.sniff import sniff
+from jaxurban.io.read.sniff import LIDAR, sniff
 from jaxurban.io.read.tiles import ARCHIVE, READERS, read_tiles
 from jaxurban.io.read.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
 from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
@@ -112,7 +112,7 @@ def read_city(
     """Return the city that files hold around a region; arguments, warnings and errors are as of `City.from_files`."""
     # Lidar points are of the ground and of plants too. What was read of a file before may have changed.
     read_points.cache_clear()
-    if is_lidar(located(buildings.source)):
+    if sniff(located(buildings.source)) == LIDAR:
         terrain = replace(terrain, source=terrain.source or buildings.source)
         vegetation = replace(vegetation, source=vegetation.source or buildings.source)
 
@@ -155,7 +155,7 @@ def read_city(
     ground = ground_extent_m = None
     guesses: Guesses = {}
     if terrain.source is not None:
-        if is_lidar(terrain.source):
+        if sniff(terrain.source) == LIDAR:
             ground = read_points(terrain.source, buildings).ground
             ground_extent_m = area_of_raster(ground, crs).bounds
         else:
@@ -163,7 +163,7 @@ def read_city(
             ground_extent_m = raster_extent_m(terrain.source, crs)
         ground, guesses = filled_terrain(repr(str(terrain.source)), ground, crs, box_m)
     plants = None
-    if is_lidar(vegetation.source):
+    if vegetation.source is not None and sniff(vegetation.source) == LIDAR:
         if ground is None:
             raise InputError(
                 f"plants of the lidar points {str(vegetation.source)!r} stand on the ground: give its elevation as "
@@ -331,7 +331,7 @@ def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
     if not path.exists():
         raise InputError(f"{str(path)!r} does not exist: check the path")
     suffix = path.suffix.lower()
-    if suffix in RASTER_SUFFIXES or is_lidar(path):
+    if suffix in RASTER_SUFFIXES or sniff(path) == LIDAR:
         return None
     kind = sniff(path) or (ARCHIVE if path.is_dir() else "")
     read = OUTLINE_READERS.get(kind) or OUTLINE_READERS.get(suffix)
@@ -359,7 +359,7 @@ def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
     """
     file = Path(path)
     read = _reader_of(file, crs)
-    if is_lidar(path):
+    if sniff(path) == LIDAR:
         return area_of_raster(read_points(file, settings.Buildings(file)).highest, WGS84).bounds
     if read is None:
         return raster_extent_m(path, WGS84)
@@ -477,7 +477,7 @@ def _read_roofs(
     path = Path(file.source)
     name = repr(str(path))
     guesses: Guesses = {}
-    if is_lidar(path):
+    if sniff(path) == LIDAR:
         roofs, issues = heights_of_points(name, read_points(path, file), terrain, crs)
     elif file.kind == "surface":
         surface = read_raster(path, crs, bounds_m)

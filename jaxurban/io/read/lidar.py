@@ -16,7 +16,7 @@ from jaxurban import settings
 from jaxurban.errors import InputError, readable
 from jaxurban.io.read.issues import ReadIssues
 from jaxurban.io.read.raster import heights_of_surface, unit_of_heights_m
-from jaxurban.io.read.sniff import LIDAR, in_own_words, sniff
+from jaxurban.io.read.sniff import in_own_words
 from jaxurban.world.grid import check_on_earth
 from jaxurban.world.raster import Raster
 
@@ -55,11 +55,6 @@ class Points(NamedTuple):
     plants: Raster
     highest: Raster
     counts: dict[str, int]
-
-
-def is_lidar(path: str | Path | None) -> bool:
-    """Return whether a file is named and holds lidar points, by its content; see `sniff` for errors."""
-    return path is not None and sniff(path) == LIDAR
 
 
 def heights_of_points(
@@ -108,7 +103,7 @@ def read_points(path: str | Path, file: settings.Buildings) -> Points:
     ):
         header = reader.header
         is_source = str(path) == str(file.source)
-        declared = getattr(file, "crs", None) if is_source else None
+        declared = file.crs if is_source else None
         crs = None
         with suppress(CRSError):
             crs = pyproj.CRS(declared) if declared else header.parse_crs()

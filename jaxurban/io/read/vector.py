@@ -39,7 +39,6 @@ OTHER_SUFFIXES = (".json", ".geoparquet")
 FORMATS = (*VECTOR_SUFFIXES, ".kml", ".gpx")
 DRIVERS = {".geojsonl": "GeoJSONSeq:", ".csv": "CSV:"}  # which GDAL would choose by the file's name
 CSV_OPTIONS = {"GEOM_POSSIBLE_NAMES": WKT_COLUMNS, "KEEP_GEOM_COLUMNS": "NO"}
-WKB_COLUMNS = ("geometry", "geom", "wkb", "wkb_geometry", "the_geom")  # of Parquet
 BUILDINGS = "buildings"  # the role, and the layer of several
 WHOLE = "give a whole one, with its companions"
 # Raised by readers.
@@ -190,7 +189,7 @@ def _read_parquet(path: Path, file: str, named: Collection[str] | None) -> gpd.G
       file: its name, for messages.
       named: read only geometries, these columns, and those that describe buildings (`is_of_buildings`); None: all.
 
-    Without metadata of GeoParquet shapes are WKB in a binary column, without a CRS.
+    Without metadata of GeoParquet shapes are WKB in the first binary column, without a CRS.
     """
     import pyarrow.parquet as pq  # imported here: it takes 0.1 s to load, for which other formats need not wait
 
@@ -198,9 +197,7 @@ def _read_parquet(path: Path, file: str, named: Collection[str] | None) -> gpd.G
     facts = (schema.metadata or {}).get(b"geo")
     shapes = json.loads(facts or b"{}").get("columns", {})
     if facts is None:
-        # Of several binary columns the first that is named as one of shapes.
-        binary = [field.name for field in schema if "binary" in str(field.type)]
-        shapes = sorted(binary, key=lambda name: name.lower() not in WKB_COLUMNS)[:1]
+        shapes = [field.name for field in schema if "binary" in str(field.type)][:1]
     columns = [
         name
         for name in schema.names
