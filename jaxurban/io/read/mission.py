@@ -32,12 +32,26 @@ https://mavlink.io/en/file_formats/#mission_plain_text_file.
 
 import csv
 import math
+import shlex
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from zipfile import BadZipFile
+
+import pandas as pd
 
 from jaxurban.checks import finite, one_of, positive
 from jaxurban.errors import InputError, readable
+from jaxurban.io.read.mission_dji import read_wpml, unzipped
 from jaxurban.io.read.mission_items import read_plan, read_waypoints
-from jaxurban.io.read.mission_lines import READERS, read_lines
+from jaxurban.io.read.mission_lines import (
+    Shapes,
+    csv_lines,
+    geojson_lines,
+    mission_of_lines,
+    xml_lines,
+)
 from jaxurban.io.read.mission_parts import (
     DATUMS,
     DamagedError,
@@ -48,19 +62,34 @@ from jaxurban.io.read.mission_parts import Datum as Datum
 from jaxurban.io.read.mission_parts import Leg as Leg
 from jaxurban.io.read.mission_parts import Mission as Mission
 from jaxurban.io.read.mission_parts import Place as Place
+from jaxurban.io.read.tracks import LAT, LON, UTC, track_of
+from jaxurban.io.read.ulog import ulog_lines
 
 ITEM_READERS = {".plan": read_plan, ".waypoints": read_waypoints, ".txt": read_waypoints}
-SUFFIXES = (*ITEM_READERS, *READERS)
-MOST_BYTES = 2**24  # some 20,000 items of a .plan
+LINE_READERS: dict[str, Callable[[Path, bytes], Shapes]] = {
+    ".kml": xml_lines,
+    ".gpx": xml_lines,
+    ".geojson": geojson_lines,
+    ".json": geojson_lines,
+    ".csv": csv_lines,
+    ".ulg": ulog_lines,
+}
+SUFFIXES = (*ITEM_READERS, ".kmz", ".wpml", *LINE_READERS)
+ARDUPILOT_LOGS = (".bin", ".log", ".tlog")
+MOST_MB = 16  # some 20,000 items of a .plan
+MOST_LOG_MB = 1024  # of a ULog
 # What Python and libraries raise for what is missing, or of another kind than it should be.
 BROKEN = (
     AttributeError,
+    BadZipFile,
+    EOFError,
     LookupError,
     OverflowError,
-    RecursionError,
+    RuntimeError,
     TypeError,
     ValueError,
     csv.Error,
+    zlib.error,
 )
 
 
@@ -86,11 +115,7 @@ def read_mission(
         ``heights`` says what they are above, or of which both say it.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(
-            f"cannot determine the format of {str(path)!r}: end its name in one of {', '.join(SUFFIXES)}"
-        )
+    suffix = _suffix_of(path, SUFFIXES)
     if heights is not None:
         one_of("heights", heights, DATUMS)
     if home is not None:
@@ -106,20 +131,67 @@ def read_mission(
     if return_altitude_m is not None:
         return_m = positive("return_altitude_m", return_altitude_m)
 
-    with readable(path, "a mission", "save it again in the tool that made it"):
-        if path.stat().st_size > MOST_BYTES:
-            raise InputError(
-                f"{str(path)!r} holds more than 16 MB, which no mission does: name another file"
-            )
-        if heights is not None and suffix in ITEM_READERS:
+    with _bytes_of(path) as data:
+        template = b""
+        if suffix == ".kmz":
+            suffix, data, template = unzipped(data)
+        if suffix in LINE_READERS:
+            return mission_of_lines(path.name, *LINE_READERS[suffix](path, data), heights, home)
+        if heights is not None:
             raise InputError(
                 f"{path.name!r} says for each item what its height is above: leave heights={heights!r} out"
             )
-        data = path.read_bytes()
+        if suffix == ".wpml":
+            return read_wpml(data, template, path.name, home, return_m)
+        return ITEM_READERS[suffix](data, path.name, home, return_m)
+
+
+def read_flight(path: str | Path) -> pd.DataFrame:
+    """Return ``utc``, ``lon_deg`` and ``lat_deg`` of a flight with times: GPX, Track of KML, ULog.
+
+    Raises:
+      InputError: as of `read_mission`, or a point without a time.
+    """
+    path = Path(path)
+    suffix = _suffix_of(path, LINE_READERS)
+    with _bytes_of(path) as data:
+        shapes, _ = LINE_READERS[suffix](path, data)
+        rows = [
+            (time, *point[:2])
+            for shape in shapes
+            for time, point in zip(shape.times, shape.points, strict=bool(shape.times))
+        ]
+    if not rows:
+        raise InputError(f"{str(path)!r} holds no times: give the speed of the flight (--speed)")
+    return track_of(pd.DataFrame(rows, columns=[UTC, LON, LAT]), f"the track {str(path)!r}")
+
+
+def _suffix_of(path: Path, suffixes: Iterable[str]) -> str:
+    """Return the suffix of a mission's file; InputError of one that is not among ``suffixes``."""
+    suffix = path.suffix.lower()
+    if suffix in ARDUPILOT_LOGS:
+        raise InputError(
+            f"{str(path)!r} is a log of ArduPilot, which is not read: make GPX of it with "
+            f"`TZ=UTC mavtogpx.py {shlex.quote(str(path))}` of pymavlink, and name {path.name}.gpx"
+        )
+    if suffix not in suffixes:
+        raise InputError(
+            f"cannot determine the format of {str(path)!r}: end its name in one of {', '.join(suffixes)}"
+        )
+    return suffix
+
+
+@contextmanager
+def _bytes_of(path: Path) -> Iterator[bytes]:
+    """Yield the bytes of a mission's file, and say of what the block cannot read of it that it is damaged."""
+    with readable(path, "a mission", "save it again in the tool that made it"):
+        most_mb = MOST_LOG_MB if path.suffix.lower() == ".ulg" else MOST_MB
+        if path.stat().st_size > most_mb * 2**20:
+            raise InputError(
+                f"{str(path)!r} holds more than {most_mb} MB, which no mission does: name another file"
+            )
         try:
-            if suffix in READERS:
-                return read_lines(path, data, heights, home)
-            return ITEM_READERS[suffix](data, path.name, home, return_m)
+            yield path.read_bytes()
         except (InputError, DamagedError):
             raise
         except BROKEN as error:

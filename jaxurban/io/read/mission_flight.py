@@ -23,7 +23,7 @@ from jaxurban.io.read.mission_parts import (
     Profile,
 )
 
-Autopilot = Literal["ardupilot", "px4", "unknown"]
+Autopilot = Literal["ardupilot", "px4", "dji", "unknown"]
 
 WAYPOINT = 16
 RETURN = 20
@@ -33,6 +33,7 @@ SPLINE = 82
 JUMP = 177
 SPEED = 178
 SET_HOME = 179
+APPROACH = -2  # no command of MAVLink's: the first waypoint of DJI's drones, with the way there from the ground at home
 TAKEOFFS = (TAKEOFF, 24, 84)
 LANDINGS = (LAND, 85)
 OF_AEROPLANES = (84, 85, 3000)  # take-off, landing and transition of VTOL
@@ -78,6 +79,9 @@ MOST_RADIUS_M = 255.0
 # RTL_CONE_ANG of 45 degrees within RTL_MIN_DIST.
 CONE_SLOPE, LEAST_RETURN_M = 3.0, 2.0
 CONE_REACH_M = 10.0
+DJI_NEAR_M = (
+    50.0  # from home, within which most of DJI's drones return at the height that they have
+)
 HAS_HEIGHT = (*TAKEOFFS, WAYPOINT, *LOITERS)  # commands whose items have a height to fly to
 PLACED = (*HAS_HEIGHT, *LANDINGS)
 
@@ -271,6 +275,8 @@ class FlownItems:
             self._pass_over(item, f"command {command} at half a place")
         elif command in TAKEOFFS:
             self._take_off(item)
+        elif command == APPROACH:
+            self._approach(item)
         elif command == WAYPOINT:
             self._fly_to(item, beside=self._beside_zero(item))
         elif command in LOITERS:
@@ -441,6 +447,28 @@ class FlownItems:
         if item.has_place:
             self._fly_to(item, beside=above if self._autopilot == "unknown" else None)
 
+    def _approach(self, item: Item) -> None:
+        """Climb at home to a height, or to that of the first waypoint where it is higher, and fly there level.
+
+        The parameters of the item are the height above home in metres, and whether a drone flies from this height
+        straight to a waypoint that is not lower.
+        """
+        ground = self._state.ground
+        if ground is None:
+            self._fly_to(item)
+            return
+        level_m, is_slanted = item.params
+        home = ground.lon, ground.lat
+        first = Place(item.lon, item.lat, item.height_m, item.datum or "home")
+        way = [*reversed(_way_home(first, home, level_m))]
+        is_lower = first.datum == "home" and first.height_m < level_m
+        if is_slanted and not is_lower:
+            way = [Place(*home, level_m, "home"), first]
+        self._state = self._state._replace(at=ground)
+        self._move(item, way[0], "climb")
+        for place in way[1:]:
+            self._move(item, place)
+
     def _leave_circle(self, item: Item) -> None:
         """Say, where autopilots differ in where the vehicle is, that the way of one of them is not judged."""
         if self._state.beside:
@@ -555,6 +583,8 @@ class FlownItems:
         if math.isnan(most_m):
             return [most_m]
         _, _, apart_m = GEOD.inv(at.lon, at.lat, *home)
+        if self._autopilot == "dji":
+            return [0.0, most_m] if apart_m <= DJI_NEAR_M else [most_m]
         heights_m = {most_m}
         if self._autopilot != "px4":
             heights_m.add(min(most_m, max(CONE_SLOPE * apart_m, LEAST_RETURN_M)))

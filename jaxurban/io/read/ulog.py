@@ -1,0 +1,44 @@
+"""Flights from the logs of PX4 (ULog), by ``pyulog``: the fixes of the receiver."""
+
+import io
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import numpy as np
+
+from jaxurban.errors import InputError
+from jaxurban.io.read.mission_lines import Line, Shapes
+from jaxurban.io.read.sniff import in_own_words
+
+TOPICS = ["sensor_gps", "vehicle_gps_position"]  # the last that is there counts
+# Fields of old logs, whole numbers of 1e-7 degrees and of millimetres, and of new ones, in degrees and metres.
+OLD = {"lon": 1e-7, "lat": 1e-7, "alt": 1e-3}
+NEW = {"longitude_deg": 1.0, "latitude_deg": 1.0, "altitude_msl_m": 1.0}
+LEAST_FIX = 3  # fix_type of a fix with a height
+
+
+def ulog_lines(path: Path, data: bytes) -> Shapes:
+    """Return the fixes of a log as one line above the geoid, with their times.
+
+    Raises:
+      InputError: ``pyulog`` is not installed, or the log holds no fix.
+      ValueError: the file cannot be read.
+    """
+    try:
+        from pyulog import ULog
+    except ImportError as error:
+        raise InputError("ULog is read by pyulog: pip install 'jaxurban[ulog]'") from error
+    with in_own_words(Exception), redirect_stdout(io.StringIO()):
+        log = ULog(io.BytesIO(data), TOPICS)
+    topic = max(log.data_list, key=lambda each: each.name, default=None)
+    if topic is None:
+        raise InputError(f"{path.name!r} holds no fix: log {' or '.join(TOPICS)}")
+    fields = topic.data
+    is_fix = fields["fix_type"] >= LEAST_FIX
+    units = OLD if "lon" in fields else NEW
+    points = np.column_stack([fields[name][is_fix] * unit for name, unit in units.items()])
+    times = np.datetime_as_string(
+        fields["time_utc_usec"][is_fix].astype("datetime64[us]"), timezone="UTC"
+    )
+    line = Line("fixes", [*map(tuple, points.tolist())], "geoid", times=times.tolist())
+    return [line], len(is_fix) + log.file_corruption
