@@ -250,7 +250,10 @@ def test_a_jump_that_leads_to_no_item_is_not_judged(read, target):
 @pytest.mark.parametrize(
     ("strange", "what"),
     [
-        (SURVEY, "item 3 is a survey (ComplexItem), which is not read"),
+        (
+            SURVEY,
+            "item 3 is a survey without its waypoints (open and save it in QGroundControl), which is not read",
+        ),
         (item(SPLINE, at=2), "item 3 is a spline waypoint, which is not read"),
         (item(94, at=2), "item 3 is command 94, which is not read"),
         (item(192, at=2), "item 3 is command 192, which is not read"),  # DO_REPOSITION

@@ -32,9 +32,8 @@ https://mavlink.io/en/file_formats/#mission_plain_text_file.
 
 import csv
 import math
-import shlex
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from zipfile import BadZipFile
@@ -45,13 +44,7 @@ from jaxurban.checks import finite, one_of, positive
 from jaxurban.errors import InputError, readable
 from jaxurban.io.read.mission_dji import read_wpml, unzipped
 from jaxurban.io.read.mission_items import read_plan, read_waypoints
-from jaxurban.io.read.mission_lines import (
-    Shapes,
-    csv_lines,
-    geojson_lines,
-    mission_of_lines,
-    xml_lines,
-)
+from jaxurban.io.read.mission_lines import csv_lines, geojson_lines, mission_of_lines, xml_lines
 from jaxurban.io.read.mission_parts import (
     DATUMS,
     DamagedError,
@@ -66,7 +59,7 @@ from jaxurban.io.read.tracks import LAT, LON, UTC, track_of
 from jaxurban.io.read.ulog import ulog_lines
 
 ITEM_READERS = {".plan": read_plan, ".waypoints": read_waypoints, ".txt": read_waypoints}
-LINE_READERS: dict[str, Callable[[Path, bytes], Shapes]] = {
+LINE_READERS = {
     ".kml": xml_lines,
     ".gpx": xml_lines,
     ".geojson": geojson_lines,
@@ -76,8 +69,7 @@ LINE_READERS: dict[str, Callable[[Path, bytes], Shapes]] = {
 }
 SUFFIXES = (*ITEM_READERS, ".kmz", ".wpml", *LINE_READERS)
 ARDUPILOT_LOGS = (".bin", ".log", ".tlog")
-MOST_MB = 16  # some 20,000 items of a .plan
-MOST_LOG_MB = 1024  # of a ULog
+MOST_BYTES = 2**24  # some 20,000 items of a .plan
 # What Python and libraries raise for what is missing, or of another kind than it should be.
 BROKEN = (
     AttributeError,
@@ -115,7 +107,6 @@ def read_mission(
         ``heights`` says what they are above, or of which both say it.
     """
     path = Path(path)
-    suffix = _suffix_of(path, SUFFIXES)
     if heights is not None:
         one_of("heights", heights, DATUMS)
     if home is not None:
@@ -131,7 +122,7 @@ def read_mission(
     if return_altitude_m is not None:
         return_m = positive("return_altitude_m", return_altitude_m)
 
-    with _bytes_of(path) as data:
+    with _opened(path, SUFFIXES) as (suffix, data):
         template = b""
         if suffix == ".kmz":
             suffix, data, template = unzipped(data)
@@ -153,45 +144,38 @@ def read_flight(path: str | Path) -> pd.DataFrame:
       InputError: as of `read_mission`, or a point without a time.
     """
     path = Path(path)
-    suffix = _suffix_of(path, LINE_READERS)
-    with _bytes_of(path) as data:
+    with _opened(path, LINE_READERS) as (suffix, data):
         shapes, _ = LINE_READERS[suffix](path, data)
         rows = [
             (time, *point[:2])
             for shape in shapes
-            for time, point in zip(shape.times, shape.points, strict=bool(shape.times))
+            if any(shape.times)
+            for time, point in zip(shape.times, shape.points, strict=True)
         ]
     if not rows:
         raise InputError(f"{str(path)!r} holds no times: give the speed of the flight (--speed)")
     return track_of(pd.DataFrame(rows, columns=[UTC, LON, LAT]), f"the track {str(path)!r}")
 
 
-def _suffix_of(path: Path, suffixes: Iterable[str]) -> str:
-    """Return the suffix of a mission's file; InputError of one that is not among ``suffixes``."""
+@contextmanager
+def _opened(path: Path, suffixes: Iterable[str]) -> Iterator[tuple[str, bytes]]:
+    """Yield the suffix of a mission's file, one of ``suffixes``, and its bytes, and name it in errors."""
     suffix = path.suffix.lower()
     if suffix in ARDUPILOT_LOGS:
         raise InputError(
-            f"{str(path)!r} is a log of ArduPilot, which is not read: make GPX of it with "
-            f"`TZ=UTC mavtogpx.py {shlex.quote(str(path))}` of pymavlink, and name {path.name}.gpx"
+            f"{path.name!r} is a log of ArduPilot: make GPX of it with `TZ=UTC mavtogpx.py FILE` of pymavlink"
         )
     if suffix not in suffixes:
         raise InputError(
             f"cannot determine the format of {str(path)!r}: end its name in one of {', '.join(suffixes)}"
         )
-    return suffix
-
-
-@contextmanager
-def _bytes_of(path: Path) -> Iterator[bytes]:
-    """Yield the bytes of a mission's file, and say of what the block cannot read of it that it is damaged."""
     with readable(path, "a mission", "save it again in the tool that made it"):
-        most_mb = MOST_LOG_MB if path.suffix.lower() == ".ulg" else MOST_MB
-        if path.stat().st_size > most_mb * 2**20:
+        if path.stat().st_size > MOST_BYTES and suffix != ".ulg":
             raise InputError(
-                f"{str(path)!r} holds more than {most_mb} MB, which no mission does: name another file"
+                f"{str(path)!r} holds more than 16 MB, which no mission does: name another file"
             )
         try:
-            yield path.read_bytes()
+            yield suffix, path.read_bytes()
         except (InputError, DamagedError):
             raise
         except BROKEN as error:

@@ -33,7 +33,6 @@ SPLINE = 82
 JUMP = 177
 SPEED = 178
 SET_HOME = 179
-APPROACH = -2  # no command of MAVLink's: the first waypoint of DJI's drones, with the way there from the ground at home
 TAKEOFFS = (TAKEOFF, 24, 84)
 LANDINGS = (LAND, 85)
 OF_AEROPLANES = (84, 85, 3000)  # take-off, landing and transition of VTOL
@@ -275,8 +274,6 @@ class FlownItems:
             self._pass_over(item, f"command {command} at half a place")
         elif command in TAKEOFFS:
             self._take_off(item)
-        elif command == APPROACH:
-            self._approach(item)
         elif command == WAYPOINT:
             self._fly_to(item, beside=self._beside_zero(item))
         elif command in LOITERS:
@@ -446,28 +443,6 @@ class FlownItems:
         self._move(item, above, "climb")
         if item.has_place:
             self._fly_to(item, beside=above if self._autopilot == "unknown" else None)
-
-    def _approach(self, item: Item) -> None:
-        """Climb at home to a height, or to that of the first waypoint where it is higher, and fly there level.
-
-        The parameters of the item are the height above home in metres, and whether a drone flies from this height
-        straight to a waypoint that is not lower.
-        """
-        ground = self._state.ground
-        if ground is None:
-            self._fly_to(item)
-            return
-        level_m, is_slanted = item.params
-        home = ground.lon, ground.lat
-        first = Place(item.lon, item.lat, item.height_m, item.datum or "home")
-        way = [*reversed(_way_home(first, home, level_m))]
-        is_lower = first.datum == "home" and first.height_m < level_m
-        if is_slanted and not is_lower:
-            way = [Place(*home, level_m, "home"), first]
-        self._state = self._state._replace(at=ground)
-        self._move(item, way[0], "climb")
-        for place in way[1:]:
-            self._move(item, place)
 
     def _leave_circle(self, item: Item) -> None:
         """Say, where autopilots differ in where the vehicle is, that the way of one of them is not judged."""

@@ -51,17 +51,29 @@ KML_PARTS = {
     "Track": {"coord", "altitudeMode", "extrude", "tessellate", "when", "angles", "ExtendedData"},
     "MultiTrack": {"Track", "interpolate"},
 }
+# Columns by which logs of AirData and missions of Litchi are known, and which others of theirs are flown.
+ABOVE_TAKEOFF, CURVE, MODE = "height_above_takeoff", "curvesize", "altitudemode"
+FLOWN = {
+    ABOVE_TAKEOFF: ("longitude", "latitude", ABOVE_TAKEOFF),
+    CURVE: ("longitude", "latitude", "altitude"),
+}
+LITCHI_MODES: dict[str, Datum] = {"0": "home", "1": "ground"}
 COLUMNS = {
     "longitude": ("lon", "lon_deg", "longitude", "longitude_deg", "lng", "long"),
     "latitude": ("lat", "lat_deg", "latitude", "latitude_deg"),
-    "height": (ALTITUDE_PROPERTY, "height_m", "alt_m", "altitude", "height", "alt", "ele"),
+    "height": (
+        ALTITUDE_PROPERTY,
+        "height_m",
+        "alt_m",
+        "altitude",
+        "height",
+        "alt",
+        "ele",
+        ABOVE_TAKEOFF,
+    ),
 }
-# Metres of the units that may stand in brackets behind the name of a column.
-UNITS_M = {"m": 1.0, "meters": 1.0, "metres": 1.0, "ft": 0.3048, "feet": 0.3048}
-UNIT = re.compile(rf" ?\(({'|'.join(UNITS_M)})\)")
-# Columns of AirData's logs and of Litchi's missions, whose further heights, modes and units do not change the way.
-ABOVE_TAKEOFF, CURVE, LITCHI_MODE = "height_above_takeoff", "curvesize", "altitudemode"
-LITCHI_MODES: dict[str, Datum] = {"0": "home", "1": "ground"}
+UNIT = re.compile(r" ?\((m|meters|metres|ft|feet)\)")  # behind the name of a column
+FOOT_M = 0.3048
 # In names of columns and properties that say how others are meant, and values that say what is taken anyway.
 QUALIFIER = re.compile(r"(units?|mode|frame|datum|system|command)(?![a-z])", re.IGNORECASE)
 HARMLESS = ("", "m", "meter", "meters", "metre", "metres", "wgs84", "wgs 84", "epsg:4326")
@@ -161,7 +173,7 @@ def mission_of_lines(
     legs: list[Leg] = []
     last = 0  # number of the last point
     for line in lines:
-        datum = _datum(name, line.datum, heights)
+        datum = _datum(name, (*line.datums, line.datum)[0], heights)
         for number, point in enumerate(line.points, last + 1):
             what = f"point {number}"
             for part, value in zip(COLUMNS, point, strict=True):
@@ -181,10 +193,10 @@ def mission_of_lines(
             places.insert(0, over_home)
         profile: Profile = "both" if datum == "ground" and not line.is_own else "frame"
         ways = _ways(places, last, "straight" if line.datums else profile)
-        if line.cuts_m:
-            turns_m = [max(CORNER_M, cut_m) for cut_m in line.cuts_m]
-            ways = [way._replace(turn_m=turns_m[way.item - last - 1]) for way in ways]
-        legs += ways
+        cuts_m = line.cuts_m or [CORNER_M] * len(
+            line.points
+        )  # by the number of the point, from the last one
+        legs += [way._replace(turn_m=max(CORNER_M, cuts_m[way.item - last - 1])) for way in ways]
         beside = [
             Place(lon, lat, height_m, "ground")
             for (lon, lat, _), height_m in zip(line.points, line.beside_m, strict=False)
@@ -340,10 +352,7 @@ def xml_lines(path: Path, data: bytes) -> Shapes:
     for element in root.iter():
         is_own = is_own or element.get("name") == OWN_DATA
         if tag_of(element) == DJI_TEMPLATE:
-            raise InputError(
-                f"{path.name!r} is a template of DJI's, without the way that a drone flies: save the mission in DJI "
-                "Pilot or FlightHub, and name its .kmz or the waylines.wpml in it"
-            )
+            raise DamagedError("it is DJI's template, which no drone flies: name a waylines.wpml")
         if tag_of(element) == "ele" and element.attrib:
             raise DamagedError("an ele has attributes: take them out if it is in metres")
         for key, value in ((element.tag, element.text), *element.items()):
@@ -408,8 +417,6 @@ def _gpx_line(element: Element, is_own: bool) -> Line:
     ]
     beside_m = [decimal_of("a height", text) for text in described if any(described)]
     times = [text_of(node, "time") for node in nodes]
-    if not any(times):
-        times = []
     return Line(tag_of(element), points, datum, is_own, beside_m=beside_m, times=times)
 
 
@@ -526,7 +533,7 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
     """Return the rows of a table as one line; only a log of AirData says what its heights are above: the take-off.
 
     The columns of longitude, latitude and height have one of their names in `COLUMNS`, in capitals or not, and maybe a
-    unit behind it (`UNITS_M`). Where two have one, they must agree to a centimetre.
+    unit behind it (`UNIT`). Where two have one, they must agree to a centimetre.
 
     Raises:
       InputError: the table lacks one of the three, has two that differ, or names another CRS than WGS 84.
@@ -546,15 +553,12 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
     columns = [*zip_longest(header, *rows, fillvalue="")]
     names = [re.sub(r"\.\d+$", "", UNIT.sub("", name.strip().lower())) for name in header]
     column_of = dict(zip(names, columns, strict=True))
-    height = ABOVE_TAKEOFF if ABOVE_TAKEOFF in names else "altitude"
-    is_known = ABOVE_TAKEOFF in names or CURVE in names
-    if is_known:
-        names = ["longitude", "latitude", "altitude"]
-        columns = [column_of[name] for name in (*names[:2], height)]
+    flown = next((flown for mark, flown in FLOWN.items() if mark in names), names)
+    names = [name if name in flown else "" for name in names]
     for name, (title, *cells) in zip(names, columns, strict=True):
         for cell in set(cells):
             _check_crs(path, name, cell)
-            if _is_odd(title, cell):
+            if _is_odd(name, cell):
                 raise InputError(
                     f"{path.name!r} has the column {title!r}, which is not read: "
                     "take it out if it does not change the way"
@@ -576,19 +580,18 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
                 f"{path.name!r} has the columns {titles} of {quantity}, which differ: keep the one that is flown"
             )
         values.append(numbers[0])
-    line = Line("table", list(zip(*values, strict=True)), "home" if is_known else None)
-    if CURVE in column_of:
-        _, *modes = column_of.get(LITCHI_MODE, [""])
+    line = Line("table", list(zip(*values, strict=True)))
+    if ABOVE_TAKEOFF in names:
+        line = line._replace(datum="home")
+    elif CURVE in column_of:
+        _, *modes = column_of.get(MODE, [MODE])
         datums = [LITCHI_MODES[mode.strip()] for mode in modes]
-        line = line._replace(
-            datum=line.datum if datums else None, datums=datums, cuts_m=_metres(column_of[CURVE])
-        )
+        line = line._replace(datums=datums, cuts_m=_metres(column_of[CURVE]))
     return [line], len(rows)
 
 
 def _metres(column: Sequence[str]) -> list[float]:
     """Return the numbers of a column, a title and cells, in metres if its title names a unit of these."""
     title, *cells = column
-    unit = UNIT.search(title.lower())
-    unit_m = UNITS_M[unit[1]] if unit else 1.0
+    unit_m = FOOT_M if "(f" in title.lower() else 1.0
     return [decimal_of(f"a {title}", cell) * unit_m for cell in cells]

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.mission_lines import Line, Shapes
+from jaxurban.io.read.mission_parts import DamagedError
 from jaxurban.io.read.sniff import in_own_words
 
 TOPICS = ["sensor_gps", "vehicle_gps_position"]  # the last that is there counts
@@ -21,8 +22,8 @@ def ulog_lines(path: Path, data: bytes) -> Shapes:
     """Return the fixes of a log as one line above the geoid, with their times.
 
     Raises:
-      InputError: ``pyulog`` is not installed, or the log holds no fix.
-      ValueError: the file cannot be read.
+      InputError: ``pyulog`` is not installed.
+      ValueError: the file cannot be read, or holds no fix.
     """
     try:
         from pyulog import ULog
@@ -30,15 +31,13 @@ def ulog_lines(path: Path, data: bytes) -> Shapes:
         raise InputError("ULog is read by pyulog: pip install 'jaxurban[ulog]'") from error
     with in_own_words(Exception), redirect_stdout(io.StringIO()):
         log = ULog(io.BytesIO(data), TOPICS)
-    topic = max(log.data_list, key=lambda each: each.name, default=None)
-    if topic is None:
-        raise InputError(f"{path.name!r} holds no fix: log {' or '.join(TOPICS)}")
-    fields = topic.data
+    if not log.data_list:
+        raise DamagedError(f"it holds none of {' and '.join(TOPICS)}")
+    fields = max(log.data_list, key=lambda topic: topic.name).data
     is_fix = fields["fix_type"] >= LEAST_FIX
     units = OLD if "lon" in fields else NEW
     points = np.column_stack([fields[name][is_fix] * unit for name, unit in units.items()])
-    times = np.datetime_as_string(
-        fields["time_utc_usec"][is_fix].astype("datetime64[us]"), timezone="UTC"
-    )
-    line = Line("fixes", [*map(tuple, points.tolist())], "geoid", times=times.tolist())
-    return [line], len(is_fix) + log.file_corruption
+    moments = fields["time_utc_usec"][is_fix].astype("datetime64[us]")
+    times = np.datetime_as_string(moments, timezone="UTC").tolist()
+    lines = [Line("fixes", points.tolist(), "geoid", times=times)]
+    return lines, len(is_fix) + log.file_corruption
