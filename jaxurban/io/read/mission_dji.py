@@ -2,8 +2,8 @@
 
 | part | how it is flown |
 |---|---|
-| way to the first waypoint, ``safely`` | up to its height, at least to the security height; level |
-| ``pointToPoint`` | up to the security height, and straight on |
+| way to the first waypoint, ``safely`` | up to its height or the security height, the greater; level; down |
+| ``pointToPoint``, and ways of a Matrice 300 | not judged |
 | waypoints | straight from each to the next |
 | turn ``toPointAndStopWithDiscontinuityCurvature`` | a stop |
 | turn ``coordinateTurn`` | the corner may be cut, as far from the waypoint as the file says |
@@ -11,8 +11,7 @@
 | finish ``goHome`` | a return at the file's height |
 | ``autoLand``, ``gotoFirstWaypoint``, ``noAction`` | a landing, a straight way, hovering |
 
-The way of a Matrice 300 to the first waypoint is another, and not judged. What a drone does when the link is lost is
-not looked at, as of other autopilots. The elements:
+What a drone does when the link is lost is not looked at, as of other autopilots. The elements:
 https://developer.dji.com/doc/cloud-api-tutorial/en/api-reference/dji-wpml/waylines-wpml.html.
 """
 
@@ -115,15 +114,10 @@ def read_wpml(
         last = first if end == "gotoFirstWaypoint" else last
         items.append(last._replace(number=len(items) + 1))
         num_things += 1
-    fly_to = words.get("flyToWaylineMode")
     security_m = decimal_of(SECURITY, words.get(SECURITY))
-    is_known = fly_to in ("safely", "pointToPoint") and words.get("droneEnumValue") != MATRICE_300
-    if first.datum and is_known and security_m >= 0:
-        least_m = security_m if first.datum == "home" else -math.inf
-        climb = first._replace(command=TAKEOFF, height_m=max(first.height_m, least_m))
-        if fly_to == "pointToPoint":
-            climb = Item(1, None, TAKEOFF, height_m=security_m, datum="home")
-        items.insert(0, climb)
+    is_safe = words.get("flyToWaylineMode") == "safely" and security_m >= 0
+    if first.datum and is_safe and words.get("droneEnumValue") != MATRICE_300:
+        items.insert(0, first._replace(command=TAKEOFF, params=(security_m,)))
         num_things += 1
 
     lat, lon, _ = point_of(words.get("takeOffRefPoint", "").split(","))

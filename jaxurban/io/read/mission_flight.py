@@ -429,7 +429,7 @@ class FlownItems:
         """Climb straight up to the item's height, then fly to its place if it has one; ArduPilot knows of none.
 
         The climb begins where the vehicle is, else on the ground where it stands; where neither is known, it only flies
-        to the item.
+        to the item. Drones of DJI climb at least to a height above home, the first parameter, and fly level.
         """
         if self._autopilot == "ardupilot":
             item = item._replace(lon=0.0, lat=0.0)
@@ -439,10 +439,14 @@ class FlownItems:
             return
         self._leave_circle(item)
         above = self._place_of(item._replace(lon=start.lon, lat=start.lat)) or start
+        place = None
+        if self._autopilot == "dji":
+            above = Place(start.lon, start.lat, item.params[0], "home", level_with=above)
+            place = above._replace(lon=item.lon, lat=item.lat)
         self._state = self._state._replace(at=start)
         self._move(item, above, "climb")
         if item.has_place:
-            self._fly_to(item, beside=above if self._autopilot == "unknown" else None)
+            self._fly_to(item, place, beside=above if self._autopilot == "unknown" else None)
 
     def _leave_circle(self, item: Item) -> None:
         """Say, where autopilots differ in where the vehicle is, that the way of one of them is not judged."""

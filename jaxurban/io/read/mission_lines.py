@@ -188,7 +188,9 @@ def mission_of_lines(
         places = [Place(*point, each) for point, each in zip(line.points, datums, strict=True)]
         first = len(legs)
         if home and not legs:
-            over_home = places[0]._replace(lon=home[0], lat=home[1])
+            over_home = Place(*home, places[0].height_m, datum)
+            if line.datums:
+                over_home = Place(*home, math.nan, "geoid", level_with=places[0])
             legs.append(Leg(Place(*home, 0.0, "ground"), over_home, "climb", 1))
             places.insert(0, over_home)
         profile: Profile = "both" if datum == "ground" and not line.is_own else "frame"
