@@ -37,7 +37,6 @@ from jaxurban.io.read.mission_parts import (
 MOST_UNPACKED = 2**26  # bytes in a KMZ, with its pictures
 HEIGHT_MODES: dict[str, Datum] = {"relativeToStartPoint": "home", "WGS84": "ellipsoid"}
 STOP = "toPointAndStopWithDiscontinuityCurvature"
-SECURITY, RETURN_HEIGHT = "takeOffSecurityHeight", "globalRTHHeight"
 MATRICE_300 = "60"  # droneEnumValue
 ENDS = {"goHome": RETURN, "autoLand": LAND}
 STILL_ACTION = re.compile(
@@ -98,9 +97,8 @@ def read_wpml(
         elif tag == "Placemark":
             point = _words(element)
             items.append(_waypoint(point, len(items) + 1, mode))
-            turn = point.get("waypointTurnMode", "")
-            if turn not in (STOP, "coordinateTurn"):
-                notes.append(f"turns of the mode {turn[:50]!r} are judged as if straight")
+            if point.get("waypointTurnMode") not in (STOP, "coordinateTurn"):
+                notes.append("curves at its waypoints are judged as if straight")
         elif tag == "Point":
             num_things += 1
         elif tag == "actionActuatorFunc" and not STILL_ACTION.fullmatch(text):
@@ -114,7 +112,7 @@ def read_wpml(
         last = first if end == "gotoFirstWaypoint" else last
         items.append(last._replace(number=len(items) + 1))
         num_things += 1
-    security_m = decimal_of(SECURITY, words.get(SECURITY))
+    security_m = decimal_of("a height", words.get("takeOffSecurityHeight"))
     is_safe = words.get("flyToWaylineMode") == "safely" and security_m >= 0
     if first.datum and is_safe and words.get("droneEnumValue") != MATRICE_300:
         items.insert(0, first._replace(command=TAKEOFF, params=(security_m,)))
@@ -123,7 +121,7 @@ def read_wpml(
     lat, lon, _ = point_of(words.get("takeOffRefPoint", "").split(","))
     start = home_of(home, lon, lat, math.nan)
     if math.isnan(return_altitude_m):
-        return_altitude_m = decimal_of(RETURN_HEIGHT, words.get(RETURN_HEIGHT))
+        return_altitude_m = decimal_of("a height", words.get("globalRTHHeight"))
     flown = FlownItems(items, start[0], return_altitude_m, "dji")
     return mission_of(name, flown, num_things, start, notes, math.nan)
 
@@ -148,7 +146,7 @@ def _waypoint(words: Mapping[str, str], number: int, mode: str) -> Item:
     if mode not in HEIGHT_MODES:
         return Item(number, None, -1, what=f"a waypoint of the height mode {mode[:40]!r}")
     lon, lat, _ = point_of(words.get("coordinates", "").split(","))
-    height_m = decimal_of(f"the height of {what}", words.get("executeHeight"))
+    height_m = decimal_of("an executeHeight", words.get("executeHeight"))
     if math.isnan(lon + lat + height_m):
         raise DamagedError(f"{what} lacks its longitude, latitude or executeHeight")
     check_place(what, lon, lat, height_m)

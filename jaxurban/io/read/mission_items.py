@@ -243,7 +243,7 @@ def _unfolded(row: Any) -> list[Any]:
     """Return the items that a survey or a corridor scan holds, by which it is flown; of any other item itself."""
     if not isinstance(row, dict) or row.get("complexItemType") not in SURVEYS:
         return [row]
-    return _object(row.get("TransectStyleComplexItem", {}), "a survey").get("Items") or [row]
+    return row.get("TransectStyleComplexItem", {}).get("Items") or [row]
 
 
 def _item_of_plan(value: Any, number: int) -> Item:
@@ -275,7 +275,7 @@ def _item_of_plan(value: Any, number: int) -> Item:
             kind = "strange item"
         what = f"a {kind} (ComplexItem)"
         if kind in SURVEYS:
-            what = f"a {kind} without its waypoints (open and save it in QGroundControl)"
+            what = "a survey without its waypoints (open and save it in QGroundControl)"
         return Item(number, key, command=-1, what=what)
 
     params = row.get("params")

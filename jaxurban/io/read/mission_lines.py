@@ -41,8 +41,8 @@ from jaxurban.io.read.routes import ALTITUDE_PROPERTY, SEGMENT_PROPERTY
 
 OWN = "jaxurban"  # what it calls itself as the creator of GPX
 OWN_HEIGHT = re.compile(r"(-?[\d.]+) m above ground")  # of its points there
-DJI_TEMPLATE = "templateType"  # element of the KML from which DJI's programs make waylines
 OWN_DATA = "height_reference"  # that its lines in KML have
+DJI_TEMPLATE = "templateType"  # element of the KML from which DJI's programs make waylines
 XML_OTHERS = ("Point", "Polygon", "LinearRing", "Model", "GroundOverlay", "NetworkLink", "Tour")
 KML_MODES: dict[str, Datum] = {"relativeToGround": "ground", "absolute": "geoid"}
 # Parts of lines in KML that are read, or do not change where they lie.
@@ -51,12 +51,8 @@ KML_PARTS = {
     "Track": {"coord", "altitudeMode", "extrude", "tessellate", "when", "angles", "ExtendedData"},
     "MultiTrack": {"Track", "interpolate"},
 }
-# Columns by which logs of AirData and missions of Litchi are known, and which others of theirs are flown.
+# Columns of AirData's logs and of Litchi's missions, which have others that do not change the way.
 ABOVE_TAKEOFF, CURVE, MODE = "height_above_takeoff", "curvesize", "altitudemode"
-FLOWN = {
-    ABOVE_TAKEOFF: ("longitude", "latitude", ABOVE_TAKEOFF),
-    CURVE: ("longitude", "latitude", "altitude"),
-}
 LITCHI_MODES: dict[str, Datum] = {"0": "home", "1": "ground"}
 COLUMNS = {
     "longitude": ("lon", "lon_deg", "longitude", "longitude_deg", "lng", "long"),
@@ -195,9 +191,8 @@ def mission_of_lines(
             places.insert(0, over_home)
         profile: Profile = "both" if datum == "ground" and not line.is_own else "frame"
         ways = _ways(places, last, "straight" if line.datums else profile)
-        cuts_m = line.cuts_m or [CORNER_M] * len(
-            line.points
-        )  # by the number of the point, from the last one
+        # By the number of the point, counted from the last one.
+        cuts_m = line.cuts_m or [CORNER_M] * len(places)
         legs += [way._replace(turn_m=max(CORNER_M, cuts_m[way.item - last - 1])) for way in ways]
         beside = [
             Place(lon, lat, height_m, "ground")
@@ -532,10 +527,13 @@ def _is_odd(name: str, value: Any) -> bool:
 
 
 def csv_lines(path: Path, data: bytes) -> Shapes:
-    """Return the rows of a table as one line; only a log of AirData says what its heights are above: the take-off.
+    """Return the rows of a table as one line; it does not say what its heights are above, but for the following ones.
 
     The columns of longitude, latitude and height have one of their names in `COLUMNS`, in capitals or not, and maybe a
     unit behind it (`UNIT`). Where two have one, they must agree to a centimetre.
+
+    Of a log of AirData the height above the take-off counts, of a mission of Litchi's the altitude by its mode, and how
+    far from each point the corner may be cut; their other columns do not change the way.
 
     Raises:
       InputError: the table lacks one of the three, has two that differ, or names another CRS than WGS 84.
@@ -555,8 +553,10 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
     columns = [*zip_longest(header, *rows, fillvalue="")]
     names = [re.sub(r"\.\d+$", "", UNIT.sub("", name.strip().lower())) for name in header]
     column_of = dict(zip(names, columns, strict=True))
-    flown = next((flown for mark, flown in FLOWN.items() if mark in names), names)
-    names = [name if name in flown else "" for name in names]
+    if ABOVE_TAKEOFF in names or CURVE in names:
+        height = ABOVE_TAKEOFF if ABOVE_TAKEOFF in names else "altitude"
+        flown = ("longitude", "latitude", height)
+        names = [name if name in flown else "" for name in names]
     for name, (title, *cells) in zip(names, columns, strict=True):
         for cell in set(cells):
             _check_crs(path, name, cell)

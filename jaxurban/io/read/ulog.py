@@ -11,7 +11,7 @@ from jaxurban.io.read.mission_lines import Line, Shapes
 from jaxurban.io.read.mission_parts import DamagedError
 from jaxurban.io.read.sniff import in_own_words
 
-TOPICS = ["sensor_gps", "vehicle_gps_position"]  # the last that is there counts
+TOPIC = "vehicle_gps_position"
 # Fields of old logs, whole numbers of 1e-7 degrees and of millimetres, and of new ones, in degrees and metres.
 OLD = {"lon": 1e-7, "lat": 1e-7, "alt": 1e-3}
 NEW = {"longitude_deg": 1.0, "latitude_deg": 1.0, "altitude_msl_m": 1.0}
@@ -30,14 +30,14 @@ def ulog_lines(path: Path, data: bytes) -> Shapes:
     except ImportError as error:
         raise InputError("ULog is read by pyulog: pip install 'jaxurban[ulog]'") from error
     with in_own_words(Exception), redirect_stdout(io.StringIO()):
-        log = ULog(io.BytesIO(data), TOPICS)
+        log = ULog(io.BytesIO(data), [TOPIC])
     if not log.data_list:
-        raise DamagedError(f"it holds none of {' and '.join(TOPICS)}")
-    fields = max(log.data_list, key=lambda topic: topic.name).data
+        raise DamagedError("it holds no fix of a receiver, as the topic vehicle_gps_position")
+    fields = log.data_list[0].data
     is_fix = fields["fix_type"] >= LEAST_FIX
     units = OLD if "lon" in fields else NEW
-    points = np.column_stack([fields[name][is_fix] * unit for name, unit in units.items()])
+    lon, lat, height_m = (fields[name][is_fix] * unit for name, unit in units.items())
     moments = fields["time_utc_usec"][is_fix].astype("datetime64[us]")
     times = np.datetime_as_string(moments, timezone="UTC").tolist()
-    lines = [Line("fixes", points.tolist(), "geoid", times=times)]
-    return lines, len(is_fix) + log.file_corruption
+    points = list(zip(lon.tolist(), lat.tolist(), height_m.tolist(), strict=True))
+    return [Line("fixes", points, "geoid", times=times)], len(is_fix) + log.file_corruption
