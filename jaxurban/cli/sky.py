@@ -32,8 +32,8 @@ NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
     "--track",
     type=PATH,
     metavar="FILE",
-    help="Instead of a place: a table (.csv, .parquet) with utc, lon_deg, lat_deg and maybe altitude_m, or a route "
-    "(.geojson, .kml, .gpx) that is flown at --speed.",
+    help="Instead of a place: a table (.csv, .parquet) with utc, lon_deg, lat_deg and maybe altitude_m, a flight with "
+    "times (.gpx, .kml, .ulg), or a route (.geojson, .kml, .gpx) that is flown at --speed.",
 )
 @NUMBER("--altitude", "altitude_m", help="Altitude in metres above ground.")
 @click.option(

@@ -73,8 +73,8 @@ def check(
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
-      mission: a file (``.plan``, ``.waypoints``, ``.kml``, ``.gpx``, ``.geojson``, ``.csv``), a `Mission` that was
-        read from one, or a path from `plan`: its legs in the air, whose climb and landing are not judged.
+      mission: a file (``.plan``, ``.waypoints``, ``.kmz``, ``.wpml``, ``.kml``, ``.gpx``, ``.geojson``, ``.csv``,
+        ``.ulg``), a `Mission` that was read from one, or a path from `plan`: its legs in the air, whose climb and landing are not judged.
       heights: the level from which heights count where the file leaves it open: ``"home"``, ``"ground"``, ``"geoid"``
         or ``"ellipsoid"``.
       home: longitude and latitude of home, for a file that has none.

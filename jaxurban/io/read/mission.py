@@ -2,12 +2,14 @@
 
 | file | what is read | heights are above |
 |---|---|---|
-| ``.plan`` of QGroundControl, version 1 | simple items; home; speeds | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
+| ``.plan`` of QGroundControl, version 1 | simple items, those of surveys too; home; speeds | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
 | ``.waypoints``, ``.txt``: ``QGC WPL 110`` | rows; row 0 is home where it is a waypoint | as in a ``.plan`` |
 | ``.kml`` | LineString, Track | relativeToGround: ground; absolute: geoid (EGM96); else they are asked for |
 | ``.gpx`` | routes, tracks | asked for; in jaxurban's own geoid (``ele``), or ground where it has none |
 | ``.geojson``, ``.json`` | LineString, MultiLineString | asked for; ground in jaxurban's own |
-| ``.csv`` | rows of lon, lat, altitude_m (or height_m, alt) | asked for |
+| ``.csv`` | rows of lon, lat, altitude_m (or height_m, alt) | asked for; AirData: home; Litchi: its modes |
+| ``.kmz``, ``.wpml`` | waylines of DJI, or a KML | relativeToStartPoint: home; WGS84: ellipsoid |
+| ``.ulg`` of PX4 | fixes of the receiver | geoid |
 
 The geofence of a ``.plan`` is read too, as zones. Whatever else has a position is counted and not judged. Places are in
 WGS 84; a file that names another CRS or datum is refused, and so is one that gives a quantity twice with different
@@ -23,7 +25,7 @@ values.
 | jump 177 | straight to its target, once |
 | set home 179 | heights above home are open after it, and a return is not judged |
 | delays, conditions, speeds, cameras, servos, regions of interest | nothing |
-| splines 82, surveys and other complex items, all others | not judged, nor is the way to the next item |
+| splines 82, surveys without items, other complex items, all others | not judged, nor is the way to the next item |
 
 Places of MAVLink's parameters 5 to 7: https://mavlink.io/en/messages/common.html; the files:
 https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html and
