@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.io.read.mission import Leg, Place, read_mission
+from jaxurban.io.read.mission import read_mission
+from jaxurban.io.read.mission_parts import Leg, Place
 from jaxurban.paths.export.write import FORMATS, write_path
 from jaxurban.world.grid import Grid
 from tests.io.made_files import refused

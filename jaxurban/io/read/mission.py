@@ -2,7 +2,7 @@
 
 | file | what is read | heights are above |
 |---|---|---|
-| ``.plan`` of QGroundControl, version 1 | simple items, those of surveys too; home; speeds | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
+| ``.plan`` of QGroundControl, version 1 | items, surveys'; home; speeds | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
 | ``.waypoints``, ``.txt``: ``QGC WPL 110`` | rows; row 0 is home where it is a waypoint | as in a ``.plan`` |
 | ``.kml`` | LineString, Track | relativeToGround: ground; absolute: geoid (EGM96); else they are asked for |
 | ``.gpx`` | routes, tracks | asked for; in jaxurban's own geoid (``ele``), or ground where it has none |
@@ -47,16 +47,7 @@ from jaxurban.errors import InputError, readable
 from jaxurban.io.read.mission_dji import read_wpml, unzipped
 from jaxurban.io.read.mission_items import read_plan, read_waypoints
 from jaxurban.io.read.mission_lines import csv_lines, geojson_lines, mission_of_lines, xml_lines
-from jaxurban.io.read.mission_parts import (
-    DATUMS,
-    DamagedError,
-    LonLat,
-    check_place,
-)
-from jaxurban.io.read.mission_parts import Datum as Datum
-from jaxurban.io.read.mission_parts import Leg as Leg
-from jaxurban.io.read.mission_parts import Mission as Mission
-from jaxurban.io.read.mission_parts import Place as Place
+from jaxurban.io.read.mission_parts import DATUMS, DamagedError, Datum, LonLat, Mission, check_place
 from jaxurban.io.read.tracks import LAT, LON, UTC, track_of
 from jaxurban.io.read.ulog import ulog_lines
 
