@@ -82,7 +82,7 @@ def check(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Check MISSION (.plan, .waypoints, .kml, .gpx, .geojson, .csv) over the maps in DIR.
+    """Check MISSION over the maps in DIR: .plan, .waypoints, .kmz or .wpml (DJI), .kml, .gpx, .geojson, .csv or .ulg.
 
     It ends with 0 only if every leg was judged and nothing was found, with 5 for findings, and with 6 where nothing was
     found but not all could be judged.

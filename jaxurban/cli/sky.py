@@ -32,8 +32,8 @@ NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
     "--track",
     type=PATH,
     metavar="FILE",
-    help="Instead of a place: a table (.csv, .parquet) with utc, lon_deg, lat_deg and maybe altitude_m, or a route "
-    "(.geojson, .kml, .gpx) that is flown at --speed.",
+    help="Instead of a place: a table (.csv, .parquet) with utc, lon_deg, lat_deg and maybe altitude_m, a flight with "
+    "times (.gpx, .kml, .ulg), or a route (.geojson, .kml, .gpx) that is flown at --speed.",
 )
 @NUMBER("--altitude", "altitude_m", help="Altitude in metres above ground.")
 @click.option(
@@ -67,6 +67,7 @@ def sky(
     **source: Any,
 ) -> None:
     """Say which satellites are seen from a place, or along a track, over the maps in DIR, and what hides the others."""
+    from jaxurban.io.read.mission import read_flight
     from jaxurban.io.read.routes import read_routes
     from jaxurban.io.read.tracks import read_track
     from jaxurban.io.tables import SUFFIXES
@@ -84,12 +85,14 @@ def sky(
     elif place is not None or track is None:
         raise click.UsageError("give either --at, a place, or --track, a file")
 
-    # A table has a time and a place in each row, and maybe an altitude. A route is flown at a speed from the time of
-    # departure on.
+    # A table has a time and a place in each row, and maybe an altitude; the log of a flight has no altitude above the
+    # ground. A route is flown at a speed from the time of departure on.
     elif track.suffix.lower() in SUFFIXES:
         if times or speed_m_s is not None:
             raise click.UsageError("a table has its own times: leave --time and --speed out")
         result = along.sky_along(folder, read_track(track), altitude_m, **source)
+    elif speed_m_s is None and not times:
+        result = along.sky_along(folder, read_flight(track), altitude_m, **source)
     else:
         if speed_m_s is None or len(times) > 1:
             raise click.UsageError("a route needs --speed, and one --time, of departure")

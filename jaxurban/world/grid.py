@@ -135,8 +135,8 @@ def check_on_earth(name: str, crs: Any, box: Sequence[float]) -> None:
         raise InputError(
             f"{name} declares the CRS {shortened(parsed.name)!r} and so lies at {lon:.2f}, {lat:.2f} (lon, lat), far "
             f"from the area for which that is made, {area.bounds} (west, south, east, north): declare "
-            "the CRS that its coordinates are in, as with `ogr2ogr -a_srs EPSG:...` or `gdal_edit.py -a_srs EPSG:...`, or "
-            "for buildings in [buildings] crs"
+            "the CRS that its coordinates are in, as with `ogr2ogr -a_srs EPSG:...` or `gdal_edit.py -a_srs EPSG:...`, "
+            "or for buildings in [buildings] crs"
         )
 
 

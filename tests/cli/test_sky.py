@@ -67,6 +67,23 @@ def test_a_track_and_a_route_give_a_row_a_place(maps, tmp_path, capsys):
     assert "dops" not in facts
 
 
+def test_a_flight_with_times_needs_no_speed(maps, tmp_path, capsys):
+    points = "".join(
+        f'<trkpt lon="{lon}" lat="40.757"><time>{WHEN[:17]}{second:02}Z</time></trkpt>'
+        for second, lon in ((1, -73.999), (5, -73.998))
+    )
+    track = tmp_path / "flight.gpx"
+    track.write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
+    code, out, _ = run(capsys, "sky", maps, "--track", track, "--altitude", 40, "--json")
+    table = json.loads(out)["table"]
+    assert code == 0
+    assert [row["time"][17:19] for row in table] == ["01", "05"]
+    track.write_text(track.read_text().replace("time>", "cmt>"))
+    code, _, err = run(capsys, "sky", maps, "--track", track, "--altitude", 40)
+    assert code == 2
+    assert_one_sentence(err, "holds no times: give the speed of the flight (--speed)")
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -74,7 +91,8 @@ def test_a_track_and_a_route_give_a_row_a_place(maps, tmp_path, capsys):
         (("--at=-73.9,40.7",), "--at needs --altitude"),
         ((*AT, "-o", "sky.gif"), "-o must end in .parquet or .csv or .png or .pdf or .svg"),
         (("--track", "t.csv", "--speed", 3), "a table has its own times"),
-        (("--track", "t.gpx", "--altitude", 3), "a route needs --speed"),
+        (("--track", "t.gpx", "--altitude", 3, "--time", WHEN), "a route needs --speed"),
+        (("--track", "t.gpx", "--altitude", 3), "t.gpx"),
         (("--track", "no.csv", "--altitude", 3), "no.csv"),
         ((*AT, "--resolution", 20), "rays follow outlines"),
         (

@@ -17,7 +17,7 @@ UTC = "utc"
 LON = "lon_deg"
 LAT = "lat_deg"
 ALTITUDE = "altitude_m"
-OTHER_NAMES = {"lon": LON, "lat": LAT}
+OTHER_NAMES = {"lon": LON, "lat": LAT, "longitude": LON, "latitude": LAT}
 OtherUnits = Sequence[tuple[Mapping[str, float], str, str]]
 
 
@@ -65,6 +65,8 @@ def read_track(file: str | Path) -> pd.DataFrame:
 def track_of(table: pd.DataFrame, what: str) -> pd.DataFrame:
     """Return the rows of a table as `read_track` does, and raise its errors; ``what`` names the table in them."""
     table = renamed(table, OTHER_NAMES)
+    if "datetime(utc)" in table:  # of AirData
+        table[UTC] = table["datetime(utc)"].astype(str) + "Z"
     columns = [column for column in (UTC, LON, LAT, ALTITUDE) if column in table]
     if columns[:3] != [UTC, LON, LAT] or table.empty:
         raise InputError(
