@@ -1,0 +1,379 @@
+"""Receivers' own logs: RINEX observations, NMEA and Android's GnssLogger, as tables of satellites by time and place."""
+
+import re
+from functools import reduce
+from io import StringIO
+from operator import xor
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError, readable, warn
+from jaxurban.io.read.ephemerides import (
+    AGAIN,
+    GPS_SCALES,
+    GPS_START,
+    WEEK_S,
+    library,
+    utc_of,
+)
+from jaxurban.io.read.sniff import HEAD_BYTES, sniff, unpacked
+from jaxurban.io.read.tracks import (
+    AZIMUTH,
+    CN0,
+    ELEVATION,
+    LAT,
+    LON,
+    RULES,
+    SATELLITE,
+    UTC,
+    Rule,
+    checked,
+    renamed,
+)
+from jaxurban.io.samples import located
+from jaxurban.io.tables import read_table
+from jaxurban.world.grid import transformer
+
+OBSERVED = "observed"  # a time
+MATCH_S = 0.02  # most between the times of a reference and of its observation: clocks are kept to some milliseconds
+FIX_S = 0.5  # most between a fix of GnssLogger and its measurements
+HEIGHT = "height_m"
+WEEK = "gps_week"
+TOW = "gps_tow_s"
+TRACK = LON, LAT, HEIGHT
+OF_REFERENCE = RULES | {
+    HEIGHT: Rule(-1000.0, 20_000.0),
+    WEEK: Rule(1024.0, 10_000.0),  # not modulo 1024
+    TOW: Rule(0.0, WEEK_S),
+}
+OTHER_NAMES = {  # of a reference's columns, in small letters with _ for what is no letter
+    "lon": LON,
+    "longitude_deg": LON,
+    "lat": LAT,
+    "latitude_deg": LAT,
+    "ellipsoid_height_m": HEIGHT,
+    "ellipsoidal_height_m": HEIGHT,
+}
+WGS84_3D = "EPSG:4979"
+WGS84_ECEF = "EPSG:4978"
+TABLES = re.compile(r"\.(csv|parquet)\b", re.IGNORECASE)
+# How the codes of C/N0 on L1, E1 and B1 begin (RINEX 3.05, tables 4 to 10), by a system's letter; "S1" where the letter
+# is missing here.
+BANDS = {"C": ("S2", "S1")}
+EVENTS = 2  # an epoch with this flag or a higher one marks an event and holds no observation
+SENTENCE = re.compile(r"\$([A-Z]{2})(RMC|GGA|GSV),([^*$]*)\*([0-9A-Fa-f]{2})", re.ASCII)
+# Of each system by its letter in RINEX: talkers of NMEA and ConstellationType of Android, what their numbers exceed
+# RINEX's by where they are larger, and the largest number in RINEX.
+SYSTEMS = {
+    "G": ("GP 1", 0, 32),
+    "R": ("GL 3", 64, 27),
+    "E": ("GA 6", 300, 36),
+    "C": ("GB BD 5", 200, 63),
+    "J": ("GQ QZ 4", 192, 10),
+    "I": ("GI 7", 0, 14),
+    "S": ("2", 100, 58),
+}
+LEAST_L1_HZ = 1.5e9
+OF_FIXES = {  # of GnssLogger, from version 3 on and before
+    "LatitudeDegrees": LAT,
+    "Latitude": LAT,
+    "LongitudeDegrees": LON,
+    "Longitude": LON,
+    "UnixTimeMillis": UTC,
+    "(UTC)TimeInMs": UTC,
+}
+
+
+class Heard(NamedTuple):
+    """What a file holds.
+
+    Attributes:
+      rows: a row an epoch and satellite: ``utc``, ``satellite``, ``cn0_dbhz`` if the file has it, and ``azimuth_deg``
+        and ``elevation_deg`` of NMEA.
+      track: the file's own places: ``utc``, ``lon_deg``, ``lat_deg``, ``height_m`` if known; empty without any.
+      within_s: most between the times of a place and of its observation.
+      note: what must be said of the places, empty for nothing.
+    """
+
+    rows: pd.DataFrame
+    track: pd.DataFrame
+    within_s: float
+    note: str = ""
+
+
+def read_log(
+    file: str | Path, reference: str | Path | pd.DataFrame | None = None
+) -> pd.DataFrame | None:
+    """Return what a receiver wrote itself: RINEX observations 2 to 4, CRINEX, NMEA or GnssLogger, plain or as .gz.
+
+    Args:
+      file: of the log; its content decides what it is, but .csv and .parquet are tables.
+      reference: places of the antenna, see `read_track`; left out, those of the file: fixes of NMEA and GnssLogger, of
+        RINEX the approximate position of its header.
+
+    Returns:
+      A row an epoch and satellite, with the columns ``utc``, ``lon_deg``, ``lat_deg``, ``height_m`` (ellipsoidal) if it
+      is known, ``satellite`` (as in RINEX 3), ``cn0_dbhz`` (the strongest of L1, E1 and B1, of NMEA of all signals; 0
+      where there is none) if the file has it, and of NMEA ``azimuth_deg`` and ``elevation_deg``; without satellites a
+      row a place. None for other files.
+
+    Warns:
+      UserWarning: sentences or satellites that are left out, and a position that is taken for all epochs.
+
+    Raises:
+      InputError: a file that is cut or damaged or holds no observation, no place, or no time in common with the
+        reference; RINEX without sidereon.
+    """
+    path = located(file)
+    if TABLES.search(path.name):
+        return None
+    sniff(path)
+    what = f"the receiver log {str(file)!r}"
+    with readable(path, "a log", AGAIN, what=what), unpacked(path) as plain:
+        with plain.open("rb") as opened:
+            head = opened.read(HEAD_BYTES)
+        reader = next((read for mark, read in READERS.items() if re.search(mark, head)), None)
+        if reader is None:
+            return None
+        heard = reader(plain.read_bytes().decode("utf-8", "replace"), what)
+    track = heard.track
+    within_s = heard.within_s
+    if reference is not None:
+        track = read_track(reference)
+        within_s = MATCH_S
+    elif track.empty:
+        raise InputError(f"{what} holds no place: give a table of the antenna's as the reference")
+    elif heard.note:
+        warn(f"{what} {heard.note}")
+    return _placed(heard.rows, track, within_s, what)
+
+
+def _placed(rows: pd.DataFrame, track: pd.DataFrame, within_s: float, what: str) -> pd.DataFrame:
+    """Return rows of satellites at the places of a track, each with the observation that is nearest in time.
+
+    Args:
+      rows: a row an epoch and satellite; empty for the track alone.
+      track: places by time.
+      within_s: most between the two times.
+      what: begins the message.
+
+    Raises:
+      InputError: no observation is near enough to a place.
+    """
+    if rows.empty:
+        return track
+    track, rows = (each.astype({UTC: "datetime64[us, UTC]"}) for each in (track, rows))
+    rows = rows.rename(columns={UTC: OBSERVED}).sort_values(OBSERVED, kind="stable")
+    times = rows[[OBSERVED]].drop_duplicates()
+    most = pd.Timedelta(seconds=within_s)
+    pairs = pd.merge_asof(
+        times, track.sort_values(UTC), None, OBSERVED, UTC, tolerance=most, direction="nearest"
+    )
+    pairs = pairs.dropna(subset=UTC).drop_duplicates(UTC)
+    if pairs.empty:
+        late_s = (track[UTC].min() - times[OBSERVED].iloc[0]).total_seconds()
+        raise InputError(
+            f"the track and the observations of {what} have no epoch in common, within {within_s:g} s: the track "
+            f"begins {late_s:+.3f} s after them, and that of the same drive is needed"
+        )
+    return pairs.merge(rows, on=OBSERVED).drop(columns=OBSERVED)
+
+
+def read_track(reference: str | Path | pd.DataFrame) -> pd.DataFrame:
+    """Return the columns ``utc``, ``lon_deg``, ``lat_deg`` and ``height_m`` of a reference track.
+
+    Its columns are named so, or ``lon``, ``longitude_deg``, ``lat``, ``latitude_deg``, ``ellipsoid_height_m``, and for
+    the time ``gps_week`` (not modulo 1024) and ``gps_tow_s``. Capital letters, blanks and brackets do not matter:
+    ``GPS TOW (s)`` is ``gps_tow_s``.
+
+    Args:
+      reference: the table or its file.
+
+    Raises:
+      InputError: a file that cannot be read, no such columns, or values out of range.
+    """
+    if isinstance(reference, pd.DataFrame):
+        what = "the reference track"
+        table = reference
+    else:
+        what = f"the reference track {str(reference)!r}"
+        table = read_table(located(reference), "reference track")
+    names = [re.sub(r"\W+", "_", str(name).lower()).strip("_") for name in table.columns]
+    table = renamed(table.set_axis(names, axis="columns"), OTHER_NAMES)
+    times = [UTC] if UTC in table else [WEEK, TOW]
+    if table.empty or not {*times, *TRACK} <= set(table):
+        raise InputError(
+            f"{what} has {len(table)} rows of the columns {', '.join(map(str, table.columns))}: give {UTC}, or {WEEK} "
+            f"and {TOW}, and {', '.join(TRACK)} (above the ellipsoid)"
+        )
+    table = checked(table, [*times, *TRACK], what, OF_REFERENCE)
+    if UTC not in table:
+        table[UTC] = utc_of((table[WEEK] * WEEK_S + table[TOW]).to_numpy())
+    return table[[UTC, *TRACK]]
+
+
+def _rinex(text: str, what: str) -> Heard:
+    """Return the observations of a file of RINEX or CRINEX.
+
+    Raises:
+      InputError: it is cut or damaged, not in GPS time, or without observations.
+    """
+    sidereon = library()
+    if not text.endswith("\n"):
+        raise InputError(f"{what} ends within a line, so it was cut: {AGAIN}")
+    try:
+        if "COMPACT RINEX" in text.partition("\n")[0]:
+            text = sidereon.decode_crinex(text)
+        file = sidereon.load_rinex_obs(text.encode())
+    except sidereon.SidereonError as error:
+        raise ValueError(str(error)) from error
+    header = file.header
+    scale = header.time_of_first_obs[1].abbrev if header.time_of_first_obs else "unknown"
+    if scale not in GPS_SCALES:
+        raise InputError(
+            f"{what} counts in {scale}, and only GPS time is read: convert it to a file of GPS time"
+        )
+    codes = []  # of each system with observables of C/N0, these observables
+    for system in header.systems:
+        bands = BANDS.get(system.letter, ("S1",))
+        own = [code for code in file.obs_codes(system) if code.startswith(bands)]
+        if own:
+            codes.append((system, own))
+
+    # Every observable of the epochs, NaN where it is missing.
+    only = sidereon.ObservationFilter(codes) if codes else None
+    observables = []
+    for number, epoch in enumerate(file.epochs):
+        time = epoch.epoch
+        if epoch.flag < EVENTS and time is not None:
+            minute = pd.Timestamp(time.year, time.month, time.day, time.hour, time.minute, tz="UTC")
+            gps_s = (minute - GPS_START).total_seconds() + time.second  # with its fraction
+            series = file.observation_values(number, only)
+            columns = {UTC: gps_s, SATELLITE: series.satellites, CN0: series.values}
+            observables.append(pd.DataFrame(columns))
+    if not observables:
+        raise InputError(f"{what} holds no observation: name another file")
+    rows = _strongest(pd.concat(observables)).fillna({CN0: 0.0})
+    rows[UTC] = utc_of(rows[UTC].to_numpy())
+
+    # The antenna's approximate position, if there is one.
+    track = pd.DataFrame({UTC: rows[UTC].unique()})
+    position_m = header.approx_position_m
+    if position_m is None or not np.any(position_m):
+        track = track.iloc[:0]
+    else:
+        track[[*TRACK]] = transformer(WGS84_ECEF, WGS84_3D).transform(*position_m)
+    note = "is placed at its APPROX POSITION XYZ throughout: give the reference of an antenna that moved"
+    return Heard(rows if codes else rows.drop(columns=CN0), track, MATCH_S, note)
+
+
+def _nmea(text: str, what: str) -> Heard:
+    """Return satellites by GSV, each at the time and place of the RMC before it.
+
+    Raises:
+      InputError: no RMC gives a date and a place.
+    """
+    fixes: list[list[str]] = []
+    seen = []
+    num_bad = 0
+    for talker, kind, body, checksum in SENTENCE.findall(text):
+        if reduce(xor, f"{talker}{kind},{body}".encode()) != int(checksum, 16):
+            num_bad += 1
+            continue
+        fields = body.split(",")
+        if kind == "RMC" and len(fields) > 8 and fields[1] == "A" and fields[2] and fields[8]:
+            fixes.append([*fields[:6], fields[8]])
+        elif kind == "GSV":
+            groups = zip(*[iter(fields[3:])] * 4, strict=False)  # a signal's number may remain
+            seen += [(len(fixes) - 1, talker, *group) for group in groups]
+    if not fixes:
+        raise InputError(
+            f"{what} has no RMC sentence with a date and a place, and GGA has no date: switch RMC on in the receiver"
+        )
+    columns = ["clock", "status", "lat", "north", "lon", "east", "date"]
+    rmc = pd.DataFrame(fixes, columns=columns)
+    second = pd.to_datetime(rmc["date"] + rmc["clock"].str[:6], format="%d%m%y%H%M%S", utc=True)
+    utc = second + pd.to_timedelta(pd.to_numeric("0" + rmc["clock"].str[6:]), "s")
+    places = {LON: _degrees(rmc["lon"], rmc["east"]), LAT: _degrees(rmc["lat"], rmc["north"])}
+    track = pd.DataFrame({UTC: utc, **places})
+
+    columns = ["fix", "talker", SATELLITE, ELEVATION, AZIMUTH, CN0]
+    gsv = pd.DataFrame(seen, columns=columns)
+    numbers = gsv[columns[2:]].apply(pd.to_numeric, errors="coerce")
+    rows = numbers.assign(**{UTC: gsv["fix"].map(utc)}).fillna({CN0: 0.0})
+    rows[SATELLITE] = _names(gsv["talker"], numbers[SATELLITE])
+    rows[ELEVATION] = rows[ELEVATION].where(rows[ELEVATION] >= 0)
+    if num_bad:
+        warn(f"{what} has {num_bad} sentences with a wrong checksum, which are left out")
+    return Heard(_whole(rows, what), track, MATCH_S)
+
+
+def _degrees(values: pd.Series, sides: pd.Series) -> pd.Series:
+    """Return degrees of NMEA's degrees and minutes, ``dddmm.mmm``, negative to the south and the west."""
+    numbers = pd.to_numeric(values)
+    degrees = numbers // 100 + numbers % 100 / 60
+    return degrees.where(~sides.isin(["S", "W"]), -degrees)
+
+
+def _gnss_logger(text: str, what: str) -> Heard:
+    """Return measurements (``Raw``) of L1, E1 and B1, and places (``Fix``) of the provider GPS.
+
+    Raises:
+      ValueError: lines or columns are missing.
+    """
+    raw = _lines(text, "Raw")
+    fixes = _lines(text, "Fix").rename(columns=OF_FIXES)
+    fixes = fixes[fixes["Provider"].str.lower() == "gps"]
+    track = fixes[[LON, LAT]].assign(**{UTC: pd.to_datetime(fixes[UTC], unit="ms", utc=True)})
+
+    raw = raw[~(raw["CarrierFrequencyHz"] < LEAST_L1_HZ)]
+    bias_ns = raw["FullBiasNanos"] + raw["BiasNanos"].fillna(0.0)
+    names = _names(raw["ConstellationType"].map("{:.0f}".format), raw["Svid"])
+    rows = raw.assign(utc=raw["TimeNanos"] - bias_ns, satellite=names, cn0_dbhz=raw["Cn0DbHz"])
+    rows = _whole(rows[[UTC, SATELLITE, CN0]], what)
+    return Heard(rows.assign(**{UTC: utc_of(rows[UTC].to_numpy() / 1e9)}), track, FIX_S)
+
+
+def _lines(text: str, kind: str) -> pd.DataFrame:
+    """Return the lines of a kind in a GnssLogger file, with the columns that its comment names."""
+    lines = re.findall(rf"^(?:# *)?({kind},.*)$", text, re.MULTILINE)
+    return pd.read_csv(StringIO("\n".join(lines)), skipinitialspace=True, index_col=False)
+
+
+def _names(keys: pd.Series, numbers: pd.Series) -> pd.Series:
+    """Return names as in RINEX 3 by talker or type and number (`SYSTEMS`), None of others."""
+    names = []
+    for key, number in zip(keys, numbers, strict=True):
+        name = None
+        for letter, (known, offset, most) in SYSTEMS.items():
+            own = number - offset if number > offset else number
+            if key in known.split() and 1 <= own <= most:
+                name = f"{letter}{own:02.0f}"
+        names.append(name)
+    return pd.Series(names, keys.index, dtype=object)
+
+
+def _strongest(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return a row an epoch and satellite, with the largest value of each column."""
+    return rows.groupby([UTC, SATELLITE], as_index=False).max()
+
+
+def _whole(rows: pd.DataFrame, what: str) -> pd.DataFrame:
+    """Return the strongest rows of those that lack nothing, and warn of the others."""
+    whole = rows.dropna()
+    if len(whole) < len(rows):
+        warn(
+            f"{what} has {len(rows) - len(whole)} of {len(rows)} measurements without a time, a direction or a number "
+            "that is known, which are left out"
+        )
+    return _strongest(whole)
+
+
+READERS = {  # by what is in the first bytes of a file
+    rb"\A *[234]\.\d+ +O|\A[\d.]+ +COMPACT RINEX": _rinex,
+    rb"(?m)^\$[A-Z]{2}(RMC|GGA|GSV),": _nmea,
+    rb"(?m)^(# *)?Raw,": _gnss_logger,
+}
