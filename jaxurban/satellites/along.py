@@ -294,8 +294,8 @@ def sky_along(
     lon, lat = sight.region.lonlat_of_xy(x_m, y_m)
     table = pd.DataFrame({"time": time_of_place, "lon": lon, "lat": lat, "altitude_m": z_m})
     table = table.join(look.dops).assign(has_fix=~has_no_fix(look.dops[FIX].to_numpy()))
-    moments = pd.DataFrame({UTC: time_of_place, LON: lon, LAT: lat})
-    satellites = moments.iloc[look.epoch].reset_index(drop=True).join(look.rows)
+    moments = table.iloc[look.epoch, :3].set_axis([UTC, LON, LAT], axis="columns")
+    satellites = moments.reset_index(drop=True).join(look.rows)
     if heard is not None:
         names = look.rows["satellite"].map(rinex_name)
         keys = pd.MultiIndex.from_arrays([look.epoch, names])

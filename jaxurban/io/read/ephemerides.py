@@ -5,8 +5,8 @@ GPS and QZSS for 2 hours before and after its epoch, of Galileo for 4 hours afte
 """
 
 import re
-from collections.abc import Callable
-from functools import lru_cache, partial
+from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,7 +31,6 @@ MU_M3_S2 = 3.986005e14  # of Earth, and its rotation: IS-GPS-200, table 20-IV
 EARTH_RAD_S = 7.2921151467e-5
 YUMA_LINES = 13  # of a satellite
 AGAIN = "convert or download it again"
-PlacesM = Callable[[np.ndarray], np.ndarray]
 
 
 @lru_cache(maxsize=1)
@@ -53,32 +52,49 @@ class Ephemeris(VectorFunction):  # type: ignore[misc]
     Attributes:
       name: as in RINEX 3, such as G05.
       span_s: first and last time of which its file says something, seconds since the start of GPS time.
+      epoch: the middle of them.
+      health: by its message, 0 where it is good; without that the satellite has no place.
     """
 
     center = 399
 
-    def __init__(self, name: str, span_s: tuple[float, float], places_m: PlacesM) -> None:
-        """Keep ``places_m``, which returns ``[N, 3]`` of ``[N]`` seconds of GPS time; NaN where there is no place."""
+    def __init__(self, name: str, source: Any, span_s: Sequence[float], health: float) -> None:
+        """Keep what sidereon has read, or the lines of an almanac, as the source of the places."""
         self.name = self.target = name
         self.span_s = span_s
-        self._places_m = places_m
+        self.epoch = timescale().tai_jd(GPS_START_TAI + np.mean(span_s) / 86_400)
+        self.health = health
+        self._source = source
 
-    @property
-    def epoch(self) -> Time:
-        """The middle of the span."""
-        return timescale().tai_jd(GPS_START_TAI + np.mean(self.span_s) / 86_400)
+    def _places_m(self, gps_s: np.ndarray) -> np.ndarray:
+        """Return ``[N, 3]`` places at ``[N]`` seconds of GPS time, NaN where there is none."""
+        states = library().observable_states_at_j2000_s
+        return states(self._source, [self.name] * len(gps_s), gps_s - J2000_S).positions_ecef_m
 
     def _at(self, t: Time) -> tuple:
         """Return the place for Skyfield, and in place of its velocity, which nobody asks for, 0."""
         gps_s = (t.whole - GPS_START_TAI + t.tai_fraction) * 86_400
-        places_au = self._places_m(gps_s).T / (1000 * AU_KM)
-        inertial_au = np.einsum("ji...,j...->i...", itrs.rotation_at(t), places_au)
-        return inertial_au, 0 * inertial_au, None, None
+        places_m = np.where(self.health, np.nan, self._places_m(gps_s))
+        inertial = np.einsum("jin,nj->in", itrs.rotation_at(t), places_m / 1000 / AU_KM)
+        return inertial, 0 * inertial, None, None
 
 
-Read = tuple[
-    list[Ephemeris], dict[str, str]
-]  # the satellites of a file, and why others are left out
+class Almanac(Ephemeris):
+    """A satellite by its lines in a YUMA almanac (IS-GPS-200, table 20-IV)."""
+
+    def _places_m(self, gps_s: np.ndarray) -> np.ndarray:
+        """Return ``[N, 3]`` places at ``[N]`` seconds of GPS time."""
+        eccentricity, toa_s, inclination, node_rate, axis_root, node, perigee, mean = self._source
+        since_s = gps_s - self.span_s[0]
+        mean = mean + np.sqrt(MU_M3_S2) / axis_root**3 * since_s
+        anomaly = mean
+        for _ in range(10):  # each time the error shrinks by the eccentricity
+            anomaly = mean + eccentricity * np.sin(anomaly)
+        depth = 1j * np.sqrt(1 - eccentricity**2) * np.sin(anomaly)
+        to_node = axis_root**2 * (np.cos(anomaly) - eccentricity + depth) * np.exp(1j * perigee)
+        turn = node + node_rate * since_s - EARTH_RAD_S * (since_s + toa_s)
+        level = (to_node.real + 1j * to_node.imag * np.cos(inclination)) * np.exp(1j * turn)
+        return np.column_stack([level.real, level.imag, to_node.imag * np.sin(inclination)])
 
 
 def library() -> ModuleType:
@@ -92,82 +108,70 @@ def library() -> ModuleType:
     return sidereon
 
 
-def read_ephemerides(data: bytes, source: str | Path) -> Read | None:
-    """Return the satellites of broadcast RINEX, SP3 or a YUMA almanac; None of other content.
+def loaded(function: str, text: str) -> Any:
+    """Return what a function of sidereon reads in the text of a file; ValueError where it is cut or damaged."""
+    sidereon = library()
+    if not text.endswith("\n"):
+        raise ValueError("it ends within a line, so it was cut")
+    try:
+        return getattr(sidereon, function)(text.encode())
+    except sidereon.SidereonError as error:
+        raise ValueError(str(error)) from error
+
+
+def check_scale(scale: str, what: str) -> None:
+    """Raise InputError, which begins with ``what``, where a file counts in a time that is not that of GPS."""
+    if scale not in GPS_SCALES:
+        raise InputError(
+            f"{what} counts in {scale}, and only GPS time is read: name a file of GPS time"
+        )
+
+
+def read_ephemerides(data: bytes, source: str | Path) -> list[Ephemeris]:
+    """Return the satellites of broadcast RINEX, SP3 or a YUMA almanac; none of other content.
 
     Args:
       data: the content of the file.
       source: the file, for messages.
 
     Raises:
-      InputError: a file that is cut or damaged, in another scale of time, without a satellite that can be used, or an
-        almanac whose week is modulo 1024; sidereon is not installed.
+      InputError: a file that is cut or damaged, in another scale of time, or an almanac whose week is modulo 1024;
+        sidereon is not installed.
     """
-    reader = next((read for mark, read in READERS.items() if re.match(mark, data)), None)
-    if reader is None:
-        return None
-    errors = () if reader is _yuma else (library().SidereonError,)
     what = f"the orbits file {str(source)!r}"
-    with readable(source, "whole orbits", AGAIN, *errors, what=what):
-        if not data.endswith(b"\n"):
-            raise ValueError("it ends within a line, so it was cut")
-        found = reader(data.decode("utf-8", "replace"), what)
-    if not found[0]:
-        raise InputError(f"{what} holds no healthy satellite: name another file")
-    return found
+    with readable(source, "whole orbits", AGAIN, what=what):
+        for mark, read in READERS.items():
+            if re.match(mark, data):
+                return read(data.decode("utf-8", "replace"), what)
+    return []
 
 
-def _unhealthy(health: Any, names: list[str]) -> dict[str, str]:
-    """Return why satellites are left out, by the health and the satellite of each message: all say unhealthy."""
-    least = pd.Series(health, names).groupby(level=0).min()
-    return {
-        str(name): f"unhealthy by its navigation message (health {value:.0f})"
-        for name, value in least[least != 0].items()
-    }
-
-
-def _by_sidereon(source: Any, names: Any, span_s: tuple[float, float]) -> list[Ephemeris]:
-    """Return satellites of what sidereon has read."""
-
-    def places_m(name: str, gps_s: np.ndarray) -> np.ndarray:
-        states = library().observable_states_at_j2000_s
-        return states(source, [name] * len(gps_s), gps_s - J2000_S).positions_ecef_m
-
-    return [Ephemeris(name, span_s, partial(places_m, name)) for name in names]
-
-
-def _broadcast(text: str, what: str) -> Read:
-    """Return the satellites of a RINEX file of navigation messages."""
-    sidereon = library()
-    broadcast = sidereon.load_rinex_nav(text.encode())
-    glonass = sidereon.parse_rinex_glonass_records(text)
-    others = sidereon.parse_rinex_nav_records(text)
+def _broadcast(text: str, what: str) -> list[Ephemeris]:
+    """Return the satellites of a RINEX file of navigation messages; one is good if any of its messages says so."""
+    broadcast = loaded("load_rinex_nav", text)
+    glonass = library().parse_rinex_glonass_records(text)
+    others = library().parse_rinex_nav_records(text)
     epochs_s = [J2000_S + record.toe_gpst_j2000_s for record in glonass]
     for record in others:
         week = record.toe_week + (BEIDOU_WEEKS if record.satellite[0] == "C" else 0)
         epochs_s.append(week * WEEK_S + record.toe_tow_s)
-    records = [*glonass, *others]
-    names = [record.satellite for record in records]
-    left_out = _unhealthy([record.sv_health for record in records], names)
+    # The least of a satellite's flags comes last, and stays.
+    flags = [(record.satellite, record.sv_health) for record in [*glonass, *others]]
+    health = dict(sorted(flags, reverse=True))
     span_s = min(epochs_s, default=0.0), max(epochs_s, default=0.0)
-    return _by_sidereon(broadcast, sorted({*names} - {*left_out}), span_s), left_out
+    return [Ephemeris(name, broadcast, span_s, health[name]) for name in health]
 
 
-def _sp3(text: str, what: str) -> Read:
-    """Return the satellites of precise orbits, between the first and the last of their nodes."""
-    precise = library().load_sp3(text.encode())
-    scale = precise.header.time_system
-    if scale not in GPS_SCALES:
-        raise InputError(
-            f"{what} counts in {scale}, and only GPS time is read: take a product of GPS time"
-        )
-    nodes_s = J2000_S + np.array(precise.epochs_j2000_seconds)
-    satellites = _by_sidereon(precise, precise.satellites, (nodes_s[0], nodes_s[-1]))
-    return satellites, {}
+def _sp3(text: str, what: str) -> list[Ephemeris]:
+    """Return the satellites of precise orbits, which are good up to one step beyond the first and the last node."""
+    precise = loaded("load_sp3", text)
+    check_scale(precise.header.time_system, what)
+    first_s, *_, last_s = J2000_S + np.array(precise.epochs_j2000_seconds)
+    return [Ephemeris(name, precise, (first_s, last_s), 0.0) for name in precise.satellites]
 
 
-def _yuma(text: str, what: str) -> Read:
-    """Return the satellites of a YUMA almanac (IS-GPS-200, section 20.3.3.5.2.1)."""
+def _yuma(text: str, what: str) -> list[Ephemeris]:
+    """Return the satellites of a YUMA almanac."""
     values = np.array(re.findall(r":\s*(\S+)\s*$", text, re.MULTILINE), float)
     table = values.reshape(-1, YUMA_LINES)
     week = table[0, -1]
@@ -178,29 +182,11 @@ def _yuma(text: str, what: str) -> Read:
             f"{what} counts its week modulo 1024, {week:.0f}, which began on {days}: write the full one into it, as "
             f"`sed -i 's/^week:.*/week: {weeks[1]:.0f}/' FILE` does for the second"
         )
-    names = [f"G{number:02.0f}" for number in table[:, 0]]
-    left_out = _unhealthy(table[:, 1], names)
-    satellites = []
-    for name, elements in zip(names, table, strict=True):
-        if name not in left_out:
-            epoch_s = week * WEEK_S + elements[3]
-            places_m = partial(_kepler, elements, epoch_s)
-            satellites.append(Ephemeris(name, (epoch_s, epoch_s), places_m))
-    return satellites, left_out
-
-
-def _kepler(elements: np.ndarray, epoch_s: float, gps_s: np.ndarray) -> np.ndarray:
-    """Return ``[N, 3]`` places of a satellite by the lines of an almanac, whose epoch is given, at ``[N]`` times."""
-    eccentricity, toa_s, inclination, node_rate, axis_root, node, perigee, start = elements[2:10]
-    since_s = gps_s - epoch_s
-    anomaly = mean = start + np.sqrt(MU_M3_S2) / axis_root**3 * since_s
-    for _ in range(10):  # each time the error shrinks by the eccentricity
-        anomaly = mean + eccentricity * np.sin(anomaly)
-    in_plane = np.cos(anomaly) - eccentricity + 1j * np.sqrt(1 - eccentricity**2) * np.sin(anomaly)
-    to_node = axis_root**2 * in_plane * np.exp(1j * perigee)
-    turn = node + node_rate * since_s - EARTH_RAD_S * (since_s + toa_s)
-    level = (to_node.real + 1j * to_node.imag * np.cos(inclination)) * np.exp(1j * turn)
-    return np.stack([level.real, level.imag, to_node.imag * np.sin(inclination)], axis=-1)
+    satellites: list[Ephemeris] = []
+    for number, health, *elements, _, _, _ in table:
+        epoch_s = week * WEEK_S + elements[1]
+        satellites.append(Almanac(f"G{number:02.0f}", elements, (epoch_s, epoch_s), health))
+    return satellites
 
 
 READERS = {  # by the first bytes of a file

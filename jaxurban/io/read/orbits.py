@@ -5,8 +5,8 @@ import io
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -60,12 +60,10 @@ class Orbits:
       satellites: one element set each, or an `Ephemeris`; for the nominal constellation the elements of its table's
         date (`look_angles` takes each day's own).
       sources: for each satellite the file that it is from, or ``"nominal"``.
-      left_out: satellites that the files call unhealthy, and the reason of each.
     """
 
     satellites: tuple[EarthSatellite | Ephemeris, ...]
     sources: tuple[str, ...]
-    left_out: Mapping[str, str] = field(default_factory=dict)
 
     def of(self, source: str) -> list[int]:
         """Return the numbers of the satellites from one source."""
@@ -99,14 +97,13 @@ def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
         )
     satellites: list[EarthSatellite | Ephemeris] = []
     names: list[str] = []
-    left_out: dict[str, str] = {}
     for name in map(str, sources):
         if name == NOMINAL:
             satellites += nominal_satellites(GPS.table_date, timescale())
         else:
-            satellites += _read_file(name, left_out)
+            satellites += _read_file(name)
         names += [name] * (len(satellites) - len(names))
-    orbits = Orbits(tuple(satellites), tuple(names), left_out)
+    orbits = Orbits(tuple(satellites), tuple(names))
     _check_twice(orbits)
     return orbits
 
@@ -150,12 +147,8 @@ def _check_twice(orbits: Orbits) -> None:
         from_files[number] = source
 
 
-def _read_file(source: str, left_out: dict[str, str]) -> Sequence[EarthSatellite | Ephemeris]:
-    """Return the satellites of one file: an ephemeris, OMM in JSON or CSV, else two-line elements.
-
-    Args:
-      source: the file.
-      left_out: gets why unhealthy satellites are left out.
+def _read_file(source: str) -> Sequence[EarthSatellite | Ephemeris]:
+    """Return the satellites of one file: of an ephemeris, of OMM in JSON or CSV, else of two-line elements.
 
     Raises:
       InputError: no such file, another kind of file, a cut or damaged element set, or none.
@@ -167,8 +160,7 @@ def _read_file(source: str, left_out: dict[str, str]) -> Sequence[EarthSatellite
             data = plain.read_bytes()
         ephemerides = read_ephemerides(data, source)
         if ephemerides:
-            left_out |= ephemerides[1]
-            return ephemerides[0]
+            return ephemerides
         text = data.decode("utf-8-sig").lstrip()
         header = text.partition("\n")[0]
         messages: Any = None
@@ -303,14 +295,8 @@ def look_angles(
     # Elements that are too old, and those that SGP4 gives up on.
     names = tuple(satellite.name for satellite in orbits.satellites)
     iso = tuple(time.replace(tzinfo=None).isoformat() + "Z" for time in utc)
-    is_lost = ~np.isfinite(elevation_rad)
-    _check_spans(orbits, iso, is_lost)
+    _check_places(orbits, iso, ~np.isfinite(elevation_rad))
     _check_age(orbits.sources, iso, names, age_days, max_age_days)
-    for t, s in np.argwhere(is_lost):
-        if isinstance(orbits.satellites[s], EarthSatellite):
-            raise InputError(
-                f"SGP4 cannot carry {names[s]} of {orbits.sources[s]} to {iso[t]}: remove it from the file"
-            )
     return Sky(
         times=iso,
         names=names,
@@ -321,22 +307,28 @@ def look_angles(
     )
 
 
-def _check_spans(orbits: Orbits, iso: Sequence[str], is_lost: np.ndarray) -> None:
-    """Raise InputError where an ephemeris has no place for any of its satellites.
+def _check_places(orbits: Orbits, iso: Sequence[str], is_lost: np.ndarray) -> None:
+    """Raise InputError where SGP4 loses a satellite, or an ephemeris has no place for any of its satellites.
 
     Args:
       orbits: the satellites.
       iso: the times as texts, ``T`` of them.
       is_lost: ``[T, S]``, which satellites have no place at a time.
     """
-    for satellite, source in zip(orbits.satellites, orbits.sources, strict=True):
-        is_out = is_lost[:, orbits.of(source)].all(axis=1)
-        if isinstance(satellite, Ephemeris) and is_out.any():
-            first, last = utc_of(np.array(satellite.span_s)).strftime("%Y-%m-%dT%H:%M:%SZ")
+    for s, (satellite, source) in enumerate(zip(orbits.satellites, orbits.sources, strict=True)):
+        is_ephemeris = isinstance(satellite, Ephemeris)
+        is_out = is_lost[:, orbits.of(source) if is_ephemeris else [s]].all(axis=1)
+        if not is_out.any():
+            continue
+        time = iso[int(np.argmax(is_out))]
+        if not is_ephemeris:
             raise InputError(
-                f"{source} says nothing of {iso[int(np.argmax(is_out))]}, only of {first} to {last}: use orbits of "
-                "that time"
+                f"SGP4 cannot carry {satellite.name} of {source} to {time}: remove it from the file"
             )
+        first, last = utc_of(np.array(satellite.span_s)).strftime("%Y-%m-%dT%H:%M:%SZ")
+        raise InputError(
+            f"{source} says nothing of {time}, only of {first} to {last}: use orbits of that time"
+        )
 
 
 def matching(satellites: Sequence[str], sky: Sky) -> np.ndarray:

@@ -5,7 +5,6 @@ from functools import reduce
 from io import StringIO
 from operator import xor
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -13,10 +12,11 @@ import pandas as pd
 from jaxurban.errors import InputError, readable, warn
 from jaxurban.io.read.ephemerides import (
     AGAIN,
-    GPS_SCALES,
-    GPS_START,
+    J2000_S,
     WEEK_S,
+    check_scale,
     library,
+    loaded,
     utc_of,
 )
 from jaxurban.io.read.sniff import HEAD_BYTES, sniff, unpacked
@@ -57,12 +57,7 @@ OTHER_NAMES = {  # of a reference's columns, in small letters with _ for what is
     "ellipsoid_height_m": HEIGHT,
     "ellipsoidal_height_m": HEIGHT,
 }
-WGS84_3D = "EPSG:4979"
-WGS84_ECEF = "EPSG:4978"
 TABLES = re.compile(r"\.(csv|parquet)\b", re.IGNORECASE)
-# How the codes of C/N0 on L1, E1 and B1 begin (RINEX 3.05, tables 4 to 10), by a system's letter; "S1" where the letter
-# is missing here.
-BANDS = {"C": ("S2", "S1")}
 EVENTS = 2  # an epoch with this flag or a higher one marks an event and holds no observation
 SENTENCE = re.compile(r"\$([A-Z]{2})(RMC|GGA|GSV),([^*$]*)\*([0-9A-Fa-f]{2})", re.ASCII)
 # Of each system by its letter in RINEX: talkers of NMEA and ConstellationType of Android, what their numbers exceed
@@ -87,21 +82,9 @@ OF_FIXES = {  # of GnssLogger, from version 3 on and before
 }
 
 
-class Heard(NamedTuple):
-    """What a file holds.
-
-    Attributes:
-      rows: a row an epoch and satellite: ``utc``, ``satellite``, ``cn0_dbhz`` if the file has it, and ``azimuth_deg``
-        and ``elevation_deg`` of NMEA.
-      track: the file's own places: ``utc``, ``lon_deg``, ``lat_deg``, ``height_m`` if known; empty without any.
-      within_s: most between the times of a place and of its observation.
-      note: what must be said of the places, empty for nothing.
-    """
-
-    rows: pd.DataFrame
-    track: pd.DataFrame
-    within_s: float
-    note: str = ""
+Heard = tuple[
+    pd.DataFrame, pd.DataFrame
+]  # a row an epoch and satellite, and the file's own places by time
 
 
 def read_log(
@@ -132,23 +115,22 @@ def read_log(
         return None
     sniff(path)
     what = f"the receiver log {str(file)!r}"
-    with readable(path, "a log", AGAIN, what=what), unpacked(path) as plain:
-        with plain.open("rb") as opened:
-            head = opened.read(HEAD_BYTES)
+    with readable(path, "a log", AGAIN, KeyError, what=what), unpacked(path) as plain:
+        data = plain.read_bytes()
+        head = data[:HEAD_BYTES]
         reader = next((read for mark, read in READERS.items() if re.search(mark, head)), None)
         if reader is None:
             return None
-        heard = reader(plain.read_bytes().decode("utf-8", "replace"), what)
-    track = heard.track
-    within_s = heard.within_s
+        rows, track = reader(data.decode("utf-8", "replace"), what)
     if reference is not None:
-        track = read_track(reference)
-        within_s = MATCH_S
-    elif track.empty:
+        return _placed(rows, read_track(reference), MATCH_S, what)
+    if track.empty:
         raise InputError(f"{what} holds no place: give a table of the antenna's as the reference")
-    elif heard.note:
-        warn(f"{what} {heard.note}")
-    return _placed(heard.rows, track, within_s, what)
+    if reader is _rinex:
+        warn(
+            f"{what} is placed at its APPROX POSITION XYZ throughout: give the reference of an antenna that moved"
+        )
+    return _placed(rows, track, FIX_S, what)
 
 
 def _placed(rows: pd.DataFrame, track: pd.DataFrame, within_s: float, what: str) -> pd.DataFrame:
@@ -167,19 +149,21 @@ def _placed(rows: pd.DataFrame, track: pd.DataFrame, within_s: float, what: str)
         return track
     track, rows = (each.astype({UTC: "datetime64[us, UTC]"}) for each in (track, rows))
     rows = rows.rename(columns={UTC: OBSERVED}).sort_values(OBSERVED, kind="stable")
-    times = rows[[OBSERVED]].drop_duplicates()
-    most = pd.Timedelta(seconds=within_s)
     pairs = pd.merge_asof(
-        times, track.sort_values(UTC), None, OBSERVED, UTC, tolerance=most, direction="nearest"
+        rows[[OBSERVED]].drop_duplicates(),
+        track.sort_values(UTC),
+        left_on=OBSERVED,
+        right_on=UTC,
+        tolerance=pd.Timedelta(seconds=within_s),
+        direction="nearest",
     )
     pairs = pairs.dropna(subset=UTC).drop_duplicates(UTC)
     if pairs.empty:
-        late_s = (track[UTC].min() - times[OBSERVED].iloc[0]).total_seconds()
         raise InputError(
-            f"the track and the observations of {what} have no epoch in common, within {within_s:g} s: the track "
-            f"begins {late_s:+.3f} s after them, and that of the same drive is needed"
+            f"{what} begins at {rows[OBSERVED].iloc[0]}, its places at {track[UTC].min()}, and no epoch is in common "
+            f"within {within_s:g} s: give the places of the same drive"
         )
-    return pairs.merge(rows, on=OBSERVED).drop(columns=OBSERVED)
+    return pairs.merge(rows).drop(columns=OBSERVED)
 
 
 def read_track(reference: str | Path | pd.DataFrame) -> pd.DataFrame:
@@ -195,12 +179,10 @@ def read_track(reference: str | Path | pd.DataFrame) -> pd.DataFrame:
     Raises:
       InputError: a file that cannot be read, no such columns, or values out of range.
     """
-    if isinstance(reference, pd.DataFrame):
-        what = "the reference track"
-        table = reference
-    else:
-        what = f"the reference track {str(reference)!r}"
-        table = read_table(located(reference), "reference track")
+    what = "the reference track"
+    table = reference
+    if not isinstance(table, pd.DataFrame):
+        table = read_table(located(table), "reference track")
     names = [re.sub(r"\W+", "_", str(name).lower()).strip("_") for name in table.columns]
     table = renamed(table.set_axis(names, axis="columns"), OTHER_NAMES)
     times = [UTC] if UTC in table else [WEEK, TOW]
@@ -221,43 +203,30 @@ def _rinex(text: str, what: str) -> Heard:
     Raises:
       InputError: it is cut or damaged, not in GPS time, or without observations.
     """
-    sidereon = library()
-    if not text.endswith("\n"):
-        raise InputError(f"{what} ends within a line, so it was cut: {AGAIN}")
-    try:
-        if "COMPACT RINEX" in text.partition("\n")[0]:
-            text = sidereon.decode_crinex(text)
-        file = sidereon.load_rinex_obs(text.encode())
-    except sidereon.SidereonError as error:
-        raise ValueError(str(error)) from error
+    if "COMPACT RINEX" in text.partition("\n")[0]:
+        text = loaded("load_crinex", text)
+    file = loaded("load_rinex_obs", text)
     header = file.header
-    scale = header.time_of_first_obs[1].abbrev if header.time_of_first_obs else "unknown"
-    if scale not in GPS_SCALES:
-        raise InputError(
-            f"{what} counts in {scale}, and only GPS time is read: convert it to a file of GPS time"
-        )
-    codes = []  # of each system with observables of C/N0, these observables
-    for system in header.systems:
-        bands = BANDS.get(system.letter, ("S1",))
-        own = [code for code in file.obs_codes(system) if code.startswith(bands)]
-        if own:
-            codes.append((system, own))
-
-    # Every observable of the epochs, NaN where it is missing.
-    only = sidereon.ObservationFilter(codes) if codes else None
+    check_scale(header.time_of_first_obs[1].abbrev if header.time_of_first_obs else "no time", what)
     observables = []
     for number, epoch in enumerate(file.epochs):
         time = epoch.epoch
         if epoch.flag < EVENTS and time is not None:
-            minute = pd.Timestamp(time.year, time.month, time.day, time.hour, time.minute, tz="UTC")
-            gps_s = (minute - GPS_START).total_seconds() + time.second  # with its fraction
-            series = file.observation_values(number, only)
-            columns = {UTC: gps_s, SATELLITE: series.satellites, CN0: series.values}
-            observables.append(pd.DataFrame(columns))
+            time_s = library().j2000_seconds(
+                time.year, time.month, time.day, time.hour, time.minute, time.second
+            )
+            series = file.observation_values(number)
+            columns = {UTC: J2000_S + time_s, SATELLITE: series.satellites, CN0: series.values}
+            observables.append(pd.DataFrame(columns, series.codes))
     if not observables:
         raise InputError(f"{what} holds no observation: name another file")
-    rows = _strongest(pd.concat(observables)).fillna({CN0: 0.0})
+    rows = pd.concat(observables)
     rows[UTC] = utc_of(rows[UTC].to_numpy())
+
+    # Of its observables C/N0 of L1, E1 and B1 (RINEX 3.05, tables 4 to 10), of which a value may be missing.
+    codes = rows[SATELLITE].str[0] + rows.index
+    strengths = rows[codes.str.match("[^C]S1|CS[12]")].fillna({CN0: 0.0})
+    rows = rows.drop(columns=CN0) if strengths.empty else strengths
 
     # The antenna's approximate position, if there is one.
     track = pd.DataFrame({UTC: rows[UTC].unique()})
@@ -265,9 +234,8 @@ def _rinex(text: str, what: str) -> Heard:
     if position_m is None or not np.any(position_m):
         track = track.iloc[:0]
     else:
-        track[[*TRACK]] = transformer(WGS84_ECEF, WGS84_3D).transform(*position_m)
-    note = "is placed at its APPROX POSITION XYZ throughout: give the reference of an antenna that moved"
-    return Heard(rows if codes else rows.drop(columns=CN0), track, MATCH_S, note)
+        track[[*TRACK]] = transformer("EPSG:4978", "EPSG:4979").transform(*position_m)
+    return _whole(rows, what), track
 
 
 def _nmea(text: str, what: str) -> Heard:
@@ -276,7 +244,7 @@ def _nmea(text: str, what: str) -> Heard:
     Raises:
       InputError: no RMC gives a date and a place.
     """
-    fixes: list[list[str]] = []
+    fixes: list[tuple] = []
     seen = []
     num_bad = 0
     for talker, kind, body, checksum in SENTENCE.findall(text):
@@ -285,7 +253,8 @@ def _nmea(text: str, what: str) -> Heard:
             continue
         fields = body.split(",")
         if kind == "RMC" and len(fields) > 8 and fields[1] == "A" and fields[2] and fields[8]:
-            fixes.append([*fields[:6], fields[8]])
+            clock = f"{fields[8]}{float(fields[0]):013.6f}"
+            fixes.append((clock, _degrees(*fields[4:6]), _degrees(*fields[2:4])))
         elif kind == "GSV":
             groups = zip(*[iter(fields[3:])] * 4, strict=False)  # a signal's number may remain
             seen += [(len(fixes) - 1, talker, *group) for group in groups]
@@ -293,29 +262,25 @@ def _nmea(text: str, what: str) -> Heard:
         raise InputError(
             f"{what} has no RMC sentence with a date and a place, and GGA has no date: switch RMC on in the receiver"
         )
-    columns = ["clock", "status", "lat", "north", "lon", "east", "date"]
-    rmc = pd.DataFrame(fixes, columns=columns)
-    second = pd.to_datetime(rmc["date"] + rmc["clock"].str[:6], format="%d%m%y%H%M%S", utc=True)
-    utc = second + pd.to_timedelta(pd.to_numeric("0" + rmc["clock"].str[6:]), "s")
-    places = {LON: _degrees(rmc["lon"], rmc["east"]), LAT: _degrees(rmc["lat"], rmc["north"])}
-    track = pd.DataFrame({UTC: utc, **places})
+    track = pd.DataFrame(fixes, columns=[UTC, LON, LAT])
+    track[UTC] = pd.to_datetime(track[UTC], format="%d%m%y%H%M%S.%f", utc=True)
 
     columns = ["fix", "talker", SATELLITE, ELEVATION, AZIMUTH, CN0]
     gsv = pd.DataFrame(seen, columns=columns)
     numbers = gsv[columns[2:]].apply(pd.to_numeric, errors="coerce")
-    rows = numbers.assign(**{UTC: gsv["fix"].map(utc)}).fillna({CN0: 0.0})
-    rows[SATELLITE] = _names(gsv["talker"], numbers[SATELLITE])
+    rows = numbers.assign(**{UTC: gsv["fix"].map(track[UTC])}).fillna({CN0: 0.0})
+    rows[SATELLITE] = list(map(_name, gsv["talker"], numbers[SATELLITE]))
     rows[ELEVATION] = rows[ELEVATION].where(rows[ELEVATION] >= 0)
     if num_bad:
         warn(f"{what} has {num_bad} sentences with a wrong checksum, which are left out")
-    return Heard(_whole(rows, what), track, MATCH_S)
+    return _whole(rows, what), track
 
 
-def _degrees(values: pd.Series, sides: pd.Series) -> pd.Series:
+def _degrees(text: str, side: str) -> float:
     """Return degrees of NMEA's degrees and minutes, ``dddmm.mmm``, negative to the south and the west."""
-    numbers = pd.to_numeric(values)
-    degrees = numbers // 100 + numbers % 100 / 60
-    return degrees.where(~sides.isin(["S", "W"]), -degrees)
+    number = float(text)
+    degrees = number // 100 + number % 100 / 60
+    return -degrees if side in ("S", "W") else degrees
 
 
 def _gnss_logger(text: str, what: str) -> Heard:
@@ -331,10 +296,14 @@ def _gnss_logger(text: str, what: str) -> Heard:
 
     raw = raw[~(raw["CarrierFrequencyHz"] < LEAST_L1_HZ)]
     bias_ns = raw["FullBiasNanos"] + raw["BiasNanos"].fillna(0.0)
-    names = _names(raw["ConstellationType"].map("{:.0f}".format), raw["Svid"])
-    rows = raw.assign(utc=raw["TimeNanos"] - bias_ns, satellite=names, cn0_dbhz=raw["Cn0DbHz"])
-    rows = _whole(rows[[UTC, SATELLITE, CN0]], what)
-    return Heard(rows.assign(**{UTC: utc_of(rows[UTC].to_numpy() / 1e9)}), track, FIX_S)
+    keys = raw["ConstellationType"].map("{:.0f}".format)
+    columns = {
+        UTC: raw["TimeNanos"] - bias_ns,
+        SATELLITE: list(map(_name, keys, raw["Svid"])),
+        CN0: raw["Cn0DbHz"],
+    }
+    rows = _whole(pd.DataFrame(columns), what)
+    return rows.assign(**{UTC: utc_of(rows[UTC].to_numpy() / 1e9)}), track
 
 
 def _lines(text: str, kind: str) -> pd.DataFrame:
@@ -343,33 +312,24 @@ def _lines(text: str, kind: str) -> pd.DataFrame:
     return pd.read_csv(StringIO("\n".join(lines)), skipinitialspace=True, index_col=False)
 
 
-def _names(keys: pd.Series, numbers: pd.Series) -> pd.Series:
-    """Return names as in RINEX 3 by talker or type and number (`SYSTEMS`), None of others."""
-    names = []
-    for key, number in zip(keys, numbers, strict=True):
-        name = None
-        for letter, (known, offset, most) in SYSTEMS.items():
-            own = number - offset if number > offset else number
-            if key in known.split() and 1 <= own <= most:
-                name = f"{letter}{own:02.0f}"
-        names.append(name)
-    return pd.Series(names, keys.index, dtype=object)
-
-
-def _strongest(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return a row an epoch and satellite, with the largest value of each column."""
-    return rows.groupby([UTC, SATELLITE], as_index=False).max()
+def _name(key: str, number: float) -> str | None:
+    """Return the name as in RINEX 3 of a talker or type and a number (`SYSTEMS`), None where there is none."""
+    for letter, (known, offset, most) in SYSTEMS.items():
+        own = number - offset if number > offset else number
+        if key in known.split() and 1 <= own <= most:
+            return f"{letter}{own:02.0f}"
+    return None
 
 
 def _whole(rows: pd.DataFrame, what: str) -> pd.DataFrame:
-    """Return the strongest rows of those that lack nothing, and warn of the others."""
+    """Return a row an epoch and satellite, of several the strongest, and warn of rows that lack something."""
     whole = rows.dropna()
     if len(whole) < len(rows):
         warn(
             f"{what} has {len(rows) - len(whole)} of {len(rows)} measurements without a time, a direction or a number "
             "that is known, which are left out"
         )
-    return _strongest(whole)
+    return whole.groupby([UTC, SATELLITE], as_index=False).max()
 
 
 READERS = {  # by what is in the first bytes of a file

@@ -11,6 +11,7 @@ from jaxurban.io.read.receivers import HEIGHT
 from jaxurban.io.read.tracks import AZIMUTH, CN0, ELEVATION, LAT, LON, SATELLITE, UTC
 from jaxurban.studies.receiver.logs import ReceiverLog, log_of
 
+NO_MESSAGE = "no navigation message of the time"
 LOWEST_HEARD_DEG = 5.0  # lowest elevation of a satellite that has rows in a log
 
 
@@ -38,15 +39,19 @@ def with_navigation(table: pd.DataFrame, navigation: str | Path, name: str) -> R
     rows = angles[is_heard & (angles[ELEVATION] >= LOWEST_HEARD_DEG)]
     rows = rows.merge(table[[UTC, SATELLITE, CN0]], "left").fillna({CN0: 0.0})
 
-    named = {rinex_name(satellite.name) for satellite in orbits.satellites}
-    left_out = dict.fromkeys(named.union(table[SATELLITE]), "no navigation message of the time")
-    left_out |= orbits.left_out
-    left_out |= dict.fromkeys(angles[SATELLITE], "")
+    left_out = dict.fromkeys(table[SATELLITE], NO_MESSAGE)
+    for each in orbits.satellites:
+        health = getattr(each, "health", 0)
+        reason = (
+            f"unhealthy by its navigation message (health {health:.0f})" if health else NO_MESSAGE
+        )
+        left_out[rinex_name(each.name)] = reason
+    for satellite in angles[SATELLITE][is_heard].unique():
+        del left_out[satellite]
     left_out |= dict.fromkeys(
         angles[SATELLITE][~is_heard], "no C/N0 of L1, E1 or B1 in the observations"
     )
-    reasons = {satellite: reason for satellite, reason in sorted(left_out.items()) if reason}
-    return replace(log_of(rows, name), left_out=reasons)
+    return replace(log_of(rows, name), left_out=dict(sorted(left_out.items())))
 
 
 def angles_along(orbits: Orbits, track: pd.DataFrame) -> pd.DataFrame:
