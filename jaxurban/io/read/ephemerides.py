@@ -113,8 +113,9 @@ def loaded(function: str, text: str) -> Any:
     sidereon = library()
     if not text.endswith("\n"):
         raise ValueError("it ends within a line, so it was cut")
+    data = text if function.startswith("parse") else text.encode()
     try:
-        return getattr(sidereon, function)(text.encode())
+        return getattr(sidereon, function)(data)
     except sidereon.SidereonError as error:
         raise ValueError(str(error)) from error
 
@@ -142,15 +143,18 @@ def read_ephemerides(data: bytes, source: str | Path) -> list[Ephemeris]:
     with readable(source, "whole orbits", AGAIN, what=what):
         for mark, read in READERS.items():
             if re.match(mark, data):
-                return read(data.decode("utf-8", "replace"), what)
+                found = read(data.decode("utf-8", "replace"), what)
+                if not found:
+                    raise InputError(f"{what} holds no satellite: name another file")
+                return found
     return []
 
 
 def _broadcast(text: str, what: str) -> list[Ephemeris]:
     """Return the satellites of a RINEX file of navigation messages; one is good if any of its messages says so."""
     broadcast = loaded("load_rinex_nav", text)
-    glonass = library().parse_rinex_glonass_records(text)
-    others = library().parse_rinex_nav_records(text)
+    glonass = loaded("parse_rinex_glonass_records", text)
+    others = loaded("parse_rinex_nav_records", text)
     epochs_s = [J2000_S + record.toe_gpst_j2000_s for record in glonass]
     for record in others:
         week = record.toe_week + (BEIDOU_WEEKS if record.satellite[0] == "C" else 0)
