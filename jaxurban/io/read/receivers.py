@@ -2,7 +2,6 @@
 
 import re
 from functools import reduce
-from io import StringIO
 from operator import xor
 from pathlib import Path
 
@@ -115,7 +114,7 @@ def read_log(
         return None
     sniff(path)
     what = f"the receiver log {str(file)!r}"
-    with readable(path, "a log", AGAIN, KeyError, what=what), unpacked(path) as plain:
+    with readable(path, "a log", AGAIN, KeyError, IndexError, what=what), unpacked(path) as plain:
         data = plain.read_bytes()
         head = data[:HEAD_BYTES]
         reader = next((read for mark, read in READERS.items() if re.search(mark, head)), None)
@@ -291,7 +290,7 @@ def _gnss_logger(text: str, what: str) -> Heard:
     """
     raw = _lines(text, "Raw")
     fixes = _lines(text, "Fix").rename(columns=OF_FIXES)
-    fixes = fixes[fixes["Provider"].str.lower() == "gps"]
+    fixes = fixes[fixes["Provider"].str.lower() == "gps"].dropna(subset=[LON, LAT, UTC])
     track = fixes[[LON, LAT]].assign(**{UTC: pd.to_datetime(fixes[UTC], unit="ms", utc=True)})
 
     raw = raw[~(raw["CarrierFrequencyHz"] < LEAST_L1_HZ)]
@@ -307,9 +306,14 @@ def _gnss_logger(text: str, what: str) -> Heard:
 
 
 def _lines(text: str, kind: str) -> pd.DataFrame:
-    """Return the lines of a kind in a GnssLogger file, with the columns that its comment names."""
+    """Return the numbers in lines of a kind of a GnssLogger file by the columns that its comment names.
+
+    Beside them ``Provider`` is the text of the second column, which it is in lines of places.
+    """
     lines = re.findall(rf"^(?:# *)?({kind},.*)$", text, re.MULTILINE)
-    return pd.read_csv(StringIO("\n".join(lines)), skipinitialspace=True, index_col=False)
+    table = pd.Series(lines, dtype=str).str.split(",", expand=True)
+    table = table.iloc[1:].set_axis(table.iloc[0].str.strip(), axis="columns")
+    return table.apply(pd.to_numeric, errors="coerce").assign(Provider=table.iloc[:, 1])
 
 
 def _name(key: str, number: float) -> str | None:
