@@ -999,6 +999,8 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         {
             "--at": "-73.993819,40.758629",
             "--track": Case("none.csv", refused="--track"),
+            "--reference": Case("none.csv", refused="--reference"),
+            "--by-satellite": Case("", refused="--by-satellite"),
             "--altitude": "40",
             "--time": LATER,
             "--speed": Case("9", refused="--speed|--track"),

@@ -163,7 +163,7 @@ def _broadcast(text: str, what: str) -> list[Ephemeris]:
     flags = [(record.satellite, record.sv_health) for record in [*glonass, *others]]
     health = dict(sorted(flags, reverse=True))
     span_s = min(epochs_s, default=0.0), max(epochs_s, default=0.0)
-    return [Ephemeris(name, broadcast, span_s, health[name]) for name in health]
+    return [Ephemeris(name, broadcast, span_s, health[name]) for name in sorted(health)]
 
 
 def _sp3(text: str, what: str) -> list[Ephemeris]:
