@@ -114,7 +114,7 @@ def test_broadcast_orbits_of_every_version_follow_the_closed_form(tmp_path, text
     orbits = read_orbits(written(tmp_path, text))
     tows_s = TOE_S + np.array([-7000.0, 0.0, 1.5, 7000.0])
     expected = np.array([orbit_m(tow_s) for tow_s in tows_s])
-    np.testing.assert_allclose(places_m(orbits.satellites[-1], tows_s), expected, atol=0.1)
+    np.testing.assert_allclose(places_m(orbits.satellites[0], tows_s), expected, atol=0.1)
     assert middle_epoch(orbits) == "2023-06-22T01:00:00Z"  # 00:59:42, to the minute
 
 
@@ -223,12 +223,15 @@ def test_a_constellation_comes_from_one_source(tmp_path):
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (NAV[:-100].encode("latin-1"), "ends within a line, so it was cut.: convert or download"),
+        (NAV[:-100].encode("latin-1"), "ends within a line, so it was cut.: give a TLE"),
         (sp3_of(TOWS_S, scale="UTC").encode(), "counts in UTC, and only GPS time is read"),
-        (sp3_of(TOWS_S)[:200].encode(), "cannot be read as whole orbits"),
-        (yuma_of(5)[:-30].encode(), "cannot be read as whole orbits"),
-        (yuma_of(5).replace("week:", "weak").encode(), "cannot be read as whole orbits"),
-        (yuma_of(5).replace(str(ECCENTRICITY), "x").encode(), "cannot be read as whole orbits"),
+        (sp3_of(TOWS_S)[:200].encode(), "cannot be read as whole element sets"),
+        (yuma_of(5)[:-30].encode(), "cannot be read as whole element sets"),
+        (yuma_of(5).replace("week:", "weak").encode(), "cannot be read as whole element sets"),
+        (
+            yuma_of(5).replace(str(ECCENTRICITY), "x").encode(),
+            "cannot be read as whole element sets",
+        ),
     ],
 )
 def test_damaged_orbits_are_one_sentence(tmp_path, content, sentence):

@@ -138,6 +138,13 @@ def test_measurements_without_a_direction_or_a_known_number_are_counted(tmp_path
         check_rows(read_log(written(tmp_path, nmea_of(TABLE) + lines)), TABLE)
 
 
+def test_what_is_heard_without_a_fix_is_not_put_at_the_last_place(tmp_path):
+    lost = sentence("GNRMC,235999.50,V,,,,,,,220623,,,N,V")
+    more = lost + sentence("GPGSV,1,1,01,05,05,010,55,1")
+    with pytest.warns(UserWarning, match="has 1 of 16 measurements without a time"):
+        check_rows(read_log(written(tmp_path, nmea_of(TABLE) + more)), TABLE)
+
+
 def test_of_several_signals_the_strongest_counts(tmp_path):
     more = sentence("GPGSV,1,1,01,05,05,010,51,6")
     read = read_log(written(tmp_path, nmea_of(TABLE) + more)).set_index(KEYS).cn0_dbhz

@@ -175,7 +175,7 @@ def test_a_reference_may_say_utc_or_weeks_in_a_table_or_a_file(files, tmp_path):
         assert log.epochs.utc.tolist() == logs[0].epochs.utc.tolist()
 
 
-CUT = "cannot be read as (a log|whole orbits) .it ends within a line, so it was cut.: convert or download it again"
+CUT = "cannot be read as (a log|whole element sets) .it ends within a line, so it was cut.: (convert|give)"
 
 
 @pytest.mark.parametrize(
@@ -188,13 +188,13 @@ CUT = "cannot be read as (a log|whole orbits) .it ends within a line, so it was 
             OBS,
             NAV[: NAV.rindex("\n", 0, -1) + 1],
             TRACK,
-            "orbits file .* cannot be read as whole orbits .*truncated",
+            "orbits file .* cannot be read as whole element sets .*truncated",
         ),
         (OBS[:-9], NAV, TRACK, CUT),
         (OBS, NAV[:-100], TRACK, CUT),
         (OBS[:81], NAV, TRACK, "cannot be read as a log .*END OF HEADER"),
         (OBS[: OBS.index(">")], NAV, TRACK, "holds no observation"),
-        (OBS, NAV[: NAV.index("G05")], TRACK, "holds no satellite: name another file"),
+        (OBS, NAV[: NAV.index("G05")], TRACK, "element set"),
         (OBS.replace("    GPS", "    BDT"), NAV, TRACK, "counts in BDT, and only GPS time is read"),
         (
             OBS,

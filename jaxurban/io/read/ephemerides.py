@@ -7,7 +7,6 @@ GPS and QZSS for 2 hours before and after its epoch, of Galileo for 4 hours afte
 import re
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -18,7 +17,7 @@ from skyfield.constants import AU_KM
 from skyfield.framelib import itrs
 from skyfield.vectorlib import VectorFunction
 
-from jaxurban.errors import InputError, readable
+from jaxurban.errors import InputError
 
 GPS_START = pd.Timestamp("1980-01-06", tz="UTC")
 GPS_START_TAI = 2_444_244.5 + 19 / 86_400  # Julian date
@@ -30,7 +29,6 @@ ROLLOVER_WEEKS = 1024
 MU_M3_S2 = 3.986005e14  # of Earth, and its rotation: IS-GPS-200, table 20-IV
 EARTH_RAD_S = 7.2921151467e-5
 YUMA_LINES = 13  # of a satellite
-AGAIN = "convert or download it again"
 
 
 @lru_cache(maxsize=1)
@@ -128,25 +126,20 @@ def check_scale(scale: str, what: str) -> None:
         )
 
 
-def read_ephemerides(data: bytes, source: str | Path) -> list[Ephemeris]:
+def read_ephemerides(data: bytes, what: str) -> list[Ephemeris]:
     """Return the satellites of broadcast RINEX, SP3 or a YUMA almanac; none of other content.
 
     Args:
       data: the content of the file.
-      source: the file, for messages.
+      what: names the file, and begins the message of an error.
 
     Raises:
-      InputError: a file that is cut or damaged, in another scale of time, or an almanac whose week is modulo 1024;
-        sidereon is not installed.
+      InputError: a file in another scale of time, or an almanac whose week is modulo 1024; sidereon is not installed.
+      ValueError: a file that is cut or damaged.
     """
-    what = f"the orbits file {str(source)!r}"
-    with readable(source, "whole orbits", AGAIN, what=what):
-        for mark, read in READERS.items():
-            if re.match(mark, data):
-                found = read(data.decode("utf-8", "replace"), what)
-                if not found:
-                    raise InputError(f"{what} holds no satellite: name another file")
-                return found
+    for mark, read in READERS.items():
+        if re.match(mark, data):
+            return read(data.decode("utf-8", "replace"), what)
     return []
 
 

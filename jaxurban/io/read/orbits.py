@@ -154,11 +154,12 @@ def _read_file(source: str) -> Sequence[EarthSatellite | Ephemeris]:
       InputError: no such file, another kind of file, a cut or damaged element set, or none.
     """
     path = located(source)
-    with readable(path, "whole element sets", REMEDY, csv.Error, what=f"the orbits file {source}"):
+    what = f"the orbits file {source}"
+    with readable(path, "whole element sets", REMEDY, csv.Error, what=what):
         sniff(path)
         with unpacked(path) as plain:
             data = plain.read_bytes()
-        ephemerides = read_ephemerides(data, source)
+        ephemerides = read_ephemerides(data, what)
         if ephemerides:
             return ephemerides
         text = data.decode("utf-8-sig").lstrip()
@@ -171,7 +172,7 @@ def _read_file(source: str) -> Sequence[EarthSatellite | Ephemeris]:
     listed = [messages] if isinstance(messages, dict) else messages
     satellites = _from_tles(text, source) if listed is None else _from_omms(listed, source)
     if not satellites:
-        raise InputError(f"the orbits file {source} holds no element set: {REMEDY}")
+        raise InputError(f"{what} holds no element set: {REMEDY}")
     return satellites
 
 

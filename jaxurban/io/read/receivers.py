@@ -10,7 +10,6 @@ import pandas as pd
 
 from jaxurban.errors import InputError, readable, warn
 from jaxurban.io.read.ephemerides import (
-    AGAIN,
     J2000_S,
     WEEK_S,
     check_scale,
@@ -34,9 +33,11 @@ from jaxurban.io.read.tracks import (
 )
 from jaxurban.io.samples import located
 from jaxurban.io.tables import read_table
+from jaxurban.progress import LOG
 from jaxurban.world.grid import transformer
 
 OBSERVED = "observed"  # a time
+AGAIN = "convert or download it again"
 MATCH_S = 0.02  # most between the times of a reference and of its observation: clocks are kept to some milliseconds
 FIX_S = 0.5  # most between a fix of GnssLogger and its measurements
 HEIGHT = "height_m"
@@ -70,6 +71,7 @@ SYSTEMS = {
     "I": ("GI 7", 0, 14),
     "S": ("2", 100, 58),
 }
+NO_FIX = -1  # GSV have a place where the RMC before them has one
 LEAST_L1_HZ = 1.5e9
 OF_FIXES = {  # of GnssLogger, from version 3 on and before
     "LatitudeDegrees": LAT,
@@ -162,6 +164,9 @@ def _placed(rows: pd.DataFrame, track: pd.DataFrame, within_s: float, what: str)
             f"{what} begins at {rows[OBSERVED].iloc[0]}, its places at {track[UTC].min()}, and no epoch is in common "
             f"within {within_s:g} s: give the places of the same drive"
         )
+    num_lost = rows[OBSERVED].nunique() - len(pairs)
+    if num_lost:
+        LOG.info(f"{num_lost} epochs of {what} are left out, without a place within {within_s:g} s")
     return pairs.merge(rows).drop(columns=OBSERVED)
 
 
@@ -229,11 +234,10 @@ def _rinex(text: str, what: str) -> Heard:
 
     # The antenna's approximate position, if there is one.
     track = pd.DataFrame({UTC: rows[UTC].unique()})
-    position_m = header.approx_position_m
-    if position_m is None or not np.any(position_m):
-        track = track.iloc[:0]
-    else:
-        track[[*TRACK]] = transformer("EPSG:4978", "EPSG:4979").transform(*position_m)
+    if not np.any(header.approx_position_m):  # None or zeros
+        return _whole(rows, what), track.iloc[:0]
+    to_lonlat = transformer("EPSG:4978", "EPSG:4979")
+    track[[*TRACK]] = to_lonlat.transform(*header.approx_position_m)
     return _whole(rows, what), track
 
 
@@ -245,18 +249,22 @@ def _nmea(text: str, what: str) -> Heard:
     """
     fixes: list[tuple] = []
     seen = []
+    fix = NO_FIX
     num_bad = 0
     for talker, kind, body, checksum in SENTENCE.findall(text):
         if reduce(xor, f"{talker}{kind},{body}".encode()) != int(checksum, 16):
             num_bad += 1
             continue
         fields = body.split(",")
-        if kind == "RMC" and len(fields) > 8 and fields[1] == "A" and fields[2] and fields[8]:
-            clock = f"{fields[8]}{float(fields[0]):013.6f}"
-            fixes.append((clock, _degrees(*fields[4:6]), _degrees(*fields[2:4])))
+        if kind == "RMC":
+            fix = NO_FIX
+            if len(fields) > 8 and fields[1] == "A" and fields[2] and fields[8]:
+                fix = len(fixes)
+                clock = f"{fields[8]}{float(fields[0]):013.6f}"
+                fixes.append((clock, _degrees(*fields[4:6]), _degrees(*fields[2:4])))
         elif kind == "GSV":
             groups = zip(*[iter(fields[3:])] * 4, strict=False)  # a signal's number may remain
-            seen += [(len(fixes) - 1, talker, *group) for group in groups]
+            seen += [(fix, talker, *group) for group in groups]
     if not fixes:
         raise InputError(
             f"{what} has no RMC sentence with a date and a place, and GGA has no date: switch RMC on in the receiver"

@@ -283,18 +283,18 @@ def _read(
       InputError: a table with navigation or reference, there is no log, or it cannot be read.
     """
     source = log_of(scenario.buildings.source) if log is None else log
-    if source is None:
-        raise InputError(
-            "log is left out, and only a sample city with a log of its own has one: name the file"
-        )
-    table = None if isinstance(source, pd.DataFrame) else read_log(source, reference)
+    table = read_log(source, reference) if isinstance(source, str | Path) else None
     if table is not None:
         if navigation is None or CN0 not in table:
             return table_log(table, str(source))
         return with_navigation(table, navigation, str(source))
     if navigation is not None or reference is not None:
         raise InputError(
-            "navigation and reference are of a receiver's own log (RINEX, NMEA, GnssLogger): leave them out of a table"
+            "navigation and reference are of a receiver's own log (RINEX, NMEA, GnssLogger): name it as log"
+        )
+    if source is None:
+        raise InputError(
+            "log is left out, and only a sample city with a log of its own has one: name the file"
         )
     return read_receiver_log(source)
 
