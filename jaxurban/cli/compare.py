@@ -97,9 +97,11 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
 @click.option(
     "--navigation",
     type=PATH,
-    help="Broadcast orbits in RINEX 3; LOG is then a file of observations.",
+    help="Orbits of a receiver's own log: broadcast RINEX, or what [gps] orbits takes.",
 )
-@click.option("--reference", type=PATH, help="Table of the antenna's places, for a log in RINEX.")
+@click.option(
+    "--reference", type=PATH, help="Table of the antenna's places, for a receiver's own log."
+)
 @CHANGES
 @SHOWN(
     "--antenna-height",
@@ -165,9 +167,10 @@ def validate(
 ) -> None:
     """Compare the log of a receiver (LOG, .csv or .parquet) with maps of SCENARIO made at its times and its height.
 
-    LOG has the columns utc, lon_deg, lat_deg, and with a row per satellite satellite and cn0_dbhz (azimuth_deg and
-    elevation_deg too, or the scenario's orbits give them), with a row per epoch num_tracked or error_2d_m. Left out, it
-    is that of the sample city which SCENARIO names.
+    LOG is what the receiver wrote itself (RINEX, NMEA, GnssLogger), or a table of the columns utc, lon_deg, lat_deg,
+    and with a row per satellite satellite and cn0_dbhz (azimuth_deg and elevation_deg too, or the scenario's orbits
+    give them), with a row per epoch num_tracked or error_2d_m. Left out, it is that of the sample city which SCENARIO
+    names.
     """
     import pandas as pd
 

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from functools import reduce
+from operator import xor
 
 import pandas as pd
 import pytest
@@ -65,6 +67,27 @@ def test_a_track_and_a_route_give_a_row_a_place(maps, tmp_path, capsys):
     facts = json.loads(out)
     assert (code, len(facts["table"])) == (0, 10)
     assert "dops" not in facts
+    code, _, err = run(capsys, "sky", maps, *flown[:4])
+    assert code == 2
+    assert_one_sentence(err, "a route needs --speed")
+
+
+@pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
+def test_a_log_gives_a_row_a_satellite_that_validate_reads(maps, tmp_path, capsys):
+    log, out = tmp_path / "log.nmea", tmp_path / "labels.csv"
+    body = "GPRMC,160000.00,A,4045.42,N,07359.91,W,0.1,0.0,270420,,,A"
+    seen = "GPGSV,1,1,01,05,45,100,38"
+    checks = [reduce(xor, each.encode()) for each in (body, seen)]
+    log.write_text(f"${body}*{checks[0]:02X}\n${seen}*{checks[1]:02X}\n")
+    track = ("--track", log, "--altitude", 10, "--by-satellite", "-o", out)
+    code, printed, err = run(capsys, "sky", maps, *track)
+    assert code == 0, err
+    assert "roof_height_m" in printed
+    labels = pd.read_csv(out)
+    assert list(labels)[:4] == ["utc", "lon_deg", "lat_deg", "satellite"]
+    assert list(labels)[-1] == "cn0_dbhz"
+    assert {*labels["state"]} <= {"seen", "hidden", "unknown"}
+    assert len(labels) > 5
 
 
 def test_a_flight_with_times_needs_no_speed(maps, tmp_path, capsys):
@@ -92,7 +115,9 @@ def test_a_flight_with_times_needs_no_speed(maps, tmp_path, capsys):
         ((*AT, "-o", "sky.gif"), "-o must end in .parquet or .csv or .png or .pdf or .svg"),
         (("--track", "t.csv", "--speed", 3), "a table has its own times"),
         (("--track", "t.gpx", "--altitude", 3, "--time", WHEN), "a route needs --speed"),
-        (("--track", "t.gpx", "--altitude", 3), "t.gpx"),
+        (("--track", "no.gpx", "--altitude", 3), "no.gpx"),
+        ((*AT, "--by-satellite"), "--by-satellite needs --track"),
+        (("--track", "t.csv", "--reference", "r.csv"), "--reference a receiver's log there"),
         (("--track", "no.csv", "--altitude", 3), "no.csv"),
         ((*AT, "--resolution", 20), "rays follow outlines"),
         (

@@ -208,6 +208,35 @@ def test_a_table_of_a_track_gives_places_heights_and_times():
         ju.sky_along(city(), track.drop(columns="altitude_m"), gps=GPS)
 
 
+def test_a_row_a_satellite_is_the_sky_of_its_place_with_what_the_log_heard():
+    lon, lat = maps().grid.lonlat_of_xy(
+        X_M + np.array([900.0, 1000.0]), Y_M + np.array([1000.0] * 2)
+    )
+    gps = replace(OF_BOTH, mask_deg=10.0)
+    utc = ["2018-12-19T03:00:00Z", "2018-12-19T03:00:01Z"]
+    columns = {"utc": utc, "lon_deg": lon, "lat_deg": lat}
+    track = pd.DataFrame(columns)
+    plain = ju.sky_along(city(), track, 20.0, gps=gps)
+    assert "cn0_dbhz" not in plain.satellites
+    first, second = plain.satellites.satellite.str.extract(r"PRN (\d+)")[0].dropna().unique()[:2]
+    names = [f"G{first}", f"G{second}", "X99"]
+    heard = pd.DataFrame({"satellite": names, "cn0_dbhz": [40.0, 22.5, 30.0]})
+    log = track.merge(heard, "cross")
+    along = ju.sky_along(city(), log, 20.0, gps=gps)
+    pd.testing.assert_frame_equal(along.table, plain.table)
+    for number, place in enumerate(zip(lon, lat, strict=True)):
+        alone = ju.sky(city(), place, 20.0, time=utc[number], gps=gps).table.drop(columns="time")
+        rows = along.satellites[along.satellites.utc == utc[number]]
+        assert np.allclose(rows[["lon_deg", "lat_deg"]], [place])
+        pd.testing.assert_frame_equal(
+            rows[list(alone)].reset_index(drop=True), alone, atol=5e-3, check_exact=False
+        )
+        named = rows.satellite.str.extract(r"PRN (\d+)")[0]
+        expected = named.map({first: 40.0, second: 22.5})
+        np.testing.assert_array_equal(rows.cn0_dbhz, expected)
+    assert along.satellites.cn0_dbhz.notna().any()
+
+
 def test_a_route_is_flown_at_its_speed():
     corners = [
         MIDDLE,

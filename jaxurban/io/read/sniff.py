@@ -39,6 +39,13 @@ FORMATS = {
     rb"7z\xbc\xaf\x27\x1c": _ARCHIVE % "7z x",
     rb".{257}ustar": _ARCHIVE % "tar -xf",
     rb"LASF.{98}\0\0": LIDAR,  # one with 65,536 records or more is damaged, and laspy would not come to their end
+    rb"\x1f\x9d": "a file of Unix compress: unpack it with `gzip -dS .Z FILE`, and name the file that was in it",
+    rb"\xb5b": "UBX of a u-blox receiver: make RINEX of it with `convbin -r ubx FILE`",
+    rb"% (?:program|obs|inp)": "a solution of RTKLIB: write it in UTC (`rnx2rtkp -u`), and make a table with `awk "
+    '\'BEGIN {print "utc,lon_deg,lat_deg"} !/^%/ {gsub("/", "-", $1); print $1 "T" $2 "Z," $4 "," $3}\' '
+    "FILE > track.csv`",
+    rb"\d+ +\S+\.(?i:alm|al3)?\s*\n *\d+ +\d+\s*\n": "a SEM almanac: name the YUMA almanac of the same week, which "
+    "navcen.uscg.gov and celestrak.org hold beside it",
     _ROOT + rb"osm\b": ".osm",
     _ROOT + rb"osmChange\b": "a list of changes to OpenStreetMap: apply it to a whole extract with "
     "`osmium apply-changes -o changed.osm.pbf EXTRACT FILE`",
