@@ -370,7 +370,7 @@ def test_parquet_of_wkb_is_read_in_degrees_and_says_so(tmp_path):
 @pytest.mark.parametrize("name", ["a.sqlite", "b.gdb", "c.gdb.zip"])
 def test_databases_are_read_whole_and_near_a_region_only(tmp_path, name):
     squares = [shapely.affinity.translate(SQUARE, 0.01 * i) for i in range(200)]
-    many = gpd.GeoDataFrame({"height": 5.0}, geometry=squares, crs=WGS84)
+    many = gpd.GeoDataFrame({"height": [5.0] * 200}, geometry=squares, crs=WGS84)
     for frame, folder in ((FRAME, tmp_path / "few"), (many, tmp_path / "many")):
         folder.mkdir()
         plain = folder / name.removesuffix(".zip")
@@ -389,7 +389,7 @@ def test_overtures_buildings_and_parts_are_read_from_one_folder(tmp_path):
     parts = gpd.GeoDataFrame({"height": [20.0, 8.0]}, geometry=[half, other], crs=WGS84)
     (tmp_path / "overture").mkdir()
     bare_parquet(tmp_path / "overture" / "building.parquet", has_parts=[True, False])
-    columns = {"building_id": ["0", "0"], "min_height": [4.0, None], "min_floor": [1, None]}
+    columns = {"building_id": ["b0", "b0"], "min_height": [4.0, None], "min_floor": [1, None]}
     bare_parquet(tmp_path / "overture" / "building_part.parquet", parts, **columns)
     with pytest.warns(GuessWarning):
         buildings = city_of(tmp_path / "overture")

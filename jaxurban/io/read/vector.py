@@ -323,8 +323,8 @@ def _layers_of(source: str | bytes, name: str, role: str) -> list[str]:
     Raises:
       InputError: there is no such layer.
     """
-    layers = {str(layer): str(kind) for layer, kind in pyogrio.list_layers(source) if kind}
-    if len(layers) < 2:
+    layers = {str(layer): str(kind) for layer, kind in pyogrio.list_layers(source)}
+    if len(layers) == 1:
         return list(layers)
     areal = [
         layer
