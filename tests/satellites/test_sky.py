@@ -1,7 +1,9 @@
 """The sky at a place and along a track: the maps' own answer at centres, exact outlines elsewhere."""
 
+import re
 from dataclasses import replace
 from functools import cache
+from itertools import count
 
 import numpy as np
 import pandas as pd
@@ -9,6 +11,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban.io.samples import located
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.maps.build import region_of
 from jaxurban.report.figures.sky import plot_sky
@@ -208,11 +211,15 @@ def test_a_table_of_a_track_gives_places_heights_and_times():
         ju.sky_along(city(), track.drop(columns="altitude_m"), gps=GPS)
 
 
-def test_a_row_a_satellite_is_the_sky_of_its_place_with_what_the_log_heard():
+def test_a_row_a_satellite_is_the_sky_of_its_place_with_what_the_log_heard(tmp_path):
+    number = count(1)
+    text = located("sample:shinjuku/gps.tle").read_text()
+    named = re.sub(r"GPS slot .*", lambda _: f"GPS (PRN {next(number):02d})", text)
+    (tmp_path / "gps.tle").write_text(named)
     lon, lat = maps().grid.lonlat_of_xy(
         X_M + np.array([900.0, 1000.0]), Y_M + np.array([1000.0] * 2)
     )
-    gps = replace(OF_BOTH, mask_deg=10.0)
+    gps = replace(OF_BOTH, orbits=tmp_path / "gps.tle", mask_deg=10.0)
     utc = ["2018-12-19T03:00:00Z", "2018-12-19T03:00:01Z"]
     columns = {"utc": utc, "lon_deg": lon, "lat_deg": lat}
     track = pd.DataFrame(columns)
