@@ -92,7 +92,7 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     has_points = sniff(file) == LIDAR
     if has_points or file.suffix.lower() in RASTER_SUFFIXES:
         if has_points:
-            points = read_points(file, Buildings(file))
+            points = read_points(file, "height", None)
             raster = points.highest
             facts["points"] = listed_counts(points.counts)
         else:

@@ -67,9 +67,13 @@ def test_a_track_and_a_route_give_a_row_a_place(maps, tmp_path, capsys):
     facts = json.loads(out)
     assert (code, len(facts["table"])) == (0, 10)
     assert "dops" not in facts
-    code, _, err = run(capsys, "sky", maps, *flown[:4])
-    assert code == 2
-    assert_one_sentence(err, "a route needs --speed")
+    for more, said in (
+        ((), "holds no times: give the speed"),
+        (("--time", WHEN), "a route needs --speed"),
+    ):
+        code, _, err = run(capsys, "sky", maps, *flown[:4], *more)
+        assert code == 2
+        assert_one_sentence(err, said)
 
 
 @pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
@@ -114,7 +118,6 @@ def test_a_flight_with_times_needs_no_speed(maps, tmp_path, capsys):
         (("--at=-73.9,40.7",), "--at needs --altitude"),
         ((*AT, "-o", "sky.gif"), "-o must end in .parquet or .csv or .png or .pdf or .svg"),
         (("--track", "t.csv", "--speed", 3), "a table has its own times"),
-        (("--track", "t.gpx", "--altitude", 3, "--time", WHEN), "a route needs --speed"),
         (("--track", "no.gpx", "--altitude", 3), "no.gpx"),
         ((*AT, "--by-satellite"), "--by-satellite needs --track"),
         (("--track", "t.csv", "--reference", "r.csv"), "--reference a receiver's log there"),

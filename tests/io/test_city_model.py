@@ -410,7 +410,7 @@ def test_tiles_in_folders_and_archives_are_joined(tmp_path, capsys):
             if file.is_file():
                 archive.write(file, f"udx/{file.relative_to(folder)}")
     for source in (folder, packed):
-        with pytest.warns(ju.GuessWarning, match="1 files .*codelists.xml.* are no city models"):
+        with pytest.warns(ju.GuessWarning, match="1 files .*codelists.xml.* hold no city model"):
             buildings, _, counts = stand(source)
         assert counts == {"solids": 2}
         assert area_from(buildings, 0) == pytest.approx(520)

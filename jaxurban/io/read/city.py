@@ -32,7 +32,7 @@ from jaxurban.io.read.guesses import (
     warn_of,
 )
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.lidar import heights_of_points, read_points
+from jaxurban.io.read.lidar import Points, heights_of_points, read_points
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets
 from jaxurban.io.read.plausible import (
@@ -156,7 +156,7 @@ def read_city(
     guesses: Guesses = {}
     if terrain.source is not None:
         if sniff(terrain.source) == LIDAR:
-            ground = read_points(terrain.source, buildings).ground
+            ground = _points_of(terrain.source, buildings).ground
             ground_extent_m = area_of_raster(ground, crs).bounds
         else:
             ground = read_raster(terrain.source, crs, wide_m)
@@ -169,7 +169,7 @@ def read_city(
                 f"plants of the lidar points {str(vegetation.source)!r} stand on the ground: give its elevation as "
                 "[terrain] source, which may be the same file"
             )
-        plants = heights_above(read_points(vegetation.source, buildings).plants, ground)
+        plants = heights_above(_points_of(vegetation.source, buildings).plants, ground)
     elif vegetation.source is not None:
         plants, plant_guesses = read_plants(vegetation.source, crs, wide_m, box_m)
         guesses |= plant_guesses
@@ -219,6 +219,12 @@ def read_city(
         heights=buildings,
         vegetation=plants,
     )
+
+
+def _points_of(path: str | Path, buildings: settings.Buildings) -> Points:
+    """Return the lidar points of a file; the CRS of the settings holds where it is that of the buildings."""
+    is_theirs = Path(path) == Path(buildings.source)
+    return read_points(Path(path), buildings.kind, buildings.crs if is_theirs else None)
 
 
 def _shadow_box_m(box_m: Bounds, rise_m: float, gps: Gps) -> Bounds:
@@ -298,7 +304,8 @@ def read_buildings(
     is_misplaced = {
         'hanging = "slabs" is for outlines': file.hanging == SLABS and read is None,
         'kind = "surface" is for rasters': file.kind == "surface" and read is not None,
-        "crs is for outlines": file.crs is not None and read in (None, _read_osm),
+        "crs is for outlines and lidar points": file.crs is not None
+        and (read is _read_osm or (read is None and sniff(path) != LIDAR)),
         COLUMNS_SAID: len(named_columns(file)) > 0 and read in (None, _read_osm),
     }
     for what, is_wrong in is_misplaced.items():
@@ -360,7 +367,7 @@ def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
     file = Path(path)
     read = _reader_of(file, crs)
     if sniff(path) == LIDAR:
-        return area_of_raster(read_points(file, settings.Buildings(file)).highest, WGS84).bounds
+        return area_of_raster(read_points(file, "height", crs).highest, WGS84).bounds
     if read is None:
         return raster_extent_m(path, WGS84)
     box = header_box(path) if read is _read_osm else None
@@ -478,7 +485,7 @@ def _read_roofs(
     name = repr(str(path))
     guesses: Guesses = {}
     if sniff(path) == LIDAR:
-        roofs, issues = heights_of_points(name, read_points(path, file), terrain, crs)
+        roofs, issues = heights_of_points(name, _points_of(path, file), terrain, crs)
     elif file.kind == "surface":
         surface = read_raster(path, crs, bounds_m)
         roofs, issues = heights_of_surface(name, surface, terrain, crs)

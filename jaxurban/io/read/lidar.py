@@ -12,7 +12,6 @@ import pyproj
 from pyproj.exceptions import CRSError
 from rasterio.fill import fillnodata
 
-from jaxurban import settings
 from jaxurban.errors import InputError, readable
 from jaxurban.io.read.issues import ReadIssues
 from jaxurban.io.read.raster import heights_of_surface, unit_of_heights_m
@@ -71,7 +70,7 @@ def heights_of_points(
 
 
 @lru_cache(maxsize=1)
-def read_points(path: str | Path, file: settings.Buildings) -> Points:
+def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
     """Return the points of a LAS, LAZ or COPC file, in its own CRS on cells of `POINTS_A_CELL`.
 
     Without a point that is built what is unclassified is. The result is kept until ``read_points.cache_clear()``, as
@@ -79,8 +78,8 @@ def read_points(path: str | Path, file: settings.Buildings) -> Points:
 
     Args:
       path: of the file.
-      file: settings. Of a ``kind`` ``"surface"`` all above the ground is built; their ``crs`` counts, whatever the
-        header says, where the file is their ``source``.
+      kind: as of `settings.Buildings`: of a ``"surface"`` all above the ground is built.
+      declared: the CRS in place of the one that the header names.
 
     Raises:
       InputError: a library is missing, a damaged file, no points, points outside the box of the header, no CRS, or a
@@ -102,8 +101,6 @@ def read_points(path: str | Path, file: settings.Buildings) -> Points:
         laspy.open(path, read_evlrs=False) as reader,
     ):
         header = reader.header
-        is_source = str(path) == str(file.source)
-        declared = file.crs if is_source else None
         crs = None
         with suppress(CRSError):
             crs = pyproj.CRS(declared) if declared else header.parse_crs()
@@ -137,7 +134,7 @@ def read_points(path: str | Path, file: settings.Buildings) -> Points:
             np.fmax.at(layers.reshape(-1), cell, np.float32(height_m))
 
     ground = -layers[GROUND]
-    num_built = 3 if file.kind == "surface" else 2 - bool(counts[LAYER_OF == BUILT].any())
+    num_built = 3 if kind == "surface" else 2 - bool(counts[LAYER_OF == BUILT].any())
     roofs = np.fmax.reduce(layers[:num_built])
     plants = np.fmax.reduce(layers[num_built:GROUND], initial=np.nan)
     surface = np.where(np.isnan(roofs), ground, roofs)

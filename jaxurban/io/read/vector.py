@@ -39,6 +39,7 @@ OTHER_SUFFIXES = (".json", ".geoparquet")
 FORMATS = (*VECTOR_SUFFIXES, ".kml", ".gpx")
 DRIVERS = {".geojsonl": "GeoJSONSeq:", ".csv": "CSV:"}  # which GDAL would choose by the file's name
 CSV_OPTIONS = {"GEOM_POSSIBLE_NAMES": WKT_COLUMNS, "KEEP_GEOM_COLUMNS": "NO"}
+SAYS_CRS = "says_crs"  # of the format
 BUILDINGS = "buildings"  # the role, and the layer of several
 WHOLE = "give a whole one, with its companions"
 # Raised by readers.
@@ -143,7 +144,7 @@ def _read(
     for frame in frames:
         if crs is not None:
             frame.set_crs(crs, allow_override=True, inplace=True)
-        if kind in (".csv", ".parquet") and frame.crs is None:
+        if frame.crs is None and not frame.attrs.get(SAYS_CRS, kind != ".csv"):
             frame.set_crs(WGS84, inplace=True)
             warn(
                 f"{name} cannot say its CRS: its coordinates are taken for longitude and latitude (EPSG:4326); set "
@@ -207,6 +208,7 @@ def _read_parquet(path: Path, file: str, named: Collection[str] | None) -> gpd.G
         frame = pd.read_parquet(path, columns=columns)
         for name in shapes:
             frame = gpd.GeoDataFrame(frame, geometry=gpd.GeoSeries.from_wkb(frame[name]))
+        frame.attrs[SAYS_CRS] = False
         return frame
     frame = gpd.read_parquet(path, columns=columns)
     frame.attrs = facts_of(schema.metadata)
