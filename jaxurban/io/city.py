@@ -186,7 +186,7 @@ class City(FactsRepr):
             "CRS": self.crs,
             "extent": f"{(x_max - x_min) / 1000:.3g} x {(y_max - y_min) / 1000:.3g} km",
             "buildings": buildings,
-            "solids": listed_counts({"on_their_lowest_vertex": solids}),
+            "solids": f"{solids:,} buildings, prisms above their lowest vertices" if solids else "",
             "structures": listed_counts(Counter(inside.kinds)) if inside else "",
             "left out": listed_counts(left_out),
             MOST_IN: "" if main is None else str(list(main)),

@@ -81,11 +81,12 @@ def to_buildings(
             f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
         )
     features = features.take(prisms["feature"].to_numpy(int))
-    height = with_solids(features.column("height"), prisms, issues)
+    height = with_solids(features.column("height"), prisms)
     tags = {**features.tags, "height": height, "rise_m": rise_m[prisms["feature"]]}
     features = replace(features, polygons=shapes[is_sound], tags=tags)
     is_closed = prisms["height_m"].to_numpy() != 0  # walls alone close nothing
     is_building = (features.tags["verdict"] == BUILDING) & is_whole[is_sound] & is_closed
+    issues[ReadIssue.SOLIDS] = prisms["feature"][is_building & (prisms["height_m"] > 0)].nunique()
 
     # Heights of buildings.
     found = features.take(is_building)

@@ -11,8 +11,6 @@ import pyproj
 import shapely
 from pyogrio.errors import GeometryError
 
-from jaxurban.io.read.issues import ReadIssue, ReadIssues
-
 RELIEF_M = 0.5  # a body is higher; what of it is not is its ground
 STEP_M = 0.1  # roofs of one body between two multiples of it are one prism
 MIN_WALLS = 3  # of a body whose faces do not lie above each other
@@ -129,7 +127,7 @@ def _prisms(
     return {top_m[same].max(): shapely.union_all(plan[same]) for same in steps}
 
 
-def with_solids(column: np.ndarray, prisms: pd.DataFrame, issues: ReadIssues) -> np.ndarray:
+def with_solids(column: np.ndarray, prisms: pd.DataFrame) -> np.ndarray:
     """Return a column of heights with those of solids in metres in place of what it says of them.
 
     Of walls alone the height is 0, which no reader takes for a height: what they enclose is not known.
@@ -137,8 +135,6 @@ def with_solids(column: np.ndarray, prisms: pd.DataFrame, issues: ReadIssues) ->
     Args:
       column: ``[P]`` numbers, or objects: texts, numbers and None.
       prisms: ``P`` from `prisms_of_solids`.
-      issues: gets how many solids there are.
     """
     height_m = prisms["height_m"].to_numpy(float)
-    issues[ReadIssue.SOLIDS] = prisms["feature"][height_m >= 0].nunique()
     return np.where(np.isnan(height_m), column, height_m)
