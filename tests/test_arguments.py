@@ -381,7 +381,11 @@ TABLE: dict[str, dict[str, Any]] = {
         "ground_column": Case("min_height", {"height_column": "height", "unit": "m"}),
         "levels_column": "height",
         "unit": Case("ft", refused="height_column and unit go together"),
-        "crs": Case("EPSG:3857", {"bounds": (-73.9, 40.7, -73.899, 40.701)}, refused="no building in the region"),
+        "crs": Case(
+            "EPSG:3857",
+            {"bounds": (-73.9, 40.7, -73.899, 40.701)},
+            refused="no building in the region",
+        ),
     },
     "City.from_files": {
         "bounds": (-74.0, 40.7548, -73.9985, 40.757),

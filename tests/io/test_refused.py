@@ -153,7 +153,7 @@ BROKEN_OSM = (
         (read_layers, "a.shp", of([SQUARE], crs=None), "declares no CRS"),
         (buildings, "trees.geojson", of([SQUARE.centroid], crs=WGS84), "holds no building"),
         (buildings, "city.dwg", b"", r"'\.dwg'.*\.pbf.*\.gpkg.*\.tif"),
-        (buildings, "folder", Path.mkdir, "does not exist"),
+        (buildings, "folder", Path.mkdir, "holds no object of CityGML or CityJSON"),
         *(
             (buildings, "roofs.tif", pixels(1, value), " 1 cells")
             for value in (np.nan, 1001, -9999)

@@ -5,6 +5,7 @@ a region, a line in `OUTLINE_READERS`, and one in `jaxurban.io.read.sniff`.
 """
 
 import math
+import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -63,6 +64,7 @@ from jaxurban.world.grid import (
     Bounds,
     box_of,
     check_bounds,
+    known_crs,
     projected_crs,
     transformer,
     utm_of,
@@ -312,7 +314,9 @@ def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
     suffix = path.suffix.lower()
     if suffix in RASTER_SUFFIXES:
         return None
-    kind = ARCHIVE if path.is_dir() else sniff(path)
+    if crs is not None:
+        known_crs(crs)
+    kind = ARCHIVE if path.is_dir() or zipfile.is_zipfile(path) else sniff(path)
     read = OUTLINE_READERS.get(kind) or OUTLINE_READERS.get(suffix)
     if read is None:
         known = ", ".join((*OUTLINE_READERS, *RASTER_SUFFIXES))

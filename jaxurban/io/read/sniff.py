@@ -33,7 +33,7 @@ FORMATS = {
     rb"SQLite format 3\0.{52}\0{4}": "a database of SpatiaLite or SQLite: make a GeoPackage of it with `ogr2ogr "
     "buildings.gpkg FILE`",
     rb"SQLite format 3": ".gpkg",
-    rb"PK\x03\x04": ".zip",
+    rb"PK\x03\x04": _ARCHIVE % "unzip",
     rb"7z\xbc\xaf\x27\x1c": _ARCHIVE % "7z x",
     rb".{257}ustar": _ARCHIVE % "tar -xf",
     rb"LASF": "a cloud of lidar points: make a raster of their highest ones with `pdal translate FILE surface.tif "
@@ -87,7 +87,7 @@ def sniff(path: str | Path) -> str:
 
     It is one of ``.osm``, ``.pbf`` and ``.osm.json`` (OpenStreetMap), ``.geojson``, ``.geojsonl`` (one feature a
     line), ``.csv`` (with outlines as WKT), ``.fgb``, ``.gpkg``, ``.parquet``, ``.shp``, ``.kml``, ``.gpx``, ``.gml``
-    (CityGML), ``.city.json`` (CityJSON, in lines too) and ``.zip``; empty for any other content.
+    (CityGML) and ``.city.json`` (CityJSON, in lines too); empty for any other content.
 
     Raises:
       InputError: no such file, a packed one that is damaged, or a format that is known and not read; the message

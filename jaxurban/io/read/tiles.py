@@ -56,9 +56,10 @@ def read_tiles(
             else:
                 bodies += read(plain, crs_names)
     if not bodies:
+        if path.is_file():
+            sniff(path)  # names an archive of something else
         raise InputError(
-            f"{str(path)!r} holds no object of CityGML or CityJSON: unpack it if it is an archive, and name the file "
-            "of buildings that is in it"
+            f"{str(path)!r} holds no object of CityGML or CityJSON: name the file of buildings that is in it"
         )
     if others:
         warn(
@@ -82,10 +83,14 @@ def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[s
         for file in visible_files(path):
             yield from _files(file, f"{name}/{file.relative_to(path).as_posix()}", room)
     elif zipfile.is_zipfile(path):
-        remedy = "unpack it yourself if you trust it, and name the folder"
-        errors = (*OF_DAMAGED, EOFError, zlib.error, zipfile.BadZipFile)
         with (
-            readable(path, "an archive", remedy, *errors, what=repr(name)),
+            readable(
+                path,
+                "an archive",
+                "unpack it yourself if you trust it, and name the folder",
+                *(*OF_DAMAGED, EOFError, zlib.error, zipfile.BadZipFile),
+                what=repr(name),
+            ),
             TemporaryDirectory(prefix="jaxurban-") as folder,
             zipfile.ZipFile(path) as archive,
         ):
