@@ -316,7 +316,8 @@ def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
         return None
     if crs is not None:
         known_crs(crs)
-    kind = ARCHIVE if path.is_dir() or zipfile.is_zipfile(path) else sniff(path)
+    is_archive = path.is_file() and zipfile.is_zipfile(path)  # no pipe, which has no end
+    kind = ARCHIVE if is_archive or path.is_dir() else sniff(path)
     read = OUTLINE_READERS.get(kind) or OUTLINE_READERS.get(suffix)
     if read is None:
         known = ", ".join((*OUTLINE_READERS, *RASTER_SUFFIXES))
