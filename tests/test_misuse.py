@@ -256,7 +256,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     (
         RIGHT,
         "Planning.planner Constraints.bounds "
-        "soft_city.layers all_maps.weights building_costs.weights MapsFolder.folder",
+        "Buildings.crs soft_city.layers all_maps.weights building_costs.weights MapsFolder.folder",
     ),
     (
         RIGHT,

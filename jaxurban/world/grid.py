@@ -75,6 +75,16 @@ def box_of(bounds: Bounds, crs: str) -> Bounds:
     return transformer(WGS84, crs).transform_bounds(*bounds, densify_pts=101)
 
 
+def known_crs(crs: str) -> pyproj.CRS:
+    """Return the pyproj CRS of a name; InputError of one that is not known."""
+    try:
+        return pyproj.CRS.from_user_input(crs)
+    except pyproj.exceptions.CRSError as error:
+        raise InputError(
+            f"crs {crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'"
+        ) from error
+
+
 @lru_cache(maxsize=32)
 def projected_crs(crs: str) -> pyproj.CRS:
     """Return the pyproj CRS of a name, such as ``"EPSG:32618"``, once it is checked (cached).
@@ -82,12 +92,7 @@ def projected_crs(crs: str) -> pyproj.CRS:
     Raises:
       InputError: the name is unknown, or the CRS is not projected, not in metres, or not along east and north.
     """
-    try:
-        parsed = pyproj.CRS.from_user_input(crs)
-    except pyproj.exceptions.CRSError as error:
-        raise InputError(
-            f"crs {crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'"
-        ) from error
+    parsed = known_crs(crs)
     axes = parsed.axis_info[:2]  # without heights
     in_metres = all(abs(axis.unit_conversion_factor - 1.0) <= 1e-12 for axis in axes)
     if not parsed.is_projected or not in_metres:

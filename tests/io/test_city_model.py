@@ -370,7 +370,9 @@ def test_settings_replace_a_wrong_crs_in_a_scenario_without_bounds(tmp_path):
 
 
 def test_crs_is_for_outlines_alone(tmp_path):
-    ju.Buildings("a.geojson", crs=UTM32)
+    path = written(tmp_path / "a.geojson", "{}")
+    with pytest.raises(ju.InputError, match="crs 'nowhere' is not a known CRS"):
+        ju.City.from_files(ju.Buildings(path, crs="nowhere"))
     osm = written(
         tmp_path / "a.osm",
         '<osm version="0.6"><bounds minlat="53" minlon="9" maxlat="54" maxlon="10"/></osm>',

@@ -1,7 +1,7 @@
 """Bodies of city models: of the faces of a building and its parts one MultiPolygon, above its own ground."""
 
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -136,9 +136,7 @@ def body_of(whole: CityObject) -> dict[str, Any]:
     return body | TAGS.get(kind, {})
 
 
-def outlines_of(
-    path: Path, bodies: Sequence[dict[str, Any]], crs_names: Collection[str]
-) -> Outlines:
+def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -> Outlines:
     """Return bodies as outlines, x before y.
 
     Args:
@@ -166,8 +164,7 @@ def outlines_of(
     tags = {str(name): table[name].to_numpy() for name in table}
 
     # Degrees are in the order of their CRS, unless the first is no latitude.
-    axis = crs.axis_info[0]
-    is_lat_first = axis.unit_name == "degree" and axis.direction == "north"
+    is_lat_first = crs.is_geographic and crs.axis_info[0].direction == "north"
     if is_lat_first and shapely.total_bounds(polygons)[2] <= 90:
         polygons = shapely.transform(polygons, lambda xyz: xyz[:, [1, 0, 2]], include_z=True)
     check_on_earth(repr(str(path)), crs, shapely.total_bounds(polygons))

@@ -64,6 +64,7 @@ from jaxurban.world.grid import (
     Bounds,
     box_of,
     check_bounds,
+    known_crs,
     projected_crs,
     transformer,
     utm_of,
@@ -340,6 +341,8 @@ def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
     suffix = path.suffix.lower()
     if suffix in RASTER_SUFFIXES or sniff(path) == LIDAR:
         return None
+    if crs is not None:
+        known_crs(crs)
     kind = sniff(path) or (ARCHIVE if path.is_dir() else "")
     read = OUTLINE_READERS.get(kind) or OUTLINE_READERS.get(suffix)
     if read is None:

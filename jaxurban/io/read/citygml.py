@@ -36,8 +36,7 @@ def read_citygml(path: Path, crs_names: set[str]) -> list[dict[str, Any]]:
     def end(name: str) -> None:
         """Close an element; an object is kept as its body alone."""
         element = builder.end(name.rpartition(":")[2])
-        if "srsName" in element.attrib:
-            crs_names.add(element.attrib["srsName"])
+        crs_names.add(element.get("srsName", ""))
         if element.tag == "cityObjectMember":
             bodies.extend(body_of(_object(child)) for child in element)
             element.clear()

@@ -94,10 +94,14 @@ def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[s
         for file in visible_files(path):
             yield from _files(file, f"{name}/{file.relative_to(path).as_posix()}", room)
     elif zipfile.is_zipfile(path):
-        remedy = "unpack it yourself if you trust it, and name the folder"
-        errors = (*OF_DAMAGED, EOFError, zlib.error, zipfile.BadZipFile)
         with (
-            readable(path, "an archive", remedy, *errors, what=repr(name)),
+            readable(
+                path,
+                "an archive",
+                "unpack it yourself if you trust it, and name the folder",
+                *(*OF_DAMAGED, EOFError, zlib.error, zipfile.BadZipFile),
+                what=repr(name),
+            ),
             TemporaryDirectory(prefix="jaxurban-") as folder,
             zipfile.ZipFile(path) as archive,
         ):
