@@ -12,12 +12,12 @@ from jaxurban.cli.common import (
     CORRIDOR,
     FILES,
     FOLDER,
+    GIVEN,
     JSON_FLAG,
     LONLAT,
     METRES,
     NUMBER,
     OVERWRITE,
-    PATH,
     RESOLUTION,
     SOURCES,
     TIME_OF_DAY,
@@ -35,7 +35,7 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
 
 @click.command()
 @FOLDER
-@click.argument("mission", metavar="MISSION", type=PATH)
+@click.argument("mission", metavar="MISSION", type=GIVEN)
 @click.option(
     "--heights",
     type=click.Choice(["home", "ground", "geoid", "ellipsoid"]),

@@ -10,12 +10,13 @@ from jaxurban.cli.common import (
     CHANGES,
     COUNT,
     DEVICE,
+    GIVEN,
     JSON_FLAG,
     MAPS,
+    MAPS_PATH,
     NAMES,
     OUTPUT,
     OVERWRITE,
-    PATH,
     POSITIVE_COUNT,
     SCENARIO,
     SEED,
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("folder_a", metavar="DIR_A", type=PATH)
-@click.argument("folder_b", metavar="DIR_B", type=PATH)
+@click.argument("folder_a", metavar="DIR_A", type=MAPS_PATH)
+@click.argument("folder_b", metavar="DIR_B", type=MAPS_PATH)
 @OUTPUT
 @MAPS
 @SHOWN("--tolerance", default=1e-6, help="Values that differ by no more count as equal.")
@@ -92,14 +93,14 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
 
 @click.command()
 @SCENARIO
-@click.argument("log_file", metavar="[LOG]", type=PATH, required=False)
+@click.argument("log_file", metavar="[LOG]", type=GIVEN, required=False)
 @OUTPUT
 @click.option(
     "--navigation",
-    type=PATH,
+    type=GIVEN,
     help="Broadcast orbits in RINEX 3; LOG is then a file of observations.",
 )
-@click.option("--reference", type=PATH, help="Table of the antenna's places, for a log in RINEX.")
+@click.option("--reference", type=GIVEN, help="Table of the antenna's places, for a log in RINEX.")
 @CHANGES
 @SHOWN(
     "--antenna-height",

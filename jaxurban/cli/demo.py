@@ -27,7 +27,7 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> None:
     """Make maps of Lower Manhattan, the paths of every planner across it, and pictures; no file is needed."""
     import pandas as pd
 
-    from jaxurban.io.store import RUN_FILE
+    from jaxurban.io.stored import RUN_FILE
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.run import run_scenario
     from jaxurban.maps.scenario import PAPER_PLANNERS, Scenario

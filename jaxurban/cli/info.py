@@ -4,16 +4,23 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import click
 
-from jaxurban.cli.common import JSON_FLAG, PATH, Settings, print_json
+from jaxurban.cli.common import JSON_FLAG, NamedPath, Settings, check_given, print_json
 from jaxurban.io.samples import located
+from jaxurban.io.stored import short_number, stored_maps
+
+
+def check_source(path: Path) -> None:
+    """Raise InputError unless a path is of a file, or of a folder that holds maps."""
+    check_given(path)
+    if path.is_dir():
+        stored_maps(path)
 
 
 @click.command()
-@click.argument("path", metavar="FILE|DIR", type=PATH)
+@click.argument("path", metavar="FILE|DIR", type=NamedPath(check_source))
 @JSON_FLAG
 def info(path: Path, as_json: bool) -> None:
     """Say what a file of buildings, a raster or a folder of maps holds: extent, CRS, counts, guessed heights."""
@@ -35,13 +42,12 @@ def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
 
     Where the folder holds several resolutions each name begins with its own.
     """
-    from jaxurban.io.store import short_number, stored_resolutions
     from jaxurban.maps.saving import open_maps
     from jaxurban.world.grid import WGS84, transformer
 
     facts: Settings = {}
     numbers: list[Settings] = []
-    resolutions_m: list[Any] = sorted(stored_resolutions(folder)) or [None]
+    resolutions_m = list(stored_maps(folder))
     for resolution_m in resolutions_m:
         maps = open_maps(folder, resolution_m)
         grid = maps.grid

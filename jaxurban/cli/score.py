@@ -4,13 +4,13 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import FLAG, JSON_FLAG, PATH, finite_records, print_json
+from jaxurban.cli.common import FLAG, GIVEN, JSON_FLAG, PATH, finite_records, print_json
 from jaxurban.progress import LOG
 
 
 @click.command()
 @click.argument("bench", metavar="BENCH", type=PATH)
-@click.argument("submission", metavar="[SUBMISSION]", type=PATH, required=False)
+@click.argument("submission", metavar="[SUBMISSION]", type=GIVEN, required=False)
 @FLAG("--make", help="Make the benchmark in the folder BENCH: maps, queries, bounds, rules.")
 @click.option(
     "-o",

@@ -10,8 +10,10 @@ from jaxurban.cli.common import (
     COUNT,
     DEVICE,
     FLAG,
+    GIVEN,
     JSON_FLAG,
     MAPS,
+    MAPS_PATH,
     NAMES,
     OVERWRITE,
     PATH,
@@ -154,7 +156,7 @@ def sensitivity(
 
 
 @click.command("sensitivity-study")
-@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=PATH)
+@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=MAPS_PATH)
 @click.option(
     "--routes",
     "num_routes",
@@ -168,7 +170,7 @@ def sensitivity(
     help="Altitudes of --routes.  [default: all of the maps']",
 )
 @click.option(
-    "--queries", type=PATH, help="Table of routes to study instead of drawn ones (.csv, .parquet)."
+    "--queries", type=GIVEN, help="Table of routes to study instead of drawn ones (.csv, .parquet)."
 )
 @MAPS
 @RULES

@@ -9,10 +9,10 @@ import click
 from jaxurban.cli.common import (
     FILES,
     FOLDER,
+    GIVEN,
     JSON_FLAG,
     LONLAT,
     NUMBER,
-    PATH,
     SHOWN,
     SOURCES,
     Point,
@@ -30,7 +30,7 @@ NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
 @click.option("--at", "place", type=LONLAT, help="Place: longitude,latitude in degrees.")
 @click.option(
     "--track",
-    type=PATH,
+    type=GIVEN,
     metavar="FILE",
     help="Instead of a place: a table (.csv, .parquet) with utc, lon_deg, lat_deg and maybe altitude_m, or a route "
     "(.geojson, .kml, .gpx) that is flown at --speed.",

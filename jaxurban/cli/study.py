@@ -9,6 +9,7 @@ from jaxurban.cli.common import (
     CHANGES,
     CONSTRAINTS,
     DEVICE,
+    GIVEN,
     JSON_FLAG,
     NUMBER,
     OVERWRITE,
@@ -34,7 +35,7 @@ NO_ROUTE = "no planner found a path for any instance: the report says why"
 @SCENARIO
 @click.option("-o", "folder", type=PATH, required=True, help="Folder of the maps and the study.")
 @click.option(
-    "--instances", "instances_file", type=PATH, help="File of queries to plan (.parquet, .csv)."
+    "--instances", "instances_file", type=GIVEN, help="File of queries to plan (.parquet, .csv)."
 )
 @NUMBER(
     "--resolution",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jaxurban.cli.common import FLAG, FOLDER, MAPS, PATH, PRESET, SHOWN, SOURCES, MapsOf
+from jaxurban.cli.common import FLAG, FOLDER, MAPS, MAPS_PATH, PATH, PRESET, SHOWN, SOURCES, MapsOf
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @SOURCES
 @click.option(
     "--against",
-    type=PATH,
+    type=MAPS_PATH,
     metavar="DIR",
     help="Other maps of the place, whose layers the page can subtract from those of the first.",
 )

@@ -19,7 +19,7 @@ from rasterio.windows import Window
 
 from jaxurban.checks import one_of
 from jaxurban.io.files import SCRATCH_SUFFIX, whole_file, write_whole
-from jaxurban.io.store import GEOTIFF_FOLDER, short_number
+from jaxurban.io.stored import GEOTIFF_FOLDER, short_number
 from jaxurban.io.workspace import Each
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
 from jaxurban.metrics.custom import held_metrics, held_variables

@@ -20,7 +20,7 @@ from jaxurban.errors import readable
 from jaxurban.io.city import City
 from jaxurban.io.files import digest_of, read_json, write_json
 from jaxurban.io.samples import located, structures_of
-from jaxurban.io.store import RUN_FILE, short_number
+from jaxurban.io.stored import RUN_FILE, short_number
 from jaxurban.maps.guesses import leaving_shares
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask

@@ -9,16 +9,8 @@ from jaxurban.io.files import read_json, sweep_scraps
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, missing_geotiffs, write_geotiffs
 from jaxurban.io.read.base_map import save_base_map
 from jaxurban.io.samples import BASE_MAP_FILE
-from jaxurban.io.store import (
-    GEOTIFF_FOLDER,
-    OPENED,
-    RUN_FILE,
-    are_of_a_run,
-    open_zarr,
-    root_files,
-    settings_of,
-    write_zarr,
-)
+from jaxurban.io.store import OPENED, open_zarr, write_zarr
+from jaxurban.io.stored import GEOTIFF_FOLDER, RUN_FILE, are_of_a_run, root_files, settings_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.variables import NEEDED

@@ -25,6 +25,7 @@ from pydantic import (
 
 from jaxurban.checks import at_least, check_range, nearest_name, positive, typed, values_given
 from jaxurban.errors import GuessWarning, InputError, readable, warn
+from jaxurban.io.files import OF_SCENARIO, read_toml
 from jaxurban.io.samples import filled, is_sample, located
 from jaxurban.kernels.engine import Engine
 from jaxurban.maps.task import MapParams
@@ -331,8 +332,8 @@ class Scenario(BaseModel):
             return cls.from_dict(settings, name=str(path))
         path = Path(path)
         # Everything is within the block, as tables nested without end fail only where their settings are used.
-        with readable(path, "a scenario in TOML", "give sections and their keys"):
-            settings = changed(tomllib.loads(path.read_text(encoding="utf-8")), changes)
+        with readable(path, *OF_SCENARIO):
+            settings = changed(read_toml(path), changes)
             options = [f"--set {change}" for change in changes]
             name = " ".join([str(path), *options])
             return cls.from_dict(settings, name=name, folder=path.resolve().parent)

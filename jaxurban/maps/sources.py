@@ -10,7 +10,7 @@ from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.city import City
 from jaxurban.io.files import read_json
 from jaxurban.io.samples import sample_of
-from jaxurban.io.store import RUN_FILE, settings_of
+from jaxurban.io.stored import RUN_FILE, settings_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
 from jaxurban.maps.run import load_city
