@@ -82,7 +82,9 @@ def check(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Check MISSION (.plan, .waypoints, .kml, .gpx, .geojson, .csv) over the maps in DIR.
+    """Check MISSION over the maps in DIR.
+
+    MISSION is a file of .plan, .waypoints, .kml, .gpx, .geojson or .csv.
 
     It ends with 0 only if every leg was judged and nothing was found, with 5 for findings, and with 6 where nothing was
     found but not all could be judged.

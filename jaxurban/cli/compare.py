@@ -57,7 +57,10 @@ def compare(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time, and for routes."""
+    """Report how the maps in DIR_B differ from DIR_A's.
+
+    Differences are given by layer, altitude and time, and for routes.
+    """
     from jaxurban.io.tables import records_of
     from jaxurban.studies.map_comparison import compare as compare_maps
 
@@ -164,7 +167,9 @@ def validate(
     as_json: bool,
     **settings: Any,
 ) -> None:
-    """Compare the log of a receiver (LOG, .csv or .parquet) with maps of SCENARIO made at its times and its height.
+    """Compare the log of a receiver with maps of SCENARIO.
+
+    The maps are made at the times and the height of LOG, a table (.csv, .parquet).
 
     LOG has the columns utc, lon_deg, lat_deg, and with a row per satellite satellite and cn0_dbhz (azimuth_deg and
     elevation_deg too, or the scenario's orbits give them), with a row per epoch num_tracked or error_2d_m. Left out, it

@@ -23,7 +23,10 @@ def check_source(path: Path) -> None:
 @click.argument("path", metavar="FILE|DIR", type=NamedPath(check_source))
 @JSON_FLAG
 def info(path: Path, as_json: bool) -> None:
-    """Say what a file of buildings, a raster or a folder of maps holds: extent, CRS, counts, guessed heights."""
+    """Say what a file or a folder of maps holds.
+
+    FILE is of buildings, or a raster. Printed are extent, CRS, counts and guessed heights.
+    """
     if path.is_dir():
         facts, numbers = _facts_of_maps(path)
     else:

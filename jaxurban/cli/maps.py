@@ -60,7 +60,10 @@ def maps(
     engine: str | None,
     as_json: bool,
 ) -> None:
-    """Make the metric maps of SCENARIO (TOML) as Zarr and GeoTIFF."""
+    """Make the metric maps of SCENARIO.
+
+    SCENARIO is a file in TOML. The maps are written as Zarr and GeoTIFF.
+    """
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.memory import parse_bytes
     from jaxurban.maps.run import run_scenario

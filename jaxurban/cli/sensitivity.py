@@ -101,7 +101,10 @@ def sensitivity(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Find the weights at which a route over the maps in DIR changes."""
+    """Find the weights at which a route changes.
+
+    The route is planned over the maps in DIR.
+    """
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
     from jaxurban.paths.plan import cost_map
@@ -210,7 +213,10 @@ def sensitivity_study(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Find the weights at which many routes over the maps in each DIR change."""
+    """Find the weights at which many routes change.
+
+    The routes are planned over the maps in each DIR.
+    """
     from jaxurban.io.tables import read_table, records_of
     from jaxurban.maps.sources import scenario_of
     from jaxurban.report.run_sensitivity import sensitivity_study as study

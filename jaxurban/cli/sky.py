@@ -66,7 +66,10 @@ def sky(
     as_json: bool,
     **source: Any,
 ) -> None:
-    """Say which satellites are seen from a place, or along a track, over the maps in DIR, and what hides the others."""
+    """Say which satellites are seen, and what hides others.
+
+    They are seen from a place, or along a track, over the maps in DIR.
+    """
     from jaxurban.io.read.routes import read_routes
     from jaxurban.io.read.tracks import read_track
     from jaxurban.io.tables import SUFFIXES

@@ -63,7 +63,10 @@ def study(
     overwrite: bool,
     as_json: bool,
 ) -> int:
-    """Run every planner of SCENARIO's [study] on many random queries over its maps, and report their results."""
+    """Run planners on many random queries, and report.
+
+    The planners are those of [study] in SCENARIO, and the queries are over its maps.
+    """
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.run import run_scenario
     from jaxurban.maps.scenario import Scenario

@@ -132,7 +132,9 @@ def tune(
     as_json: bool,
     **routes: Any,
 ) -> None:
-    """Fit weights to demonstrated ROUTES over the maps in each DIR, or to targets for outcomes.
+    """Fit weights to demonstrated ROUTES, or to targets.
+
+    ROUTES are over the maps in each DIR, and targets are for outcomes.
 
     ROUTES are files of lines (GeoJSON, KML, GPX), tables of instances (.csv, .parquet) or folders of a study; without
     any, the study that `jaxurban study` kept in DIR. Several DIRs, each with its ROUTES, are fitted together.

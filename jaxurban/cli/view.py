@@ -52,7 +52,10 @@ def view(
     port: int,
     no_browser: bool,
 ) -> None:
-    """Look at the maps in DIR and plan on them, in a browser on this machine; Ctrl-C ends it."""
+    """Look at the maps in DIR and plan on them.
+
+    The page is for a browser on this machine; Ctrl-C ends it.
+    """
     from jaxurban.maps.saving import open_maps
     from jaxurban.viewer.html import write_page
     from jaxurban.viewer.server import ViewerServer

@@ -16,6 +16,7 @@ import pytest
 from shapely import box
 
 from jaxurban.cli.common import use_device
+from jaxurban.cli.main import app
 from jaxurban.cli.plan import _path_table
 from tests.cli_runs import ENDS, TOWN, assert_one_sentence, run, write_city
 
@@ -208,6 +209,15 @@ def test_ctrl_c_exits_130_leaves_no_scrap_and_resumes(tmp_path):
     assert subprocess.run(command, stderr=subprocess.PIPE, timeout=200, check=False).returncode == 0
     assert (out / "run.json").exists()
     assert not work.exists()
+
+
+def test_summaries_of_commands_are_whole_on_a_terminal_of_80_columns(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    _, out, _ = run(capsys, "--help")
+    *_, commands = out.partition("Commands:")
+    lines = commands.strip().splitlines()
+    assert len(lines) == len(app.commands)
+    assert all(line.endswith(".") and not line.endswith("..") for line in lines)
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["plan", "--help"], ["--version"]])
