@@ -31,17 +31,15 @@ def test_what_needs_no_command_to_run_and_the_help_of_every_one_import_nothing_h
 
 
 def test_a_wrong_path_is_answered_before_anything_heavy_is_imported(tmp_path):
-    (tmp_path / "broken.toml").write_text("[region")
-    broken = str(tmp_path / "broken.toml")
     empty = str(tmp_path)
     lines = [
         ["info", "no.tif"],
         ["info", empty],
         ["maps", "no.toml", "-o", "out"],
-        ["study", broken, "-o", "out"],
+        ["study", "no.toml", "-o", "out"],
         ["check", "no/maps", "no.plan"],
         ["view", empty],
-        ["sky", broken, "--at", "0,0"],
+        ["sky", __file__, "--at", "0,0"],
     ]
     runs = "".join(
         f"\ntry: main({line})\nexcept SystemExit as e: assert e.code == 2" for line in lines

@@ -10,8 +10,9 @@ import xarray as xr
 from jaxurban.io import store, stored
 from jaxurban.io.city import City
 from jaxurban.maps.build import compute_maps
+from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import RunContext, make_zarr
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.progress import Report

@@ -14,8 +14,7 @@ import click
 
 from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
-from jaxurban.io.files import read_toml
-from jaxurban.io.samples import is_sample, located
+from jaxurban.io.samples import located
 from jaxurban.io.stored import stored_maps
 from jaxurban.progress import LOG, reporting
 
@@ -102,7 +101,7 @@ class NamedPath(click.Path):
             self.fail(
                 "the name is empty: name a file or a folder (. is the current one)", param, ctx
             )
-        path = super().convert(value, param, ctx)
+        path: Any = super().convert(value, param, ctx)
         if self.check is not None:
             self.check(path)
         return path
@@ -114,16 +113,7 @@ def check_given(path: Path) -> None:
         located(path).stat()
 
 
-def check_scenario(path: Path) -> None:
-    """Raise InputError unless a path is of a file in TOML, or the name of a sample city."""
-    if is_sample(path):
-        located(path)
-    else:
-        read_toml(path)
-
-
-PATH, GIVEN = NamedPath(), NamedPath(check_given)
-SCENARIO_PATH, MAPS_PATH = NamedPath(check_scenario), NamedPath(stored_maps)
+PATH, GIVEN, MAPS_PATH = NamedPath(), NamedPath(check_given), NamedPath(stored_maps)
 
 
 def together(*parameters: Callable) -> Callable[[Callable], Callable]:
@@ -310,7 +300,7 @@ METRES = partial(NUMBER, metavar="METRES")
 FLAG = partial(click.option, is_flag=True)
 OF_CORRIDOR = partial(METRES, cls=DependentOption, owner="--corridor")
 FOLDER = click.argument("folder", metavar="DIR", type=MAPS_PATH)
-SCENARIO = click.argument("scenario_file", metavar="SCENARIO", type=SCENARIO_PATH)
+SCENARIO = click.argument("scenario_file", metavar="SCENARIO", type=GIVEN)
 FILES = partial(click.option, "-o", "files", type=PATH, multiple=True)
 OUTPUT = click.option("-o", "output", type=PATH, required=True, help="Output folder.")
 OVERWRITE = FLAG("--overwrite", help="Replace what another run wrote to the output folder.")

@@ -57,7 +57,6 @@ WEIGHT_RANGES = together(
     JSON_FLAG,
 )
 DRAWN_ROUTES = 30  # in each folder of maps
-SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 
 @click.command()
@@ -79,7 +78,7 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
     "--scenario",
     cls=DependentOption,
     owner="--buildings",
-    type=SCENARIO_FILE,
+    type=GIVEN,
     help="Scenario of the maps, for --buildings, if its paths are relative.",
 )
 @WEIGHT_RANGES
@@ -193,7 +192,7 @@ def sensitivity(
 )
 @click.option(
     "--scenario",
-    type=SCENARIO_FILE,
+    type=GIVEN,
     help="Scenario of the maps, for --heights and --parameters, if its paths are relative; only with one DIR.",
 )
 @WORKERS

@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import tempfile
-import tomllib
 import uuid
 import zlib
 from collections.abc import Collection, Iterator, Mapping
@@ -15,7 +14,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxurban.errors import InputError, check_file, readable, reason_of
+from jaxurban.errors import InputError, check_file, reason_of
 
 if TYPE_CHECKING:
     from jaxurban.io.workspace import Workspace
@@ -24,7 +23,6 @@ LOCK_FILE = ".jaxurban.lock"
 SCRATCH_SUFFIX = ".jaxurban-part"  # of what is being written: ours to sweep, and nobody else's
 # As `scratch_for` gives it.
 SCRATCH_NAME = re.compile(rf"\..*\.[0-9a-z_]{{8}}{re.escape(SCRATCH_SUFFIX)}", re.DOTALL)
-OF_SCENARIO = "a scenario in TOML", "give sections and their keys"  # as of `readable`
 ELSEWHERE = "choose another folder with -o"
 
 
@@ -236,16 +234,6 @@ def write_json(path: Path, value: Mapping[str, Any], indent: int | None = None) 
     write_whole(
         path, sealed(f"{json.dumps({**value, FIELD: BLANK.decode()}, indent=indent)}\n".encode())
     )
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Return the sections of a scenario as its file has them, unchecked.
-
-    Raises:
-      InputError: no such file, or it is not TOML.
-    """
-    with readable(path, *OF_SCENARIO):
-        return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -8,12 +8,10 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
-import matplotlib
 import numpy as np
 import rasterio
 import xarray as xr
 from affine import Affine
-from matplotlib.colors import to_hex
 from rasterio.shutil import copy as copy_raster
 from rasterio.windows import Window
 
@@ -383,6 +381,9 @@ def ramp_of(ds: xr.Dataset, variable: Variable) -> tuple[np.ndarray, list[str]]:
 
     The maps' values are read only if the range of the variable's scale depends on them.
     """
+    import matplotlib
+    from matplotlib.colors import to_hex
+
     scale = variable.scale
     places = np.linspace(0, 1, NUM_PLACES)  # along the colour map
     low, span = scale.range(ds.attrs, lambda: _ends(ds, variable.name))

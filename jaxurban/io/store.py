@@ -14,7 +14,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import dask.array
 import numpy as np
 import xarray as xr
 from numcodecs import Zstd
@@ -100,6 +99,8 @@ def _to_zarr(
       mode: ``"w"`` for a new Zarr, ``"a"`` to add variables to one.
       tile: rows and columns of a chunk of a map.
     """
+    import dask.array
+
     # Without the encoding of files that were opened before.
     ds = ds.drop_encoding().assign_attrs({LAYOUT_KEY: LAYOUT})
     for name, array in list(ds.variables.items()):
