@@ -13,7 +13,6 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import dask.array
 import jax
 
 from jaxurban.checks import values_given
@@ -23,7 +22,6 @@ from jaxurban.io.city import City
 from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, sweep_scraps
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
-from jaxurban.io.read.base_map import base_map_source, save_base_map
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import bands_of, check_has_data, rasterise
 from jaxurban.io.samples import BASE_MAP_FILE
@@ -50,7 +48,6 @@ from jaxurban.metrics.population import FILES
 from jaxurban.metrics.variables import TimeTotals
 from jaxurban.programs import pass_over_unreadable
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
-from jaxurban.samples.synthetic import demo_city_for_bounds
 from jaxurban.settings import NOMINAL, as_tuple
 from jaxurban.world.grid import Grid
 
@@ -71,6 +68,8 @@ def load_city(scenario: Scenario) -> City:
     """
     region = scenario.region
     if scenario.is_synthetic:
+        from jaxurban.samples.synthetic import demo_city_for_bounds
+
         return demo_city_for_bounds(region.bounds, region.crs)
 
     def placed(section: Any, *names: str) -> Any:
@@ -161,6 +160,8 @@ def run_scenario(
       InputError: bad settings or sources, too little memory or disk, a layer that the maps would not hold, or a folder
         that holds another job's maps.
     """
+    from jaxurban.io.read.base_map import base_map_source, save_base_map
+
     started_utc = datetime.now(UTC).isoformat(timespec="seconds")
     backend = jax.default_backend()
     with reporting("maps", progress) as report, warnings.catch_warnings(record=True) as caught:
@@ -457,6 +458,8 @@ def make_zarr(
     return seconds
 
 
-def _no_values(shape: tuple[int, ...], dtype: Any) -> dask.array.Array:
+def _no_values(shape: tuple[int, ...], dtype: Any) -> Any:
     """Return an array of a shape and a type that takes no memory: it is never computed."""
+    import dask.array
+
     return dask.array.zeros(shape, dtype=dtype, chunks=-1)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -81,10 +82,16 @@ def test_a_track_and_a_route_give_a_row_a_place(maps, tmp_path, capsys):
             (*AT, "--by", "map", "--resolution", 3),
             "resolution_m must be that of maps in the folder",
         ),
-        ((*AT, "--sources", "nowhere"), "'nowhere' is none"),
+        ((*AT, "--sources", "nowhere"), "'nowhere' does not exist"),
+        ((*AT, "--sources", "t.csv"), "'t.csv' is none"),
     ],
 )
-def test_what_cannot_be_done_ends_with_2_and_a_sentence(maps, words, said, capsys):
+def test_what_cannot_be_done_ends_with_2_and_a_sentence(
+    maps, words, said, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    for name in ("t.csv", "t.gpx"):
+        Path(name).touch()
     code, out, err = run(capsys, "sky", maps, *words)
     assert (code, out) == (2, "")
     assert_one_sentence(err, said)
