@@ -292,5 +292,7 @@ def test_the_cpu_is_for_a_command_and_for_its_workers(monkeypatch, tmp_path, cap
     set_up = {}
     monkeypatch.setattr(jax.config, "update", set_up.__setitem__)
     monkeypatch.setenv("JAX_PLATFORMS", "")
-    code, _, _ = run(capsys, "maps", tmp_path / "none.toml", "-o", tmp_path, *options)
+    scenario = tmp_path / "of_nothing.toml"
+    scenario.touch()
+    code, _, _ = run(capsys, "maps", scenario, "-o", tmp_path, *options)
     assert (code, set_up, os.environ["JAX_PLATFORMS"]) == (2, {"jax_platforms": "cpu"}, "cpu")
