@@ -12,7 +12,8 @@ from benchmarks.common import Row, clocked, in_turn
 from benchmarks.scenes import MASK_DEG, SYNTHETIC, TOKYO, Place, Scene, load_place
 from benchmarks.sidereon_peer import Peer
 from jaxurban.maps.build import view_sky
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.params import MapParams
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.protection import (
     Protection,

@@ -10,7 +10,8 @@ from benchmarks.common import ROOT
 from jaxurban.io.city import City
 from jaxurban.io.read.city import read_buildings
 from jaxurban.maps.build import view_sky
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.params import MapParams
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.samples.synthetic import demo_city_for_bounds
 from jaxurban.settings import Buildings

@@ -6,7 +6,8 @@ import numpy as np
 import shapely
 
 from jaxurban.io.city import City
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.params import MapParams
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.settings import SLABS, Hanging
 from jaxurban.world.footprints import Footprints, HeightOrigin

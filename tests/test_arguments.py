@@ -137,7 +137,7 @@ def cities() -> Iterator[None]:
         key = f"{scenario.path_of('.')} {scenario.to_toml()}"
         return known.get(key) or known.setdefault(key, load_city(scenario))
 
-    with patch("jaxurban.maps.sources.load_city", read):
+    with patch("jaxurban.maps.run.load_city", read):
         yield
 
 

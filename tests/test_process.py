@@ -30,6 +30,22 @@ def test_what_needs_no_command_to_run_and_the_help_of_every_one_import_nothing_h
     assert heavy_modules(f"from jaxurban.cli.main import main{runs}") == []
 
 
+def test_a_wrong_path_is_answered_before_anything_heavy_is_imported(tmp_path):
+    empty = str(tmp_path)
+    lines = [
+        ["info", "no.tif"],
+        ["maps", "no.toml", "-o", "out"],
+        ["study", "no.toml", "-o", "out"],
+        ["check", "no/maps", "no.plan"],
+        ["view", empty],
+        ["sky", __file__, "--at", "0,0"],
+    ]
+    runs = "".join(
+        f"\ntry: main({line})\nexcept SystemExit as e: assert e.code == 2" for line in lines
+    )
+    assert heavy_modules(f"from jaxurban.cli.main import main{runs}") == []
+
+
 @pytest.mark.slow
 def test_maps_of_the_demo_city_import_neither_stores_nor_tables_of_outlines():
     """Reading and writing files is another matter: what that needs comes when it is asked for."""

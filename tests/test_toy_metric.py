@@ -15,7 +15,8 @@ from jax.test_util import check_grads
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.maps.differentiable import path_visits
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.params import MapParams
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.base import ALTITUDE, Metric, Scale, Variable, low_is_bad
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.settings import differentiable

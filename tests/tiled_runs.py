@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from jaxurban.io import store
+from jaxurban.io import store, stored
 from jaxurban.io.city import City
 from jaxurban.maps.build import compute_maps
+from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import RunContext, make_zarr
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.progress import Report
@@ -87,7 +88,7 @@ def check_tiles(of: MapTask, folder: Path, shape=RAGGED, **options) -> xr.Datase
     made = replace(of, guesses=of.all_guesses, params=replace(of.params, **options))
     make_zarr(RunContext(made, folder, "key", 2), Report(), shape)
     left = {path.name for path in (folder / "maps.zarr").iterdir()}
-    maps = store.zarr_path(folder, of.region.resolution_m).name
+    maps = stored.zarr_path(folder, of.region.resolution_m).name
     assert left == {maps, ".zgroup", ".zmetadata"}  # nothing of the work
     found, expected = store.open_zarr(folder, None).load(), compute_maps(of).ds
     assert found.attrs.pop("run_key") == "key"

@@ -12,12 +12,12 @@ from jaxurban.cli.common import (
     CORRIDOR,
     FILES,
     FOLDER,
+    GIVEN,
     JSON_FLAG,
     LONLAT,
     METRES,
     NUMBER,
     OVERWRITE,
-    PATH,
     RESOLUTION,
     SOURCES,
     TIME_OF_DAY,
@@ -35,7 +35,7 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
 
 @click.command()
 @FOLDER
-@click.argument("mission", metavar="MISSION", type=PATH)
+@click.argument("mission", metavar="MISSION", type=GIVEN)
 @click.option(
     "--heights",
     type=click.Choice(["home", "ground", "geoid", "ellipsoid"]),
@@ -82,7 +82,9 @@ def check(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Check MISSION over the maps in DIR: .plan, .waypoints, .kmz or .wpml (DJI), .kml, .gpx, .geojson, .csv or .ulg.
+    """Check MISSION over the maps in DIR.
+
+    MISSION is a file of .plan, .waypoints, .kmz or .wpml (DJI), .kml, .gpx, .geojson, .csv or .ulg.
 
     It ends with 0 only if every leg was judged and nothing was found, with 5 for findings, and with 6 where nothing was
     found but not all could be judged.

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import click
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
+from jaxurban.io.samples import located
+from jaxurban.io.stored import stored_maps
 from jaxurban.progress import LOG, reporting
 
 if TYPE_CHECKING:
@@ -76,22 +78,42 @@ class Numbers(click.ParamType):
 
 
 class NamedPath(click.Path):
-    """A path; an empty one, as of a variable that is not set, is not the current folder."""
+    """A path; an empty one, as of a variable that is not set, is not the current folder.
+
+    It is checked while options are read, so that a wrong one is answered before any library is imported.
+
+    Args:
+      check: raises InputError of a path that cannot be used.
+    """
+
+    def __init__(self, check: Callable[[Path], object] | None = None) -> None:
+        super().__init__(path_type=Path)
+        self.check = check
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path in a text.
 
         Raises:
           BadParameter: an empty text, or what `click.Path` refuses.
+          InputError: what the check refuses.
         """
         if value == "":
             self.fail(
                 "the name is empty: name a file or a folder (. is the current one)", param, ctx
             )
-        return super().convert(value, param, ctx)
+        path: Any = super().convert(value, param, ctx)
+        if self.check is not None:
+            self.check(path)
+        return path
 
 
-PATH = NamedPath(path_type=Path)
+def check_given(path: Path) -> None:
+    """Raise InputError unless a file or a folder is there; a name may be a sample city's."""
+    with readable(path, "a file", "give another one"):
+        located(path).stat()
+
+
+PATH, GIVEN, MAPS_PATH = NamedPath(), NamedPath(check_given), NamedPath(stored_maps)
 
 
 def together(*parameters: Callable) -> Callable[[Callable], Callable]:
@@ -277,8 +299,8 @@ NUMBER = partial(click.option, type=float)
 METRES = partial(NUMBER, metavar="METRES")
 FLAG = partial(click.option, is_flag=True)
 OF_CORRIDOR = partial(METRES, cls=DependentOption, owner="--corridor")
-FOLDER = click.argument("folder", metavar="DIR", type=PATH)
-SCENARIO = click.argument("scenario_file", metavar="SCENARIO", type=PATH)
+FOLDER = click.argument("folder", metavar="DIR", type=MAPS_PATH)
+SCENARIO = click.argument("scenario_file", metavar="SCENARIO", type=GIVEN)
 FILES = partial(click.option, "-o", "files", type=PATH, multiple=True)
 OUTPUT = click.option("-o", "output", type=PATH, required=True, help="Output folder.")
 OVERWRITE = FLAG("--overwrite", help="Replace what another run wrote to the output folder.")
@@ -318,7 +340,7 @@ CONSTRAINTS = grouped(
     constraints_of,
     click.option(
         "--no-fly",
-        type=PATH,
+        type=GIVEN,
         multiple=True,
         help="File of polygons that no path enters (GeoJSON, KML); repeatable.",
     ),
@@ -425,7 +447,7 @@ WORKERS = grouped(
 )
 SOURCES = click.option(
     "--sources",
-    type=PATH,
+    type=GIVEN,
     help="Folder where the relative paths of the maps' sources begin.  [default: beside the maps]",
 )
 JSON_FLAG = FLAG("--json", "as_json", help="Print one machine-readable object on stdout.")

@@ -10,12 +10,13 @@ from jaxurban.cli.common import (
     CHANGES,
     COUNT,
     DEVICE,
+    GIVEN,
     JSON_FLAG,
     MAPS,
+    MAPS_PATH,
     NAMES,
     OUTPUT,
     OVERWRITE,
-    PATH,
     POSITIVE_COUNT,
     SCENARIO,
     SEED,
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("folder_a", metavar="DIR_A", type=PATH)
-@click.argument("folder_b", metavar="DIR_B", type=PATH)
+@click.argument("folder_a", metavar="DIR_A", type=MAPS_PATH)
+@click.argument("folder_b", metavar="DIR_B", type=MAPS_PATH)
 @OUTPUT
 @MAPS
 @SHOWN("--tolerance", default=1e-6, help="Values that differ by no more count as equal.")
@@ -56,7 +57,10 @@ def compare(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time, and for routes."""
+    """Report how the maps in DIR_B differ from DIR_A's.
+
+    Differences are given by layer, altitude and time, and for routes.
+    """
     from jaxurban.io.tables import records_of
     from jaxurban.studies.map_comparison import compare as compare_maps
 
@@ -92,15 +96,15 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
 
 @click.command()
 @SCENARIO
-@click.argument("log_file", metavar="[LOG]", type=PATH, required=False)
+@click.argument("log_file", metavar="[LOG]", type=GIVEN, required=False)
 @OUTPUT
 @click.option(
     "--navigation",
-    type=PATH,
+    type=GIVEN,
     help="Orbits of a receiver's own log: broadcast RINEX, or what [gps] orbits takes.",
 )
 @click.option(
-    "--reference", type=PATH, help="Table of the antenna's places, for a receiver's own log."
+    "--reference", type=GIVEN, help="Table of the antenna's places, for a receiver's own log."
 )
 @CHANGES
 @SHOWN(
@@ -165,7 +169,9 @@ def validate(
     as_json: bool,
     **settings: Any,
 ) -> None:
-    """Compare the log of a receiver (LOG, .csv or .parquet) with maps of SCENARIO made at its times and its height.
+    """Compare the log of a receiver with maps of SCENARIO.
+
+    The maps are made at the times and the height of LOG.
 
     LOG is what the receiver wrote itself (RINEX, NMEA, GnssLogger), or a table of the columns utc, lon_deg, lat_deg,
     and with a row per satellite satellite and cn0_dbhz (azimuth_deg and elevation_deg too, or the scenario's orbits

@@ -63,7 +63,10 @@ def fetch(
     is_dry_run: bool,
     as_json: bool,
 ) -> None:
-    """Download what the maps of a region need from public sources, and write a scenario that uses it."""
+    """Download what the maps of a region need.
+
+    The sources are public. A scenario that uses the files is written beside them.
+    """
     from jaxurban.io.fetch import SCENARIO_FILE, FetchJob
     from jaxurban.io.fetch import fetch as fetch_files
     from jaxurban.maps.memory import parse_bytes

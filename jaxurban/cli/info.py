@@ -4,22 +4,23 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import click
 
-from jaxurban.cli.common import JSON_FLAG, PATH, Settings, print_json
+from jaxurban.cli.common import GIVEN, JSON_FLAG, Settings, print_json
 from jaxurban.io.read.sniff import LIDAR, sniff
 from jaxurban.io.samples import located
+from jaxurban.io.stored import ZARR_FOLDER, short_number, stored_maps
 
 
 @click.command()
-@click.argument("path", metavar="FILE|DIR", type=PATH)
+@click.argument("path", metavar="FILE|DIR", type=GIVEN)
 @JSON_FLAG
 def info(path: Path, as_json: bool) -> None:
-    """Say what a file of buildings, a raster or a folder of maps holds: extent, CRS, counts, guessed heights."""
-    from jaxurban.io.store import ZARR_FOLDER
+    """Say what a file or a folder of maps holds.
 
+    FILE is of buildings, or a raster. Printed are extent, CRS, counts and guessed heights.
+    """
     if (path / ZARR_FOLDER).exists():
         facts, numbers = _facts_of_maps(path)
     else:
@@ -38,13 +39,12 @@ def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
 
     Where the folder holds several resolutions each name begins with its own.
     """
-    from jaxurban.io.store import short_number, stored_resolutions
     from jaxurban.maps.saving import open_maps
     from jaxurban.world.grid import WGS84, transformer
 
     facts: Settings = {}
     numbers: list[Settings] = []
-    resolutions_m: list[Any] = sorted(stored_resolutions(folder)) or [None]
+    resolutions_m = list(stored_maps(folder))
     for resolution_m in resolutions_m:
         maps = open_maps(folder, resolution_m)
         grid = maps.grid

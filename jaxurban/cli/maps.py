@@ -60,10 +60,11 @@ def maps(
     engine: str | None,
     as_json: bool,
 ) -> None:
-    """Make the metric maps of SCENARIO (TOML) as Zarr and GeoTIFF."""
+    """Make the metric maps of SCENARIO.
+
+    SCENARIO is a file in TOML. The maps are written as Zarr and GeoTIFF.
+    """
     from jaxurban.io.workspace import Workspace
-    from jaxurban.maps.memory import parse_bytes
-    from jaxurban.maps.run import run_scenario
     from jaxurban.maps.scenario import Scenario
 
     # Processes of this machine compute on the CPU; an address is that of a cluster, which has devices of its own.
@@ -80,7 +81,10 @@ def maps(
         changes = (*changes, f'region.engine = "{engine}"')
     scenario = Scenario.from_toml(scenario_file, changes)
 
-    # Make the maps.
+    # Make the maps, by libraries that a wrong scenario need not wait for.
+    from jaxurban.maps.memory import parse_bytes
+    from jaxurban.maps.run import run_scenario
+
     with reporting("maps") as report:
         run = run_scenario(
             scenario,

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import FLAG, JSON_FLAG, PATH, finite_records, print_json
+from jaxurban.cli.common import FLAG, GIVEN, JSON_FLAG, PATH, finite_records, print_json
 from jaxurban.progress import LOG
 
 
 @click.command()
 @click.argument("bench", metavar="BENCH", type=PATH)
-@click.argument("submission", metavar="[SUBMISSION]", type=PATH, required=False)
+@click.argument("submission", metavar="[SUBMISSION]", type=GIVEN, required=False)
 @FLAG("--make", help="Make the benchmark in the folder BENCH: maps, queries, bounds, rules.")
 @click.option(
     "-o",
@@ -27,7 +27,9 @@ from jaxurban.progress import LOG
 def score(
     bench: Path, submission: Path | None, make: bool, board: Path | None, method: str, as_json: bool
 ) -> None:
-    """Score SUBMISSION, a CSV file of routes from any planner, on the benchmark in the folder BENCH.
+    """Score the routes of any planner on a benchmark.
+
+    SUBMISSION is a CSV file of routes, and BENCH the folder of the benchmark.
 
     Every route is checked and its cost computed again; the gap is to a proven lower bound. A route that fails counts as
     an infinite gap, and the exit code stays 0.

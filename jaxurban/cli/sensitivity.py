@@ -10,8 +10,10 @@ from jaxurban.cli.common import (
     COUNT,
     DEVICE,
     FLAG,
+    GIVEN,
     JSON_FLAG,
     MAPS,
+    MAPS_PATH,
     NAMES,
     OVERWRITE,
     PATH,
@@ -55,7 +57,6 @@ WEIGHT_RANGES = together(
     JSON_FLAG,
 )
 DRAWN_ROUTES = 30  # in each folder of maps
-SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 
 @click.command()
@@ -77,7 +78,7 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
     "--scenario",
     cls=DependentOption,
     owner="--buildings",
-    type=SCENARIO_FILE,
+    type=GIVEN,
     help="Scenario of the maps, for --buildings, if its paths are relative.",
 )
 @WEIGHT_RANGES
@@ -99,7 +100,10 @@ def sensitivity(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Find the weights at which a route over the maps in DIR changes."""
+    """Find the weights at which a route changes.
+
+    The route is planned over the maps in DIR.
+    """
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
     from jaxurban.paths.plan import cost_map
@@ -154,7 +158,7 @@ def sensitivity(
 
 
 @click.command("sensitivity-study")
-@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=PATH)
+@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=MAPS_PATH)
 @click.option(
     "--routes",
     "num_routes",
@@ -168,7 +172,7 @@ def sensitivity(
     help="Altitudes of --routes.  [default: all of the maps']",
 )
 @click.option(
-    "--queries", type=PATH, help="Table of routes to study instead of drawn ones (.csv, .parquet)."
+    "--queries", type=GIVEN, help="Table of routes to study instead of drawn ones (.csv, .parquet)."
 )
 @MAPS
 @RULES
@@ -188,7 +192,7 @@ def sensitivity(
 )
 @click.option(
     "--scenario",
-    type=SCENARIO_FILE,
+    type=GIVEN,
     help="Scenario of the maps, for --heights and --parameters, if its paths are relative; only with one DIR.",
 )
 @WORKERS
@@ -208,7 +212,10 @@ def sensitivity_study(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Find the weights at which many routes over the maps in each DIR change."""
+    """Find the weights at which many routes change.
+
+    The routes are planned over the maps in each DIR.
+    """
     from jaxurban.io.tables import read_table, records_of
     from jaxurban.maps.sources import scenario_of
     from jaxurban.report.run_sensitivity import sensitivity_study as study

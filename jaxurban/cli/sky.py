@@ -9,10 +9,10 @@ import click
 from jaxurban.cli.common import (
     FILES,
     FOLDER,
+    GIVEN,
     JSON_FLAG,
     LONLAT,
     NUMBER,
-    PATH,
     SHOWN,
     SOURCES,
     Point,
@@ -30,13 +30,15 @@ NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
 @click.option("--at", "place", type=LONLAT, help="Place: longitude,latitude in degrees.")
 @click.option(
     "--track",
-    type=PATH,
+    type=GIVEN,
     metavar="FILE",
     help="Instead of a place: a table (.csv, .parquet) with utc, lon_deg, lat_deg and maybe altitude_m, a receiver's "
     "log (RINEX, NMEA, GnssLogger), a flight with times (.gpx, .kml, .ulg), or a route (.geojson, .kml, .gpx) that is "
     "flown at --speed.",
 )
-@click.option("--reference", type=PATH, help="Table of the antenna's places, for a receiver's log.")
+@click.option(
+    "--reference", type=GIVEN, help="Table of the antenna's places, for a receiver's log."
+)
 @click.option(
     "--by-satellite",
     is_flag=True,
@@ -75,7 +77,10 @@ def sky(
     as_json: bool,
     **source: Any,
 ) -> None:
-    """Say which satellites are seen from a place, or along a track, over the maps in DIR, and what hides the others."""
+    """Say which satellites are seen, and what hides others.
+
+    They are seen from a place, or along a track, over the maps in DIR.
+    """
     from jaxurban.io.read.mission import read_flight
     from jaxurban.io.read.receivers import read_log
     from jaxurban.io.read.routes import read_routes

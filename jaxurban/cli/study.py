@@ -9,6 +9,7 @@ from jaxurban.cli.common import (
     CHANGES,
     CONSTRAINTS,
     DEVICE,
+    GIVEN,
     JSON_FLAG,
     NUMBER,
     OVERWRITE,
@@ -34,7 +35,7 @@ NO_ROUTE = "no planner found a path for any instance: the report says why"
 @SCENARIO
 @click.option("-o", "folder", type=PATH, required=True, help="Folder of the maps and the study.")
 @click.option(
-    "--instances", "instances_file", type=PATH, help="File of queries to plan (.parquet, .csv)."
+    "--instances", "instances_file", type=GIVEN, help="File of queries to plan (.parquet, .csv)."
 )
 @NUMBER(
     "--resolution",
@@ -62,7 +63,10 @@ def study(
     overwrite: bool,
     as_json: bool,
 ) -> int:
-    """Run every planner of SCENARIO's [study] on many random queries over its maps, and report their results."""
+    """Run planners on many random queries, and report.
+
+    The planners are those of [study] in SCENARIO, and the queries are over its maps.
+    """
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.run import run_scenario
     from jaxurban.maps.scenario import Scenario

@@ -12,13 +12,13 @@ from jaxurban.cli.common import (
     COUNT,
     DEVICE,
     FLAG,
+    GIVEN,
     JSON_FLAG,
     MAPS,
     NAMES,
     NUMBER,
     OUTPUT,
     OVERWRITE,
-    PATH,
     POSITIVE_COUNT,
     PRESET,
     SEED,
@@ -43,7 +43,7 @@ class Fits(TypedDict):
 
 
 @click.command()
-@click.argument("words", metavar="DIR [ROUTES]...", type=PATH, nargs=-1, required=True)
+@click.argument("words", metavar="DIR [ROUTES]...", type=GIVEN, nargs=-1, required=True)
 @OUTPUT
 @click.option(
     "--sample",
@@ -132,7 +132,9 @@ def tune(
     as_json: bool,
     **routes: Any,
 ) -> None:
-    """Fit weights to demonstrated ROUTES over the maps in each DIR, or to targets for outcomes.
+    """Fit weights to demonstrated ROUTES, or to targets.
+
+    ROUTES are over the maps in each DIR, and targets are for outcomes.
 
     ROUTES are files of lines (GeoJSON, KML, GPX), tables of instances (.csv, .parquet) or folders of a study; without
     any, the study that `jaxurban study` kept in DIR. Several DIRs, each with its ROUTES, are fitted together.
@@ -193,7 +195,7 @@ def _sources_of(
       maps_of: returns the maps of a folder, not opened yet.
       has_routes: whether routes are drawn, so that none need be read.
     """
-    from jaxurban.io.store import ZARR_FOLDER
+    from jaxurban.io.stored import ZARR_FOLDER
     from jaxurban.io.tables import ROWS_FILE
     from jaxurban.studies.study_demonstrations import study_in
 

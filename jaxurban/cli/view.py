@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jaxurban.cli.common import FLAG, FOLDER, MAPS, PATH, PRESET, SHOWN, SOURCES, MapsOf
+from jaxurban.cli.common import FLAG, FOLDER, MAPS, MAPS_PATH, PATH, PRESET, SHOWN, SOURCES, MapsOf
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @SOURCES
 @click.option(
     "--against",
-    type=PATH,
+    type=MAPS_PATH,
     metavar="DIR",
     help="Other maps of the place, whose layers the page can subtract from those of the first.",
 )
@@ -52,7 +52,10 @@ def view(
     port: int,
     no_browser: bool,
 ) -> None:
-    """Look at the maps in DIR and plan on them, in a browser on this machine; Ctrl-C ends it."""
+    """Look at the maps in DIR and plan on them.
+
+    The page is for a browser on this machine; Ctrl-C ends it.
+    """
     from jaxurban.maps.saving import open_maps
     from jaxurban.viewer.html import write_page
     from jaxurban.viewer.server import ViewerServer

@@ -200,7 +200,7 @@ class WorkFolder:
         """Put the assembled maps in their place, and remove the folder.
 
         Args:
-          target: their path to be, see `jaxurban.io.store.zarr_path`.
+          target: their path to be, see `jaxurban.io.stored.zarr_path`.
 
         Raises:
           InputError: a file of others is in the way.

@@ -8,18 +8,16 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
-import matplotlib
 import numpy as np
 import rasterio
 import xarray as xr
 from affine import Affine
-from matplotlib.colors import to_hex
 from rasterio.shutil import copy as copy_raster
 from rasterio.windows import Window
 
 from jaxurban.checks import one_of
 from jaxurban.io.files import SCRATCH_SUFFIX, whole_file, write_whole
-from jaxurban.io.store import GEOTIFF_FOLDER, short_number
+from jaxurban.io.stored import GEOTIFF_FOLDER, short_number
 from jaxurban.io.workspace import Each
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
 from jaxurban.metrics.custom import held_metrics, held_variables
@@ -383,6 +381,9 @@ def ramp_of(ds: xr.Dataset, variable: Variable) -> tuple[np.ndarray, list[str]]:
 
     The maps' values are read only if the range of the variable's scale depends on them.
     """
+    import matplotlib
+    from matplotlib.colors import to_hex
+
     scale = variable.scale
     places = np.linspace(0, 1, NUM_PLACES)  # along the colour map
     low, span = scale.range(ds.attrs, lambda: _ends(ds, variable.name))

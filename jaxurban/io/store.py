@@ -9,13 +9,11 @@ free air.
 
 import json
 import math
-import re
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import dask.array
 import numpy as np
 import xarray as xr
 from numcodecs import Zstd
@@ -24,21 +22,25 @@ from xarray.core import indexing
 
 from jaxurban.errors import InputError, RemadeError
 from jaxurban.io.files import (
-    SCRATCH_SUFFIX,
     checksum_of,
     is_as_written,
-    read_json,
     scratch_for,
     whole_file,
     write_whole,
+)
+from jaxurban.io.stored import (
+    METADATA,
+    ZARR_FOLDER,
+    root_files,
+    short_number,
+    stored_maps,
+    stored_resolutions,
+    zarr_path,
 )
 from jaxurban.io.workspace import Workspace, recorded
 from jaxurban.metrics.variables import NEEDED, no_value
 from jaxurban.world.grid import tile_shape
 
-RUN_FILE = "run.json"
-ZARR_FOLDER = "maps.zarr"
-GEOTIFF_FOLDER = "geotiff"
 COMPRESSOR = Zstd(level=1, checksum=True)
 # Attributes that are no map's: the CRS for GDAL, as 1.0.0 wrote it, and no value.
 FOREIGN = ("_CRS", "_FillValue")
@@ -47,61 +49,9 @@ PLAIN_KINDS = "biufcmMSU"  # of NumPy's types: numbers, times, and text of one l
 TEXT_KINDS = "OU"  # of text of any length
 TEXT_FILTERS = [{"id": "vlen-utf8"}]  # of it; Zarr 3.0 has the filter for all text
 OPENED = "opened"  # encoding of an opened dataset: what checks that its files are unchanged
-METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
 LAYOUT_KEY = "jaxurban_layout"
 LAYOUT = 1  # of maps in a folder; those without the entry have the first
-# Files by which a Zarr is known, of version 3 the last.
-OF_ZARR = (METADATA, ".zattrs", ".zgroup", "zarr.json")
-OTHER_VERSION = (
-    "comes from another version of jaxurban, or without its checksums.json: "
-    "make the maps again in a new folder"
-)
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
-
-
-def short_number(value: float) -> str:
-    """Return a number as file names carry it: ``5``, ``2.5``."""
-    return f"{value:g}"
-
-
-def zarr_path(folder: Path, resolution_m: float) -> Path:
-    """Return where the maps of one resolution lie under an output folder."""
-    return folder / ZARR_FOLDER / f"{short_number(resolution_m)}m"
-
-
-NUMBER_M = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)m"  # as `short_number` writes it
-
-
-def stored_resolutions(folder: Path) -> dict[float, Path]:
-    """Return the folders of the Zarrs under ``folder`` that its record names and that are there.
-
-    Returns:
-      Paths such as ``maps.zarr/5m`` by resolution in metres, in ascending order; empty without a record.
-
-    Raises:
-      InputError: the record cannot be read.
-    """
-    pattern = re.compile(rf"{ZARR_FOLDER}/{NUMBER_M}/{METADATA}")
-    matches = filter(None, map(pattern.fullmatch, recorded(folder)))
-    paths = {float(match[1]): (folder / match[0]).parent for match in matches}
-    return {resolution_m: path for resolution_m, path in sorted(paths.items()) if path.is_dir()}
-
-
-def check_version(folder: Path) -> None:
-    """Raise InputError if a folder holds maps, or the file of a run that made maps, and its record names none of them.
-
-    Then another version of jaxurban wrote them, or the record is lost.
-    """
-    # The folders of maps, and the file of a run.
-    zarr_files = folder.glob(f"{ZARR_FOLDER}/[0-9]*m/*")
-    outputs = [file.parent for file in zarr_files if file.name in OF_ZARR]
-    run = folder / RUN_FILE
-    if run.is_file() and b'"run_key"' in run.read_bytes():
-        outputs.append(run)
-    # Recorded names, cut to the depth of the outputs: "maps.zarr/5m", "run.json".
-    written = {Path(folder, *Path(name).parts[:2]) for name in recorded(folder)}
-    if outputs and written.isdisjoint(outputs):
-        raise InputError(f"{str(folder)!r} {OTHER_VERSION}")
 
 
 def stored_key(folder: Path, resolution_m: float) -> str | None:
@@ -114,40 +64,6 @@ def stored_key(folder: Path, resolution_m: float) -> str | None:
     with suppress(InputError):
         return open_zarr(folder, resolution_m).attrs.get("run_key")
     return None
-
-
-def are_of_a_run(folder: Path) -> bool:
-    """Return whether maps under ``folder`` are those of ``jaxurban maps``, which writes `RUN_FILE` too."""
-    files = [path / METADATA for path in stored_resolutions(folder).values()]
-    return any(b'"run_key"' in file.read_bytes() for file in files if file.is_file())
-
-
-def settings_of(folder: Path) -> dict[str, Any]:
-    """Return the settings of the run that made the maps in ``folder``, from `RUN_FILE`.
-
-    They are empty where the maps were saved from Python, or where there are none.
-
-    Raises:
-      InputError: the file is damaged, or it is missing though a run made the maps.
-    """
-    remedy = "run the same `jaxurban maps` command again, which writes it again"
-    try:
-        return read_json(folder / RUN_FILE)["settings"]
-    except FileNotFoundError as error:
-        if are_of_a_run(folder):
-            raise InputError(
-                f"{str(folder / RUN_FILE)!r}, with the settings of the maps, is missing: {remedy}"
-            ) from error
-        return {}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{str(folder / RUN_FILE)!r} cannot be read ({error}): {remedy}"
-        ) from error
-
-
-def work_path(folder: Path, resolution_m: float) -> Path:
-    """Return where the unfinished maps of one resolution lie under an output folder."""
-    return folder / ZARR_FOLDER / f".{short_number(resolution_m)}m{SCRATCH_SUFFIX}"
 
 
 def _is_map(array: xr.Variable) -> bool:
@@ -183,6 +99,8 @@ def _to_zarr(
       mode: ``"w"`` for a new Zarr, ``"a"`` to add variables to one.
       tile: rows and columns of a chunk of a map.
     """
+    import dask.array
+
     # Without the encoding of files that were opened before.
     ds = ds.drop_encoding().assign_attrs({LAYOUT_KEY: LAYOUT})
     for name, array in list(ds.variables.items()):
@@ -325,11 +243,6 @@ def put_zarr(made: Path, path: Path, checksums: Mapping[str, str]) -> None:
         put_root(workspace.folder)
 
 
-def root_files(folder: Path) -> list[Path]:
-    """Return the files of the group above the resolutions, by which xarray and GDAL open all of them."""
-    return [folder / ZARR_FOLDER / name for name in (".zgroup", METADATA)]
-
-
 def put_root(folder: Path) -> None:
     """Write the group above the resolutions (see `root_files`), unless it is there already.
 
@@ -372,16 +285,8 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
       InputError: no maps there, not at this resolution, several resolutions and none chosen, maps of another version,
         maps that lack a needed variable, or damaged ones (see `open_whole`).
     """
-    if folder.is_file():
-        raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
-    paths = stored_resolutions(folder)
-    check_version(folder)
-
+    paths = stored_maps(folder)
     listed = ", ".join(map(short_number, paths))
-    if not paths:
-        raise InputError(
-            f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`"
-        )
     if resolution_m is None and len(paths) > 1:
         raise InputError(
             f"{str(folder)!r} holds maps at {listed} m: choose one with resolution_m (--resolution)"

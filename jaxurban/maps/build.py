@@ -27,8 +27,9 @@ from jaxurban.io.read.rasterise import bands_of
 from jaxurban.kernels.engine import Engine, on_device_of, warn_of_jax
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.params import PAPER_ALTITUDES_M, MapParams
 from jaxurban.maps.recipe import tile_maps
-from jaxurban.maps.task import PAPER_ALTITUDES_M, MapParams, MapTask, empty_dataset, with_series
+from jaxurban.maps.task import MapTask, empty_dataset, with_series
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scene
 from jaxurban.metrics.custom import Layer, check_layers

@@ -14,7 +14,8 @@ from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import building_index
 from jaxurban.maps.build import check_region, view_sky
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.params import MapParams
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.base import Metric, SoftScene
 from jaxurban.metrics.custom import Layer, check_layers, metrics_of
 from jaxurban.metrics.gps import Gps

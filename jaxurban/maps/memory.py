@@ -13,6 +13,7 @@ import psutil
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import PEOPLE_SAMPLES
+from jaxurban.io.stored import GEOTIFF_FOLDER, ZARR_FOLDER
 from jaxurban.maps.free_memory import free_bytes, gpu_free_bytes
 from jaxurban.maps.task import MapTask, variables
 from jaxurban.metrics.base import TIME
@@ -289,8 +290,6 @@ def check_disk(tasks: Sequence[MapTask], folder: Path) -> None:
     Raises:
       InputError: the disk is too small even if the maps compress well.
     """
-    from jaxurban.io.store import GEOTIFF_FOLDER, ZARR_FOLDER  # imported here: it brings Dask
-
     files = chain((folder / ZARR_FOLDER).rglob("*"), (folder / GEOTIFF_FOLDER).rglob("*"))
     left = sum(file.stat().st_size for file in files if file.is_file())
     least, most = disk_bytes(tasks)

@@ -8,11 +8,10 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyproj
-import rasterio
 import shapely
 
 from jaxurban.checks import values_given
@@ -20,16 +19,17 @@ from jaxurban.errors import readable
 from jaxurban.io.city import City
 from jaxurban.io.files import digest_of, read_json, visible_files, write_json
 from jaxurban.io.samples import located, structures_of
-from jaxurban.io.store import RUN_FILE, short_number
-from jaxurban.maps.guesses import leaving_shares
+from jaxurban.io.stored import RUN_FILE, short_number
 from jaxurban.maps.scenario import Scenario
-from jaxurban.maps.task import MapTask
 from jaxurban.metrics.population import FILES, Population
 from jaxurban.progress import LOG
 from jaxurban.settings import NOMINAL, as_tuple
 from jaxurban.world.blocks import Blocks, Zoning
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
+
+if TYPE_CHECKING:
+    from jaxurban.maps.task import MapTask
 
 COMPANIED_SUFFIXES = (".shp", ".tif", ".tiff", ".asc", ".img")
 REPORTED_VERSIONS = (
@@ -51,7 +51,7 @@ MOST_UNSIZED_BYTES = 16 * 2**30  # of a file whose size a record lacks, as up to
 
 def run_record(
     scenario: Scenario,
-    tasks: Sequence[MapTask],
+    tasks: "Sequence[MapTask]",
     inputs: Inputs,
     key: str,
     elapsed_s: Mapping[str, float],
@@ -69,6 +69,8 @@ def run_record(
       started_utc: when the run began, ISO 8601.
       messages: of the warnings.
     """
+    from jaxurban.maps.guesses import leaving_shares
+
     city = tasks[0].city
     region = tasks[0].region
     sky = tasks[-1].sky
@@ -361,6 +363,8 @@ def other_maps(folder: Path, scenario: Scenario, inputs: Inputs) -> str:
 
 def versions() -> dict[str, str]:
     """Return the versions of the packages that the maps depend on."""
+    import rasterio
+
     libraries = {
         "GDAL": rasterio.__gdal_version__,
         "GEOS": shapely.geos_version_string,

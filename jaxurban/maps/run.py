@@ -13,17 +13,15 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import dask.array
 import jax
 
 from jaxurban.checks import values_given
 from jaxurban.errors import InputError
-from jaxurban.io import store
+from jaxurban.io import store, stored
 from jaxurban.io.city import City
 from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, sweep_scraps
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
-from jaxurban.io.read.base_map import base_map_source, save_base_map
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import bands_of, check_has_data, rasterise
 from jaxurban.io.samples import BASE_MAP_FILE
@@ -50,7 +48,6 @@ from jaxurban.metrics.population import FILES
 from jaxurban.metrics.variables import TimeTotals
 from jaxurban.programs import pass_over_unreadable
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
-from jaxurban.samples.synthetic import demo_city_for_bounds
 from jaxurban.settings import NOMINAL, as_tuple
 from jaxurban.world.grid import Grid
 
@@ -71,6 +68,8 @@ def load_city(scenario: Scenario) -> City:
     """
     region = scenario.region
     if scenario.is_synthetic:
+        from jaxurban.samples.synthetic import demo_city_for_bounds
+
         return demo_city_for_bounds(region.bounds, region.crs)
 
     def placed(section: Any, *names: str) -> Any:
@@ -161,6 +160,8 @@ def run_scenario(
       InputError: bad settings or sources, too little memory or disk, a layer that the maps would not hold, or a folder
         that holds another job's maps.
     """
+    from jaxurban.io.read.base_map import base_map_source, save_base_map
+
     started_utc = datetime.now(UTC).isoformat(timespec="seconds")
     backend = jax.default_backend()
     with reporting("maps", progress) as report, warnings.catch_warnings(record=True) as caught:
@@ -172,7 +173,7 @@ def run_scenario(
         inputs = hash_inputs(scenario)
         on_host = scenario.region.engine == "numba"
         key = run_key(scenario, inputs, "cpu" if on_host else backend)
-        store.check_version(folder)
+        stored.check_version(folder)
         if not overwrite:
             _check_holds_no_others(folder, scenario, inputs, key)
 
@@ -227,7 +228,7 @@ def run_scenario(
             record = run_record(
                 scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages
             )
-            record = write_record(folder / store.RUN_FILE, record, is_kept)
+            record = write_record(folder / stored.RUN_FILE, record, is_kept)
 
     # The maps, with the base map's file and the settings of the record.
     kept_base = base_file.resolve() if base_file.is_file() else None
@@ -247,7 +248,7 @@ def _check_holds_no_others(folder: Path, scenario: Scenario, inputs: Inputs, key
       key: identifies the run that would make the maps.
     """
     stored_by = Workspace.settings_of(folder, "maps").get(RUN_KEY)
-    if store.stored_resolutions(folder) and stored_by != key:
+    if stored.stored_resolutions(folder) and stored_by != key:
         names = (f"{folder}-{number}" for number in count(2))
         unused = next(name for name in names if not Path(name).exists())
         raise InputError(
@@ -267,10 +268,10 @@ def _files_of(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str]) -> 
     Raises:
       InputError: a layer that the maps would not hold.
     """
-    files = [folder / store.RUN_FILE, *store.root_files(folder)]
+    files = [folder / stored.RUN_FILE, *stored.root_files(folder)]
     for task in tasks:
-        zarr = store.zarr_path(folder, task.region.resolution_m)
-        files += [zarr / name for name in store.OF_ZARR]
+        zarr = stored.zarr_path(folder, task.region.resolution_m)
+        files += [zarr / name for name in stored.OF_ZARR]
         files += geotiff_paths(empty_dataset(task, _no_values), folder, layers)
     return files
 
@@ -315,13 +316,13 @@ def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
       key: identifies this run (`run_key`).
       resolutions_m: the resolutions that this run makes. The tiles of a resolution that is finished are removed too.
     """
-    left_over = {*(folder / store.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}")}
+    left_over = {*(folder / stored.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}")}
     for resolution_m in resolutions_m:
         if stored_key(folder, resolution_m) != key:
-            left_over.discard(store.work_path(folder, resolution_m))
+            left_over.discard(stored.work_path(folder, resolution_m))
     for path in left_over:
         WorkFolder(path).discard()
-    sweep_scraps(folder, folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER)
+    sweep_scraps(folder, folder / stored.ZARR_FOLDER, folder / stored.GEOTIFF_FOLDER)
 
 
 def _complete_maps(
@@ -339,14 +340,14 @@ def _complete_maps(
     """
     folder = run.folder
     resolution_m = run.task.region.resolution_m
-    zarr = store.zarr_path(folder, resolution_m)
+    zarr = stored.zarr_path(folder, resolution_m)
     with watch.stage("verify"):
         files = [folder / name for name in workspace.written if zarr in (folder / name).parents]
         broken = workspace.broken(files, run.map) if zarr.is_dir() else []
         is_kept = not broken and stored_key(folder, resolution_m) == run.key
     if broken:
         others = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
-        again = f"making the maps at {store.short_number(resolution_m)} m again"
+        again = f"making the maps at {stored.short_number(resolution_m)} m again"
         LOG.warning(f"{str(broken[0])!r}{others} is missing or damaged: {again}")
     if not is_kept:
         began = time.perf_counter()
@@ -387,7 +388,7 @@ def _renew_geotiffs(
     with watch.stage("write_geotiff"):
         write_geotiffs(maps.ds, run.folder, run.map, only=stale, layers=run.layers)
         # Files that workers had begun to write before they were killed; other workers have written them since.
-        sweep_scraps(run.folder / store.GEOTIFF_FOLDER)
+        sweep_scraps(run.folder / stored.GEOTIFF_FOLDER)
 
 
 def make_zarr(
@@ -413,7 +414,7 @@ def make_zarr(
         check_has_data(data, task.city)
 
     # The Zarr begins empty, in a work folder that keeps finished tiles for the next run of the same key.
-    work = WorkFolder(store.work_path(run.folder.resolve(), grid.resolution_m))
+    work = WorkFolder(stored.work_path(run.folder.resolve(), grid.resolution_m))
     for path in work.begin(f"{run.key} {shape}", run.map):
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
     job = TileJob(task, work, tiling)
@@ -427,7 +428,7 @@ def make_zarr(
     seconds: defaultdict[str, float] = defaultdict(float)
     totals: dict[str, TimeTotals] = {}
     num_done = 0
-    stage = f"tiles of {store.short_number(grid.resolution_m)} m"
+    stage = f"tiles of {stored.short_number(grid.resolution_m)} m"
     report(stage, num_done, len(tiling.region_tiles))
 
     def take(result: dict[str, Any]) -> None:
@@ -453,10 +454,12 @@ def make_zarr(
         new = [name for name in with_means.data_vars if name not in empty]
         store.add_to_zarr(with_means[new], work.zarr)
         work.mark_zarr()
-    work.finish(store.zarr_path(run.folder, grid.resolution_m))
+    work.finish(stored.zarr_path(run.folder, grid.resolution_m))
     return seconds
 
 
-def _no_values(shape: tuple[int, ...], dtype: Any) -> dask.array.Array:
+def _no_values(shape: tuple[int, ...], dtype: Any) -> Any:
     """Return an array of a shape and a type that takes no memory: it is never computed."""
+    import dask.array
+
     return dask.array.zeros(shape, dtype=dtype, chunks=-1)

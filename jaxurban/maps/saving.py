@@ -7,18 +7,9 @@ from jaxurban.checks import typed
 from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.files import read_json, sweep_scraps
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, missing_geotiffs, write_geotiffs
-from jaxurban.io.read.base_map import save_base_map
 from jaxurban.io.samples import BASE_MAP_FILE
-from jaxurban.io.store import (
-    GEOTIFF_FOLDER,
-    OPENED,
-    RUN_FILE,
-    are_of_a_run,
-    open_zarr,
-    root_files,
-    settings_of,
-    write_zarr,
-)
+from jaxurban.io.store import OPENED, open_zarr, write_zarr
+from jaxurban.io.stored import GEOTIFF_FOLDER, RUN_FILE, are_of_a_run, root_files, settings_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.variables import NEEDED
@@ -27,6 +18,8 @@ from jaxurban.settings import ObstacleRule
 
 def save_maps(maps: MetricMaps, folder: Path, layers: Sequence[str]) -> None:
     """Write maps under a folder; arguments and errors as of `MetricMaps.save`."""
+    from jaxurban.io.read.base_map import save_base_map  # imported here: it brings OSM's readers
+
     # All errors of the arguments are raised before anything is written, also the one of a layer that the maps lack.
     _check_can_be_opened(maps)
     geotiffs = geotiff_paths(maps.ds, folder, layers)

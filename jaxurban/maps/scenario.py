@@ -27,7 +27,7 @@ from jaxurban.checks import at_least, check_range, nearest_name, positive, typed
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.samples import filled, is_sample, located
 from jaxurban.kernels.engine import Engine
-from jaxurban.maps.task import MapParams
+from jaxurban.maps.params import MapParams
 from jaxurban.metrics.custom import Layer, check_layers, known_beside
 from jaxurban.metrics.gps import Dop, Gps
 from jaxurban.metrics.lidar import Lidar
@@ -36,7 +36,6 @@ from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
-from jaxurban.planners.registry import find_planner
 from jaxurban.public import present_name
 from jaxurban.settings import (
     Buildings,
@@ -81,6 +80,14 @@ WeightSettings = Annotated[
 
 
 OneOrMore = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]  # a TOML may name one alone
+
+
+def _check_planner(name: str) -> None:
+    """Raise InputError for an unknown planner; the registry, which brings Numba, is asked beyond the paper's."""
+    if name not in PAPER_PLANNERS:
+        from jaxurban.planners.registry import find_planner
+
+        find_planner(name)
 
 
 def _different(name: str, values: Iterable[float]) -> tuple[float, ...]:
@@ -199,7 +206,7 @@ class Study:
         if not self.planners:
             raise InputError("planners is empty: name at least one planner")
         for planner in (*self.planners, *self.distance_only):
-            find_planner(planner)  # raises InputError for an unknown one
+            _check_planner(planner)  # raises InputError for an unknown one
 
         if self.altitudes_m is not None:
             object.__setattr__(self, "altitudes_m", _different("altitudes_m", self.altitudes_m))
@@ -267,7 +274,7 @@ class Scenario(BaseModel):
           ValueError: an unknown planner, bad layers or weights, or settings of several sections that contradict each
             other. Pydantic names the scenario's sections in its error.
         """
-        find_planner(self.planning.planner)
+        _check_planner(self.planning.planner)
         self._check_layers()
         self._request_what_is_weighed()
         people = self.map_params.population  # `MapParams` checks the settings of maps together

@@ -10,10 +10,9 @@ from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.city import City
 from jaxurban.io.files import read_json
 from jaxurban.io.samples import sample_of
-from jaxurban.io.store import RUN_FILE, settings_of
+from jaxurban.io.stored import RUN_FILE, settings_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
-from jaxurban.maps.run import load_city
 from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.variables import ROOF_KIND
 from jaxurban.world.footprints import BUILDING
@@ -108,6 +107,8 @@ def city_of(given: CityLike, sources: str | Path | None = None) -> City:
     Raises:
       InputError: maps that were made in memory, or files that are gone.
     """
+    from jaxurban.maps.run import load_city  # imported here: it brings what makes maps
+
     return given if isinstance(given, City) else load_city(scenario_of(folder_of(given), sources))
 
 

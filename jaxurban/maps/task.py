@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -13,88 +13,24 @@ import pyproj
 import xarray as xr
 from xarray.indexes import PandasIndex
 
-from jaxurban.checks import at_least, typed
 from jaxurban.errors import InputError
 from jaxurban.io.city import City, joined_credits, seen_by
 from jaxurban.io.read.guesses import Guesses, guessed_share
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
-from jaxurban.kernels.engine import Engine, uses_numba
+from jaxurban.kernels.engine import uses_numba
 from jaxurban.maps.guesses import region_guesses
+from jaxurban.maps.params import MapParams
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
 from jaxurban.metrics.custom import Layer, metrics_of
-from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.population import BlockLayers, Population, block_layers
-from jaxurban.metrics.registry import checked_sections
+from jaxurban.metrics.population import BlockLayers, block_layers
 from jaxurban.metrics.variables import AUXILIARY_VARIABLES, CAVEAT, TimeTotals, derived
 from jaxurban.metrics.visibility import shadow_reach_m
-from jaxurban.settings import SLABS, Heights
+from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING
 from jaxurban.world.grid import Grid
 from jaxurban.world.raster import Raster
 from jaxurban.world.sky import InView, Sky
 from jaxurban.world.surface import Surface
-
-PAPER_ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
-
-
-@typed
-@dataclass(frozen=True)
-class MapParams:
-    """Everything that metric maps depend on besides city, sky and grid.
-
-    Attributes:
-      altitudes_m: flight altitudes above ground.
-      oversample: n: occlusion and lidar on a surface n times finer (odd is best).
-      heights: how roofs are rasterised, and how well their heights are known.
-      sections: settings of metrics, by name; metrics that are not named have their defaults. A metric of `ON_REQUEST`
-        is made only if it is named.
-      engine: which form of the kernels runs; it changes no bit of the maps on a CPU.
-
-    Raises:
-      InputError: invalid altitudes, an invalid oversample, an unknown engine, sections that belong to no metric, bounds
-        or spreads of a series that does not keep the maps of every time, or bounds with an even oversample.
-    """
-
-    altitudes_m: Sequence[float] = PAPER_ALTITUDES_M
-    oversample: int = 1
-    heights: Heights = field(default_factory=Heights)
-    sections: Mapping[str, Any] = field(default_factory=dict)
-    engine: Engine = "auto"
-
-    def __post_init__(self) -> None:
-        """Check the settings; write altitudes as floats, and sections with their defaults. Errors as of the class."""
-        altitudes_m = tuple(map(float, self.altitudes_m))
-        are_different = len(set(altitudes_m)) == len(altitudes_m) > 0
-        if not are_different or not all(0 < value < np.inf for value in altitudes_m):
-            raise InputError(
-                f"altitudes_m must be different positive numbers of metres above ground, got {[*altitudes_m]}"
-            )
-        object.__setattr__(self, "altitudes_m", altitudes_m)
-        at_least("oversample", self.oversample, 1)
-        object.__setattr__(self, "sections", checked_sections(self.sections))
-
-        # What the settings of satellites do not allow together with others.
-        gps = self.gps
-        keeps_times = gps.keeps_times(len(gps.utc_times or (None,)))
-        if (gps.bounds or self.heights.height_samples) and not keeps_times:
-            raise InputError(
-                "[gps] bounds and [buildings] height_samples need the maps of every time: give fewer times, or set "
-                "[gps] series = 'epochs'"
-            )
-        if gps.bounds and self.oversample % 2 == 0:
-            raise InputError(
-                f"[gps] bounds need an odd oversample, got {self.oversample}: use 3 or 5"
-            )
-
-    @property
-    def gps(self) -> Gps:
-        """The settings of satellites."""
-        return self.sections.get("gps") or Gps()
-
-    @property
-    def population(self) -> Population:
-        """The settings of people."""
-        return self.sections.get("population") or Population()
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 
 from jaxurban.checks import finite, typed
 from jaxurban.errors import InputError
@@ -35,6 +34,9 @@ from jaxurban.metrics.registry import METRICS, known_metrics
 from jaxurban.metrics.variables import AUXILIARY_VARIABLES, SERIES, derived
 from jaxurban.settings import not_negative
 from jaxurban.world.surface import Surface
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 COLOURS = ("#56b4e9", "#d55e00", "#7f3c8d", "#80604d")  # of lines, none a built-in metric's
 # Names of release 1.0's metrics are theirs, and those of later ones may be a layer's (`known_beside`).
@@ -313,7 +315,7 @@ def colour_of(name: str) -> str:
     return COLOURS[zlib.crc32(name.encode()) % len(COLOURS)]
 
 
-def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
+def held_metrics(ds: "xr.Dataset") -> dict[str, Metric]:
     """Return the metrics of the cost that a dataset of maps holds, by name: the built-in ones, then a user's own.
 
     A metric counts as held where its median is, which a long series keeps in its place. The variable of a user's layer
@@ -334,7 +336,7 @@ def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
     return metrics
 
 
-def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
+def held_variables(ds: "xr.Dataset") -> dict[str, Variable]:
     """Return the variable of every map ``[..., y, x]`` of a dataset by its name.
 
     A map that neither jaxurban nor a metric of the dataset makes gets a variable from its attributes.

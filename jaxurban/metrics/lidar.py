@@ -18,7 +18,7 @@ from jaxurban.kernels.blocks import rounded_up
 from jaxurban.kernels.engine import Engine, runs_numba
 from jaxurban.kernels.lidar import hard as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
-from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS, count_on_terrain_on_host
+from jaxurban.kernels.lidar.hard import MOST_BEAMS
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.settings import (
     check_fields,
@@ -240,6 +240,9 @@ def _by_numba(
       oversample: n.
       is_obstacle: on the map's cells.
     """
+    # Imported here: it brings Numba.
+    from jaxurban.kernels.lidar.terrain_cpu import count_on_terrain_on_host
+
     surface = surface.of_returning()
     n = oversample
     steps = kernel.num_steps(surface.grid.resolution_m, params.range_m)

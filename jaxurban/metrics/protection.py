@@ -5,6 +5,7 @@ once.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt
@@ -12,7 +13,6 @@ from jaxtyping import Bool, Float, UInt
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.kernels.protection import Ranging, RiskBudget, protection_levels
 from jaxurban.metrics.base import (
     ALTITUDE,
     TIME,
@@ -26,6 +26,9 @@ from jaxurban.metrics.base import (
 from jaxurban.metrics.settings import check_fields, differentiable, is_not_negative, is_positive
 from jaxurban.metrics.visibility import distinct_choices
 from jaxurban.world.sky import InView
+
+if TYPE_CHECKING:  # imported where they are used: they bring Numba
+    from jaxurban.kernels.protection import Ranging, RiskBudget
 
 
 @differentiable()
@@ -109,8 +112,10 @@ class Protection:
             )
 
     @property
-    def budget(self) -> RiskBudget:
+    def budget(self) -> "RiskBudget":
         """How risk is shared out, for the kernel."""
+        from jaxurban.kernels.protection import RiskBudget
+
         shares = self.phmi_horizontal, self.phmi_vertical, self.pfa_horizontal, self.pfa_vertical
         # In the order of the kernel's fields.
         return RiskBudget(*map(float, (*shares, self.p_unmonitored, *self.tolerance_m)))
@@ -148,7 +153,7 @@ def galileo_receiver_sigma_m(elevation_rad: Float[np.ndarray, " S"]) -> Float[np
     return np.interp(np.degrees(elevation_rad), table_deg, GALILEO_SIGMA_M)
 
 
-def ranging_of(in_view: InView, params: Protection) -> Ranging:
+def ranging_of(in_view: InView, params: Protection) -> "Ranging":
     """Return the geometry and the errors of the ranges to ``S`` satellites, for the kernel: metres and probabilities.
 
     Only Galileo has errors of the receiver of its own; satellites of other constellations have those of GPS.
@@ -157,6 +162,8 @@ def ranging_of(in_view: InView, params: Protection) -> Ranging:
       in_view: the satellites.
       params: errors of orbits and clocks, biases, and probabilities of faults.
     """
+    from jaxurban.kernels.protection import Ranging
+
     elevation_rad = np.asarray(in_view.elevation_rad, float)
     systems = np.asarray(in_view.systems, str)
     names, constellation = np.unique(systems, return_inverse=True)
@@ -198,6 +205,8 @@ def levels_of_satellites(
       params: settings.
       patterns: the choices: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
     """
+    from jaxurban.kernels.protection import protection_levels
+
     return protection_levels(patterns, ranging_of(in_view, params), params.budget)
 
 

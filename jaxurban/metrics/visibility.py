@@ -5,12 +5,11 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from jaxurban.kernels.dop import Clocks, Geometry, geometry, unit_vectors
-from jaxurban.kernels.shadows import blocks, slabs, sweep
+from jaxurban.kernels.shadows import blocks, sweep
 from jaxurban.kernels.shadows.sweep import WORD_BITS, Line, Ring, digital_lines, stacked
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import PER_CELL, AnyArray, Slabs, Surface
@@ -223,6 +222,8 @@ def _hide_behind_slabs(
       azimuth_rad, elevation_rad: ``[S]`` as for `visibility`.
       receivers: where the receivers of the words stand.
     """
+    from jaxurban.kernels.shadows import slabs  # imported here: it brings Numba
+
     region = surface.region
     every = receivers.every
     # The slabs' kernel counts subcells, `PER_CELL` along a cell's side; receivers stand in the middle of theirs.
@@ -326,6 +327,8 @@ def distinct_choices(
     Returns:
       The choices as words, each choice once, and for each cell the number of its choice, 0 to ``P - 1``.
     """
+    import pandas as pd
+
     choices: list[np.ndarray] = []  # by the words so far: an array of P for each word
     number = np.zeros(1, np.int64)  # of each cell's choice
     for word in words:

@@ -9,7 +9,6 @@ A straight line from a leg to an obstacle runs through closed cells last: so it 
 import math
 
 import numpy as np
-from scipy.ndimage import binary_dilation, distance_transform_edt, minimum_filter
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import FILE_MARGIN_M, SAME_LENGTH
@@ -66,6 +65,8 @@ def _over_lowest_ground_m(maps: MetricMaps, reach_m: float) -> np.ndarray:
     Around it are all cells within ``reach_m`` and, as the window is square and whole cells wide, some beyond. The
     result is 0 where the ground of the cell itself is not known.
     """
+    from scipy.ndimage import minimum_filter
+
     ground_m = np.where(maps.ds["has_data"].values, maps.m("terrain"), np.inf)
     # One cell more, as the distance is between squares and not between centres.
     reach_cells = math.ceil(reach_m / maps.grid.resolution_m) + 1
@@ -109,6 +110,8 @@ def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.
       is_obstacle: ``[Y, X]`` bool.
       resolution_m: side of a cell.
     """
+    from scipy.ndimage import binary_dilation, distance_transform_edt
+
     # From a cell's centre to the obstacles grown by one cell all around it is as far as from square to square.
     grown = binary_dilation(np.pad(is_obstacle, 1, constant_values=True), np.ones((3, 3), bool))
     return distance_transform_edt(~grown)[1:-1, 1:-1] * resolution_m

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from jaxurban.io.city import City
 from jaxurban.io.read.sampling import values_at
@@ -76,5 +75,7 @@ class Elevation:
     @cached_property
     def off_m(self) -> np.ndarray:
         """``[Y, X]`` by how many metres the ground in each cell may leave `at`, where it is of cells."""
+        from scipy.ndimage import maximum_filter, minimum_filter
+
         terrain_m = self.maps.m("terrain")
         return OFF_SHARE * (maximum_filter(terrain_m, 3) - minimum_filter(terrain_m, 3))

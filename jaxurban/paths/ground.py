@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.kernels.tolerances import MOST_BULGE_M
@@ -97,6 +96,8 @@ def elevation_at(
       terrain_m: ``[Y, X]`` elevation at cell centres; beyond the outermost centres it goes on level.
       resolution_m: side of a cell.
     """
+    from scipy.ndimage import map_coordinates
+
     last_cell = np.array(terrain_m.shape)[:, None] - 1
     row_col = np.clip(np.stack([y_m, x_m]) / resolution_m - 0.5, 0, last_cell)
     smooth_m = map_coordinates(terrain_m, row_col, np.float64, order=1, mode="nearest")

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import generate_binary_structure, label
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Cell
@@ -103,6 +102,8 @@ def islands_of(is_free: np.ndarray, cuts_corners: bool) -> np.ndarray:
       is_free: ``[Y, X]`` or ``[K, Y, X]`` bool; the result has the same shape.
       cuts_corners: whether cells that touch with a corner are joined.
     """
+    from scipy.ndimage import generate_binary_structure, label
+
     joins = joins_on_level = generate_binary_structure(2, 2 if cuts_corners else 1)
     if is_free.ndim == 3:
         joins = generate_binary_structure(3, 1)  # the six cells that share a side

@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 import shapely
 from numpy.typing import ArrayLike
-from scipy.ndimage import binary_erosion
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
@@ -78,6 +77,8 @@ def clearance_m(
       resolution_m: side of a cell.
       most_m: distances beyond it need not be known, and are inf: a quicker search.
     """
+    from scipy.ndimage import binary_erosion
+
     # Where all four neighbours within the map are obstacles too, another one is nearer to a line outside.
     row, col = np.nonzero(is_obstacle & ~binary_erosion(is_obstacle, border_value=1))
     if len(row) == 0:  # no obstacle, or nothing else

@@ -17,7 +17,6 @@ import pandas as pd
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import Row, RowStore, read_table, records_of
-from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.saving import open_maps
 from jaxurban.paths.constraints import Constraints
@@ -250,6 +249,8 @@ def run_rows(
         if workers == 1 or not tasks:
             keep_rows(store, solve_here(tasks, sources, job), num_left, report)
         else:
+            from jaxurban.maps.executors import cluster_client  # imported here: it brings Dask
+
             with cluster_client(workers) as client:
                 keep_rows(store, solve_on(client, tasks, sources, job), num_left, report)
     finally:

@@ -8,7 +8,7 @@ import pandas as pd
 
 from jaxurban.errors import InputError
 from jaxurban.io.files import whole_file, write_whole
-from jaxurban.io.store import short_number
+from jaxurban.io.stored import short_number
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints

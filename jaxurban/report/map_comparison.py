@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from jaxurban.checks import one_of
 from jaxurban.io.geotiff import write_bands
-from jaxurban.io.store import short_number
+from jaxurban.io.stored import short_number
 from jaxurban.maps.provenance import NOT_SET
 from jaxurban.maps.shared import OneMap
 from jaxurban.report.figures.frame import (

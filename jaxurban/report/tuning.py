@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
-from jaxurban.io.store import ZARR_FOLDER
+from jaxurban.io.stored import ZARR_FOLDER
 from jaxurban.io.tables import SUFFIXES, records_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps

@@ -18,10 +18,11 @@ from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.maps.build import region_of, view_sky
 from jaxurban.maps.levels import listed_m
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import gps_of, grid_of, load_city
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.sources import CityLike, folder_of, scenario_of
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import DOPS, FIX, Gps, has_no_fix
 from jaxurban.metrics.population import Population
 from jaxurban.paths.places import XY, Point, one_place

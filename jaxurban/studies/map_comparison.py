@@ -13,7 +13,7 @@ from jaxurban.checks import at_least, finite, one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.io.files import read_json
 from jaxurban.io.results import Result
-from jaxurban.io.store import RUN_FILE
+from jaxurban.io.stored import RUN_FILE
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps
 from jaxurban.maps.provenance import Differing, differing
 from jaxurban.maps.shared import OneMap, paired_times, shared_part

@@ -44,6 +44,7 @@ from jaxtyping import Array, Float, Int, UInt
 WORD_BITS = 32
 # Of rays, in one turn of the loop by steps: what they have met is read and written once.
 STEPS_AT_ONCE = 4
+MOST_BEAMS = 250  # of Numba's form over terrain: that a byte can count, and a few
 BYTE_BITS = 8  # of the words by azimuths, which are made the quicker the smaller they are
 STEPS_PER_PASS = 11  # by azimuths: 11, 21 and 51 steps, of 100 m at 10, 5 and 2 m, fill whole passes or nearly so
 BLOCK = (256, 512)  # most receivers taken together by azimuths, rows and columns: caches hold them

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.lidar.hard import MOST_BEAMS
 
 TILE = (32, 64)  # receivers taken together: the bytes of their rays fit a core's cache
-MOST_BEAMS = 250  # that a byte can count, and a few
 RETURNED = np.uint8(255)
 AT_ONCE = 4  # beams compared in one pass
 BLOCK = 8  # cells along each side of those whose highest is known: looks at lower ones are left out

@@ -16,6 +16,7 @@ import pytest
 from shapely import box
 
 from jaxurban.cli.common import use_device
+from jaxurban.cli.main import app
 from jaxurban.cli.plan import _path_table
 from tests.cli_runs import ENDS, TOWN, assert_one_sentence, run, write_city
 
@@ -210,6 +211,15 @@ def test_ctrl_c_exits_130_leaves_no_scrap_and_resumes(tmp_path):
     assert not work.exists()
 
 
+def test_summaries_of_commands_are_whole_on_a_terminal_of_80_columns(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    _, out, _ = run(capsys, "--help")
+    *_, commands = out.partition("Commands:")
+    lines = commands.strip().splitlines()
+    assert len(lines) == len(app.commands)
+    assert all(line.endswith(".") and not line.endswith("..") for line in lines)
+
+
 @pytest.mark.parametrize("arguments", [["--help"], ["plan", "--help"], ["--version"]])
 def test_a_reader_of_stdout_that_leaves_is_no_error(arguments):
     read_end, write_end = os.pipe()
@@ -282,5 +292,7 @@ def test_the_cpu_is_for_a_command_and_for_its_workers(monkeypatch, tmp_path, cap
     set_up = {}
     monkeypatch.setattr(jax.config, "update", set_up.__setitem__)
     monkeypatch.setenv("JAX_PLATFORMS", "")
-    code, _, _ = run(capsys, "maps", tmp_path / "none.toml", "-o", tmp_path, *options)
+    scenario = tmp_path / "of_nothing.toml"
+    scenario.touch()
+    code, _, _ = run(capsys, "maps", scenario, "-o", tmp_path, *options)
     assert (code, set_up, os.environ["JAX_PLATFORMS"]) == (2, {"jax_platforms": "cpu"}, "cpu")

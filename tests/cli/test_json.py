@@ -90,7 +90,7 @@ def test_a_fault_and_an_interrupt_are_objects_too(name, capsys, monkeypatch):
         ("plan", "DIR"),
         ("info no.tif", None),
         ("maps town.toml -o out --memory much", "--memory"),
-        ("maps no.toml -o out --workers 2 --cluster here", "--workers"),
+        ("maps town.toml -o out --workers 2 --cluster here", "--workers"),
         ("maps town.toml -o out --set gps.mask_deg=95", "gps.mask_deg"),
         ("maps town.toml -o out --set gps.mask_deg", "--set"),
         ("sensitivity maps {route} --samples 3", "--samples"),

@@ -56,10 +56,10 @@ REFUSED = [
     ("maps deep.toml -o {out}", "deep.toml"),
     ("maps dotted.toml -o {out}", "dotted.toml"),
     (
-        "compare nothing nothing -o taken",
+        "compare maps maps -o taken",
         "notes.txt' is there already, and not from",
     ),  # before anything is read
-    ("validate town.toml nothing.csv -o taken", "notes.txt' is there already, and not from"),
+    ("validate town.toml file -o taken", "notes.txt' is there already, and not from"),
     (f"{SET} mask_deg=10", "unknown section 'mask_deg'", "gps, "),
     (f"{SET} region.range_m=10", "'region.range_m'", "bounds, "),
     (f"{SET} gsp.mask_deg=10", "'gsp'", "'gps'"),
@@ -99,7 +99,7 @@ REFUSED = [
     (f"{ROUTE} --samples 3", "power of two"),
     (f"{ROUTE} --pareto gps", "objectives"),
     (f"{ROUTE} --tolerance 0", "tolerance"),
-    (f"{ROUTES} --routes 3 --queries a.csv", "--queries"),
+    (f"{ROUTES} --routes 3 --queries file", "--queries"),
     (f"{ROUTES} --range 0,1", "range"),
     (f"{ROUTES} --altitudes low", "--altitudes", "20,60"),
     (f"{ROUTES} --wrong 1", "wrong"),

@@ -4,6 +4,7 @@ import json
 import shutil
 from functools import reduce
 from operator import xor
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -127,10 +128,16 @@ def test_a_flight_with_times_needs_no_speed(maps, tmp_path, capsys):
             (*AT, "--by", "map", "--resolution", 3),
             "resolution_m must be that of maps in the folder",
         ),
-        ((*AT, "--sources", "nowhere"), "'nowhere' is none"),
+        ((*AT, "--sources", "nowhere"), "'nowhere' does not exist"),
+        ((*AT, "--sources", "t.csv"), "'t.csv' is none"),
     ],
 )
-def test_what_cannot_be_done_ends_with_2_and_a_sentence(maps, words, said, capsys):
+def test_what_cannot_be_done_ends_with_2_and_a_sentence(
+    maps, words, said, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    for name in ("t.csv", "t.gpx", "r.csv"):
+        Path(name).touch()
     code, out, err = run(capsys, "sky", maps, *words)
     assert (code, out) == (2, "")
     assert_one_sentence(err, said)

@@ -18,7 +18,7 @@ import xarray as xr
 import zarr
 
 from jaxurban.errors import InputError
-from jaxurban.io import files, store
+from jaxurban.io import files, store, stored
 from jaxurban.io.geotiff import missing_geotiffs, write_geotiffs
 from jaxurban.io.tables import RowStore, write_table
 from jaxurban.io.workspace import Workspace
@@ -203,13 +203,13 @@ def test_the_group_above_holds_what_is_whole_and_comes_again(few, tmp_path):
 
     store.write_zarr(few, tmp_path)
     store.write_zarr(few.assign_attrs(resolution_m=5.0), tmp_path)
-    kept = {file.name: file.read_bytes() for file in store.root_files(tmp_path)}
+    kept = {file.name: file.read_bytes() for file in stored.root_files(tmp_path)}
     assert found() == ["2.5m", "5m"]
-    for file in store.root_files(tmp_path):  # as 1.0.0 left them
+    for file in stored.root_files(tmp_path):  # as 1.0.0 left them
         file.unlink()
     assert store.open_zarr(tmp_path, 5.0).sizes == few.sizes
     store.put_root(tmp_path)
-    assert {file.name: file.read_bytes() for file in store.root_files(tmp_path)} == kept
+    assert {file.name: file.read_bytes() for file in stored.root_files(tmp_path)} == kept
     (whole / "2.5m" / ".zmetadata").write_text("{junk")
     store.write_zarr(few.assign_attrs(resolution_m=5.0), tmp_path)
     assert found() == ["5m"]
@@ -219,13 +219,13 @@ def test_no_metadata_of_older_maps_stand_above_newer_ones(few, path, tmp_path, m
     """A run that is killed between the two leaves a group without consolidated metadata, which xarray then reads."""
     monkeypatch.setattr(store, "put_root", lambda folder: None)
     store.write_zarr(few.isel(y=slice(0, 10)), tmp_path)
-    assert [file.name for file in store.root_files(tmp_path) if file.exists()] == [".zgroup"]
+    assert [file.name for file in stored.root_files(tmp_path) if file.exists()] == [".zgroup"]
     with pytest.warns(RuntimeWarning, match="consolidated"):
         assert xr.open_zarr(tmp_path / "maps.zarr", group="2.5m").sizes["y"] == 10
 
 
 def test_a_file_in_the_place_of_the_group_above_is_the_users(ds, path, tmp_path):
-    group, _ = store.root_files(tmp_path)
+    group, _ = stored.root_files(tmp_path)
     with Workspace.open(tmp_path, "maps", is_shared=True) as workspace:
         workspace.remove(["maps.zarr/.zgroup"])
     group.write_text("mine")

@@ -13,11 +13,12 @@ import xarray as xr
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.kernels.engine import ONLY_JAX, runs_numba, uses_numba
-from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS
+from jaxurban.kernels.lidar import terrain_cpu
+from jaxurban.kernels.lidar.hard import MOST_BEAMS
 from jaxurban.maps.build import compute_maps
+from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import run_scenario
-from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics import lidar
+from jaxurban.maps.task import MapTask
 from tests import hanging_city
 from tests.cli_runs import TOWN, run
 from tests.tiled_runs import city, task
@@ -36,9 +37,9 @@ def both(of: MapTask):
 @pytest.fixture
 def called(monkeypatch):
     """The forms of Numba that were called."""
-    names, form = [], lidar.count_on_terrain_on_host
+    names, form = [], terrain_cpu.count_on_terrain_on_host
     monkeypatch.setattr(
-        lidar,
+        terrain_cpu,
         "count_on_terrain_on_host",
         lambda *arguments: names.append("lidar over terrain") or form(*arguments),
     )

@@ -17,9 +17,10 @@ from jaxurban.io.read.guesses import FLAT_GROUND, guessed_share
 from jaxurban.io.read.rasterise import build_surface, burn
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.guesses import leaving_shares
+from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.population import Population
 from jaxurban.report import figures as plotting
 from jaxurban.world.blocks import Blocks, Zoning

@@ -8,7 +8,8 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.maps.build import compute_maps, view_sky
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.params import MapParams
+from jaxurban.maps.task import MapTask
 from jaxurban.maps.uncertain_heights import Spread, perturbed_cities
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.settings import HeightStd

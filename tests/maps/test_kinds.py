@@ -18,7 +18,8 @@ import jaxurban as ju
 from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import rasterise
 from jaxurban.maps.build import compute_maps
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.params import MapParams
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.satellites.outlines import Hiding

@@ -16,8 +16,9 @@ from jaxurban.io.read.rasterise import bands_of
 from jaxurban.maps import scenario as settings
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.differentiable import soften
+from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import tasks_of
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.base import ALTITUDE, Metric, Variable, high_is_bad
 from jaxurban.metrics.custom import (
     DERIVED,

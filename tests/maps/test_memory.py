@@ -31,9 +31,10 @@ from jaxurban.maps.memory import (
     shape_of_tiles,
     tile_bytes,
 )
+from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import RunContext, make_zarr
 from jaxurban.maps.saving import open_maps
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics import lidar
 from jaxurban.metrics.gps import Gps
 from jaxurban.progress import Report

@@ -13,9 +13,10 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import bands_of, layer_values
 from jaxurban.maps.build import compute_maps, view_sky
+from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.custom import Layer, known_beside
 from jaxurban.metrics.registry import METRICS
 from jaxurban.world.grid import Grid

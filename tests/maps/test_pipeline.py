@@ -12,7 +12,8 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.maps.build import all_maps, compute_maps, inputs_of, skies_of, view_sky
 from jaxurban.maps.differentiable import CELLS_STEP, SoftCity, SoftParams, path_visits
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.params import MapParams
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Dop, Gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.population import BlockPopulation, Population

@@ -14,7 +14,8 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.maps.build import compute_maps, inputs_of, view_sky
 from jaxurban.maps.differentiable import soften
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.params import MapParams
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.protection import CAVEAT, Protection
 from jaxurban.paths.constraints import Bound

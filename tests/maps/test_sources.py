@@ -8,7 +8,7 @@ from shapely import box
 
 import jaxurban as ju
 from jaxurban.io.files import read_json, write_json
-from jaxurban.io.store import RUN_FILE
+from jaxurban.io.stored import RUN_FILE
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.sources import city_of
 from jaxurban.world.kinds import ALL_KINDS

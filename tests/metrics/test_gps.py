@@ -13,8 +13,9 @@ from jaxurban.kernels.dop import Clocks, unit_vectors
 from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
 from jaxurban.maps.build import compute_maps, skies_of, view_sky
 from jaxurban.maps.differentiable import soften
+from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import run_scenario
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.task import MapTask
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.metrics import gps
 from jaxurban.metrics.gps import DOPS, Gps, Rating, gps_metric, maps_of_words, rating, satellites_of

@@ -6,7 +6,8 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.maps.build import compute_maps
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.params import MapParams
+from jaxurban.maps.task import MapTask
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.paths.clearance import obstacles_within
 from jaxurban.settings import TO_GROUND

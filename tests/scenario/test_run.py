@@ -13,7 +13,7 @@ import shapely
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io import files
-from jaxurban.io.store import settings_of
+from jaxurban.io.stored import settings_of
 from jaxurban.maps import provenance as record
 from jaxurban.maps import run as pipeline
 from jaxurban.maps.scenario import Scenario

@@ -10,7 +10,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.io.files import write_json
-from jaxurban.io.store import RUN_FILE
+from jaxurban.io.stored import RUN_FILE
 from jaxurban.maps.differentiable import SoftParams, soften
 from jaxurban.maps.run import run_scenario, tasks_of
 from jaxurban.maps.scenario import Scenario

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import shapely
 from rasterio.fill import fillnodata
-from scipy.ndimage import binary_erosion, uniform_filter
 
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
@@ -152,6 +151,8 @@ def terrain_guesses(city: City, terrain: Raster, box_m: Bounds) -> Guesses:
       terrain: elevation of the ground.
       box_m: x_min, y_min, x_max, y_max of the region in the city's CRS, of which the middle is looked at.
     """
+    from scipy.ndimage import binary_erosion, uniform_filter
+
     around_m = shapely.box(*box_m).centroid.buffer(AROUND_M).bounds
     grid = covering_grid(around_m, CELL_M, city.crs)
     surface = rasterise(replace(city, terrain=terrain, hanging=TO_GROUND), grid)

@@ -14,7 +14,6 @@ from jaxurban.io.city import WOOD, City, Counted
 from jaxurban.io.read.outlines import meets
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.kernels.blocks import part_of, rounded_up
-from jaxurban.kernels.outlines import burn_outlines, settle
 from jaxurban.metrics.custom import Layer, check_values
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING, Footprints
@@ -362,6 +361,8 @@ def burn(
     Returns:
       Two ``[Y, X]`` arrays of ``dtype``, row 0 in the south.
     """
+    from jaxurban.kernels.outlines import burn_outlines  # imported here: it brings Numba
+
     # Only polygons whose boxes touch the grid's are burnt.
     centre = np.full(grid.shape, fill, dtype)
     touched = np.full(grid.shape if has_touched else (0, 0), fill, dtype)
@@ -424,6 +425,8 @@ def burn_hanging(
     Returns:
       One slab for each subcell that something hangs over, in the order of cells and floors.
     """
+    from jaxurban.kernels.outlines import settle
+
     is_near = meets(buildings.boxes_m.T, grid.bounds_m)
     finer = grid.refined(PER_CELL)
 

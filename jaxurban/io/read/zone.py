@@ -7,7 +7,6 @@ from datetime import datetime, timedelta
 import numpy as np
 import pyproj
 import shapely
-from scipy.ndimage import binary_dilation
 from shapely import affinity
 
 from jaxurban.errors import InputError
@@ -132,6 +131,8 @@ def touched_cells(polygon: shapely.Geometry, grid: Grid) -> np.ndarray:
     one (GEOS's robust predicates). It is done on a grid that is wider by a cell on each side, as a polygon beyond the
     grid may touch its border.
     """
+    from scipy.ndimage import binary_dilation
+
     wider = grid.padded(1, 1, 1, 1)
     closed = burn(np.array([polygon]), np.ones(1), wider, 0.0, "uint8")[1] == 1
     cells = np.argwhere(binary_dilation(closed, np.ones((3, 3))) & ~closed)

@@ -1,0 +1,121 @@
+"""What a folder of maps holds, by its record of files: looked at without xarray, in a moment."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from jaxurban.errors import InputError
+from jaxurban.io.files import SCRATCH_SUFFIX, read_json
+from jaxurban.io.workspace import recorded
+
+RUN_FILE = "run.json"
+ZARR_FOLDER = "maps.zarr"
+GEOTIFF_FOLDER = "geotiff"
+METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
+# Files by which a Zarr is known, of version 3 the last.
+OF_ZARR = (METADATA, ".zattrs", ".zgroup", "zarr.json")
+OTHER_VERSION = (
+    "comes from another version of jaxurban, or without its checksums.json: "
+    "make the maps again in a new folder"
+)
+
+
+def short_number(value: float) -> str:
+    """Return a number as file names carry it: ``5``, ``2.5``."""
+    return f"{value:g}"
+
+
+def zarr_path(folder: Path, resolution_m: float) -> Path:
+    """Return where the maps of one resolution lie under an output folder."""
+    return folder / ZARR_FOLDER / f"{short_number(resolution_m)}m"
+
+
+NUMBER_M = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)m"  # as `short_number` writes it
+
+
+def stored_resolutions(folder: Path) -> dict[float, Path]:
+    """Return the folders of the Zarrs under ``folder`` that its record names and that are there.
+
+    Returns:
+      Paths such as ``maps.zarr/5m`` by resolution in metres, in ascending order; empty without a record.
+
+    Raises:
+      InputError: the record cannot be read.
+    """
+    pattern = re.compile(rf"{ZARR_FOLDER}/{NUMBER_M}/{METADATA}")
+    matches = filter(None, map(pattern.fullmatch, recorded(folder)))
+    paths = {float(match[1]): (folder / match[0]).parent for match in matches}
+    return {resolution_m: path for resolution_m, path in sorted(paths.items()) if path.is_dir()}
+
+
+def check_version(folder: Path) -> None:
+    """Raise InputError if a folder holds maps, or the file of a run that made maps, and its record names none of them.
+
+    Then another version of jaxurban wrote them, or the record is lost.
+    """
+    # The folders of maps, and the file of a run.
+    zarr_files = folder.glob(f"{ZARR_FOLDER}/[0-9]*m/*")
+    outputs = [file.parent for file in zarr_files if file.name in OF_ZARR]
+    run = folder / RUN_FILE
+    if run.is_file() and b'"run_key"' in run.read_bytes():
+        outputs.append(run)
+    # Recorded names, cut to the depth of the outputs: "maps.zarr/5m", "run.json".
+    written = {Path(folder, *Path(name).parts[:2]) for name in recorded(folder)}
+    if outputs and written.isdisjoint(outputs):
+        raise InputError(f"{str(folder)!r} {OTHER_VERSION}")
+
+
+def stored_maps(folder: Path) -> dict[float, Path]:
+    """Return the folders of the Zarrs under ``folder``, as of `stored_resolutions`, of which there is one at least.
+
+    Raises:
+      InputError: there are none, or a file is in the folder's place; errors as of `check_version` too.
+    """
+    if folder.is_file():
+        raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
+    paths = stored_resolutions(folder)
+    check_version(folder)
+    if not paths:
+        raise InputError(
+            f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`"
+        )
+    return paths
+
+
+def root_files(folder: Path) -> list[Path]:
+    """Return the files of the group above the resolutions, by which xarray and GDAL open all of them."""
+    return [folder / ZARR_FOLDER / name for name in (".zgroup", METADATA)]
+
+
+def are_of_a_run(folder: Path) -> bool:
+    """Return whether maps under ``folder`` are those of ``jaxurban maps``, which writes `RUN_FILE` too."""
+    files = [path / METADATA for path in stored_resolutions(folder).values()]
+    return any(b'"run_key"' in file.read_bytes() for file in files if file.is_file())
+
+
+def settings_of(folder: Path) -> dict[str, Any]:
+    """Return the settings of the run that made the maps in ``folder``, from `RUN_FILE`.
+
+    They are empty where the maps were saved from Python, or where there are none.
+
+    Raises:
+      InputError: the file is damaged, or it is missing though a run made the maps.
+    """
+    remedy = "run the same `jaxurban maps` command again, which writes it again"
+    try:
+        return read_json(folder / RUN_FILE)["settings"]
+    except FileNotFoundError as error:
+        if are_of_a_run(folder):
+            raise InputError(
+                f"{str(folder / RUN_FILE)!r}, with the settings of the maps, is missing: {remedy}"
+            ) from error
+        return {}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{str(folder / RUN_FILE)!r} cannot be read ({error}): {remedy}"
+        ) from error
+
+
+def work_path(folder: Path, resolution_m: float) -> Path:
+    """Return where the unfinished maps of one resolution lie under an output folder."""
+    return folder / ZARR_FOLDER / f".{short_number(resolution_m)}m{SCRATCH_SUFFIX}"
