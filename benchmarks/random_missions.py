@@ -4,6 +4,7 @@
 missions of every format, over level ground, hills, coarse cells and lost files, edited and damaged ones too. It prints
 tables by format and datum, by kind and by world: contacts by the judge, findings, what is not judged, false Clean and
 invented findings. ``--against`` also prints the plain missions of which another checkout says something else.
+With ``--kinds apps`` missions are those of DJI, Litchi, AirData and surveys.
 ``tests/paths/missions`` holds the worlds, the missions and the judge.
 """
 
@@ -28,7 +29,7 @@ from tqdm import tqdm
 
 from benchmarks.common import table
 from tests.paths.missions import verdicts
-from tests.paths.missions.trial import Court, is_plain, make_maps, write
+from tests.paths.missions.trial import APPS, Court, is_plain, make_maps, write
 from tests.paths.missions.verdicts import Verdict
 from tests.paths.missions.worlds import make_worlds
 
@@ -60,17 +61,17 @@ class Row(NamedTuple):
 
 
 @cache
-def court_of(folder: Path, seed: int) -> Court:
+def court_of(folder: Path, seed: int, kinds: str) -> Court:
     """Return the court of this process."""
     warnings.simplefilter("ignore")
-    return Court(folder, seed)
+    return Court(folder, seed, kinds)
 
 
-def rows_of(numbers: Sequence[int], folder: Path, seed: int) -> list[Row]:
+def rows_of(numbers: Sequence[int], folder: Path, seed: int, kinds: str) -> list[Row]:
     """Return the rows of missions."""
     rows = []
     for number in numbers:
-        _, case, truth, verdict, ruling = court_of(folder, seed).trial(number)
+        _, case, truth, verdict, ruling = court_of(folder, seed, kinds).trial(number)
         why = [f"false Clean: {ruling.false_clean}"] if ruling.false_clean else []
         why += [f"invented: {finding}" for finding in ruling.invented]
         if verdict.state == "crashed":
@@ -116,7 +117,7 @@ def changes(checkout: Path, folder: Path, seed: int) -> list[list[str]]:
         run([sys.executable, "-c", RUN, "maps", str(scenario), "-o", str(maps)])
 
     theirs = make_worlds(folder / "theirs", run_maps)
-    court = court_of(folder, seed)
+    court = court_of(folder, seed, "")
     numbers = list(islice(filter(is_plain, range(10**9)), NUM_PLAIN))
     asked, now = [], []
     for number in numbers:
@@ -140,6 +141,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--missions", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--kinds", default="", choices=["", APPS], help="those of apps alone")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--against", type=Path, help="another checkout, asked of plain missions")
     parser.add_argument("--show", type=int, default=40, help="most faults that are listed")
@@ -153,7 +155,7 @@ def main() -> None:
             range(first, min(first + CHUNK, options.missions))
             for first in range(0, options.missions, CHUNK)
         ]
-        work = partial(rows_of, folder=folder, seed=options.seed)
+        work = partial(rows_of, folder=folder, seed=options.seed, kinds=options.kinds)
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
             parts = list(

@@ -207,7 +207,8 @@ class Buildings(Heights):
     Attributes:
       source: OpenStreetMap (``.osm.pbf``, ``.osm``, JSON of the Overpass API), outlines (``.geojson``, ``.geojsonl``,
         ``.gpkg``, ``.shp``, ``.fgb``, ``.parquet``, ``.csv`` with WKT), packed as ``.gz`` or ``.bz2`` or not, or a
-        height raster (``.tif``, ``.asc``, ``.img``), in any CRS that the file declares;
+        height raster (``.tif``, ``.asc``, ``.img``), in any CRS that the file declares; CityGML or CityJSON,
+        one file, or a folder or ``.zip`` of tiles;
         ``"sample:lower-manhattan"``, ``"sample:shinjuku"`` or ``"sample:nihonbashi"``, which are in the package; of a
         scenario ``"synthetic"`` too.
       kind: of a raster: ``"height"`` above ground, or ``"surface"`` (a DSM), elevations from which the terrain is
@@ -223,6 +224,8 @@ class Buildings(Heights):
       ground_column: elevation of the ground, in the same unit.
       levels_column: number of levels; left out, known by its name.
       unit: of numbers in ``height_column`` that name none.
+      crs: of the coordinates of outlines or a city model, such as ``"EPSG:28992"``, where the file declares none or a
+        wrong one, which it replaces.
 
     Raises:
       InputError: a height setting that is not above 0, or above `MAX_HEIGHT_M`, an unknown kind or unit, a
@@ -245,6 +248,7 @@ class Buildings(Heights):
     ground_column: str | None = None
     levels_column: str | None = None
     unit: Unit | None = None
+    crs: str | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -381,6 +381,11 @@ TABLE: dict[str, dict[str, Any]] = {
         "ground_column": Case("min_height", {"height_column": "height", "unit": "m"}),
         "levels_column": "height",
         "unit": Case("ft", refused="height_column and unit go together"),
+        "crs": Case(
+            "EPSG:3857",
+            {"bounds": (-73.9, 40.7, -73.899, 40.701)},
+            refused="no building in the region",
+        ),
     },
     "City.from_files": {
         "bounds": (-74.0, 40.7548, -73.9985, 40.757),
@@ -999,6 +1004,8 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         {
             "--at": "-73.993819,40.758629",
             "--track": Case("none.csv", refused="--track"),
+            "--reference": Case("none.csv", refused="--reference"),
+            "--by-satellite": Case("", refused="--by-satellite"),
             "--altitude": "40",
             "--time": LATER,
             "--speed": Case("9", refused="--speed|--track"),

@@ -34,7 +34,6 @@ def test_a_wrong_path_is_answered_before_anything_heavy_is_imported(tmp_path):
     empty = str(tmp_path)
     lines = [
         ["info", "no.tif"],
-        ["info", empty],
         ["maps", "no.toml", "-o", "out"],
         ["study", "no.toml", "-o", "out"],
         ["check", "no/maps", "no.plan"],

@@ -84,7 +84,7 @@ def check(
 ) -> int:
     """Check MISSION over the maps in DIR.
 
-    MISSION is a file of .plan, .waypoints, .kml, .gpx, .geojson or .csv.
+    MISSION is a file of .plan, .waypoints, .kmz or .wpml (DJI), .kml, .gpx, .geojson, .csv or .ulg.
 
     It ends with 0 only if every leg was judged and nothing was found, with 5 for findings, and with 6 where nothing was
     found but not all could be judged.

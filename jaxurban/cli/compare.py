@@ -101,9 +101,11 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
 @click.option(
     "--navigation",
     type=GIVEN,
-    help="Broadcast orbits in RINEX 3; LOG is then a file of observations.",
+    help="Orbits of a receiver's own log: broadcast RINEX, or what [gps] orbits takes.",
 )
-@click.option("--reference", type=GIVEN, help="Table of the antenna's places, for a log in RINEX.")
+@click.option(
+    "--reference", type=GIVEN, help="Table of the antenna's places, for a receiver's own log."
+)
 @CHANGES
 @SHOWN(
     "--antenna-height",
@@ -169,11 +171,12 @@ def validate(
 ) -> None:
     """Compare the log of a receiver with maps of SCENARIO.
 
-    The maps are made at the times and the height of LOG, a table (.csv, .parquet).
+    The maps are made at the times and the height of LOG.
 
-    LOG has the columns utc, lon_deg, lat_deg, and with a row per satellite satellite and cn0_dbhz (azimuth_deg and
-    elevation_deg too, or the scenario's orbits give them), with a row per epoch num_tracked or error_2d_m. Left out, it
-    is that of the sample city which SCENARIO names.
+    LOG is what the receiver wrote itself (RINEX, NMEA, GnssLogger), or a table of the columns utc, lon_deg, lat_deg,
+    and with a row per satellite satellite and cn0_dbhz (azimuth_deg and elevation_deg too, or the scenario's orbits
+    give them), with a row per epoch num_tracked or error_2d_m. Left out, it is that of the sample city which SCENARIO
+    names.
     """
     import pandas as pd
 

@@ -7,27 +7,21 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import JSON_FLAG, NamedPath, Settings, check_given, print_json
+from jaxurban.cli.common import GIVEN, JSON_FLAG, Settings, print_json
+from jaxurban.io.read.sniff import LIDAR, sniff
 from jaxurban.io.samples import located
-from jaxurban.io.stored import short_number, stored_maps
-
-
-def check_source(path: Path) -> None:
-    """Raise InputError unless a path is of a file, or of a folder that holds maps."""
-    check_given(path)
-    if path.is_dir():
-        stored_maps(path)
+from jaxurban.io.stored import ZARR_FOLDER, short_number, stored_maps
 
 
 @click.command()
-@click.argument("path", metavar="FILE|DIR", type=NamedPath(check_source))
+@click.argument("path", metavar="FILE|DIR", type=GIVEN)
 @JSON_FLAG
 def info(path: Path, as_json: bool) -> None:
     """Say what a file or a folder of maps holds.
 
     FILE is of buildings, or a raster. Printed are extent, CRS, counts and guessed heights.
     """
-    if path.is_dir():
+    if (path / ZARR_FOLDER).exists():
         facts, numbers = _facts_of_maps(path)
     else:
         facts, file_numbers = _facts_of_file(located(path))
@@ -88,13 +82,21 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
 
     from jaxurban.io.city import City
     from jaxurban.io.read.city import lonlat_extent
+    from jaxurban.io.read.issues import listed_counts
+    from jaxurban.io.read.lidar import read_points
     from jaxurban.io.read.raster import RASTER_SUFFIXES, read_raster
     from jaxurban.settings import Buildings
     from jaxurban.world.grid import WGS84
 
     facts: Settings = {"bounds": _rounded(lonlat_extent(file))}  # as [region] bounds takes them
-    if file.suffix.lower() in RASTER_SUFFIXES:
-        raster = read_raster(file, WGS84)
+    has_points = sniff(file) == LIDAR
+    if has_points or file.suffix.lower() in RASTER_SUFFIXES:
+        if has_points:
+            points = read_points(file, "height", None)
+            raster = points.highest
+            facts["points"] = listed_counts(points.counts)
+        else:
+            raster = read_raster(file, WGS84)
         num_rows, num_cols = raster.values.shape
         facts |= {"CRS": raster.crs, "cells": f"{num_rows:,} x {num_cols:,}"}
         numbers: Settings = {"num_rows": num_rows, "num_cols": num_cols}

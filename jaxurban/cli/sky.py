@@ -32,8 +32,17 @@ NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
     "--track",
     type=GIVEN,
     metavar="FILE",
-    help="Instead of a place: a table (.csv, .parquet) with utc, lon_deg, lat_deg and maybe altitude_m, or a route "
-    "(.geojson, .kml, .gpx) that is flown at --speed.",
+    help="Instead of a place: a table (.csv, .parquet) with utc, lon_deg, lat_deg and maybe altitude_m, a receiver's "
+    "log (RINEX, NMEA, GnssLogger), a flight with times (.gpx, .kml, .ulg), or a route (.geojson, .kml, .gpx) that is "
+    "flown at --speed.",
+)
+@click.option(
+    "--reference", type=GIVEN, help="Table of the antenna's places, for a receiver's log."
+)
+@click.option(
+    "--by-satellite",
+    is_flag=True,
+    help="With --track: a row a place and satellite, with C/N0 of a log.",
 )
 @NUMBER("--altitude", "altitude_m", help="Altitude in metres above ground.")
 @click.option(
@@ -59,6 +68,8 @@ def sky(
     folder: Path,
     place: Point | None,
     track: Path | None,
+    reference: Path | None,
+    by_satellite: bool,
     altitude_m: float | None,
     times: tuple[str, ...],
     speed_m_s: float | None,
@@ -70,6 +81,8 @@ def sky(
 
     They are seen from a place, or along a track, over the maps in DIR.
     """
+    from jaxurban.io.read.mission import read_flight
+    from jaxurban.io.read.receivers import read_log
     from jaxurban.io.read.routes import read_routes
     from jaxurban.io.read.tracks import read_track
     from jaxurban.io.tables import SUFFIXES
@@ -79,7 +92,12 @@ def sky(
 
     # The sky at a place, or along a track; further options are arguments of both.
     _check_files(files, track)
+    logged = None if track is None else read_log(track, reference)
     result: Any
+    if (by_satellite and track is None) or (reference is not None and logged is None):
+        raise click.UsageError(
+            "--by-satellite needs --track, and --reference a receiver's log there"
+        )
     if place is not None and track is None:
         if altitude_m is None or speed_m_s is not None:
             raise click.UsageError("--at needs --altitude, and takes no --speed")
@@ -87,27 +105,30 @@ def sky(
     elif place is not None or track is None:
         raise click.UsageError("give either --at, a place, or --track, a file")
 
-    # A table has a time and a place in each row, and maybe an altitude. A route is flown at a speed from the time of
-    # departure on.
-    elif track.suffix.lower() in SUFFIXES:
+    # A table has a time and a place in each row, and maybe an altitude; the log of a flight has no altitude above the
+    # ground. A route is flown at a speed from the time of departure on.
+    elif logged is not None or track.suffix.lower() in SUFFIXES:
         if times or speed_m_s is not None:
             raise click.UsageError("a table has its own times: leave --time and --speed out")
-        result = along.sky_along(folder, read_track(track), altitude_m, **source)
+        places = read_track(track) if logged is None else logged
+        result = along.sky_along(folder, places, altitude_m, **source)
+    elif speed_m_s is None and not times:
+        result = along.sky_along(folder, read_flight(track), altitude_m, **source)
     else:
         if speed_m_s is None or len(times) > 1:
             raise click.UsageError("a route needs --speed, and one --time, of departure")
         route = read_routes(track)[0]
-        places = [(lon, lat) for lon, lat in route.lonlat.tolist()]
+        lonlat = [(lon, lat) for lon, lat in route.lonlat.tolist()]
         route_m = route.altitude_m if altitude_m is None else altitude_m
         departure = times[0] if times else None
-        result = along.sky_along(folder, places, route_m, departure, speed_m_s=speed_m_s, **source)
-    tables = {"table": result.table}
+        result = along.sky_along(folder, lonlat, route_m, departure, speed_m_s=speed_m_s, **source)
+    tables = {"table": result.satellites if by_satellite else result.table}
     if track is None:
         tables["dops"] = result.dops
 
     # Files, and what is printed.
     for file in files:
-        output: Output = result.table
+        output: Output = tables["table"]
         if file.suffix.lower() in PICTURES:
             output = partial(plot_sky, result)
         save(file.parent, {file.name: output})

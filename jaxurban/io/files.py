@@ -175,6 +175,11 @@ def sweep_scraps(*folders: Path) -> None:
                 remove(scrap)
 
 
+def visible_files(folder: Path) -> list[Path]:
+    """Return the files in a folder and its folders, sorted, but for hidden ones."""
+    return sorted(filter(Path.is_file, folder.rglob("[!.]*")))
+
+
 def digest_of(path: Path) -> str:
     """Return the SHA-256 of a file in hexadecimal."""
     with path.open("rb") as file:

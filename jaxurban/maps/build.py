@@ -212,7 +212,14 @@ def view_sky(region: Grid, gps: Gps) -> Sky:
         lat_deg,
         convergence_rad=region.convergence_rad(lon_deg, lat_deg),
         max_age_days=gps.max_age_days,
-    ).under(gps.mask_deg)
+    )
+    lost = np.array(sky.names)[np.isnan(sky.elevation_rad).any(axis=0)]
+    if lost.size:
+        guesses["satellites without a place"] = (
+            "left out where the orbits say nothing of a time or call the satellite unhealthy: "
+            + ", ".join(lost)
+        )
+    sky = sky.under(gps.mask_deg)
 
     num_in_view = sky.is_in_view.sum(axis=1)
     if not num_in_view.all():

@@ -19,7 +19,7 @@ import shapely
 from jaxurban.checks import values_given
 from jaxurban.errors import readable
 from jaxurban.io.city import City
-from jaxurban.io.files import digest_of, read_json, write_json
+from jaxurban.io.files import digest_of, read_json, visible_files, write_json
 from jaxurban.io.samples import located, structures_of
 from jaxurban.io.stored import RUN_FILE, short_number
 from jaxurban.io.workspace import Workspace
@@ -212,7 +212,8 @@ def _sum_and_size(path: Path, role: str, recorded: Mapping[str, Any] | None) -> 
         most_bytes = min(num_bytes, MOST_UNSIZED_BYTES)
         if recorded is not None and num_bytes != recorded.get("bytes", most_bytes):
             return {"sha256": "", "bytes": num_bytes}
-        sums = "".join(f"{part.name} {digest_of(part)}\n" for part in parts)
+        home = path.parent
+        sums = "".join(f"{part.relative_to(home).as_posix()} {digest_of(part)}\n" for part in parts)
     return {"sha256": hashlib.sha256(sums.encode()).hexdigest(), "bytes": num_bytes}
 
 
@@ -228,8 +229,11 @@ def _companions(path: Path) -> list[Path]:
     """Return a file and the files beside it that belong to it, sorted.
 
     They have its name but for the suffix, as the .dbf of a Shapefile and the .tfw of a raster, or with a further
-    suffix, as its .aux.xml. A folder, and a file of another kind (`COMPANIED_SUFFIXES`), is returned alone.
+    suffix, as its .aux.xml. A file of another kind (`COMPANIED_SUFFIXES`) is returned alone, and of a folder the files
+    in it.
     """
+    if path.is_dir():
+        return visible_files(path)
     if not path.is_file() or path.suffix.lower() not in COMPANIED_SUFFIXES:
         return [path]
     stem, name = glob.escape(path.stem), glob.escape(path.name)

@@ -487,7 +487,8 @@ def _with_bounds(
         case {"region": {**region}, "buildings": {"source": str(source)}} if source != SYNTHETIC:
             from jaxurban.io.read.city import lonlat_extent  # imported here: it brings the readers
 
-            extent = lonlat_extent(located(source) if is_sample(source) else folder / source)
+            path = located(source) if is_sample(source) else folder / source
+            extent = lonlat_extent(path, settings["buildings"].get("crs"))
             return {**settings, "region": {**region, "bounds": extent}}, extent
     return settings, None
 

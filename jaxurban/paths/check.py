@@ -15,8 +15,8 @@ from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.guesses import WITHOUT_DATA
-from jaxurban.io.read.mission import Datum, Leg, Mission, Place, read_mission
-from jaxurban.io.read.mission_parts import LonLat
+from jaxurban.io.read.mission import read_mission
+from jaxurban.io.read.mission_parts import Datum, Leg, LonLat, Mission, Place
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.maps.sources import EXACT, left_out, standing_on
@@ -73,8 +73,9 @@ def check(
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
-      mission: a file (``.plan``, ``.waypoints``, ``.kml``, ``.gpx``, ``.geojson``, ``.csv``), a `Mission` that was
-        read from one, or a path from `plan`: its legs in the air, whose climb and landing are not judged.
+      mission: a file (``.plan``, ``.waypoints``, ``.kmz``, ``.wpml``, ``.kml``, ``.gpx``, ``.geojson``, ``.csv``,
+        ``.ulg``), a `Mission` that was read from one, or a path from `plan`: its legs in the air, whose climb and
+        landing are not judged.
       heights: the level from which heights count where the file leaves it open: ``"home"``, ``"ground"``, ``"geoid"``
         or ``"ellipsoid"``.
       home: longitude and latitude of home, for a file that has none.

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxurban.io.read.mission import Leg, Place
+from jaxurban.io.read.mission_parts import Leg, Place
 from jaxurban.paths.legs import Flight, Steps, between
 
 MOST_CUT_M = 10.0  # before and after a slight corner, if the vehicle does not turn farther from it

@@ -14,8 +14,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.mission import Leg, Mission, Place
-from jaxurban.io.read.mission_parts import GEOD
+from jaxurban.io.read.mission_parts import GEOD, Leg, Mission, Place
 from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.paths.elevation import Elevation
 from jaxurban.world.grid import Bounds

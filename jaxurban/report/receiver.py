@@ -12,6 +12,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from jaxurban.io.read.tracks import AZIMUTH
 from jaxurban.maps.levels import listed_m
 from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
 from jaxurban.report.satellites import (
@@ -33,7 +34,7 @@ from jaxurban.report.write import (
 from jaxurban.satellites.track import NUM_VISIBLE
 from jaxurban.settings import as_tuple
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.receiver.logs import AZIMUTH, ERROR, TRACKED, ReceiverLog
+from jaxurban.studies.receiver.logs import ERROR, TRACKED, ReceiverLog
 from jaxurban.studies.receiver.validate import (
     COEFFICIENTS,
     MAIN,

@@ -11,7 +11,8 @@ import pandas as pd
 
 from jaxurban.checks import positive, typed
 from jaxurban.errors import InputError
-from jaxurban.io.read.tracks import ALTITUDE, LAT, LON, UTC, track_of
+from jaxurban.io.read.orbits import rinex_name
+from jaxurban.io.read.tracks import ALTITUDE, CN0, LAT, LON, SATELLITE, UTC, track_of
 from jaxurban.maps.sources import CityLike
 from jaxurban.metrics.gps import FIX, Gps, has_no_fix
 from jaxurban.paths.lines import along_of
@@ -172,6 +173,9 @@ class SkyAlong(FactsRepr):
       table: a row a place: ``time`` (UTC), ``lon``, ``lat``, ``altitude_m``, ``num_visible``, ``num_hidden``,
         ``num_unknown``, ``gdop``, ``pdop``, ``hdop``, ``vdop``, ``tdop`` (inf without a fix) and ``has_fix``; as
         `SkyAt.dops` has them.
+      satellites: a row a place and satellite above the mask: ``utc``, ``lon_deg`` and ``lat_deg`` of the place, and the
+        columns of `SkyAt.table` from ``satellite`` on; with a receiver's log also ``cn0_dbhz``, NaN where the log does
+        not name the satellite.
       by: ``"outlines"`` or ``"map"``, as of `SkyAt`.
       cautions: what whoever uses it must know.
       attribution: whom to credit for the city.
@@ -183,6 +187,7 @@ class SkyAlong(FactsRepr):
     """
 
     table: pd.DataFrame
+    satellites: pd.DataFrame
     by: By
     cautions: list[Caution]
     attribution: str
@@ -219,7 +224,8 @@ def sky_along(
     Args:
       where, by, gps, sources, resolution_m: as for `sky`.
       places: longitude, latitude in degrees, or an `XY`, each; a path from `plan`; or a table of the columns ``utc``,
-        ``lon_deg``, ``lat_deg`` and, if ``altitude_m`` is left out, ``altitude_m``.
+        ``lon_deg``, ``lat_deg`` and, if ``altitude_m`` is left out, ``altitude_m``; one with ``satellite``, a
+        receiver's log, has several rows a place.
       altitude_m: above the ground, of all places or of each; left out, that of a path or a table.
       times: UTC of each place, to the second, or one for all; with a speed, that of departure. Left out, those of a
         table, else the first of the maps or of the city's own satellites.
@@ -238,6 +244,7 @@ def sky_along(
       (73, ['time', 'lon', 'lat', 'altitude_m'])
     """
     sight = Sight.of(where, gps, sources, resolution_m, by)
+    heard = None
 
     # Places, heights and times, each as many as were given.
     if isinstance(places, PlannedPath):
@@ -246,6 +253,11 @@ def sky_along(
         places = [XY(*xy_m) for xy_m in places.xy_m.tolist()]
     elif isinstance(places, pd.DataFrame):
         table = track_of(places, "the table of places")
+        if SATELLITE in table:
+            is_of_place = table.groupby([UTC, LON, LAT], sort=False)
+            if CN0 in table:
+                heard = table.groupby([is_of_place.ngroup(), SATELLITE], observed=True)[CN0].max()
+            table = is_of_place.head(1)
         if altitude_m is None and ALTITUDE in table:
             altitude_m = table[ALTITUDE].tolist()
         if times is None:
@@ -282,7 +294,15 @@ def sky_along(
     lon, lat = sight.region.lonlat_of_xy(x_m, y_m)
     table = pd.DataFrame({"time": time_of_place, "lon": lon, "lat": lat, "altitude_m": z_m})
     table = table.join(look.dops).assign(has_fix=~has_no_fix(look.dops[FIX].to_numpy()))
-    return SkyAlong(table, by, cautions_of(sight, look, by, xy_m), sight.city.attribution)
+    moments = table.iloc[look.epoch, :3].set_axis([UTC, LON, LAT], axis="columns")
+    satellites = moments.reset_index(drop=True).join(look.rows)
+    if heard is not None:
+        names = look.rows["satellite"].map(rinex_name)
+        keys = pd.MultiIndex.from_arrays([look.epoch, names])
+        satellites[CN0] = heard.reindex(keys).to_numpy()
+    return SkyAlong(
+        table, satellites, by, cautions_of(sight, look, by, xy_m), sight.city.attribution
+    )
 
 
 def _flown(corners_m: np.ndarray, speed_m_s: float) -> np.ndarray:

@@ -130,11 +130,13 @@ def check_on_earth(name: str, crs: Any, box: Sequence[float]) -> None:
     lon, lat = transformer(parsed.to_wkt(), WGS84).transform(middle.x, middle.y)
     # Across the antimeridian distances in degrees say nothing.
     beyond_deg = shapely.box(*area.bounds).distance(shapely.Point(lon, lat))
-    if beyond_deg > MOST_BEYOND_DEG and abs(lon) < 180 - MOST_BEYOND_DEG:
+    is_across = 180 - MOST_BEYOND_DEG <= abs(lon) <= 180
+    if not (beyond_deg <= MOST_BEYOND_DEG or is_across):
         raise InputError(
             f"{name} declares the CRS {shortened(parsed.name)!r} and so lies at {lon:.2f}, {lat:.2f} (lon, lat), far "
             f"from the area for which that is made, {area.bounds} (west, south, east, north): declare "
-            "the CRS that its coordinates are in, as with `ogr2ogr -a_srs EPSG:...` or `gdal_edit.py -a_srs EPSG:...`"
+            "the CRS that its coordinates are in, as with `ogr2ogr -a_srs EPSG:...` or `gdal_edit.py -a_srs EPSG:...`, "
+            "or for buildings in [buildings] crs"
         )
 
 

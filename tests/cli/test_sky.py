@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from functools import reduce
+from operator import xor
 from pathlib import Path
 
 import pandas as pd
@@ -66,6 +68,48 @@ def test_a_track_and_a_route_give_a_row_a_place(maps, tmp_path, capsys):
     facts = json.loads(out)
     assert (code, len(facts["table"])) == (0, 10)
     assert "dops" not in facts
+    for more, said in (
+        ((), "holds no times: give the speed"),
+        (("--time", WHEN), "a route needs --speed"),
+    ):
+        code, _, err = run(capsys, "sky", maps, *flown[:4], *more)
+        assert code == 2
+        assert_one_sentence(err, said)
+
+
+@pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
+def test_a_log_gives_a_row_a_satellite_that_validate_reads(maps, tmp_path, capsys):
+    log, out = tmp_path / "log.nmea", tmp_path / "labels.csv"
+    body = "GPRMC,160000.00,A,4045.42,N,07359.91,W,0.1,0.0,270420,,,A"
+    seen = "GPGSV,1,1,01,05,45,100,38"
+    checks = [reduce(xor, each.encode()) for each in (body, seen)]
+    log.write_text(f"${body}*{checks[0]:02X}\n${seen}*{checks[1]:02X}\n")
+    track = ("--track", log, "--altitude", 10, "--by-satellite", "-o", out)
+    code, printed, err = run(capsys, "sky", maps, *track)
+    assert code == 0, err
+    assert "roof_height_m" in printed
+    labels = pd.read_csv(out)
+    assert list(labels)[:4] == ["utc", "lon_deg", "lat_deg", "satellite"]
+    assert list(labels)[-1] == "cn0_dbhz"
+    assert {*labels["state"]} <= {"seen", "hidden", "unknown"}
+    assert len(labels) > 5
+
+
+def test_a_flight_with_times_needs_no_speed(maps, tmp_path, capsys):
+    points = "".join(
+        f'<trkpt lon="{lon}" lat="40.757"><time>{WHEN[:17]}{second:02}Z</time></trkpt>'
+        for second, lon in ((1, -73.999), (5, -73.998))
+    )
+    track = tmp_path / "flight.gpx"
+    track.write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
+    code, out, _ = run(capsys, "sky", maps, "--track", track, "--altitude", 40, "--json")
+    table = json.loads(out)["table"]
+    assert code == 0
+    assert [row["time"][17:19] for row in table] == ["01", "05"]
+    track.write_text(track.read_text().replace("time>", "cmt>"))
+    code, _, err = run(capsys, "sky", maps, "--track", track, "--altitude", 40)
+    assert code == 2
+    assert_one_sentence(err, "holds no times: give the speed of the flight (--speed)")
 
 
 @pytest.mark.parametrize(
@@ -75,7 +119,9 @@ def test_a_track_and_a_route_give_a_row_a_place(maps, tmp_path, capsys):
         (("--at=-73.9,40.7",), "--at needs --altitude"),
         ((*AT, "-o", "sky.gif"), "-o must end in .parquet or .csv or .png or .pdf or .svg"),
         (("--track", "t.csv", "--speed", 3), "a table has its own times"),
-        (("--track", "t.gpx", "--altitude", 3), "a route needs --speed"),
+        (("--track", "no.gpx", "--altitude", 3), "no.gpx"),
+        ((*AT, "--by-satellite"), "--by-satellite needs --track"),
+        (("--track", "t.csv", "--reference", "r.csv"), "--reference a receiver's log there"),
         (("--track", "no.csv", "--altitude", 3), "no.csv"),
         ((*AT, "--resolution", 20), "rays follow outlines"),
         (
@@ -90,7 +136,7 @@ def test_what_cannot_be_done_ends_with_2_and_a_sentence(
     maps, words, said, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    for name in ("t.csv", "t.gpx"):
+    for name in ("t.csv", "t.gpx", "r.csv"):
         Path(name).touch()
     code, out, err = run(capsys, "sky", maps, *words)
     assert (code, out) == (2, "")

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.io.read.mission import Leg, Place, read_mission
+from jaxurban.io.read.mission import read_mission
+from jaxurban.io.read.mission_parts import Leg, Place
 from jaxurban.paths.export.write import FORMATS, write_path
 from jaxurban.world.grid import Grid
 from tests.io.made_files import refused
@@ -250,7 +251,10 @@ def test_a_jump_that_leads_to_no_item_is_not_judged(read, target):
 @pytest.mark.parametrize(
     ("strange", "what"),
     [
-        (SURVEY, "item 3 is a survey (ComplexItem), which is not read"),
+        (
+            SURVEY,
+            "item 3 is a survey without its waypoints (open and save it in QGroundControl), which is not read",
+        ),
         (item(SPLINE, at=2), "item 3 is a spline waypoint, which is not read"),
         (item(94, at=2), "item 3 is command 94, which is not read"),
         (item(192, at=2), "item 3 is command 192, which is not read"),  # DO_REPOSITION
@@ -568,7 +572,7 @@ def test_a_strange_item_is_refused_by_its_number(tmp_path, name):
 
 def test_wrong_arguments_are_refused(read):
     with pytest.raises(ju.InputError, match=r"end its name in one of \.plan, \.waypoints"):
-        read(b"", "mission.kmz")
+        read(b"", "mission.doc")
     with pytest.raises(ju.InputError, match="more than 16 MB"):
         read(b" " * (2**24 + 1))
     with pytest.raises(ju.InputError, match="does not exist"):

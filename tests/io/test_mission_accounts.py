@@ -365,7 +365,10 @@ def test_numbers_that_two_items_have_are_refused(read):
         read(waypoints(0, 30), "m.waypoints")
     survey = {"type": "ComplexItem", "complexItemType": "survey"}
     mission = read(plan([*TWO, survey, survey, item(3)]), "m.plan")
-    assert "item 3 is a survey (ComplexItem), which is not read" in mission.not_judged
+    assert (
+        "item 3 is a survey without its waypoints (open and save it in QGroundControl), which is not read"
+        in mission.not_judged
+    )
 
 
 @pytest.mark.parametrize("height_m", [29_064.96, 9_000.5, -500.5])

@@ -6,7 +6,8 @@ import pyproj
 import pytest
 
 from jaxurban.errors import reason_of
-from jaxurban.io.read.mission import Leg, Place, read_mission
+from jaxurban.io.read.mission import read_mission
+from jaxurban.io.read.mission_parts import Leg, Place
 from tests.io.test_mission import BOX, JUMP, RETURN, TAKEOFF, here, item, plan_of
 
 ARDUPILOT, PX4, GENERIC = 3, 12, 0

@@ -255,7 +255,7 @@ def test_names_of_satellites_steer_no_terminal(tmp_path):
             b'[{"OBJECT_NAME": "GPS", "EPOCH": "2024-03-31T12:00:07"}]',
             "cut or not an OMM .no [A-Z_]+",
         ),
-        (b"<html><body>Not found</body></html>", "holds no element set"),
+        (b"<html><body>Not found</body></html>", "is a web page: fetch the file again"),
         (b"<ndm><omm>", "holds no element set"),
         (b"OBJECT_NAME,EPOCH,MEAN_MOTION\nGPS,2024-03-31T12:00:07,2.0", "element set 1 .* is cut"),
         (TLE[:-20].encode(), "element set of .* is cut or damaged .*of 69 characters"),

@@ -141,19 +141,19 @@ BROKEN_OSM = (
             read_vector,
             "table.parquet",
             pd.DataFrame({"height": [1.0]}).to_parquet,
-            "without the metadata `geo`",
+            "holds no geometry",
         ),
         (read_vector, "layers.gpkg", layered, "layers, parcels.*buildings"),
         *(
-            (read_layers, name, b"PK\x03\x04 and more", "is an archive: unpack it with `unzip ")
+            (read_layers, name, b"PK\x03\x04 and more", UNREAD)
             for name in ("blocks.zip", "blocks.tab")
         ),
         (read_layers, "blocks.tab", b"!table", UNREAD),
-        (read_layers, "blocks.gdb", Path.mkdir, UNREAD),
+        (read_layers, "blocks.gdb", Path.mkdir, "as a vector file .*damaged"),
         (read_layers, "a.shp", of([SQUARE], crs=None), "declares no CRS"),
         (buildings, "trees.geojson", of([SQUARE.centroid], crs=WGS84), "holds no building"),
         (buildings, "city.dwg", b"", r"'\.dwg'.*\.pbf.*\.gpkg.*\.tif"),
-        (buildings, "folder", Path.mkdir, "does not exist"),
+        (buildings, "folder", Path.mkdir, "holds no object of CityGML or CityJSON and no outlines"),
         *(
             (buildings, "roofs.tif", pixels(1, value), " 1 cells")
             for value in (np.nan, 1001, -9999)

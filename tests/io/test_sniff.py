@@ -6,6 +6,8 @@ import io
 import json
 import os
 import re
+import shutil
+import sqlite3
 import tarfile
 import zipfile
 
@@ -22,8 +24,10 @@ from jaxurban.io.read.city import OUTLINE_READERS, lonlat_extent, read_buildings
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.osm_plain import plain_osm
+from jaxurban.io.read.outlines import Near
 from jaxurban.io.read.sniff import sniff, unpacked
 from jaxurban.io.read.vector import read_vector
+from jaxurban.world.grid import box_of
 from tests.cli_runs import assert_one_sentence, run
 from tests.io.made_files import LAT, LON, SQUARE, UTM, WGS84, node, osm, refused, relation, way
 
@@ -304,33 +308,43 @@ def tape(path, mode="w"):
         file.addfile(tarfile.TarInfo("a"), io.BytesIO())
 
 
-def spatialite(path):
-    FRAME.to_file(path, driver="SQLite", SPATIALITE="NO")
+def plain_sqlite(path):
+    pd.DataFrame({"height": [1]}).to_sql("town", sqlite3.connect(path))
 
 
-def bare_parquet(path):
-    pd.DataFrame({"wkb": FRAME.geometry.to_wkb(), "height": [1, 2]}).to_parquet(path)
+def bare_parquet(path, frame=FRAME, **columns):
+    table = pd.DataFrame({"id": range(len(frame)), "geometry": frame.geometry.to_wkb()})
+    table.assign(height=frame["height"], **columns).to_parquet(path)
 
 
 @pytest.mark.parametrize(
     ("name", "content", "sentence"),
     [
-        ("a.json", b'{"type":"CityJSON","version":"1.1"}', "is CityJSON: .*citygml-tools"),
-        ("a.jsonl", b'{"CityObjects": {}, "type": "CityJSONFeature"}', "is CityJSON"),
+        ("a.json", b'{"type":"CityJSON","version":"1.1"}', "as a city model .*vertices"),
+        ("a.jsonl", b'{"CityObjects": {}, "type": "CityJSONFeature"}', "as a city model"),
         (
             "a.gml",
             b'<?xml version="1.0"?><!-- of <osm --><core:CityModel xmlns:core="x">',
-            "is CityGML: .*ogr2ogr",
+            "cannot be read as a city model",
         ),
-        ("a.laz", b"LASF" + bytes(100), "lidar.*pdal translate"),
-        ("a.zip", archive, "an archive: .*`unzip "),
+        ("a.laz", b"LASF" + bytes(100), "as lidar points .*damaged or cut short"),
+        ("a.zip", archive, "holds no object of CityGML or CityJSON and no outlines"),
         ("a.7z", b"7z\xbc\xaf\x27\x1c", "an archive: .*`7z x "),
         ("a.tar", tape, "an archive: .*`tar -xf "),
         ("a.tgz", lambda path: tape(path, "w:gz"), "an archive: .*`tar -xf "),
-        ("a.sqlite", spatialite, "SpatiaLite.*ogr2ogr buildings.gpkg"),
+        ("a.sqlite", plain_sqlite, "holds no geometry"),
         ("a.geojson", b"<!DOCTYPE html><html>", "a web page"),
-        ("a.parquet", bare_parquet, "without the metadata `geo`.*from_wkb.*'wkb'"),
-        ("a.csv", b"x,y\n1,2\n", "no column wkt or geometry"),
+        (
+            "a.parquet",
+            lambda path: pd.DataFrame({"wkb": [b"no"]}).to_parquet(path),
+            "damaged or cut short",
+        ),
+        ("a.parquet", lambda path: pd.DataFrame({"a": [1]}).to_parquet(path), "holds no geometry"),
+        (
+            "a.csv",
+            b"x,y\n1,2\n",
+            "a table without shapes, as it has no column wkt or geometry.*ogr2ogr",
+        ),
         ("a.xyz", b"1 2 3", r"no content that is known: .*\.fgb.*\.tif.*\.gz"),
         ("a.geojson", b'{"type": "FeatureCollection", "features": [{', "damaged or cut short"),
         ("a.osm.gz", gzip.compress(edited().encode(), mtime=0)[:-30], "damaged or cut short"),
@@ -347,9 +361,61 @@ def test_what_is_not_read_is_named_by_info_with_what_helps(
     assert re.search(sentence, err)
 
 
+def test_parquet_of_wkb_is_read_in_degrees_and_says_so(tmp_path):
+    bare_parquet(tmp_path / "duckdb.parquet", bbox=[{"xmin": LON}] * 2)
+    with pytest.warns(GuessWarning, match="cannot say its CRS.*EPSG:4326"):
+        assert_both_squares(tmp_path / "duckdb.parquet")
+
+
+@pytest.mark.parametrize("name", ["a.sqlite", "b.gdb", "c.gdb.zip"])
+def test_databases_are_read_whole_and_near_a_region_only(tmp_path, name):
+    squares = [shapely.affinity.translate(SQUARE, 0.01 * i) for i in range(200)]
+    many = gpd.GeoDataFrame({"height": [5.0] * 200}, geometry=squares, crs=WGS84)
+    for frame, folder in ((FRAME, tmp_path / "few"), (many, tmp_path / "many")):
+        folder.mkdir()
+        plain = folder / name.removesuffix(".zip")
+        driver = "SQLite" if name.endswith("sqlite") else "OpenFileGDB"
+        frame.to_file(plain, driver=driver)
+        if name.endswith(".zip"):
+            shutil.make_archive(folder / plain.name, "zip", folder, plain.name)
+    assert_both_squares(tmp_path / "few" / name)
+    near = Near(box_of((LON, LAT, LON + 0.005, LAT + 0.005), UTM), UTM)
+    assert 1 <= len(read_vector(tmp_path / "many" / name, near).polygons) < 100
+
+
+def test_overtures_buildings_and_parts_are_read_from_one_folder(tmp_path):
+    half = shapely.box(LON, LAT, LON + 0.0005, LAT + 0.001)
+    other = shapely.box(LON + 0.0005, LAT, LON + 0.001, LAT + 0.001)
+    parts = gpd.GeoDataFrame({"height": [20.0, 8.0]}, geometry=[half, other], crs=WGS84)
+    (tmp_path / "overture").mkdir()
+    bare_parquet(tmp_path / "overture" / "building.parquet", has_parts=[True, False])
+    columns = {"building_id": ["b0", "b0"], "min_height": [4.0, None], "min_floor": [1, None]}
+    bare_parquet(tmp_path / "overture" / "building_part.parquet", parts, **columns)
+    with pytest.warns(GuessWarning):
+        buildings = city_of(tmp_path / "overture")
+    assert sorted(buildings.height_m) == [8, 20, 60]  # the first gave way to its parts
+    assert sorted(buildings.min_height_m) == [0, 0, 4]
+
+
+def test_google_and_microsoft_are_read_as_they_publish(tmp_path):
+    rows = "".join(f'{LAT},{LON},90.5,0.8,"{shape.wkt}",87G8P2X2+2X\n' for shape in SQUARES)
+    text = f"latitude,longitude,area_in_meters,confidence,geometry,full_plus_code\n{rows}"
+    (tmp_path / "89c_buildings.csv.gz").write_bytes(gzip.compress(text.encode()))
+    lines = LINES.replace('"height": 12.0', '"height": -1.0, "confidence": 0.9')
+    (tmp_path / "part-00001.c000.csv.gz").write_bytes(gzip.compress(lines.encode()))
+    with pytest.warns(GuessWarning):
+        google = city_of(tmp_path / "89c_buildings.csv.gz")
+    microsoft = city_of(tmp_path / "part-00001.c000.csv.gz")
+    assert google.height_m.tolist() == [10, 10]
+    assert sorted(microsoft.height_m) == [10, 60]
+    for buildings in (google, microsoft):
+        areas = shapely.area(buildings.polygons)
+        np.testing.assert_allclose(areas, FRAME.to_crs(UTM).area, rtol=1e-3)
+
+
 def test_a_name_with_blanks_is_quoted_in_the_line_that_helps(tmp_path):
-    said = refused(city_of, tmp_path / "two words.zip", archive, "unzip")
-    assert f"`unzip '{tmp_path / 'two words.zip'}'`" in said
+    said = refused(city_of, tmp_path / "two words.7z", b"7z\xbc\xaf\x27\x1c", "7z x")
+    assert f"`7z x '{tmp_path / 'two words.7z'}'`" in said
 
 
 def test_a_bomb_is_refused_before_it_fills_the_disk(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.io.read.mission import Leg, Mission, Place
+from jaxurban.io.read.mission_parts import Leg, Mission, Place
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.viewer.markup import number
 from jaxurban.viewer.requests import Plan, parse

@@ -1,7 +1,9 @@
 """The sky at a place and along a track: the maps' own answer at centres, exact outlines elsewhere."""
 
+import re
 from dataclasses import replace
 from functools import cache
+from itertools import count
 
 import numpy as np
 import pandas as pd
@@ -9,6 +11,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban.io.samples import located
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.maps.build import region_of
 from jaxurban.report.figures.sky import plot_sky
@@ -206,6 +209,39 @@ def test_a_table_of_a_track_gives_places_heights_and_times():
         ju.sky_along(city(), track.drop(columns="utc"), gps=GPS)
     with pytest.raises(ju.InputError, match="altitude_m is missing"):
         ju.sky_along(city(), track.drop(columns="altitude_m"), gps=GPS)
+
+
+def test_a_row_a_satellite_is_the_sky_of_its_place_with_what_the_log_heard(tmp_path):
+    number = count(1)
+    text = located("sample:shinjuku/gps.tle").read_text()
+    named = re.sub(r"GPS slot .*", lambda _: f"GPS (PRN {next(number):02d})", text)
+    (tmp_path / "gps.tle").write_text(named)
+    lon, lat = maps().grid.lonlat_of_xy(
+        X_M + np.array([900.0, 1000.0]), Y_M + np.array([1000.0] * 2)
+    )
+    gps = replace(OF_BOTH, orbits=tmp_path / "gps.tle", mask_deg=10.0)
+    utc = ["2018-12-19T03:00:00Z", "2018-12-19T03:00:01Z"]
+    columns = {"utc": utc, "lon_deg": lon, "lat_deg": lat}
+    track = pd.DataFrame(columns)
+    plain = ju.sky_along(city(), track, 20.0, gps=gps)
+    assert "cn0_dbhz" not in plain.satellites
+    first, second = plain.satellites.satellite.str.extract(r"PRN (\d+)")[0].dropna().unique()[:2]
+    names = [f"G{first}", f"G{second}", "X99"]
+    heard = pd.DataFrame({"satellite": names, "cn0_dbhz": [40.0, 22.5, 30.0]})
+    log = track.merge(heard, "cross")
+    along = ju.sky_along(city(), log, 20.0, gps=gps)
+    pd.testing.assert_frame_equal(along.table, plain.table)
+    for number, place in enumerate(zip(lon, lat, strict=True)):
+        alone = ju.sky(city(), place, 20.0, time=utc[number], gps=gps).table.drop(columns="time")
+        rows = along.satellites[along.satellites.utc == utc[number]]
+        assert np.allclose(rows[["lon_deg", "lat_deg"]], [place])
+        pd.testing.assert_frame_equal(
+            rows[list(alone)].reset_index(drop=True), alone, atol=5e-3, check_exact=False
+        )
+        named = rows.satellite.str.extract(r"PRN (\d+)")[0]
+        expected = named.map({first: 40.0, second: 22.5})
+        np.testing.assert_array_equal(rows.cn0_dbhz, expected)
+    assert along.satellites.cn0_dbhz.notna().any()
 
 
 def test_a_route_is_flown_at_its_speed():

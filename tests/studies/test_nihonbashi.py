@@ -9,11 +9,13 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban.io.read.orbits import read_orbits
+from jaxurban.io.read.receivers import read_track
 from jaxurban.io.samples import located
 from jaxurban.maps.run import grid_of, load_city
 from jaxurban.studies.receiver import displaced
 from jaxurban.studies.receiver.agreement import headings_rad
-from jaxurban.studies.receiver.rinex import Messages, read_track
+from jaxurban.studies.receiver.rinex import angles_along
 from tests.satellite_logs import FALSE_PRAISE, hidden_by_outlines, is_praised, wrong_margins
 
 pytestmark = pytest.mark.slow
@@ -144,19 +146,19 @@ def test_shifted_and_swapped_predictions_are_seldom_praised():
 @pytest.mark.data
 def test_times_that_are_an_hour_off_are_not_praised_and_a_quarter_of_one_is(data_dir):
     folder = data_dir / "tokyo/nihonbashi-rinex"
-    messages = Messages(folder / "rover.nav")
-    track = read_track(folder / "reference.csv", messages.leap_s)
+    orbits = read_orbits(folder / "rover.nav")
+    track = read_track(folder / "reference.csv")
     for hours, low, high in (
         (0, 0.88, 0.90),
         (1, 0.65, 0.75),
         (-0.25, 0.82, 0.86),
     ):
-        angles = messages.angles(track.assign(utc=track.utc + pd.Timedelta(hours=hours)))
-        angles = angles.assign(
-            utc=track.utc.iloc[angles.epoch].dt.strftime("%Y-%m-%dT%H:%M:%SZ").to_numpy()
-        )
+        shift = pd.Timedelta(hours=hours)
+        angles = angles_along(orbits, track.assign(utc=track.utc + shift))
+        angles["utc"] = (angles.utc - shift).dt.strftime("%Y-%m-%dT%H:%M:%SZ")
         strengths = table()[[*FIELDS, "cn0_dbhz"]]
-        log = strengths.merge(angles.drop(columns="epoch"), on=["utc", "satellite"])
+        angles = angles.drop(columns=["lon_deg", "lat_deg"])
+        log = strengths.merge(angles, on=["utc", "satellite"])
         of = validated(log[log.elevation_deg >= 5.0], num_displaced=200).satellites
         assert of.verdict.startswith("What this receiver hears") == (abs(hours) < 1)
         assert low < of.score().auc < high

@@ -131,10 +131,10 @@ def test_the_scores_and_the_shifts_agree_and_pieces_are_medians_of_their_epochs(
     assert set(found().scores.piece_m) == {10.0, 25.0, 50.0, 100.0}
 
 
-@pytest.mark.parametrize("name", ["rover.obs", "rover.23o", "ROVER.RNX"])
-def test_observations_alone_ask_for_the_other_files_of_rinex(name):
-    with pytest.raises(ju.InputError, match="RINEX: name navigation and reference too"):
-        ju.studies.validate(scenario(), name, progress=False)
+@pytest.mark.parametrize("option", ["navigation", "reference"])
+def test_navigation_and_reference_belong_to_a_receivers_own_log(option):
+    with pytest.raises(ju.InputError, match="of a receiver's own log"):
+        ju.studies.validate(scenario(), true_log(), progress=False, **{option: "rover.nav"})
 
 
 REFUSED = {

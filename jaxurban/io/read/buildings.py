@@ -69,7 +69,8 @@ def to_buildings(
     # What stands, the valid shapes of it, and the heights that solids have by their faces.
     issues = dict(outlines.issues)
     features = what_stands(outlines, file.hanging == SLABS, issues)
-    prisms = prisms_of_solids(features.polygons, outlines.crs)
+    num_roofs = features.tags.get("num_roofs")
+    prisms = prisms_of_solids(features.polygons, outlines.crs, num_roofs)
     rise_m = rises_m(features.polygons, outlines.crs)
     shapes, is_sound, is_whole = _project(prisms["polygon"].to_numpy(), outlines.crs, crs, issues)
     prisms = prisms[is_sound]
@@ -80,11 +81,12 @@ def to_buildings(
             f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
         )
     features = features.take(prisms["feature"].to_numpy(int))
-    height = with_solids(features.column("height"), prisms, issues)
+    height = with_solids(features.column("height"), prisms)
     tags = {**features.tags, "height": height, "rise_m": rise_m[prisms["feature"]]}
     features = replace(features, polygons=shapes[is_sound], tags=tags)
     is_closed = prisms["height_m"].to_numpy() != 0  # walls alone close nothing
     is_building = (features.tags["verdict"] == BUILDING) & is_whole[is_sound] & is_closed
+    issues[ReadIssue.SOLIDS] = prisms["feature"][is_building & (prisms["height_m"] > 0)].nunique()
 
     # Heights of buildings.
     found = features.take(is_building)

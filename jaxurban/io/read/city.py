@@ -32,6 +32,7 @@ from jaxurban.io.read.guesses import (
     warn_of,
 )
 from jaxurban.io.read.issues import ReadIssue
+from jaxurban.io.read.lidar import Points, heights_of_points, read_points
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets
 from jaxurban.io.read.plausible import (
@@ -49,8 +50,9 @@ from jaxurban.io.read.raster import (
     read_raster,
     zero_is_ground,
 )
-from jaxurban.io.read.sampling import pixel_xy
-from jaxurban.io.read.sniff import sniff
+from jaxurban.io.read.sampling import heights_above, pixel_xy
+from jaxurban.io.read.sniff import LIDAR, sniff
+from jaxurban.io.read.tiles import ARCHIVE, READERS, read_tiles
 from jaxurban.io.read.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
 from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
 from jaxurban.metrics.gps import Gps
@@ -70,7 +72,7 @@ from jaxurban.world.grid import (
 from jaxurban.world.kinds import KindName
 from jaxurban.world.raster import Raster
 
-OutlineReader = Callable[[Path, Near | None, settings.Buildings | None], Outlines]
+OutlineReader = Callable[..., Outlines]  # of a path, a `Near` or None, and settings or None
 
 
 def _read_osm(path: Path, near: Near | None, file: settings.Buildings | None) -> Outlines:
@@ -81,13 +83,17 @@ def _read_osm(path: Path, near: Near | None, file: settings.Buildings | None) ->
 OUTLINE_READERS: dict[str, OutlineReader] = {  # by `sniff`, or by the file's own suffix
     **dict.fromkeys(OSM_SUFFIXES, _read_osm),
     **dict.fromkeys((*VECTOR_SUFFIXES, *OTHER_SUFFIXES), read_vector),
+    **dict.fromkeys((*READERS, ARCHIVE), read_tiles),
 }
 FILE_FIELDS = ("source", *FILES)
 COLUMNS_SAID = "height_column, ground_column and levels_column are for tables of outlines"
 GEOD = pyproj.Geod(ellps="WGS84")
 GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
 BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
-LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
+ROOF_RANGE_M = (
+    -100.0,
+    HIGHEST_M,
+)  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
 
@@ -104,6 +110,12 @@ def read_city(
     kinds: tuple[KindName, ...],
 ) -> City:
     """Return the city that files hold around a region; arguments, warnings and errors are as of `City.from_files`."""
+    # Lidar points are of the ground and of plants too. What was read of a file before may have changed.
+    read_points.cache_clear()
+    if sniff(located(buildings.source)) == LIDAR:
+        terrain = replace(terrain, source=terrain.source or buildings.source)
+        vegetation = replace(vegetation, source=vegetation.source or buildings.source)
+
     # A sample city (`SAMPLES`) gives what the arguments leave out.
     sample = SAMPLES.get(sample_name(buildings.source) or "", {})
     if bounds is None and sample:
@@ -129,7 +141,9 @@ def read_city(
     check_has_people(people, people.has_blocks)
 
     # The region, and the wider box from which a shadow can reach it.
-    region = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
+    region = check_bounds(
+        lonlat_extent(buildings.source, buildings.crs) if bounds is None else bounds
+    )
     if crs is None:
         crs = utm_of(region)
     projected_crs(crs)
@@ -141,11 +155,22 @@ def read_city(
     ground = ground_extent_m = None
     guesses: Guesses = {}
     if terrain.source is not None:
-        ground = read_raster(terrain.source, crs, wide_m)
-        ground_extent_m = raster_extent_m(terrain.source, crs)
+        if sniff(terrain.source) == LIDAR:
+            ground = _points_of(terrain.source, buildings).ground
+            ground_extent_m = area_of_raster(ground, crs).bounds
+        else:
+            ground = read_raster(terrain.source, crs, wide_m)
+            ground_extent_m = raster_extent_m(terrain.source, crs)
         ground, guesses = filled_terrain(repr(str(terrain.source)), ground, crs, box_m)
     plants = None
-    if vegetation.source is not None:
+    if vegetation.source is not None and sniff(vegetation.source) == LIDAR:
+        if ground is None:
+            raise InputError(
+                f"plants of the lidar points {str(vegetation.source)!r} stand on the ground: give its elevation as "
+                "[terrain] source, which may be the same file"
+            )
+        plants = heights_above(_points_of(vegetation.source, buildings).plants, ground)
+    elif vegetation.source is not None:
         plants, plant_guesses = read_plants(vegetation.source, crs, wide_m, box_m)
         guesses |= plant_guesses
     source = read_buildings(
@@ -196,6 +221,12 @@ def read_city(
     )
 
 
+def _points_of(path: str | Path, buildings: settings.Buildings) -> Points:
+    """Return the lidar points of a file; the CRS of the settings holds where it is that of the buildings."""
+    is_theirs = Path(path) == Path(buildings.source)
+    return read_points(Path(path), buildings.kind, buildings.crs if is_theirs else None)
+
+
 def _shadow_box_m(box_m: Bounds, rise_m: float, gps: Gps) -> Bounds:
     """Return the box around a region outside which nothing can shadow it.
 
@@ -238,7 +269,7 @@ def _check_has_building(
         return
     raise InputError(
         f"{str(buildings.source)!r} has no building in the region {list(bounds)}: "
-        f"{where_it_lies(lonlat_extent(buildings.source), bounds)}; "
+        f"{where_it_lies(lonlat_extent(buildings.source, buildings.crs), bounds)}; "
         "move [region] bounds there, or set [buildings] allow_none = true if there are none"
     )
 
@@ -267,12 +298,14 @@ def read_buildings(
     """
     projected_crs(crs)
     path = Path(file.source)
-    read = _reader_of(path)
+    read = _reader_of(path, file.crs)
 
     # Settings that are meant for files of another kind are refused.
     is_misplaced = {
         'hanging = "slabs" is for outlines': file.hanging == SLABS and read is None,
         'kind = "surface" is for rasters': file.kind == "surface" and read is not None,
+        "crs is for outlines and lidar points": file.crs is not None
+        and (read is _read_osm or (read is None and sniff(path) != LIDAR)),
         COLUMNS_SAID: len(named_columns(file)) > 0 and read in (None, _read_osm),
     }
     for what, is_wrong in is_misplaced.items():
@@ -280,7 +313,7 @@ def read_buildings(
             raise InputError(f"[buildings] {what}, and {str(path)!r} is none: leave it out")
 
     if read is None:
-        return _read_roofs(path, crs, bounds_m, file.kind, terrain)
+        return _read_roofs(file, crs, bounds_m, terrain)
     if beside is not None:
         read = partial(read_vector, beside=located(beside))
     if bounds_m is not None:
@@ -292,38 +325,49 @@ def read_buildings(
     return _city_of(file, read(path, None, file), crs, bounds_m)
 
 
-def _reader_of(path: Path) -> OutlineReader | None:
+def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
     """Return the function that reads a file of outlines; None for a raster.
+
+    Args:
+      path: of the file, or a folder of tiles.
+      crs: in place of the one that outlines declare; OpenStreetMap has one.
 
     Raises:
       InputError: no such file, or a format that is not read.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{str(path)!r} does not exist: check the path")
     suffix = path.suffix.lower()
-    if suffix in RASTER_SUFFIXES:
+    if suffix in RASTER_SUFFIXES or sniff(path) == LIDAR:
         return None
-    read = OUTLINE_READERS.get(sniff(path)) or OUTLINE_READERS.get(suffix)
+    kind = sniff(path) or (ARCHIVE if path.is_dir() else "")
+    read = OUTLINE_READERS.get(kind) or OUTLINE_READERS.get(suffix)
     if read is None:
         known = ", ".join((*OUTLINE_READERS, *RASTER_SUFFIXES))
         raise InputError(
             f"{str(path)!r} has the suffix {suffix!r} and no content that is known: buildings are read from {known}, "
             "and from outlines packed as .gz or .bz2"
         )
-    return read
+    return read if crs is None or read is _read_osm else partial(read, crs=crs)
 
 
-def lonlat_extent(path: str | Path) -> Bounds:
+def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
     """Return west, south, east, north in degrees of the box that a file of buildings or a raster covers.
 
     For a file of OpenStreetMap it is the box that the file declares. For one that declares none and for other files of
     outlines it is the box around all outlines, for which the whole file is read.
 
+    Args:
+      path: of the file.
+      crs: in place of the one that it declares, as of `settings.Buildings`.
+
     Raises:
       InputError: a file that cannot be read, or one without an outline.
     """
     file = Path(path)
-    read = _reader_of(file)
+    read = _reader_of(file, crs)
+    if sniff(path) == LIDAR:
+        return area_of_raster(read_points(file, "height", crs).highest, WGS84).bounds
     if read is None:
         return raster_extent_m(path, WGS84)
     box = header_box(path) if read is _read_osm else None
@@ -422,35 +466,37 @@ def _city_of(
 
 
 def _read_roofs(
-    path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None
+    file: settings.Buildings, crs: str, bounds_m: Bounds | None, terrain: Raster | None
 ) -> City:
-    """Return the city of a raster of heights.
+    """Return the city of a raster of heights, or of lidar points.
 
     Cells below 0, the noise of surface minus terrain, count as ground; a read issue says how many they are.
 
     Args:
-      path: path of the raster.
+      file: names it; its ``kind`` is ``"surface"`` for elevations of roofs and ground, ``"height"`` for heights.
       crs: projected CRS of the city.
       bounds_m: as of `read_buildings`.
-      kind: ``"surface"`` for elevations of roofs and ground, ``"height"`` for heights above ground.
       terrain: as of `read_buildings`.
 
     Raises:
       InputError: as of `read_buildings`.
     """
+    path = Path(file.source)
     name = repr(str(path))
-    raster = read_raster(path, crs, bounds_m)
     guesses: Guesses = {}
-    if kind == "surface":
-        roofs, issues = heights_of_surface(name, raster, terrain, crs)
+    if sniff(path) == LIDAR:
+        roofs, issues = heights_of_points(name, _points_of(path, file), terrain, crs)
+    elif file.kind == "surface":
+        surface = read_raster(path, crs, bounds_m)
+        roofs, issues = heights_of_surface(name, surface, terrain, crs)
     else:
-        raster, guesses = zero_is_ground(path, raster)
+        raster, guesses = zero_is_ground(path, read_raster(path, crs, bounds_m))
+        check_range(name, raster.values, ROOF_RANGE_M)
         check_is_no_surface(name, raster, crs)
         is_below = raster.values < 0
         roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
         issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
-    heights = raster if kind == "height" else roofs
-    check_range(name, heights.values, (LOWEST_ROOF_M, HIGHEST_M))
+    check_range(name, roofs.values, ROOF_RANGE_M)
     area = area_of_raster(roofs, crs)
     guesses |= pixel_guesses(roofs, crs)
     return City(crs, area.bounds, roofs=roofs, area=area, read_issues=issues, guesses=guesses)

@@ -147,8 +147,9 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
         is_below = pd.Series(values[UNDERGROUND_COLUMN]).astype(str).str.lower()
         values[UNDERGROUND_COLUMN] = is_below.map(BELOW).to_numpy(object)
         values.pop("level", None)  # Overture's orders, as a layer does
-        if OF_OVERTURE in values:
-            values["building_part"] = values[OF_OVERTURE]
+
+    if OF_OVERTURE in values and not values.keys().isdisjoint((UNDERGROUND_COLUMN, "min_floor")):
+        values["building_part"] = values[OF_OVERTURE]
 
     if "est_height" in values:  # a rough figure
         estimate = values["est_height"]

@@ -28,7 +28,7 @@ class ReadIssue(StrEnum):
       PARTS_GIVEN_OUTLINE_HEIGHT: parts without a height of their own.
       PARTS_HANGING: underside above the ground.
       MIN_HEIGHTS_ABOVE_ROOF: underside at or above the roof, set to 0.
-      SOLIDS: bodies of three dimensions, read as the prisms of their faces.
+      SOLIDS: buildings of three dimensions, read as the prisms of their faces.
       HEIGHTS_UNUSABLE: unreadable, 0, negative or too high.
       LEVELS_UNUSABLE: the same of levels.
       MIN_HEIGHTS_UNUSABLE: the same of the heights of undersides.

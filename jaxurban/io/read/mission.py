@@ -2,12 +2,14 @@
 
 | file | what is read | heights are above |
 |---|---|---|
-| ``.plan`` of QGroundControl, version 1 | simple items; home; speeds | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
+| ``.plan`` of QGroundControl, version 1 | items, surveys'; home | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
 | ``.waypoints``, ``.txt``: ``QGC WPL 110`` | rows; row 0 is home where it is a waypoint | as in a ``.plan`` |
 | ``.kml`` | LineString, Track | relativeToGround: ground; absolute: geoid (EGM96); else they are asked for |
 | ``.gpx`` | routes, tracks | asked for; in jaxurban's own geoid (``ele``), or ground where it has none |
 | ``.geojson``, ``.json`` | LineString, MultiLineString | asked for; ground in jaxurban's own |
-| ``.csv`` | rows of lon, lat, altitude_m (or height_m, alt) | asked for |
+| ``.csv`` | rows of lon, lat, altitude_m (or height_m, alt) | asked for; AirData: home; Litchi: its modes |
+| ``.kmz``, ``.wpml`` | waylines of DJI, or a KML | relativeToStartPoint: home; WGS84: ellipsoid |
+| ``.ulg`` of PX4 | fixes of the receiver | geoid |
 
 The geofence of a ``.plan`` is read too, as zones. Whatever else has a position is counted and not judged. Places are in
 WGS 84; a file that names another CRS or datum is refused, and so is one that gives a quantity twice with different
@@ -23,7 +25,7 @@ values.
 | jump 177 | straight to its target, once |
 | set home 179 | heights above home are open after it, and a return is not judged |
 | delays, conditions, speeds, cameras, servos, regions of interest | nothing |
-| splines 82, surveys and other complex items, all others | not judged, nor is the way to the next item |
+| splines 82, surveys without items, other complex items, all others | not judged, nor is the way to the next item |
 
 Places of MAVLink's parameters 5 to 7: https://mavlink.io/en/messages/common.html; the files:
 https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html and
@@ -32,35 +34,47 @@ https://mavlink.io/en/file_formats/#mission_plain_text_file.
 
 import csv
 import math
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from zipfile import BadZipFile
+
+import pandas as pd
 
 from jaxurban.checks import finite, one_of, positive
 from jaxurban.errors import InputError, readable
+from jaxurban.io.read.mission_dji import read_wpml, unzipped
 from jaxurban.io.read.mission_items import read_plan, read_waypoints
-from jaxurban.io.read.mission_lines import READERS, read_lines
-from jaxurban.io.read.mission_parts import (
-    DATUMS,
-    DamagedError,
-    LonLat,
-    check_place,
-)
-from jaxurban.io.read.mission_parts import Datum as Datum
-from jaxurban.io.read.mission_parts import Leg as Leg
-from jaxurban.io.read.mission_parts import Mission as Mission
-from jaxurban.io.read.mission_parts import Place as Place
+from jaxurban.io.read.mission_lines import csv_lines, geojson_lines, mission_of_lines, xml_lines
+from jaxurban.io.read.mission_parts import DATUMS, DamagedError, Datum, LonLat, Mission, check_place
+from jaxurban.io.read.tracks import LAT, LON, UTC, track_of
+from jaxurban.io.read.ulog import ulog_lines
 
 ITEM_READERS = {".plan": read_plan, ".waypoints": read_waypoints, ".txt": read_waypoints}
-SUFFIXES = (*ITEM_READERS, *READERS)
+LINE_READERS = {
+    ".kml": xml_lines,
+    ".gpx": xml_lines,
+    ".geojson": geojson_lines,
+    ".json": geojson_lines,
+    ".csv": csv_lines,
+    ".ulg": ulog_lines,
+}
+SUFFIXES = (*ITEM_READERS, ".kmz", ".wpml", *LINE_READERS)
+ARDUPILOT_LOGS = (".bin", ".log", ".tlog")
 MOST_BYTES = 2**24  # some 20,000 items of a .plan
 # What Python and libraries raise for what is missing, or of another kind than it should be.
 BROKEN = (
     AttributeError,
+    BadZipFile,
+    EOFError,
     LookupError,
     OverflowError,
-    RecursionError,
+    RuntimeError,
     TypeError,
     ValueError,
     csv.Error,
+    zlib.error,
 )
 
 
@@ -86,11 +100,6 @@ def read_mission(
         ``heights`` says what they are above, or of which both say it.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(
-            f"cannot determine the format of {str(path)!r}: end its name in one of {', '.join(SUFFIXES)}"
-        )
     if heights is not None:
         one_of("heights", heights, DATUMS)
     if home is not None:
@@ -106,20 +115,60 @@ def read_mission(
     if return_altitude_m is not None:
         return_m = positive("return_altitude_m", return_altitude_m)
 
-    with readable(path, "a mission", "save it again in the tool that made it"):
-        if path.stat().st_size > MOST_BYTES:
-            raise InputError(
-                f"{str(path)!r} holds more than 16 MB, which no mission does: name another file"
-            )
-        if heights is not None and suffix in ITEM_READERS:
+    with _opened(path, SUFFIXES) as (suffix, data):
+        template = b""
+        if suffix == ".kmz":
+            suffix, data, template = unzipped(data)
+        if suffix in LINE_READERS:
+            return mission_of_lines(path.name, *LINE_READERS[suffix](path, data), heights, home)
+        if heights is not None:
             raise InputError(
                 f"{path.name!r} says for each item what its height is above: leave heights={heights!r} out"
             )
-        data = path.read_bytes()
+        if suffix == ".wpml":
+            return read_wpml(data, template, path.name, home, return_m)
+        return ITEM_READERS[suffix](data, path.name, home, return_m)
+
+
+def read_flight(path: str | Path) -> pd.DataFrame:
+    """Return ``utc``, ``lon_deg`` and ``lat_deg`` of a flight with times: GPX, Track of KML, ULog.
+
+    Raises:
+      InputError: as of `read_mission`, or a point without a time.
+    """
+    path = Path(path)
+    with _opened(path, LINE_READERS) as (suffix, data):
+        shapes, _ = LINE_READERS[suffix](path, data)
+        rows = [
+            (time, *point[:2])
+            for shape in shapes
+            if any(shape.times)
+            for time, point in zip(shape.times, shape.points, strict=True)
+        ]
+    if not rows:
+        raise InputError(f"{str(path)!r} holds no times: give the speed of the flight (--speed)")
+    return track_of(pd.DataFrame(rows, columns=[UTC, LON, LAT]), f"the track {str(path)!r}")
+
+
+@contextmanager
+def _opened(path: Path, suffixes: Iterable[str]) -> Iterator[tuple[str, bytes]]:
+    """Yield the suffix of a mission's file, one of ``suffixes``, and its bytes, and name it in errors."""
+    suffix = path.suffix.lower()
+    if suffix in ARDUPILOT_LOGS:
+        raise InputError(
+            f"{path.name!r} is a log of ArduPilot: make GPX of it with `TZ=UTC mavtogpx.py FILE` of pymavlink"
+        )
+    if suffix not in suffixes:
+        raise InputError(
+            f"cannot determine the format of {str(path)!r}: end its name in one of {', '.join(suffixes)}"
+        )
+    with readable(path, "a mission", "save it again in the tool that made it"):
+        if path.stat().st_size > MOST_BYTES and suffix != ".ulg":
+            raise InputError(
+                f"{str(path)!r} holds more than 16 MB, which no mission does: name another file"
+            )
         try:
-            if suffix in READERS:
-                return read_lines(path, data, heights, home)
-            return ITEM_READERS[suffix](data, path.name, home, return_m)
+            yield suffix, path.read_bytes()
         except (InputError, DamagedError):
             raise
         except BROKEN as error:

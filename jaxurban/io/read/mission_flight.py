@@ -23,7 +23,7 @@ from jaxurban.io.read.mission_parts import (
     Profile,
 )
 
-Autopilot = Literal["ardupilot", "px4", "unknown"]
+Autopilot = Literal["ardupilot", "px4", "dji", "unknown"]
 
 WAYPOINT = 16
 RETURN = 20
@@ -78,6 +78,9 @@ MOST_RADIUS_M = 255.0
 # RTL_CONE_ANG of 45 degrees within RTL_MIN_DIST.
 CONE_SLOPE, LEAST_RETURN_M = 3.0, 2.0
 CONE_REACH_M = 10.0
+DJI_NEAR_M = (
+    50.0  # from home, within which most of DJI's drones return at the height that they have
+)
 HAS_HEIGHT = (*TAKEOFFS, WAYPOINT, *LOITERS)  # commands whose items have a height to fly to
 PLACED = (*HAS_HEIGHT, *LANDINGS)
 
@@ -426,7 +429,7 @@ class FlownItems:
         """Climb straight up to the item's height, then fly to its place if it has one; ArduPilot knows of none.
 
         The climb begins where the vehicle is, else on the ground where it stands; where neither is known, it only flies
-        to the item.
+        to the item. Drones of DJI climb at least to a height above home, the first parameter, and fly level.
         """
         if self._autopilot == "ardupilot":
             item = item._replace(lon=0.0, lat=0.0)
@@ -436,10 +439,14 @@ class FlownItems:
             return
         self._leave_circle(item)
         above = self._place_of(item._replace(lon=start.lon, lat=start.lat)) or start
+        place = None
+        if self._autopilot == "dji":
+            above = Place(start.lon, start.lat, item.params[0], "home", level_with=above)
+            place = above._replace(lon=item.lon, lat=item.lat)
         self._state = self._state._replace(at=start)
         self._move(item, above, "climb")
         if item.has_place:
-            self._fly_to(item, beside=above if self._autopilot == "unknown" else None)
+            self._fly_to(item, place, beside=above if self._autopilot == "unknown" else None)
 
     def _leave_circle(self, item: Item) -> None:
         """Say, where autopilots differ in where the vehicle is, that the way of one of them is not judged."""
@@ -555,6 +562,8 @@ class FlownItems:
         if math.isnan(most_m):
             return [most_m]
         _, _, apart_m = GEOD.inv(at.lon, at.lat, *home)
+        if self._autopilot == "dji":
+            return [0.0, most_m] if apart_m <= DJI_NEAR_M else [most_m]
         heights_m = {most_m}
         if self._autopilot != "px4":
             heights_m.add(min(most_m, max(CONE_SLOPE * apart_m, LEAST_RETURN_M)))

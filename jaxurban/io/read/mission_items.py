@@ -30,6 +30,7 @@ from jaxurban.io.read.mission_parts import (
 HEADER = "QGC WPL 110"
 NUM_COLUMNS = 12
 AUTOPILOTS: dict[Any, Autopilot] = {3: "ardupilot", 12: "px4"}  # by the number of MAV_AUTOPILOT
+SURVEYS = ("survey", "CorridorScan")  # complex items that hold the simple ones that are flown
 PLANES = (1, *range(19, 26))  # MAV_TYPE: fixed wing, and VTOL of every kind
 # QGroundControl's AltitudeMode: it makes metres above the geoid of metres above ground.
 CALCULATED = 3
@@ -70,6 +71,7 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
     rows = mission.get("items")
     if not isinstance(rows, list):
         raise DamagedError("its items are no list")
+    rows = [item for row in rows for item in _unfolded(row)]
     items = [_item_of_plan(row, number) for number, row in enumerate(rows, 1)]
     _check_keys(items, "item")
     autopilot = AUTOPILOTS.get(mission.get("firmwareType"), "unknown")
@@ -77,7 +79,7 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
     # The plan's home is a list of latitude, longitude and elevation, of which some or all may be missing.
     position = (*(mission.get("plannedHomePosition") or ()), None, None, None)[:3]
     lat, lon, elevation_m = (number_of("plannedHomePosition", value) for value in position)
-    start = _home(home, lon, lat, elevation_m)
+    start = home_of(home, lon, lat, elevation_m)
 
     notes = []
     if kind is None:
@@ -103,7 +105,7 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
     settings = _object(plan.get("settings") or {}, "settings")
     above_m = number_of(HOME_HEIGHT, settings.get(HOME_HEIGHT))
     is_on_roof = above_m > 0 and home is None  # another home than the file's is on the ground
-    read = _flown(name, flown, len(rows), start, notes, speed_m_s)
+    read = mission_of(name, flown, len(rows), start, notes, speed_m_s)
     return replace(read, zones=zones, home_above_ground_m=above_m if is_on_roof else 0.0)
 
 
@@ -144,16 +146,16 @@ def read_waypoints(
         first_key = 1
         num_rows -= 1
         elevation_m = first.height_m if first.datum == "geoid" else math.nan
-        start = _home(home, first.lon, first.lat, elevation_m)
+        start = home_of(home, first.lon, first.lat, elevation_m)
         autopilot = "ardupilot"
     is_ordered = [item.key for item in items] == list(range(first_key, first_key + len(items)))
     notes = [] if is_ordered else ["its rows are not numbered in their order, so jumps may differ"]
     numbered = [item._replace(number=number) for number, item in enumerate(items, 1)]
     flown = FlownItems(numbered, start[0], return_altitude_m, autopilot)
-    return _flown(name, flown, num_rows, start, notes, speed_m_s=math.nan)
+    return mission_of(name, flown, num_rows, start, notes, speed_m_s=math.nan)
 
 
-def _flown(
+def mission_of(
     name: str,
     flown: FlownItems,
     num_rows: int,
@@ -215,7 +217,7 @@ def _object(value: Any, what: str) -> dict[str, Any]:
     return value
 
 
-def _home(home: LonLat | None, lon: float, lat: float, elevation_m: float) -> Home:
+def home_of(home: LonLat | None, lon: float, lat: float, elevation_m: float) -> Home:
     """Return home in degrees and its elevation in metres, None for either of them that is not known.
 
     A ``home`` that the user gives counts in place of the file's, whose numbers are checked all the same.
@@ -237,6 +239,13 @@ def _home(home: LonLat | None, lon: float, lat: float, elevation_m: float) -> Ho
     return (lon, lat), elevation_m if has_elevation else None
 
 
+def _unfolded(row: Any) -> list[Any]:
+    """Return the items that a survey or a corridor scan holds, by which it is flown; of any other item itself."""
+    if not isinstance(row, dict) or row.get("complexItemType") not in SURVEYS:
+        return [row]
+    return row.get("TransectStyleComplexItem", {}).get("Items") or [row]
+
+
 def _item_of_plan(value: Any, number: int) -> Item:
     """Return an item of a plan from its JSON value.
 
@@ -250,7 +259,7 @@ def _item_of_plan(value: Any, number: int) -> Item:
       number: of the item, by which messages name it.
 
     Returns:
-      The item; a survey or another ``ComplexItem`` becomes one of command -1, which says what it is.
+      The item; a ``ComplexItem`` becomes one of command -1, which says what it is.
 
     Raises:
       DamagedError: it is no item, or its two heights differ by more than `SAME_M`.
@@ -264,7 +273,10 @@ def _item_of_plan(value: Any, number: int) -> Item:
         kind = str(row.get("complexItemType"))[:40]
         if not kind.isidentifier():
             kind = "strange item"
-        return Item(number, key, command=-1, what=f"a {kind} (ComplexItem)")
+        what = f"a {kind} (ComplexItem)"
+        if kind in SURVEYS:
+            what = "a survey without its waypoints (open and save it in QGroundControl)"
+        return Item(number, key, command=-1, what=what)
 
     params = row.get("params")
     if not isinstance(params, list) or len(params) != 7:

@@ -1,4 +1,4 @@
-"""Missions that are lines of points: KML, GPX, GeoJSON and CSV, of which few say what heights are above.
+"""Flights that are lines of points: KML, GPX, GeoJSON and CSV, of which few say what heights are above.
 
 How many positions a file holds is counted apart from the lines that are read, and what they leave over is not judged.
 """
@@ -19,6 +19,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.mission_parts import (
+    CORNER_M,
     DATUMS,
     NO_HOME,
     SAME_M,
@@ -41,6 +42,7 @@ from jaxurban.io.read.routes import ALTITUDE_PROPERTY, SEGMENT_PROPERTY
 OWN = "jaxurban"  # what it calls itself as the creator of GPX
 OWN_HEIGHT = re.compile(r"(-?[\d.]+) m above ground")  # of its points there
 OWN_DATA = "height_reference"  # that its lines in KML have
+DJI_TEMPLATE = "templateType"  # element of the KML from which DJI's programs make waylines
 XML_OTHERS = ("Point", "Polygon", "LinearRing", "Model", "GroundOverlay", "NetworkLink", "Tour")
 KML_MODES: dict[str, Datum] = {"relativeToGround": "ground", "absolute": "geoid"}
 # Parts of lines in KML that are read, or do not change where they lie.
@@ -49,11 +51,25 @@ KML_PARTS = {
     "Track": {"coord", "altitudeMode", "extrude", "tessellate", "when", "angles", "ExtendedData"},
     "MultiTrack": {"Track", "interpolate"},
 }
+# Columns of AirData's logs and of Litchi's missions, which have others that do not change the way.
+ABOVE_TAKEOFF, CURVE, MODE = "height_above_takeoff", "curvesize", "altitudemode"
+LITCHI_MODES: dict[str, Datum] = {"0": "home", "1": "ground"}
 COLUMNS = {
     "longitude": ("lon", "lon_deg", "longitude", "longitude_deg", "lng", "long"),
     "latitude": ("lat", "lat_deg", "latitude", "latitude_deg"),
-    "height": (ALTITUDE_PROPERTY, "height_m", "alt_m", "altitude", "height", "alt", "ele"),
+    "height": (
+        ALTITUDE_PROPERTY,
+        "height_m",
+        "alt_m",
+        "altitude",
+        "height",
+        "alt",
+        "ele",
+        ABOVE_TAKEOFF,
+    ),
 }
+UNIT = re.compile(r" ?\((m|meters|metres|ft|feet)\)")  # behind the name of a column
+FOOT_M = 0.3048
 # In names of columns and properties that say how others are meant, and values that say what is taken anyway.
 QUALIFIER = re.compile(r"(units?|mode|frame|datum|system|command)(?![a-z])", re.IGNORECASE)
 HARMLESS = ("", "m", "meter", "meters", "metre", "metres", "wgs84", "wgs 84", "epsg:4326")
@@ -84,6 +100,9 @@ class Line(NamedTuple):
       why: it is not judged, as said of "it"; empty for a line that is.
       num: how many positions it has of which no points are read.
       beside_m: the heights above the ground that the file names too, one of each point; empty where it does not.
+      times: when it was at each point, as text, blank where the file leaves that out; empty where it has no times.
+      datums: what each height is above, in place of ``datum``; the ways between them are straight.
+      cuts_m: how far from each point the corner may be cut; empty where the file does not say it.
     """
 
     what: str
@@ -93,30 +112,37 @@ class Line(NamedTuple):
     why: str = ""
     num: int = 0
     beside_m: Sequence[float] = ()
+    times: Sequence[str] = ()
+    datums: Sequence[Datum] = ()
+    cuts_m: Sequence[float] = ()
 
 
 Shapes = tuple[list[Line], int]  # the things of a file, and how many positions it holds
 
 
-def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | None) -> Mission:
+def mission_of_lines(
+    name: str,
+    shapes: Sequence[Line],
+    num_positions: int,
+    heights: Datum | None,
+    home: LonLat | None,
+) -> Mission:
     """Return the lines of a file as a mission: a leg from each point of a line to its next one.
 
     Points are counted from 1 through all lines, and a leg has the number of the point that it leads to. With a home the
     mission begins with a climb from the ground there to the height of the first point. Nothing is flown between lines.
 
     Args:
-      path: of the file; its suffix is a key of `READERS`.
-      data: the bytes of the file.
+      name: of the file.
+      shapes: the things of the file.
+      num_positions: how many it holds.
       heights: what heights are above, where the file does not say it; None if only the file may say it.
       home: longitude and latitude in degrees, or None.
 
     Raises:
       InputError: the file holds no line of two places, or it is not clear what heights are above (see `_datum`).
-      ValueError: the file cannot be read, or a point has no height or does not lie on the Earth.
+      DamagedError: a point does not lie on the Earth.
     """
-    name = path.name
-    shapes, num_positions = READERS[path.suffix.lower()](path, data)
-
     # Lines, and what is none: positions by what it is and why it is not judged.
     lines = []
     others: Counter[tuple[str, str]] = Counter()
@@ -143,7 +169,7 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
     legs: list[Leg] = []
     last = 0  # number of the last point
     for line in lines:
-        datum = _datum(name, line.datum, heights)
+        datum = _datum(name, (*line.datums, line.datum)[0], heights)
         for number, point in enumerate(line.points, last + 1):
             what = f"point {number}"
             for part, value in zip(COLUMNS, point, strict=True):
@@ -154,14 +180,20 @@ def read_lines(path: Path, data: bytes, heights: Datum | None, home: LonLat | No
                     )
             check_place(what, *point)
         last += len(line.points)
-        places = [Place(*point, datum) for point in line.points]
+        datums = line.datums or [datum] * len(line.points)
+        places = [Place(*point, each) for point, each in zip(line.points, datums, strict=True)]
         first = len(legs)
         if home and not legs:
             over_home = Place(*home, places[0].height_m, datum)
+            if line.datums:
+                over_home = Place(*home, math.nan, "geoid", level_with=places[0])
             legs.append(Leg(Place(*home, 0.0, "ground"), over_home, "climb", 1))
             places.insert(0, over_home)
         profile: Profile = "both" if datum == "ground" and not line.is_own else "frame"
-        legs += _ways(places, last, profile)
+        ways = _ways(places, last, "straight" if line.datums else profile)
+        # By the number of the point, counted from the last one.
+        cuts_m = line.cuts_m or [CORNER_M] * len(places)
+        legs += [way._replace(turn_m=max(CORNER_M, cuts_m[way.item - last - 1])) for way in ways]
         beside = [
             Place(lon, lat, height_m, "ground")
             for (lon, lat, _), height_m in zip(line.points, line.beside_m, strict=False)
@@ -242,25 +274,25 @@ def _check_crs(path: Path, name: str, value: Any) -> None:
         )
 
 
-def _tag(element: Element) -> str:
+def tag_of(element: Element) -> str:
     """Return the name of an element without its namespace."""
     return element.tag.rpartition("}")[2]
 
 
-def _words(element: Element) -> str:
+def words_of(element: Element) -> str:
     """Return the text within an element."""
     return " ".join(element.itertext()).strip()
 
 
-def _text(element: Element, name: str) -> str:
+def text_of(element: Element, name: str) -> str:
     """Return the text of the children of this name, else an empty text; DamagedError where they differ."""
-    texts = {_words(child) for child in element if _tag(child) == name}
+    texts = {words_of(child) for child in element if tag_of(child) == name}
     if len(texts) > 1:
-        raise DamagedError(f"a {_tag(element)} has two values of {name}: keep one")
+        raise DamagedError(f"a {tag_of(element)} has two values of {name}: keep one")
     return next(iter(texts), "")
 
 
-def _point(
+def point_of(
     values: Sequence[Any], read: Callable[[str, Any], float] = decimal_of
 ) -> tuple[float, float, float]:
     """Return longitude, latitude and height, NaN for what is left out.
@@ -281,16 +313,27 @@ def _num_at(element: Element) -> int:
     Raises:
       DamagedError: there are elements among the positions.
     """
-    if _tag(element) == "coordinates":
+    if tag_of(element) == "coordinates":
         if len(element):
             raise DamagedError("its coordinates hold elements, and not only text")
-        return len(_words(element).split())
-    return _tag(element) == "coord" or "lat" in element.attrib or "lon" in element.attrib
+        return len(words_of(element).split())
+    return tag_of(element) == "coord" or "lat" in element.attrib or "lon" in element.attrib
 
 
 def _num_in(element: Element) -> int:
     """Return how many positions an element of KML or GPX holds."""
     return sum(map(_num_at, element.iter()))
+
+
+def xml_root(data: bytes) -> Element:
+    """Return the root of XML; DamagedError where it cannot be read, or defines words of its own."""
+    parser = XMLParser(target=_Plain())
+    try:
+        parser.feed(data)
+        return parser.close()
+    except ParseError as error:
+        line, column = error.position
+        raise DamagedError(f"its XML is damaged in line {line}, column {column}") from error
 
 
 def xml_lines(path: Path, data: bytes) -> Shapes:
@@ -301,17 +344,13 @@ def xml_lines(path: Path, data: bytes) -> Shapes:
         not in the air, such as ``clampToGround``.
       ValueError: the file cannot be read, defines words of its own, or a coordinate is not a number.
     """
-    parser = XMLParser(target=_Plain())
-    try:
-        parser.feed(data)
-        root = parser.close()
-    except ParseError as error:
-        line, column = error.position
-        raise DamagedError(f"its XML is damaged in line {line}, column {column}") from error
+    root = xml_root(data)
     is_own = root.get("creator") == OWN
     for element in root.iter():
         is_own = is_own or element.get("name") == OWN_DATA
-        if _tag(element) == "ele" and element.attrib:
+        if tag_of(element) == DJI_TEMPLATE:
+            raise DamagedError("it is DJI's template, which no drone flies: name a waylines.wpml")
+        if tag_of(element) == "ele" and element.attrib:
             raise DamagedError("an ele has attributes: take them out if it is in metres")
         for key, value in ((element.tag, element.text), *element.items()):
             _check_crs(path, key, value)
@@ -320,8 +359,8 @@ def xml_lines(path: Path, data: bytes) -> Shapes:
     stack = [root]
     while stack:
         element = stack.pop()
-        tag = _tag(element)
-        strange = {_tag(child) for child in element} - KML_PARTS.get(tag, set())
+        tag = tag_of(element)
+        strange = {tag_of(child) for child in element} - KML_PARTS.get(tag, set())
         why = ""
         if tag in KML_PARTS and strange:
             why = f"has a part {min(strange)}, which is not understood"
@@ -339,7 +378,7 @@ def xml_lines(path: Path, data: bytes) -> Shapes:
 def _kml_line(path: Path, element: Element, is_own: bool) -> Line:
     """Return a LineString or a Track of KML, written by jaxurban or not; errors as of `xml_lines`."""
     # A LineString without a mode leaves the datum open.
-    mode = _text(element, "altitudeMode")
+    mode = text_of(element, "altitudeMode")
     if mode and mode not in KML_MODES:
         raise InputError(
             f"a line of {path.name!r} has the altitude mode {mode!r}, by which its heights are none in the air: "
@@ -347,11 +386,12 @@ def _kml_line(path: Path, element: Element, is_own: bool) -> Line:
         )
 
     # A LineString is one text, "lon,lat,height lon,lat,height"; a Track has a text "lon lat height" for each point.
-    texts = [values.split(",") for values in _text(element, "coordinates").split()]
-    if _tag(element) == "Track":
-        texts = [_words(child).split() for child in element if _tag(child) == "coord"]
-    points = [_point(values) for values in texts]
-    return Line(_tag(element), points, KML_MODES.get(mode), is_own)
+    texts = [values.split(",") for values in text_of(element, "coordinates").split()]
+    times = [words_of(child) for child in element if tag_of(child) == "when"]
+    if tag_of(element) == "Track":
+        texts = [words_of(child).split() for child in element if tag_of(child) == "coord"]
+    points = [point_of(values) for values in texts]
+    return Line(tag_of(element), points, KML_MODES.get(mode), is_own, times=times)
 
 
 def _gpx_line(element: Element, is_own: bool) -> Line:
@@ -361,19 +401,20 @@ def _gpx_line(element: Element, is_own: bool) -> Line:
     above the zero of its terrain, which is taken as the geoid. The heights above ground in the points' descriptions
     count beside them, and alone where it had no terrain.
     """
-    nodes = [child for child in element if _tag(child) in ("rtept", "trkpt")]
-    heights = [_text(node, "ele") for node in nodes]
-    matches = [OWN_HEIGHT.fullmatch(_text(node, "desc")) for node in nodes]
+    nodes = [child for child in element if tag_of(child) in ("rtept", "trkpt")]
+    heights = [text_of(node, "ele") for node in nodes]
+    matches = [OWN_HEIGHT.fullmatch(text_of(node, "desc")) for node in nodes]
     described = [match[1] if match and is_own else "" for match in matches]
     datum: Datum | None = "geoid" if is_own else None
     if is_own and not any(heights):
         heights, described, datum = described, [], "ground"
     points = [
-        _point((node.get("lon"), node.get("lat"), height))
+        point_of((node.get("lon"), node.get("lat"), height))
         for node, height in zip(nodes, heights, strict=True)
     ]
     beside_m = [decimal_of("a height", text) for text in described if any(described)]
-    return Line(_tag(element), points, datum, is_own, beside_m=beside_m)
+    times = [text_of(node, "time") for node in nodes]
+    return Line(tag_of(element), points, datum, is_own, beside_m=beside_m, times=times)
 
 
 def _num_in_json(value: Any) -> int:
@@ -468,7 +509,7 @@ def _geojson_lines(geometry: dict[str, Any], properties: dict[str, Any]) -> list
             raise DamagedError(f"z_m has {len(heights_m)} heights for {len(part)} positions")
         points = []
         for values, height_m in zip(part, heights_m, strict=True):
-            lon, lat, third_m = _point(values, number_of)
+            lon, lat, third_m = point_of(values, number_of)
             beside_m = number_of("a height", height_m)
             if abs(third_m - beside_m) > SAME_M:
                 raise DamagedError(
@@ -486,10 +527,13 @@ def _is_odd(name: str, value: Any) -> bool:
 
 
 def csv_lines(path: Path, data: bytes) -> Shapes:
-    """Return the rows of a table as one line; it does not say what its heights are above.
+    """Return the rows of a table as one line; it does not say what its heights are above, but for the following ones.
 
-    The columns of longitude, latitude and height have one of their names in `COLUMNS`, in capitals or not. Where two
-    have one, they must agree to a centimetre.
+    The columns of longitude, latitude and height have one of their names in `COLUMNS`, in capitals or not, and maybe a
+    unit behind it (`UNIT`). Where two have one, they must agree to a centimetre.
+
+    Of a log of AirData the height above the take-off counts, of a mission of Litchi's the altitude by its mode, and how
+    far from each point the corner may be cut; their other columns do not change the way.
 
     Raises:
       InputError: the table lacks one of the three, has two that differ, or names another CRS than WGS 84.
@@ -505,13 +549,18 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
         if len(row) > len(header):
             raise DamagedError(f"row {number} has {len(row)} values, and the header {len(header)}")
 
-    # Columns, and their names without the number that pandas adds to one that is there twice.
+    # Columns, and their names without the unit, and without the number that pandas adds to one that is there twice.
     columns = [*zip_longest(header, *rows, fillvalue="")]
-    names = [re.sub(r"\.\d+$", "", name.strip().lower()) for name in header]
+    names = [re.sub(r"\.\d+$", "", UNIT.sub("", name.strip().lower())) for name in header]
+    column_of = dict(zip(names, columns, strict=True))
+    if ABOVE_TAKEOFF in names or CURVE in names:
+        height = ABOVE_TAKEOFF if ABOVE_TAKEOFF in names else "altitude"
+        flown = ("longitude", "latitude", height)
+        names = [name if name in flown else "" for name in names]
     for name, (title, *cells) in zip(names, columns, strict=True):
         for cell in set(cells):
             _check_crs(path, name, cell)
-            if _is_odd(title, cell):
+            if _is_odd(name, cell):
                 raise InputError(
                     f"{path.name!r} has the column {title!r}, which is not read: "
                     "take it out if it does not change the way"
@@ -525,7 +574,7 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
         if quantity == "height":
             known.update(name for name in names if any(word in name for word in HEIGHTS))
         chosen = [column for name, column in zip(names, columns, strict=True) if name in known]
-        numbers = [[decimal_of(f"a {title}", cell) for cell in cells] for title, *cells in chosen]
+        numbers = [*map(_metres, chosen)]
         most = SAME_M if quantity == "height" else NEAR_DEG / 100
         if not np.allclose(numbers, numbers[0], rtol=0.0, atol=most, equal_nan=True):
             titles = " and ".join(repr(title) for title, *_ in chosen)
@@ -533,13 +582,18 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
                 f"{path.name!r} has the columns {titles} of {quantity}, which differ: keep the one that is flown"
             )
         values.append(numbers[0])
-    return [Line("table", list(zip(*values, strict=True)))], len(rows)
+    line = Line("table", list(zip(*values, strict=True)))
+    if ABOVE_TAKEOFF in names:
+        line = line._replace(datum="home")
+    elif CURVE in column_of:
+        _, *modes = column_of.get(MODE, [MODE])
+        datums = [LITCHI_MODES[mode.strip()] for mode in modes]
+        line = line._replace(datums=datums, cuts_m=_metres(column_of[CURVE]))
+    return [line], len(rows)
 
 
-READERS: dict[str, Callable[[Path, bytes], Shapes]] = {
-    ".kml": xml_lines,
-    ".gpx": xml_lines,
-    ".geojson": geojson_lines,
-    ".json": geojson_lines,
-    ".csv": csv_lines,
-}
+def _metres(column: Sequence[str]) -> list[float]:
+    """Return the numbers of a column, a title and cells, in metres if its title names a unit of these."""
+    title, *cells = column
+    unit_m = FOOT_M if "(f" in title.lower() else 1.0
+    return [decimal_of(f"a {title}", cell) * unit_m for cell in cells]

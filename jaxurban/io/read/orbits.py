@@ -8,17 +8,19 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sgp4.io import verify_checksum
-from skyfield.api import EarthSatellite, Timescale, load, wgs84
+from skyfield.api import EarthSatellite, wgs84
 from skyfield.iokit import parse_tle_file
 
 from jaxurban.errors import InputError, StaleElementsWarning, readable, warn
+from jaxurban.io.read.ephemerides import Ephemeris, read_ephemerides, timescale, utc_of
 from jaxurban.io.read.nominal import GPS, MARK, nominal_satellites
+from jaxurban.io.read.sniff import sniff, unpacked
 from jaxurban.io.samples import located
 from jaxurban.settings import NOMINAL, iso_utc, parse_time
 from jaxurban.world.sky import Sky
@@ -28,12 +30,12 @@ TLE_LENGTH = 69
 # How CelesTrak and Space-Track name navigation satellites. GSAT with fewer than four digits is an Indian
 # communications satellite, and Cosmos any Soviet or Russian one: an element file is taken to hold those that navigate.
 SYSTEM_NAMES = {
-    "gps": re.compile(r"GPS|NAVSTAR"),
-    "galileo": re.compile(r"GALILEO|GSAT ?\d{4}|.*\(GALILEO"),
-    "glonass": re.compile(r"GLONASS|COSMOS|.*\(GLONASS"),
-    "beidou": re.compile(r"BEIDOU|BDS"),
-    "qzss": re.compile(r"QZS"),
-    "navic": re.compile(r"IRNSS|NVS"),
+    "gps": re.compile(r"GPS|NAVSTAR|G\d\d$"),
+    "galileo": re.compile(r"GALILEO|GSAT ?\d{4}|.*\(GALILEO|E\d\d$"),
+    "glonass": re.compile(r"GLONASS|COSMOS|.*\(GLONASS|R\d\d$"),
+    "beidou": re.compile(r"BEIDOU|BDS|C\d\d$"),
+    "qzss": re.compile(r"QZS|J\d\d$"),
+    "navic": re.compile(r"IRNSS|NVS|I\d\d$"),
 }
 RINEX_NAME = re.compile(r"\b[GRECJIS]\d\d\b", re.ASCII)  # as in "BEIDOU-3 M1 (C19)"
 PRN = re.compile(r"PRN ?(\d+)", re.ASCII)  # as in "GPS BIIF-3 (PRN 24)", "QZS-2 (QZSS/PRN 184)"
@@ -44,7 +46,10 @@ PRN_RANGES = (  # first and last PRN, letter, and what is taken off (RINEX 3.05,
     (193, 202, "J", 192),
 )
 NO_SATELLITE = -1
-REMEDY = 'give a TLE file or an OMM file (csv or json) such as CelesTrak\'s gps-ops, or "nominal"'
+REMEDY = (
+    "give a TLE file or an OMM file (csv or json) such as CelesTrak's gps-ops, broadcast RINEX, SP3, a YUMA almanac, "
+    'or "nominal"'
+)
 
 
 @dataclass(frozen=True)
@@ -52,12 +57,12 @@ class Orbits:
     """Satellites that can be moved to a time.
 
     Attributes:
-      satellites: one element set each; for the nominal constellation those of its table's date
-        (`look_angles` takes each day's own).
+      satellites: one element set each, or an `Ephemeris`; for the nominal constellation the elements of its table's
+        date (`look_angles` takes each day's own).
       sources: for each satellite the file that it is from, or ``"nominal"``.
     """
 
-    satellites: tuple[EarthSatellite, ...]
+    satellites: tuple[EarthSatellite | Ephemeris, ...]
     sources: tuple[str, ...]
 
     def of(self, source: str) -> list[int]:
@@ -74,32 +79,27 @@ class Orbits:
         return list(dict.fromkeys(systems))
 
 
-@lru_cache(maxsize=1)
-def _timescale() -> Timescale:
-    """Return the scale of time for Skyfield, made once."""
-    return load.timescale(builtin=True)  # the copy inside Skyfield: no network
-
-
 def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
     """Return the satellites of a file, or the nominal GPS constellation for ``"nominal"``, or of several of these.
 
-    Read are two-line elements with or without name lines and orbit mean-elements messages (OMM) as
-    CSV or JSON; the content decides, not the file's name. Each satellite's constellation follows from its name.
+    Read are two-line elements with or without name lines, orbit mean-elements messages (OMM) as CSV or JSON, broadcast
+    RINEX 2 to 4, SP3 and YUMA almanacs, plain or packed as .gz; the content decides, not the file's name. Each
+    satellite's constellation follows from its name.
 
     Raises:
-      InputError: no source, no such file, another kind of file, a cut or damaged element set, two of one satellite,
-        or GPS satellites beside the nominal ones.
+      InputError: no source, no such file, another kind of file, a cut or damaged one, two element sets of one
+        satellite, or satellites of a constellation that another source holds whole.
     """
     sources = [source] if isinstance(source, str | Path) else list(source)
     if not sources or len(set(map(str, sources))) < len(sources):
         raise InputError(
             f"orbits must name at least one source and none twice, got {list(map(str, sources))}: {REMEDY}"
         )
-    satellites: list[EarthSatellite] = []
+    satellites: list[EarthSatellite | Ephemeris] = []
     names: list[str] = []
     for name in map(str, sources):
         if name == NOMINAL:
-            satellites += nominal_satellites(GPS.table_date, _timescale())
+            satellites += nominal_satellites(GPS.table_date, timescale())
         else:
             satellites += _read_file(name)
         names += [name] * (len(satellites) - len(names))
@@ -122,16 +122,22 @@ def middle_epoch(orbits: Orbits) -> str | None:
 
 
 def _check_twice(orbits: Orbits) -> None:
-    """Raise InputError where a satellite comes twice, or GPS satellites beside the nominal ones."""
-    nominal = orbits.of(NOMINAL)
+    """Raise InputError where a satellite comes twice, or beside a constellation that another source holds whole."""
+    pairs = list(zip(orbits.satellites, orbits.sources, strict=True))
+    whole = {}  # sources by constellation
+    for satellite, source in pairs:
+        if source == NOMINAL or isinstance(satellite, Ephemeris):
+            whole[_system(satellite.name)] = source
     from_files: dict[int, str] = {}  # sources by catalogue number
-    for satellite, source in zip(orbits.satellites, orbits.sources, strict=True):
-        if source == NOMINAL:
-            continue
-        if nominal and _system(satellite.name) == "gps":
+    for satellite, source in pairs:
+        system = _system(satellite.name)
+        other = whole.get(system, source)
+        if other != source:
             raise InputError(
-                f'"{NOMINAL}" is GPS, and so are satellites of {source}: leave one of the two out'
+                f'"{other}" holds {system}, and so does {source}: leave one of the two out'
             )
+        if system in whole:
+            continue
         number = satellite.model.satnum
         if number in from_files:
             places = " and ".join(dict.fromkeys([from_files[number], source]))
@@ -141,15 +147,22 @@ def _check_twice(orbits: Orbits) -> None:
         from_files[number] = source
 
 
-def _read_file(source: str | Path) -> list[EarthSatellite]:
-    """Return the satellites of one file: of OMM in JSON or CSV, else of two-line elements.
+def _read_file(source: str) -> Sequence[EarthSatellite | Ephemeris]:
+    """Return the satellites of one file: of an ephemeris, of OMM in JSON or CSV, else of two-line elements.
 
     Raises:
       InputError: no such file, another kind of file, a cut or damaged element set, or none.
     """
     path = located(source)
-    with readable(path, "whole element sets", REMEDY, csv.Error, what=f"the orbits file {source}"):
-        text = path.read_bytes().decode("utf-8-sig").lstrip()
+    what = f"the orbits file {source}"
+    with readable(path, "whole element sets", REMEDY, csv.Error, what=what):
+        sniff(path)
+        with unpacked(path) as plain:
+            data = plain.read_bytes()
+        ephemerides = read_ephemerides(data, what)
+        if ephemerides:
+            return ephemerides
+        text = data.decode("utf-8-sig").lstrip()
         header = text.partition("\n")[0]
         messages: Any = None
         if text.startswith(("{", "[")):
@@ -159,7 +172,7 @@ def _read_file(source: str | Path) -> list[EarthSatellite]:
     listed = [messages] if isinstance(messages, dict) else messages
     satellites = _from_tles(text, source) if listed is None else _from_omms(listed, source)
     if not satellites:
-        raise InputError(f"the orbits file {source} holds no element set: {REMEDY}")
+        raise InputError(f"{what} holds no element set: {REMEDY}")
     return satellites
 
 
@@ -174,7 +187,7 @@ def _from_tles(text: str, source: str | Path) -> list[EarthSatellite]:
     second = [line for line in lines if line.startswith("2 ")]
     try:
         verify_checksum(*first, *second)
-        satellites = list(parse_tle_file((line.encode() for line in lines), _timescale()))
+        satellites = list(parse_tle_file((line.encode() for line in lines), timescale()))
         is_paired = [line[2:7] for line in first] == [line[2:7] for line in second]
         is_cut = bool(second) and lines[-1] != second[-1]
         if not is_paired or is_cut or len(satellites) < len(first):
@@ -216,7 +229,7 @@ def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatelli
             fields = {**message}
             epoch = parse_time(fields["EPOCH"]).replace(tzinfo=None)
             fields["EPOCH"] = epoch.strftime("%Y-%m-%dT%H:%M:%S.%f")
-            satellite = EarthSatellite.from_omm(_timescale(), fields)
+            satellite = EarthSatellite.from_omm(timescale(), fields)
             model = satellite.model
             elements = (model.no_kozai, model.ecco, model.inclo, model.nodeo, model.argpo, model.mo)
             if not all(map(math.isfinite, elements)):
@@ -238,38 +251,41 @@ def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatelli
 def look_angles(
     orbits: Orbits,
     times: Sequence[str | datetime],
-    lon_deg: float,
-    lat_deg: float,
-    height_m: float = 0.0,
+    lon_deg: ArrayLike,
+    lat_deg: ArrayLike,
+    height_m: ArrayLike = 0.0,
     convergence_rad: float = 0.0,
     max_age_days: float = 90.0,
 ) -> Sky:
-    """Return where every satellite stands at every time, seen from one point.
+    """Return where every satellite stands at every time, seen from one point or from one at each time.
 
     Args:
       orbits: from `read_orbits`.
       times: UTC, as ISO 8601 text or datetimes.
-      lon_deg: longitude of the point, WGS 84.
+      lon_deg: longitude of the point, or of the point at each time, WGS 84.
       lat_deg: its latitude.
       height_m: its height above the ellipsoid.
       convergence_rad: meridian convergence there, by which azimuths are turned: they count clockwise from grid north.
       max_age_days: oldest elements accepted, before or after the time.
 
     Returns:
-      The sky, with ``[T, S]`` angles in radians of the times and satellites in the order of the arguments.
+      The sky, with ``[T, S]`` angles in radians of the times and satellites in the order of the arguments; NaN where
+      a broadcast or precise orbit says nothing of a time.
 
     Warns:
       StaleElementsWarning: elements older than `WARN_AGE_DAYS` at a time.
 
     Raises:
-      InputError: text that is not a time, elements too old, or ones that SGP4 cannot carry to a time.
+      InputError: text that is not a time, elements too old, ones that SGP4 cannot carry to a time, or a file that has
+        no satellite at a time.
     """
     # The angles, a set of elements at a time; `age_days` stays 0 for nominal satellites.
     utc = [parse_time(time) for time in times]
-    point = wgs84.latlon(lat_deg, lon_deg, elevation_m=height_m)
+    places = np.broadcast_arrays(lat_deg, lon_deg, height_m, np.zeros(len(utc)))[:3]
     azimuth_rad, elevation_rad, age_days = np.zeros((3, len(utc), len(orbits.satellites)))
     for index, satellites in _satellites_at(orbits, utc):
-        moments = _timescale().from_datetimes([utc[t] for t in index])
+        moments = timescale().from_datetimes([utc[t] for t in index])
+        point = wgs84.latlon(*(values[index] for values in places))
         for s, satellite in satellites:
             elevation, azimuth, _ = (satellite - point).at(moments).altaz()
             elevation_rad[index, s] = elevation.radians
@@ -280,12 +296,8 @@ def look_angles(
     # Elements that are too old, and those that SGP4 gives up on.
     names = tuple(satellite.name for satellite in orbits.satellites)
     iso = tuple(time.replace(tzinfo=None).isoformat() + "Z" for time in utc)
+    _check_places(orbits, iso, ~np.isfinite(elevation_rad))
     _check_age(orbits.sources, iso, names, age_days, max_age_days)
-    if not np.all(np.isfinite(elevation_rad)):
-        t, s = np.argwhere(~np.isfinite(elevation_rad))[0]
-        raise InputError(
-            f"SGP4 cannot carry {names[s]} of {orbits.sources[s]} to {iso[t]}: remove it from the file"
-        )
     return Sky(
         times=iso,
         names=names,
@@ -294,6 +306,30 @@ def look_angles(
         systems=tuple(_system(name) for name in names),
         element_age_days=age_days,
     )
+
+
+def _check_places(orbits: Orbits, iso: Sequence[str], is_lost: np.ndarray) -> None:
+    """Raise InputError where SGP4 loses a satellite, or an ephemeris has no place for any of its satellites.
+
+    Args:
+      orbits: the satellites.
+      iso: the times as texts, ``T`` of them.
+      is_lost: ``[T, S]``, which satellites have no place at a time.
+    """
+    for s, (satellite, source) in enumerate(zip(orbits.satellites, orbits.sources, strict=True)):
+        is_ephemeris = isinstance(satellite, Ephemeris)
+        is_out = is_lost[:, orbits.of(source) if is_ephemeris else [s]].all(axis=1)
+        if not is_out.any():
+            continue
+        time = iso[int(np.argmax(is_out))]
+        if not is_ephemeris:
+            raise InputError(
+                f"SGP4 cannot carry {satellite.name} of {source} to {time}: remove it from the file"
+            )
+        first, last = utc_of(np.array(satellite.span_s)).strftime("%Y-%m-%dT%H:%M:%SZ")
+        raise InputError(
+            f"{source} says nothing of {time}, only of {first} to {last}: use orbits of that time"
+        )
 
 
 def matching(satellites: Sequence[str], sky: Sky) -> np.ndarray:
@@ -309,7 +345,7 @@ def matching(satellites: Sequence[str], sky: Sky) -> np.ndarray:
     Raises:
       InputError: the sky has none of them.
     """
-    numbers = {_rinex_name(name): number for number, name in enumerate(sky.names)}
+    numbers = {rinex_name(name): number for number, name in enumerate(sky.names)}
     matched = np.array([numbers.get(name, NO_SATELLITE) for name in satellites], int)
     if (matched == NO_SATELLITE).all():
         raise InputError(
@@ -321,7 +357,7 @@ def matching(satellites: Sequence[str], sky: Sky) -> np.ndarray:
     return matched
 
 
-def _rinex_name(name: str) -> str:
+def rinex_name(name: str) -> str:
     """Return the RINEX 3 name that an element set's name holds, itself or by a PRN (see `PRN_RANGES`), else ``""``."""
     written = RINEX_NAME.search(name)
     if written:
@@ -353,7 +389,7 @@ def _satellites_at(
     if not nominal:
         return
     for day in sorted({time.date() for time in utc}):
-        of_day = zip(nominal, nominal_satellites(day, _timescale()), strict=True)
+        of_day = zip(nominal, nominal_satellites(day, timescale()), strict=True)
         yield [t for t, time in enumerate(utc) if time.date() == day], list(of_day)
 
 

@@ -1,13 +1,18 @@
 """Features as a file holds them, near a region: their outlines, and under which names their tags are known."""
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
+import pyproj
 import shapely
 from pyproj.exceptions import ProjError
 
+from jaxurban.errors import InputError
 from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.issues import ReadIssues
 from jaxurban.world.grid import Bounds, transformer
@@ -55,6 +60,43 @@ class Outlines:
         is_filled = is_given(column)
         words[is_filled] = [str(value).strip().lower() for value in column[is_filled]]
         return words
+
+
+def joined(path: Path, several: Sequence[Outlines]) -> Outlines:
+    """Return the outlines of several files as of one.
+
+    Args:
+      path: the folder or the archive that holds them, for messages.
+      several: one at least.
+
+    Raises:
+      InputError: they are in several CRSs.
+    """
+    first = several[0]
+    crs = pyproj.CRS(first.crs)
+    if not all(crs.equals(pyproj.CRS(each.crs), ignore_axis_order=True) for each in several):
+        raise InputError(
+            f"{str(path)!r} holds files in several CRSs: convert them to one, as with `ogr2ogr -t_srs EPSG:... OUT IN`"
+        )
+    if len(several) == 1:
+        return first
+    tables = [
+        pd.DataFrame(dict(each.tags), range(len(each.polygons)), dtype=object) for each in several
+    ]
+    table = pd.concat(tables, ignore_index=True)
+    table = table.where(table.notna(), None)
+    issues: Counter = Counter()
+    for each in several:
+        issues.update(each.issues)
+    return Outlines(
+        np.concatenate([each.polygons for each in several]),
+        {str(name): table[name].to_numpy(object) for name in table},
+        first.crs,
+        tuple(box for each in several for box in each.boxes),
+        dict(issues),
+        "; ".join(dict.fromkeys(filter(None, (each.attribution for each in several)))),
+        any(each.is_part for each in several),
+    )
 
 
 class Near(NamedTuple):

@@ -80,7 +80,8 @@ def filled_terrain(name: str, terrain: Raster, crs: str, box_m: Bounds) -> tuple
     )
     if not after:
         raise InputError(
-            f"the terrain {name} holds no elevation in the region: give one that covers it, or check its nodata value"
+            f"the terrain {name} holds no elevation in the region: give one that covers it, or check its nodata "
+            "value (of lidar points: that those of the ground have class 2)"
         )
     return filled, share_guess(
         after - before,

@@ -114,7 +114,9 @@ def read_bands(
     name = repr(str(path))
     are_heights = holds == HEIGHTS
     with open_raster(path, holds) as source:
-        unit_m = _unit_m(name, source) if are_heights else 1.0
+        unit_m = 1.0
+        if are_heights:
+            unit_m = unit_of_heights_m(name, source.crs.to_wkt(), source.units[0])
         window = raster_window(name, source, crs, bounds_m)
         stored = source.read(window=window)  # [band, row, column]
         is_empty = source.read_masks(window=window) == 0
@@ -146,8 +148,8 @@ def check_range(name: str, values: np.ndarray, range_m: tuple[float, float]) -> 
     num_bad = int(np.sum((values < low_m) | (values > high_m)))
     if num_bad:
         raise InputError(
-            f"{name} holds {num_bad} cells outside {low_m:g} to {high_m:g} m: declare their value as nodata "
-            "with `gdal_edit.py -a_nodata VALUE`, or convert the heights to metres"
+            f"{name} holds {num_bad} cells outside {low_m:g} to {high_m:g} m: declare their value as nodata with "
+            "`gdal_edit.py -a_nodata VALUE` (lidar points: as noise, class 7), or convert the heights to metres"
         )
 
 
@@ -248,27 +250,32 @@ def _horizontal_crs(source: rasterio.DatasetReader) -> str:
     return crs.sub_crs_list[0].to_wkt() if crs.is_compound else name
 
 
-def _unit_m(name: str, source: rasterio.DatasetReader) -> float:
+def unit_of_heights_m(name: str, crs: str, written: str | None) -> float:
     """Return the metres in one unit of a file's heights.
 
-    The band may name the unit, and so may the vertical axis of the CRS. Where neither does, heights are metres, unless
+    The file may name the unit, and so may the vertical axis of the CRS. Where neither does, heights are metres, unless
     the CRS is projected in another unit.
+
+    Args:
+      name: of the file, for messages.
+      crs: with a vertical axis or without.
+      written: the unit that a band or a header names, if it names one.
 
     Raises:
       InputError: the unit is not known: an unknown name, two that differ, or none beside a CRS in another unit.
     """
-    written = source.units[0]
-    axes = pyproj.CRS(source.crs.to_wkt()).axis_info
+    parsed = pyproj.CRS(crs)
+    axes = parsed.axis_info
     units_m = [UNITS_M.get(written.strip().lower(), math.nan)] if written else []
     units_m += [axis.unit_conversion_factor for axis in axes[2:] if axis.direction == "up"]
-    is_clear = not source.crs.is_projected or abs(axes[0].unit_conversion_factor - 1.0) < 1e-9
+    is_clear = not parsed.is_projected or abs(axes[0].unit_conversion_factor - 1.0) < 1e-9
     if units_m:
         is_clear = np.ptp(units_m) <= 1e-9  # False of NaN, an unknown name
     if not is_clear:
         raise InputError(
-            f"{name} does not say plainly in which unit its heights are (of its band {written!r}, of its CRS "
+            f"{name} does not say plainly in which unit its heights are (it says {written!r}, and its CRS "
             f"{', '.join(axis.unit_name for axis in axes)}): say it with `gdal_edit.py -units m` (or ft, or 'US survey "
-            "foot')"
+            'foot\'), or for lidar points with a CRS of heights in [buildings] crs, as in "EPSG:2263+6360"'
         )
     return units_m[0] if units_m else 1.0
 
@@ -346,8 +353,8 @@ def heights_of_surface(
             'to one vertical datum and unit, or leave out [buildings] kind = "surface" if it holds heights above ground'
         )
     warn(
-        f"heights are {name} less the terrain: trees, bridges and cranes in it count as buildings, and what is lower "
-        f"than {GROUND_M:g} m as ground",
+        f"heights are {name} less the terrain: trees, bridges and cranes in it count as buildings (of classified lidar "
+        f"points what is neither ground nor plants), and what is lower than {GROUND_M:g} m as ground",
     )
     is_ground = above.values < GROUND_M
     issues = {

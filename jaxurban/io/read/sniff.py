@@ -14,6 +14,9 @@ from typing import Any
 
 from jaxurban.errors import InputError, readable
 
+DATABASE = ".gdb"  # of Esri: a folder, or packed as .gdb.zip
+PANIC = "PanicException"  # of libraries in Rust, under a module of its own each
+LIDAR = ".laz"  # of LAS and COPC too
 HEAD_BYTES = 1 << 16  # that are looked at; GDAL looks at fewer
 MOST_UNPACKED = 20 * 2**30  # bytes
 PACKED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open}
@@ -30,26 +33,28 @@ FORMATS = {
     rb"fgb": ".fgb",
     rb"\0\0\x27\x0a": ".shp",
     rb"....\n\tOSMHeader": ".pbf",
-    rb"SQLite format 3\0.{52}\0{4}": "a database of SpatiaLite or SQLite: make a GeoPackage of it with `ogr2ogr "
-    "buildings.gpkg FILE`",
+    rb"SQLite format 3\0.{52}\0{4}": ".sqlite",  # SpatiaLite
     rb"SQLite format 3": ".gpkg",
-    rb"PK\x03\x04": _ARCHIVE % "unzip",
+    rb"PK\x03\x04": ".zip",
     rb"7z\xbc\xaf\x27\x1c": _ARCHIVE % "7z x",
     rb".{257}ustar": _ARCHIVE % "tar -xf",
-    rb"LASF": "a cloud of lidar points: make a raster of their highest ones with `pdal translate FILE surface.tif "
-    '--writers.gdal.resolution=1 --writers.gdal.output_type=max`, and read it with kind = "surface" over a terrain',
+    rb"LASF.{98}\0\0": LIDAR,  # one with 65,536 records or more is damaged, and laspy would not come to their end
+    rb"\x1f\x9d": "a file of Unix compress: unpack it with `gzip -dS .Z FILE`, and name the file that was in it",
+    rb"\xb5b": "UBX of a u-blox receiver: make RINEX of it with `convbin -r ubx FILE`",
+    rb"% (?:program|obs|inp)": "a solution of RTKLIB: write it in UTC (`rnx2rtkp -u`), and make a table with `awk "
+    '\'BEGIN {print "utc,lon_deg,lat_deg"} !/^%/ {gsub("/", "-", $1); print $1 "T" $2 "Z," $4 "," $3}\' '
+    "FILE > track.csv`",
+    rb"\d+ +\S+\.(?i:alm|al3)?\s*\n *\d+ +\d+\s*\n": "a SEM almanac: name the YUMA almanac of the same week, which "
+    "navcen.uscg.gov and celestrak.org hold beside it",
     _ROOT + rb"osm\b": ".osm",
     _ROOT + rb"osmChange\b": "a list of changes to OpenStreetMap: apply it to a whole extract with "
     "`osmium apply-changes -o changed.osm.pbf EXTRACT FILE`",
     rb"\xff\xfe|\xfe\xff": "text in UTF-16: make UTF-8 of it with `iconv -f UTF-16 -t UTF-8 FILE > FILE.utf8`",
     _ROOT + rb"kml\b": ".kml",
     _ROOT + rb"gpx\b": ".gpx",
-    _ROOT
-    + rb"CityModel\b": "CityGML: make outlines of it with `ogr2ogr -nlt MULTIPOLYGON buildings.gpkg FILE`",
+    _ROOT + rb"CityModel\b": ".gml",
     rb"(?i:<[<\s]*html\b)": "a web page: fetch the file again, and look at what the server says",
-    _JSON
-    + rb'"City(?:JSON|JSONFeature|Objects)"': "CityJSON: make CityGML of it with `citygml-tools from-cityjson "
-    "FILE`, and outlines of that with `ogr2ogr -nlt MULTIPOLYGON buildings.gpkg` and the name of the new file",
+    _JSON + rb'"City(?:JSON|JSONFeature|Objects)"': ".city.json",
     _JSON + rb'"(?:osm3s|elements)"\s*:': ".osm.json",
     # A whole feature in the first line, or one that is longer than what is looked at.
     _JSON + rb'(?<!\n)"Feature"[^\n]*(?:\}\r?\n|\Z)': ".geojsonl",
@@ -79,8 +84,9 @@ def in_own_words(*errors: type[Exception]) -> Iterator[None]:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module="pyogrio")
             yield
-    except caught as error:
-        if isinstance(error, InputError) or getattr(error, "errno", None):
+    except BaseException as error:
+        is_caught = isinstance(error, caught) or type(error).__name__ == PANIC
+        if not is_caught or isinstance(error, InputError) or getattr(error, "errno", None):
             raise
         raise ValueError("it is damaged or cut short, or holds what is not read") from error
 
@@ -89,14 +95,19 @@ def sniff(path: str | Path) -> str:
     """Return the suffix that files with such content bear, of a packed file that of what is in it.
 
     It is one of ``.osm``, ``.pbf`` and ``.osm.json`` (OpenStreetMap), ``.geojson``, ``.geojsonl`` (one feature a
-    line), ``.csv`` (with outlines as WKT), ``.fgb``, ``.gpkg``, ``.parquet``, ``.shp``, ``.kml``, ``.gpx``; empty for
-    any other content.
+    line), ``.csv`` (with outlines as WKT), ``.fgb``, ``.gpkg``, ``.parquet``, ``.shp``, ``.kml``, ``.gpx``, ``.gml``
+    (CityGML), ``.city.json`` (CityJSON, in lines too), ``.sqlite`` (SpatiaLite), ``.gdb`` (Esri's folder, packed as
+    ``.gdb.zip`` or not), ``.laz`` (lidar points, of LAS and COPC too) and ``.zip``; empty for any other content.
 
     Raises:
       InputError: no such file, a packed one that is damaged, or a format that is known and not read; the message
         names it and the line that converts it.
     """
     path = Path(path)
+    if path.name.lower().endswith((DATABASE, f"{DATABASE}.zip")) and path.exists():
+        return DATABASE
+    if path.is_dir():
+        return ""
     with (
         readable(path, "a file", "fetch it again"),
         in_own_words(EOFError, zlib.error),

@@ -11,8 +11,6 @@ import pyproj
 import shapely
 from pyogrio.errors import GeometryError
 
-from jaxurban.io.read.issues import ReadIssue, ReadIssues
-
 RELIEF_M = 0.5  # a body is higher; what of it is not is its ground
 STEP_M = 0.1  # roofs of one body between two multiples of it are one prism
 MIN_WALLS = 3  # of a body whose faces do not lie above each other
@@ -48,7 +46,9 @@ def streamed(path: str, how: str = "") -> bytes:
     return json.dumps({"type": "gdal_streamed_alg", "command_line": command}).encode()
 
 
-def prisms_of_solids(outlines: np.ndarray, crs: str) -> pd.DataFrame:
+def prisms_of_solids(
+    outlines: np.ndarray, crs: str, num_roofs: np.ndarray | None = None
+) -> pd.DataFrame:
     """Return the prisms of the faces of solids, and other outlines as they are, ``P`` in all, in order.
 
     A solid is a MultiPolygon whose vertices differ by more than `RELIEF_M` in height, and that has vertical faces or
@@ -61,6 +61,8 @@ def prisms_of_solids(outlines: np.ndarray, crs: str) -> pd.DataFrame:
       outlines: ``[N]`` shapely geometries or None.
       crs: of their coordinates. Heights are in the unit of its height axis; without one in that of its other axes, in
         metres where these are degrees.
+      num_roofs: ``[N]`` how many faces, the first ones, are roofs as the file says, 0 where it does not say it. No
+        other face of these is a roof, whatever it looks like.
 
     Returns:
       ``feature``, which outline each is of; ``height_m`` above the lowest vertex of the solid, rising, 0 of the hull of
@@ -70,7 +72,8 @@ def prisms_of_solids(outlines: np.ndarray, crs: str) -> pd.DataFrame:
     may_be = shapely.has_z(outlines) & (shapely.get_num_geometries(outlines) > 1)
     rows: list[tuple] = []
     for feature, outline in enumerate(outlines):
-        prisms = _prisms(outline, unit_m) if may_be[feature] else {math.nan: outline}
+        roofs = 0 if num_roofs is None else num_roofs[feature]
+        prisms = _prisms(outline, unit_m, roofs) if may_be[feature] else {math.nan: outline}
         rows += [(feature, *prism) for prism in prisms.items()]
     return pd.DataFrame(rows, columns=["feature", "height_m", "polygon"])
 
@@ -90,8 +93,16 @@ def _height_unit_m(crs: str) -> float:
     return 1.0 if axis.unit_name == "degree" else axis.unit_conversion_factor
 
 
-def _prisms(outline: shapely.Geometry, unit_m: float) -> dict[float, shapely.Geometry]:
-    """Return the polygon of each height of a solid, or an outline that is none at a height of NaN."""
+def _prisms(
+    outline: shapely.Geometry, unit_m: float, num_roofs: int
+) -> dict[float, shapely.Geometry]:
+    """Return the polygon of each height of a solid, or an outline that is none at a height of NaN.
+
+    Args:
+      outline: a MultiPolygon with heights.
+      unit_m: of these.
+      num_roofs: as of `prisms_of_solids`.
+    """
     faces = shapely.get_parts(outline)
     vertices, face = shapely.get_coordinates(faces, include_z=True, return_index=True)
     height_m = vertices[:, 2] * unit_m
@@ -102,19 +113,21 @@ def _prisms(outline: shapely.Geometry, unit_m: float) -> dict[float, shapely.Geo
     plan = shapely.make_valid(shapely.force_2d(faces), method="structure", keep_collapsed=False)
     is_wall = shapely.is_empty(plan)
     is_double = shapely.area(plan).sum() > COVERED_TWICE * shapely.union_all(plan).area
-    if not (top_m.max() > RELIEF_M and (is_double or is_wall.sum() >= MIN_WALLS)):
+    is_body = num_roofs > 0 or is_double or is_wall.sum() >= MIN_WALLS
+    if not (is_body and top_m.max() > RELIEF_M):
         return {math.nan: outline}
     if is_wall.all():
         return {0.0: outline.convex_hull.buffer(0)}  # empty of walls in one line
 
     is_roof = ~is_wall & (top_m > RELIEF_M)
+    is_roof[num_roofs or len(faces) :] = False
     top_m = np.where(is_roof, top_m, top_m[is_roof].min(initial=top_m.max()))
     step = np.ceil(top_m / STEP_M)
     steps = [step == one for one in np.unique(step)]
     return {top_m[same].max(): shapely.union_all(plan[same]) for same in steps}
 
 
-def with_solids(column: np.ndarray, prisms: pd.DataFrame, issues: ReadIssues) -> np.ndarray:
+def with_solids(column: np.ndarray, prisms: pd.DataFrame) -> np.ndarray:
     """Return a column of heights with those of solids in metres in place of what it says of them.
 
     Of walls alone the height is 0, which no reader takes for a height: what they enclose is not known.
@@ -122,8 +135,6 @@ def with_solids(column: np.ndarray, prisms: pd.DataFrame, issues: ReadIssues) ->
     Args:
       column: ``[P]`` numbers, or objects: texts, numbers and None.
       prisms: ``P`` from `prisms_of_solids`.
-      issues: gets how many solids there are.
     """
     height_m = prisms["height_m"].to_numpy(float)
-    issues[ReadIssue.SOLIDS] = prisms["feature"][height_m >= 0].nunique()
     return np.where(np.isnan(height_m), column, height_m)

@@ -17,7 +17,11 @@ UTC = "utc"
 LON = "lon_deg"
 LAT = "lat_deg"
 ALTITUDE = "altitude_m"
-OTHER_NAMES = {"lon": LON, "lat": LAT}
+OTHER_NAMES = {"lon": LON, "lat": LAT, "longitude": LON, "latitude": LAT}
+SATELLITE = "satellite"
+CN0 = "cn0_dbhz"
+AZIMUTH = "azimuth_deg"
+ELEVATION = "elevation_deg"
 OtherUnits = Sequence[tuple[Mapping[str, float], str, str]]
 
 
@@ -40,10 +44,15 @@ RULES = {
     LON: Rule(-180.0, 180.0),
     LAT: Rule(-90.0, 90.0, " (longitude and latitude may be swapped)"),
     ALTITUDE: Rule(0.0, 20_000.0),
+    # No receiver measures a C/N0 of 70 dBHz outdoors.
+    CN0: Rule(0.0, 70.0, " (in dBHz; 0 means above the horizon and not received)"),
 }
 # Bounds that all values of a table keep only if they are of another unit, that unit, and the one that is needed.
 # Degrees so small are a place in the Atlantic.
-OTHER_UNITS: OtherUnits = (({LON: math.pi, LAT: math.pi / 2}, "radians", "degrees"),)
+OTHER_UNITS: OtherUnits = (
+    ({LON: math.pi, LAT: math.pi / 2}, "radians", "degrees"),
+    ({CN0: 9.0}, "the digits 1 to 9 of a signal's strength, or ratios", "dBHz"),
+)
 # The zone of a time, behind its minutes or seconds; pandas reads all but the names.
 ZONE = re.compile(r"(?:Z|UTC|GMT|:\d\d(?:\.\d+)?\s*[+-]\d\d(?::?\d\d)?)$", re.IGNORECASE)
 LIKE_THIS = "2018-12-19T06:07:37Z"
@@ -54,7 +63,9 @@ TIME_REMEDY = (
 
 
 def read_track(file: str | Path) -> pd.DataFrame:
-    """Return the rows of a table's file as they stand: ``utc``, ``lon_deg``, ``lat_deg``, and ``altitude_m`` if given.
+    """Return the rows of a table's file as they stand: ``utc``, ``lon_deg``, ``lat_deg``, and if given others.
+
+    These are ``altitude_m``, and of a receiver's log with a row a satellite ``satellite`` and ``cn0_dbhz``.
 
     Raises:
       InputError: a file that cannot be read, a column that is missing, or invalid values.
@@ -65,7 +76,9 @@ def read_track(file: str | Path) -> pd.DataFrame:
 def track_of(table: pd.DataFrame, what: str) -> pd.DataFrame:
     """Return the rows of a table as `read_track` does, and raise its errors; ``what`` names the table in them."""
     table = renamed(table, OTHER_NAMES)
-    columns = [column for column in (UTC, LON, LAT, ALTITUDE) if column in table]
+    if "datetime(utc)" in table:  # of AirData
+        table[UTC] = table["datetime(utc)"].astype(str) + "Z"
+    columns = [column for column in (UTC, LON, LAT, ALTITUDE, SATELLITE, CN0) if column in table]
     if columns[:3] != [UTC, LON, LAT] or table.empty:
         raise InputError(
             f"{what} must have rows of the columns {UTC}, {LON} and {LAT}, in a file separated by commas"

@@ -20,11 +20,17 @@ from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.kinds import GROWN, IN_WORDS, KINDS
 from jaxurban.io.read.outlines import Near, Outlines, extent_of, near_rows
-from jaxurban.io.read.sniff import HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
+from jaxurban.io.read.sniff import DATABASE, HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
 from jaxurban.io.read.solids import openable, streamed
 from jaxurban.world.grid import WGS84, check_on_earth
 
-INDEXED_SUFFIXES = (".gpkg", ".shp", ".fgb")  # whose features are found by their boxes
+INDEXED_SUFFIXES = (
+    ".gpkg",
+    ".shp",
+    ".fgb",
+    ".sqlite",
+    DATABASE,
+)  # whose features are found by their boxes
 JSON_SUFFIXES = (".geojson", ".geojsonl")
 # What is read as outlines, by `sniff`; and other names of these formats.
 VECTOR_SUFFIXES = (*JSON_SUFFIXES, ".csv", *INDEXED_SUFFIXES, ".parquet")
@@ -33,6 +39,7 @@ OTHER_SUFFIXES = (".json", ".geoparquet")
 FORMATS = (*VECTOR_SUFFIXES, ".kml", ".gpx")
 DRIVERS = {".geojsonl": "GeoJSONSeq:", ".csv": "CSV:"}  # which GDAL would choose by the file's name
 CSV_OPTIONS = {"GEOM_POSSIBLE_NAMES": WKT_COLUMNS, "KEEP_GEOM_COLUMNS": "NO"}
+SAYS_CRS = "says_crs"  # of the format
 BUILDINGS = "buildings"  # the role, and the layer of several
 WHOLE = "give a whole one, with its companions"
 # Raised by readers.
@@ -88,6 +95,7 @@ def _read(
     every_layer: bool = False,
     near: Near | None = None,
     named: Collection[str] | None = None,
+    crs: str | None = None,
 ) -> list[gpd.GeoDataFrame]:
     """Return the features of the one layer of polygons, or of every layer, checked; see `open_frame`, `open_layers`.
 
@@ -97,6 +105,7 @@ def _read(
       near: a region: features of GeoPackages, Shapefiles and FlatGeobuf that are not near it are left out.
       named: the only columns to read, with those that describe buildings (`is_of_buildings`); None: all. Only Parquet,
         and files that are read near a region, leave columns out.
+      crs: in place of the one that the file declares.
     """
     name = f"the {role} file {str(path)!r}"
     with readable(path, "a vector file", WHOLE, what=name), unpacked(path) as plain:
@@ -119,7 +128,7 @@ def _read(
                 frames = []
                 for layer in layers:
                     fewer = {}
-                    if near is not None and kind in INDEXED_SUFFIXES:
+                    if near is not None and crs is None and kind in INDEXED_SUFFIXES:
                         fewer = _only_near(source, layer, near, named or ())
                     frame = _features(source, layer, options | fewer)
                     if role == BUILDINGS and isinstance(source, str):
@@ -133,10 +142,13 @@ def _read(
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
     for frame in frames:
-        if kind == ".csv" and frame.crs is None:
+        if crs is not None:
+            frame.set_crs(crs, allow_override=True, inplace=True)
+        if frame.crs is None and not frame.attrs.get(SAYS_CRS, kind != ".csv"):
             frame.set_crs(WGS84, inplace=True)
             warn(
-                f"{name} cannot say its CRS: its coordinates are taken for longitude and latitude (EPSG:4326)",
+                f"{name} cannot say its CRS: its coordinates are taken for longitude and latitude (EPSG:4326); set "
+                "[buildings] crs if they are others",
                 GuessWarning,
             )
         _check(name, frame)
@@ -178,27 +190,26 @@ def _read_parquet(path: Path, file: str, named: Collection[str] | None) -> gpd.G
       file: its name, for messages.
       named: read only geometries, these columns, and those that describe buildings (`is_of_buildings`); None: all.
 
-    Raises:
-      InputError: it has no metadata on geometry.
+    Without metadata of GeoParquet shapes are WKB in the first binary column, without a CRS.
     """
     import pyarrow.parquet as pq  # imported here: it takes 0.1 s to load, for which other formats need not wait
 
     schema = pq.read_schema(path)
     facts = (schema.metadata or {}).get(b"geo")
+    shapes = json.loads(facts or b"{}").get("columns", {})
     if facts is None:
-        binary = (field.name for field in schema if "binary" in str(field.type))
-        column = next(binary, "geometry")
-        raise InputError(
-            f"{file} is Parquet without the metadata `geo`: if {column!r} is its WKB in longitude and latitude, write "
-            "it again with `python -c \"import geopandas as g, pandas as p; t = p.read_parquet('IN'); t['geometry'] = "
-            f"g.GeoSeries.from_wkb(t['{column}']); g.GeoDataFrame(t, crs=4326).to_parquet('OUT')\"`"
-        )
-    shapes = json.loads(facts).get("columns", {})
+        shapes = [field.name for field in schema if "binary" in str(field.type)][:1]
     columns = [
         name
         for name in schema.names
         if name in shapes or named is None or is_of_buildings(name, named)
     ]
+    if facts is None:
+        frame = pd.read_parquet(path, columns=columns)
+        for name in shapes:
+            frame = gpd.GeoDataFrame(frame, geometry=gpd.GeoSeries.from_wkb(frame[name]))
+        frame.attrs[SAYS_CRS] = False
+        return frame
     frame = gpd.read_parquet(path, columns=columns)
     frame.attrs = facts_of(schema.metadata)
     index = [name for name in frame.index.names if name is not None and name not in frame.columns]
@@ -216,12 +227,17 @@ def _checked_format(path: Path, plain: Path) -> str:
       InputError: a folder, or another format.
       ValueError: it does not begin as its suffix says, or refers to others.
     """
-    kind = "" if path.is_dir() else sniff(plain)
+    kind = sniff(plain)
+    if kind == DATABASE:
+        return kind
     if kind not in FORMATS:
         suffix = path.suffix.lower()
         if not kind and suffix == ".csv":
-            raise ValueError(
-                f"it has no column {WKT_COLUMNS.replace(',', ' or ')} of polygons as WKT"
+            raise InputError(
+                f"{str(path)!r} is a table without shapes, as it has no column {WKT_COLUMNS.replace(',', ' or ')} of "
+                "WKT: if columns are longitude and latitude, make points of it with `ogr2ogr -a_srs EPSG:4326 -oo "
+                "X_POSSIBLE_NAMES=LON -oo Y_POSSIBLE_NAMES=LAT points.gpkg FILE`, and name what stands there in "
+                "columns such as kind and height, or height_hub and rotor_diameter of wind turbines"
             )
         if not kind and suffix in (*FORMATS, *OTHER_SUFFIXES):
             raise ValueError(f"it does not begin as a {suffix} file does")
@@ -264,7 +280,7 @@ def _check(name: str, frame: gpd.GeoDataFrame) -> None:
     if frame.crs is None:
         raise InputError(
             f"{name} declares no CRS: write it into the file, as with `ogr2ogr -a_srs EPSG:... OUT IN` "
-            "(a Shapefile has it in its .prj)"
+            "(a Shapefile has it in its .prj), or set [buildings] crs if it is that of buildings"
         )
     check_on_earth(name, frame.crs.to_wkt(), frame.total_bounds)
     x_min, y_min, x_max, y_max = frame.total_bounds
@@ -340,6 +356,7 @@ def read_vector(
     path: str | Path,
     near: Near | None = None,
     file: settings.Buildings | None = None,
+    crs: str | None = None,
     beside: Path | None = None,
 ) -> Outlines:
     """Return the polygons of a vector file, with what its columns say of heights (see `tags_of_table`).
@@ -353,6 +370,7 @@ def read_vector(
         Shapefiles and FlatGeobuf it is not even decoded. None reads all.
       file: what the settings say of its columns. None: columns are known by name alone (`tags_of`), and nothing of
         their heights is checked.
+      crs: in place of the one that the file declares.
       beside: another file of the same CRS and credit, whose features come after those of ``path``.
 
     Raises:
@@ -361,7 +379,7 @@ def read_vector(
         `tags_of_table`.
     """
     named = [] if file is None else named_columns(file)
-    (frame,) = _read(path, BUILDINGS, near=near, named=named)
+    (frame,) = _read(path, BUILDINGS, near=near, named=named, crs=crs)
     facts = frame.attrs  # empty of files that are not ours
     if beside is not None:
         frame = pd.concat([frame, *_read(beside, BUILDINGS)], ignore_index=True)

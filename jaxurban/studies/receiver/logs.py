@@ -11,12 +11,16 @@ import pandas as pd
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.tracks import (
+    AZIMUTH,
+    CN0,
+    ELEVATION,
     LAT,
     LIKE_THIS,
     LON,
     OTHER_NAMES,
     OTHER_UNITS,
     RULES,
+    SATELLITE,
     UTC,
     Rule,
     by_text,
@@ -28,20 +32,14 @@ from jaxurban.io.tables import read_table
 
 # What a log may hold of how well the receiver did.
 WITNESSES = TRACKED, ERROR = ("num_tracked", "error_2d_m")
-OF_SATELLITES = SATELLITE, CN0, AZIMUTH, ELEVATION = (
-    "satellite",
-    "cn0_dbhz",
-    "azimuth_deg",
-    "elevation_deg",
-)
+OF_SATELLITES = (SATELLITE, CN0, AZIMUTH, ELEVATION)
 EPOCH = "epoch"
 MOST_NAMED = 12  # columns, in an error
 MOST_ROWS = 5_000_000  # of satellites: three hours at 10 Hz with 45 of them; a study needs some 500 bytes for each
-# No receiver has channels for more satellites, and none measures a C/N0 of 70 dBHz outdoors.
+# No receiver has channels for more satellites.
 OF_LOGS = RULES | {
     TRACKED: Rule(0.0, 200.0, may_lack=True),
     ERROR: Rule(0.0, np.inf, may_lack=True),
-    CN0: Rule(0.0, 70.0, " (in dBHz; 0 means above the horizon and not received)"),
     AZIMUTH: Rule(0.0, 360.0),
     ELEVATION: Rule(0.0, 90.0, " (satellites below the horizon are no part of a log)"),
 }
@@ -49,7 +47,6 @@ UNITS_OF_LOGS = (
     *OTHER_UNITS,
     ({AZIMUTH: math.tau}, "radians", "degrees"),
     ({ELEVATION: math.pi / 2}, "radians", "degrees"),
-    ({CN0: 9.0}, "the digits 1 to 9 of a signal's strength, or ratios", "dBHz"),
 )
 # RINEX 3.05, section 3.5: a constellation's letter and a number.
 RINEX_NAME = re.compile(r"[GRECJIS]\d\d", re.ASCII)

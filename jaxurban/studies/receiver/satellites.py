@@ -10,17 +10,10 @@ import shapely
 
 from jaxurban.io.city import City
 from jaxurban.io.read.orbits import matching
+from jaxurban.io.read.tracks import AZIMUTH, CN0, ELEVATION, SATELLITE
 from jaxurban.io.read.vector import open_frame
 from jaxurban.satellites.track import NUM_VISIBLE, Track
-from jaxurban.studies.receiver.logs import (
-    AZIMUTH,
-    CN0,
-    ELEVATION,
-    EPOCH,
-    SATELLITE,
-    TRACKED,
-    ReceiverLog,
-)
+from jaxurban.studies.receiver.logs import EPOCH, TRACKED, ReceiverLog
 from jaxurban.studies.receiver.prediction import EVERYWHERE, OF_CITY
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky

@@ -8,7 +8,6 @@ denser than another. **Shifts** are the control: the maps' values are moved alon
 beginning, by every number of places, so that both series stay what they are and only their pairing is lost.
 """
 
-import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -22,7 +21,8 @@ from scipy.stats import t as student
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.io.read.tracks import UTC
+from jaxurban.io.read.receivers import read_log
+from jaxurban.io.read.tracks import AZIMUTH, CN0, UTC
 from jaxurban.io.results import Result
 from jaxurban.io.samples import log_of
 from jaxurban.maps.run import grid_of
@@ -33,13 +33,19 @@ from jaxurban.satellites.sight import Sight
 from jaxurban.satellites.track import NUM_VISIBLE
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.studies.receiver.agreement import SatelliteAgreement, agreement_of
-from jaxurban.studies.receiver.logs import AZIMUTH, ERROR, TRACKED, ReceiverLog, read_receiver_log
+from jaxurban.studies.receiver.logs import (
+    ERROR,
+    TRACKED,
+    ReceiverLog,
+    read_receiver_log,
+)
+from jaxurban.studies.receiver.logs import log_of as table_log
 from jaxurban.studies.receiver.prediction import (
     ReceiverSettings,
     predict,
     track_of,
 )
-from jaxurban.studies.receiver.rinex import read_rinex
+from jaxurban.studies.receiver.rinex import with_navigation
 from jaxurban.studies.receiver.satellites import counted, known_of, with_directions
 
 MAIN = {TRACKED: NUM_VISIBLE, ERROR: "hdop"}
@@ -47,7 +53,6 @@ MAIN = {TRACKED: NUM_VISIBLE, ERROR: "hdop"}
 MORE_IS_BETTER = (TRACKED, NUM_VISIBLE, "gps")
 WITHIN, SPEARMAN = COEFFICIENTS = ("within", "spearman")
 SHIFTS_BELOW = 0.95  # of all shifts score no more than the `_shifts_95` of a coefficient
-OBSERVATIONS = re.compile(r"\.(obs|rnx|\d\do)$", re.IGNORECASE)  # how files in RINEX are called
 FEWEST_PIECES = 8  # fewer rank nothing
 
 
@@ -152,11 +157,14 @@ def validate(
       log: the receiver's, as a table or its file (``.csv``, ``.csv.gz``, ``.parquet``), with ``utc``, ``lon_deg``
         (or ``lon``), ``lat_deg`` (or ``lat``), and: with a row per satellite, ``satellite``, ``cn0_dbhz`` (0: above the
         horizon, not received) and the satellite's ``azimuth_deg`` and ``elevation_deg``, without which the scenario's
-        orbits give them; with a row per epoch, ``num_tracked``, ``error_2d_m`` or both. With ``navigation`` it is a
-        file of observations in RINEX 3. Left out, the log of the sample city that the scenario names.
+        orbits give them; with a row per epoch, ``num_tracked``, ``error_2d_m`` or both. Or what the receiver wrote
+        itself: observations in RINEX 2 to 4 (also CRINEX, with the extra ``receiver``), NMEA or Android's GnssLogger.
+        Left out, the log of the sample city that the scenario names.
       settings: how the two are set beside each other.
-      navigation: broadcast orbits in RINEX 3 (needs the extra ``receiver``).
-      reference: places of the antenna, as a table or its file (`jaxurban.studies.receiver.rinex.read_rinex`).
+      navigation: of such a file the satellites' orbits, broadcast RINEX or what ``[gps] orbits`` takes; they add the
+        satellites that the receiver did not hear. Left out, NMEA's own directions, else the scenario's orbits.
+      reference: places of the antenna, as a table or its file (`jaxurban.io.read.receivers.read_track`); left out,
+        those of the log.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
@@ -265,34 +273,29 @@ def _read(
     navigation: str | Path | None,
     reference: str | Path | pd.DataFrame | None,
 ) -> ReceiverLog:
-    """Return the log that the arguments of `validate` name: a table, a file, RINEX files, or a sample city's own log.
+    """Return the log that the arguments of `validate` name: a table, a receiver's file, or a sample city's own log.
 
     Args:
       scenario: its sample city, if it has one, gives the log that is left out.
       log, navigation, reference: as in `validate`.
 
     Raises:
-      InputError: only some of the three files of a log in RINEX are named, there is no log, or it cannot be read.
+      InputError: a table with navigation or reference, there is no log, or it cannot be read.
     """
-    is_rinex = navigation is not None or reference is not None
-    if is_rinex and (navigation is None or reference is None or isinstance(log, pd.DataFrame)):
-        raise InputError(
-            "a log in RINEX needs three files, log, navigation and reference: name all of them"
-        )
-
-    # The log itself: a table, or a file, whose name shows observations in RINEX.
     source = log_of(scenario.buildings.source) if log is None else log
+    table = read_log(source, reference) if isinstance(source, str | Path) else None
+    if table is not None:
+        if navigation is None or CN0 not in table:
+            return table_log(table, str(source))
+        return with_navigation(table, navigation, str(source))
+    if navigation is not None or reference is not None:
+        raise InputError(
+            "navigation and reference are of a receiver's own log (RINEX, NMEA, GnssLogger): name it as log"
+        )
     if source is None:
         raise InputError(
             "log is left out, and only a sample city with a log of its own has one: name the file"
         )
-    if not isinstance(source, pd.DataFrame):
-        if navigation is not None and reference is not None:
-            return read_rinex(source, navigation, reference)
-        if OBSERVATIONS.search(str(source)):
-            raise InputError(
-                f"{str(source)!r} is a file of observations in RINEX: name navigation and reference too"
-            )
     return read_receiver_log(source)
 
 

@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import ZipFile
 
 import numpy as np
 
 import jaxurban as ju
 from jaxurban.maps.run import load_city, run_scenario
 from jaxurban.maps.scenario import Scenario
+from tests.paths.missions.apps import app_case
 from tests.paths.missions.cases import MAKERS, plain
 from tests.paths.missions.damage import DAMAGES
 from tests.paths.missions.draw import Case, Draw
@@ -22,6 +24,7 @@ KINDS = (
     *("mixed", "lines", PLAIN, DAMAGED, "jump") * 2,
     *("loiter", "loiter", "return", "corner", "open", "skim", DAMAGED, DAMAGED, "return", DAMAGED),
 )
+APPS = "apps"  # missions of DJI, Litchi, AirData and surveys, which are numbered apart
 WORLDS = ("hills", "coarse", "flat", "hills", "gone")
 
 
@@ -49,9 +52,11 @@ def is_plain(number: int) -> bool:
     return KINDS[number % len(KINDS)] == PLAIN
 
 
-def case_of(worlds: Mapping[str, World], number: int, seed: int = 1) -> Case:
-    """Return a mission by its number, which with the seed alone decides on all of it."""
+def case_of(worlds: Mapping[str, World], number: int, seed: int = 1, kinds: str = "") -> Case:
+    """Return a mission by its number, which with the seed and the kinds alone decides on all of it."""
     rng = np.random.default_rng([seed, number])
+    if kinds == APPS:
+        return app_case(Draw(worlds[str(rng.choice(WORLDS))], rng), number)
     turn, place = divmod(number, len(KINDS))
     kind = KINDS[place]
     if kind == PLAIN:
@@ -67,7 +72,11 @@ def case_of(worlds: Mapping[str, World], number: int, seed: int = 1) -> Case:
 def write(case: Case, folder: Path, number: int) -> Path:
     """Return the file of a mission, written in a folder."""
     file = folder / f"mission_{number}{case.suffix}"
-    file.write_text(case.text, encoding="utf-8")
+    if case.suffix == ".kmz":
+        with ZipFile(file, "w") as archive:
+            archive.writestr("wpmz/waylines.wpml", case.text)
+    else:
+        file.write_text(case.text, encoding="utf-8")
     return file
 
 
@@ -77,8 +86,9 @@ class Court:
     The cities of ``flat`` and ``hills`` are read once; for ``coarse`` each check reads that of its maps from the files.
     """
 
-    def __init__(self, folder: Path, seed: int = 1) -> None:
-        self.folder, self.seed, self.worlds = folder, seed, worlds_in(folder)
+    def __init__(self, folder: Path, seed: int = 1, kinds: str = "") -> None:
+        self.folder, self.seed, self.kinds = folder, seed, kinds
+        self.worlds = worlds_in(folder)
         self.maps = {
             name: ju.open_maps(world.folder, world.resolution_m)
             for name, world in self.worlds.items()
@@ -92,7 +102,7 @@ class Court:
 
     def case(self, number: int) -> Case:
         """Return a mission by its number."""
-        return case_of(self.worlds, number, self.seed)
+        return case_of(self.worlds, number, self.seed, self.kinds)
 
     def trial(self, number: int) -> Trial:
         """Return the trial of a mission."""

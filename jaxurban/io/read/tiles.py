@@ -1,0 +1,110 @@
+"""City models, and folders and archives of these and of vector files, which are joined."""
+
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from xml.parsers.expat import ExpatError
+
+from jaxurban import settings
+from jaxurban.errors import GuessWarning, InputError, readable, warn
+from jaxurban.io.files import visible_files
+from jaxurban.io.read.bodies import outlines_of
+from jaxurban.io.read.citygml import read_citygml
+from jaxurban.io.read.cityjson import read_cityjson
+from jaxurban.io.read.outlines import Near, Outlines, joined
+from jaxurban.io.read.sniff import MOST_UNPACKED, sniff, unpacked
+from jaxurban.io.read.vector import OF_DAMAGED, VECTOR_SUFFIXES, read_vector
+
+READERS = {".gml": read_citygml, ".city.json": read_cityjson}
+ARCHIVE = ".zip"
+
+
+def read_tiles(
+    path: Path,
+    near: Near | None = None,
+    file: settings.Buildings | None = None,
+    crs: str | None = None,
+) -> Outlines:
+    """Return the objects of city models (see `body_of`) and the features of vector files as outlines.
+
+    Args:
+      path: a file of CityGML or CityJSON, packed or not, or a folder or an archive of such files, of vector files (see
+        `read_vector`), and of archives.
+      near, file: as of `read_vector`; city models are read as a whole, and have no columns to name.
+      crs: of all coordinates, in place of the one that the files declare.
+
+    Raises:
+      InputError: no such file among others, of which a warning says how many they are, one that cannot be read, an
+        archive with more in it than `MOST_UNPACKED`, or files in several CRSs; as of `outlines_of` and `read_vector`.
+    """
+    bodies: list[dict[str, Any]] = []
+    crs_names: set[str] = set()
+    tables = []
+    kinds = {}  # of each file by its name
+    for name, tile in _files(path, str(path)):
+        kind = ""
+        with suppress(InputError):  # of a format that is known and not read
+            kind = sniff(tile)
+        kinds[name] = kind
+        if kind in READERS:
+            with (
+                readable(
+                    tile, "a city model", "fetch it again", *OF_DAMAGED, ExpatError, what=repr(name)
+                ),
+                unpacked(tile) as plain,
+            ):
+                bodies += READERS[kind](plain, crs_names)
+        elif kind in VECTOR_SUFFIXES:
+            tables.append(read_vector(tile, near, file, crs))
+    if bodies:
+        tables.append(outlines_of(path, bodies, {crs} if crs else crs_names - {""}))
+    if not tables:
+        raise InputError(
+            f"{str(path)!r} holds no object of CityGML or CityJSON and no outlines: name the file of buildings"
+        )
+
+    # What is beside them, but for the companions of Shapefiles.
+    stems = {Path(name).stem for name, kind in kinds.items() if kind == ".shp"}
+    read = (*READERS, *VECTOR_SUFFIXES)
+    others = [name for name in kinds if kinds[name] not in read and Path(name).stem not in stems]
+    if others:
+        warn(
+            f"{len(others)} files in {str(path)!r}, such as {others[0]!r}, hold no city model and no outlines, and are "
+            "left out",
+            GuessWarning,
+        )
+    return joined(path, tables)
+
+
+def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[str, Path]]:
+    """Yield the names and paths of all files in a folder or an archive; of another file its own.
+
+    Args:
+      path: of it, and ``name`` for messages.
+      room: how many bytes archives in it may hold.
+
+    Raises:
+      InputError: an archive that is damaged or holds more.
+    """
+    if path.is_dir():
+        for file in visible_files(path):
+            yield from _files(file, f"{name}/{file.relative_to(path).as_posix()}", room)
+    elif zipfile.is_zipfile(path):
+        remedy = "unpack it yourself if you trust it, and name the folder"
+        errors = (*OF_DAMAGED, EOFError, zlib.error, zipfile.BadZipFile)
+        with (
+            readable(path, "an archive", remedy, *errors, what=repr(name)),
+            TemporaryDirectory(prefix="jaxurban-") as folder,
+            zipfile.ZipFile(path) as archive,
+        ):
+            room -= sum(each.file_size for each in archive.infolist())
+            if room < 0:
+                raise ValueError(f"it holds more than {MOST_UNPACKED / 2**30:g} GiB")
+            archive.extractall(folder)
+            yield from _files(Path(folder), name, room)
+    else:
+        yield name, path
