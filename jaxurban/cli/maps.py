@@ -1,6 +1,7 @@
 """jaxurban maps."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -65,6 +66,7 @@ def maps(
     SCENARIO is a file in TOML. The maps are written as Zarr and GeoTIFF.
     """
     from jaxurban.io.workspace import Workspace
+    from jaxurban.maps.provenance import finished
     from jaxurban.maps.scenario import Scenario
 
     # Processes of this machine compute on the CPU; an address is that of a cluster, which has devices of its own.
@@ -81,20 +83,24 @@ def maps(
         changes = (*changes, f'region.engine = "{engine}"')
     scenario = Scenario.from_toml(scenario_file, changes)
 
-    # Make the maps, by libraries that a wrong scenario need not wait for.
-    from jaxurban.maps.memory import parse_bytes
-    from jaxurban.maps.run import run_scenario
-
+    # Make the maps, unless they are all there, by libraries that neither these nor a wrong scenario need wait for.
+    record = None if figures or layers or memory else finished(scenario, output)
+    made: dict[float, Any] = {}  # maps to draw, by resolution
     with reporting("maps") as report:
-        run = run_scenario(
-            scenario,
-            output,
-            report,
-            overwrite,
-            layers=layers,
-            workers=workers,
-            memory_bytes=None if memory is None else parse_bytes(memory),
-        )
+        if record is None:
+            from jaxurban.maps.memory import parse_bytes
+            from jaxurban.maps.run import run_scenario
+
+            run = run_scenario(
+                scenario,
+                output,
+                report,
+                overwrite,
+                layers=layers,
+                workers=workers,
+                memory_bytes=None if memory is None else parse_bytes(memory),
+            )
+            record, made = run.record, run.maps
 
         # Pictures of other maps are removed, and pictures of these maps are drawn if they are asked for.
         with Workspace.open(output, "maps --figures", is_shared=True) as pictures:
@@ -110,10 +116,10 @@ def maps(
                 from jaxurban.report.figures import save_figures
 
                 report("figures")
-                for resolution_m, maps_drawn in run.maps.items():
+                for resolution_m, maps_drawn in made.items():
                     save_figures(maps_drawn, (), output / "figures" / f"{resolution_m:g}m")
-    for warning in run.record["warnings"]:
+    for warning in record["warnings"]:
         LOG.warning(f"warning: {warning}")
     LOG.info(f"maps finished: {output} (run.json holds their settings and sources)")
     if as_json:
-        print_json(run.record)
+        print_json(record)

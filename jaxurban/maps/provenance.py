@@ -7,9 +7,11 @@ import json
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 import pyproj
 import shapely
@@ -20,6 +22,7 @@ from jaxurban.io.city import City
 from jaxurban.io.files import digest_of, read_json, visible_files, write_json
 from jaxurban.io.samples import located, structures_of
 from jaxurban.io.stored import RUN_FILE, short_number
+from jaxurban.io.workspace import Workspace
 from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.population import FILES, Population
 from jaxurban.progress import LOG
@@ -280,6 +283,28 @@ def run_key(scenario: Scenario, inputs: Inputs, backend: str) -> str:
         "backend": backend,
     }
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def begun(scenario: Scenario) -> tuple[Inputs, str]:
+    """Return the input files of a run, from `hash_inputs`, and its key, from `run_key`, on this process's device."""
+    inputs = hash_inputs(scenario)
+    on_host = scenario.region.engine == "numba"
+    return inputs, run_key(scenario, inputs, "cpu" if on_host else jax.default_backend())
+
+
+def finished(scenario: Scenario, folder: Path) -> dict[str, Any] | None:
+    """Return the record of the run that made a scenario's maps in a folder; None where something is left to do.
+
+    Every file of the run is read and compared with its checksum.
+    """
+    with suppress(OSError, ValueError), Workspace.shared(folder, "maps") as run:
+        record = read_json(folder / RUN_FILE)
+        inputs, key = begun(scenario)
+        same = {"run_key": key, "inputs": inputs, "settings": settings_of(scenario)}
+        is_same = run.settings == {"run_key": key} and record == record | same
+        if is_same and not run.broken(folder / name for name in run.written):
+            return record
+    return None
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

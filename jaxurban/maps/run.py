@@ -13,8 +13,6 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import jax
-
 from jaxurban.checks import values_given
 from jaxurban.errors import InputError
 from jaxurban.io import store, stored
@@ -34,9 +32,8 @@ from jaxurban.maps.memory import check_disk, plan_run, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import (
     Inputs,
-    hash_inputs,
+    begun,
     other_maps,
-    run_key,
     run_record,
     write_record,
 )
@@ -163,16 +160,13 @@ def run_scenario(
     from jaxurban.io.read.base_map import base_map_source, save_base_map
 
     started_utc = datetime.now(UTC).isoformat(timespec="seconds")
-    backend = jax.default_backend()
     with reporting("maps", progress) as report, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         pass_over_unreadable()
         watch = Stopwatch(on_stage=report)
 
         # What the maps depend on, and whether the folder is free for them.
-        inputs = hash_inputs(scenario)
-        on_host = scenario.region.engine == "numba"
-        key = run_key(scenario, inputs, "cpu" if on_host else backend)
+        inputs, key = begun(scenario)
         stored.check_version(folder)
         if not overwrite:
             _check_holds_no_others(folder, scenario, inputs, key)

@@ -211,6 +211,38 @@ def test_ctrl_c_exits_130_leaves_no_scrap_and_resumes(tmp_path):
     assert not work.exists()
 
 
+def heavy_after(words: list[str], folder: Path) -> tuple[str, str]:
+    """Return which of three heavy packages a command in a folder has imported, and what it said."""
+    code = (
+        f"import sys\nfrom jaxurban.cli.main import main\ntry: main({words})\nexcept SystemExit as ended:\n"
+        " assert not ended.code\n print(*sorted({'numba', 'pandas', 'xarray'} & set(sys.modules)))"
+    )
+    command = [sys.executable, "-c", code]
+    ended = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    return ended.stdout.strip(), ended.stderr
+
+
+def test_complete_maps_are_answered_soon_and_changed_ones_are_made_again(made, tmp_path):
+    shutil.copy(made.parent / "town.toml", tmp_path)
+    shutil.copytree(made, tmp_path / "maps")
+    words = ["maps", "town.toml", "-o", "maps"]
+    record = (tmp_path / "maps/run.json").read_bytes()
+    heavy, said = heavy_after(words, tmp_path)
+    assert (heavy, "maps finished" in said) == ("", True)
+    assert (tmp_path / "maps/run.json").read_bytes() == record
+
+    # Settings that no map depends on are written to the record, and what is damaged is made again.
+    heavy, _ = heavy_after([*words, "--set", "weights.gps=3"], tmp_path)
+    assert heavy
+    assert json.loads((tmp_path / "maps/run.json").read_text())["settings"]["weights"]["gps"] == 3
+    geotiff = next((tmp_path / "maps/geotiff").glob("gps_*.tif"))
+    geotiff.unlink()
+    heavy, said = heavy_after([*words, "--set", "weights.gps=3"], tmp_path)
+    assert heavy
+    assert f"{geotiff.name}' is missing: writing it again" in said
+    assert geotiff.is_file()
+
+
 def test_summaries_of_commands_are_whole_on_a_terminal_of_80_columns(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     _, out, _ = run(capsys, "--help")
