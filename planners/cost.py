@@ -5,6 +5,7 @@ cost(path) = weights . phi(path)        phi = (metres, cost of each layer[, metr
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -206,7 +207,7 @@ class PathFeatures:
         np.add.at(visits, self.counted, self.count)
         return visits
 
-    @property
+    @cached_property
     def mean_costs(self) -> np.ndarray:
         """``[L]`` the mean of each layer's cost along the path, weighted by length; without length, at its place."""
         length_m = self.length_m if self.length_m.sum() > 0 else np.ones(len(self.length_m))

@@ -13,7 +13,7 @@ from jaxurban.maps.levels import SAME_M, Levels, listed_m
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights, WeightsLike, check_held
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.finish import finish
+from jaxurban.paths.finish import MapNotes, finish, map_notes, map_settings
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, End, Point, islands_of, one_place
 from jaxurban.paths.search import PathSearch
@@ -154,6 +154,16 @@ class CostMap(FactsRepr):
         if climb_cost is None:  # a metre of climb then costs what a metre of distance does
             climb_cost = weights[0]
         return np.append(weights, [climb_cost, self.levels.descent_cost])
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """What a cost map says of itself in the settings of the paths on it (`finish.map_settings`)."""
+        return map_settings(self)
+
+    @cached_property
+    def notes(self) -> MapNotes:
+        """The sentences that it adds to the note of every path on it."""
+        return map_notes(self)
 
     @cached_property
     def is_weighed(self) -> bool:

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def finish(
       search: how it was searched for, for the record.
     """
     budget_s = search.budget_s if np.isfinite(search.budget_s) else None
-    settings = map_settings(cost_map) | {"budget_s": budget_s, "seed": search.seed}
+    settings = deepcopy(cost_map.record) | {"budget_s": budget_s, "seed": search.seed}
     if search.exposure:
         settings["exposure"] = dict(search.exposure)
     start, goal = ends
@@ -110,6 +111,46 @@ def measured(cost_map: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
     }
 
 
+class MapNotes(NamedTuple):
+    """Sentences that a cost map adds to the note of every path on it, each empty where it does not hold.
+
+    Attributes:
+      objective: what was minimised in place of a cost that is 0 everywhere.
+      clearance: what is kept of the clearance that was asked.
+      maps: what the maps are that metrics are read from.
+      metrics: metrics that the maps lack, and the caveats of those that count.
+    """
+
+    objective: str
+    clearance: str
+    maps: str
+    metrics: str
+
+
+def map_notes(cost_map: "CostMap") -> MapNotes:
+    """Return the sentences that are the same for every path on a cost map, which keeps them."""
+    objective = clearance = ""
+    maps, constraints = cost_map.maps, cost_map.constraints
+    if not cost_map.is_weighed and cost_map.objective == "weighted":
+        objective = (
+            "All weights are zero, so every path is as cheap: the distance was minimised instead."
+        )
+    kept = describe_kept(constraints.to_dict(), cost_map.grid.resolution_m)
+    if kept:
+        clearance = f"Distance to obstacles: {constraints.horizontal_m:g} m asked, {kept}."
+    of_maps = []
+    between_m = _between_m(cost_map)
+    if between_m:
+        low_m, high_m = between_m
+        of_maps.append(
+            f"Metrics at {cost_map.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
+        )
+    if maps.planning.preset == "paper" and ROOF_KIND in maps.ds:
+        of_maps.append(NOT_THE_PAPER)
+    metrics = " ".join(filter(None, _metric_notes(cost_map)))
+    return MapNotes(objective, clearance, " ".join(of_maps), metrics)
+
+
 def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
     """Return what the planner noted, and what else a reader of the path must know: sentences, or ``""``.
 
@@ -120,34 +161,16 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
     """
     start, goal = ends
     has_path = path.status.has_path
-    constraints = cost_map.constraints
-    notes = [path.note]
-
-    # What was searched for, and from where to where.
-    if not cost_map.is_weighed and cost_map.objective == "weighted":
-        notes.append(
-            "All weights are zero, so every path is as cheap: the distance was minimised instead."
-        )
-    notes.append(snap_note(start, goal))
-    kept = describe_kept(constraints.to_dict(), cost_map.grid.resolution_m)
-    if kept:
-        notes.append(f"Distance to obstacles: {constraints.horizontal_m:g} m asked, {kept}.")
+    standing = cost_map.notes
+    notes = [path.note, standing.objective, snap_note(start, goal), standing.clearance]
     if cost_map.is_weighed and cost_map.weights.distance == 0 and not path.note and has_path:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
-    between_m = _between_m(cost_map)
-    if between_m:
-        low_m, high_m = between_m
-        notes.append(
-            f"Metrics at {cost_map.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
-        )
-
-    maps = cost_map.maps
-    if maps.planning.preset == "paper" and ROOF_KIND in maps.ds:
-        notes.append(NOT_THE_PAPER)
+    notes.append(standing.maps)
 
     # Why there may be no path.
-    if str(constraints) and not has_path:
-        free_on_maps = [maps.is_free(z_m) for z_m in cost_map.altitudes_m.tolist()]
+    constraints = cost_map.constraints
+    if not has_path and str(constraints):
+        free_on_maps = [cost_map.maps.is_free(z_m) for z_m in cost_map.altitudes_m.tolist()]
         share = 1 - cost_map.is_free.sum() / np.sum(free_on_maps)
         notes.append(
             f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."
@@ -155,7 +178,7 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
     if path.status is Status.NO_PATH:
         notes.append(pocket_note(cost_map, start, goal))
         notes.append(what_would_join(cost_map, start.cell, goal.cell))
-    return " ".join(filter(None, [*notes, *_metric_notes(cost_map)]))
+    return " ".join(filter(None, [*notes, standing.metrics]))
 
 
 def _metric_notes(cost_map: "CostMap") -> Iterator[str]:
@@ -293,7 +316,7 @@ def _check_same_map(planned: PlannedPath, cost_map: "CostMap") -> None:
     # Settings of a volume hold its levels. On one altitude both records get that altitude, and no levels.
     on_one_altitude = {"levels_m": None, "altitude_m": planned.altitude_m}
     path_record = {"crs": planned.crs, **on_one_altitude, **planned.settings}
-    map_record = {"crs": cost_map.grid.crs, **on_one_altitude, **map_settings(cost_map)}
+    map_record = {"crs": cost_map.grid.crs, **on_one_altitude, **cost_map.record}
     if cost_map.levels is None:
         map_record["altitude_m"] = cost_map.altitude_m
     different = [name for name, value in map_record.items() if path_record.get(name) != value]

@@ -53,46 +53,88 @@ def places_near(
         offset_m = np.subtract(cost_map.grid.xy_of_cell(*cell), xy_m)
         return [End((*level_index, *cell), float(np.hypot(*offset_m)))]
 
-    # The free cells of the level, and those within reach, the nearest first.
-    rows, cols = np.nonzero(is_free)
-    why = cost_map.why_closed(cell, level)
-    free = "the nearest free cell"
-    if cost_map.levels_free[level][cell]:
-        why = OVER_ROOF
-    if on_ground:
-        free += " over the ground"
+    # The free cells within reach, the nearest first. No cell is within -1 m: the place may not move.
+    reach_m = -1.0 if limit_m is None else limit_m
+    rows, cols, away_m = _free_within(cost_map, is_free, xy_m, cell, reach_m)
     if rows.size == 0:
         raise InputError(
-            f"{name} is {why}, and no cell is free at this altitude: {cost_map.remedy}"
-        )
-    x_m, y_m = cost_map.grid.xy_of_cell(rows, cols)
-    away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
-    reach_m = -1.0 if limit_m is None else limit_m  # no cell is within -1 m: the place may not move
-    near = np.flatnonzero(away_m <= reach_m)
-    near = near[np.argsort(away_m[near], kind="stable")]
-
-    # None is within reach: a message that says how far the nearest one is, and what would reach it.
-    if near.size == 0:
-        nearest = int(np.argmin(away_m))
-        lon, lat = cost_map.grid.lonlat_of_cell(rows[nearest], cols[nearest])
-        needed_m = math.ceil(away_m[nearest])
-        too_far = "" if limit_m is None else f", farther than it may be moved ({limit_m:g} m)"
-        option = f"--snap {needed_m} (snap={needed_m})"
-        if needed_m <= MAX_SNAP_M:
-            option = "--snap (snap=True)"
-        raise InputError(
-            f"{name} is {why}; {free} is at {lon:.6f},{lat:.6f}, "
-            f"{away_m[nearest]:.0f} m away{too_far}: take that place, fly higher, or pass {option} to move there"
+            _out_of_reach(cost_map, name, xy_m, level, cell, is_free, limit_m, on_ground)
         )
 
     # The nearest cell of each island. Cells are sorted by distance, and `unique` gives the first of each island.
     islands = cost_map.islands[level_index]
-    _, first = np.unique(islands[rows[near], cols[near]], return_index=True)
+    _, first = np.unique(islands[rows, cols], return_index=True)
     ends = []
-    for index in near[np.sort(first)]:
+    for index in np.sort(first):
         free_cell = *level_index, int(rows[index]), int(cols[index])
         ends.append(End(free_cell, float(away_m[index]), is_snapped=True, on_ground=on_ground))
     return ends
+
+
+def _free_within(
+    cost_map: "CostMap",
+    is_free: np.ndarray,
+    xy_m: tuple[float, float],
+    cell: Cell,
+    reach_m: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return row, column and distance in metres of the free cells within reach of a place, the nearest first.
+
+    Args:
+      cost_map: whose cells they are.
+      is_free: ``[Y, X]`` bool.
+      xy_m, cell: of the place.
+      reach_m: to the centre of a cell; below 0 there is none.
+    """
+    grid = cost_map.grid
+    num_cells = math.ceil(max(reach_m, 0.0) / grid.resolution_m) + 1
+    first_row, first_col = (max(index - num_cells, 0) for index in cell)
+    row, col = cell
+    window = is_free[first_row : row + num_cells + 1, first_col : col + num_cells + 1]
+    rows, cols = np.nonzero(window)
+    rows, cols = rows + first_row, cols + first_col
+    x_m, y_m = grid.xy_of_cell(rows, cols)
+    away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
+    near = np.flatnonzero(away_m <= reach_m)
+    near = near[np.argsort(away_m[near], kind="stable")]
+    return rows[near], cols[near], away_m[near]
+
+
+def _out_of_reach(
+    cost_map: "CostMap",
+    name: str,
+    xy_m: tuple[float, float],
+    level: int,
+    cell: Cell,
+    is_free: np.ndarray,
+    limit_m: float | None,
+    on_ground: bool,
+) -> str:
+    """Return why a place is no end of a query, how far the nearest free cell is, and what would reach it.
+
+    Args:
+      cost_map, name, xy_m, level, cell, on_ground: as of `places_near`.
+      is_free: ``[Y, X]`` bool, which cells may be ends.
+      limit_m: how far the place may be moved; None: not at all.
+    """
+    why = OVER_ROOF
+    if not cost_map.levels_free[level][cell]:
+        why = cost_map.why_closed(cell, level)
+    everywhere_m = cost_map.grid.resolution_m * sum(is_free.shape)
+    rows, cols, away_m = _free_within(cost_map, is_free, xy_m, cell, everywhere_m)
+    if rows.size == 0:
+        return f"{name} is {why}, and no cell is free at this altitude: {cost_map.remedy}"
+    lon, lat = cost_map.grid.lonlat_of_cell(rows[0], cols[0])
+    free = "the nearest free cell over the ground" if on_ground else "the nearest free cell"
+    too_far = "" if limit_m is None else f", farther than it may be moved ({limit_m:g} m)"
+    needed_m = math.ceil(away_m[0])
+    option = f"--snap {needed_m} (snap={needed_m})"
+    if needed_m <= MAX_SNAP_M:
+        option = "--snap (snap=True)"
+    return (
+        f"{name} is {why}; {free} is at {lon:.6f},{lat:.6f}, {away_m[0]:.0f} m away{too_far}: "
+        f"take that place, fly higher, or pass {option} to move there"
+    )
 
 
 def joined_ends(cost_map: "CostMap", starts: list[End], goals: list[End]) -> tuple[End, End]:

@@ -7,7 +7,6 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.finish import map_settings
 from jaxurban.report.figures.frame import (
     ENDS,
     MapLayer,
@@ -75,7 +74,7 @@ def plot_routes(
     maps = cost_map.maps
     title = joined(f"{cost_map.altitude_m:g} m above ground", cost_map.time_of_day)
     fitted = dict(zip(("distance", *cost_map.names), weights.tolist(), strict=True))
-    settings = map_settings(cost_map) | {"weights": fitted}
+    settings = cost_map.record | {"weights": fitted}
     note = f"{frame_note(maps, cost_map.time)}\n{rules_said(settings)}"
 
     # [Y, X] the cost of each cell under the weights. The scale goes on beyond the costs of 99 % of the free cells, by
