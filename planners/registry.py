@@ -27,13 +27,14 @@ from jaxurban.planners.astar import (
 from jaxurban.planners.base import Cell, Path, Planner, Problem, ProblemCache
 from jaxurban.planners.bitstar.bounds import HEURISTICS as OFF_GRID_HEURISTICS
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
-from jaxurban.planners.bulk import solve_batched, solve_by_frontier
+from jaxurban.planners.bulk import solve_batched
+from jaxurban.planners.tile_search import solve_by_tiles
 
 Outcome = tuple[int, Path | Exception]
 Backend = Literal["auto", "numba", "jax"]
 
-EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the frontier search can stand for
-FRONTIER_HEURISTICS = (None, AUTO, "octile")
+EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the search by tiles can stand for
+TILED_HEURISTICS = (None, AUTO, "octile", "landmarks")
 # Whose batches `solve_batched` searches in bulk.
 SAMPLING_PLANNERS = ("bitstar-dist", "bitstar-plus")
 FEW_TO_ONE_GOAL = 8  # queries to one goal from which the costs to it are computed for the whole map
@@ -149,8 +150,8 @@ def solve_many(
 
     - ``"numba"``: the planner itself, query by query, on ``num_threads`` threads. The compiled A* leaves them
       free to run side by side.
-    - ``"jax"``: all queries together; for ``astar-dist`` and ``astar-plus`` by the frontier search, which gives their
-      results (see `solve_by_frontier`), for ``bitstar-dist`` and ``bitstar-plus`` batch by batch (see `solve_batched`).
+    - ``"jax"``: the queries on a map together; for ``astar-dist`` and ``astar-plus`` by tiles, which gives their results
+      (see `solve_by_tiles`), for ``bitstar-dist`` and ``bitstar-plus`` batch by batch (see `solve_batched`).
     - ``"auto"``: ``"jax"`` where JAX has a GPU, the planner is ``astar-dist`` or ``astar-plus`` and there are at least
       `GPU_BATCH` queries; else ``"numba"``, which is several times as fast on a CPU.
 
@@ -211,15 +212,8 @@ def solve_many(
             walk = partial(find_planner(planner, "exact"), budget_s=budget_s, seed=seed)
             yield from run(same_goal, walk)
 
-        # All others together in JAX.
+        # All others by heuristic. Landmarks are made first, from one problem of each map, into the map's cache.
         alone = sorted(set(only) - set(shared))
-        if runs_in_jax:
-            together = [problems[k] for k in alone]
-            for k, path in solve_by_frontier(together, planner=planner, budget_s=budget_s):
-                yield alone[k], path
-            return
-
-        # Or by heuristic. Landmarks are made first, from one problem of each map that needs them, into the map's cache.
         with_landmarks = {
             problems[k].cache: problems[k] for k in alone if heuristics[k] == "landmarks"
         }
@@ -227,26 +221,33 @@ def solve_many(
             make_landmarks(problem)
 
         for name in dict.fromkeys(heuristics[k] for k in alone):
-            search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
-            yield from run([k for k in alone if heuristics[k] == name], search)
+            named = [k for k in alone if heuristics[k] == name]
+            if runs_in_jax:
+                some = [problems[k] for k in named]
+                bound = "landmarks" if name == "landmarks" else "octile"
+                paths = solve_by_tiles(some, planner=planner, heuristic=bound, budget_s=budget_s)
+                yield from ((named[k], path) for k, path in paths)
+            else:
+                search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
+                yield from run(named, search)
 
     return outcomes()
 
 
 def _runs_in_jax(backend: Backend, planner: str, heuristic: str | None, num_queries: int) -> bool:
-    """Return whether the queries run together in JAX's frontier search, by the rules of `solve_many`.
+    """Return whether the queries run together in JAX's search by tiles, by the rules of `solve_many`.
 
     Raises:
-      InputError: ``"jax"`` is asked for, and the frontier search cannot stand for the planner or its heuristic.
+      InputError: ``"jax"`` is asked for, and the search by tiles cannot stand for the planner or its heuristic.
     """
-    is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
-    if backend == "jax" and not is_for_frontier:
+    is_for_tiles = planner in EXACT_PLANNERS and heuristic in TILED_HEURISTICS
+    if backend == "jax" and not is_for_tiles:
         raise InputError(
-            f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristic octile, and "
+            f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristics octile and landmarks, and "
             f"{' and '.join(SAMPLING_PLANNERS)}, not {planner!r} with {heuristic or 'its own'}: take backend='numba'"
         )
     if backend == "auto":
-        return is_for_frontier and num_queries >= GPU_BATCH and jax.default_backend() != "cpu"
+        return is_for_tiles and num_queries >= GPU_BATCH and jax.default_backend() != "cpu"
     return backend == "jax"
 
 
