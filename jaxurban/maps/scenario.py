@@ -39,6 +39,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.planners.registry import find_planner
 from jaxurban.public import present_name
 from jaxurban.settings import (
+    Backend,
     Buildings,
     CostKind,
     PlannerName,
@@ -168,6 +169,7 @@ class Study:
       budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
         repeat exactly, whatever the number of workers, but for ``elapsed_s``.
       seed: of the sampling of instances, and of sampling planners, mixed with the instance's number.
+      backend: ``"jax"`` runs A* and BIT* in JAX; all else, and ``"auto"``, is Numba. Each row says what ran.
 
     Raises:
       InputError: no planner, an unknown one, or a number that is too small.
@@ -190,6 +192,7 @@ class Study:
     budget_s: float = 2.0
     budget_iterations: int | None = None
     seed: int = 0
+    backend: Backend = "auto"
 
     def __post_init__(self) -> None:
         """Check the settings, and write planners as tuples without repetitions; errors as of the class."""
