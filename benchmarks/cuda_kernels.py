@@ -28,7 +28,7 @@ from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.bulk import EDGES_TOGETHER, NODES_TOGETHER
-from jaxurban.planners.tile_search import TILES_TOGETHER
+from jaxurban.planners.cost import STEPS
 from jaxurban.studies.tuning import confidence, fenchel_young, target_fit
 from jaxurban.studies.tuning.target_fit import Target
 from jaxurban.studies.weights import buildings
@@ -132,8 +132,8 @@ EDGES = float64(*REGION), float64(1024, 2), float64(1024, 2), float64()
 LINE = {"is_line": True, "passes_corners": array(dtype=bool)}
 
 NUM_QUERIES, NUM_TILES = 256, 32  # on a map of 1,024 cells a side
-EDGES_OF_TILES = float64(8, NUM_TILES * tiles.SIDE, NUM_TILES * tiles.SIDE)
-TOGETHER = {"num_together": TILES_TOGETHER * NUM_QUERIES}
+EDGES_OF_TILES = dict.fromkeys(STEPS, float64(NUM_TILES * tiles.SIDE, NUM_TILES * tiles.SIDE))
+TOGETHER = {"num_together": NUM_QUERIES}
 
 
 def open_tiles() -> tiles.Search:

@@ -304,7 +304,7 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
         if near.size[0] == 0:
             if goal_g < np.inf:
                 return FOUND, num_expanded
-            refill(queue, graph.num_cols, graph.moves, graph.cost, g, state)
+            refill(queue, state)
         if near.size[0] == 0:
             return EXHAUSTED, num_expanded
         if num_expanded >= max_expanded:
@@ -421,9 +421,8 @@ class GridSearch:
     def low_f(self) -> float:
         """The least f in the queue, inf where it is empty."""
         near = self._queue.near
-        graph = self.graph
         if not near.size[0]:
-            refill(self._queue, graph.num_cols, graph.moves, graph.cost, self._g, self._state)
+            refill(self._queue, self._state)
         return float(near.f[: near.size[0]].min(initial=np.inf))
 
     def run(self, *, reopen: bool = True, end_s: float = np.inf, chunk: int = 0) -> int:

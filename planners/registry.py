@@ -4,7 +4,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import partial
-from typing import get_args
+from typing import Any, get_args
 
 import jax
 import numpy as np
@@ -34,7 +34,7 @@ from jaxurban.settings import Backend
 Outcome = tuple[int, Path | Exception]
 
 EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the search by tiles can stand for
-TILED_HEURISTICS = (None, AUTO, "octile", "landmarks")
+TILED_HEURISTICS = (None, AUTO, "octile")
 # Whose batches `solve_batched` searches in bulk.
 SAMPLING_PLANNERS = ("bitstar-dist", "bitstar-plus")
 FEW_TO_ONE_GOAL = 8  # queries to one goal from which the costs to it are computed for the whole map
@@ -139,43 +139,12 @@ def find_planner(
     return entry.run if heuristic is None else partial(entry.run, heuristic=heuristic)
 
 
-def _in_jax(
-    problem: Problem,
-    *,
-    planner: str,
-    heuristic: str | None,
-    budget_s: float = np.inf,
-    seed: int = 0,
-    max_samples: int | None = None,
-) -> Path:
-    """Return the path of a single query by a planner in JAX; arguments are those of the planner."""
-    ((_, path),) = _together_in_jax(
-        [problem], planner, heuristic, budget_s=budget_s, seed=seed, max_samples=max_samples
-    )
+def _in_jax(problem: Problem, **query: Any) -> Path:
+    """Return the path of a single query by a planner in JAX; arguments are those of `solve_many`."""
+    ((_, path),) = solve_many([problem], backend="jax", **query)
+    if isinstance(path, Exception):
+        raise path
     return path
-
-
-def _together_in_jax(
-    problems: Sequence[Problem],
-    planner: str,
-    heuristic: str | None,
-    *,
-    budget_s: float,
-    seed: int,
-    max_samples: int | None = None,
-) -> Iterator[tuple[int, Path]]:
-    """Yield ``(index, path)`` of queries by a planner in JAX; sampling planners take the same seed for all."""
-    if planner in SAMPLING_PLANNERS:
-        return solve_batched(
-            problems,
-            planner=planner,
-            heuristic=heuristic or PLANNERS[planner].default_heuristic,
-            seeds=[seed] * len(problems),
-            budget_s=budget_s,
-            max_samples=max_samples,
-        )
-    bound = "landmarks" if heuristic == "landmarks" else "octile"
-    return solve_by_tiles(problems, planner=planner, heuristic=bound, budget_s=budget_s)
 
 
 def solve_many(
@@ -196,8 +165,8 @@ def solve_many(
 
     - ``"numba"``: the planner itself, query by query, on ``num_threads`` threads. The compiled A* leaves them free to
       run side by side.
-    - ``"jax"``: the queries on a map together; for ``astar-dist`` and ``astar-plus`` by tiles, which gives their results
-      (see `solve_by_tiles`), for ``bitstar-dist`` and ``bitstar-plus`` batch by batch (see `solve_batched`).
+    - ``"jax"``: the queries on a map together; for ``astar-dist`` and ``astar-plus`` by tiles, which gives their
+      results (see `solve_by_tiles`), for ``bitstar-dist`` and ``bitstar-plus`` batch by batch (see `solve_batched`).
     - ``"auto"``: ``"jax"`` where JAX has a GPU, the planner is ``astar-dist`` or ``astar-plus`` and there are at least
       `GPU_BATCH` queries; else ``"numba"``, which is several times as fast on a CPU.
 
@@ -222,6 +191,16 @@ def solve_many(
     if num_threads is not None:
         at_least("num_threads", num_threads, 1)
     only = range(len(problems)) if only is None else only
+    if backend == "jax" and planner in SAMPLING_PLANNERS:
+        some = [problems[k] for k in only]
+        paths = solve_batched(
+            some,
+            planner=planner,
+            heuristic=heuristic or PLANNERS[planner].default_heuristic,
+            seeds=[seed] * len(some),
+            budget_s=budget_s,
+        )
+        return ((only[k], path) for k, path in paths)
 
     # All else is chosen now, from all problems, and run as the iterator goes on.
     runs_in_jax = backend == "jax"
@@ -246,8 +225,15 @@ def solve_many(
             walk = partial(find_planner(planner, "exact"), budget_s=budget_s, seed=seed)
             yield from run(same_goal, walk)
 
-        # All others by heuristic. Landmarks are made first, from one problem of each map, into the map's cache.
+        # All others together in JAX.
         alone = sorted(set(only) - set(shared))
+        if runs_in_jax:
+            together = [problems[k] for k in alone]
+            for k, path in solve_by_tiles(together, planner=planner, budget_s=budget_s):
+                yield alone[k], path
+            return
+
+        # Or by heuristic. Landmarks are made first, from one problem of each map that needs them, into the map's cache.
         with_landmarks = {
             problems[k].cache: problems[k] for k in alone if heuristics[k] == "landmarks"
         }
@@ -255,14 +241,8 @@ def solve_many(
             make_landmarks(problem)
 
         for name in dict.fromkeys(heuristics[k] for k in alone):
-            named = [k for k in alone if heuristics[k] == name]
-            if runs_in_jax:
-                some = [problems[k] for k in named]
-                paths = _together_in_jax(some, planner, name, budget_s=budget_s, seed=seed)
-                yield from ((named[k], path) for k, path in paths)
-            else:
-                search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
-                yield from run(named, search)
+            search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
+            yield from run([k for k in alone if heuristics[k] == name], search)
 
     return outcomes()
 
@@ -272,7 +252,7 @@ def _check_in_jax(planner: str, heuristic: str | None) -> None:
     is_for_tiles = planner in EXACT_PLANNERS and heuristic in TILED_HEURISTICS
     if planner not in SAMPLING_PLANNERS and not is_for_tiles:
         raise InputError(
-            f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristics octile and landmarks, and "
+            f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristic octile, and "
             f"{' and '.join(SAMPLING_PLANNERS)}, not {planner!r} with {heuristic or 'its own'}: take backend='numba'"
         )
 

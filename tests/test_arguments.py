@@ -593,7 +593,7 @@ TABLE: dict[str, dict[str, Any]] = {
     | {
         "goal": on.BETWEEN,
         "goal_xy_m": ENDS["goal_xy_m"],
-        "snap": Case(False, {"goal": on.BETWEEN}),
+        "snap": Case(False, {"goal": START}),
         "backend": Same("both find the exact costs"),
     },
     "sample_city": {"kinds": ("building",)},

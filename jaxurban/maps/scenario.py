@@ -169,7 +169,7 @@ class Study:
       budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
         repeat exactly, whatever the number of workers, but for ``elapsed_s``.
       seed: of the sampling of instances, and of sampling planners, mixed with the instance's number.
-      backend: ``"jax"`` runs A* and BIT* in JAX; all else, and ``"auto"``, is Numba. Each row says what ran.
+      backend: ``"jax"`` runs A* and BIT* in JAX if the budget is in seconds; all else is Numba. Rows say what ran.
 
     Raises:
       InputError: no planner, an unknown one, or a number that is too small.

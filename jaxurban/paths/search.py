@@ -66,7 +66,7 @@ class PathSearch:
           maps: whose scenario gives planner, budget and seed; None for the defaults.
           is_for_volumes: whether the path may climb; then the scenario gives only the budget.
           planner: left out and not in the scenario, ``"astar-plus"``, between levels ``"astar-volume"``.
-          heuristic, budget_s, seed, snap, on_ground, refine, exposure, backend: the attributes; None for what is left out.
+          heuristic, budget_s, seed, snap, on_ground, refine, exposure, backend: the attributes; None: left out.
 
         Raises:
           InputError: an unknown planner, a heuristic that it does not take, a wrong seed, budget or distance of

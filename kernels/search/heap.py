@@ -1,11 +1,8 @@
 """What is open in compiled searches, lowest first: a 4-ary heap, and for grids buckets of about equal f."""
 
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 
 from jaxurban.kernels.compiled import compiled
 
@@ -20,9 +17,6 @@ NUM_BUCKETS = 2048
 BUCKETS_PER_STEP = 32  # in the cost of a typical step: wider ones hold more to expand again
 NUM_FAR, FREE_SLOT, BUCKET, IS_HEAP = range(4)  # places in a queue's ``tally``
 NO_SLOT = -1
-BYTES, WORD = ir.IntType(8).as_pointer(), ir.IntType(32)
-# LLVM's words: what for, how near to the core, and that it is no code.
-READ, KEEP_CLOSE, DATA = 0, 3, 1
 
 
 class Heap(NamedTuple):
@@ -97,32 +91,6 @@ def drop_top(heap):
         i = low
     heap.f[i] = f
     heap.item[i] = item
-
-
-def _prefetch(typing_context, array, index):
-    """Have the processor load the cache line of one item of an array ``[N]``; an index outside the array does no harm.
-
-    This is Numba's form of a function of an array and an index: it returns the types, and what emits the code.
-    """
-
-    def generate(context, builder, signature, arguments):
-        """Emit a call of LLVM's prefetch for the address of the item; its result is None."""
-        values, place = arguments
-        data = context.make_array(signature.args[0])(context, builder, values).data
-        address = builder.bitcast(builder.gep(data, [place]), BYTES)
-        hint = [ir.Constant(WORD, word) for word in (READ, KEEP_CLOSE, DATA)]
-        signature_in_llvm = ir.FunctionType(ir.VoidType(), [BYTES, *[WORD] * len(hint)])
-        # A module declares it once.
-        function = builder.module.globals.get("llvm.prefetch") or ir.Function(
-            builder.module, signature_in_llvm, "llvm.prefetch"
-        )
-        builder.call(function, [address, *hint])
-        return context.get_dummy_value()
-
-    return types.void(array, index), generate
-
-
-prefetch: Any = intrinsic(_prefetch)
 
 
 class Queue(NamedTuple):
@@ -242,16 +210,14 @@ def insert(queue, f, node):
 
 
 @compiled(forceinline=True)
-def refill(queue, num_cols, moves, cost, g, state):
+def refill(queue, state):
     """Bring the next bucket's entries into the heap if it is empty; it stays empty where no bucket is left.
 
-    These nodes will soon be expanded, so what the search keeps of them and of their neighbours is prefetched. A node
-    that was closed meanwhile, at a lower f, is left out.
+    A node that was closed meanwhile, at a lower f, is left out.
 
     Args:
       queue: altered.
-      num_cols: cells in a row of the grid, the distance to a node's neighbours north and south.
-      moves, cost, g, state: ``[M]`` arrays of the search, by node (see `planners.grid_search.advance`).
+      state: ``[M]`` of the search, by node (see `planners.grid_search.advance`).
     """
     tally = queue.tally
     while queue.near.size[0] == 0 and tally[NUM_FAR] > 0:
@@ -283,9 +249,4 @@ def refill(queue, num_cols, moves, cost, g, state):
             node = np.int64(queue.far_node[slot])
             if not state[np.uint64(node)] & CLOSED:
                 insert(queue, queue.far_f[slot], node)
-                prefetch(moves, node)
-                for beside in (node - num_cols, node, node + num_cols):
-                    prefetch(g, beside)
-                    prefetch(state, beside)
-                    prefetch(cost, beside)
             slot = next_slot

@@ -13,18 +13,8 @@ from jaxurban.kernels.tolerances import SAME_COST
 
 SIDE = 32  # cells along a side of a tile: 16 make for fewer cells visited and more rounds
 CYCLES = 3  # of sweeps to the north, south, east and west in one visit of a tile
+Edges = dict[tuple[int, int], Array]  # by rows and columns of a step
 RIM = {-1: slice(1), 0: slice(None), 1: slice(-1, None)}  # cells of a tile next to a neighbour
-ASIDE = (-1, 0, 1)
-STEPS = (
-    (1, 0),
-    (-1, 0),
-    (0, 1),
-    (0, -1),
-    (1, 1),
-    (1, -1),
-    (-1, 1),
-    (-1, -1),
-)  # as of `planners.cost`
 
 
 class Search(NamedTuple):
@@ -68,7 +58,7 @@ def begin(start: ArrayLike, goal: ArrayLike, bound: ArrayLike) -> Search:
 
 @partial(jax.jit, donate_argnums=0, static_argnames="num_together")
 def advance(
-    search: Search, edges: Array, band: float, max_rounds: int, num_together: int
+    search: Search, edges: Edges, band: float, max_rounds: int, num_together: int
 ) -> tuple[Search, Array]:
     """Return the search after up to ``max_rounds`` rounds, and ``[Q]`` the lowest open f of each query.
 
@@ -78,7 +68,7 @@ def advance(
 
     Args:
       search: its memory is used again.
-      edges: ``[8, I * SIDE, J * SIDE]`` float64 cost of each step of `STEPS` from each cell, inf where not allowed.
+      edges: ``[I * SIDE, J * SIDE]`` float64 cost of each of the 8 steps from each cell, inf where not allowed.
       band: how far above the lowest f of its query a tile is visited.
       max_rounds, num_together: see above.
     """
@@ -102,7 +92,7 @@ def _open_f(search: Search) -> Array:
     return jnp.where(f <= SAME_COST * of_start[:, None, None], f, jnp.inf)
 
 
-def _round(search: Search, edges: Array, band: float, num_together: int) -> Search:
+def _round(search: Search, edges: Edges, band: float, num_together: int) -> Search:
     """Return the search after one visit of the chosen tiles, which are computed side by side: ``A`` is their number.
 
     Places without a tile have a query out of bounds: what is read there is of no meaning, and writing there is dropped.
@@ -114,13 +104,13 @@ def _round(search: Search, edges: Array, band: float, num_together: int) -> Sear
     query, tile = jnp.divmod(chosen, f[0].size)
     i, j = jnp.divmod(tile, f.shape[2])
 
-    def taken(values: Array, first: Array, num: int, side: int) -> Array:
-        """Return ``[num, side, side, A]`` windows of ``[N, Y, X]`` at the tiles, from a first layer on."""
-        windows = jax.vmap(lambda *at: lax.dynamic_slice(values, at, (num, side, side)))
-        return jnp.moveaxis(windows(first, i * SIDE, j * SIDE), 0, -1)
+    def taken(side: int, layer: Array, values: Array) -> Array:
+        """Return ``[side, side, A]`` windows of layers of ``[Q, Y, X]`` at the tiles."""
+        windows = jax.vmap(lambda *at: lax.dynamic_slice(values, at, (1, side, side))[0])
+        return jnp.moveaxis(windows(layer, i * SIDE, j * SIDE), 0, -1)
 
-    own_edges = taken(edges, 0 * query, len(edges), SIDE)
-    (before,) = taken(search.g, query, 1, SIDE + 2)
+    own_edges = {step: taken(SIDE, 0 * query, edge[None]) for step, edge in edges.items()}
+    before = taken(SIDE + 2, query, search.g)
 
     def cycle(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         g = last = carry[0]
@@ -134,7 +124,7 @@ def _round(search: Search, edges: Array, band: float, num_together: int) -> Sear
     own = g[1:-1, 1:-1]
     lowered, again = (jnp.where(g < old, g, jnp.inf)[1:-1, 1:-1] for old in (before, last))
     open_g = search.open_g.at[query, i + 1, j + 1].set(jnp.inf, mode="drop")
-    for di, dj in product(ASIDE, ASIDE):
+    for di, dj in product(RIM, RIM):
         lowest = (lowered if di or dj else again)[RIM[di], RIM[dj]].min((0, 1))
         open_g = open_g.at[query, i + 1 + di, j + 1 + dj].min(lowest, mode="drop")
 
@@ -147,12 +137,12 @@ def _round(search: Search, edges: Array, band: float, num_together: int) -> Sear
     )
 
 
-def _swept(g: Array, edges: Array, axis: int, side: int) -> Array:
+def _swept(g: Array, edges: Edges, axis: int, side: int) -> Array:
     """Return g ``[SIDE + 2, SIDE + 2, A]`` of tiles and the cells around them after a sweep, line by line.
 
     Args:
       g: lowest costs found.
-      edges: ``[8, SIDE, SIDE, A]`` cost of each step of `STEPS` from the cells of the tiles.
+      edges: ``[SIDE, SIDE, A]`` cost of each step from the cells of the tiles.
       axis: across which the lines lie.
       side: where the line before each one lies along it, 1 or -1: from three of its cells each cell may be lowered.
     """
@@ -163,9 +153,9 @@ def _swept(g: Array, edges: Array, axis: int, side: int) -> Array:
     def lower(k: Array, g: Array) -> Array:
         at = k if side < 0 else SIDE - 1 - k
         before, lowest = line(g, at + 1 + side), line(g, at + 1)[1:-1]
-        for aside in ASIDE:
-            step = STEPS.index((side, aside) if axis == 0 else (aside, side))
-            lowest = jnp.minimum(lowest, line(edges[step], at) + before[1 + aside :][:SIDE])
+        for aside in RIM:
+            edge = edges[(side, aside) if axis == 0 else (aside, side)]
+            lowest = jnp.minimum(lowest, line(edge, at) + before[1 + aside :][:SIDE])
         place = (at + 1, 1, 0) if axis == 0 else (1, at + 1, 0)
         return lax.dynamic_update_slice(g, jnp.expand_dims(lowest, axis), place)
 

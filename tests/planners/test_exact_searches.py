@@ -340,12 +340,11 @@ def test_tiles_are_exact_over_many_tiles_and_wide_spreads_whatever_runs_beside(k
     cells = [tuple(map(int, cell)) for cell in np.argwhere(free)]
     problem = Problem(layer[None], free, cells[0], cells[-1], 2.0, 1e-3, model)
     queries = random_queries(problem, 20)
-    for heuristic in ("octile", "landmarks"):
-        paths = dict(solve_by_tiles(queries, planner="", heuristic=heuristic))
-        alone = dict(solve_by_tiles(queries[3:4], planner="", heuristic=heuristic))[0]
-        np.testing.assert_array_equal(alone.points_m, paths[3].points_m)
-        for index, query in enumerate(queries):
-            assert_optimal(paths[index], query)
+    paths = dict(solve_by_tiles(queries, planner=""))
+    alone = dict(solve_by_tiles(queries[3:4], planner=""))[0]
+    np.testing.assert_array_equal(alone.points_m, paths[3].points_m)
+    for index, query in enumerate(queries):
+        assert_optimal(paths[index], query)
     np.testing.assert_allclose(costs_by_tiles(problem), cost_to_go(problem), rtol=1e-12)
 
 

@@ -192,10 +192,11 @@ def limited(planner: str, study: Study) -> Callable[..., Path]:
       planner: its name.
       study: its budget is in seconds, or in samples: then a planner that draws no samples has no limit.
     """
-    is_in_jax = study.backend == "jax" and planner in (*EXACT_PLANNERS, *SAMPLING_PLANNERS)
-    search = find_planner(planner, backend="jax" if is_in_jax else "auto")
     if study.budget_iterations is None:
+        is_in_jax = study.backend == "jax" and planner in (*EXACT_PLANNERS, *SAMPLING_PLANNERS)
+        search = find_planner(planner, backend="jax" if is_in_jax else "auto")
         return partial(search, budget_s=study.budget_s)
+    search = find_planner(planner)
     if draws_samples(planner):
         search = partial(search, max_samples=study.budget_iterations)
     return partial(search, budget_s=math.inf)
