@@ -29,6 +29,7 @@ from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.bulk import EDGES_TOGETHER, NODES_TOGETHER
 from jaxurban.planners.cost import STEPS
+from jaxurban.planners.tile_search import TILES_TOGETHER
 from jaxurban.studies.tuning import confidence, fenchel_young, target_fit
 from jaxurban.studies.tuning.target_fit import Target
 from jaxurban.studies.weights import buildings
@@ -133,13 +134,16 @@ LINE = {"is_line": True, "passes_corners": array(dtype=bool)}
 
 NUM_QUERIES, NUM_TILES = 256, 32  # on a map of 1,024 cells a side
 EDGES_OF_TILES = dict.fromkeys(STEPS, float64(NUM_TILES * tiles.SIDE, NUM_TILES * tiles.SIDE))
-TOGETHER = {"num_together": NUM_QUERIES}
+TOGETHER = {"num_together": TILES_TOGETHER["gpu"] * NUM_QUERIES}
+
+
+ENDS_OF_TILES = int32(NUM_QUERIES, 2)
+BOUND_OF_TILES = float64(NUM_QUERIES, NUM_TILES, NUM_TILES)
 
 
 def open_tiles() -> tiles.Search:
-    ends, bound = int32(NUM_QUERIES, 2), float64(NUM_QUERIES, NUM_TILES, NUM_TILES)
     with jax.enable_x64(True):
-        return jax.eval_shape(tiles.begin, ends, ends, bound)
+        return jax.eval_shape(tiles.begin, ENDS_OF_TILES, ENDS_OF_TILES, BOUND_OF_TILES)
 
 
 NUM_NODES = 16_384
@@ -349,6 +353,9 @@ KERNELS: dict[str, Callable[[], Call]] = {
         (SAMPLES, float64(*REGION), float64(), array(dtype=bool)),
         {"is_line": True, "sizes": GRAPH},
         True,
+    ),
+    "tiles: begin": lambda: Call(
+        tiles.begin, (ENDS_OF_TILES, ENDS_OF_TILES, BOUND_OF_TILES), {}, True
     ),
     "tiles: advance": lambda: Call(
         tiles.advance, (open_tiles(), EDGES_OF_TILES, float64(), WHOLE), TOGETHER, True

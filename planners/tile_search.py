@@ -17,7 +17,11 @@ from jaxurban.planners.grid_search import graph_of
 
 BAND_STEPS = 8.0  # a band that spans this many steps over the map's median cell
 ROUNDS_AT_ONCE = 32  # between two looks at the clock: some 0.1 s
-FEWEST_TOGETHER = 8  # tiles of a round; else as many as queries
+FEWEST_TOGETHER = 8  # tiles of a round, else for each query:
+TILES_TOGETHER = {
+    "cpu": 1,
+    "gpu": 8,
+}  # what fits into a CPU's caches; a GPU's round takes the same time for more
 BYTES_OF_G = {"cpu": 2**26, "gpu": 2**33}  # of the queries that run together
 NOWHERE = 2**30  # row and column of a start or goal that is never met
 _Ended = tuple[int, np.ndarray, float, int, float]
@@ -41,9 +45,8 @@ def solve_by_tiles(
     by_map: dict[ProblemCache, list[int]] = {}
     for index, problem in enumerate(problems):
         by_map.setdefault(problem.cache, []).append(index)
-    kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
     for indices in by_map.values():
-        num_together = max(1, BYTES_OF_G[kind] // (8 * problems[indices[0]].cost.size))
+        num_together = max(1, BYTES_OF_G[_device()] // (8 * problems[indices[0]].cost.size))
         for first in range(0, len(indices), num_together):
             group = indices[first : first + num_together]
             queries = [problems[index] for index in group]
@@ -61,6 +64,10 @@ def solve_by_tiles(
                         backend="jax",
                     ),
                 )
+
+
+def _device() -> str:
+    return "cpu" if jax.default_backend() == "cpu" else "gpu"
 
 
 def costs_by_tiles(problem: Problem) -> np.ndarray:
@@ -103,7 +110,7 @@ def _in_turns(queries: list[Problem], starts: np.ndarray, budget_s: float) -> It
     start, goal = np.full((2, num_places, 2), NOWHERE, np.int32)
     start[: len(queries)] = starts
     goal[: len(queries)] = [query.goal for query in queries]
-    num_together = max(FEWEST_TOGETHER, num_places)
+    num_together = max(FEWEST_TOGETHER, TILES_TOGETHER[_device()] * num_places)
     edges, bound, band = _tiled(queries[0], start)
     num_rows, num_cols = queries[0].cost.shape
 

@@ -35,6 +35,7 @@ class Search(NamedTuple):
     num_visits: Array
 
 
+@jax.jit
 def begin(start: ArrayLike, goal: ArrayLike, bound: ArrayLike) -> Search:
     """Return a search in which the tiles of the goals are open.
 
