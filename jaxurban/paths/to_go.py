@@ -31,10 +31,9 @@ def cost_to_go(
     snap: bool | float = False,
     backend: Backend = "auto",
 ) -> np.ndarray:
-    """Return ``[Y, X]`` float64 the cost of the cheapest path of the grid from each cell to a goal, row 0 in the south.
+    """Return the cost of the cheapest path of the grid from each cell to a goal.
 
-    The costs are exact, and those of `plan`; inf where a cell is closed or no way leads to the goal. The costs from
-    thousands of starts to one goal are one such field.
+    The costs are exact, and those of `plan`. The costs from thousands of starts to one goal are one such field.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
@@ -45,6 +44,9 @@ def cost_to_go(
       snap: whether a goal that is not free moves to the nearest free cell, as in `plan`.
       backend: ``"numba"``, ``"jax"`` (tiles, `planners.tile_search`), or ``"auto"``: Numba, which is several times as
         fast on a CPU; on a GPU neither is measured.
+
+    Returns:
+      ``[Y, X]`` float64, row 0 in the south; inf where a cell is closed or no way leads to the goal.
 
     Raises:
       InputError: as of `plan`.
