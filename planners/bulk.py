@@ -32,6 +32,11 @@ def power_of_two(number: int) -> int:
     return 1 << (number - 1).bit_length()
 
 
+def device_kind() -> str:
+    """Return ``"cpu"`` or ``"gpu"``: where JAX computes."""
+    return "cpu" if jax.default_backend() == "cpu" else "gpu"
+
+
 def solve_batched(
     problems: Sequence[Problem],
     *,
@@ -75,7 +80,7 @@ def solve_batched(
             "BIT* with backend 'jax' tests no legs for this clearance: take backend='numba'"
         )
 
-    kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
+    kind = device_kind()
     by_map: dict[ProblemCache, list[int]] = {}
     for index, problem in enumerate(problems):
         by_map.setdefault(problem.cache, []).append(index)

@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from jaxurban.kernels.search.tiles import SIDE, Edges, Search, advance, begin
 from jaxurban.planners.astar import astar, make_heuristic
 from jaxurban.planners.base import Path, Problem, ProblemCache, Status
-from jaxurban.planners.bulk import power_of_two
+from jaxurban.planners.bulk import device_kind, power_of_two
 from jaxurban.planners.cost import STEPS
 from jaxurban.planners.grid_search import graph_of
 
@@ -24,7 +25,22 @@ TILES_TOGETHER = {
 }  # what fits into a CPU's caches; a GPU's round takes the same time for more
 BYTES_OF_G = {"cpu": 2**26, "gpu": 2**33}  # of the queries that run together
 NOWHERE = 2**30  # row and column of a start or goal that is never met
-_Ended = tuple[int, np.ndarray, float, int, float]
+
+
+class _Ended(NamedTuple):
+    """What is known of a query that is done, or out of time.
+
+    Attributes:
+      costs: ``[Y, X]`` to its goal, those of cells on cheapest paths exact if it is done.
+      low_f: its lowest open f, inf if it is done.
+      num_visits: of tiles.
+      begin_s: when it began.
+    """
+
+    costs: np.ndarray
+    low_f: float
+    num_visits: int
+    begin_s: float
 
 
 def solve_by_tiles(
@@ -46,55 +62,45 @@ def solve_by_tiles(
     for index, problem in enumerate(problems):
         by_map.setdefault(problem.cache, []).append(index)
     for indices in by_map.values():
-        num_together = max(1, BYTES_OF_G[_device()] // (8 * problems[indices[0]].cost.size))
+        num_together = max(1, BYTES_OF_G[device_kind()] // (8 * problems[indices[0]].cost.size))
         for first in range(0, len(indices), num_together):
             group = indices[first : first + num_together]
             queries = [problems[index] for index in group]
             starts = np.array([query.start for query in queries], np.int32)
-            for k, costs, low_f, num_visits, begin_s in _in_turns(queries, starts, budget_s):
-                path = _walk(queries[k], costs, low_f)
-                yield (
-                    group[k],
-                    replace(
-                        path,
-                        num_expanded=num_visits * SIDE**2,
-                        elapsed_s=time.perf_counter() - begin_s,
-                        planner=planner,
-                        heuristic="octile",
-                        backend="jax",
-                    ),
-                )
-
-
-def _device() -> str:
-    return "cpu" if jax.default_backend() == "cpu" else "gpu"
+            for k, ended in _in_turns(queries, starts, budget_s):
+                yield group[k], _path(queries[k], ended, planner)
 
 
 def costs_by_tiles(problem: Problem) -> np.ndarray:
     """Return ``[Y, X]`` the exact cost from every cell to a problem's goal, as `astar.cost_to_go`."""
-    ((_, costs, *_),) = _in_turns([problem], np.full((1, 2), NOWHERE, np.int32), np.inf)
-    return costs
+    ((_, ended),) = _in_turns([problem], np.full((1, 2), NOWHERE, np.int32), np.inf)
+    return ended.costs
 
 
-def _walk(problem: Problem, costs: np.ndarray, low_f: float) -> Path:
-    """Return the path of a query that is done, or out of time, by walking down on its costs to the goal.
-
-    Args:
-      problem: the query.
-      costs: ``[Y, X]`` to its goal, those of cells on cheapest paths exact if it is done.
-      low_f: its lowest open f, inf if it is done.
-    """
+def _path(problem: Problem, ended: _Ended, planner: str) -> Path:
+    """Return the path of a query by walking down on its costs to the goal."""
     alone = problem.alone()
-    alone.cache.costs_to_go = {problem.goal: costs}
-    path = astar(alone, heuristic="exact")
-    if low_f == np.inf:
-        return path
-    status = Status.BUDGET_FEASIBLE if path.status.has_path else Status.BUDGET_EMPTY
-    return replace(path, status=status, lower_bound=min(low_f, path.cost))
+    alone.cache.costs_to_go = {problem.goal: ended.costs}
+    path = astar(alone, heuristic="exact", planner=planner)
+    status, lower_bound = path.status, path.lower_bound
+    if ended.low_f < np.inf:
+        status = Status.BUDGET_FEASIBLE if status.has_path else Status.BUDGET_EMPTY
+        lower_bound = min(ended.low_f, path.cost)
+    return replace(
+        path,
+        status=status,
+        lower_bound=lower_bound,
+        num_expanded=ended.num_visits * SIDE**2,
+        elapsed_s=time.perf_counter() - ended.begin_s,
+        heuristic="octile",
+        backend="jax",
+    )
 
 
-def _in_turns(queries: list[Problem], starts: np.ndarray, budget_s: float) -> Iterator[_Ended]:
-    """Yield the number of each query on a map when it ends, its costs, lowest open f, tiles visited, and begin.
+def _in_turns(
+    queries: list[Problem], starts: np.ndarray, budget_s: float
+) -> Iterator[tuple[int, _Ended]]:
+    """Yield the number of each query on a map, and what is known of it, when it ends.
 
     JAX works in a thread of its own, which finishes its turn after a Ctrl-C here: a compilation that is cut off
     goes on in JAX's threads and crashes if the interpreter ends meanwhile. The thread also keeps the
@@ -110,7 +116,7 @@ def _in_turns(queries: list[Problem], starts: np.ndarray, budget_s: float) -> It
     start, goal = np.full((2, num_places, 2), NOWHERE, np.int32)
     start[: len(queries)] = starts
     goal[: len(queries)] = [query.goal for query in queries]
-    num_together = max(FEWEST_TOGETHER, TILES_TOGETHER[_device()] * num_places)
+    num_together = max(FEWEST_TOGETHER, TILES_TOGETHER[device_kind()] * num_places)
     edges, bound, band = _tiled(queries[0], start)
     num_rows, num_cols = queries[0].cost.shape
 
@@ -131,7 +137,7 @@ def _in_turns(queries: list[Problem], starts: np.ndarray, budget_s: float) -> It
             for k in [k for k in running if is_over or np.isinf(low_f[k])]:
                 running.remove(k)
                 costs = np.asarray(search.g[k])[1 : num_rows + 1, 1 : num_cols + 1]
-                yield k, costs, float(low_f[k]), int(search.num_visits[k]), begin_s
+                yield k, _Ended(costs, float(low_f[k]), int(search.num_visits[k]), begin_s)
 
 
 def _tiled(problem: Problem, start: np.ndarray) -> tuple[Edges, np.ndarray, float]:

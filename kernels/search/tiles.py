@@ -7,7 +7,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jax.typing import ArrayLike
 
 from jaxurban.kernels.tolerances import SAME_COST
 
@@ -36,14 +35,13 @@ class Search(NamedTuple):
 
 
 @jax.jit
-def begin(start: ArrayLike, goal: ArrayLike, bound: ArrayLike) -> Search:
+def begin(start: Array, goal: Array, bound: Array) -> Search:
     """Return a search in which the tiles of the goals are open.
 
     Args:
       start, bound: of `Search`.
       goal: ``[Q, 2]`` int32; a query is done from the first if it lies far out of bounds.
     """
-    start, goal, bound = map(jnp.asarray, (start, goal, bound))
     num_queries, num_i, num_j = bound.shape
     query = jnp.arange(num_queries)
     g = jnp.full((num_queries, num_i * SIDE + 2, num_j * SIDE + 2), jnp.inf)

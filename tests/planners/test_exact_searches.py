@@ -316,7 +316,7 @@ def test_a_crash_takes_the_place_of_its_path_and_no_search_begins_after_the_iter
             raise ZeroDivisionError("by a bug")
         return astar(problem, budget_s=budget_s)
 
-    monkeypatch.setattr(registry, "find_planner", lambda name, heuristic: search)
+    monkeypatch.setattr(registry, "find_planner", lambda name, heuristic, **_: search)
     outcomes = dict(solve_many(queries[:6], planner="astar-dist"))
     assert isinstance(outcomes.pop(2), ZeroDivisionError)
     assert all(
