@@ -17,7 +17,7 @@ from jaxurban.kernels.distance import nearest as distance
 from jaxurban.kernels.lidar import hard
 from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.line.segment_cost import segment_costs
-from jaxurban.kernels.search import frontier, sample_graph
+from jaxurban.kernels.search import sample_graph, tiles
 from jaxurban.kernels.shadows import blocks, rays, sweep
 from jaxurban.kernels.shadows.sweep import shadow_heights
 from jaxurban.kernels.soft_step import satellite_weights
@@ -27,8 +27,9 @@ from jaxurban.metrics import gps, gps_soft, lidar, population, risk, visibility
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
-from jaxurban.planners.bulk import CELLS_TOGETHER, EDGES_TOGETHER, NODES_TOGETHER, QUERIES_TOGETHER
+from jaxurban.planners.bulk import EDGES_TOGETHER, NODES_TOGETHER
 from jaxurban.planners.cost import STEPS
+from jaxurban.planners.tile_search import TILES_TOGETHER
 from jaxurban.studies.tuning import confidence, fenchel_young, target_fit
 from jaxurban.studies.tuning.target_fit import Target
 from jaxurban.studies.weights import buildings
@@ -131,21 +132,18 @@ RUN_M2, AROUND = array(HALO + 1), distance.disc(50.0, 5.0, jnp.float32)
 EDGES = float64(*REGION), float64(1024, 2), float64(1024, 2), float64()
 LINE = {"is_line": True, "passes_corners": array(dtype=bool)}
 
-NUM_QUERIES, NUM_CELLS = QUERIES_TOGETHER["gpu"], TILE[0] * TILE[1]
-TOGETHER = {"num_together": CELLS_TOGETHER * NUM_QUERIES}
+NUM_QUERIES, NUM_TILES = 256, 32  # on a map of 1,024 cells a side
+EDGES_OF_TILES = dict.fromkeys(STEPS, float64(NUM_TILES * tiles.SIDE, NUM_TILES * tiles.SIDE))
+TOGETHER = {"num_together": TILES_TOGETHER["gpu"] * NUM_QUERIES}
 
 
-def grids() -> frontier.Grids:
-    moves, steps = array(1, NUM_CELLS, dtype=jnp.uint8), [float64(1, 8)] * 3
-    return frontier.Grids(
-        float64(1, NUM_CELLS), moves, *steps, float64(1), float64(1), int32(8, 2), WHOLE
-    )
+ENDS_OF_TILES = int32(NUM_QUERIES, 2)
+BOUND_OF_TILES = float64(NUM_QUERIES, NUM_TILES, NUM_TILES)
 
 
-def open_cells() -> frontier.Frontier:
-    list_size = 2 * len(STEPS) * TOGETHER["num_together"] + NUM_QUERIES
+def open_tiles() -> tiles.Search:
     with jax.enable_x64(True):
-        return jax.eval_shape(lambda: frontier.empty_frontier(NUM_QUERIES, NUM_CELLS, list_size))
+        return jax.eval_shape(tiles.begin, ENDS_OF_TILES, ENDS_OF_TILES, BOUND_OF_TILES)
 
 
 NUM_NODES = 16_384
@@ -356,12 +354,11 @@ KERNELS: dict[str, Callable[[], Call]] = {
         {"is_line": True, "sizes": GRAPH},
         True,
     ),
-    "frontier: begin": lambda: Call(
-        frontier.begin, (open_cells(), grids(), WHOLE, WHOLE, WHOLE, WHOLE, float64()), {}, True
+    "tiles: begin": lambda: Call(
+        tiles.begin, (ENDS_OF_TILES, ENDS_OF_TILES, BOUND_OF_TILES), {}, True
     ),
-    "frontier: drop": lambda: Call(frontier.drop, (open_cells(), WHOLE), {}, True),
-    "frontier: advance": lambda: Call(
-        frontier.advance, (open_cells(), grids(), WHOLE), TOGETHER, True
+    "tiles: advance": lambda: Call(
+        tiles.advance, (open_tiles(), EDGES_OF_TILES, float64(), WHOLE), TOGETHER, True
     ),
     "cost of a route, gradient by heights": lambda: Call(
         buildings._slopes,

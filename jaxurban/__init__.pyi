@@ -35,6 +35,7 @@ from jaxurban.paths.profile import cautions as cautions
 from jaxurban.paths.queries import PlannedPaths as PlannedPaths
 from jaxurban.paths.route_report import OverflownDensity as OverflownDensity
 from jaxurban.paths.route_report import RouteReport as RouteReport
+from jaxurban.paths.to_go import cost_to_go as cost_to_go
 from jaxurban.paths.when import Departures as Departures
 from jaxurban.paths.when import when as when
 from jaxurban.planners.cost import CostModel as CostModel

@@ -42,6 +42,7 @@ HeuristicName = Literal[
     "plus-printed-from-0",
 ]
 MissionEnd = Literal["land", "return", "none"]
+Backend = Literal["auto", "numba", "jax"]  # what searches
 OnGround = bool | Literal["goal"]  # which ends of a path must be free down to the ground
 SampleName = Literal["lower-manhattan", "shinjuku", "nihonbashi"]
 

@@ -61,9 +61,8 @@ def astar(
       seed: taken for the planner contract.
       heuristic: a name of `HEURISTICS`, or ``"auto"``: ``tiles``; in a volume one of `VOLUME_HEURISTICS`.
         The path says which ran.
-      reopen: expand a node again when a cheaper way to it turns up after it was closed. It changes
-        nothing with a consistent heuristic, as all admissible ones here are; with a printed one it
-        mends some paths, at up to exponential cost.
+      reopen: expand a node again when a cheaper way to it turns up after it was closed, also with a printed heuristic:
+        it mends some of its paths, at up to exponential cost. With all others that is done anyway.
       planner: the name that the path carries.
 
     Raises:
@@ -84,7 +83,7 @@ def astar(
     start = cell_of(problem, problem.start)
     goal = cell_of(problem, problem.goal)
     search = GridSearch(graph_of(problem), bound, start, goal)
-    ended = search.run(reopen=reopen, end_s=end_s) if not note else PAUSED
+    ended = search.run(reopen=reopen or name not in PRINTED, end_s=end_s) if not note else PAUSED
 
     points_m = np.empty(0)
     lower_bound = search.low_f if ended == PAUSED else np.inf
@@ -252,10 +251,8 @@ def _seen_from_above(problem: Problem, end_s: float) -> np.ndarray:
         is_reached = bool(search.states[plan.start] & CLOSED)  # then one chunk more is searched
         ended = search.run(end_s=0.0, chunk=FEW + search.num_expanded // 4)
 
-    costs = search.costs_from_start(final=True).reshape(is_free.shape)
-    if ended == EXHAUSTED:
-        return costs
-    return np.minimum(costs, costs.max(where=np.isfinite(costs), initial=0.0))
+    low_f = search.low_f  # inf after the whole search
+    return np.minimum(search.costs_from_start().reshape(is_free.shape), low_f)
 
 
 def heuristic_at(heuristic: Heuristic, cell: Cell, goal: Cell) -> float:

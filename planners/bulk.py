@@ -1,12 +1,10 @@
-"""Many queries solved together in JAX: on the grid by the batched frontier search, BIT*'s by searching all graphs."""
+"""Many queries of BIT* solved together in JAX, by searching all their sample graphs."""
 
-import math
 import time
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cache
-from itertools import chain, islice
+from itertools import islice
 
 import jax
 import jax.numpy as jnp
@@ -14,31 +12,11 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid
-from jaxurban.kernels.search.frontier import (
-    Frontier,
-    Grids,
-    advance,
-    begin,
-    drop,
-    empty_frontier,
-    is_crowded,
-    with_list_of,
-)
 from jaxurban.kernels.search.sample_graph import NO_PARENT, NO_QUERY, Samples, Sizes, search_samples
-from jaxurban.planners.astar import make_heuristic
-from jaxurban.planners.base import Path, Problem, ProblemCache, Status, index_of
+from jaxurban.planners.base import Path, Problem, ProblemCache
 from jaxurban.planners.bitstar.bounds import cost_grid_of
 from jaxurban.planners.bitstar.planner import DEFAULTS, Batches, BitStarOptions, check_limits
-from jaxurban.planners.cost import STEPS
-from jaxurban.planners.grid_search import graph_of, path_points_m
 
-BAND_STEPS = 8.0  # a band that spans this many steps over the map's median cell
-ROUNDS_AT_ONCE = 64  # between two looks at the clock: some 0.1 s
-CELLS_TOGETHER = 128  # expanded in one round for each query that runs, at most
-QUERIES_TOGETHER = {"cpu": 16, "gpu": 256}
-BYTES_OF_G = {"cpu": 2**30, "gpu": 24 * 2**30}  # of what the queries that run together may hold
-BYTES_OF_MAPS = {"cpu": 2**30, "gpu": 8 * 2**30}
-BYTES_A_CELL = 9  # cost and moves of a map; g and step of a query
 SAMPLED_TOGETHER = {"cpu": 64, "gpu": 256}  # queries whose sample graphs are searched together
 MOST_NODES = {"cpu": 2**18, "gpu": 2**21}  # of all queries that run together: some 2 kB each
 # Room for so many, and for 4, 16 ... times as many, so that few shapes are compiled.
@@ -54,217 +32,9 @@ def power_of_two(number: int) -> int:
     return 1 << (number - 1).bit_length()
 
 
-def solve_by_frontier(
-    problems: Sequence[Problem],
-    *,
-    planner: str,
-    budget_s: float = np.inf,
-    band_steps: float = BAND_STEPS,
-) -> Iterator[tuple[int, Path]]:
-    """Yield ``(index, path)`` of every problem when it is done: the cheapest path, or a status that says why not.
-
-    Queries share the device: as many as fit run together, and the next one begins when one is done. The bound
-    is octile, sums are float64, and the results are those of `astar` up to the order of additions. A path's
-    ``elapsed_s``, to which the budget applies, is the wall time from its begin to its end, and so it grows with
-    the number of queries that run together; compiling is left out. If the budget ends first, the best path so far
-    comes back as BUDGET_FEASIBLE, with the bound proven so far.
-
-    Args:
-      problems: the queries. Queries made by `Problem.between` share their map on the device, too.
-      planner: the name that the paths carry.
-      budget_s: seconds for each.
-      band_steps: how far above its lowest f a query expands cells, in steps over the map's median cell. Every
-        band gives the same results; a wide one does more together and more twice.
-    """
-    kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
-
-    # Queries on one map together, and maps of one shape, since a program is compiled for a shape.
-    by_shape: dict[tuple[int, ...], dict[int, list[int]]] = {}
-    for index, problem in enumerate(problems):
-        by_map = by_shape.setdefault(problem.cost.shape, {})
-        by_map.setdefault(id(problem.cost), []).append(index)
-    for shape, by_map in sorted(by_shape.items()):
-        most_maps = max(1, BYTES_OF_MAPS[kind] // (BYTES_A_CELL * math.prod(shape)))
-        waiting = iter(by_map.values())
-        while together := list(islice(waiting, most_maps)):
-            queries = [(index, problems[index]) for index in chain(*together)]
-            yield from _in_turns(queries, planner, budget_s, band_steps, kind)
-
-
-def _in_turns(
-    queries: list[tuple[int, Problem]], planner: str, budget_s: float, band_steps: float, kind: str
-) -> Iterator[tuple[int, Path]]:
-    """Yield ``(index, path)`` of queries on maps of one shape: a few places on the device are filled as they fall free.
-
-    JAX works in a thread of its own, which finishes its turn after a Ctrl-C here: a compilation that is cut off
-    goes on in JAX's threads and crashes if the interpreter ends meanwhile. The thread also keeps the
-    setting for float64 to itself, which a generator would hand to its caller.
-
-    Args:
-      queries: indices and problems.
-      planner, budget_s, band_steps: as in `solve_by_frontier`.
-      kind: ``"cpu"`` or ``"gpu"``.
-    """
-    turns = _turns(queries, planner, budget_s, band_steps, kind)
-
-    def turn() -> list[tuple[int, Path]] | None:
-        with jax.enable_x64(True):
-            return next(turns, None)
-
-    with ThreadPoolExecutor(1, thread_name_prefix="frontier") as worker:
-        while (done := worker.submit(turn).result()) is not None:
-            yield from done
-
-
-@dataclass
-class _Running:
-    """A query that has a place on the device: its number, and when it began, compiling left out."""
-
-    index: int
-    problem: Problem
-    begin_s: float
-
-
-def _turns(
-    queries: list[tuple[int, Problem]], planner: str, budget_s: float, band_steps: float, kind: str
-) -> Iterator[list[tuple[int, Path]]]:
-    """Yield after every few rounds a list of ``(index, path)`` of the queries that are done, maybe empty.
-
-    Each turn first begins the queries that there is room for. Arguments are those of `_in_turns`.
-    """
-    search = _Places(queries, band_steps, kind)
-    while search.waiting or search.running:
-        search.fill()
-        search.advance(ROUNDS_AT_ONCE)
-        search.make_room()
-        yield [
-            (query.index, _path(search.frontier, place, query, planner))
-            for place, query in search.ended(budget_s)
-        ]
-
-
-class _Places:
-    """The places on the device: the queries that wait, those that run, by place, and the search of all of these."""
-
-    def __init__(self, queries: list[tuple[int, Problem]], band_steps: float, kind: str) -> None:
-        """Put the maps on the device, make places for as many queries as fit, and compile the search.
-
-        Args:
-          queries: indices and problems, on maps of one shape.
-          band_steps: as in `solve_by_frontier`.
-          kind: ``"cpu"`` or ``"gpu"``.
-        """
-        # Problems on one map share its cost array.
-        maps = list({id(problem.cost): problem for _, problem in queries}.values())
-        self.map_index = {id(problem.cost): k for k, problem in enumerate(maps)}
-        self.grids = _grids(maps)
-        self.bands = [_band(problem, band_steps) for problem in maps]
-
-        # Places are a power of two, so that few shapes are compiled.
-        num_cells = maps[0].cost.size
-        fitting = max(1, BYTES_OF_G[kind] // (BYTES_A_CELL * num_cells))
-        self.num = min(power_of_two(len(queries)), QUERIES_TOGETHER[kind], fitting)
-        self.num_together = CELLS_TOGETHER * self.num
-
-        self.waiting = queries[::-1]  # the first one is taken from the end
-        self.running: dict[int, _Running] = {}
-        list_size = 2 * len(STEPS) * self.num_together + self.num
-        self.frontier = empty_frontier(self.num, num_cells, list_size)
-        self._compile()
-
-    def fill(self) -> None:
-        """Begin a waiting query in each free place, as long as one waits; its clock begins now."""
-        for place in range(self.num):
-            if place not in self.running and self.waiting:
-                index, problem = self.waiting.pop()
-                k = self.map_index[id(problem.cost)]
-                start = index_of(problem, problem.start)
-                goal = index_of(problem, problem.goal)
-                self.frontier = begin(
-                    self.frontier, self.grids, place, k, start, goal, self.bands[k]
-                )
-                self.running[place] = _Running(index, problem, time.perf_counter())
-
-    def advance(self, num_rounds: int) -> None:
-        """Expand cells of all queries together."""
-        self.frontier = advance(self.frontier, self.grids, num_rounds, self.num_together)
-
-    def make_room(self) -> None:
-        """Double the list of open cells if it is crowded; the time for that counts for no query."""
-        if not is_crowded(self.frontier, self.grids, self.num_together):
-            return
-        begin_s = time.perf_counter()
-        self.frontier = with_list_of(2 * self.frontier.open_f.size, self.frontier)
-        self._compile()
-        compile_s = time.perf_counter() - begin_s
-        for query in self.running.values():
-            query.begin_s += compile_s
-
-    def ended(self, budget_s: float) -> Iterator[tuple[int, "_Running"]]:
-        """Yield the place of each query that is done or out of time, and the query; afterwards the place is free."""
-        lowest_f = np.asarray(self.frontier.lowest_f)
-        for place, query in list(self.running.items()):
-            if np.isinf(lowest_f[place]) or time.perf_counter() - query.begin_s >= budget_s:
-                yield place, query
-                self.frontier = drop(self.frontier, place)
-                del self.running[place]
-
-    def _compile(self) -> None:
-        """Compile the search for the size of its list: with no round allowed it ends at once."""
-        self.advance(0)
-        jax.block_until_ready(self.frontier)
-
-
-def _path(frontier: Frontier, place: int, query: _Running, planner: str) -> Path:
-    """Return the path of the query in a place, as far as it is known; the query is done if nothing of it is open."""
-    problem = query.problem
-    lowest_f = float(frontier.lowest_f[place])
-    is_reached = bool(frontier.g[place, index_of(problem, problem.goal)] < np.inf)
-    if np.isinf(lowest_f):
-        status = Status.OPTIMAL if is_reached else Status.NO_PATH
-    else:
-        status = Status.BUDGET_FEASIBLE if is_reached else Status.BUDGET_EMPTY
-    reached_by = np.asarray(frontier.reached_by[place]).reshape(problem.cost.shape)
-    return Path.of(
-        problem,
-        path_points_m(problem, reached_by, np.array(STEPS)) if is_reached else np.empty(0),
-        status,
-        lowest_f,
-        query.begin_s,
-        num_expanded=int(frontier.num_expanded[place]),
-        planner=planner,
-        heuristic="octile",
-        backend="jax",
-    )
-
-
-def _grids(maps: list[Problem]) -> Grids:
-    """Return maps of one shape on the device.
-
-    The first one is repeated until the number of maps is a power of two, so that few shapes are compiled.
-    """
-    maps = maps + maps[:1] * (power_of_two(len(maps)) - len(maps))
-    graphs = [graph_of(problem) for problem in maps]
-    bounds = [make_heuristic("octile", problem) for problem in maps]
-    # A cell that no path may cross can cost anything, NaN too, which would spread.
-    cost = np.stack([np.where(problem.is_free, problem.cost, 0.0).ravel() for problem in maps])
-    arrays = {
-        "cost": cost,
-        "steps": np.array(STEPS, np.int32),
-        "num_cols": np.int32(graphs[0].num_cols),
-    }
-    for name in ("moves", "step_cost", "from_share", "to_share"):
-        arrays[name] = np.stack([getattr(graph, name) for graph in graphs])
-    for name in ("straight", "diagonal"):
-        arrays[name] = np.array([getattr(bound, name) for bound in bounds])
-    return Grids(**jax.device_put(arrays))
-
-
-def _band(problem: Problem, band_steps: float) -> float:
-    graph = graph_of(problem)
-    share = graph.from_share[0] + graph.to_share[0]
-    step = float(graph.step_cost[0] + share * np.median(problem.cost[problem.is_free]))
-    return band_steps * step if step > 0 else 0.0  # 0 times a band without end is not a number
+def device_kind() -> str:
+    """Return ``"cpu"`` or ``"gpu"``: where JAX computes."""
+    return "cpu" if jax.default_backend() == "cpu" else "gpu"
 
 
 def solve_batched(
@@ -310,7 +80,7 @@ def solve_batched(
             "BIT* with backend 'jax' tests no legs for this clearance: take backend='numba'"
         )
 
-    kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
+    kind = device_kind()
     by_map: dict[ProblemCache, list[int]] = {}
     for index, problem in enumerate(problems):
         by_map.setdefault(problem.cache, []).append(index)
@@ -337,7 +107,7 @@ def solve_batched(
 def _run_together(graphs: "_Graphs", queries: dict[int, Batches]) -> Iterator[int]:
     """Search the queries' graphs batch by batch; yield the index of each query when it is done.
 
-    JAX works in a thread of its own, for the reasons given in `_in_turns`.
+    JAX works in a thread of its own, for the reasons given in `tile_search._in_turns`.
 
     Args:
       graphs: the search on the map of all queries.

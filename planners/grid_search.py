@@ -13,16 +13,19 @@ from jaxurban.kernels.search.heap import (
     EXHAUSTED,
     FOUND,
     FULL,
+    IS_HEAP,
     NO_STEP,
     NUM_FAR,
     PARENT_STEP,
     PAUSED,
     REACHED,
     UNREACHED,
-    drop_top,
+    drop_lowest,
     empty_queue,
     grown,
     insert,
+    lowest,
+    order,
     refill,
 )
 from jaxurban.kernels.tolerances import CHEAPER
@@ -35,6 +38,8 @@ MAX_STEPS = len(ALL_STEPS)
 NOWHERE = -1  # a goal that is never met
 CHUNK = 50_000  # expansions between two looks at the clock: some 15 ms on one level
 FIRST_ENTRIES = 4096  # of a queue; doubled when full
+# A search takes a heap when more nodes were opened again than these: of few expansions, and one in so many.
+FEW_AGAIN, OFTEN = 50, 50
 SAMPLES = 4093  # cells of a map that stand for all
 
 
@@ -191,6 +196,8 @@ def _raised(value, landmarks, tiles, row, col):
         return value
     # The greatest difference of the costs to a landmark (see `LandmarkBound`).
     apart = 0.0
+    # Unsigned: else Numba asks each time whether an index counts from the end.
+    row, col = np.uint64(row), np.uint64(col)
     for k in range(landmarks.at_goal.size):
         # A landmark that reaches only one of the two proves that there is no way (inf); one that reaches
         # neither says nothing (inf - inf is NaN, and greater than nothing).
@@ -259,11 +266,11 @@ def _steps_from(plane, moves, cost, node):
 
 @compiled()
 def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
-    """Expand nodes in order of f until the goal is reached, none is open, or ``max_expanded`` nodes are expanded.
+    """Expand nodes about in order of f until the goal's cost is proven, none is open, or ``max_expanded`` are expanded.
 
-    ``f = g + h``. The queue holds outdated entries, which are skipped: a node's newest entry is
-    its lowest. Equal f come in an order that only the problem decides, so runs repeat. With ``reopen`` a cheaper way to
-    a closed node opens it again.
+    ``f = g + h``. The queue holds outdated entries, which are skipped. With ``reopen`` a cheaper way to a closed node
+    opens it again, and the search ends when no open f is below the goal's g, so that its cost is exact for every
+    admissible bound, in whatever order nodes come. That depends on the problem alone, so runs repeat.
 
     All neighbours are looked at before any is changed, without branches, half of which would be mispredicted.
 
@@ -284,35 +291,45 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
     goal_col = goal % graph.num_cols
     offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
     near = queue.near
+    tally = queue.tally
+    goal_g = CHEAPER * g[goal] if goal != NOWHERE and state[goal] & CLOSED else np.inf
     # A way to a closed node must cost less than this times the way known; none costs less than a negative number.
     if_closed = CHEAPER if reopen else -1.0
     # The steps of one expansion that are cheaper than the way known, and g by them.
     cheaper_steps = np.empty(MAX_STEPS, np.uint64)
     cheaper_gs = np.empty(MAX_STEPS)
-    num_expanded = 0
+    num_expanded, num_again = 0, 0
 
     while True:
         if near.size[0] == 0:
-            refill(queue, graph.num_cols, graph.moves, graph.cost, g, state)
-        if near.size[0] == 0 or near.f[0] == np.inf:
+            if goal_g < np.inf:
+                return FOUND, num_expanded
+            refill(queue, state)
+        if near.size[0] == 0:
             return EXHAUSTED, num_expanded
         if num_expanded >= max_expanded:
             return PAUSED, num_expanded
-        if near.size[0] + queue.tally[NUM_FAR] + MAX_STEPS > queue.far_f.size:
+        if near.size[0] + tally[NUM_FAR] + MAX_STEPS > queue.far_f.size:
             return FULL, num_expanded
+        if num_again > FEW_AGAIN + num_expanded // OFTEN and not tally[IS_HEAP]:
+            order(queue)
 
-        # Close the open node of lowest f.
-        # Unsigned: else Numba asks each time whether it counts from the end.
-        node = np.uint64(near.item[0])
+        # Close the next node (unsigned, as above).
+        index = lowest(queue)
+        f, node = near.f[index], np.uint64(near.item[index])
+        drop_lowest(queue)
         if state[node] & CLOSED:
-            drop_top(near)
+            continue
+        if not f < goal_g:
+            if tally[IS_HEAP]:
+                near.size[0] = 0
             continue
         row = np.uint32(node) // np.uint32(graph.num_cols)
         col = np.uint32(node) % np.uint32(graph.num_cols)
-        drop_top(near)
         state[node] |= CLOSED
         if node == goal:
-            return FOUND, num_expanded
+            goal_g = CHEAPER * g[node]
+            continue
         num_expanded += 1
 
         # Look at all steps. One that is not allowed leads to the node itself, and is not counted; what it wrote is then
@@ -341,11 +358,13 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
             k, to_g = cheaper_steps[i], cheaper_gs[i]
             to = np.uint64(np.int64(node) + offsets[k])
             g[to] = to_g
+            num_again += state[to] >= CLOSED | REACHED
             state[to] = k | REACHED
             to_row = np.int64(row) + graph.steps[k, 0]
             to_col = np.int64(col) + graph.steps[k, 1]
             to_h = estimate(heuristic, to_row, to_col, goal_row, goal_col)
-            insert(queue, to_g + to_h, np.int64(to))  # the type of all nodes in a queue
+            if to_g + to_h < goal_g:
+                insert(queue, to_g + to_h, np.int64(to))  # the type of all nodes in a queue
 
 
 class GridSearch:
@@ -371,7 +390,7 @@ class GridSearch:
         self.goal = NOWHERE if goal is None else goal[0] * graph.num_cols + goal[1]
         self.num_expanded = 0
         num_nodes = graph.cost.size
-        cost = float(graph.sample.mean()) if graph.sample.size else 0.0
+        cost = float(np.median(graph.sample) or graph.sample.mean()) if graph.sample.size else 0.0
         # Buckets are fitted to what a step over a cell of mean cost costs.
         queue = empty_queue(
             FIRST_ENTRIES,
@@ -390,34 +409,32 @@ class GridSearch:
         """``[Y, X]`` uint8 of each node, levels stacked row upon row."""
         return self._state.reshape(-1, self.graph.num_cols)
 
-    def costs_from_start(self, *, final: bool = False) -> np.ndarray:
+    def costs_from_start(self) -> np.ndarray:
         """Return ``[M]`` float64 the cost of the cheapest way known to each node, inf without one.
 
         The search's own array is altered and returned, so the search cannot be run on afterwards.
-
-        Args:
-          final: inf also for nodes that are not closed, whose cost a further search may still lower.
         """
-        np.copyto(self._g, np.inf, where=self._state & (CLOSED if final else REACHED) == 0)
+        np.copyto(self._g, np.inf, where=self._state == UNREACHED)
         return self._g
 
     @property
     def low_f(self) -> float:
         """The least f in the queue, inf where it is empty."""
         near = self._queue.near
-        graph = self.graph
         if not near.size[0]:
-            refill(self._queue, graph.num_cols, graph.moves, graph.cost, self._g, self._state)
-        return float(near.f[0]) if near.size[0] else np.inf
+            refill(self._queue, self._state)
+        return float(near.f[: near.size[0]].min(initial=np.inf))
 
-    def run(self, *, reopen: bool = False, end_s: float = np.inf, chunk: int = 0) -> int:
+    def run(self, *, reopen: bool = True, end_s: float = np.inf, chunk: int = 0) -> int:
         """Search on and return FOUND (the goal was met), EXHAUSTED (no node is open) or PAUSED.
 
         Args:
-          reopen: expand a closed node again where a cheaper way to it turns up.
+          reopen: expand a closed node again where a cheaper way to it turns up; else nodes come in the order of f.
           end_s: time of `time.perf_counter` at which to pause; heeded within some 50 ms.
           chunk: expansions between two looks at it; left out, `CHUNK`.
         """
+        if not reopen:
+            order(self._queue)
         while True:
             arrays = self._g, self._state, self._queue
             ended, num_done = advance(

@@ -4,7 +4,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, get_args
+from typing import Any, get_args
 
 import jax
 import numpy as np
@@ -24,16 +24,17 @@ from jaxurban.planners.astar import (
     make_landmarks,
     volume_astar,
 )
-from jaxurban.planners.base import Cell, Path, Planner, Problem, ProblemCache
+from jaxurban.planners.base import Cell, Path, Problem, ProblemCache
 from jaxurban.planners.bitstar.bounds import HEURISTICS as OFF_GRID_HEURISTICS
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
-from jaxurban.planners.bulk import solve_batched, solve_by_frontier
+from jaxurban.planners.bulk import solve_batched
+from jaxurban.planners.tile_search import solve_by_tiles
+from jaxurban.settings import Backend
 
 Outcome = tuple[int, Path | Exception]
-Backend = Literal["auto", "numba", "jax"]
 
-EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the frontier search can stand for
-FRONTIER_HEURISTICS = (None, AUTO, "octile")
+EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the search by tiles can stand for
+TILED_HEURISTICS = (None, AUTO, "octile")
 # Whose batches `solve_batched` searches in bulk.
 SAMPLING_PLANNERS = ("bitstar-dist", "bitstar-plus")
 FEW_TO_ONE_GOAL = 8  # queries to one goal from which the costs to it are computed for the whole map
@@ -97,17 +98,22 @@ VOLUME_PLANNERS = {
 
 
 def find_planner(
-    name: str, heuristic: str | None = None, *, is_for_volumes: bool = False
-) -> Planner:
+    name: str,
+    heuristic: str | None = None,
+    *,
+    is_for_volumes: bool = False,
+    backend: Backend = "auto",
+) -> Callable[..., Path]:
     """Return the planner of a name, with its own heuristic or the one given.
 
     Args:
       name: a key of `PLANNERS`, or of `VOLUME_PLANNERS` if ``is_for_volumes``.
       heuristic: name of the heuristic; left out, the planner's own.
       is_for_volumes: whether the planner must fly between levels, rather than on one altitude.
+      backend: ``"jax"`` for one that searches in JAX, as `solve_many` does; else one in Numba.
 
     Raises:
-      InputError: an unknown planner, or a heuristic that it does not take.
+      InputError: an unknown planner or backend, or a heuristic or backend that it does not take.
     """
     fitting = VOLUME_PLANNERS if is_for_volumes else PLANNERS
     if name not in fitting:
@@ -120,15 +126,25 @@ def find_planner(
         )
 
     entry = fitting[name]
-    if heuristic is None:
-        return entry.run
-    if heuristic not in entry.heuristics:
+    if heuristic is not None and heuristic not in entry.heuristics:
         remedy = "leave it out"
         if entry.heuristics:
             remedy = f"choose one of {', '.join(entry.heuristics)}"
         nearest = nearest_name(heuristic, entry.heuristics)
         raise InputError(f"planner {name!r} takes no heuristic {heuristic!r}{nearest}: {remedy}")
-    return partial(entry.run, heuristic=heuristic)
+    one_of("backend", backend, get_args(Backend))
+    if backend == "jax":
+        _check_in_jax(name, heuristic)
+        return partial(_in_jax, planner=name, heuristic=heuristic)
+    return entry.run if heuristic is None else partial(entry.run, heuristic=heuristic)
+
+
+def _in_jax(problem: Problem, **query: Any) -> Path:
+    """Return the path of a single query by a planner in JAX; arguments are those of `solve_many`."""
+    ((_, path),) = solve_many([problem], backend="jax", **query)
+    if isinstance(path, Exception):
+        raise path
+    return path
 
 
 def solve_many(
@@ -147,10 +163,10 @@ def solve_many(
     Close the iterator, or let Ctrl-C end the loop over it, to stop: no further search begins, and what was
     yielded is yours.
 
-    - ``"numba"``: the planner itself, query by query, on ``num_threads`` threads. The compiled A* leaves them
-      free to run side by side.
-    - ``"jax"``: all queries together; for ``astar-dist`` and ``astar-plus`` by the frontier search, which gives their
-      results (see `solve_by_frontier`), for ``bitstar-dist`` and ``bitstar-plus`` batch by batch (see `solve_batched`).
+    - ``"numba"``: the planner itself, query by query, on ``num_threads`` threads. The compiled A* leaves them free to
+      run side by side.
+    - ``"jax"``: the queries on a map together; for ``astar-dist`` and ``astar-plus`` by tiles, which gives their
+      results (see `solve_by_tiles`), for ``bitstar-dist`` and ``bitstar-plus`` batch by batch (see `solve_batched`).
     - ``"auto"``: ``"jax"`` where JAX has a GPU, the planner is ``astar-dist`` or ``astar-plus`` and there are at least
       `GPU_BATCH` queries; else ``"numba"``, which is several times as fast on a CPU.
 
@@ -171,16 +187,12 @@ def solve_many(
       InputError: an unknown planner, heuristic or backend, a planner or heuristic that ``"jax"`` does not
         have, or a wrong number of threads.
     """
-    # These raise the errors.
-    find_planner(planner, heuristic)
-    one_of("backend", backend, get_args(Backend))
+    find_planner(planner, heuristic, backend=backend)  # raises the errors
     if num_threads is not None:
         at_least("num_threads", num_threads, 1)
-
-    # Sampling planners in JAX: batch by batch, with the same seed for all.
     only = range(len(problems)) if only is None else only
     if backend == "jax" and planner in SAMPLING_PLANNERS:
-        some = [problems[index] for index in only]
+        some = [problems[k] for k in only]
         paths = solve_batched(
             some,
             planner=planner,
@@ -191,7 +203,9 @@ def solve_many(
         return ((only[k], path) for k, path in paths)
 
     # All else is chosen now, from all problems, and run as the iterator goes on.
-    runs_in_jax = _runs_in_jax(backend, planner, heuristic, len(problems))
+    runs_in_jax = backend == "jax"
+    if backend == "auto" and planner in EXACT_PLANNERS and heuristic in TILED_HEURISTICS:
+        runs_in_jax = len(problems) >= GPU_BATCH and jax.default_backend() != "cpu"
     num_threads = num_threads or num_cores()
     heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
     run = partial(_in_threads, problems, num_threads=num_threads)
@@ -215,7 +229,7 @@ def solve_many(
         alone = sorted(set(only) - set(shared))
         if runs_in_jax:
             together = [problems[k] for k in alone]
-            for k, path in solve_by_frontier(together, planner=planner, budget_s=budget_s):
+            for k, path in solve_by_tiles(together, planner=planner, budget_s=budget_s):
                 yield alone[k], path
             return
 
@@ -233,21 +247,14 @@ def solve_many(
     return outcomes()
 
 
-def _runs_in_jax(backend: Backend, planner: str, heuristic: str | None, num_queries: int) -> bool:
-    """Return whether the queries run together in JAX's frontier search, by the rules of `solve_many`.
-
-    Raises:
-      InputError: ``"jax"`` is asked for, and the frontier search cannot stand for the planner or its heuristic.
-    """
-    is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
-    if backend == "jax" and not is_for_frontier:
+def _check_in_jax(planner: str, heuristic: str | None) -> None:
+    """Raise InputError where no search in JAX can stand for a planner with a heuristic."""
+    is_for_tiles = planner in EXACT_PLANNERS and heuristic in TILED_HEURISTICS
+    if planner not in SAMPLING_PLANNERS and not is_for_tiles:
         raise InputError(
             f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristic octile, and "
             f"{' and '.join(SAMPLING_PLANNERS)}, not {planner!r} with {heuristic or 'its own'}: take backend='numba'"
         )
-    if backend == "auto":
-        return is_for_frontier and num_queries >= GPU_BATCH and jax.default_backend() != "cpu"
-    return backend == "jax"
 
 
 def _by_map_and_goal(problems: Sequence[Problem], chosen: Sequence[int]) -> list[list[int]]:

@@ -57,6 +57,7 @@ ON_A_MAP = {  # which map, and how it is searched
 SEARCH = {
     "planner": "ptp",
     "heuristic": "landmarks",
+    "backend": "jax",
     "budget_s": 1e-9,
     "seed": Case(5, {"planner": "bitstar-dist", "budget_s": 0.3}),
     "snap": Case(False),
@@ -289,6 +290,9 @@ USES: dict[str, Callable[..., Any]] = {
     "cautions": lambda **given: ju.cautions(on.path(), on.maps(), **given),
     "check": on.checked,
     "cost_map": lambda **given: ju.cost_map(on.maps(), 20.0, **given),
+    "cost_to_go": lambda **given: ju.cost_to_go(
+        on.maps(), **{"goal": GOAL, "altitude_m": 20.0, "snap": True} | given
+    ),
     "demo_city": lambda **given: ju.demo_city(**{"width_m": 400, "height_m": 400} | given),
     "explain": lambda **given: ju.explain(on.path(), on.maps(), **given),
     "open_maps": lambda **given: ju.open_maps(home() / "maps", **{"resolution_m": 20.0} | given),
@@ -590,6 +594,13 @@ TABLE: dict[str, dict[str, Any]] = {
         ),
     },
     "cost_map": ON_A_MAP,
+    "cost_to_go": ON_A_MAP
+    | {
+        "goal": on.BETWEEN,
+        "goal_xy_m": ENDS["goal_xy_m"],
+        "snap": Case(False, {"goal": START}),
+        "backend": Same("both find the exact costs"),
+    },
     "sample_city": {"kinds": ("building",)},
     "demo_city": {
         "width_m": 500.0,
@@ -618,7 +629,6 @@ TABLE: dict[str, dict[str, Any]] = {
     | SEARCH
     | {
         "altitude_m": 60.0,
-        "backend": "jax",
         "strict": Case(True, {"queries": [((-73.9, 40.7), GOAL)]}, refused="outside"),
         "file": Same("it keeps the rows of an interrupted call: the result is the same"),
         "num_threads": Same("any number of threads finds the same paths"),
@@ -754,6 +764,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "budget_s": 1e-9,
         "budget_iterations": 50,
         "seed": 3,
+        "backend": "jax",
     },
     "building_costs": {"weights": ju.Weights(lidar=50.0)},
     "compare": {
@@ -929,6 +940,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         | {
             "--planner": "ptp",
             "--heuristic": "landmarks",
+            "--backend": "jax",
             "--budget": "1e-9",
             "--seed": "5",
             "--refine": "",

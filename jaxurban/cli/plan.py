@@ -133,6 +133,13 @@ class RouteFiles(NamedTuple):
     help="Such as ptp, astar-dist or theta-star.  [default: the scenario's, else astar-plus]",
 )
 @click.option("--heuristic", help="Lower bound of the search.  [default: the planner's own]")
+@click.option(
+    "--backend",
+    type=click.Choice(["auto", "numba", "jax"]),
+    default="auto",
+    show_default=True,
+    help="What searches.",
+)
 @NUMBER("--budget", "budget_s", help="Seconds of search.  [default: the scenario's, else 10]")
 @click.option(
     "--seed", type=COUNT, help="Seed of sampling planners.  [default: the scenario's, else 0]"

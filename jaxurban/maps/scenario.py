@@ -38,6 +38,7 @@ from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.public import present_name
 from jaxurban.settings import (
+    Backend,
     Buildings,
     CostKind,
     PlannerName,
@@ -175,6 +176,7 @@ class Study:
       budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
         repeat exactly, whatever the number of workers, but for ``elapsed_s``.
       seed: of the sampling of instances, and of sampling planners, mixed with the instance's number.
+      backend: ``"jax"`` runs A* and BIT* in JAX if the budget is in seconds; all else is Numba. Rows say what ran.
 
     Raises:
       InputError: no planner, an unknown one, or a number that is too small.
@@ -197,6 +199,7 @@ class Study:
     budget_s: float = 2.0
     budget_iterations: int | None = None
     seed: int = 0
+    backend: Backend = "auto"
 
     def __post_init__(self) -> None:
         """Check the settings, and write planners as tuples without repetitions; errors as of the class."""

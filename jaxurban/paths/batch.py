@@ -26,9 +26,17 @@ from jaxurban.paths.rows import BAD_INPUT, failure
 from jaxurban.paths.search import PathSearch
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.cost import CostModel
-from jaxurban.planners.registry import Backend, solve_many
+from jaxurban.planners.registry import solve_many
 from jaxurban.progress import LOG, Progress, Report, reporting
-from jaxurban.settings import CostKind, HeuristicName, Objective, OnGround, PlannerName, Preset
+from jaxurban.settings import (
+    Backend,
+    CostKind,
+    HeuristicName,
+    Objective,
+    OnGround,
+    PlannerName,
+    Preset,
+)
 
 HELD_BYTES = 2 * 2**30  # most memory of the cost maps that are kept at a time
 BYTES_A_CELL = 160  # memory of a cost map for each of its cells: layers, metrics, landmarks
@@ -121,6 +129,7 @@ def plan_many(
         on_ground=on_ground,
         refine=refine,
         exposure=exposure,
+        backend=backend,
     )
     if search.refine or search.exposure:
         raise InputError(
@@ -165,7 +174,7 @@ def plan_many(
     try:
         with reporting("plan_many", progress) as report:
             results.report = report
-            _plan_batch(results, map_of, most_maps, search, backend, num_threads)
+            _plan_batch(results, map_of, most_maps, search, num_threads)
     except KeyboardInterrupt:
         was_interrupted = True
         num_done = sum(results.counts.values())
@@ -302,7 +311,6 @@ def _plan_batch(
     map_of: Callable[..., CostMap],
     most_maps: int,
     search: PathSearch,
-    backend: Backend,
     num_threads: int | None,
 ) -> None:
     """Plan the queries of a batch and add what becomes of each to the results.
@@ -314,7 +322,7 @@ def _plan_batch(
       map_of: returns the cost map of an altitude, a ``time`` and a ``time_of_day``.
       most_maps: on how many cost maps queries are planned before further maps are made.
       search: how each path is searched for.
-      backend, num_threads: as of `plan_many`.
+      num_threads: as of `plan_many`.
 
     Raises:
       InputError: the file holds results of other queries; under ``strict``, a query cannot be planned.
@@ -335,7 +343,7 @@ def _plan_batch(
         problems = []
         unsolved = []  # indices in both
         for numbers in groups[first : first + most_maps]:
-            for query in _locate(results, numbers, map_of, search, backend):
+            for query in _locate(results, numbers, map_of, search):
                 start, goal = query.ends
                 problems.append(query.cost_map.problem.between(start.cell, goal.cell))
                 if not results.take(query, search):
@@ -350,7 +358,7 @@ def _plan_batch(
             heuristic=search.heuristic,
             budget_s=search.budget_s,
             seed=search.seed,
-            backend=backend,
+            backend=search.backend,
             num_threads=num_threads,
             only=unsolved,
         )
@@ -372,14 +380,13 @@ def _locate(
     numbers: Sequence[int],
     map_of: Callable[..., CostMap],
     search: PathSearch,
-    backend: Backend,
 ) -> Iterator[_Located]:
     """Yield where queries lie on the cost map that they share; those that cannot be planned on it are refused.
 
     Args:
       results: hold the queries, and take the refusals.
       numbers: of the queries; one or more, of one altitude, one time, one time of day and one set of weights.
-      map_of, search, backend: as of `_plan_batch`.
+      map_of, search: as of `_plan_batch`.
     """
     queries = results.queries
     shared = queries[numbers[0]]
@@ -390,7 +397,7 @@ def _locate(
         for k in numbers:
             results.refuse(k, error)
         return
-    digest = _digest(cost_map, search, backend)
+    digest = _digest(cost_map, search)
     for k in numbers:
         try:
             start, goal = queries[k].start, queries[k].goal
@@ -401,13 +408,12 @@ def _locate(
             yield _Located(k, fingerprint(digest, ends), cost_map, ends)
 
 
-def _digest(cost_map: CostMap, search: PathSearch, backend: str) -> str:
+def _digest(cost_map: CostMap, search: PathSearch) -> str:
     """Return a digest of all that decides a path except for its ends and its budget: the map and the search's settings.
 
     Args:
       cost_map: the map.
       search: the settings. Snapping changes a path only by its ends, so neither snapping nor the budget counts here.
-      backend: what computes the path, as of `plan_many`.
     """
     search = replace(search, snap=False, budget_s=np.inf)
     settings = (
@@ -415,6 +421,6 @@ def _digest(cost_map: CostMap, search: PathSearch, backend: str) -> str:
         cost_map.objective,
         cost_map.cost_model,
         cost_map.leg_margin_m,
-        (search, backend),
+        search,
     )
     return fingerprint(cost_map.costs, cost_map.is_free, settings)

@@ -34,7 +34,7 @@ from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.progress import warn_if_slow
 from jaxurban.public import FactsRepr
-from jaxurban.settings import HeuristicName, Objective, OnGround, PlannerName, as_tuple
+from jaxurban.settings import Backend, HeuristicName, Objective, OnGround, PlannerName, as_tuple
 from jaxurban.world.grid import Grid
 
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
@@ -496,6 +496,7 @@ class CostMap(FactsRepr):
         goal_xy_m: Point | None = None,
         planner: PlannerName | None = None,
         heuristic: HeuristicName | None = None,
+        backend: Backend = "auto",
         budget_s: float | None = None,
         seed: int | None = None,
         snap: bool | float = False,
@@ -520,6 +521,7 @@ class CostMap(FactsRepr):
             is_for_volumes=self.levels is not None,
             planner=planner,
             heuristic=heuristic,
+            backend=backend,
             budget_s=budget_s,
             seed=seed,
             snap=snap,
@@ -545,7 +547,12 @@ class CostMap(FactsRepr):
         if is_guided and PLANNERS[search.planner].default_heuristic == AUTO:
             search = replace(search, heuristic="landmarks")
         is_for_volumes = self.levels is not None
-        find_path = find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
+        find_path = find_planner(
+            search.planner,
+            search.heuristic,
+            is_for_volumes=is_for_volumes,
+            backend=search.backend,
+        )
 
         # The problem, and whether it suits what is asked beside the path.
         ends = self.ends(start, goal, snap=search.snap, on_ground=search.on_ground)

@@ -22,6 +22,7 @@ from jaxurban.paths.places import Point, one_place
 from jaxurban.paths.search import PathSearch
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import (
+    Backend,
     CostKind,
     HeuristicName,
     Objective,
@@ -230,6 +231,7 @@ def plan(
     preset: Preset = "",
     planner: PlannerName | None = None,
     heuristic: HeuristicName | None = None,
+    backend: Backend = "auto",
     budget_s: float | None = None,
     seed: int | None = None,
     snap: bool | float = False,
@@ -258,6 +260,8 @@ def plan(
       planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` (the default), ``"bitstar-dist"``, ``"bitstar-plus"`` or
         ``"theta-star"``; between levels ``"astar-volume"``.
       heuristic: of the planner; left out, its own.
+      backend: ``"numba"``, ``"jax"`` for A* and BIT* in JAX, or ``"auto"``, which is Numba here;
+        ``path.search.backend`` says what ran.
       budget_s: seconds that the search may take.
       seed: for sampling planners.
       snap: whether a start or goal that is not free moves to the nearest free cell: True by at most 50 m, a number by
@@ -293,6 +297,7 @@ def plan(
         is_for_volumes=isinstance(altitude_m, Levels),
         planner=planner,
         heuristic=heuristic,
+        backend=backend,
         budget_s=budget_s,
         seed=seed,
         snap=snap,

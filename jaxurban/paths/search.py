@@ -8,7 +8,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.places import snap_limit_m
 from jaxurban.planners.registry import EXACT_PLANNERS, VOLUME_PLANNERS, find_planner
-from jaxurban.settings import DEFAULTS, HeuristicName, OnGround, PlannerName
+from jaxurban.settings import DEFAULTS, Backend, HeuristicName, OnGround, PlannerName
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,7 @@ class PathSearch:
       on_ground: the ends of a mission: a start and a goal are free only where the air is, from the ground up to the
         flight, so that it may take off and land there (`Constraints.is_free_to_ground`); ``"goal"`` asks it of the goal
         alone, for a flight that starts from a roof.
+      backend: what searches (`planners.registry.solve_many`): ``"auto"`` takes Numba for a single path.
       exposure: most of (1 / l0) x integral of c ds to each layer by its name, in the cost model's units; the cheapest
         path of the grid that keeps them is searched for, with a lower bound (`planners.exposure`).
       refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
@@ -40,6 +41,7 @@ class PathSearch:
     refine: bool = False
     exposure: Mapping[str, float] = field(default_factory=dict)
     on_ground: OnGround = False
+    backend: Backend = "auto"
 
     @classmethod
     @typed
@@ -56,6 +58,7 @@ class PathSearch:
         on_ground: OnGround = False,
         refine: bool = False,
         exposure: Mapping[str, float] | None = None,
+        backend: Backend = "auto",
     ) -> "PathSearch":
         """Return a checked search; what is left out is as the maps' scenario says it.
 
@@ -63,7 +66,7 @@ class PathSearch:
           maps: whose scenario gives planner, budget and seed; None for the defaults.
           is_for_volumes: whether the path may climb; then the scenario gives only the budget.
           planner: left out and not in the scenario, ``"astar-plus"``, between levels ``"astar-volume"``.
-          heuristic, budget_s, seed, snap, on_ground, refine, exposure: the attributes; None for what is left out.
+          heuristic, budget_s, seed, snap, on_ground, refine, exposure, backend: the attributes; None: left out.
 
         Raises:
           InputError: an unknown planner, a heuristic that it does not take, a wrong seed, budget or distance of
@@ -91,7 +94,7 @@ class PathSearch:
             raise InputError(
                 "refine moves waypoints on one altitude: leave it out of a path that climbs and descends"
             )
-        find_planner(planning.planner, heuristic, is_for_volumes=is_for_volumes)
+        find_planner(planning.planner, heuristic, is_for_volumes=is_for_volumes, backend=backend)
         is_on_grid = planning.planner in (*EXACT_PLANNERS, *VOLUME_PLANNERS)
         if budgets and (refine or not is_on_grid):
             raise InputError(
@@ -107,4 +110,5 @@ class PathSearch:
             refine,
             budgets,
             on_ground,
+            backend,
         )

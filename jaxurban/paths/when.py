@@ -25,7 +25,7 @@ from jaxurban.paths.queries import PlannedPaths, table_of
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress
 from jaxurban.public import Caution, FactsRepr, listed
-from jaxurban.settings import CostKind, HeuristicName, Objective, PlannerName, Preset
+from jaxurban.settings import Backend, CostKind, HeuristicName, Objective, PlannerName, Preset
 
 TIMES = ["time", "time_of_day"]
 
@@ -134,6 +134,7 @@ def when(
     preset: Preset = "",
     planner: PlannerName | None = None,
     heuristic: HeuristicName | None = None,
+    backend: Backend = "auto",
     budget_s: float | None = None,
     seed: int | None = None,
     snap: bool | float = False,
@@ -151,7 +152,7 @@ def when(
       altitude_m: flight altitude above ground of queries without an altitude of their own.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
       weights, objective, cost_model, time, time_of_day, constraints, preset: which map, as in `plan`.
-      planner, heuristic, budget_s, seed, snap: of each query, as in `plan`.
+      planner, heuristic, backend, budget_s, seed, snap: of each query, as in `plan_many`.
       refine, exposure: of a single plan only.
 
     Returns:
@@ -192,6 +193,7 @@ def when(
         preset=preset,
         planner=planner,
         heuristic=heuristic,
+        backend=backend,
         budget_s=budget_s,
         seed=seed,
         snap=snap,

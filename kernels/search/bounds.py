@@ -14,6 +14,7 @@ from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.search.heap import Heap, drop_top, place
 
 TILE = 8  # cells along a side: 4 make for four times the lattice points, 16 for a looser bound, and both take longer
+ONE = np.uint64(1)
 BEYOND = 1.25  # times the start's cost: lattice points that lie farther from the goal are taken to lie there
 
 
@@ -223,13 +224,15 @@ def tile_estimate(bound, row, col):
       row, col: the cell.
     """
     # The tile, and the cell's place in it, from -1/2 to 1/2 from its middle.
-    i, j = row // TILE, col // TILE
-    y = (row - i * TILE) * (1 / TILE) - 0.5
-    x = (col - j * TILE) * (1 / TILE) - 0.5
+    # Unsigned: else Numba asks each time whether an index counts from the end.
+    i, j = np.uint32(row) // np.uint32(TILE), np.uint32(col) // np.uint32(TILE)
+    north, east = np.uint64(i) + ONE, np.uint64(j) + ONE
+    y = (row - np.int64(i) * TILE) * (1 / TILE) - 0.5
+    x = (col - np.int64(j) * TILE) * (1 / TILE) - 0.5
     sw = bound.corners[i, j]
-    se = bound.corners[i, j + 1]
-    nw = bound.corners[i + 1, j]
-    ne = bound.corners[i + 1, j + 1]
+    se = bound.corners[i, east]
+    nw = bound.corners[north, j]
+    ne = bound.corners[north, east]
 
     # The side's two corners, in the order of `along`; `out` leads from the middle toward the side.
     is_beside = abs(x) >= abs(y)  # the plane of the west or the east side

@@ -1,11 +1,8 @@
-"""What is open in compiled searches, lowest first: a 4-ary heap, and for grids one behind buckets."""
+"""What is open in compiled searches, lowest first: a 4-ary heap, and for grids buckets of about equal f."""
 
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 
 from jaxurban.kernels.compiled import compiled
 
@@ -17,12 +14,9 @@ NO_STEP = 0x1F  # ... or this, at the start
 CLOSED = 0x20
 REACHED = 0x40
 NUM_BUCKETS = 2048
-BUCKETS_PER_STEP = 512  # in the cost of a typical step: some five entries a bucket on city maps
-NUM_FAR, FREE_SLOT, BUCKET = 0, 1, 2  # places in a queue's ``tally``
+BUCKETS_PER_STEP = 32  # in the cost of a typical step: wider ones hold more to expand again
+NUM_FAR, FREE_SLOT, BUCKET, IS_HEAP = range(4)  # places in a queue's ``tally``
 NO_SLOT = -1
-BYTES, WORD = ir.IntType(8).as_pointer(), ir.IntType(32)
-# LLVM's words: what for, how near to the core, and that it is no code.
-READ, KEEP_CLOSE, DATA = 0, 3, 1
 
 
 class Heap(NamedTuple):
@@ -99,46 +93,20 @@ def drop_top(heap):
     heap.item[i] = item
 
 
-def _prefetch(typing_context, array, index):
-    """Have the processor load the cache line of one item of an array ``[N]``; an index outside the array does no harm.
-
-    This is Numba's form of a function of an array and an index: it returns the types, and what emits the code.
-    """
-
-    def generate(context, builder, signature, arguments):
-        """Emit a call of LLVM's prefetch for the address of the item; its result is None."""
-        values, place = arguments
-        data = context.make_array(signature.args[0])(context, builder, values).data
-        address = builder.bitcast(builder.gep(data, [place]), BYTES)
-        hint = [ir.Constant(WORD, word) for word in (READ, KEEP_CLOSE, DATA)]
-        signature_in_llvm = ir.FunctionType(ir.VoidType(), [BYTES, *[WORD] * len(hint)])
-        # A module declares it once.
-        function = builder.module.globals.get("llvm.prefetch") or ir.Function(
-            builder.module, signature_in_llvm, "llvm.prefetch"
-        )
-        builder.call(function, [address, *hint])
-        return context.get_dummy_value()
-
-    return types.void(array, index), generate
-
-
-prefetch: Any = intrinsic(_prefetch)
-
-
 class Queue(NamedTuple):
-    """Open nodes by f: a 4-ary heap of the lowest, and buckets of equal width for the rest. ``Q`` entries.
+    """Open nodes by f: those of the lowest bucket, and lists of those of later buckets of equal width. ``Q`` entries.
 
-    A heap of all open nodes took two thirds of a search, most of it in mispredicted branches on the way
-    down. Here an entry waits unsorted in its bucket until all of lower buckets are taken, and the heap
-    stays a dozen entries high. The order is that of one heap, but among equal f.
+    An entry waits unsorted in its bucket until all of lower buckets are taken. Within one the newest comes first, so
+    that a cheaper way to a node may turn up after it was expanded; it is then expanded again. Where that happens often,
+    as where costs spread over many decades, the lowest bucket becomes a 4-ary heap for the rest of the search.
 
     Attributes:
-      near: heap of the nodes, int32, of the buckets up to the current one.
+      near: the nodes, int32, of the buckets up to the current one: a stack, or a heap.
       far_f, far_node, far_next: ``[Q]`` slots of the linked lists of later buckets; the next slot, int32.
       first: ``[B + 1]`` int32 first slot of each bucket, and of what lies beyond them. Once they are empty
         they begin again at the lowest f beyond.
-      tally: ``[3]`` int64 entries in the lists, first free slot, current bucket.
-      scale: ``[2]`` f where the buckets begin, and buckets per cost; 0: all is in the heap.
+      tally: ``[4]`` int64 entries in the lists, first free slot, current bucket, and whether ``near`` is a heap.
+      scale: ``[2]`` f where the buckets begin, and buckets per cost; 0: all is in the lowest bucket.
     """
 
     near: Heap
@@ -164,7 +132,7 @@ def empty_queue(num_entries: int, step: float) -> Queue:
         far_node=np.empty(num_entries, np.int32),
         far_next=np.arange(1, num_entries + 1, dtype=np.int32),
         first=np.full(NUM_BUCKETS + 1, NO_SLOT, np.int32),
-        tally=np.zeros(3, np.int64),
+        tally=np.zeros(4, np.int64),
         scale=np.array([0.0, BUCKETS_PER_STEP / step if step > 0 else 0.0]),
     )
 
@@ -184,12 +152,50 @@ def grown(queue: Queue) -> Queue:
 
 
 @compiled(forceinline=True)
+def _place_near(queue, f):
+    """Make a place for an entry of key ``f`` in the lowest bucket, which has room, and return its index."""
+    if queue.tally[IS_HEAP]:
+        return place(queue.near, f)
+    index = queue.near.size[0]
+    queue.near.size[0] = index + 1
+    queue.near.f[index] = f
+    return index
+
+
+@compiled(forceinline=True)
+def lowest(queue):
+    """Return the index of the entry that comes next in the lowest bucket, which has one."""
+    return 0 if queue.tally[IS_HEAP] else queue.near.size[0] - 1
+
+
+@compiled(forceinline=True)
+def drop_lowest(queue):
+    """Remove the entry that comes next from the lowest bucket, which has one."""
+    if queue.tally[IS_HEAP]:
+        drop_top(queue.near)
+    else:
+        queue.near.size[0] -= 1
+
+
+@compiled()
+def order(queue):
+    """Make the lowest bucket a heap, for the rest of the search."""
+    near = queue.near
+    num_entries = near.size[0]
+    queue.tally[IS_HEAP] = 1
+    near.size[0] = 0
+    for index in range(num_entries):
+        f, node = near.f[index], near.item[index]
+        near.item[place(near, f)] = node
+
+
+@compiled(forceinline=True)
 def insert(queue, f, node):
     """Put a node into a queue that has room: into its heap, or first in the list of a later bucket."""
     tally = queue.tally
     bucket = (f - queue.scale[0]) * queue.scale[1]
     if not bucket >= tally[BUCKET] + 1:  # NaN, of an infinite f, comes here too
-        queue.near.item[place(queue.near, f)] = node
+        queue.near.item[_place_near(queue, f)] = node
         return
 
     # Take a free slot, and put it before the bucket's first one; beyond the buckets there is one list for all.
@@ -204,30 +210,33 @@ def insert(queue, f, node):
 
 
 @compiled(forceinline=True)
-def refill(queue, num_cols, moves, cost, g, state):
+def refill(queue, state):
     """Bring the next bucket's entries into the heap if it is empty; it stays empty where no bucket is left.
 
-    These nodes will soon be expanded, so what the search keeps of them and of their neighbours is prefetched. A node
-    that was closed meanwhile, at a lower f, is left out.
+    A node that was closed meanwhile, at a lower f, is left out.
 
     Args:
       queue: altered.
-      num_cols: cells in a row of the grid, the distance to a node's neighbours north and south.
-      moves, cost, g, state: ``[M]`` arrays of the search, by node (see `planners.grid_search.advance`).
+      state: ``[M]`` of the search, by node (see `planners.grid_search.advance`).
     """
     tally = queue.tally
     while queue.near.size[0] == 0 and tally[NUM_FAR] > 0:
         index = tally[BUCKET] + 1
         tally[BUCKET] = index
 
-        # Behind the last bucket: begin with the first one again, at the lowest f of what lies beyond.
+        # Behind the last bucket: begin with the first one again, at the lowest f of what lies beyond, which is all that
+        # is left. Where most of it would lie beyond again, buckets become wider.
         if index == NUM_BUCKETS:
             tally[BUCKET] = 0
-            queue.scale[0] = np.inf
+            lowest_f, total = np.inf, 0.0
             slot = queue.first[index]
             while slot != NO_SLOT:
-                queue.scale[0] = min(queue.scale[0], queue.far_f[slot])
+                lowest_f = min(lowest_f, queue.far_f[slot])
+                total += queue.far_f[slot]
                 slot = queue.far_next[slot]
+            queue.scale[0] = lowest_f
+            if (total / tally[NUM_FAR] - lowest_f) * queue.scale[1] > NUM_BUCKETS:
+                queue.scale[1] *= 0.5
 
         # Empty the list: slots become free, and nodes go into the heap, or into later buckets.
         slot = queue.first[index]
@@ -240,9 +249,4 @@ def refill(queue, num_cols, moves, cost, g, state):
             node = np.int64(queue.far_node[slot])
             if not state[np.uint64(node)] & CLOSED:
                 insert(queue, queue.far_f[slot], node)
-                prefetch(moves, node)
-                for beside in (node - num_cols, node, node + num_cols):
-                    prefetch(g, beside)
-                    prefetch(state, beside)
-                    prefetch(cost, beside)
             slot = next_slot

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND
-from jaxurban.planners import bulk, grid_search, registry
+from jaxurban.planners import grid_search, registry, tile_search
 from jaxurban.planners.astar import (
     ADMISSIBLE,
     VOLUME_HEURISTICS,
@@ -20,7 +20,6 @@ from jaxurban.planners.astar import (
     make_heuristic,
 )
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.bulk import solve_by_frontier
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.grid_search import NO_HEURISTIC, GridSearch, cell_of, graph_of
 from jaxurban.planners.registry import (
@@ -30,6 +29,7 @@ from jaxurban.planners.registry import (
     choose_heuristics,
     solve_many,
 )
+from jaxurban.planners.tile_search import costs_by_tiles, solve_by_tiles
 from tests.movingai import GridProblem, read_map, read_scenarios
 from tests.planners.problems import (
     assert_optimal,
@@ -221,21 +221,22 @@ def mixed_batch():
     return problems
 
 
-BANDS = [0.0, 1.0, bulk.BAND_STEPS, np.inf]
+BANDS = [0.0, tile_search.BAND_STEPS, 1e30]
 
 
 @pytest.mark.parametrize(
     "band_steps",
     [None, *(pytest.param(band, marks=pytest.mark.slow) for band in BANDS)],
 )
-def test_many_maps_at_once_are_solved_exactly_by_numba_and_by_the_frontier_with_every_band(
-    band_steps,
+def test_many_maps_at_once_are_solved_exactly_by_numba_and_by_tiles_with_every_band(
+    monkeypatch, band_steps
 ):
     problems = mixed_batch()
     if band_steps is None:
         paths = dict(solve_many(problems, backend="numba"))
     else:
-        paths = dict(solve_by_frontier(problems, planner="astar-plus", band_steps=band_steps))
+        monkeypatch.setattr(tile_search, "BAND_STEPS", band_steps)
+        paths = dict(solve_by_tiles(problems, planner="astar-plus"))
     assert sorted(paths) == list(range(len(problems)))
     for index, problem in enumerate(problems):
         assert_optimal(paths[index], problem)
@@ -315,7 +316,7 @@ def test_a_crash_takes_the_place_of_its_path_and_no_search_begins_after_the_iter
             raise ZeroDivisionError("by a bug")
         return astar(problem, budget_s=budget_s)
 
-    monkeypatch.setattr(registry, "find_planner", lambda name, heuristic: search)
+    monkeypatch.setattr(registry, "find_planner", lambda name, heuristic, **_: search)
     outcomes = dict(solve_many(queries[:6], planner="astar-dist"))
     assert isinstance(outcomes.pop(2), ZeroDivisionError)
     assert all(
@@ -328,10 +329,29 @@ def test_a_crash_takes_the_place_of_its_path_and_no_search_begins_after_the_iter
     assert len(begun) <= 4
 
 
+@pytest.mark.parametrize("kind", ["cell", "line"])
+@pytest.mark.parametrize("connectivity", [4, 8])
+def test_tiles_are_exact_over_many_tiles_and_wide_spreads_whatever_runs_beside(kind, connectivity):
+    shape = (50, 77)
+    rng = np.random.default_rng(8)
+    free = rng.random(shape) < 0.8
+    layer = np.where(rng.random(shape) < 0.3, 0.0, 10 ** rng.uniform(-4, 5, shape))
+    model = CostModel(kind, 3.0, connectivity)
+    cells = [tuple(map(int, cell)) for cell in np.argwhere(free)]
+    problem = Problem(layer[None], free, cells[0], cells[-1], 2.0, 1e-3, model)
+    queries = random_queries(problem, 20)
+    paths = dict(solve_by_tiles(queries, planner=""))
+    alone = dict(solve_by_tiles(queries[3:4], planner=""))[0]
+    np.testing.assert_array_equal(alone.points_m, paths[3].points_m)
+    for index, query in enumerate(queries):
+        assert_optimal(paths[index], query)
+    np.testing.assert_allclose(costs_by_tiles(problem), cost_to_go(problem), rtol=1e-12)
+
+
 @pytest.mark.slow
-def test_a_spent_budget_ends_the_frontier_search_with_a_bound(monkeypatch):
+def test_a_spent_budget_ends_the_search_by_tiles_with_a_bound(monkeypatch):
     problems = mixed_batch()
-    monkeypatch.setattr(bulk, "ROUNDS_AT_ONCE", 3)
+    monkeypatch.setattr(tile_search, "ROUNDS_AT_ONCE", 1)
     paths = dict(solve_many(problems, backend="jax", budget_s=1e-9))
     for index, problem in enumerate(problems):
         optimum = costs_to_goal(problem)[problem.start]
@@ -341,7 +361,7 @@ def test_a_spent_budget_ends_the_frontier_search_with_a_bound(monkeypatch):
     assert paths[3].lower_bound > 0
 
 
-# On New York each compiled search, and some in JAX, whose frontier takes seconds a query on a CPU.
+# On New York each compiled search, and some in JAX, which takes longer on a CPU.
 SLOWER = [("numba", None, 1), ("numba", "landmarks", 1), ("numba", "exact", 5), ("jax", None, 100)]
 
 

@@ -18,7 +18,12 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import CRASHED, RouteJob, Run, failure
 from jaxurban.planners.base import Cell, Path
 from jaxurban.planners.corners import with_corner_bound
-from jaxurban.planners.registry import PLANNERS, find_planner
+from jaxurban.planners.registry import (
+    EXACT_PLANNERS,
+    PLANNERS,
+    SAMPLING_PLANNERS,
+    find_planner,
+)
 from jaxurban.settings import CostKind
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics
 from jaxurban.world.grid import Grid
@@ -187,9 +192,11 @@ def limited(planner: str, study: Study) -> Callable[..., Path]:
       planner: its name.
       study: its budget is in seconds, or in samples: then a planner that draws no samples has no limit.
     """
-    search: Callable[..., Path] = find_planner(planner)
     if study.budget_iterations is None:
+        is_in_jax = study.backend == "jax" and planner in (*EXACT_PLANNERS, *SAMPLING_PLANNERS)
+        search = find_planner(planner, backend="jax" if is_in_jax else "auto")
         return partial(search, budget_s=study.budget_s)
+    search = find_planner(planner)
     if draws_samples(planner):
         search = partial(search, max_samples=study.budget_iterations)
     return partial(search, budget_s=math.inf)
