@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import shutil
 import warnings
 import zipfile
 from contextlib import suppress
@@ -424,6 +425,34 @@ def test_tiles_in_folders_and_archives_are_joined(tmp_path, capsys):
     assert not list(tmp_path.rglob("tower.gml"))
 
 
+def test_files_of_one_table_in_folders_and_archives_are_read_once(tmp_path):
+    floor = [shapely.box(X, Y, X + 10, Y + 10), shapely.box(X + 20, Y, X + 30, Y + 10)]
+    frame = gpd.GeoDataFrame({"height": [8.0, 9.0]}, geometry=floor, crs=UTM32)
+    (tmp_path / "shape").mkdir()
+    frame.to_file(tmp_path / "shape" / "town.SHP", driver="ESRI Shapefile")
+    (tmp_path / "esri").mkdir()
+    frame.to_file(tmp_path / "esri" / "town.gdb", driver="OpenFileGDB")
+    for name in ("shape", "esri"):
+        shutil.make_archive(str(tmp_path / name), "zip", tmp_path / name)
+    (tmp_path / "packed").mkdir()
+    shutil.copy(tmp_path / "esri.zip", tmp_path / "packed" / "town.gdb.zip")
+    for source in ("shape", "shape.zip", "esri", "esri.zip", "packed"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", ju.GuessWarning)
+            buildings, _, _ = stand(tmp_path / source)
+        assert sorted(buildings.height_m) == [8, 9], source
+
+
+def test_members_of_gml_alone_stand_too(tmp_path):
+    text = citygml(thing(labelled(HOUSE)), thing(labelled(TOWER)))
+    for name in ("gml:featureMember", "gml:featureMembers"):
+        head, _, tail = text.rpartition("<core:cityObjectMember>")
+        last = tail.replace("core:cityObjectMember", name)
+        buildings, _, counts = stand(written(tmp_path / "a.gml", f"{head}<{name}>{last}"))
+        assert counts == {"solids": 2}
+        assert area_from(buildings, 0) == pytest.approx(520)
+
+
 def test_a_folder_is_named_in_provenance_by_names_and_contents(tmp_path):
     folder = folder_of_tiles(tmp_path / "town")
     settings = {"buildings": {"source": "town"}, "region": {"bounds": [9.9, 53.5, 10.0, 53.6]}}
@@ -444,7 +473,10 @@ def test_what_cannot_be_joined_is_refused(tmp_path, monkeypatch):
         ju.City.from_files(folder)
     written(folder / "a.gml", citygml(thing(labelled(HOUSE))))
     written(folder / "b.gml", citygml(thing(labelled(HOUSE)), srs="EPSG:25833"))
-    with pytest.raises(ju.InputError, match=r"declares the CRS .*25833.*set \[buildings\] crs"):
+    # One CRS for all would move the others, so that settings do not mend it.
+    with pytest.raises(
+        ju.InputError, match=r"declares several CRSs, .*25833, .*into a folder of its"
+    ):
         ju.City.from_files(folder)
     written(folder / "b.gml", citygml(thing(labelled(HOUSE)))[:-40])
     with pytest.raises(ju.InputError, match=r"town/b\.gml' cannot be read as a city model"):

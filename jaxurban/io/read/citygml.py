@@ -12,6 +12,7 @@ from jaxurban.io.read.bodies import PIECE, CityObject, body_of
 
 FACES = ("Polygon", "PolygonPatch", "Triangle", "Rectangle")
 VALUES = {"measuredHeight": "height", "storeysAboveGround": "levels"}
+MEMBERS = ("cityObjectMember", "featureMember", "featureMembers")  # of CityGML, and of GML alone
 LOD = re.compile(r"lod(\d)(?!Implicit)")  # templates have coordinates of their own
 LABEL = re.compile("(Outer)?(Roof|Wall|Ground|Closure|Floor|Ceiling)Surface")
 
@@ -37,7 +38,7 @@ def read_citygml(path: Path, crs_names: set[str]) -> list[dict[str, Any]]:
         """Close an element; an object is kept as its body alone."""
         element = builder.end(name.rpartition(":")[2])
         crs_names.add(element.get("srsName", ""))
-        if element.tag == "cityObjectMember":
+        if element.tag in MEMBERS:
             bodies.extend(body_of(_object(child)) for child in element)
             element.clear()
 

@@ -16,7 +16,7 @@ from jaxurban.io.read.bodies import outlines_of
 from jaxurban.io.read.citygml import read_citygml
 from jaxurban.io.read.cityjson import read_cityjson
 from jaxurban.io.read.outlines import Near, Outlines, joined
-from jaxurban.io.read.sniff import MOST_UNPACKED, sniff, unpacked
+from jaxurban.io.read.sniff import DATABASE, MOST_UNPACKED, sniff, unpacked
 from jaxurban.io.read.vector import OF_DAMAGED, VECTOR_SUFFIXES, read_vector
 
 READERS = {".gml": read_citygml, ".city.json": read_cityjson}
@@ -48,7 +48,8 @@ def read_tiles(
     for name, tile in _files(path, str(path)):
         kind = ""
         with suppress(InputError):  # of a format that is known and not read
-            kind = sniff(tile)
+            # The index of a Shapefile begins as the Shapefile does.
+            kind = "" if tile.suffix.lower() == ".shx" else sniff(tile)
         kinds[name] = kind
         if kind in READERS:
             with (
@@ -81,7 +82,7 @@ def read_tiles(
 
 
 def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[str, Path]]:
-    """Yield the names and paths of all files in a folder or an archive; of another file its own.
+    """Yield the names and paths of all files and databases in a folder or an archive; of another file its own.
 
     Args:
       path: of it, and ``name`` for messages.
@@ -90,8 +91,14 @@ def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[s
     Raises:
       InputError: an archive that is damaged or holds more.
     """
-    if path.is_dir():
-        for file in visible_files(path):
+    if path.name.lower().endswith((DATABASE, f"{DATABASE}.zip")):
+        yield name, path
+    elif path.is_dir():
+        files = [
+            next((each for each in file.parents if each.suffix.lower() == DATABASE), file)
+            for file in visible_files(path)
+        ]
+        for file in dict.fromkeys(files):
             yield from _files(file, f"{name}/{file.relative_to(path).as_posix()}", room)
     elif zipfile.is_zipfile(path):
         with (
