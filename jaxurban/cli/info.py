@@ -10,7 +10,7 @@ import click
 from jaxurban.cli.common import GIVEN, JSON_FLAG, Settings, print_json
 from jaxurban.io.read.sniff import LIDAR, sniff
 from jaxurban.io.samples import located
-from jaxurban.io.stored import ZARR_FOLDER, short_number, stored_maps
+from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number, stored_maps
 
 
 @click.command()
@@ -21,7 +21,7 @@ def info(path: Path, as_json: bool) -> None:
 
     FILE is of buildings, or a raster. Printed are extent, CRS, counts and guessed heights.
     """
-    if (path / ZARR_FOLDER).exists():
+    if any((path / name).exists() for name in (ZARR_FOLDER, RUN_FILE)):
         facts, numbers = _facts_of_maps(path)
     else:
         facts, file_numbers = _facts_of_file(located(path))

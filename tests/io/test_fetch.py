@@ -20,7 +20,7 @@ from jaxurban.io.files import only_writer
 from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.kinds import GROWN, KINDS, Kind
 from jaxurban.io.read.nominal import nominal_satellites
-from jaxurban.io.read.orbits import _timescale
+from jaxurban.io.read.ephemerides import timescale
 from jaxurban.io.read.osm import cut_buildings, read_osm
 from jaxurban.maps.run import load_city, run_scenario
 from tests.cli_runs import assert_one_sentence, run
@@ -81,7 +81,7 @@ DISTRICTS = geojson([shapely.box(-74.02, 40.70, -74.0, 40.72)], BoroCD=[101])
 
 def tle(day):
     """The nominal satellites as two-line elements of a day."""
-    satellites = nominal_satellites(day, _timescale())
+    satellites = nominal_satellites(day, timescale())
     return "".join(
         f"{s.name}\n" + "\n".join(export_tle(s.model)) + "\n" for s in satellites
     ).encode()

@@ -512,7 +512,7 @@ def test_a_raster_that_is_no_canopy_or_not_there_is_refused_and_a_part_is_a_gues
         ({"name": "far.tif", "values": canopy_m, "transform": far}, "does not reach the region"),
         ({"name": "crs.tif", "values": canopy_m, "crs": "EPSG:3006"}, "does not reach the region"),
         ({"name": "cm.tif", "values": 100 * canopy_m}, "cells outside -150 to 150 m"),
-        ({"name": "none.tif"}, "cannot be read as a raster"),
+        ({"name": "none.tif"}, "does not exist: check the path"),
     ]:
         with pytest.raises(ju.InputError, match=sentence):
             read(**given)

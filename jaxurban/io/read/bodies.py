@@ -152,8 +152,8 @@ def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -
         codes = {re.sub(pattern, code, name) for name in codes}
     if len(codes) > 1:
         raise InputError(
-            f"{str(path)!r} declares several CRSs, {', '.join(sorted(crs_names))}: put what is in one CRS into a folder of "
-            "its own, or convert it"
+            f"{str(path)!r} declares several CRSs, {', '.join(sorted(crs_names))}: put what is in one CRS into a "
+            "folder of its own, or convert it"
         )
     try:
         (code,) = codes
