@@ -18,9 +18,9 @@ import jaxurban as ju
 from jaxurban.io.fetch import SOURCES, FetchJob
 from jaxurban.io.files import only_writer
 from jaxurban.io.read.city import read_buildings
+from jaxurban.io.read.ephemerides import timescale
 from jaxurban.io.read.kinds import GROWN, KINDS, Kind
 from jaxurban.io.read.nominal import nominal_satellites
-from jaxurban.io.read.ephemerides import timescale
 from jaxurban.io.read.osm import cut_buildings, read_osm
 from jaxurban.maps.run import load_city, run_scenario
 from tests.cli_runs import assert_one_sentence, run
