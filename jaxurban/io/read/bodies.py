@@ -154,8 +154,8 @@ def outlines_of(
         codes = {re.sub(pattern, code, name) for name in codes}
     if len(codes) > 1:
         raise InputError(
-            f"{str(path)!r} declares several CRSs, {', '.join(sorted(crs_names))}: put what is in one CRS into a folder of "
-            "its own, or convert it"
+            f"{str(path)!r} declares several CRSs, {', '.join(sorted(crs_names))}: put what is in one CRS into a "
+            "folder of its own, or convert it"
         )
     try:
         (code,) = codes
