@@ -281,8 +281,22 @@ def test_litchi_without_modes_is_asked_for_and_a_strange_one_refused(read):
     assert read(without, "m.csv", heights="home").legs[0].end.datum == "home"
     with pytest.raises(ju.InputError, match="above the home: leave heights='geoid' out"):
         read(LITCHI, "m.csv", heights="geoid")
-    with pytest.raises(ju.InputError, match="damaged"):
+    with pytest.raises(ju.InputError, match="altitudemode is neither 0, above the take-off, nor 1"):
         read(LITCHI.replace(", 1, 3", ", 7, 3"), "m.csv")
+
+
+@pytest.mark.parametrize("table", [LITCHI, AIRDATA])
+def test_heights_of_apps_without_a_unit_are_asked_for(read, table):
+    bare = table.replace("altitude(ft)", "altitude").replace("takeoff(feet)", "takeoff")
+    with pytest.raises(ju.InputError, match=r"does not say the unit of .*\(m\)' or .*\(feet\)'"):
+        read(bare, "m.csv", home=(8.0, 47.0))
+
+
+def test_a_packed_kml_may_be_called_in_capitals(tmp_path):
+    for name in ("doc.kml", "DOC.KML"):
+        with ZipFile(tmp_path / "m.kmz", "w") as archive:
+            archive.writestr(name, KML)
+        assert len(read_mission(tmp_path / "m.kmz").legs) == 1
 
 
 def test_a_log_of_airdata_counts_from_the_take_off(read):

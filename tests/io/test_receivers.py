@@ -132,6 +132,24 @@ def test_sentences_with_a_wrong_checksum_are_passed_over_and_counted(tmp_path):
     assert "G06" not in set(read.satellite)
 
 
+def test_sentences_without_a_checksum_are_counted_and_lend_no_time(tmp_path):
+    first, marker, last = nmea_of(TABLE).rpartition("$GNRMC")
+    cut = last.partition("*")
+    bare = first + marker + cut[0] + cut[2][2:]
+    with (
+        pytest.warns(UserWarning, match="has 1 sentences with a wrong checksum or none"),
+        pytest.warns(UserWarning, match="has 5 of 15 measurements without a time"),
+    ):
+        read = read_log(written(tmp_path, bare))
+    check_rows(read, TABLE[:10])
+
+
+def test_a_gnss_logger_of_columns_alone_is_refused(tmp_path):
+    columns = gnss_logger_of(TABLE).partition("\nRaw,")[0]
+    with pytest.raises(InputError, match=r"cannot be read as a log|holds no place"):
+        read_log(written(tmp_path, columns + "\n"))
+
+
 def test_measurements_without_a_direction_or_a_known_number_are_counted(tmp_path):
     lines = sentence("GPGSV,1,1,03,,,,53,40,45,100,30,07,10,,20,1")
     with pytest.warns(UserWarning, match="has 3 of 18 measurements without a time, a direction"):

@@ -56,8 +56,8 @@ def unzipped(data: bytes) -> tuple[str, bytes, bytes]:
         if sum(file.file_size for file in archive.infolist()) > MOST_UNPACKED:
             raise DamagedError("it unpacks to more than 64 MB: name the .wpml or .kml in it")
         names = archive.namelist()
-        waylines = [archive.read(name) for name in names if name.endswith(".wpml")]
-        others = [archive.read(name) for name in names if name.endswith(".kml")]
+        waylines = [archive.read(name) for name in names if name.lower().endswith(".wpml")]
+        others = [archive.read(name) for name in names if name.lower().endswith(".kml")]
     if len(waylines or others) != 1:
         raise DamagedError("it must hold one .wpml or one .kml: unpack it, and name one file")
     data, template, *_ = *waylines, *others, b""

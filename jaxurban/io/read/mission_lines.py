@@ -555,6 +555,10 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
     column_of = dict(zip(names, columns, strict=True))
     if ABOVE_TAKEOFF in names or CURVE in names:
         height = ABOVE_TAKEOFF if ABOVE_TAKEOFF in names else "altitude"
+        if height in column_of and not UNIT.search(column_of[height][0].lower()):
+            raise InputError(
+                f"{path.name!r} does not say the unit of {height}: call that column '{height}(m)' or '{height}(feet)'"
+            )
         flown = ("longitude", "latitude", height)
         names = [name if name in flown else "" for name in names]
     for name, (title, *cells) in zip(names, columns, strict=True):
@@ -587,6 +591,10 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
         line = line._replace(datum="home")
     elif CURVE in column_of:
         _, *modes = column_of.get(MODE, [MODE])
+        if not set(map(str.strip, modes)) <= LITCHI_MODES.keys():
+            raise DamagedError(
+                f"a value of {MODE} is neither 0, above the take-off, nor 1, above the ground"
+            )
         datums = [LITCHI_MODES[mode.strip()] for mode in modes]
         line = line._replace(datums=datums, cuts_m=_metres(column_of[CURVE]))
     return [line], len(rows)

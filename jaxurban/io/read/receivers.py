@@ -59,7 +59,7 @@ OTHER_NAMES = {  # of a reference's columns, in small letters with _ for what is
 }
 TABLES = re.compile(r"\.(csv|parquet)\b", re.IGNORECASE)
 EVENTS = 2  # an epoch with this flag or a higher one marks an event and holds no observation
-SENTENCE = re.compile(r"\$([A-Z]{2})(RMC|GGA|GSV),([^*$]*)\*([0-9A-Fa-f]{2})", re.ASCII)
+SENTENCE = re.compile(r"\$([A-Z]{2})(RMC|GGA|GSV),([^*$\r\n]*)\*?(\w{0,2})", re.ASCII)
 # Of each system by its letter in RINEX: talkers of NMEA and ConstellationType of Android, what their numbers exceed
 # RINEX's by where they are larger, and the largest number in RINEX.
 SYSTEMS = {
@@ -116,7 +116,10 @@ def read_log(
         return None
     sniff(path)
     what = f"the receiver log {str(file)!r}"
-    with readable(path, "a log", AGAIN, KeyError, IndexError, what=what), unpacked(path) as plain:
+    with (
+        readable(path, "a log", AGAIN, KeyError, IndexError, TypeError, what=what),
+        unpacked(path) as plain,
+    ):
         data = plain.read_bytes()
         head = data[:HEAD_BYTES]
         reader = next((read for mark, read in READERS.items() if re.search(mark, head)), None)
@@ -252,19 +255,21 @@ def _nmea(text: str, what: str) -> Heard:
     fix = NO_FIX
     num_bad = 0
     for talker, kind, body, checksum in SENTENCE.findall(text):
-        if reduce(xor, f"{talker}{kind},{body}".encode()) != int(checksum, 16):
+        if kind == "RMC":
+            fix = NO_FIX  # so that no satellite is heard at the time of the one before
+        if f"{reduce(xor, f'{talker}{kind},{body}'.encode()):02X}" != checksum.upper():
             num_bad += 1
             continue
         fields = body.split(",")
-        if kind == "RMC":
-            fix = NO_FIX
-            if len(fields) > 8 and fields[1] == "A" and fields[2] and fields[8]:
-                fix = len(fixes)
-                clock = f"{fields[8]}{float(fields[0]):013.6f}"
-                fixes.append((clock, _degrees(*fields[4:6]), _degrees(*fields[2:4])))
+        if kind == "RMC" and len(fields) > 8 and fields[1] == "A" and fields[2] and fields[8]:
+            fix = len(fixes)
+            clock = f"{fields[8]}{float(fields[0]):013.6f}"
+            fixes.append((clock, _degrees(*fields[4:6]), _degrees(*fields[2:4])))
         elif kind == "GSV":
             groups = zip(*[iter(fields[3:])] * 4, strict=False)  # a signal's number may remain
             seen += [(fix, talker, *group) for group in groups]
+    if num_bad:
+        warn(f"{what} has {num_bad} sentences with a wrong checksum or none, which are left out")
     if not fixes:
         raise InputError(
             f"{what} has no RMC sentence with a date and a place, and GGA has no date: switch RMC on in the receiver"
@@ -278,8 +283,6 @@ def _nmea(text: str, what: str) -> Heard:
     rows = numbers.assign(**{UTC: gsv["fix"].map(track[UTC])}).fillna({CN0: 0.0})
     rows[SATELLITE] = list(map(_name, gsv["talker"], numbers[SATELLITE]))
     rows[ELEVATION] = rows[ELEVATION].where(rows[ELEVATION] >= 0)
-    if num_bad:
-        warn(f"{what} has {num_bad} sentences with a wrong checksum, which are left out")
     return _whole(rows, what), track
 
 

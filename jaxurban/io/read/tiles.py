@@ -95,7 +95,7 @@ def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[s
         yield name, path
     elif path.is_dir():
         files = [
-            next((each for each in file.parents if each.suffix.lower() == DATABASE), file)
+            file.parent if file.parent.suffix.lower() == DATABASE else file
             for file in visible_files(path)
         ]
         for file in dict.fromkeys(files):
