@@ -177,16 +177,17 @@ class City(FactsRepr):
             buildings = f"{num_inside:,}"
             if num_around:
                 buildings += f", and {num_around:,} around"
+            solids = self.read_issues.get(ReadIssue.SOLIDS, 0)
+            if solids:
+                buildings += f", prisms of {solids:,} solids on their lowest vertices among them"
             extent = self.bounds or transformer(self.crs, WGS84).transform_bounds(*region_m)
             main = main_bounds(self.buildings.polygons, self.crs, extent)
-        solids = self.read_issues.get(ReadIssue.SOLIDS, 0)
         inside = self.structures and self.structures.inside(region_m)
         left_out: dict[str, int] = {reason: self.read_issues.get(reason, 0) for reason in LEFT_OUT}
         return {
             "CRS": self.crs,
             "extent": f"{(x_max - x_min) / 1000:.3g} x {(y_max - y_min) / 1000:.3g} km",
             "buildings": buildings,
-            "solids": f"{solids:,} buildings, prisms above their lowest vertices" if solids else "",
             "structures": listed_counts(Counter(inside.kinds)) if inside else "",
             "left out": listed_counts(left_out),
             MOST_IN: "" if main is None else str(list(main)),

@@ -193,7 +193,7 @@ def test_info_counts_bodies_and_says_where_they_stand(files, capsys):
     for path in files[:1] + files[-2:]:
         code, out, _ = run(capsys, "info", path)
         assert code == 0
-        assert "2 buildings, prisms above their lowest vertices" in out
+        assert "prisms of 2 solids on their lowest vertices" in out
     city = ju.City.from_files(files[0])
     assert area_from(city.buildings, 60) == pytest.approx(100, rel=2e-3)  # in the next zone or not
 
@@ -419,7 +419,7 @@ def test_tiles_in_folders_and_archives_are_joined(tmp_path, capsys):
         assert area_from(buildings, 0) == pytest.approx(520)
         assert area_from(buildings, 60) == pytest.approx(100)
         code, out, _ = run(capsys, "info", source)
-        assert (code, "2 buildings, prisms above their lowest vertices" in out) == (0, True)
+        assert (code, "prisms of 2 solids on their lowest vertices" in out) == (0, True)
         city = ju.City.from_files(ju.Buildings(source))
         assert area_from(city.buildings, 60) == pytest.approx(100, rel=2e-3)
     assert not list(tmp_path.rglob("tower.gml"))
