@@ -425,6 +425,37 @@ def test_tiles_in_folders_and_archives_are_joined(tmp_path, capsys):
     assert not list(tmp_path.rglob("tower.gml"))
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("b.gml", citygml(thing("")).encode("utf-16"), "text in UTF-16: make UTF-8 of it"),
+        ("b.gml", b"<!DOCTYPE a [<!ENTITY b 'c'>]>\n<CityModel/>", "a DOCTYPE, which is never read"),
+        ("b.gml.gz", gzip.compress(citygml(thing("")).encode())[:-30], "cannot be read as a file"),
+        ("b.zip", b"PK\x03\x04" + bytes(99), "an archive that is damaged: fetch it again"),
+        ("b.tar", bytes(257) + b"ustar" + bytes(250), "an archive: unpack it with `tar -xf"),
+        ("b.7z", b"7z\xbc\xaf\x27\x1c", "an archive: unpack it with `7z x"),
+        ("b.gml", b"<html>Not found</html>", "a web page: fetch the file again"),
+    ],
+)
+def test_tiles_that_cannot_be_read_are_refused_in_company_too(tmp_path, name, content, sentence):
+    folder = tmp_path / "town"
+    folder.mkdir()
+    written(folder / "a.gml", citygml(thing(labelled(HOUSE))))
+    refused(read_tiles, folder / name, content, sentence)
+    shutil.make_archive(str(tmp_path / "town"), "zip", folder)
+    for source in (folder, tmp_path / "town.zip"):
+        with pytest.raises(ju.InputError, match=sentence) as caught:
+            read_tiles(source)
+        assert f"{source}/{name}" in str(caught.value)
+        assert "jaxurban-" not in str(caught.value)
+    # Pages about tiles may stand beside them, in any format but archives that are damaged.
+    if name == "b.zip":
+        return
+    (folder / name).rename(folder / "read me.txt")
+    with pytest.warns(ju.GuessWarning, match=r"1 files .*read me.* hold no city model"):
+        assert area_from(stand(folder)[0], 0) == pytest.approx(120)
+
+
 def test_files_of_one_table_in_folders_and_archives_are_read_once(tmp_path):
     floor = [shapely.box(X, Y, X + 10, Y + 10), shapely.box(X + 20, Y, X + 30, Y + 10)]
     frame = gpd.GeoDataFrame({"height": [8.0, 9.0]}, geometry=floor, crs=UTM32)

@@ -21,7 +21,8 @@ HEAD_BYTES = 1 << 16  # that are looked at; GDAL looks at fewer
 MOST_UNPACKED = 20 * 2**30  # bytes
 PACKED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open}
 BEFORE = b"\xef\xbb\xbf \t\r\n\x1e"  # may come before a text, the mark of UTF-8 too
-PROLOG = re.compile(rb"<!--.*?-->|<[?!][^>]*>", re.DOTALL)  # of XML, before its first element
+# Of XML, before its first element, but for a DOCTYPE with declarations of its own.
+PROLOG = re.compile(rb"<!--.*?-->|<\?[^>]*>|<![^>\[]*>", re.DOTALL)
 WKT_COLUMNS = "wkt,geometry,geom,the_geom,wkt_geom,geometry_wkt"  # in tables, as GDAL takes them
 # Any JSON before the first key or word that shows that it is GeoJSON.
 _JSON = rb'\{(?:(?!"(?:Feature|FeatureCollection|features|geometry|properties|coordinates)").)*'
@@ -46,6 +47,7 @@ FORMATS = {
     "FILE > track.csv`",
     rb"\d+ +\S+\.(?i:alm|al3)?\s*\n *\d+ +\d+\s*\n": "a SEM almanac: name the YUMA almanac of the same week, which "
     "navcen.uscg.gov and celestrak.org hold beside it",
+    rb"[<\s]*<!DOCTYPE": "XML with a DOCTYPE, which is never read: remove it from the file",
     _ROOT + rb"osm\b": ".osm",
     _ROOT + rb"osmChange\b": "a list of changes to OpenStreetMap: apply it to a whole extract with "
     "`osmium apply-changes -o changed.osm.pbf EXTRACT FILE`",

@@ -3,7 +3,6 @@
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,6 +20,8 @@ from jaxurban.io.read.vector import OF_DAMAGED, VECTOR_SUFFIXES, read_vector
 
 READERS = {".gml": read_citygml, ".city.json": read_cityjson}
 ARCHIVE = ".zip"
+INDEXES = (".shx", ".sbn", ".sbx")  # of a Shapefile, which begin as it does
+DOCUMENTS = (".htm", ".html", ".txt")  # beside tiles, in whatever format
 
 
 def read_tiles(
@@ -38,18 +39,24 @@ def read_tiles(
       crs: of all coordinates, in place of the one that the files declare.
 
     Raises:
-      InputError: no such file among others, of which a warning says how many they are, one that cannot be read, an
-        archive with more in it than `MOST_UNPACKED`, or files in several CRSs; as of `outlines_of` and `read_vector`.
+      InputError: no such file among others, of which a warning says how many they are, one that cannot be read or has
+        a format that is known and not read, an archive with more in it than `MOST_UNPACKED`, or files in several
+        CRSs; as of `outlines_of` and `read_vector`.
     """
     bodies: list[dict[str, Any]] = []
     crs_names: set[str] = set()
     tables = []
     kinds = {}  # of each file by its name
     for name, tile in _files(path, str(path)):
+        suffix = tile.suffix.lower()
         kind = ""
-        with suppress(InputError):  # of a format that is known and not read
-            # The index of a Shapefile begins as the Shapefile does.
-            kind = "" if tile.suffix.lower() == ".shx" else sniff(tile)
+        try:
+            kind = "" if suffix in INDEXES else sniff(tile)
+        except InputError as error:
+            if suffix not in DOCUMENTS:
+                raise InputError(str(error).replace(str(tile), name)) from error
+        if kind == ARCHIVE:  # that `_files` could not open
+            raise InputError(f"{name!r} is an archive that is damaged: fetch it again")
         kinds[name] = kind
         if kind in READERS:
             with (
