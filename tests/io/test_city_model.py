@@ -346,6 +346,35 @@ def test_names_of_crs_place_a_file_or_are_asked_for(tmp_path, srs, crs, is_asked
     assert south < lat < north
 
 
+@pytest.mark.parametrize(
+    ("srs", "lonlat", "orders"),
+    [
+        # Of coordinates that lie in the area of their CRS in one order alone, each order comes right.
+        ("http://www.opengis.net/def/crs/EPSG/0/6697", (139.76, 35.68), "yx xy"),
+        ("EPSG:31467", (9.9, 53.5), "yx xy"),
+        ("urn:ogc:def:crs:EPSG::4979", (139.76, 35.68), "yx xy"),
+        ("EPSG:4269", (-122.4, 37.8), "yx xy"),
+        (ADV, (9.9, 53.5), "yx xy"),
+        # Others are in the order of a CRS that a URN or a URL names, and of degrees.
+        ("urn:ogc:def:crs:EPSG::6677", (139.76, 35.68), "yx"),
+        ("http://www.opengis.net/def/crs/EPSG/0/3035", (10.0, 53.5), "yx"),
+        ("EPSG:6677", (139.76, 35.68), "xy"),
+        ("EPSG:4326", (9.9, 53.5), "yx"),
+    ],
+)
+def test_axes_are_in_the_order_that_lies_where_the_crs_is_made_for(tmp_path, srs, lonlat, orders):
+    code = {ADV: UTM32}.get(srs, f"EPSG:{srs[-4:] if srs != 'EPSG:31467' else 31467}")
+    east, north = pyproj.Transformer.from_crs("EPSG:4326", code, always_xy=True).transform(*lonlat)
+    scale = 1e-5 if pyproj.CRS(code).is_geographic else 1
+    for order in orders.split():
+        faces = []
+        for label, corners in HOUSE:
+            moved_to = [(east + (x - X) * scale, north + (y - Y) * scale, z) for x, y, z in corners]
+            faces.append((label, [(*xyz[:2][:: 1 if order == "xy" else -1], xyz[2]) for xyz in moved_to]))
+        path = written(tmp_path / "a.gml", citygml(thing(labelled(faces)), srs=srs))
+        assert lonlat_extent(path)[:2] == pytest.approx(lonlat, abs=2e-3), order
+
+
 @pytest.mark.parametrize(("name", "crs"), [("CH1903", "EPSG:21781"), ("CH1903+", "EPSG:2056")])
 def test_swiss_names_without_codes_are_known(tmp_path, name, crs):
     bern = pyproj.Transformer.from_crs("EPSG:4326", crs).transform(46.95, 7.44)

@@ -14,7 +14,7 @@ from pyproj.exceptions import CRSError
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import Outlines
-from jaxurban.world.grid import check_on_earth
+from jaxurban.world.grid import WGS84, check_on_earth, transformer
 
 PIECE = re.compile(r"(Building|Bridge|Tunnel)[A-Z]\w+")  # of another object, whatever it is
 ROOFS = (None, "RoofSurface", "OuterFloorSurface")  # labels of faces above which is air, or may be
@@ -29,6 +29,7 @@ TAGS = {  # of OpenStreetMap, by kind
     "Tunnel": {"man_made": "tunnel"},
     "SolitaryVegetationObject": {"natural": "tree"},
 }
+MARGIN_DEG = 1.0  # around the area of use of a CRS
 LOST_M = 1e9  # in place of what is no number: no reader takes it for a height
 CRS_NAMES = {  # of German and Swiss surveys, and those with a code of EPSG
     r".*ETRS89_UTM(3[1-3]).*": r"EPSG:258\1",
@@ -168,9 +169,30 @@ def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -
     polygons = table.pop("polygon").to_numpy()
     tags = {str(name): table[name].to_numpy() for name in table}
 
-    # Degrees are in the order of their CRS, unless the first is no latitude.
-    is_lat_first = crs.is_geographic and crs.axis_info[0].direction == "north"
-    if is_lat_first and shapely.total_bounds(polygons)[2] <= 90:
+    box = shapely.total_bounds(polygons)
+    if not _is_x_first(crs, box, codes == crs_names):
         polygons = shapely.transform(polygons, lambda xyz: xyz[:, [1, 0, 2]], include_z=True)
     check_on_earth(repr(str(path)), crs, shapely.total_bounds(polygons))
     return Outlines(polygons, tags, crs.to_wkt(), (), {})
+
+
+def _is_x_first(crs: pyproj.CRS, box: np.ndarray, is_code: bool) -> bool:
+    """Return whether x comes before y, as which of the two orders lies at latitudes of the CRS's area of use.
+
+    Where both or neither do, degrees are in the order of the CRS, and so is a projection that is named by a URN or a
+    URL, as in GDAL; else its east comes first.
+
+    Args:
+      crs: of the coordinates.
+      box: that bounds them, in the order of the file; its middle counts.
+      is_code: whether the file names the CRS by a code alone, as ``EPSG:25832``.
+    """
+    area = crs.area_of_use
+    south, north = (area.south, area.north) if area else (-90, 90)
+    middle = (box[:2] + box[2:]) / 2
+    _, lat = transformer(crs.to_wkt(), WGS84).transform(middle, middle[::-1])
+    fits = (south - MARGIN_DEG <= lat) & (lat <= north + MARGIN_DEG)
+    if fits[0] != fits[1]:
+        return bool(fits[0])
+    is_own_order = crs.is_geographic or not is_code
+    return not (is_own_order and crs.axis_info[0].direction == "north")
