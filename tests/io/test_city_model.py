@@ -236,6 +236,26 @@ def test_a_footprint_has_the_measured_height_or_levels(tmp_path):
         assert area_from(buildings, 0) == pytest.approx(96)
 
 
+@pytest.mark.parametrize(
+    ("unit", "height_m"),
+    [
+        *((unit, 20) for unit in ("m", "#m", "urn:adv:uom:m", "urn:ogc:def:uom:EPSG::9001")),
+        *((unit, 6.096) for unit in ("ft", "feet", "urn:ogc:def:uom:UCUM::[ft_i]")),
+        ("cm", None),
+        ("urn:ogc:def:uom:EPSG::9002", None),
+    ],
+)
+def test_measured_heights_have_their_units(tmp_path, unit, height_m):
+    plan = f"<bldg:lod0FootPrint>{polygon(ring(0, 0, 10, 10, 0))}</bldg:lod0FootPrint>"
+    text = citygml(thing(plan, measuredHeight=20)).replace("Height>", f'Height uom="{unit}">', 1)
+    buildings, _, counts = stand(written(tmp_path / "a.gml", text))
+    if height_m is None:
+        assert buildings.origin[0] != HeightOrigin.HEIGHT
+        assert counts["heights_unusable"] == 1
+    else:
+        assert buildings.height_m[0] == pytest.approx(height_m)
+
+
 def test_parts_replace_a_coarser_whole_and_stand_on_its_ground(tmp_path):
     podium, tower = block(0, 0, 30, 30, 0, 8), block(10, 10, 20, 20, 8, 40)
     coarse = solid(block(0, 0, 30, 30, 0, 40))
@@ -370,7 +390,9 @@ def test_axes_are_in_the_order_that_lies_where_the_crs_is_made_for(tmp_path, srs
         faces = []
         for label, corners in HOUSE:
             moved_to = [(east + (x - X) * scale, north + (y - Y) * scale, z) for x, y, z in corners]
-            faces.append((label, [(*xyz[:2][:: 1 if order == "xy" else -1], xyz[2]) for xyz in moved_to]))
+            faces.append(
+                (label, [(*xyz[:2][:: 1 if order == "xy" else -1], xyz[2]) for xyz in moved_to])
+            )
         path = written(tmp_path / "a.gml", citygml(thing(labelled(faces)), srs=srs))
         assert lonlat_extent(path)[:2] == pytest.approx(lonlat, abs=2e-3), order
 
@@ -458,7 +480,11 @@ def test_tiles_in_folders_and_archives_are_joined(tmp_path, capsys):
     ("name", "content", "sentence"),
     [
         ("b.gml", citygml(thing("")).encode("utf-16"), "text in UTF-16: make UTF-8 of it"),
-        ("b.gml", b"<!DOCTYPE a [<!ENTITY b 'c'>]>\n<CityModel/>", "a DOCTYPE, which is never read"),
+        (
+            "b.gml",
+            b"<!DOCTYPE a [<!ENTITY b 'c'>]>\n<CityModel/>",
+            "a DOCTYPE, which is never read",
+        ),
         ("b.gml.gz", gzip.compress(citygml(thing("")).encode())[:-30], "cannot be read as a file"),
         ("b.zip", b"PK\x03\x04" + bytes(99), "an archive that is damaged: fetch it again"),
         ("b.tar", bytes(257) + b"ustar" + bytes(250), "an archive: unpack it with `tar -xf"),
@@ -477,10 +503,8 @@ def test_tiles_that_cannot_be_read_are_refused_in_company_too(tmp_path, name, co
             read_tiles(source)
         assert f"{source}/{name}" in str(caught.value)
         assert "jaxurban-" not in str(caught.value)
-    # Pages about tiles may stand beside them, in any format but archives that are damaged.
-    if name == "b.zip":
-        return
-    (folder / name).rename(folder / "read me.txt")
+    # Pages about tiles may stand beside them.
+    (folder / name).rename(folder / "read me.html")
     with pytest.warns(ju.GuessWarning, match=r"1 files .*read me.* hold no city model"):
         assert area_from(stand(folder)[0], 0) == pytest.approx(120)
 

@@ -169,8 +169,7 @@ def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -
     polygons = table.pop("polygon").to_numpy()
     tags = {str(name): table[name].to_numpy() for name in table}
 
-    box = shapely.total_bounds(polygons)
-    if not _is_x_first(crs, box, codes == crs_names):
+    if not _is_x_first(crs, shapely.total_bounds(polygons), codes == crs_names):
         polygons = shapely.transform(polygons, lambda xyz: xyz[:, [1, 0, 2]], include_z=True)
     check_on_earth(repr(str(path)), crs, shapely.total_bounds(polygons))
     return Outlines(polygons, tags, crs.to_wkt(), (), {})
@@ -189,10 +188,9 @@ def _is_x_first(crs: pyproj.CRS, box: np.ndarray, is_code: bool) -> bool:
     """
     area = crs.area_of_use
     south, north = (area.south, area.north) if area else (-90, 90)
-    middle = (box[:2] + box[2:]) / 2
+    middle = box.reshape(2, 2).mean(axis=0)
     _, lat = transformer(crs.to_wkt(), WGS84).transform(middle, middle[::-1])
     fits = (south - MARGIN_DEG <= lat) & (lat <= north + MARGIN_DEG)
     if fits[0] != fits[1]:
         return bool(fits[0])
-    is_own_order = crs.is_geographic or not is_code
-    return not (is_own_order and crs.axis_info[0].direction == "north")
+    return (crs.is_projected and is_code) or crs.axis_info[0].direction != "north"

@@ -12,6 +12,8 @@ from jaxurban.io.read.bodies import PIECE, CityObject, body_of
 
 FACES = ("Polygon", "PolygonPatch", "Triangle", "Rectangle")
 VALUES = {"measuredHeight": "height", "storeysAboveGround": "levels"}
+# What is not needed of a unit, such as urn:ogc:def:uom:UCUM::[ft_i], and EPSG's metre: numbers alone are in metres.
+BESIDE_UNIT = re.compile(r".*[:#/]|\W|_.*|9001")
 MEMBERS = ("cityObjectMember", "featureMember", "featureMembers")  # of CityGML, and of GML alone
 LOD = re.compile(r"lod(\d)(?!Implicit)")  # templates have coordinates of their own
 LABEL = re.compile("(Outer)?(Roof|Wall|Ground|Closure|Floor|Ceiling)Surface")
@@ -74,7 +76,8 @@ def _fill(one: CityObject, element: Element, lod: float | None, label: str | Non
         if PIECE.fullmatch(name):
             one.pieces.append(_object(child))
         elif name in VALUES:
-            setattr(one, VALUES[name], child.text)
+            unit = BESIDE_UNIT.sub("", child.get("uom", ""))
+            setattr(one, VALUES[name], f"{child.text or ''} {unit}")
         elif name in FACES and lod is not None:
             texts = [" ".join(ring.itertext()) for ring in child.iter("LinearRing")]
             one.draw(lod, label, [np.array(text.split(), float).reshape(-1, 3) for text in texts])

@@ -20,8 +20,13 @@ from jaxurban.io.read.vector import OF_DAMAGED, VECTOR_SUFFIXES, read_vector
 
 READERS = {".gml": read_citygml, ".city.json": read_cityjson}
 ARCHIVE = ".zip"
-INDEXES = (".shx", ".sbn", ".sbx")  # of a Shapefile, which begin as it does
-DOCUMENTS = (".htm", ".html", ".txt")  # beside tiles, in whatever format
+BESIDE = (
+    ".htm",
+    ".html",
+    ".shx",
+    ".sbn",
+    ".sbx",
+)  # pages, and indexes of Shapefiles, which begin as these do
 
 
 def read_tiles(
@@ -48,13 +53,10 @@ def read_tiles(
     tables = []
     kinds = {}  # of each file by its name
     for name, tile in _files(path, str(path)):
-        suffix = tile.suffix.lower()
-        kind = ""
         try:
-            kind = "" if suffix in INDEXES else sniff(tile)
+            kind = "" if tile.suffix.lower() in BESIDE else sniff(tile)
         except InputError as error:
-            if suffix not in DOCUMENTS:
-                raise InputError(str(error).replace(str(tile), name)) from error
+            raise InputError(str(error).replace(str(tile), name)) from error
         if kind == ARCHIVE:  # that `_files` could not open
             raise InputError(f"{name!r} is an archive that is damaged: fetch it again")
         kinds[name] = kind
