@@ -371,6 +371,17 @@ def test_fixes_of_a_ulog_lie_above_the_geoid_and_others_are_counted(read, monkey
         read(ulog(*FIXES), "f.ulg")
 
 
+def test_a_ulog_that_is_cut_or_damaged_is_no_shorter_flight(read):
+    whole = ulog(*FIXES, FIXES[-1])
+    for cut in (1, 2, 20, 31, 33):  # within the last message of 34 bytes, and its header
+        with pytest.raises(ju.InputError, match="damaged, or a part is missing"):
+            read(whole[:-cut], "f.ulg")
+    last = len(whole) - 34
+    for at, byte in ((last + 2, b"z"), (last + 1, b"\xff"), (last + 3, b"\x07")):
+        with pytest.raises(ju.InputError, match="damaged, or a part is missing"):
+            read(whole[:at] + byte + whole[at + 1 :], "f.ulg")
+
+
 @pytest.mark.parametrize("name", ["flight.BIN", "flight.log", "flight.tlog"])
 def test_logs_of_ardupilot_are_named_with_their_converter(tmp_path, name):
     for reading in (read_mission, read_flight):

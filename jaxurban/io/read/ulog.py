@@ -12,24 +12,11 @@ from jaxurban.io.read.mission_parts import DamagedError
 from jaxurban.io.read.sniff import in_own_words
 
 TOPIC = "vehicle_gps_position"
-MOST_BACK = 10_000
+MESSAGES = b"ABCDFILMOPQRS"  # their types, each a byte
 # Fields of old logs, whole numbers of 1e-7 degrees and of millimetres, and of new ones, in degrees and metres.
 OLD = {"lon": 1e-7, "lat": 1e-7, "alt": 1e-3}
 NEW = {"longitude_deg": 1.0, "latitude_deg": 1.0, "altitude_msl_m": 1.0}
 LEAST_FIX = 3  # fix_type of a fix with a height
-
-
-class _Log(io.BytesIO):
-    """The bytes of a log; EOFError where it is read back and forth without end, as pyulog reads some damaged ones."""
-
-    num_back = 0
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        """Move as a file does, back at most `MOST_BACK` times."""
-        self.num_back += offset < 0
-        if self.num_back > MOST_BACK:
-            raise EOFError
-        return super().seek(offset, whence)
 
 
 def ulog_lines(path: Path, data: bytes) -> Shapes:
@@ -37,14 +24,22 @@ def ulog_lines(path: Path, data: bytes) -> Shapes:
 
     Raises:
       InputError: ``pyulog`` is not installed.
-      ValueError: the file cannot be read, or holds no fix.
+      ValueError: the file cannot be read, is cut short or damaged, or holds no fix.
     """
     try:
         from pyulog import ULog
     except ImportError as error:
         raise InputError("ULog is read by pyulog: pip install 'jaxurban[ulog]'") from error
     with in_own_words(Exception), redirect_stdout(io.StringIO()):
-        log = ULog(_Log(data), [TOPIC])
+        # Of a log that is cut pyulog reads what is left, and others back and forth without end.
+        start = 16  # bytes of the header
+        while start < len(data) and data[start + 2 : start + 3] in MESSAGES:
+            start += 3 + int.from_bytes(data[start : start + 2], "little")
+        if start != len(data):
+            raise EOFError
+        log = ULog(io.BytesIO(data), [TOPIC])
+        if log.file_corruption:
+            raise EOFError
     if not log.data_list:
         raise DamagedError("it holds no fix of a receiver, as the topic vehicle_gps_position")
     fields = log.data_list[0].data
