@@ -592,6 +592,14 @@ def test_damaged_citygml_is_refused_in_one_sentence(tmp_path, spoil):
     refused(read_tiles, tmp_path / "a.gml", spoil(text).encode(), "cannot be read as a city model")
 
 
+@pytest.mark.parametrize("index", [-1, 1000, 1.5, None])
+def test_indices_of_no_vertex_are_refused(tmp_path, index):
+    document = cityjson({"house": ({}, HOUSE)})
+    document["CityObjects"]["house"]["geometry"][0]["boundaries"][0][0][0][0] = index
+    content = json.dumps(document).encode()
+    refused(read_tiles, tmp_path / "a.city.json", content, "cannot be read as a city model")
+
+
 def test_fuzzed_cityjson_is_read_or_refused(tmp_path):
     text = json.dumps(cityjson({"house": ({"attributes": {"measuredHeight": 9}}, HOUSE)}))
     rng = np.random.default_rng(3)

@@ -76,7 +76,9 @@ def _object(thing: dict[str, Any], vertices: np.ndarray) -> CityObject:
         values = _of_faces(meanings.get("values"), depth)
         for face, value in zip_longest(_of_faces(geometry["boundaries"], depth), values):
             label = None if value is None else labels[value]
-            one.draw(float(geometry.get("lod", 0)), label, [vertices[ring] for ring in face])
+            # An index below 0, from the end to numpy, is refused as damage.
+            rings = [vertices[np.unravel_index(ring, len(vertices))] for ring in face if ring]
+            one.draw(float(geometry.get("lod", 0)), label, rings)
     return one
 
 
