@@ -20,13 +20,8 @@ from jaxurban.io.read.vector import OF_DAMAGED, VECTOR_SUFFIXES, read_vector
 
 READERS = {".gml": read_citygml, ".city.json": read_cityjson}
 ARCHIVE = ".zip"
-BESIDE = (
-    ".htm",
-    ".html",
-    ".shx",
-    ".sbn",
-    ".sbx",
-)  # pages, and indexes of Shapefiles, which begin as these do
+# Pages, and indexes of Shapefiles, which begin as these do.
+BESIDE = (".htm", ".html", ".shx", ".sbn", ".sbx")
 
 
 def read_tiles(
