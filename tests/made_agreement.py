@@ -55,7 +55,7 @@ def made() -> SatelliteAgreement:
     models = ("constant", "elevation", "street", "seen or hidden", "margin", "margin and elevation")
     rivals = pd.DataFrame({"model": models, "log_loss": 0.6 - np.arange(6) / 100, "gain": 0.0})
     scales = np.round(np.arange(0.8, 1.21, 0.02), 2)
-    start = found().epochs.iloc[30]
+    start = found().epochs.iloc[300]
     columns = [
         "satellite",
         "azimuth_deg",

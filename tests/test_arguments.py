@@ -1015,8 +1015,8 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         ("{home}/maps", "--at={start}", "--altitude=20"),
         {
             "--at": "-73.993819,40.758629",
-            "--track": Case("none.csv", refused="--track"),
-            "--reference": Case("none.csv", refused="--reference"),
+            "--track": Case("none.csv", refused="none.csv"),
+            "--reference": Case("none.csv", refused="none.csv"),
             "--by-satellite": Case("", refused="--by-satellite"),
             "--altitude": "40",
             "--time": LATER,

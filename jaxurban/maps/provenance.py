@@ -19,9 +19,9 @@ import shapely
 from jaxurban.checks import values_given
 from jaxurban.errors import readable
 from jaxurban.io.city import City
-from jaxurban.io.files import digest_of, read_json, visible_files, write_json
+from jaxurban.io.files import SCRATCH_SUFFIX, digest_of, read_json, visible_files, write_json
 from jaxurban.io.samples import located, structures_of
-from jaxurban.io.stored import RUN_FILE, short_number
+from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.population import FILES, Population
@@ -302,7 +302,8 @@ def finished(scenario: Scenario, folder: Path) -> dict[str, Any] | None:
         inputs, key = begun(scenario)
         same = {"run_key": key, "inputs": inputs, "settings": settings_of(scenario)}
         is_same = run.settings == {"run_key": key} and record == record | same
-        if is_same and not run.broken(folder / name for name in run.written):
+        has_remains = any((folder / ZARR_FOLDER).glob(f".*{SCRATCH_SUFFIX}"))
+        if is_same and not has_remains and not run.broken(folder / name for name in run.written):
             return record
     return None
 

@@ -125,7 +125,7 @@ def test_a_run_records_its_engine_and_another_one_keeps_its_maps(town, tmp_path,
 def test_numba_beside_a_gpu_is_planned_and_recorded_as_on_a_cpu(town, tmp_path, monkeypatch):
     town.write_text(TOWN.replace("[buildings]", 'engine = "numba"\n[buildings]'))
     with monkeypatch.context() as patched:
-        patched.setattr("jaxurban.maps.run.jax.default_backend", lambda: "gpu")
+        patched.setattr("jax.default_backend", lambda: "gpu")
         patched.setattr("jaxurban.maps.memory.gpu_free_bytes", lambda: 1)
         made = run_scenario(ju.Scenario.from_toml(town), tmp_path / "beside", progress=False).record
     again = run_scenario(ju.Scenario.from_toml(town), tmp_path / "beside", progress=False).record

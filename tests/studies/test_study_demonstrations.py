@@ -40,8 +40,8 @@ def costs_of(shown):
 def test_a_study_gives_the_routes_of_its_planners_at_their_own_costs(study):
     for planner, excess in (
         ("astar-plus", 1e-9),
-        ("bitstar-plus", 0.15),
-    ):  # off the grid they are redrawn on it
+        ("bitstar-plus", 0.2),
+    ):  # off the grid they are redrawn on it, by one of several ways that are as near
         rows = study.rows[(study.rows.planner == planner) & study.rows.status.isin(HAS_PATH)]
         shown = routes_of(study, planner=planner)
         keys = [(int(each.query.name), each.query.cost_map.altitude_m) for each in shown]
