@@ -271,7 +271,8 @@ def _check_has_building(
     raise InputError(
         f"{str(buildings.source)!r} has no building in the region {list(bounds)}: "
         f"{where_it_lies(lonlat_extent(buildings.source, buildings.crs), bounds)}; "
-        "move [region] bounds there, or set [buildings] allow_none = true if there are none"
+        "move [region] bounds there, set [buildings] crs if the file declares a wrong one, or set [buildings] "
+        "allow_none = true if there are none"
     )
 
 
