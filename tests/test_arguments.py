@@ -1118,7 +1118,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         | {
             "--routes": "3",
             "--altitudes": "20",
-            "--queries": Case("none.csv", refused="--queries"),
+            "--queries": Case("none.csv", refused="none.csv"),
             "--resolution": "40",
             "--obstacles": "centre",
             "--cost-model": "cell",

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import geopandas as gpd
 import jupytext
@@ -27,6 +28,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban.cli.common import GIVEN, MAPS_PATH
 from jaxurban.cli.main import app
 from jaxurban.exit_codes import ExitCode
 from jaxurban.maps.scenario import Scenario
@@ -40,9 +42,10 @@ NOTEBOOKS = sorted(FOLDER.glob("[0-9]*.py"), key=lambda path: int(path.name.spli
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^( *)```([\w-]*)[^\n]*\n(.*?)^\1```[ \t]*$", re.MULTILINE | re.DOTALL)
 
-# What asks servers, serves until somebody ends it, takes several cities, machines or minutes, or has a test of its own.
+# What asks servers, serves until somebody ends it, takes several cities, machines, minutes or a log of the reader's, or
+# has a test of its own.
 ONLY_PARSED = re.compile(
-    r"fetch (?!.*--dry-run)|view (?!.*--export)|demo\b|score|tune .*--by-city|.*--cluster"
+    r"fetch (?!.*--dry-run)|view (?!.*--export)|demo\b|score|tune .*--by-city|.*--cluster|sky .*--by-satellite"
 )
 
 SCENARIO = """
@@ -169,7 +172,8 @@ def run_shell(block: Block, page: Path, capsys) -> None:
         match words:
             case ["jaxurban", *arguments]:
                 if ONLY_PARSED.match(" ".join(arguments)):
-                    assert app.commands[arguments[0]].make_context(arguments[0], arguments[1:])
+                    with patch.object(GIVEN, "check", None), patch.object(MAPS_PATH, "check", None):
+                        assert app.commands[arguments[0]].make_context(arguments[0], arguments[1:])
                 else:
                     # What this process holds counts toward a ceiling, and depends on the tests before.
                     by = run_alone if "--memory" in arguments else partial(run, capsys)

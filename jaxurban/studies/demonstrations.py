@@ -38,6 +38,7 @@ DRAWN_CELLS = 3.0  # the route that was meant by a line is within so many cells 
 ROUNDED_CELLS = (
     2.0  # within so many cells of a redrawn line, another route differs by what the grid rounds
 )
+NEARER = 1e-3  # what a cell away from a line costs, in lengths of a cell
 MOST_REASONS = 3  # in an error; a warning has them all
 
 MapOf = Callable[[float, str | None, str | None], CostMap]  # by altitude, time and time of day
@@ -500,7 +501,7 @@ def _grid_path(cost_map: CostMap, local: np.ndarray) -> _Followed | None:
 
 
 def _follow_leg(cost_map: CostMap, leg: shapely.LineString, start: Cell, goal: Cell) -> _Followed:
-    """Return the shortest grid path between two cells in the narrowest corridor around a leg that holds one.
+    """Return the shortest grid path, of several the nearest, in the narrowest corridor around a leg that holds one.
 
     All lengths are in cell sides, and places are counted from the map's southwest corner.
 
@@ -520,14 +521,16 @@ def _follow_leg(cost_map: CostMap, leg: shapely.LineString, start: Cell, goal: C
         window = _window(first, np.array([north + pad, east + pad]))
         is_free = cost_map.is_free[window]
         rows, cols = np.indices(is_free.shape) + first[:, None, None]
-        is_free = is_free & shapely.dwithin(shapely.points(cols + 0.5, rows + 0.5), leg, width)
+        away = shapely.distance(shapely.points(cols + 0.5, rows + 0.5), leg)
+        is_free = is_free & (away <= width)
         begin, end = map(tuple, (np.array([start, goal]) - first).tolist())
         if not is_free[begin] or not is_free[end]:
             continue
 
-        # The unit of length is the side of a cell. The one layer costs nothing, so that only the distance counts.
+        # The unit of length is the side of a cell. The one layer costs so little that it only decides which of equally
+        # short paths is taken: the nearest to the line.
         problem = Problem(
-            costs=np.zeros((1, *is_free.shape)),
+            costs=NEARER * away[None],
             is_free=is_free,
             start=begin,
             goal=end,

@@ -253,7 +253,7 @@ def test_ten_million_points_take_less_than_a_gibibyte(tmp_path):
         for _ in range(10):
             record = laspy.ScaleAwarePointRecord.zeros(1_000_000, header=header)
             record.x, record.y = X + rng.random(10**6) * 1000, Y + rng.random(10**6) * 1000
-            is_built = (record.x % 100 < 50) & (record.y % 100 < 50)
+            is_built = (np.array(record.x) % 100 < 50) & (np.array(record.y) % 100 < 50)
             record.z = 10 + 20 * is_built
             record.classification = np.where(is_built, 6, 2)
             writer.write_points(record)

@@ -38,15 +38,17 @@ def costs_of(shown):
 
 
 def test_a_study_gives_the_routes_of_its_planners_at_their_own_costs(study):
-    for planner, excess in (
-        ("astar-plus", 1e-9),
-        ("bitstar-plus", 0.2),
-    ):  # off the grid they are redrawn on it, by one of several ways that are as near
+    for planner, most, mean in (
+        ("astar-plus", 1e-9, 1e-9),
+        ("bitstar-plus", 0.25, 0.07),
+    ):  # off the grid they are redrawn on it
         rows = study.rows[(study.rows.planner == planner) & study.rows.status.isin(HAS_PATH)]
         shown = routes_of(study, planner=planner)
         keys = [(int(each.query.name), each.query.cost_map.altitude_m) for each in shown]
         rows = rows.set_index(["instance", "altitude_m"]).loc[keys]
-        np.testing.assert_allclose(costs_of(shown), rows.cost, rtol=excess)
+        excess = costs_of(shown) / rows.cost - 1
+        assert np.abs(excess).max() <= most
+        assert np.abs(excess).mean() <= mean
     for given in (study.folder, study.folder.parent):
         assert costs_of(routes_of(given)) == costs_of(routes_of(study, planner="astar-plus"))
     low = routes_of(study, altitude_m=20.0, time_of_day="night", metrics=["gps", "risk"])
