@@ -20,11 +20,10 @@ from jaxurban.kernels.search.heap import (
     PAUSED,
     REACHED,
     UNREACHED,
-    drop_lowest,
+    drop_top,
     empty_queue,
     grown,
     insert,
-    lowest,
     order,
     refill,
 )
@@ -315,9 +314,12 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
             order(queue)
 
         # Close the next node (unsigned, as above).
-        index = lowest(queue)
+        index = 0 if tally[IS_HEAP] else near.size[0] - 1
         f, node = near.f[index], np.uint64(near.item[index])
-        drop_lowest(queue)
+        if tally[IS_HEAP]:
+            drop_top(near)
+        else:
+            near.size[0] -= 1
         if state[node] & CLOSED:
             continue
         if not f < goal_g:

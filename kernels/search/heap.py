@@ -162,21 +162,6 @@ def _place_near(queue, f):
     return index
 
 
-@compiled(forceinline=True)
-def lowest(queue):
-    """Return the index of the entry that comes next in the lowest bucket, which has one."""
-    return 0 if queue.tally[IS_HEAP] else queue.near.size[0] - 1
-
-
-@compiled(forceinline=True)
-def drop_lowest(queue):
-    """Remove the entry that comes next from the lowest bucket, which has one."""
-    if queue.tally[IS_HEAP]:
-        drop_top(queue.near)
-    else:
-        queue.near.size[0] -= 1
-
-
 @compiled()
 def order(queue):
     """Make the lowest bucket a heap, for the rest of the search."""
