@@ -36,7 +36,7 @@ class Search(NamedTuple):
 
 @jax.jit
 def begin(start: Array, goal: Array, bound: Array) -> Search:
-    """Return a search in which the tiles of the goals are open.
+    """Return a search in which the tiles of the goals, and of the cells next to them, are open.
 
     Args:
       start, bound: of `Search`.
@@ -46,11 +46,13 @@ def begin(start: Array, goal: Array, bound: Array) -> Search:
     query = jnp.arange(num_queries)
     g = jnp.full((num_queries, num_i * SIDE + 2, num_j * SIDE + 2), jnp.inf)
     open_g = jnp.full((num_queries, num_i + 2, num_j + 2), jnp.inf)
+    for step in product(RIM, RIM):  # the goal itself may lower cells of the next tile
+        open_g = open_g.at[query, *((goal + jnp.array(step)) // SIDE + 1).T].set(0.0, mode="drop")
     return Search(
         start,
         bound,
         g.at[query, *(goal + 1).T].set(0.0, mode="drop"),
-        open_g.at[query, *(goal // SIDE + 1).T].set(0.0, mode="drop"),
+        open_g,
         jnp.zeros(num_queries, jnp.int64),
     )
 

@@ -348,6 +348,19 @@ def test_tiles_are_exact_over_many_tiles_and_wide_spreads_whatever_runs_beside(k
     np.testing.assert_allclose(costs_by_tiles(problem), cost_to_go(problem), rtol=1e-12)
 
 
+@pytest.mark.parametrize("step", [(1, 0), (0, 1), (1, 1), (1, -1), (-1, -1)])
+def test_tiles_leave_a_goal_whose_only_way_leads_into_the_next_tile(step):
+    free = np.zeros((96, 96), bool)
+    goal = np.where(
+        np.array(step) < 0, 32, 63
+    )  # on the rim, or in a corner, of the tile in the middle
+    way = [tuple(map(int, goal + k * np.array(step))) for k in range(9)]
+    free[tuple(np.array(way).T)] = True
+    model = CostModel("line", 3.0, diagonal="always")
+    problem = Problem(np.ones((1, *free.shape)), free, way[-1], way[0], 2.0, 0.1, model)
+    assert_optimal(dict(solve_by_tiles([problem], planner=""))[0], problem)
+
+
 @pytest.mark.slow
 def test_a_spent_budget_ends_the_search_by_tiles_with_a_bound(monkeypatch):
     problems = mixed_batch()
