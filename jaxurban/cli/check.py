@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import jaxurban
 from jaxurban.cli.common import (
     CONSTRAINTS,
     CORRIDOR,
@@ -22,12 +23,16 @@ from jaxurban.cli.common import (
     SOURCES,
     TIME_OF_DAY,
     WEIGHTS,
+    Point,
     print_json,
 )
 from jaxurban.exit_codes import ExitCode
+from jaxurban.programs import keep_programs
 from jaxurban.progress import LOG
+from jaxurban.public import Caution
 
 if TYPE_CHECKING:
+    from jaxurban.io.read.mission_parts import Datum
     from jaxurban.paths.route_report import OverflownDensity
 
 CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": ExitCode.NOT_JUDGED}
@@ -73,6 +78,9 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
 def check(
     folder: Path,
     mission: Path,
+    heights: "Datum | None",
+    home: Point | None,
+    return_altitude_m: float | None,
     times: tuple[str, ...],
     time_of_day: str | None,
     corridor: "Callable[..., OverflownDensity] | None",
@@ -89,19 +97,19 @@ def check(
     It ends with 0 only if every leg was judged and nothing was found, with 5 for findings, and with 6 where nothing was
     found but not all could be judged.
     """
+    from jaxurban.io.read.mission import read_mission
     from jaxurban.io.workspace import Workspace
-    from jaxurban.maps.saving import open_maps
-    from jaxurban.paths.check import check as check_mission
-    from jaxurban.public import Caution
 
-    # Folders are held while it works.
+    # Folders are held while it works. The mission is read before what takes a second to import.
     for output in files:
         if not output.suffix:
             click.get_current_context().with_resource(Workspace.held(output, "check"))
-    maps = open_maps(folder, resolution_m)
-    result = check_mission(
+    parsed = read_mission(mission, heights=heights, home=home, return_altitude_m=return_altitude_m)
+    keep_programs()
+    maps = jaxurban.open_maps(folder, resolution_m)
+    result = jaxurban.check(
         maps,
-        mission,
+        parsed,
         time=times or None,
         time_of_day=time_of_day,
         **options,  # all other options are its arguments

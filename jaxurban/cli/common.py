@@ -16,6 +16,7 @@ from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
 from jaxurban.io.stored import stored_maps
+from jaxurban.programs import keep_programs
 from jaxurban.progress import LOG, reporting
 
 if TYPE_CHECKING:
@@ -216,16 +217,24 @@ class DependentOption(click.Option):
 
 def weights_in(ctx: click.Context, param: click.Parameter, text: str) -> dict[str, float]:
     """Return the weights that a text such as ``"gps=1,risk=2"`` names; errors as of `Weights.named_in`."""
-    from jaxurban.metrics.weights import Weights
+    if not text:
+        return {}
+    from jaxurban.metrics.weights import Weights  # imported here: it brings JAX
 
     return Weights.named_in(text)
 
 
 def folders_of(resolution_m: float | None, obstacles: "ObstacleRule | None") -> MapsOf:
     """Return a function of a folder that returns its maps, not opened yet, as the options of `MAPS` choose them."""
-    from jaxurban.paths.rows import MapsFolder
 
-    return partial(MapsFolder, resolution_m=resolution_m, obstacles=obstacles)
+    def maps_of(folder: Path) -> "MapsFolder":
+        """Return the maps of a folder; whoever wants them is about to compute."""
+        from jaxurban.paths.rows import MapsFolder
+
+        keep_programs()
+        return MapsFolder(folder, resolution_m, obstacles)
+
+    return maps_of
 
 
 def constraints_of(
@@ -520,12 +529,13 @@ def run_study(
       InputError: the folder cannot be written to, is held by another run, or holds other files.
     """
     from jaxurban.io.workspace import Workspace
-    from jaxurban.report.write import REPORT_FILE
 
     with Workspace.held(output, command), reporting(command) as report:
         result = study(progress=report)
         report("report")
         result.save(output, overwrite)
+    from jaxurban.report.write import REPORT_FILE
+
     figures = output / "figures"
     sentence = f"{command} finished: read {output / REPORT_FILE}"
     if figures.is_dir():

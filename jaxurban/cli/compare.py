@@ -27,8 +27,11 @@ from jaxurban.cli.common import (
     print_json,
     run_study,
 )
+from jaxurban.programs import keep_programs
+from jaxurban.progress import Progress
 
 if TYPE_CHECKING:
+    from jaxurban.studies.map_comparison import MapComparison
     from jaxurban.studies.receiver.agreement import SatelliteAgreement
 
 
@@ -61,17 +64,17 @@ def compare(
 
     Differences are given by layer, altitude and time, and for routes.
     """
-    from jaxurban.io.tables import records_of
-    from jaxurban.studies.map_comparison import compare as compare_maps
 
-    # All options that are not named above are arguments of the comparison.
-    result = run_study(
-        "compare",
-        output,
-        partial(compare_maps, maps_of(folder_a), maps_of(folder_b), **options),
-        overwrite,
-    )
+    def study(progress: Progress) -> "MapComparison":
+        """Compare the maps; all options that are not named above are arguments of the comparison."""
+        from jaxurban.studies.map_comparison import compare as compare_maps
+
+        return compare_maps(maps_of(folder_a), maps_of(folder_b), progress=progress, **options)
+
+    result = run_study("compare", output, study, overwrite)
     if as_json:
+        from jaxurban.io.tables import records_of
+
         facts = {
             "left_out": dict(result.left_out),
             "settings": result.settings,
@@ -178,15 +181,17 @@ def validate(
     give them), with a row per epoch num_tracked or error_2d_m. Left out, it is that of the sample city which SCENARIO
     names.
     """
-    import pandas as pd
-
-    from jaxurban.io.tables import records_of
     from jaxurban.maps.scenario import Scenario
     from jaxurban.studies.receiver.prediction import ReceiverSettings
-    from jaxurban.studies.receiver.validate import validate as validate_log
 
     receiver = ReceiverSettings(**settings)  # all other options are its fields
     scenario = Scenario.from_toml(scenario_file, changes)
+    import pandas as pd
+
+    from jaxurban.io.tables import records_of
+    from jaxurban.studies.receiver.validate import validate as validate_log
+
+    keep_programs()
     result = run_study(
         "validate",
         output,

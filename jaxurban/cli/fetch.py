@@ -69,7 +69,7 @@ def fetch(
     """
     from jaxurban.io.fetch import SCENARIO_FILE, FetchJob
     from jaxurban.io.fetch import fetch as fetch_files
-    from jaxurban.maps.memory import parse_bytes
+    from jaxurban.maps.free_memory import parse_bytes
 
     # The addresses of other places, by the name of what is fetched from there.
     urls = {}

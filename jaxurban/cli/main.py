@@ -31,7 +31,6 @@ from jaxurban.cli.tune import tune
 from jaxurban.cli.view import view
 from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.exit_codes import ExitCode
-from jaxurban.programs import keep_programs
 from jaxurban.progress import LOG, interrupted
 from jaxurban.public import FORMER, present_name
 
@@ -67,17 +66,7 @@ COMMANDS = (
 )
 
 
-def _keep_and_run(run: Any, *args: Any, **kwargs: Any) -> Any:
-    """Run a command with JAX's programs kept, and return its exit code.
-
-    It is called once options are read: where one is wrong, JAX is not even imported.
-    """
-    keep_programs()
-    return run(*args, **kwargs)
-
-
 for command in COMMANDS:
-    command.callback = partial(_keep_and_run, command.callback)
     app.add_command(command)
 
 

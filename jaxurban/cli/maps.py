@@ -20,6 +20,7 @@ from jaxurban.cli.common import (
     use_device,
 )
 from jaxurban.errors import InputError
+from jaxurban.programs import keep_programs
 from jaxurban.progress import LOG, reporting
 
 
@@ -66,6 +67,7 @@ def maps(
     SCENARIO is a file in TOML. The maps are written as Zarr and GeoTIFF.
     """
     from jaxurban.io.workspace import Workspace
+    from jaxurban.maps.free_memory import parse_bytes
     from jaxurban.maps.provenance import finished
     from jaxurban.maps.scenario import Scenario
 
@@ -82,15 +84,16 @@ def maps(
     if engine:
         changes = (*changes, f'region.engine = "{engine}"')
     scenario = Scenario.from_toml(scenario_file, changes)
+    memory_bytes = None if memory is None else parse_bytes(memory)
 
     # Make the maps, unless they are all there, by libraries that neither these nor a wrong scenario need wait for.
     record = None if figures or layers or memory else finished(scenario, output)
     made: dict[float, Any] = {}  # maps to draw, by resolution
     with reporting("maps") as report:
         if record is None:
-            from jaxurban.maps.memory import parse_bytes
             from jaxurban.maps.run import run_scenario
 
+            keep_programs()
             run = run_scenario(
                 scenario,
                 output,
@@ -98,7 +101,7 @@ def maps(
                 overwrite,
                 layers=layers,
                 workers=workers,
-                memory_bytes=None if memory is None else parse_bytes(memory),
+                memory_bytes=memory_bytes,
             )
             record, made = run.record, run.maps
 

@@ -29,6 +29,7 @@ from jaxurban.cli.common import (
 )
 from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
+from jaxurban.paths.export.suffixes import MISSION, check_picture, check_route_file
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
@@ -264,31 +265,31 @@ def plan(
     **search: Any,
 ) -> int:
     """Plan a path over the maps in DIR."""
-    # ``search`` holds all further options; they are keywords of the search.
+    # Refuse what cannot be written before a long search. ``search`` holds all further options; they are keywords of the
+    # search.
+    flight = values_given(flight)
+    with_report = with_report or bool(flight) or corridor is not None
+    _check_files(outputs, is_when)
+    if profile is not None:
+        check_picture(profile)
+    if is_when:  # options that are of one route alone are refused
+        how_written = outputs._replace(files=())
+        on_ground = search.pop("on_ground")
+        for_one_route = [with_report, search["refine"], search["exposure"], on_ground, *how_written]
+        if any(for_one_route) or levels is not None:
+            raise click.UsageError(NOT_WHEN)
+    maps = maps_of(folder).open()
+    which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
+
+    # Imported here: it takes a second or two.
     from jaxurban.paths.explain import explain
     from jaxurban.paths.finish import simplify
     from jaxurban.paths.plan import cost_map
     from jaxurban.paths.search import PathSearch
     from jaxurban.paths.when import when
 
-    # Refuse what cannot be written before a long search.
-    flight = values_given(flight)
-    with_report = with_report or bool(flight) or corridor is not None
-    _check_files(outputs, is_when)
-    if profile is not None:
-        from jaxurban.report.figures.profile import check_picture, save_profile
-
-        check_picture(profile)
-    maps = maps_of(folder).open()
-    which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
-
-    # A route at every time of the maps: options that are of one route alone are refused.
+    # A route at every time of the maps.
     if is_when:
-        how_written = outputs._replace(files=())
-        on_ground = search.pop("on_ground")
-        for_one_route = [with_report, search["refine"], search["exposure"], on_ground, *how_written]
-        if any(for_one_route) or levels is not None:
-            raise click.UsageError(NOT_WHEN)
         departures = when(
             maps, [(start, goal)], altitude_m=altitude_m, **which_map, **rules, **search
         )
@@ -326,6 +327,8 @@ def plan(
         except InputError as error:
             refused.append(f"{file}: {error}")
     if report is not None and profile is not None:
+        from jaxurban.report.figures.profile import save_profile
+
         save_profile(planned, costs.maps, profile, report)
         LOG.info(f"wrote {profile}")
 
@@ -363,7 +366,6 @@ def _check_files(outputs: RouteFiles, is_when: bool) -> None:
       UsageError: an option of missions without a mission, or ``--when`` with a file that is no table.
     """
     from jaxurban.io.tables import SUFFIXES
-    from jaxurban.paths.export.write import MISSION, encoder_of
 
     suffixes = [file.suffix.lower() for file in outputs.files]
     if is_when:
@@ -371,7 +373,7 @@ def _check_files(outputs: RouteFiles, is_when: bool) -> None:
             raise click.UsageError(NOT_WHEN)
     else:
         for file in outputs.files:
-            encoder_of(file)  # raises where the format holds no path
+            check_route_file(file)
     of_missions = {
         "--end": outputs.end,
         "--fence-roofs": outputs.fence_roofs_m,
@@ -479,7 +481,7 @@ def _write(
     """
     from jaxurban.paths.export.qgc_plan import mission_note
     from jaxurban.paths.export.roof_fences import roof_fences
-    from jaxurban.paths.export.write import MISSION, WAYPOINTS, elevation_note, write_path
+    from jaxurban.paths.export.write import WAYPOINTS, elevation_note, write_path
     from jaxurban.paths.finish import simplify
 
     if not planned.status.has_path:

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from jaxurban.cli.common import FLAG, GIVEN, JSON_FLAG, PATH, finite_records, print_json
+from jaxurban.programs import keep_programs
 from jaxurban.progress import LOG
 
 
@@ -34,11 +35,12 @@ def score(
     Every route is checked and its cost computed again; the gap is to a proven lower bound. A route that fails counts as
     an infinite gap, and the exit code stays 0.
     """
-    from jaxurban.studies import board as benchmark
-
     # Either the benchmark is made, or a submission is scored.
     if make == (submission is not None):
         raise click.UsageError("give either SUBMISSION, a file of routes, or --make")
+    from jaxurban.studies import board as benchmark  # imported here: it takes a second or two
+
+    keep_programs()
     if submission is None:
         queries = benchmark.make_benchmark(bench, progress=True)
         LOG.info(f"score finished: the queries are in {queries}")

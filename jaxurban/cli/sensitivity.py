@@ -216,15 +216,15 @@ def sensitivity_study(
 
     The routes are planned over the maps in each DIR.
     """
-    from jaxurban.io.tables import read_table, records_of
-    from jaxurban.maps.sources import scenario_of
-    from jaxurban.report.run_sensitivity import sensitivity_study as study
-    from jaxurban.studies.weights.routes import SensitivityStudySettings
-
     if queries is not None and (num_routes is not None or altitudes_m):
         raise click.UsageError(
             "--queries names the routes: leave out --routes and --altitudes, or --queries"
         )
+
+    from jaxurban.io.tables import read_table, records_of
+    from jaxurban.maps.sources import scenario_of
+    from jaxurban.report.run_sensitivity import sensitivity_study as study
+    from jaxurban.studies.weights.routes import SensitivityStudySettings
 
     # The scenario of the one folder, which goes by the name of its city.
     scenarios = None

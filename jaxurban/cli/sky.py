@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+import jaxurban
 from jaxurban.cli.common import (
     FILES,
     FOLDER,
@@ -19,6 +20,8 @@ from jaxurban.cli.common import (
     finite_records,
     print_json,
 )
+from jaxurban.paths.export.suffixes import PICTURES
+from jaxurban.programs import keep_programs
 from jaxurban.progress import LOG
 
 MOST_ROWS = 40
@@ -86,13 +89,11 @@ def sky(
     from jaxurban.io.read.routes import read_routes
     from jaxurban.io.read.tracks import read_track
     from jaxurban.io.tables import SUFFIXES
-    from jaxurban.report.figures.sky import plot_sky
-    from jaxurban.report.write import PICTURES, Output, save
-    from jaxurban.satellites import along
 
     # The sky at a place, or along a track; further options are arguments of both.
     _check_files(files, track)
     logged = None if track is None else read_log(track, reference)
+    keep_programs()
     result: Any
     if (by_satellite and track is None) or (reference is not None and logged is None):
         raise click.UsageError(
@@ -101,7 +102,7 @@ def sky(
     if place is not None and track is None:
         if altitude_m is None or speed_m_s is not None:
             raise click.UsageError("--at needs --altitude, and takes no --speed")
-        result = along.sky(folder, place, altitude_m, time=times or None, **source)
+        result = jaxurban.sky(folder, place, altitude_m, time=times or None, **source)
     elif place is not None or track is None:
         raise click.UsageError("give either --at, a place, or --track, a file")
 
@@ -111,9 +112,9 @@ def sky(
         if times or speed_m_s is not None:
             raise click.UsageError("a table has its own times: leave --time and --speed out")
         places = read_track(track) if logged is None else logged
-        result = along.sky_along(folder, places, altitude_m, **source)
+        result = jaxurban.sky_along(folder, places, altitude_m, **source)
     elif speed_m_s is None and not times:
-        result = along.sky_along(folder, read_flight(track), altitude_m, **source)
+        result = jaxurban.sky_along(folder, read_flight(track), altitude_m, **source)
     else:
         if speed_m_s is None or len(times) > 1:
             raise click.UsageError("a route needs --speed, and one --time, of departure")
@@ -121,12 +122,17 @@ def sky(
         lonlat = [(lon, lat) for lon, lat in route.lonlat.tolist()]
         route_m = route.altitude_m if altitude_m is None else altitude_m
         departure = times[0] if times else None
-        result = along.sky_along(folder, lonlat, route_m, departure, speed_m_s=speed_m_s, **source)
+        result = jaxurban.sky_along(
+            folder, lonlat, route_m, departure, speed_m_s=speed_m_s, **source
+        )
     tables = {"table": result.satellites if by_satellite else result.table}
     if track is None:
         tables["dops"] = result.dops
 
     # Files, and what is printed.
+    from jaxurban.report.figures.sky import plot_sky
+    from jaxurban.report.write import Output, save
+
     for file in files:
         output: Output = tables["table"]
         if file.suffix.lower() in PICTURES:
@@ -157,7 +163,6 @@ def _check_files(files: tuple[Path, ...], track: Path | None) -> None:
       track: that the sky is wanted along; None: it is wanted at a place.
     """
     from jaxurban.io.tables import SUFFIXES
-    from jaxurban.report.write import PICTURES
 
     suffixes = (*SUFFIXES, *PICTURES) if track is None else SUFFIXES
     for file in files:

@@ -22,6 +22,7 @@ from jaxurban.cli.common import (
     outcome_of,
     print_json,
 )
+from jaxurban.programs import keep_programs
 from jaxurban.progress import LOG, reporting
 
 if TYPE_CHECKING:
@@ -67,15 +68,7 @@ def study(
 
     The planners are those of [study] in SCENARIO, and the queries are over its maps.
     """
-    from jaxurban.io.workspace import Workspace
-    from jaxurban.maps.run import run_scenario
-    from jaxurban.maps.scenario import Scenario
-    from jaxurban.paths.rows import MapsFolder
-    from jaxurban.planners.cost import CostModel
-    from jaxurban.report.benchmark import check_exportable, export_benchmark
-    from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
-    from jaxurban.studies.montecarlo.study import OF_SAMPLING, land_cover_of, without_sampling
-    from jaxurban.studies.montecarlo.study import study as run_study
+    from jaxurban.maps.scenario import OF_SAMPLING, Scenario
 
     # Settings that --set names and that a file of instances fixes.
     fixed = tuple(f"study.{name}" for name in OF_SAMPLING)
@@ -89,6 +82,16 @@ def study(
     if preset:
         changes = (*changes, f"planning.preset={preset!r}")
     scenario = Scenario.from_toml(scenario_file, changes)
+    from jaxurban.io.workspace import Workspace
+    from jaxurban.maps.run import run_scenario
+    from jaxurban.paths.rows import MapsFolder
+    from jaxurban.planners.cost import CostModel
+    from jaxurban.report.benchmark import check_exportable, export_benchmark
+    from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
+    from jaxurban.studies.montecarlo.study import land_cover_of, without_sampling
+    from jaxurban.studies.montecarlo.study import study as run_study
+
+    keep_programs()
     planning = scenario.planning
     settings = scenario.study
     kind = settings.cost_model or planning.rules.cost_model

@@ -139,15 +139,15 @@ def tune(
     ROUTES are files of lines (GeoJSON, KML, GPX), tables of instances (.csv, .parquet) or folders of a study; without
     any, the study that `jaxurban study` kept in DIR. Several DIRs, each with its ROUTES, are fitted together.
     """
-    from jaxurban.metrics.weights import Weights
-    from jaxurban.report.tuning import TuneSettings, run_tuning
-    from jaxurban.studies.route_pool import FitSettings
-
     fits = values_given(fits)
     if wishes and fits:
         raise click.UsageError(
             "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"
         )
+
+    from jaxurban.metrics.weights import Weights
+    from jaxurban.report.tuning import TuneSettings, run_tuning
+    from jaxurban.studies.route_pool import FitSettings
 
     # What decides the fit: ``routes`` holds all further options, which are of the routes. A preset that is not given is
     # an empty text, and weights that the pilot does not name are 0.

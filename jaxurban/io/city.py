@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -14,8 +14,6 @@ from jaxurban import settings
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.issues import LEFT_OUT, ReadIssue, ReadIssues, listed_counts
-from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.population import Population
 from jaxurban.public import Caution, FactsRepr, caution_of_guesses
 from jaxurban.settings import TO_GROUND, Hanging
 from jaxurban.world.blocks import Blocks
@@ -24,6 +22,10 @@ from jaxurban.world.footprints import UNKNOWN, Footprints
 from jaxurban.world.grid import WGS84, Bounds, box_of, transformer
 from jaxurban.world.kinds import ALL_KINDS, EFFECTS, PLANTS, KindName, Obstacles
 from jaxurban.world.raster import Raster
+
+if TYPE_CHECKING:
+    from jaxurban.metrics.gps import Gps
+    from jaxurban.metrics.population import Population
 
 WOOD = "wood"  # the kind of what a raster of vegetation holds
 MOST_IN = f"{100 * MAIN_SHARE:.0f} % of buildings in"
@@ -99,8 +101,8 @@ class City(FactsRepr):
     area: shapely.Geometry | None = None
     guesses: Mapping[str, str] = field(default_factory=dict)
     hanging: Hanging = TO_GROUND
-    gps: Gps | None = None
-    population: Population | None = None
+    gps: "Gps | None" = None
+    population: "Population | None" = None
     heights: settings.Heights | None = None
     structures: Footprints | None = None
     vegetation: Raster | None = None
@@ -229,9 +231,9 @@ class City(FactsRepr):
         *,
         bounds: Sequence[float] | None = None,
         crs: str | None = None,
-        population: Population | None = None,
+        population: "Population | None" = None,
         terrain: str | Path | settings.Terrain | None = None,
-        gps: Gps | None = None,
+        gps: "Gps | None" = None,
         vegetation: str | Path | settings.Vegetation | None = None,
         kinds: Sequence[KindName] | None = None,
     ) -> "City":
@@ -289,7 +291,9 @@ class City(FactsRepr):
         )
 
 
-def seen_by(city: City, gps: Gps) -> City:
+def seen_by(city: City, gps: "Gps") -> City:
     """Return a city in which plants hide satellites as settings of these say."""
+    from jaxurban.metrics.gps import Gps  # imported here: it brings JAX
+
     own = city.gps or Gps()
     return city if own.plants == gps.plants else replace(city, gps=gps)

@@ -5,8 +5,12 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
-import jax
 import psutil
+
+from jaxurban.errors import InputError
+
+UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
+MOST_UNITS = 1e12  # of memory, in any unit
 
 # Under Linux, by the file system of control groups: the file of a group's limit, and what it cannot give back.
 GROUP_FILES = {
@@ -91,7 +95,25 @@ def _unescaped(field: str) -> str:
 
 def gpu_free_bytes() -> int | None:
     """Return how much memory JAX may still take on its GPU; None where it computes on a CPU or does not say."""
+    import jax
+
     stats = jax.local_devices()[0].memory_stats() or {}
     if "bytes_limit" not in stats:
         return None
     return int(stats["bytes_limit"] - stats.get("bytes_in_use", 0))
+
+
+def parse_bytes(text: str, name: str = "memory") -> int:
+    """Return the bytes in a size such as ``"4GiB"``, ``"512 MB"`` or ``"4g"``; all units are powers of 1,024.
+
+    Args:
+      text: a number above 0 and a unit; bytes without one.
+      name: of the setting, for the message.
+
+    Raises:
+      InputError: the text is not such a size.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
+    if match is None or not 0 < float(match[1]) < MOST_UNITS:
+        raise InputError(f"{name} must be a size such as 4GiB or 800MiB, got {text!r}")
+    return int(float(match[1]) * UNITS[match[2].upper()])

@@ -1,7 +1,6 @@
 """How much memory and disk the work on tiles takes, and how many tiles at a time fit under a ceiling."""
 
 import math
-import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,8 +20,6 @@ from jaxurban.progress import LOG
 from jaxurban.settings import SLABS
 from jaxurban.world.grid import MAX_SIDE, Grid, tile_shape
 
-UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
-MOST_UNITS = 1e12  # of memory, in any unit
 DEFAULT_SHARE = 0.5  # of the memory that is free when a run begins
 LEAST_SIDE = 64  # of a tile, in cells
 SERIES_BYTES = 384 * 2**20  # a tile's metric at every time of a long series takes at most this
@@ -56,22 +53,6 @@ SHADOW_GPU_BYTES = 64
 WORK_CELL_BYTES = 8
 LEAST_SHARE = 0.02
 MOST_SHARE = 1 + 4 / 3
-
-
-def parse_bytes(text: str, name: str = "memory") -> int:
-    """Return the bytes in a size such as ``"4GiB"``, ``"512 MB"`` or ``"4g"``; all units are powers of 1,024.
-
-    Args:
-      text: a number above 0 and a unit; bytes without one.
-      name: of the setting, for the message.
-
-    Raises:
-      InputError: the text is not such a size.
-    """
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
-    if match is None or not 0 < float(match[1]) < MOST_UNITS:
-        raise InputError(f"{name} must be a size such as 4GiB or 800MiB, got {text!r}")
-    return int(float(match[1]) * UNITS[match[2].upper()])
 
 
 def format_bytes(num_bytes: float) -> str:

@@ -159,6 +159,10 @@ def _dirichlet_or_list(value: Any) -> Any:
     )
 
 
+# Settings of a study that a table of instances has in itself.
+OF_SAMPLING = ("instances", "altitudes_m", "weights", "land_cover")
+
+
 @typed
 @dataclass(frozen=True)
 class Study:

@@ -7,15 +7,17 @@ A straight line from a leg to an obstacle runs through closed cells last: so it 
 """
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import FILE_MARGIN_M, SAME_LENGTH
-from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.rules import roof_limits_m
-from jaxurban.planners.base import Cell
-from jaxurban.world.surface import stands_at
+
+if TYPE_CHECKING:
+    from jaxurban.maps.metric_maps import MetricMaps
+    from jaxurban.planners.base import Cell
 
 # Cell sides: steps between the centres of cells keep half a side from closed cells.
 MOST_LEG_MARGIN = 0.49
@@ -23,7 +25,7 @@ MOST_STEPS = 10**5  # sides, more than maps have: their border is an obstacle, s
 
 
 def obstacles_within(
-    maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float
+    maps: "MetricMaps", altitude_m: float, horizontal_m: float, vertical_m: float
 ) -> np.ndarray:
     """Return ``[Y, X]`` bool: whether a roof in the cell reaches an altitude, or ends less than ``vertical_m`` below.
 
@@ -42,6 +44,8 @@ def obstacles_within(
     Raises:
       InputError: maps that hold no touched roofs.
     """
+    from jaxurban.world.surface import stands_at  # imported here: it brings JAX
+
     name = "roof_touched" if horizontal_m or maps.obstacles == "touched" else "roof"
     if name not in maps.ds:
         raise InputError(
@@ -59,7 +63,7 @@ def obstacles_within(
     return is_obstacle
 
 
-def _over_lowest_ground_m(maps: MetricMaps, reach_m: float) -> np.ndarray:
+def _over_lowest_ground_m(maps: "MetricMaps", reach_m: float) -> np.ndarray:
     """Return ``[Y, X]`` how much higher the ground of each cell is than the lowest known ground around it, metres.
 
     Around it are all cells within ``reach_m`` and, as the window is square and whole cells wide, some beyond. The
@@ -75,7 +79,7 @@ def _over_lowest_ground_m(maps: MetricMaps, reach_m: float) -> np.ndarray:
     return np.subtract(ground_m, lowest_m, out=np.zeros_like(ground_m), where=np.isfinite(ground_m))
 
 
-def limit_near_m(maps: MetricMaps, cell: Cell, horizontal_m: float) -> float:
+def limit_near_m(maps: "MetricMaps", cell: "Cell", horizontal_m: float) -> float:
     """Return up to which height roofs of guessed height may reach that stand in a cell or nearer than a clearance.
 
     The highest counts; 0 without such a roof, inf where nothing bounds one.
@@ -154,7 +158,7 @@ def kept_m(horizontal_m: float, resolution_m: float) -> float:
 
 
 def closed_by_clearance(
-    maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float
+    maps: "MetricMaps", altitude_m: float, horizontal_m: float, vertical_m: float
 ) -> np.ndarray:
     """Return ``[Y, X]`` bool: cells that a horizontal and a vertical clearance close at an altitude above the ground.
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,8 +16,6 @@ from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.io.tables import number_or_none
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
-from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.registry import known_metrics
 from jaxurban.paths.clearance import (
     closed_by_clearance,
     closing_step_m,
@@ -25,7 +23,6 @@ from jaxurban.paths.clearance import (
     limit_near_m,
     reach_said,
 )
-from jaxurban.planners.base import Cell
 from jaxurban.public import listed
 from jaxurban.settings import (
     CLEARANCES,
@@ -37,6 +34,10 @@ from jaxurban.settings import (
     parse_time,
 )
 from jaxurban.world.grid import Grid
+
+if TYPE_CHECKING:
+    from jaxurban.maps.metric_maps import MetricMaps
+    from jaxurban.planners.base import Cell
 
 OPERATORS: dict[str, Callable] = {
     ">=": operator.ge,
@@ -75,6 +76,8 @@ class Bound:
 
     def __post_init__(self) -> None:
         """Refuse a bound that cannot be meant (the errors of the class)."""
+        from jaxurban.metrics.registry import known_metrics  # imported here: it brings JAX
+
         if self.comparison not in OPERATORS:
             raise InputError(
                 f"the bound {self} has the comparison {self.comparison!r}: use {', '.join(OPERATORS)}"
@@ -106,7 +109,7 @@ class Bound:
 
     def is_kept(
         self,
-        maps: MetricMaps,
+        maps: "MetricMaps",
         altitude_m: float,
         time: str | None = None,
         time_of_day: str | None = None,
@@ -338,7 +341,7 @@ class Constraints:
 
     def is_free(
         self,
-        maps: MetricMaps,
+        maps: "MetricMaps",
         altitude_m: Altitudes,
         *,
         time: str | None = None,
@@ -362,7 +365,7 @@ class Constraints:
 
     def closed(
         self,
-        maps: MetricMaps,
+        maps: "MetricMaps",
         altitude_m: Altitudes,
         *,
         time: str | None = None,
@@ -405,7 +408,7 @@ class Constraints:
 
     def is_free_to_ground(
         self,
-        maps: MetricMaps,
+        maps: "MetricMaps",
         altitude_m: float,
         *,
         time: str | None = None,
@@ -466,9 +469,9 @@ class Constraints:
 
     def reasons(
         self,
-        maps: MetricMaps,
+        maps: "MetricMaps",
         altitude_m: float,
-        cell: Cell,
+        cell: "Cell",
         time: str | None = None,
         time_of_day: str | None = None,
     ) -> list[str]:

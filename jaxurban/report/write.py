@@ -17,12 +17,12 @@ from PIL import Image
 from jaxurban.io.city import joined_credits
 from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.tables import SUFFIXES, write_table
+from jaxurban.paths.export.suffixes import PICTURES
 
 REPORT_FILE = "report.md"
 DPI = 300  # of images, which the IEEE asks of colour
 NUM_COLOURS = 256  # of a PNG
 SAMPLED = 3  # its colours are chosen from every third row and column
-PICTURES = (".png", ".pdf", ".svg")
 # A text, a table, or what draws a picture or writes a map.
 Output = str | pd.DataFrame | Callable[..., Any]
 Outputs = dict[str, Output]  # by file name

@@ -21,12 +21,12 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.folders import WorkFolder
 from jaxurban.maps import memory
+from jaxurban.maps.free_memory import parse_bytes
 from jaxurban.maps.memory import (
     check_disk,
     disk_bytes,
     distinct_texts,
     format_bytes,
-    parse_bytes,
     plan_run,
     shape_of_tiles,
     tile_bytes,

@@ -7,6 +7,7 @@ They are written down where they are made: on the `City` by what reads it, on th
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,11 +15,13 @@ from jaxurban import settings
 from jaxurban.errors import GuessWarning, warn
 from jaxurban.io.read.heights import LAYER_CLEARANCE_M
 from jaxurban.io.read.issues import NOT_READ, ReadIssue, ReadIssues, listed_counts
-from jaxurban.metrics.population import Population
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import lonlat_boxes
 from jaxurban.world.footprints import GUESSED_BY, Footprints
 from jaxurban.world.grid import Bounds
+
+if TYPE_CHECKING:
+    from jaxurban.metrics.population import Population
 
 Guesses = dict[str, str]
 
@@ -132,7 +135,7 @@ def structure_guesses(
     return guesses
 
 
-def census_guesses(issues: ReadIssues, blocks: Blocks, files: Population) -> Guesses:
+def census_guesses(issues: ReadIssues, blocks: Blocks, files: "Population") -> Guesses:
     """Return the guesses on the people in census blocks and on their districts, empty without any.
 
     Args:

@@ -19,7 +19,6 @@ from jaxurban.io.read.raster import (
     raster_window,
     read_raster,
 )
-from jaxurban.io.read.rasterise import rasterise
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.settings import TO_GROUND
 from jaxurban.world.grid import Bounds, covering_grid
@@ -155,6 +154,8 @@ def terrain_guesses(city: City, terrain: Raster, box_m: Bounds) -> Guesses:
 
     around_m = shapely.box(*box_m).centroid.buffer(AROUND_M).bounds
     grid = covering_grid(around_m, CELL_M, city.crs)
+    from jaxurban.io.read.rasterise import rasterise  # imported here: it brings JAX
+
     surface = rasterise(replace(city, terrain=terrain, hanging=TO_GROUND), grid)
     has_data = np.ones(grid.shape) if surface.has_data is None else surface.has_data
 

@@ -11,7 +11,6 @@ from shapely import affinity
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import polygonal
-from jaxurban.io.read.rasterise import burn
 from jaxurban.world.grid import Grid, transformer
 
 MAX_EDGE_M = 100.0  # longer edges are cut before they are projected: at latitude 60 they then bend less than 1 mm
@@ -131,7 +130,10 @@ def touched_cells(polygon: shapely.Geometry, grid: Grid) -> np.ndarray:
     one (GEOS's robust predicates). It is done on a grid that is wider by a cell on each side, as a polygon beyond the
     grid may touch its border.
     """
+    # Imported here: it brings JAX.
     from scipy.ndimage import binary_dilation
+
+    from jaxurban.io.read.rasterise import burn
 
     wider = grid.padded(1, 1, 1, 1)
     closed = burn(np.array([polygon]), np.ones(1), wider, 0.0, "uint8")[1] == 1

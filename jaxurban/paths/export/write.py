@@ -47,11 +47,11 @@ from jaxurban.paths.export.base import (
 )
 from jaxurban.paths.export.qgc_plan import ENDS, to_qgc_plan
 from jaxurban.paths.export.roof_fences import RoofFences, roof_fences
+from jaxurban.paths.export.suffixes import MISSION, check_route_file
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.route_report import RouteReport
 from jaxurban.settings import MissionEnd
 
-MISSION = ".plan"  # the format that can say how a flight ends
 GROUND_REFERENCE = (
     "ground_m is in metres above the zero of the terrain file, whatever its vertical datum is"
 )
@@ -263,20 +263,6 @@ def check_is_mission(file: Path) -> None:
 
 
 def encoder_of(file: Path) -> Encode:
-    """Return the function that writes the format of a file, by its suffix. To be called before a long search too.
-
-    Raises:
-      InputError: another suffix, a folder that does not exist, or a file that is a folder.
-    """
-    path_format = FORMATS.get(file.suffix.lower())
-    if path_format is None:
-        raise InputError(
-            f"cannot determine the format of {str(file)!r}: end its name in one of {', '.join(FORMATS)}"
-        )
-    if not file.parent.is_dir():
-        raise InputError(
-            f"the folder of {str(file)!r} does not exist: make it first, or name another file"
-        )
-    if file.is_dir():
-        raise InputError(f"{str(file)!r} is a folder: name a file")
-    return path_format.encode
+    """Return the function that writes the format of a file, by its suffix; errors as of `check_route_file`."""
+    check_route_file(file)
+    return FORMATS[file.suffix.lower()].encode

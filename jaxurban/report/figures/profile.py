@@ -8,10 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.variables import BUILT_COLOUR, GROUP_COLOURS, ROOF_KIND
 from jaxurban.paths.explain import explain
+from jaxurban.paths.export.suffixes import check_picture
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import without_fix
@@ -29,7 +29,7 @@ from jaxurban.report.figures.style import (
     show_plain,
     styled,
 )
-from jaxurban.report.write import PICTURES, Look, save
+from jaxurban.report.write import Look, save
 from jaxurban.world.kinds import GROUPS
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#c51b8a", "#1a1a1a", "#ffd9d4"
@@ -214,15 +214,6 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
     panel.yaxis.set_major_locator(FixedLocator(ticks_m))
     panel.yaxis.set_minor_locator(NullLocator())
     show_plain(panel.yaxis)
-
-
-def check_picture(file: str | Path) -> None:
-    """Raise InputError unless `save_profile` can write this file: call it before a long search."""
-    file = Path(file)
-    if file.suffix.lower() not in PICTURES:
-        raise InputError(f"cannot draw {str(file)!r}: end its name in {' or '.join(PICTURES)}")
-    if not file.parent.is_dir() or file.is_dir():
-        raise InputError(f"cannot write {str(file)!r}: name a file in a folder that is there")
 
 
 def save_profile(

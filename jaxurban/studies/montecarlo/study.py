@@ -18,7 +18,7 @@ from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, records_
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.run import grid_of
-from jaxurban.maps.scenario import Scenario, Study
+from jaxurban.maps.scenario import OF_SAMPLING, Scenario, Study
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.rows import MapsFolder, check_workers, run_rows
 from jaxurban.planners.cost import CostModel
@@ -37,13 +37,6 @@ from jaxurban.studies.montecarlo.sampling import (
 )
 from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
 from jaxurban.world.land_cover import LandCover
-
-OF_SAMPLING = (
-    "instances",
-    "altitudes_m",
-    "weights",
-    "land_cover",
-)  # settings that a table has in itself
 
 
 @dataclass(frozen=True, eq=False, repr=False)
