@@ -32,32 +32,6 @@ def test_what_needs_no_command_to_run_and_the_help_of_every_one_import_nothing_h
     assert heavy_modules(f"from jaxurban.cli.main import main{runs}") == []
 
 
-def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_path):
-    wrong = tmp_path / "wrong.plan"
-    wrong.write_text("no plan")
-    ends = ["--start=-73.999,40.756", "--goal=-73.994,40.76", "--altitude=20"]
-    route = ["plan", str(made), *ends]
-    lines = [
-        [*route, "-o", "route.xyz"],
-        [*route, "--profile", "route.xyz"],
-        [*route, "--require", "gps"],
-        [*route, "--no-fly", str(wrong)],
-        [*route, "--clearance=-1"],
-        [*route, "--end", "land"],
-        [*route, "--when", "--refine"],
-        ["check", str(made), str(wrong)],
-        ["compare", str(made), str(made), "-o", str(made)],
-        ["score", str(tmp_path)],
-        ["sensitivity-study", str(made), "--queries", str(wrong), "--routes=3"],
-        ["tune", str(made), "-o", "new", "--wish", "gps>=1", "--by-city"],
-    ]
-    runs = "".join(
-        f"\ntry: main({line})\nexcept SystemExit as e: assert e.code == 2" for line in lines
-    )
-    heavy = heavy_modules(f"from jaxurban.cli.main import main{runs}")
-    assert not {"jax", "matplotlib", "numba", "rasterio", "scipy", "xarray"} & set(heavy)
-
-
 def test_routes_are_written_by_the_suffixes_that_are_checked_first():
     assert tuple(FORMATS) == ROUTES
 

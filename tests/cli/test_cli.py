@@ -19,6 +19,7 @@ from jaxurban.cli.common import use_device
 from jaxurban.cli.main import app
 from jaxurban.cli.plan import _path_table
 from tests.cli_runs import ENDS, TOWN, assert_one_sentence, run, write_city
+from tests.test_process import heavy_modules
 
 AT_60_M = (*ENDS, "--altitude", 60, "--snap", "--json")
 TLE = "gps/gps-ops_2020-04-27.tle"
@@ -220,6 +221,32 @@ def heavy_after(words: list[str], folder: Path) -> tuple[str, str]:
     command = [sys.executable, "-c", code]
     ended = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
     return ended.stdout.strip(), ended.stderr
+
+
+def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_path):
+    wrong = tmp_path / "wrong.plan"
+    wrong.write_text("no plan")
+    ends = ["--start=-73.999,40.756", "--goal=-73.994,40.76", "--altitude=20"]
+    route = ["plan", str(made), *ends]
+    lines = [
+        [*route, "-o", "route.xyz"],
+        [*route, "--profile", "route.xyz"],
+        [*route, "--require", "gps"],
+        [*route, "--no-fly", str(wrong)],
+        [*route, "--clearance=-1"],
+        [*route, "--end", "land"],
+        [*route, "--when", "--refine"],
+        ["check", str(made), str(wrong)],
+        ["compare", str(made), str(made), "-o", str(made)],
+        ["score", str(tmp_path)],
+        ["sensitivity-study", str(made), "--queries", str(wrong), "--routes=3"],
+        ["tune", str(made), "-o", "new", "--wish", "gps>=1", "--by-city"],
+    ]
+    runs = "".join(
+        f"\ntry: main({line})\nexcept SystemExit as e: assert e.code == 2" for line in lines
+    )
+    heavy = heavy_modules(f"from jaxurban.cli.main import main{runs}")
+    assert not {"jax", "matplotlib", "numba", "rasterio", "scipy", "xarray"} & set(heavy)
 
 
 def test_complete_maps_are_answered_soon_and_changed_ones_are_made_again(made, tmp_path):
