@@ -24,10 +24,10 @@ from jaxurban.cli.common import (
     TIME_OF_DAY,
     WEIGHTS,
     Point,
+    keep_programs,
     print_json,
 )
 from jaxurban.exit_codes import ExitCode
-from jaxurban.programs import keep_programs
 from jaxurban.progress import LOG
 from jaxurban.public import Caution
 

@@ -16,7 +16,7 @@ from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
 from jaxurban.io.stored import stored_maps
-from jaxurban.programs import keep_programs
+from jaxurban.programs import keep_programs as keep_programs
 from jaxurban.progress import LOG, reporting
 
 if TYPE_CHECKING:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import jaxurban
 from jaxurban.cli.common import (
     CHANGES,
     COUNT,
@@ -24,14 +25,12 @@ from jaxurban.cli.common import (
     MapsOf,
     Numbers,
     Settings,
+    keep_programs,
     print_json,
     run_study,
 )
-from jaxurban.programs import keep_programs
-from jaxurban.progress import Progress
 
 if TYPE_CHECKING:
-    from jaxurban.studies.map_comparison import MapComparison
     from jaxurban.studies.receiver.agreement import SatelliteAgreement
 
 
@@ -65,11 +64,11 @@ def compare(
     Differences are given by layer, altitude and time, and for routes.
     """
 
-    def study(progress: Progress) -> "MapComparison":
-        """Compare the maps; all options that are not named above are arguments of the comparison."""
-        from jaxurban.studies.map_comparison import compare as compare_maps
-
-        return compare_maps(maps_of(folder_a), maps_of(folder_b), progress=progress, **options)
+    # All options that are not named above are arguments of the comparison, which is imported when it runs.
+    def study(progress: Any) -> Any:
+        return jaxurban.studies.compare(
+            maps_of(folder_a), maps_of(folder_b), progress=progress, **options
+        )
 
     result = run_study("compare", output, study, overwrite)
     if as_json:

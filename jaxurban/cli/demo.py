@@ -4,8 +4,7 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, OVERWRITE, PATH, SHOWN, print_json
-from jaxurban.programs import keep_programs
+from jaxurban.cli.common import DEVICE, JSON_FLAG, OVERWRITE, PATH, SHOWN, keep_programs, print_json
 from jaxurban.progress import LOG, reporting
 
 CITY = "sample:lower-manhattan"

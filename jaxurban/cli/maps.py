@@ -15,12 +15,12 @@ from jaxurban.cli.common import (
     OVERWRITE,
     SCENARIO,
     WORKERS,
+    keep_programs,
     print_json,
     stay_on_cpu,
     use_device,
 )
 from jaxurban.errors import InputError
-from jaxurban.programs import keep_programs
 from jaxurban.progress import LOG, reporting
 
 

@@ -4,8 +4,15 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import FLAG, GIVEN, JSON_FLAG, PATH, finite_records, print_json
-from jaxurban.programs import keep_programs
+from jaxurban.cli.common import (
+    FLAG,
+    GIVEN,
+    JSON_FLAG,
+    PATH,
+    finite_records,
+    keep_programs,
+    print_json,
+)
 from jaxurban.progress import LOG
 
 

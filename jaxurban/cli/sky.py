@@ -18,10 +18,10 @@ from jaxurban.cli.common import (
     SOURCES,
     Point,
     finite_records,
+    keep_programs,
     print_json,
 )
 from jaxurban.paths.export.suffixes import PICTURES
-from jaxurban.programs import keep_programs
 from jaxurban.progress import LOG
 
 MOST_ROWS = 40

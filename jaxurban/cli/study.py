@@ -19,10 +19,10 @@ from jaxurban.cli.common import (
     WORKERS,
     Settings,
     all_cores,
+    keep_programs,
     outcome_of,
     print_json,
 )
-from jaxurban.programs import keep_programs
 from jaxurban.progress import LOG, reporting
 
 if TYPE_CHECKING:
