@@ -5,9 +5,10 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial, wraps
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import click
@@ -15,7 +16,7 @@ import click
 from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
-from jaxurban.io.stored import stored_maps
+from jaxurban.io.stored import METADATA, stored_maps
 from jaxurban.programs import keep_programs as keep_programs
 from jaxurban.progress import LOG, reporting
 
@@ -112,6 +113,30 @@ def check_given(path: Path) -> None:
     """Raise InputError unless a file or a folder is there; a name may be a sample city's."""
     with readable(path, "a file", "give another one"):
         located(path).stat()
+
+
+def check_place(ctx: click.Context, param: click.Parameter, lonlat: Point) -> Point:
+    """Return a place that lies over the maps in the command's folder, by what their metadata say alone.
+
+    Of several resolutions, or of damaged maps, what opens the maps checks it.
+
+    Raises:
+      InputError: the place lies outside.
+    """
+    from jaxurban.world.grid import grid_of
+
+    grid = None
+    with suppress(OSError, LookupError, TypeError, ValueError):
+        (path,) = stored_maps(ctx.params["folder"]).values()
+        arrays = json.loads((path / METADATA).read_bytes())["metadata"]
+        sizes = {axis: arrays[f"{axis}/.zarray"]["shape"][0] for axis in "yx"}
+        grid = grid_of(SimpleNamespace(attrs=arrays[".zattrs"], sizes=sizes))
+    if grid is not None:
+        try:
+            grid.cell_of_lonlat(*lonlat)
+        except InputError as error:
+            raise InputError(f"{param.name}: {error}") from error
+    return lonlat
 
 
 PATH, GIVEN, MAPS_PATH = NamedPath(), NamedPath(check_given), NamedPath(stored_maps)
@@ -308,7 +333,7 @@ NUMBER = partial(click.option, type=float)
 METRES = partial(NUMBER, metavar="METRES")
 FLAG = partial(click.option, is_flag=True)
 OF_CORRIDOR = partial(METRES, cls=DependentOption, owner="--corridor")
-FOLDER = click.argument("folder", metavar="DIR", type=MAPS_PATH)
+FOLDER = click.argument("folder", metavar="DIR", type=MAPS_PATH, is_eager=True)
 SCENARIO = click.argument("scenario_file", metavar="SCENARIO", type=GIVEN)
 FILES = partial(click.option, "-o", "files", type=PATH, multiple=True)
 OUTPUT = click.option("-o", "output", type=PATH, required=True, help="Output folder.")
@@ -391,12 +416,11 @@ RULES = grouped("rules", RouteRules, PRESET, COST_MODEL, WEIGHTS, CONSTRAINTS)
 TIME_OF_DAY = click.option(
     "--time-of-day", help="Time of day of the population map, such as night.  [default: the first]"
 )
+PLACE = partial(click.option, type=LONLAT, required=True, callback=check_place)
 ROUTE = together(  # a route over maps
     FOLDER,
-    click.option(
-        "--start", type=LONLAT, required=True, help="Start: longitude,latitude in degrees."
-    ),
-    click.option("--goal", type=LONLAT, required=True, help="Goal: longitude,latitude in degrees."),
+    PLACE("--start", help="Start: longitude,latitude in degrees."),
+    PLACE("--goal", help="Goal: longitude,latitude in degrees."),
     NUMBER(
         "--altitude",
         "altitude_m",

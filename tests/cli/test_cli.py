@@ -235,6 +235,8 @@ def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_p
         [*route, "--no-fly", str(wrong)],
         [*route, "--clearance=-1"],
         [*route, "--end", "land"],
+        ["plan", str(made), "--start=-70,40.756", *ends[1:]],
+        ["sensitivity", str(made), ends[0], "--goal=-70,40.76", ends[2]],
         [*route, "--when", "--refine"],
         ["check", str(made), str(wrong)],
         ["compare", str(made), str(made), "-o", str(made)],
