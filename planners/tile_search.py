@@ -48,10 +48,11 @@ def solve_by_tiles(
 ) -> Iterator[tuple[int, Path]]:
     """Yield ``(index, path)`` of every problem when it is done: the cheapest path, or a status that says why not.
 
-    Queries on one map run together, as many as fit. The bound is octile, or that of landmarks where
-    the map has some; sums are float64, and the results are those of `astar` up to the order of additions. A path's ``elapsed_s``, to which the budget applies, is the wall time since
-    its group began, compiling left out, and so it grows with the number of queries that run together. If the budget
-    ends first, the best path so far comes back as BUDGET_FEASIBLE, with the bound proven so far.
+    Queries on one map run together, as many as fit. The bound is octile, or that of landmarks where the map has some;
+    sums are float64, and the results are those of `astar` up to the order of additions. A path's ``elapsed_s``, to
+    which the budget applies, is the wall time since its group began, compiling left out, and so it grows with the
+    number of queries that run together. If the budget ends first, the best path so far comes back as BUDGET_FEASIBLE,
+    with the bound proven so far.
 
     Args:
       problems: the queries; those made by `Problem.between` share their map.
@@ -190,5 +191,6 @@ def _tiled(problem: Problem, start: np.ndarray) -> tuple[Grid, np.ndarray, float
     share = graph.from_share[0] + graph.to_share[0]
     step_cost = graph.step_cost[0] + share * np.median(problem.cost[problem.is_free])
     with jax.enable_x64(True):
-        grid = Grid(*jax.device_put(framed), steps)
+        cost, moves = jax.device_put(framed)
+        grid = Grid(cost, moves, steps)
         return grid, bound, BAND_STEPS * float(step_cost)
