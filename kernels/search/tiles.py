@@ -18,11 +18,7 @@ FRAME = ((1, 1), (1, 1), (0, 0))
 Edges = dict[
     Step, Array
 ]  # ``[SIDE, SIDE, A]`` cost of each step from the cells of A tiles, inf where not allowed
-RIM = (
-    slice(1),
-    slice(None),
-    slice(-1, None),
-)  # cells of a tile next to the one before, itself, the one behind
+RIM = {-1: slice(1), 0: slice(None), 1: slice(-1, None)}  # cells of a tile next to a neighbour
 
 
 class Grid(NamedTuple):
@@ -161,8 +157,8 @@ def _round(search: Search, grid: Grid, band: float, num_together: int) -> Search
 
     # Open what these cells may lower: the tile itself by those of the last turn, others by all that were lowered.
     lowered, again = (jnp.where(own < old[1:-1, 1:-1], own, jnp.inf) for old in (before, last))
-    of_rows = [lowered[rim].min(0) for rim in RIM]
-    lowest = jnp.array([[row[rim].min(0) for rim in RIM] for row in of_rows])
+    of_rows = [lowered[rim].min(0) for rim in RIM.values()]
+    lowest = jnp.array([[row[rim].min(0) for rim in RIM.values()] for row in of_rows])
     lowest = lowest.at[1, 1].set(again.min((0, 1)))
     beside = jnp.arange(3)
     open_g = search.open_g.at[query, i + 1, j + 1].set(jnp.inf, mode="drop")
