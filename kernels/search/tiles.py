@@ -14,10 +14,10 @@ SIDE = 32  # cells along a side of a tile: 16 make for fewer cells visited and m
 CYCLES = 2  # of sweeps to the north, south, east and west in one visit of a tile on a CPU
 TURNS = 40  # on a GPU, where few launches matter most: of all cells of a tile at once in one visit
 Step = tuple[int, int]  # rows and columns
-FRAME = ((1, 1), (1, 1), (0, 0))
+FRAME = ((1, 1), (1, 1), (0, 0))  # of one cell around tiles
 Edges = dict[
     Step, Array
-]  # ``[SIDE, SIDE, A]`` cost of each step from the cells of A tiles, inf where not allowed
+]  # ``[SIDE, SIDE, A]`` cost of each step from the cells of tiles, inf where not allowed
 RIM = {-1: slice(1), 0: slice(None), 1: slice(-1, None)}  # cells of a tile next to a neighbour
 
 
