@@ -19,7 +19,7 @@ from jaxurban.planners.grid_search import graph_of
 BAND_STEPS = 8.0  # a band that spans this many steps over the map's median cell
 ROUNDS_AT_ONCE = 32  # between two looks at the clock: some 0.1 s
 FEWEST_TOGETHER = 8  # tiles of a round, else for each query:
-# What fits into a CPU's caches. With 64 queries in Lower Manhattan 4 of each are near its lowest f in 0.6 of the places.
+# What fits into a CPU's caches. Of 4 places for each of 64 queries in Lower Manhattan 0.6 are filled.
 TILES_TOGETHER = {"cpu": 1, "gpu": 4}
 BYTES_OF_G = {"cpu": 2**26, "gpu": 2**33}  # of the queries that run together
 NOWHERE = 2**30  # row and column of a start or goal that is never met
