@@ -133,7 +133,11 @@ EDGES = float64(*REGION), float64(1024, 2), float64(1024, 2), float64()
 LINE = {"is_line": True, "passes_corners": array(dtype=bool)}
 
 NUM_QUERIES, NUM_TILES = 256, 32  # on a map of 1,024 cells a side
-EDGES_OF_TILES = dict.fromkeys(STEPS, float64(NUM_TILES * tiles.SIDE, NUM_TILES * tiles.SIDE))
+GRID_OF_TILES = tiles.Grid(
+    float64(NUM_TILES * tiles.SIDE + 2, NUM_TILES * tiles.SIDE + 2),
+    array(NUM_TILES * tiles.SIDE, NUM_TILES * tiles.SIDE, dtype=jnp.uint8),
+    dict.fromkeys(STEPS, (1, 1.0, 1.0, 1.0)),
+)
 TOGETHER = {"num_together": TILES_TOGETHER["gpu"] * NUM_QUERIES}
 
 
@@ -358,7 +362,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
         tiles.begin, (ENDS_OF_TILES, ENDS_OF_TILES, BOUND_OF_TILES), {}, True
     ),
     "tiles: advance": lambda: Call(
-        tiles.advance, (open_tiles(), EDGES_OF_TILES, float64(), WHOLE), TOGETHER, True
+        tiles.advance, (open_tiles(), GRID_OF_TILES, float64(), WHOLE), TOGETHER, True
     ),
     "cost of a route, gradient by heights": lambda: Call(
         buildings._slopes,

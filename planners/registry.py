@@ -225,20 +225,20 @@ def solve_many(
             walk = partial(find_planner(planner, "exact"), budget_s=budget_s, seed=seed)
             yield from run(same_goal, walk)
 
-        # All others together in JAX.
+        # Landmarks are made next, from one problem of each map that needs them, into the map's cache.
         alone = sorted(set(only) - set(shared))
-        if runs_in_jax:
-            together = [problems[k] for k in alone]
-            for k, path in solve_by_tiles(together, planner=planner, budget_s=budget_s):
-                yield alone[k], path
-            return
-
-        # Or by heuristic. Landmarks are made first, from one problem of each map that needs them, into the map's cache.
         with_landmarks = {
             problems[k].cache: problems[k] for k in alone if heuristics[k] == "landmarks"
         }
         for problem in with_landmarks.values():
             make_landmarks(problem)
+
+        # All others together in JAX, or by heuristic.
+        if runs_in_jax:
+            together = [problems[k] for k in alone]
+            for k, path in solve_by_tiles(together, planner=planner, budget_s=budget_s):
+                yield alone[k], path
+            return
 
         for name in dict.fromkeys(heuristics[k] for k in alone):
             search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)

@@ -11,9 +11,30 @@ from jax import Array, lax
 from jaxurban.kernels.tolerances import SAME_COST
 
 SIDE = 32  # cells along a side of a tile: 16 make for fewer cells visited and more rounds
-CYCLES = 3  # of sweeps to the north, south, east and west in one visit of a tile
-Edges = dict[tuple[int, int], Array]  # by rows and columns of a step
+CYCLES = 2  # of sweeps to the north, south, east and west in one visit of a tile on a CPU
+TURNS = 40  # on a GPU, where few launches matter most: of all cells of a tile at once in one visit
+Step = tuple[int, int]  # rows and columns
+FRAME = ((1, 1), (1, 1), (0, 0))  # of one cell around tiles
+Edges = dict[
+    Step, Array
+]  # ``[SIDE, SIDE, A]`` cost of each step from the cells of tiles, inf where not allowed
 RIM = {-1: slice(1), 0: slice(None), 1: slice(-1, None)}  # cells of a tile next to a neighbour
+
+
+class Grid(NamedTuple):
+    """A map of ``I x J`` tiles.
+
+    A step from P to Q costs ``base + from_share * cost[P] + to_share * cost[Q]``.
+
+    Attributes:
+      cost: ``[I * SIDE + 2, J * SIDE + 2]`` float64, finite, in a frame.
+      moves: ``[I * SIDE, J * SIDE]`` uint8, whose bits are the steps that are allowed.
+      steps: bit, base, from_share and to_share of each step.
+    """
+
+    cost: Array
+    moves: Array
+    steps: dict[Step, tuple[int, float, float, float]]
 
 
 class Search(NamedTuple):
@@ -59,7 +80,7 @@ def begin(start: Array, goal: Array, bound: Array) -> Search:
 
 @partial(jax.jit, donate_argnums=0, static_argnames="num_together")
 def advance(
-    search: Search, edges: Edges, band: float, max_rounds: int, num_together: int
+    search: Search, grid: Grid, band: float, max_rounds: int, num_together: int
 ) -> tuple[Search, Array]:
     """Return the search after up to ``max_rounds`` rounds, and ``[Q]`` the lowest open f of each query.
 
@@ -69,7 +90,7 @@ def advance(
 
     Args:
       search: its memory is used again.
-      edges: ``[I * SIDE, J * SIDE]`` float64 cost of each of the 8 steps from each cell, inf where not allowed.
+      grid: the map.
       band: how far above the lowest f of its query a tile is visited.
       max_rounds, num_together: see above.
     """
@@ -79,7 +100,7 @@ def advance(
         return (num_rounds < max_rounds) & jnp.any(_open_f(search) < jnp.inf)
 
     def go_on(carry: tuple[Search, Array]) -> tuple[Search, Array]:
-        return _round(carry[0], edges, band, num_together), carry[1] + 1
+        return _round(carry[0], grid, band, num_together), carry[1] + 1
 
     search, _ = lax.while_loop(may_go_on, go_on, (search, jnp.int32(0)))
     return search, _open_f(search).min((1, 2))
@@ -93,7 +114,7 @@ def _open_f(search: Search) -> Array:
     return jnp.where(f <= SAME_COST * of_start[:, None, None], f, jnp.inf)
 
 
-def _round(search: Search, edges: Edges, band: float, num_together: int) -> Search:
+def _round(search: Search, grid: Grid, band: float, num_together: int) -> Search:
     """Return the search after one visit of the chosen tiles, which are computed side by side: ``A`` is their number.
 
     Places without a tile have a query out of bounds: what is read there is of no meaning, and writing there is dropped.
@@ -110,24 +131,40 @@ def _round(search: Search, edges: Edges, band: float, num_together: int) -> Sear
         windows = jax.vmap(lambda *at: lax.dynamic_slice(values, at, (1, side, side))[0])
         return jnp.moveaxis(windows(layer, i * SIDE, j * SIDE), 0, -1)
 
-    own_edges = {step: taken(SIDE, 0 * query, edge[None]) for step, edge in edges.items()}
-    before = taken(SIDE + 2, query, search.g)
+    cost = taken(SIDE + 2, 0 * query, grid.cost[None])
+    moves = taken(SIDE, 0 * query, grid.moves[None])
+    edges = {}
+    for (di, dj), (bit, base, from_share, to_share) in grid.steps.items():
+        there = cost[1 + di :, 1 + dj :][:SIDE, :SIDE]
+        paid = base + from_share * cost[1:-1, 1:-1] + to_share * there
+        edges[di, dj] = jnp.where(moves & bit, paid, jnp.inf)
 
-    def cycle(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        g = last = carry[0]
+    def turn(_: int, g: Array) -> Array:
+        return jnp.minimum(g, jnp.pad(_lowered(g, edges), FRAME, constant_values=jnp.inf))
+
+    def cycle(_: int, g: Array) -> Array:
         for axis, side in product((0, 1), (-1, 1)):
-            g = _swept(g, own_edges, axis, side)
-        return g, last
+            g = _swept(g, edges, axis, side)
+        return g
 
-    g, last = lax.fori_loop(0, CYCLES, cycle, (before, before))
+    before = taken(SIDE + 2, query, search.g)
+    last = lax.platform_dependent(
+        before,
+        cpu=lambda g: lax.fori_loop(0, CYCLES, cycle, g),
+        default=lambda g: lax.fori_loop(0, TURNS, turn, g, unroll=4),
+    )
+    own = _lowered(last, edges)
 
-    # Open what these cells may lower: the tile itself by those of the last cycle, others by all that were lowered.
-    own = g[1:-1, 1:-1]
-    lowered, again = (jnp.where(g < old, g, jnp.inf)[1:-1, 1:-1] for old in (before, last))
+    # Open what these cells may lower: the tile itself by those of the last turn, others by all that were lowered.
+    lowered, again = (jnp.where(own < old[1:-1, 1:-1], own, jnp.inf) for old in (before, last))
+    of_rows = [lowered[rim].min(0) for rim in RIM.values()]
+    lowest = jnp.array([[row[rim].min(0) for rim in RIM.values()] for row in of_rows])
+    lowest = lowest.at[1, 1].set(again.min((0, 1)))
+    beside = jnp.arange(3)
     open_g = search.open_g.at[query, i + 1, j + 1].set(jnp.inf, mode="drop")
-    for di, dj in product(RIM, RIM):
-        lowest = (lowered if di or dj else again)[RIM[di], RIM[dj]].min((0, 1))
-        open_g = open_g.at[query, i + 1 + di, j + 1 + dj].min(lowest, mode="drop")
+    open_g = open_g.at[query, i + beside[:, None, None], j + beside[:, None]].min(
+        lowest, mode="drop"
+    )
 
     numbers = lax.ScatterDimensionNumbers((1, 2), (0,), (0, 1, 2))
     places = jnp.stack([query, i * SIDE + 1, j * SIDE + 1], axis=1)
@@ -139,25 +176,35 @@ def _round(search: Search, edges: Edges, band: float, num_together: int) -> Sear
 
 
 def _swept(g: Array, edges: Edges, axis: int, side: int) -> Array:
-    """Return g ``[SIDE + 2, SIDE + 2, A]`` of tiles and the cells around them after a sweep, line by line.
+    """Return g of tiles after a sweep, line by line.
 
     Args:
-      g: lowest costs found.
-      edges: ``[SIDE, SIDE, A]`` cost of each step from the cells of the tiles.
+      g: as in `_lowered`.
+      edges: of the tiles.
       axis: across which the lines lie.
       side: where the line before each one lies along it, 1 or -1: from three of its cells each cell may be lowered.
     """
-
-    def line(values: Array, at: Array) -> Array:
-        return lax.dynamic_index_in_dim(values, at, axis, keepdims=False)
+    ahead = {step: edge for step, edge in edges.items() if step[axis] == side}
 
     def lower(k: Array, g: Array) -> Array:
         at = k if side < 0 else SIDE - 1 - k
-        before, lowest = line(g, at + 1 + side), line(g, at + 1)[1:-1]
-        for aside in RIM:
-            edge = edges[(side, aside) if axis == 0 else (aside, side)]
-            lowest = jnp.minimum(lowest, line(edge, at) + before[1 + aside :][:SIDE])
+        lines = lax.dynamic_slice_in_dim(g, at, 3, axis)
+        steps = {step: lax.dynamic_slice_in_dim(edge, at, 1, axis) for step, edge in ahead.items()}
         place = (at + 1, 1, 0) if axis == 0 else (1, at + 1, 0)
-        return lax.dynamic_update_slice(g, jnp.expand_dims(lowest, axis), place)
+        return lax.dynamic_update_slice(g, _lowered(lines, steps), place)
 
     return lax.fori_loop(0, SIDE, lower, g)
+
+
+def _lowered(g: Array, edges: Edges) -> Array:
+    """Return ``[Y, X, A]`` the g of cells after each was lowered once, by all at once.
+
+    Args:
+      g: ``[Y + 2, X + 2, A]`` of these cells and of those around them.
+      edges: ``[Y, X, A]`` by step.
+    """
+    lowest = g[1:-1, 1:-1]
+    num_rows, num_cols, _ = lowest.shape
+    for (di, dj), edge in edges.items():
+        lowest = jnp.minimum(lowest, edge + g[1 + di :, 1 + dj :][:num_rows, :num_cols])
+    return lowest

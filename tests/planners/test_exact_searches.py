@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import dijkstra
 
+from jaxurban.kernels.search import tiles
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND
 from jaxurban.planners import grid_search, registry, tile_search
 from jaxurban.planners.astar import (
@@ -18,6 +19,7 @@ from jaxurban.planners.astar import (
     cost_to_go,
     heuristic_at,
     make_heuristic,
+    make_landmarks,
 )
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.cost import CostModel
@@ -345,6 +347,11 @@ def test_tiles_are_exact_over_many_tiles_and_wide_spreads_whatever_runs_beside(k
     np.testing.assert_array_equal(alone.points_m, paths[3].points_m)
     for index, query in enumerate(queries):
         assert_optimal(paths[index], query)
+    make_landmarks(problem)
+    bounded = dict(solve_by_tiles(queries, planner=""))
+    for index, path in bounded.items():
+        assert path.heuristic == "landmarks"
+        np.testing.assert_array_equal(path.points_m, paths[index].points_m)
     np.testing.assert_allclose(costs_by_tiles(problem), cost_to_go(problem), rtol=1e-12)
 
 
@@ -359,6 +366,34 @@ def test_tiles_leave_a_goal_whose_only_way_leads_into_the_next_tile(step):
     model = CostModel("line", 3.0, diagonal="always")
     problem = Problem(np.ones((1, *free.shape)), free, way[-1], way[0], 2.0, 0.1, model)
     assert_optimal(dict(solve_by_tiles([problem], planner=""))[0], problem)
+
+
+@pytest.mark.parametrize("kind", ["cell", "line"])
+def test_landmarks_bound_the_cost_from_a_start_to_every_cell_of_a_tile_tighter_than_octile(kind):
+    problem = random_problem(3, (70, 100), kind=kind)
+    start = np.array([problem.start], np.int32)
+    _, octile, _ = tile_search._tiled(problem, start)
+    make_landmarks(problem)
+    _, bound, _ = tile_search._tiled(problem, start)
+    costs = cost_to_go(problem.between(problem.start, problem.start))
+    if kind == "cell":  # the same way back pays the other end's cell
+        costs = costs + problem.cost - problem.cost[problem.start]
+    for (i, j), least in np.ndenumerate(bound[0]):
+        own = costs[32 * i : 32 * (i + 1), 32 * j : 32 * (j + 1)]
+        assert least <= np.nanmin(own) * (1 + 1e-12) + 1e-12
+    assert (bound >= octile).all()
+    assert bound.sum() > octile.sum()
+
+
+@pytest.mark.parametrize("kind", ["cell", "line"])
+def test_tiles_as_a_gpu_lowers_them_cost_what_sweeps_find(monkeypatch, kind):
+    problem = random_problem(3, SHAPE, kind=kind)
+    swept = costs_by_tiles(problem)
+    monkeypatch.setattr(tiles.lax, "platform_dependent", lambda g, *, cpu, default: default(g))
+    jax.clear_caches()
+    together = costs_by_tiles(problem)
+    jax.clear_caches()
+    np.testing.assert_array_equal(together, swept)
 
 
 @pytest.mark.slow
