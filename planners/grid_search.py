@@ -8,6 +8,7 @@ import numpy as np
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.search.bounds import LandmarkBound, TileBound, tile_estimate
 from jaxurban.kernels.search.heap import (
+    AS_HEAP,
     CLOSED,
     EXHAUSTED,
     FOUND,
@@ -23,7 +24,7 @@ from jaxurban.kernels.search.heap import (
     empty_queue,
     grown,
     insert,
-    order,
+    place,
     refill,
 )
 from jaxurban.kernels.tolerances import CHEAPER
@@ -313,8 +314,13 @@ def advance(graph, heuristic, goal, reopen, g, state, queue, max_expanded):
             return PAUSED, num_expanded
         if near.size[0] + tally[NUM_FAR] + MAX_STEPS > queue.far_f.size:
             return FULL, num_expanded
+        # The stack becomes a heap, for the rest of the search.
         if num_again > FEW_AGAIN + num_expanded // OFTEN and not tally[IS_HEAP]:
-            order(queue)
+            tally[IS_HEAP] = AS_HEAP
+            num_near, near.size[0] = near.size[0], 0
+            for index in range(num_near):
+                near_f, near_node = near.f[index], near.item[index]
+                near.item[place(near, near_f, AS_HEAP)] = near_node
 
         # Close the next node (unsigned, as above).
         index = 0 if tally[IS_HEAP] else near.size[0] - 1
@@ -439,7 +445,7 @@ class GridSearch:
           chunk: expansions between two looks at it; left out, `CHUNK`.
         """
         if not reopen:
-            order(self._queue)
+            self._queue.tally[IS_HEAP] = AS_HEAP  # of no entry but the start yet
         while True:
             arrays = self._g, self._state, self._queue
             ended, num_done = advance(
