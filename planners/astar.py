@@ -30,7 +30,7 @@ from jaxurban.planners.grid_search import (
     rises_m,
 )
 
-# All of them consistent too.
+# All of them consistent too, but for rounding: landmarks' costs are float32.
 ADMISSIBLE = ("none", "euclidean", "octile", "tiles", "landmarks", "exact")
 PRINTED = ("plus-printed", "plus-printed-from-0")
 HEURISTICS = ADMISSIBLE + PRINTED

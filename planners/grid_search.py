@@ -177,7 +177,7 @@ def path_points_m(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np
     # Undo steps from the goal back, by flat numbers and Python's own: NumPy's took ten times as long.
     num_cols = states.shape[1]
     offsets = (steps @ [num_cols, 1]).tolist()
-    state = memoryview(states.reshape(-1))
+    state = states.reshape(-1).data
     start = index_of(problem, problem.start)
     nodes = [index_of(problem, problem.goal)]
     while nodes[-1] != start:
