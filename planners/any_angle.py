@@ -11,7 +11,16 @@ import numpy as np
 
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import CostGrid, is_pinched, segment_cost
-from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, drop_top, place
+from jaxurban.kernels.search.heap import (
+    AS_HEAP,
+    EXHAUSTED,
+    FOUND,
+    FULL,
+    PAUSED,
+    Heap,
+    drop_top,
+    place,
+)
 from jaxurban.kernels.search.sample_graph import NO_PARENT
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status, index_of
 from jaxurban.planners.bitstar.bounds import Bounds, cost_grid_of, make_bounds, reachable_cells
@@ -144,7 +153,7 @@ def _search(
     # Search from the start, in chunks between two looks at the clock.
     heap = Heap.empty(FIRST_HEAP)
     nodes.g[start] = 0.0
-    heap.item[place(heap, 0.0)] = start
+    heap.item[place(heap, 0.0, AS_HEAP)] = start
     num_expanded = 0
     while True:
         ended, num_done = advance(cost_grid, nodes, goal, heap, CHUNK)
@@ -271,5 +280,5 @@ def advance(cost_grid, nodes, goal, heap, max_expanded):
                     dr, dc = float(to_row - goal_row), float(to_col - goal_col)
                     bound = nodes.per_side * np.sqrt(dr * dr + dc * dc)
                     bound += max(nodes.rows[to_row], nodes.cols[to_col])
-                    heap.item[place(heap, best + bound)] = to
+                    heap.item[place(heap, best + bound, AS_HEAP)] = to
     return EXHAUSTED, num_expanded

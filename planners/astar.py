@@ -30,13 +30,14 @@ from jaxurban.planners.grid_search import (
     rises_m,
 )
 
-# All of them consistent too.
+# All of them consistent too, but for rounding: landmarks' costs are float32.
 ADMISSIBLE = ("none", "euclidean", "octile", "tiles", "landmarks", "exact")
 PRINTED = ("plus-printed", "plus-printed-from-0")
 HEURISTICS = ADMISSIBLE + PRINTED
 VOLUME_HEURISTICS = ("none", "octile", "plus")  # all admissible and consistent
 AUTO = "auto"  # "tiles" for one query; of many, `planners.registry` chooses by what they share
-NUM_LANDMARKS = 8  # 8 float64 fill a cache line
+NUM_LANDMARKS = 8  # 8 float32 fill half a cache line
+LARGEST = np.finfo(np.float32).max
 FEW = 2_000  # expansions, where the end may be near
 
 
@@ -310,7 +311,8 @@ def make_landmarks(
 
     Landmarks that the map has already are returned, whatever their number; `landmark_bound` gives the bound to a goal.
     The bound is lowered by one unit in the last place of the largest cost for every cell, which is more than the sums
-    along any path can lose, so that rounding never lifts it above the true cost.
+    along any path can lose, and by two in the last place of float32, in which costs are kept (each of the two costs
+    and their difference lose half a unit at most), so that rounding never lifts it above the true cost.
 
     Args:
       problem: the query; its start and goal play no part.
@@ -322,11 +324,15 @@ def make_landmarks(
     """
     if problem.cache.landmarks is None:
         cells = landmark_cells(problem, num)
-        costs = np.empty((*problem.is_free.shape, len(cells)))
+        costs = np.empty((*problem.is_free.shape, len(cells)), np.float32)
         for k, cell in enumerate(cells):
-            costs[..., k] = symmetric_costs(problem.between(cell, cell), end_s)
+            costs_to_cell = symmetric_costs(problem.between(cell, cell), end_s)
+            # Cut where float32 ends: inf would prove that there is no way.
+            np.minimum(costs_to_cell, LARGEST, out=costs_to_cell, where=costs_to_cell < np.inf)
+            costs[..., k] = costs_to_cell
         largest = np.max(costs, where=np.isfinite(costs), initial=0.0)
-        slack = float(largest) * problem.is_free.size * np.finfo(np.float64).eps
+        rounding = problem.is_free.size * np.finfo(np.float64).eps + 2 * np.finfo(np.float32).eps
+        slack = float(largest) * rounding
         cost_share = 0.5 if problem.cost_model.kind == "cell" else 0.0
         problem.cache.landmarks = LandmarkBound(
             costs, costs[cells[0]], problem.cost, cost_share, -slack

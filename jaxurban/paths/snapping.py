@@ -55,30 +55,34 @@ def places_near(
 
     # The free cells within reach, the nearest first. No cell is within -1 m: the place may not move.
     reach_m = -1.0 if limit_m is None else limit_m
-    rows, cols, away_m = _free_within(cost_map, is_free, xy_m, cell, reach_m)
-    if rows.size == 0:
-        raise InputError(
-            _out_of_reach(cost_map, name, xy_m, level, cell, is_free, limit_m, on_ground)
-        )
+    cells, away_m = _free_within(cost_map, is_free, xy_m, cell, reach_m)
+    if away_m.size == 0:
+        everywhere_m = cost_map.grid.resolution_m * sum(is_free.shape)
+        cells, away_m = _free_within(cost_map, is_free, xy_m, cell, everywhere_m)
+        why = OVER_ROOF
+        if not cost_map.levels_free[level][cell]:
+            why = cost_map.why_closed(cell, level)
+        if away_m.size == 0:
+            way_out = f", and no cell is free at this altitude: {cost_map.remedy}"
+        else:
+            lonlat = cost_map.grid.lonlat_of_cell(*cells[0])
+            way_out = _way_out(lonlat, away_m[0], limit_m, on_ground)
+        raise InputError(f"{name} is {why}{way_out}")
 
     # The nearest cell of each island. Cells are sorted by distance, and `unique` gives the first of each island.
     islands = cost_map.islands[level_index]
-    _, first = np.unique(islands[rows, cols], return_index=True)
+    _, first = np.unique(islands[tuple(cells.T)], return_index=True)
     ends = []
     for index in np.sort(first):
-        free_cell = *level_index, int(rows[index]), int(cols[index])
+        free_cell = *level_index, *cells[index].tolist()
         ends.append(End(free_cell, float(away_m[index]), is_snapped=True, on_ground=on_ground))
     return ends
 
 
 def _free_within(
-    cost_map: "CostMap",
-    is_free: np.ndarray,
-    xy_m: tuple[float, float],
-    cell: Cell,
-    reach_m: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return row, column and distance in metres of the free cells within reach of a place, the nearest first.
+    cost_map: "CostMap", is_free: np.ndarray, xy_m: tuple[float, float], cell: Cell, reach_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``[N, 2]`` row and column, and metres to them, of free cells within reach of a place, the nearest first.
 
     Args:
       cost_map: whose cells they are.
@@ -86,53 +90,37 @@ def _free_within(
       xy_m, cell: of the place.
       reach_m: to the centre of a cell; below 0 there is none.
     """
-    grid = cost_map.grid
-    num_cells = math.ceil(max(reach_m, 0.0) / grid.resolution_m) + 1
-    first_row, first_col = (max(index - num_cells, 0) for index in cell)
-    row, col = cell
-    window = is_free[first_row : row + num_cells + 1, first_col : col + num_cells + 1]
-    rows, cols = np.nonzero(window)
-    rows, cols = rows + first_row, cols + first_col
-    x_m, y_m = grid.xy_of_cell(rows, cols)
+    num_cells = math.ceil(reach_m / cost_map.grid.resolution_m) + 1
+    row, col = first = np.maximum(np.subtract(cell, num_cells), 0)
+    end_row, end_col = np.add(cell, num_cells + 1)
+    cells = np.argwhere(is_free[row:end_row, col:end_col]) + first
+    x_m, y_m = cost_map.grid.xy_of_cell(*cells.T)
     away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
-    near = np.flatnonzero(away_m <= reach_m)
-    near = near[np.argsort(away_m[near], kind="stable")]
-    return rows[near], cols[near], away_m[near]
+    near = np.argsort(away_m, kind="stable")
+    near = near[away_m[near] <= reach_m]
+    return cells[near], away_m[near]
 
 
-def _out_of_reach(
-    cost_map: "CostMap",
-    name: str,
-    xy_m: tuple[float, float],
-    level: int,
-    cell: Cell,
-    is_free: np.ndarray,
-    limit_m: float | None,
-    on_ground: bool,
+def _way_out(
+    lonlat: tuple[float, float], away_m: float, limit_m: float | None, on_ground: bool
 ) -> str:
-    """Return why a place is no end of a query, how far the nearest free cell is, and what would reach it.
+    """Return where the nearest free cell is, farther away than a place may be moved, and what would reach it.
 
     Args:
-      cost_map, name, xy_m, level, cell, on_ground: as of `places_near`.
-      is_free: ``[Y, X]`` bool, which cells may be ends.
+      lonlat: of the cell, degrees.
+      away_m: how far the place is from it.
       limit_m: how far the place may be moved; None: not at all.
+      on_ground: as of `places_near`.
     """
-    why = OVER_ROOF
-    if not cost_map.levels_free[level][cell]:
-        why = cost_map.why_closed(cell, level)
-    everywhere_m = cost_map.grid.resolution_m * sum(is_free.shape)
-    rows, cols, away_m = _free_within(cost_map, is_free, xy_m, cell, everywhere_m)
-    if rows.size == 0:
-        return f"{name} is {why}, and no cell is free at this altitude: {cost_map.remedy}"
-    lon, lat = cost_map.grid.lonlat_of_cell(rows[0], cols[0])
+    lon, lat = lonlat
     free = "the nearest free cell over the ground" if on_ground else "the nearest free cell"
     too_far = "" if limit_m is None else f", farther than it may be moved ({limit_m:g} m)"
-    needed_m = math.ceil(away_m[0])
+    needed_m = math.ceil(away_m)
     option = f"--snap {needed_m} (snap={needed_m})"
     if needed_m <= MAX_SNAP_M:
         option = "--snap (snap=True)"
     return (
-        f"{name} is {why}; {free} is at {lon:.6f},{lat:.6f}, {away_m[0]:.0f} m away{too_far}: "
+        f"; {free} is at {lon:.6f},{lat:.6f}, {away_m:.0f} m away{too_far}: "
         f"take that place, fly higher, or pass {option} to move there"
     )
 

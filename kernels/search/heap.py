@@ -17,6 +17,7 @@ NUM_BUCKETS = 2048
 BUCKETS_PER_STEP = 32  # in the cost of a typical step: wider ones hold more to expand again
 NUM_FAR, FREE_SLOT, BUCKET, IS_HEAP = range(4)  # places in a queue's ``tally``
 NO_SLOT = -1
+AS_STACK, AS_HEAP = np.int64(0), np.int64(1)  # how entries are kept: what ``IS_HEAP`` may be
 
 
 class Heap(NamedTuple):
@@ -45,16 +46,17 @@ class Heap(NamedTuple):
         return self._replace(f=f, item=item)
 
 
-@compiled()
-def place(heap, f):
+# Inlined by force, both: handing them the arrays took as long as what they do.
+@compiled(forceinline=True)
+def place(heap, f, is_heap):
     """Make a place for an entry of key ``f`` in a heap that has room, and return its index.
 
     The heap's size and keys are altered; the caller must fill in ``heap.item`` at the index. Parents with larger keys
-    move down until the place is right.
+    move down until the place is right. With `AS_STACK` for ``is_heap`` instead of `AS_HEAP` the place is the last.
     """
     i = heap.size[0]
     heap.size[0] = i + 1
-    while i > 0:
+    while is_heap and i > 0:
         up = (i - 1) >> 2  # the parent, as every entry has up to four children
         if heap.f[up] <= f:
             break
@@ -65,7 +67,6 @@ def place(heap, f):
     return i
 
 
-# Inlined by force: handing it the arrays took as long as what it does.
 @compiled(forceinline=True)
 def drop_top(heap):
     """Remove the lowest entry of a heap that has one, in place.
@@ -152,39 +153,16 @@ def grown(queue: Queue) -> Queue:
 
 
 @compiled(forceinline=True)
-def _place_near(queue, f):
-    """Make a place for an entry of key ``f`` in the lowest bucket, which has room, and return its index."""
-    if queue.tally[IS_HEAP]:
-        return place(queue.near, f)
-    index = queue.near.size[0]
-    queue.near.size[0] = index + 1
-    queue.near.f[index] = f
-    return index
-
-
-@compiled()
-def order(queue):
-    """Make the lowest bucket a heap, for the rest of the search."""
-    near = queue.near
-    num_entries = near.size[0]
-    queue.tally[IS_HEAP] = 1
-    near.size[0] = 0
-    for index in range(num_entries):
-        f, node = near.f[index], near.item[index]
-        near.item[place(near, f)] = node
-
-
-@compiled(forceinline=True)
 def insert(queue, f, node):
     """Put a node into a queue that has room: into its heap, or first in the list of a later bucket."""
     tally = queue.tally
     bucket = (f - queue.scale[0]) * queue.scale[1]
     if not bucket >= tally[BUCKET] + 1:  # NaN, of an infinite f, comes here too
-        queue.near.item[_place_near(queue, f)] = node
+        queue.near.item[place(queue.near, f, tally[IS_HEAP])] = node
         return
 
     # Take a free slot, and put it before the bucket's first one; beyond the buckets there is one list for all.
-    index = int(min(bucket, NUM_BUCKETS))
+    index = int(min(bucket, float(NUM_BUCKETS)))
     slot = tally[FREE_SLOT]
     tally[FREE_SLOT] = queue.far_next[slot]
     queue.far_f[slot] = f

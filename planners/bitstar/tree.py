@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import segment_cost
-from jaxurban.kernels.search.heap import EXHAUSTED, FULL, PAUSED, drop_top, place
+from jaxurban.kernels.search.heap import AS_HEAP, EXHAUSTED, FULL, PAUSED, drop_top, place
 from jaxurban.kernels.search.sample_graph import NO_PARENT
 from jaxurban.kernels.tolerances import SAME_COST
 from jaxurban.planners.bitstar.bounds import Bounds
@@ -220,7 +220,7 @@ class Tree(NamedTuple):
 @compiled()
 def _push(queue, f, origin, target, cost):
     """Put an edge into a queue that has room."""
-    edge = queue.item[place(queue, f)]
+    edge = queue.item[place(queue, f, AS_HEAP)]
     edge.origin = origin
     edge.target = target
     edge.cost = cost

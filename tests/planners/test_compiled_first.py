@@ -91,7 +91,7 @@ event.register("numba:compile", Print())
 assert find_planner("astar-plus")(problem).setup_s > 0
 """
 # Of jaxurban, each for one choice of types, and of Numba, for functions such as `min`: with Numba 0.68 these.
-NUM_OWN, NUM_IN_ALL = 18, 31
+NUM_OWN, NUM_IN_ALL = 16, 28
 
 
 @pytest.mark.slow

@@ -107,10 +107,12 @@ def test_the_landmarks_bound_stays_below_the_cost_to_the_last_bit_and_at_a_landm
                 [heuristic_at(bound, tuple(cell), goal) for cell in np.argwhere(problem.is_free)]
             )
             assert np.all(values <= to_go)
-        np.testing.assert_allclose(values, to_go, rtol=1e-9, atol=1e-9)
+        # Costs to landmarks are float32.
+        rounding = 1e-6 * to_go.max(where=np.isfinite(to_go), initial=0.0)
+        np.testing.assert_allclose(values, to_go, rtol=1e-6, atol=rounding)
         back = problem.between(landmark, problem.start)
         value = heuristic_at(make_heuristic("landmarks", back), landmark, back.goal)
-        assert value == pytest.approx(costs_to_goal(back)[landmark])
+        assert value == pytest.approx(costs_to_goal(back)[landmark], abs=rounding)
 
 
 def test_landmarks_lie_far_apart_in_the_largest_part_of_the_map():
