@@ -16,59 +16,56 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from jaxurban.io.read.mission_flight import CONE_REACH_M, CONE_SLOPE, LEAST_RETURN_M, levels_m
+from jaxurban.io.read.mission_flight import LEAST_RETURN_M, levels_m
 from jaxurban.io.read.mission_parts import Autopilot
 
 ENOUGH_M = 0.01  # by which a return may be lower than it needs to be
 
 
-class Parameter(NamedTuple):
-    """How an autopilot holds its return altitude.
-
-    Attributes:
-      text: what to type, with places for the altitude in metres, ``m``, and in centimetres, ``cm``.
-      cone_slope: greatest height of a return for each metre from home, by default; inf where there is no cone.
-      reach_m: how far from home the cone counts.
-      without_cone: the setting that switches the cone off.
-    """
-
-    text: str
-    cone_slope: float = math.inf
-    reach_m: float = math.inf
-    without_cone: str = ""
-
-
 class Departure(NamedTuple):
-    """A place from which a vehicle may return.
+    """A place at which an item of a mission ends, and from which the vehicle may return.
 
     Attributes:
-      what: names the place: ``"item 3"``.
-      apart_m: its distance from home.
-      own_m: its height above home, at which the vehicle is there.
-      least_m: height above home that a level flight home needs.
+      item: its number.
+      lon, lat: degrees.
+      apart_m: distance from home.
+      own_m: height above home at which the vehicle is there; NaN where it is not known.
+      least_m: least height above home at which a straight, level way home clears everything; NaN where it is not known.
+      is_guessed: whether a guessed height decides.
+      why: the reason why ``least_m`` is not known.
     """
 
-    what: str
+    item: int
+    lon: float
+    lat: float
     apart_m: float
     own_m: float
     least_m: float
+    is_guessed: bool
+    why: str
 
     def flown_m(self, autopilot: Autopilot, altitude_m: float) -> float:
-        """Return the least height at which an autopilot flies home from here, by its default cone."""
-        return max(self.own_m, levels_m(autopilot, self.apart_m, altitude_m)[0])
+        """Return the least height at which an autopilot flies home from here, by its default cone.
+
+        It is NaN where the return altitude is not known, and does not count a height of its own that is not known.
+        """
+        return max(levels_m(autopilot, self.apart_m, altitude_m)[0], self.own_m)
+
+    def is_low(self, autopilot: Autopilot, altitude_m: float) -> bool:
+        """Return whether that height is less than the way home needs; not where one of the two is not known."""
+        return self.flown_m(autopilot, altitude_m) < self.least_m - ENOUGH_M
 
 
-PARAMETERS: dict[Autopilot, Parameter] = {
-    "ardupilot": Parameter(
+# What to type, with places for the altitude in metres and centimetres, and what switches the cone off.
+PARAMETERS: dict[Autopilot, tuple[str, str]] = {
+    "ardupilot": (
         "ArduCopter: RTL_ALT = {cm} (cm) up to 4.6, RTL_ALT_M = {m} (m) from 4.7 on",
-        CONE_SLOPE,
-        without_cone="RTL_CONE_SLOPE = 0",
+        "RTL_CONE_SLOPE = 0",
     ),
-    "px4": Parameter(
-        "PX4: RTL_RETURN_ALT = {m} (m)", 1.0, CONE_REACH_M, without_cone="RTL_CONE_ANG = 0"
-    ),
-    "inav": Parameter(
-        "INAV: nav_rth_altitude = {cm} (cm, at most 65000), nav_rth_alt_mode = AT_LEAST, nav_rth_climb_first = ON"
+    "px4": ("PX4: RTL_RETURN_ALT = {m} (m)", "RTL_CONE_ANG = 0"),
+    "inav": (
+        "INAV: nav_rth_altitude = {cm} (cm, at most 65000), nav_rth_alt_mode = AT_LEAST, nav_rth_climb_first = ON",
+        "",
     ),
 }
 
@@ -88,29 +85,27 @@ def parameter_lines(
     Args:
       altitude_m: metres above home that a return needs; it is rounded up to whole metres (`typed_m`).
       autopilot: the one that is asked for; of ``"unknown"`` all are, of ``"dji"`` none, whose app asks for the height.
-      departures: places from which it may return, of which all heights are known. The sentence names the one that the
-        autopilot's default cone leaves lowest below what it needs, if there is one. Left out, it says where they count.
+      departures: places from which it may return. The sentence names the first that the autopilot's default cone leaves
+        lower than the way home needs, if there is one. Left out, it says how to switch the cone off.
 
     Examples:
       >>> from jaxurban.paths.autopilots import parameter_lines
       >>> parameter_lines(73.2, "px4")
-      ['PX4: RTL_RETURN_ALT = 74 (m); within 10 m of home it returns lower by default: set RTL_CONE_ANG = 0.']
+      ['PX4: RTL_RETURN_ALT = 74 (m); near home it returns lower by default: set RTL_CONE_ANG = 0.']
     """
     metres = typed_m(altitude_m)
     lines = []
-    for name, (text, slope, reach_m, setting) in PARAMETERS.items():
+    for name, (text, setting) in PARAMETERS.items():
         if autopilot not in (name, "unknown"):
             continue
         line = text.format(m=metres, cm=100 * metres)
-        within_m = min(reach_m, metres / slope)
-        if departures is None and within_m > 0:
-            line += f"; within {within_m:.0f} m of home it returns lower by default: set {setting}"
-        short_m = {each: each.least_m - each.flown_m(name, metres) for each in departures or ()}
-        worst = max(short_m, key=short_m.__getitem__, default=None)
-        if worst is not None and short_m[worst] > ENOUGH_M:
+        low = [each for each in departures or () if each.is_low(name, metres)]
+        if low:
             line += (
-                f"; by its default cone it returns from {worst.what}, {worst.apart_m:.0f} m from home, at "
-                f"{worst.flown_m(name, metres):.1f} m, below the {worst.least_m:.1f} m needed: set {setting}"
+                f"; by its default cone it returns from item {low[0].item}, {low[0].apart_m:.0f} m from home, at "
+                f"{low[0].flown_m(name, metres):.1f} m, below the {low[0].least_m:.1f} m needed: set {setting}"
             )
+        elif departures is None and setting:
+            line += f"; near home it returns lower by default: set {setting}"
         lines.append(f"{line}.")
     return lines

@@ -1,5 +1,7 @@
 """Return altitudes as autopilots hold and fly them: numbers worked by hand from their sources and documents."""
 
+import math
+
 import pytest
 
 from jaxurban.io.read.mission_flight import levels_m
@@ -30,11 +32,15 @@ RULES = [
 ]
 
 
+def departure(item: int, apart_m: float, own_m: float, least_m: float) -> Departure:
+    return Departure(item, -74.0, 40.7, apart_m, own_m, least_m, False, "")
+
+
 @pytest.mark.parametrize(("autopilot", "apart_m", "altitude_m", "own_m", "flown_m", "why"), RULES)
 def test_an_autopilot_returns_at_the_height_of_its_documents(
     autopilot, apart_m, altitude_m, own_m, flown_m, why
 ):
-    place = Departure("item 1", apart_m, own_m, 0.0)
+    place = departure(1, apart_m, own_m, 0.0)
     assert place.flown_m(autopilot, altitude_m) == pytest.approx(flown_m), why
     assert levels_m(autopilot, apart_m, altitude_m)[-1] == altitude_m
 
@@ -53,23 +59,30 @@ def test_each_autopilot_gets_its_parameter_in_its_unit():
     assert parameter_lines(73.2, "dji", []) == []
 
 
-def test_the_cone_is_named_where_it_leaves_a_return_too_low_and_by_the_worst_place():
+def test_the_cone_is_named_at_the_first_place_where_it_leaves_a_return_too_low():
     places = [
-        Departure("item 2", 24.0, 10.0, 74.0),  # cone 72 m
-        Departure("item 3", 20.0, 10.0, 74.0),  # cone 60 m, the worst
-        Departure("item 4", 8.0, 80.0, 74.0),  # its own height is enough
+        departure(2, 25.0, 10.0, 74.0),  # cone 75 m
+        departure(3, 20.0, 10.0, 74.0),  # cone 60 m
+        departure(4, 8.0, 80.0, 74.0),  # its own height is enough
+        departure(5, 8.0, 5.0, math.nan),  # what it needs is not known
     ]
     copter, px4, inav = parameter_lines(74.0, departures=places)
     assert "from item 3, 20 m from home, at 60.0 m, below the 74.0 m needed" in copter
     assert copter.endswith("set RTL_CONE_SLOPE = 0.")
     assert "CONE" not in px4
     assert "cone" not in inav
-    assert "at 8.0 m" in parameter_lines(74.0, "px4", [Departure("item 6", 8.0, 5.0, 74.0)])[0]
+    assert "at 8.0 m" in parameter_lines(74.0, "px4", [departure(6, 8.0, 5.0, 74.0)])[0]
 
 
-def test_without_places_the_reach_of_each_cone_is_named():
+def test_what_is_not_known_is_not_low():
+    assert not departure(1, 8.0, 5.0, math.nan).is_low("px4", 10.0)
+    assert not departure(1, 8.0, 5.0, 74.0).is_low("px4", math.nan)
+    assert departure(1, 80.0, math.nan, 74.0).is_low("px4", 10.0)
+
+
+def test_without_places_it_says_how_to_switch_each_cone_off():
     copter, px4, inav = parameter_lines(74.0)
-    assert "within 25 m of home" in copter  # 74 / 3 = 24.7
-    assert "within 10 m of home" in px4
+    assert "near home" in copter
+    assert copter.endswith("set RTL_CONE_SLOPE = 0.")
+    assert px4.endswith("set RTL_CONE_ANG = 0.")
     assert "home" not in inav
-    assert "within 7 m" in parameter_lines(7.0, "px4")[0]
