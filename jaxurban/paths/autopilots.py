@@ -27,7 +27,6 @@ class Departure(NamedTuple):
 
     Attributes:
       item: its number.
-      lon, lat: degrees.
       apart_m: distance from home.
       own_m: height above home at which the vehicle is there; NaN where it is not known.
       least_m: least height above home at which a straight, level way home clears everything; NaN where it is not known.
@@ -36,8 +35,6 @@ class Departure(NamedTuple):
     """
 
     item: int
-    lon: float
-    lat: float
     apart_m: float
     own_m: float
     least_m: float

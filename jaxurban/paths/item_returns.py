@@ -46,42 +46,47 @@ def item_returns(
     """
     # The ways home, level with home: what they lack there of a clearance, the return altitude has to give.
     mission, ground = flight.mission, flight.ground
+    maps = ground.maps
     ends = {(leg.item, leg.end): None for leg in mission.legs if leg.kind not in ENDING}
     if mission.home is None or not ends:
         return pd.DataFrame(columns=Departure._fields)
     home = Place(*mission.home, 0.0, "home")
     legs = tuple(Leg(home._replace(lon=at.lon, lat=at.lat), home, "leg", item) for item, at in ends)
     steps = flight_of(replace(mission, legs=legs), ground).steps
-    is_known = ground.maps.ds["has_data"].values[tuple(steps.cell.T)]
-    is_known &= np.isfinite(steps.z_m).all(axis=1) & ~is_off(steps, known, limits.horizontal_m)
-    steps = steps.take(is_known)
+    is_known = maps.ds["has_data"].values[tuple(steps.cell.T)] & np.isfinite(steps.z_m).all(axis=1)
+    steps = steps.take(is_known & ~is_off(steps, known, limits.horizontal_m))
     if not ground.is_exact:
         steps = steps._replace(z_m=steps.z_m - ground.off_m[tuple(steps.cell.T)][:, None])
 
     # Of the ground and what stands, and of what may stand within a bound.
     least_m, guessed_m = np.full((2, len(legs)), -np.inf)
     np.maximum.at(least_m, steps.leg, limits.vertical_m - steps.z_m.min(axis=1))
+    clearance_m = max(limits.vertical_m, FILE_MARGIN_M)
     buildings = buildings._replace(floor_m=np.full(len(buildings.top_m), -np.inf))
     for part in np.array_split(np.arange(len(steps.leg)), len(steps.leg) // MOST_STEPS + 1):
         near = contacts(steps.take(part), buildings, ground, limits.horizontal_m)
         leg = steps.leg[part[near["step"]]]
-        for highest_m, gap_m in ((least_m, near["gap_m"]), (guessed_m, near["spare_m"])):
-            np.maximum.at(highest_m, leg, max(limits.vertical_m, FILE_MARGIN_M) - gap_m)
+        np.maximum.at(least_m, leg, clearance_m - near["gap_m"])
+        np.maximum.at(guessed_m, leg, clearance_m - near["spare_m"])
 
     # A way that is cut off has fewer metres, or no step at all.
     lonlat = np.array([mission.home, *(at[:2] for _, at in ends)])
-    places_m = np.nan_to_num(ground.maps.grid.xy_at(lonlat), posinf=NOWHERE_M)
+    places_m = np.nan_to_num(maps.grid.xy_at(lonlat), posinf=NOWHERE_M)
     apart_m = np.linalg.norm(places_m[1:] - places_m[0], axis=1)
     is_cut = np.bincount(steps.leg, steps.over_m, len(legs)) < apart_m - TOUCH_M
     needed_m = np.maximum(least_m, guessed_m)
     why = np.select([is_cut | np.isneginf(least_m), np.isposinf(needed_m)], [NO_DATA, NO_BOUND], "")
     zeros_m = zeros_of(mission, ground, geoid_m)
-    own_m = [elevation_of(at, ground, zeros_m) - zeros_m["home"] for _, at in ends]
-    needed_m = np.where(why == "", needed_m, np.nan)
-    items = [item for item, _ in ends]
-    is_guessed = guessed_m > least_m
-    columns = (items, *lonlat[1:].T, apart_m, own_m, needed_m, is_guessed, why)
-    return pd.DataFrame(dict(zip(Departure._fields, columns, strict=True)))
+    return pd.DataFrame(
+        {
+            "item": [item for item, _ in ends],
+            "apart_m": apart_m,
+            "own_m": [elevation_of(at, ground, zeros_m) - zeros_m["home"] for _, at in ends],
+            "least_m": np.where(why == "", needed_m, np.nan),
+            "is_guessed": guessed_m > least_m,
+            "why": why,
+        }
+    )
 
 
 def return_lines(table: pd.DataFrame, mission: Mission) -> list[str]:
@@ -101,10 +106,10 @@ def return_lines(table: pd.DataFrame, mission: Mission) -> list[str]:
         fails = f"{altitude_m:g} m fails from item {failing[0].item} on; " if failing else ""
         worst = max(low, key=lambda each: each.least_m)
         guess = ", up to the bound of a guessed height" if worst.is_guessed else ""
-        lines.append(f"A return at {fails}{typed_m(worst.least_m)} m clears all{guess}.")
+        lines.append(f"A return at {fails}{typed_m(worst.least_m)} m clears all items{guess}.")
         lines += parameter_lines(worst.least_m, mission.autopilot, departures)
     elif len(unknown) < len(departures):
-        lines.append("A return from each item clears all at the item's own height.")
+        lines.append("A return from each item clears all at the height of the item.")
     lines += [
         f"No return altitude is known from item {each.item} on: {each.why}." for each in unknown[:1]
     ]

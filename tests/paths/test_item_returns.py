@@ -147,7 +147,7 @@ def test_a_guessed_roof_is_cleared_by_its_bound_and_without_one_nothing_is_known
             assert set(crosses["least_m"].round(6)) == {BOUND_M + ABOVE_M}
             assert (
                 result.return_lines[0]
-                == "A return at 58 m clears all, up to the bound of a guessed height."
+                == "A return at 58 m clears all items, up to the bound of a guessed height."
             )
             ways = ways_home(home, places, [BOUND_M + ABOVE_M + 0.01] * len(places))
             assert judged(maps, city, ways).state == "clean"
@@ -249,7 +249,7 @@ def test_a_plan_is_told_what_to_type_by_its_firmware(tmp_path, firmware, names):
     most_m = math.ceil(low["least_m"].max())
     first, *typed = result.return_lines
     item = low["item"].iloc[0]
-    assert first == f"A return at 10 m fails from item {item} on; {most_m} m clears all."
+    assert first == f"A return at 10 m fails from item {item} on; {most_m} m clears all items."
     assert len(typed) == len(names)
     for line, name in zip(typed, names, strict=True):
         assert f" {name}" in line
@@ -258,9 +258,9 @@ def test_a_plan_is_told_what_to_type_by_its_firmware(tmp_path, firmware, names):
     json.dumps(result.to_dict(), allow_nan=False)
 
     open_height = ju.check(maps, file, sources=city)
-    assert open_height.return_lines[0] == f"A return at {most_m} m clears all."
+    assert open_height.return_lines[0] == f"A return at {most_m} m clears all items."
     enough = ju.check(maps, file, sources=city, return_altitude_m=float(most_m))
-    assert enough.return_lines[0] == f"A return at {most_m} m clears all."
+    assert enough.return_lines[0] == f"A return at {most_m} m clears all items."
 
 
 def test_a_flight_above_all_may_return_at_its_own_height(tmp_path):
@@ -270,7 +270,7 @@ def test_a_flight_above_all_may_return_at_its_own_height(tmp_path):
     file = plan_of(tmp_path, home, high, 12)
     table = ju.check(maps, file, sources=city).return_altitudes
     lines = return_lines(table[1:], ju.check(maps, file, sources=city).flight.mission)
-    assert lines == ["A return from each item clears all at the item's own height."]
+    assert lines == ["A return from each item clears all at the height of the item."]
 
 
 def test_a_mission_without_home_has_no_row():
