@@ -30,7 +30,7 @@ class Departure(NamedTuple):
       apart_m: distance from home.
       own_m: height above home at which the vehicle is there; NaN where it is not known.
       least_m: least height above home at which a straight, level way home clears everything; NaN where it is not known.
-      is_guessed: whether a guessed height decides.
+      as_guessed_m: the same if guessed heights are right, in place of their bounds.
       why: the reason why ``least_m`` is not known.
     """
 
@@ -38,7 +38,7 @@ class Departure(NamedTuple):
     apart_m: float
     own_m: float
     least_m: float
-    is_guessed: bool
+    as_guessed_m: float
     why: str
 
     def flown_m(self, autopilot: Autopilot, altitude_m: float) -> float:

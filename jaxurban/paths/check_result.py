@@ -62,10 +62,10 @@ class MissionCheck(Result):
       left_out: a sentence on the kinds of obstacles that were not looked at, ``""`` if none was left out: as the maps'
         ``[obstacles]`` say, and in maps that are older than it plants and wires.
       zones: the no-fly zones in force, with those of the mission's geofence.
-      return_altitudes: a row for each place at which an item ends: its ``item``, ``apart_m`` (from home), ``own_m`` (its
-        height above home) and ``least_m``, the least height above home at which a straight, level way home clears
-        everything; NaN where that is not known, with the reason in ``why``. ``is_guessed``: a guessed height decides.
-        No row without a home.
+      return_altitudes: a row for each place at which an item ends: its ``item``, ``apart_m`` (from home), ``own_m``
+        (its height above home), ``least_m``, the least height above home at which a straight, level way home clears
+        everything, up to the bound of guessed heights (NaN where that is not known, with the reason in ``why``), and
+        ``as_guessed_m``, the same if guessed heights are right. No row without a home.
 
     Examples:
       >>> ju.check(maps, path, sources=city, max_people=30)

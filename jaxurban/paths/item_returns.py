@@ -83,7 +83,7 @@ def item_returns(
             "apart_m": apart_m,
             "own_m": [elevation_of(at, ground, zeros_m) - zeros_m["home"] for _, at in ends],
             "least_m": np.where(why == "", needed_m, np.nan),
-            "is_guessed": guessed_m > least_m,
+            "as_guessed_m": np.where(why == NO_DATA, np.nan, least_m),
             "why": why,
         }
     )
@@ -105,7 +105,10 @@ def return_lines(table: pd.DataFrame, mission: Mission) -> list[str]:
         failing = [each for each in low if each.is_low(mission.autopilot, altitude_m)]
         fails = f"{altitude_m:g} m fails from item {failing[0].item} on; " if failing else ""
         worst = max(low, key=lambda each: each.least_m)
-        guess = ", up to the bound of a guessed height" if worst.is_guessed else ""
+        as_guessed_m = typed_m(max(each.as_guessed_m for each in low))
+        guess = f" ({as_guessed_m} m if guessed heights are right)"
+        if as_guessed_m == typed_m(worst.least_m):
+            guess = ""
         lines.append(f"A return at {fails}{typed_m(worst.least_m)} m clears all items{guess}.")
         lines += parameter_lines(worst.least_m, mission.autopilot, departures)
     elif len(unknown) < len(departures):

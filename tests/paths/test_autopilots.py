@@ -33,7 +33,7 @@ RULES = [
 
 
 def departure(item: int, apart_m: float, own_m: float, least_m: float) -> Departure:
-    return Departure(item, apart_m, own_m, least_m, False, "")
+    return Departure(item, apart_m, own_m, least_m, least_m, "")
 
 
 @pytest.mark.parametrize(("autopilot", "apart_m", "altitude_m", "own_m", "flown_m", "why"), RULES)

@@ -87,7 +87,7 @@ def test_at_the_least_altitude_nothing_is_found_and_a_little_lower_something_is(
     home, *places = places_of(maps, 7, 121)
     table = judged(maps, city, mission_over(home, places)).return_altitudes
     assert table["item"].tolist() == list(range(1, 121))
-    assert not table["is_guessed"].any()
+    assert table["as_guessed_m"].equals(table["least_m"])
 
     at_least = judged(maps, city, ways_home(home, places, table["least_m"]))
     assert at_least.state == "clean", at_least.lines
@@ -141,13 +141,14 @@ def test_a_guessed_roof_is_cleared_by_its_bound_and_without_one_nothing_is_known
         home, *places = places_of(maps, 3, 16)
         result = judged(maps, city, mission_over(home, places))
         table = result.return_altitudes
-        crosses = table[table["is_guessed"]]
+        crosses = table[table["least_m"] != table["as_guessed_m"]]
+        assert set(crosses["as_guessed_m"].round(6)) == {GUESS_M + ABOVE_M}
         assert len(crosses) > 10
         if is_known:
             assert set(crosses["least_m"].round(6)) == {BOUND_M + ABOVE_M}
             assert (
                 result.return_lines[0]
-                == "A return at 58 m clears all items, up to the bound of a guessed height."
+                == "A return at 58 m clears all items (23 m if guessed heights are right)."
             )
             ways = ways_home(home, places, [BOUND_M + ABOVE_M + 0.01] * len(places))
             assert judged(maps, city, ways).state == "clean"
