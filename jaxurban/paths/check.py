@@ -26,6 +26,7 @@ from jaxurban.paths.constraints import Bound, Constraints
 from jaxurban.paths.contacts import Prisms, buildings_of, union_m
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.flown import costs_of, figures_of
+from jaxurban.paths.item_returns import item_returns
 from jaxurban.paths.judge import SPAN, judged, placed
 from jaxurban.paths.legs import Flight, flight_of
 from jaxurban.paths.path import PlannedPath
@@ -191,6 +192,7 @@ def check(
         maps=maps,
         zones=limits.zones,
         left_out=left_out(maps, city),
+        return_altitudes=item_returns(flight, buildings, known, limits, geoid_m),
     )
 
 

@@ -4,7 +4,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ from jaxurban.io.read.zone import Zone
 from jaxurban.io.results import Result
 from jaxurban.io.tables import SUFFIXES, records_of, write_table
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.item_returns import return_lines
 from jaxurban.paths.legs import Flight
 from jaxurban.public import Caution, caution_of_guesses
 from jaxurban.settings import time_said
@@ -61,6 +62,10 @@ class MissionCheck(Result):
       left_out: a sentence on the kinds of obstacles that were not looked at, ``""`` if none was left out: as the maps'
         ``[obstacles]`` say, and in maps that are older than it plants and wires.
       zones: the no-fly zones in force, with those of the mission's geofence.
+      return_altitudes: a row for each place at which an item ends: its ``item``, ``apart_m`` (from home), ``own_m``
+        (its height above home), ``least_m``, the least height above home at which a straight, level way home clears
+        everything, up to the bound of guessed heights (NaN where that is not known, with the reason in ``why``), and
+        ``as_guessed_m``, the same if guessed heights are right. No row without a home.
 
     Examples:
       >>> ju.check(maps, path, sources=city, max_people=30)
@@ -81,6 +86,7 @@ class MissionCheck(Result):
     maps: MetricMaps
     zones: Sequence[Zone] = ()
     left_out: str = ""
+    return_altitudes: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     @property
     def state(self) -> State:
@@ -99,6 +105,11 @@ class MissionCheck(Result):
     def sentences(self) -> list[str]:
         """The findings, a sentence each."""
         return [_sentence_of(row) for row in self.findings.to_dict("records")]
+
+    @property
+    def return_lines(self) -> list[str]:
+        """At which altitude it may return from its items, a sentence each, and what to type into the autopilot."""
+        return return_lines(self.return_altitudes, self.flight.mission)
 
     @property
     def numbers(self) -> dict[str, str]:
@@ -135,6 +146,7 @@ class MissionCheck(Result):
             "finding": self.sentences,
             "not judged": self.not_judged,
             "guessed": list(self.maps.guesses),
+            "return": self.return_lines,
         }
         listed = [f"  {name}: {text}" for name, texts in parts.items() for text in texts]
         return [state, *listed, *figures]
@@ -153,7 +165,8 @@ class MissionCheck(Result):
 
         Returns:
           ``state``, ``sentence``, ``mission``, ``findings`` (a dictionary each), ``not_judged``, ``figures``,
-          ``outlines``, ``limits`` and ``guesses``; None stands for a number that is missing.
+          ``outlines``, ``limits``, ``guesses``, ``return_altitudes`` (a dictionary each) and ``return_lines``; None
+          stands for a number that is missing.
 
         Examples:
           >>> record = ju.check(maps, path, sources=city, max_people=30).to_dict()
@@ -170,6 +183,8 @@ class MissionCheck(Result):
             "outlines": self.outlines,
             "limits": dict(self.limits),
             "guesses": list(self.maps.guesses),
+            "return_altitudes": records_of(self.return_altitudes),
+            "return_lines": self.return_lines,
         }
 
     def to_geojson(self) -> dict[str, Any]:

@@ -190,9 +190,8 @@ def _beyond(
 ) -> Iterator[pd.DataFrame]:
     """Yield tables of stretches (`spans`) beyond what is known: in plan, below and above the maps' altitudes.
 
-    A step is beyond in plan if it lies outside ``known``, or nearer to its border than the clearance. Take-off, landing
-    and steps straight up or down do not count as below the maps, as they lead between the ground and the height of
-    flight.
+    Take-off, landing and steps straight up or down do not count as below the maps, as they lead between the ground and
+    the height of flight.
 
     Args:
       flight: the mission over the maps.
@@ -200,10 +199,7 @@ def _beyond(
       known: the area in which all buildings are known, in the maps' CRS.
       horizontal_m: the clearance.
     """
-    judged_area = shapely.buffer(known, -horizontal_m) if horizontal_m else known
-    shapely.prepare(judged_area)
-    is_off = ~shapely.intersects_xy(judged_area, *steps.ends_m.mean(axis=1).T)
-    yield spans(steps.along_m[is_off], NO_CITY)
+    yield spans(steps.along_m[is_off(steps, known, horizontal_m)], NO_CITY)
 
     is_on_site = flight.is_on_site(steps)
     z_m = steps.z_m.mean(axis=1)
@@ -214,6 +210,13 @@ def _beyond(
     is_above = z_m > high_m + GROUND_TOLERANCE_M
     yield spans(steps.along_m[is_below], f"lie below the maps, which begin at {low_m:g} m")
     yield spans(steps.along_m[is_above], f"lie above the maps, which reach to {high_m:g} m")
+
+
+def is_off(steps: Steps, known: shapely.Geometry, horizontal_m: float) -> np.ndarray:
+    """Return ``[P]`` whether steps lie outside ``known``, or nearer to its border than the clearance."""
+    judged_area = shapely.buffer(known, -horizontal_m) if horizontal_m else known
+    shapely.prepare(judged_area)
+    return ~shapely.intersects_xy(judged_area, *steps.ends_m.mean(axis=1).T)
 
 
 def _buried(steps: Steps) -> pd.DataFrame:

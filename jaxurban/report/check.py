@@ -66,10 +66,11 @@ def check_outputs(result: MissionCheck) -> Written:
         figures["profile"] = partial(plot_flown_heights, result)
     report = check_markdown(result, list(figures))
     record = result.to_dict()
+    tables = {"findings": result.findings, "return_altitudes": result.return_altitudes}
     return {
         "findings.geojson": json.dumps(result.to_geojson(), indent=1),
         "check.json": json.dumps(record, indent=1),
-        **study_outputs(report, {"findings": result.findings}, figures),
+        **study_outputs(report, tables, figures),
     }, record
 
 
@@ -86,6 +87,7 @@ def check_markdown(result: MissionCheck, figures: list[str]) -> str:
         not_judged=bullets(result.not_judged) or "All of it was judged.",
         numbers=bullets(f"{name}: {fact}" for name, fact in result.numbers.items()),
         note=result.figures.get("cost_note", ""),
+        returns=bullets(result.return_lines) or "No item, or no home, to return from.",
         limits=describe_constraints(result.limits) or "none",
         guesses=", ".join(result.maps.guesses) or "nothing",
     )

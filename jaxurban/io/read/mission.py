@@ -37,6 +37,7 @@ import math
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -120,7 +121,8 @@ def read_mission(
         if suffix == ".kmz":
             suffix, data, template = unzipped(data)
         if suffix in LINE_READERS:
-            return mission_of_lines(path.name, *LINE_READERS[suffix](path, data), heights, home)
+            lines = mission_of_lines(path.name, *LINE_READERS[suffix](path, data), heights, home)
+            return replace(lines, return_altitude_m=return_m)
         if heights is not None:
             raise InputError(
                 f"{path.name!r} says for each item what its height is above: leave heights={heights!r} out"

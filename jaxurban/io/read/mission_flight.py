@@ -9,21 +9,20 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from jaxurban.io.read.mission_parts import (
     CORNER_M,
     GEOD,
     NO_HOME,
     Account,
+    Autopilot,
     Datum,
     Leg,
     LonLat,
     Place,
     Profile,
 )
-
-Autopilot = Literal["ardupilot", "px4", "dji", "unknown"]
 
 WAYPOINT = 16
 RETURN = 20
@@ -74,8 +73,10 @@ NEAR_CENTRE = 0.05
 NEAR_CENTRE_M = 1.0
 # ArduPilot stores radii up to this one in whole metres, and larger ones in tens of metres.
 MOST_RADIUS_M = 255.0
-# Heights of a return near home, by the autopilots' defaults: ArduPilot's RTL_CONE_SLOPE and least height, PX4's
-# RTL_CONE_ANG of 45 degrees within RTL_MIN_DIST.
+# Heights of a return near home, by the autopilots' defaults. ArduCopter (mode_rtl.cpp, compute_return_target): no
+# higher than RTL_CONE_SLOPE times the distance, nor lower than RTL_ALT_MIN (2 m; 0.3 m from 4.6 on). PX4 (rtl.cpp,
+# calculate_return_alt_from_cone_half_angle): within RTL_MIN_DIST no higher than the distance by the tangent of
+# RTL_CONE_ANG, 45 degrees; within twice NAV_ACC_RAD it is up to 2 m higher than that, which does not count here.
 CONE_SLOPE, LEAST_RETURN_M = 3.0, 2.0
 CONE_REACH_M = 10.0
 DJI_NEAR_M = (
@@ -164,6 +165,7 @@ class FlownItems:
       not_judged: a sentence for each thing that the legs leave out, or may not show as it is flown.
       speed_m_s: the first speed that an item sets; None if no item sets one.
       accounts: what became of each item.
+      autopilot, return_altitude_m: by which it is flown; see `Mission`.
     """
 
     def __init__(
@@ -185,8 +187,8 @@ class FlownItems:
         self.not_judged: list[str] = []
         self.speed_m_s: float | None = None
         self._items = items
-        self._autopilot = autopilot
-        self._return_altitude_m = return_altitude_m
+        self.autopilot = autopilot
+        self.return_altitude_m = return_altitude_m
         self._state = State(home, home and Place(*home, 0.0, "ground"))
         self._after: dict[
             tuple[int, State], State
@@ -362,7 +364,7 @@ class FlownItems:
                     f"item {item.number} keeps its height, and whether above the ground or level is not known"
                 )
             return at._replace(lon=lon, lat=lat)
-        if at and item.height_m == 0 and self._autopilot == "ardupilot":
+        if at and item.height_m == 0 and self.autopilot == "ardupilot":
             return _kept(at, lon, lat, item.datum)
         datum = item.datum or "home"
         is_open = self._state.has_moved_home and datum == "home"
@@ -374,7 +376,7 @@ class FlownItems:
         The result is None for an item without a place or with another height, and if the autopilot is known.
         """
         at = self._state.beside or self._state.at
-        if at is None or item.height_m != 0 or not item.has_place or self._autopilot != "unknown":
+        if at is None or item.height_m != 0 or not item.has_place or self.autopilot != "unknown":
             return None
         return _kept(at, item.lon, item.lat, item.datum)
 
@@ -387,7 +389,7 @@ class FlownItems:
             return CORNER_M
         if item.params[0] > 0:
             return 0.0
-        return CORNER_M if self._autopilot == "ardupilot" else max(CORNER_M, item.params[1])
+        return CORNER_M if self.autopilot == "ardupilot" else max(CORNER_M, item.params[1])
 
     def _fly_to(
         self,
@@ -431,7 +433,7 @@ class FlownItems:
         The climb begins where the vehicle is, else on the ground where it stands; where neither is known, it only flies
         to the item. Drones of DJI climb at least to a height above home, the first parameter, and fly level.
         """
-        if self._autopilot == "ardupilot":
+        if self.autopilot == "ardupilot":
             item = item._replace(lon=0.0, lat=0.0)
         start = self._state.at or self._state.ground
         if start is None:
@@ -440,13 +442,13 @@ class FlownItems:
         self._leave_circle(item)
         above = self._place_of(item._replace(lon=start.lon, lat=start.lat)) or start
         place = None
-        if self._autopilot == "dji":
+        if self.autopilot == "dji":
             above = Place(start.lon, start.lat, item.params[0], "home", level_with=above)
             place = above._replace(lon=item.lon, lat=item.lat)
         self._state = self._state._replace(at=start)
         self._move(item, above, "climb")
         if item.has_place:
-            self._fly_to(item, place, beside=above if self._autopilot == "unknown" else None)
+            self._fly_to(item, place, beside=above if self.autopilot == "unknown" else None)
 
     def _leave_circle(self, item: Item) -> None:
         """Say, where autopilots differ in where the vehicle is, that the way of one of them is not judged."""
@@ -468,12 +470,12 @@ class FlownItems:
         # Negative radii circle the other way; NaN becomes 0, too.
         radius_m = max(0.0, abs(item.params[LOITERS[item.command]]))
         is_turns = item.command == LOITER_TURNS
-        has_edge = is_turns and radius_m > 0 and self._autopilot != "px4"
+        has_edge = is_turns and radius_m > 0 and self.autopilot != "px4"
         edge = None
         start = self._state.beside or self._state.at
         if has_edge and start and not 0 < item.params[0] < 1:
             edge = _edge(start, centre, radius_m)
-        if edge and self._autopilot == "ardupilot":
+        if edge and self.autopilot == "ardupilot":
             begin, beside = edge, None
         else:
             begin, beside = centre, edge
@@ -493,10 +495,10 @@ class FlownItems:
     def _level_to(self, item: Item, centre: Place) -> None:
         """Fly level to above or below a place, to climb or sink there, as PX4 does before a loiter to a height."""
         at = self._state.at
-        if at is None or self._autopilot == "ardupilot":
+        if at is None or self.autopilot == "ardupilot":
             return
         level = _kept(at, centre.lon, centre.lat, "geoid")
-        if self._autopilot == "px4":
+        if self.autopilot == "px4":
             self._fly_to(item, level)
         elif level != centre:
             way = Leg(at, level, "leg", item.number, is_variant=True)
@@ -518,8 +520,8 @@ class FlownItems:
             # PX4 flies level; ArduPilot in the frame of the item, so that it may follow the ground.
             level = _kept(at, item.lon, item.lat, "geoid")
             in_frame = _kept(at, item.lon, item.lat, item.datum)
-            at = level if self._autopilot == "px4" else in_frame
-            self._fly_to(item, at, beside=level if self._autopilot == "unknown" else None)
+            at = level if self.autopilot == "px4" else in_frame
+            self._fly_to(item, at, beside=level if self.autopilot == "unknown" else None)
         else:
             self._leave_circle(item)
         ground = Place(at.lon, at.lat, 0.0, "ground")
@@ -540,36 +542,37 @@ class FlownItems:
             self._lose(item)
             return
         ground = Place(*home, 0.0, "ground")
-        levels_m = self._levels_m(at, home)
-        for level_m in levels_m:
-            is_variant = level_m < levels_m[-1]
+        _, _, apart_m = GEOD.inv(at.lon, at.lat, *home)
+        heights_m = levels_m(self.autopilot, apart_m, self.return_altitude_m)
+        for level_m in heights_m:
+            is_variant = level_m < heights_m[-1]
             for start, end in pairwise((*_way_home(at, home, level_m), ground)):
                 kind = "land" if end == ground else "return"
                 if start != end:
                     self.legs.append(Leg(start, end, kind, item.number, is_variant=is_variant))
         self._lose(item, ground)
 
-    def _levels_m(self, at: Place, home: LonLat) -> list[float]:
-        """Return the heights above home at which a return may be flown, the lowest first.
 
-        Where the return altitude is not known, NaN is the only one.
+def levels_m(autopilot: Autopilot, apart_m: float, altitude_m: float) -> list[float]:
+    """Return the heights above home at which a return may be flown, the lowest first.
 
-        Args:
-          at: where the return begins.
-          home: longitude and latitude of home.
-        """
-        most_m = self._return_altitude_m
-        if math.isnan(most_m):
-            return [most_m]
-        _, _, apart_m = GEOD.inv(at.lon, at.lat, *home)
-        if self._autopilot == "dji":
-            return [0.0, most_m] if apart_m <= DJI_NEAR_M else [most_m]
-        heights_m = {most_m}
-        if self._autopilot != "px4":
-            heights_m.add(min(most_m, max(CONE_SLOPE * apart_m, LEAST_RETURN_M)))
-        if self._autopilot != "ardupilot" and apart_m <= CONE_REACH_M:
-            heights_m.add(min(most_m, apart_m))
-        return sorted(heights_m)
+    INAV knows of no cone. Where the return altitude is not known, NaN is the only height.
+
+    Args:
+      autopilot: which returns; those of ArduPilot and PX4 count where it is not known.
+      apart_m: how far the place where the return begins is from home.
+      altitude_m: the return altitude, above home.
+    """
+    if math.isnan(altitude_m):
+        return [altitude_m]
+    if autopilot == "dji":
+        return [0.0, altitude_m] if apart_m <= DJI_NEAR_M else [altitude_m]
+    heights_m = {altitude_m}
+    if autopilot in ("ardupilot", "unknown"):
+        heights_m.add(min(altitude_m, max(CONE_SLOPE * apart_m, LEAST_RETURN_M)))
+    if autopilot in ("px4", "unknown") and apart_m <= CONE_REACH_M:
+        heights_m.add(min(altitude_m, apart_m))
+    return sorted(heights_m)
 
 
 def _way_home(at: Place, home: LonLat, level_m: float) -> tuple[Place, ...]:

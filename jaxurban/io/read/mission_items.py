@@ -11,11 +11,11 @@ from jaxurban.io.read.mission_flight import (
     FRAMES,
     HAS_HEIGHT,
     WAYPOINT,
-    Autopilot,
     FlownItems,
     Item,
 )
 from jaxurban.io.read.mission_parts import (
+    Autopilot,
     DamagedError,
     LonLat,
     Mission,
@@ -190,6 +190,8 @@ def mission_of(
         flown.speed_m_s or planned_m_s,
         accounts=tuple(flown.accounts),
         num_things=num_rows,
+        autopilot=flown.autopilot,
+        return_altitude_m=flown.return_altitude_m,
     )
 
 

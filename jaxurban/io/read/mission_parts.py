@@ -13,6 +13,7 @@ from jaxurban.io.read.zone import Zone
 
 Datum = Literal["home", "ground", "geoid", "ellipsoid"]  # what a height is above
 Profile = Literal["frame", "straight", "both"]  # how a leg runs between the heights of its ends
+Autopilot = Literal["ardupilot", "px4", "inav", "dji", "unknown"]
 LonLat = tuple[float, float]
 DATUMS: tuple[Datum, ...] = get_args(Datum)
 NO_HOME = "the file names no home"
@@ -108,6 +109,8 @@ class Mission:
       num_things: how many things the file holds, counted apart from ``accounts``: the two must agree.
       home_above_ground_m: how high home lies above the ground, on a roof; heights above home count from there.
       zones: where its geofence lets it not fly.
+      autopilot: which one flies it, as the file says.
+      return_altitude_m: height above home at which it returns; NaN where neither the file nor the user names it.
     """
 
     name: str
@@ -120,6 +123,8 @@ class Mission:
     num_things: int = 0
     home_above_ground_m: float = 0.0
     zones: Sequence[Zone] = ()
+    autopilot: Autopilot = "unknown"
+    return_altitude_m: float = math.nan
 
     @property
     def num_lost(self) -> int:
