@@ -1,18 +1,19 @@
 """The highest of the cells that straight lines home touch, from every cell of a grid, exactly.
 
-``Y, X`` cells, ``R`` rays, ``C`` corners of cells. Places are in cells from the southwest corner. A cell counts for a
-line that touches its square, be it by a side or a corner alone; beyond the grid there is nothing.
+``Y, X`` cells, ``C`` corners of cells. Places are in cells from the southwest corner. A cell counts for a line that
+touches its square, be it by a side or a corner alone; beyond the grid there is nothing.
 
 The lines from a cell are those from anywhere in its square. The cells that they touch are those that the four lines
-from the square's corners touch: between two of these lines, one side of the square apart at most, no square has room.
-So it is corners that are computed, each once.
+from the square's corners touch: between two of these lines, one side of a square apart at most, no square has room. So
+it is corners that are computed, each once.
 
 Corners that lie farther east of home than north or south of it (and by turning the grid, all others) are computed
 together, one line of corners from south to north after the other. A line home from such a corner climbs or falls by a
 cell at most from one of these lines to the next, so that every cell that it touches has a side on one of them where the
-line passes. Rays from home, less than half a cell apart, carry the highest cell so far, and between which slopes a line
-home touches it. The two rays beside a corner pass all cells that its line touches: so where it touches the higher of
-theirs, that is the answer. Only for the few other corners, at the edges of what is high, the line itself is followed.
+line passes. Rays from home, less than a quarter of a cell apart, carry the highest cell so far. Two of them, on either
+side of a corner's line, pass all cells that it touches, and it touches all cells that both pass: where these have the
+same maximum, that is the answer. Only for the few other corners, at the edges of what is high, the line itself is
+followed.
 """
 
 import math
@@ -25,8 +26,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.tolerances import SAME_LENGTH
 
-RAYS_PER_CELL = 4  # at the grid's border, at least: more leave fewer corners to follow, and take longer themselves
-BESIDE = 1e-3  # of the way from ray to ray: a corner so near to a ray is on it, and has the next ones beside it
+RAYS_PER_CELL = 8  # at the grid's border, at least: more leave fewer corners to follow, and take longer themselves
+BESIDE = 1e-3  # of the way from ray to ray: a corner so little beyond a ray is on it, and takes the one before
 CORNERS_AT_ONCE = 2**14  # whose lines are followed together
 
 
@@ -39,117 +40,84 @@ def highest_homeward(
       top_m: float32, inf where it is not known; no NaN.
       home: row and column of a place in the grid, not whole: (0.5, 0.5) is the centre of the southwest cell.
     """
+    row, col = home
     near = [slice(max(math.ceil(at) - 1, 0), math.floor(at) + 1) for at in home]
-    home_top = top_m[*near].max()  # of the cells that home touches
-    corners = np.full(np.add(top_m.shape, 1), home_top)
+    corners = np.full(np.add(top_m.shape, 1), top_m[*near].max())
     with jax.enable_x64(True):
-        for step in (1, -1):  # to the east and the west, then to the north and the south
-            for is_turned in (False, True):
-                tops, places, (row, col) = top_m, corners, home
-                if is_turned:
-                    tops, places, (row, col) = tops.T, places.T, (col, row)
-                if step < 0:
-                    col = tops.shape[1] - col
-                tops, places = tops[:, ::step], places[:, ::step]  # a view of the corners
-                np.maximum(places, _highest_east(tops, home_top, row, col), out=places)
+        for _ in range(4):  # to each side; after the fourth turn all is as it was
+            corners = np.maximum(corners, _highest_east(top_m, row, col))
+            row, col = top_m.shape[1] - col, row
+            top_m, corners = np.rot90(top_m), np.rot90(corners)
     rows = np.maximum(corners[1:], corners[:-1])
     return np.maximum(rows[:, 1:], rows[:, :-1])
 
 
 def _highest_east(
-    top_m: Float[np.ndarray, "Y X"], home_top: np.float32, row: float, col: float
+    top_m: Float[np.ndarray, "Y X"], row: float, col: float
 ) -> Float[np.ndarray, "Y+1 X+1"]:
-    """Return the highest top on the line home from each corner; -inf of those that `_swept` leaves out."""
+    """Return the highest top on the line home from each corner to the east of home, -inf of the others."""
     # The higher of the cells west and east of each line of corners, with nothing beyond the grid.
     padded = np.pad(top_m.T, 1, constant_values=-np.inf)
     sides = jnp.asarray(np.maximum(padded[1:], padded[:-1]))
-    highest = np.array(_swept(sides, home_top, row, col))
-    at_col, at_row = np.nonzero(np.isnan(highest))
-    for first in range(0, len(at_col), CORNERS_AT_ONCE):
-        some = slice(first, first + CORNERS_AT_ONCE)
-        lack = (0, max(0, first + CORNERS_AT_ONCE - len(at_col)))
-        places = [np.pad(at[some], lack, mode="edge") for at in (at_col, at_row)]
-        followed = _followed(sides, home_top, row, col, *places)
-        highest[at_col[some], at_row[some]] = np.asarray(followed)[: len(at_col[some])]
+    highest = np.array(_swept(sides, row, col))
+    is_open = np.isnan(highest)
+    corners = np.argwhere(is_open)
+    filled = np.pad(corners, [(0, -len(corners) % CORNERS_AT_ONCE), (0, 0)], mode="edge")
+    groups = filled.reshape(-1, CORNERS_AT_ONCE, 2)
+    followed = [np.asarray(_followed(sides, row, col, group)) for group in groups]
+    highest[is_open] = np.append([], followed)[: len(corners)]
     return highest.T
 
 
 @jax.jit
-def _swept(
-    sides: Float[Array, "X+1 Y+2"], home_top: Array, row: Array, col: Array
-) -> Float[Array, "X+1 Y+1"]:
-    """Return the highest top on the line home from each corner, NaN where rays do not say.
-
-    Corners that are nearer to home from west to east than from south to north, or west of it, have -inf.
-    """
+def _swept(sides: Float[Array, "X+1 Y+2"], row: Array, col: Array) -> Float[Array, "X+1 Y+1"]:
+    """Return the highest top on the line home from each corner to the east, NaN where rays leave it open."""
     num_lines, num_rows = sides.shape
     per_slope = RAYS_PER_CELL * num_lines
-    slope = jnp.arange(-1, 2 * per_slope + 2) / per_slope - 1.0
+    slope = jnp.arange(-1, 2 * per_slope + 3) / per_slope - 1
     corner_row = jnp.arange(num_rows - 1)
 
     def advance(line, state):
-        """Carry the rays to the next line of corners, and see what they say there."""
-        highest, low, high, corners = state
+        """Carry the rays to the next line of corners, and see what those around each corner say."""
+        passed, passed_by_both, corners = state
         run = line - col
-        ray_row = jnp.floor(row + slope * run)
-        top = sides[line, _padded(ray_row, num_rows)]
-        # Cells as high as the highest one join it: the ray touches both.
-        starts_low = (ray_row - SAME_LENGTH - row) / run
-        ends_high = (ray_row + 1 + SAME_LENGTH - row) / run
-        is_new, is_same = top > highest, top == highest
-        low = jnp.where(is_new, starts_low, jnp.where(is_same, jnp.minimum(low, starts_low), low))
-        high = jnp.where(is_new, ends_high, jnp.where(is_same, jnp.maximum(high, ends_high), high))
-        highest = jnp.maximum(highest, top)
+        ray_row = _index(row + slope * run)
+        top = sides[line, ray_row]
+        passed = jnp.maximum(passed, top)
+        is_of_both = ray_row[2:] == ray_row[:-2]
+        passed_by_both = jnp.where(is_of_both, jnp.maximum(passed_by_both, top[2:]), passed_by_both)
 
-        # The corners: the rays below and above each, and whether its line touches what is the highest on them.
         corner_slope = (corner_row - row) / run
-        place = (corner_slope + 1.0) * per_slope + 1
-        below = jnp.ceil(place - BESIDE).astype(int) - 1
-        above = jnp.floor(place + BESIDE).astype(int) + 1
-        most = jnp.maximum(highest[below], highest[above])
-        is_touched = False
-        for ray in (below, above):
-            is_within = (low[ray] <= corner_slope) & (corner_slope <= high[ray])
-            is_touched |= is_within & (highest[ray] == most)
-        values = jnp.where(is_touched, most, jnp.nan)
+        ray = jnp.ceil((corner_slope + 1) * per_slope + 1 - BESIDE).astype(int) - 1
+        highest = jnp.maximum(passed[ray], passed[ray + 2])
+        values = jnp.where(highest == passed_by_both[ray], highest, jnp.nan)
         values = jnp.where(jnp.abs(corner_slope) <= 1, values, -jnp.inf)
-        return highest, low, high, corners.at[line].set(values)
+        return passed, passed_by_both, corners.at[line].set(values)
 
-    start = (
-        jnp.full(slope.shape, home_top),
-        jnp.full(slope.shape, -jnp.inf),
-        jnp.full(slope.shape, jnp.inf),
-        jnp.full((num_lines, num_rows - 1), -jnp.inf, sides.dtype),
-    )
-    first = jnp.floor(col).astype(int) + 1
-    return lax.fori_loop(first, num_lines, advance, start)[-1]
+    shapes = (len(slope), len(slope) - 2, (num_lines, num_rows - 1))
+    start = tuple(jnp.full(shape, -jnp.inf, sides.dtype) for shape in shapes)
+    return lax.fori_loop(jnp.floor(col).astype(int) + 1, num_lines, advance, start)[-1]
 
 
 @jax.jit
 def _followed(
-    sides: Float[Array, "X+1 Y+2"],
-    home_top: Array,
-    row: Array,
-    col: Array,
-    at_col: Int[Array, " C"],
-    at_row: Int[Array, " C"],
+    sides: Float[Array, "X+1 Y+2"], row: Array, col: Array, corners: Int[Array, "C 2"]
 ) -> Float[Array, " C"]:
-    """Return the highest top on the line home from each of some corners, which is followed cell by cell."""
-    slope = (at_row - row) / (at_col - col)
+    """Return the highest top on the line home from each of some corners (line and row), which is followed."""
+    last, corner_row = corners.T
+    slope = (corner_row - row) / (last - col)
 
     def advance(line, highest):
         """Take in the cells that lines touch where they cross a line of corners."""
-        line_row = row + slope * (line - col)
-        for touched in (jnp.floor(line_row + SAME_LENGTH), jnp.ceil(line_row - SAME_LENGTH) - 1):
-            top = sides[line, _padded(touched, sides.shape[1])]
-            highest = jnp.where(line <= at_col, jnp.maximum(highest, top), highest)
-        return highest
+        at = row + slope * (line - col)
+        below = sides[line, _index(jnp.ceil(at - SAME_LENGTH) - 1)]
+        top = jnp.maximum(below, sides[line, _index(at + SAME_LENGTH)])
+        return jnp.where(line <= last, jnp.maximum(highest, top), highest)
 
-    first = jnp.floor(col).astype(int) + 1
-    start = jnp.full(slope.shape, home_top)
-    return lax.fori_loop(first, at_col.max() + 1, advance, start)
+    start = jnp.full(len(corners), -jnp.inf, sides.dtype)
+    return lax.fori_loop(jnp.floor(col).astype(int) + 1, last.max() + 1, advance, start)
 
 
-def _padded(row: Array, num_rows: int) -> Array:
-    """Return the index of a row in an array with a row more at either end, which stands for all beyond."""
-    return jnp.clip(row.astype(int) + 1, 0, num_rows - 1)
+def _index(row: Array) -> Array:
+    """Return the index of the cell that holds a row, in lines with a cell more at either end, for all beyond."""
+    return jnp.maximum(jnp.floor(row).astype(int) + 1, 0)  # beyond the north JAX takes the last
