@@ -212,4 +212,3 @@ def closed_by_clearance(
     if step_m == 0:
         return is_obstacle
     return distance_to_obstacles_m(is_obstacle, resolution_m) < step_m * (1 - SAME_LENGTH)
-

@@ -21,7 +21,7 @@ from jaxurban.paths.plan import rules_on
 from jaxurban.public import Caution, FactsRepr, caution_of_guesses
 
 NAME = "return_altitude"  # of the variable
-LONG_NAME = "least altitude of a straight return, above the ground at home"
+LONG_NAME = "least altitude of a straight flight home, above the ground at home"
 FIGURES = {  # of `ReturnAltitude.figures`: quantile, and how far from home cells may be
     "least_m": (0.0, np.inf),
     "median_m": (0.5, np.inf),
@@ -97,8 +97,8 @@ class ReturnAltitude(FactsRepr):
     def sentence(self) -> str:
         """What one altitude clears."""
         return (
-            "{highest_m:.1f} m above the ground at home clear every cell with a value, {within_500_m:.1f} m those "
-            "within 500 m of home, {within_1000_m:.1f} m those within 1 km."
+            "{highest_m:.1f} m above the ground at home clear all from every cell with a value; {within_500_m:.1f} m "
+            "from those within 500 m of home, {within_1000_m:.1f} m within 1 km."
         ).format_map(self.figures)
 
     @property
@@ -171,7 +171,7 @@ def return_altitude(
     Examples:
       >>> home = ju.return_altitude(maps, start, vertical_clearance_m=10.0)
       >>> print(home.sentence)
-      405.3 m above the ground at home clear every cell with a value, ... m those within 500 m of home, ...
+      405.3 m above the ground at home clear all from every cell with a value; ... m from those within ...
     """
     kept = Constraints(clearance_m=clearance_m, vertical_clearance_m=vertical_clearance_m)
     maps, _, limits = rules_on(as_maps(maps), None, kept, "")

@@ -57,9 +57,7 @@ def highest_homeward(
 
 
 @jax.jit
-def _highest_east(
-    cells: Float[Array, "N 2*Y+2"], row: Array, col: Array
-) -> Float[Array, "N Y+1"]:
+def _highest_east(cells: Float[Array, "N 2*Y+2"], row: Array, col: Array) -> Float[Array, "N Y+1"]:
     """Return the highest on the line home from each corner that lies east of home, -inf of the others.
 
     Args:
