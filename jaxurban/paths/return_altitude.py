@@ -31,7 +31,7 @@ FIGURES = {  # of `ReturnAltitude.figures`: quantile, and how far from home cell
     "within_1000_m": (1.0, 1000.0),
 }
 NO_VALUE = (
-    "{} of the cells have no value, as no altitude clears them for certain: their line home meets cells without data or "
+    "{} of the cells have no value, as no altitude is known to clear them: their line home meets cells without data or "
     "a roof that nothing bounds, or comes nearer to the maps' border than the clearance."
 )
 
@@ -70,11 +70,27 @@ class ReturnAltitude(FactsRepr):
 
         Raises:
           InputError: a place outside the maps.
+
+        Examples:
+          >>> home = ju.return_altitude(maps, start)
+          >>> bool(home.at_xy(*maps.grid.xy_of_lonlat(*goal)) == home.at_lonlat(*goal))
+          True
         """
         return self.altitude_m[self.maps.grid.cell_of_xy(x_m, y_m)]
 
     def at_lonlat(self, lon: Any, lat: Any) -> np.ndarray:
-        """Return the altitude from places, longitude and latitude in degrees, as `at_xy` does."""
+        """Return the altitude from places, longitude and latitude in degrees; arrays give an array.
+
+        Returns:
+          Metres above the ground at home; NaN where there is no value.
+
+        Raises:
+          InputError: a place outside the maps.
+
+        Examples:
+          >>> round(float(ju.return_altitude(maps, start).at_lonlat(*goal)))
+          398
+        """
         return self.at_xy(*self.maps.grid.xy_of_lonlat(lon, lat))
 
     @property
@@ -97,8 +113,8 @@ class ReturnAltitude(FactsRepr):
     def sentence(self) -> str:
         """What one altitude clears."""
         return (
-            "{highest_m:.1f} m above the ground at home clear all from every cell with a value; {within_500_m:.1f} m "
-            "from those within 500 m of home, {within_1000_m:.1f} m within 1 km."
+            "A return at {highest_m:.1f} m above the ground at home clears all that stands from every cell with a "
+            "value, at {within_500_m:.1f} m from those within 500 m of home, at {within_1000_m:.1f} m within 1 km."
         ).format_map(self.figures)
 
     @property
@@ -106,7 +122,7 @@ class ReturnAltitude(FactsRepr):
         """What one altitude clears, what the cells need, and what is kept."""
         needs = "least {least_m:.1f} m, median {median_m:.1f} m, 95 % {p95_m:.1f} m, highest {highest_m:.1f} m"
         return {
-            "a return": self.sentence,
+            "clears": self.sentence,
             "by cell": needs.format_map(self.figures),
             "kept": describe_constraints(self.limits.to_dict()),
         }
@@ -119,10 +135,13 @@ class ReturnAltitude(FactsRepr):
 
     @typed
     def save(self, file: str | Path) -> Path:
-        """Write the map as a GeoTIFF, or the maps with it to a folder, and return that.
+        """Write the map as a GeoTIFF, or the maps with it to a folder.
 
         Args:
           file: named ``.tif``; or a folder, which gets Zarr and GeoTIFFs as `MetricMaps.save` writes them.
+
+        Returns:
+          The file, or the folder.
 
         Raises:
           InputError: what cannot be written to.
@@ -171,7 +190,7 @@ def return_altitude(
     Examples:
       >>> home = ju.return_altitude(maps, start, vertical_clearance_m=10.0)
       >>> print(home.sentence)
-      405.3 m above the ground at home clear all from every cell with a value; ... m from those within ...
+      A return at ... m above the ground at home clears all that stands from every cell with a value, at ...
     """
     kept = Constraints(clearance_m=clearance_m, vertical_clearance_m=vertical_clearance_m)
     maps, _, limits = rules_on(as_maps(maps), None, kept, "")
