@@ -639,7 +639,7 @@ TABLE: dict[str, dict[str, Any]] = {
     },
     "return_altitude": {
         "home": on.BETWEEN,
-        "home_xy_m": ENDS["goal_xy_m"],
+        "home_xy_m": Case((585_000.0, 4_512_000.0), refused="home must be given in one way"),
         "clearance_m": 30.0,
         "vertical_clearance_m": 9.0,
     },
@@ -1021,7 +1021,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     ),
     "info": (("{home}/maps",), {"--json": JSON}),
     "return": (
-        ("{home}/maps", "--home={start}"),
+        ("{home}/maps", "--home={start}", "--resolution=20"),
         {
             "--home": "-73.993819,40.758629",
             "--clearance": "30",

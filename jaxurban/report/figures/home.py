@@ -6,6 +6,7 @@ from jaxurban.paths.return_altitude import NAME, ReturnAltitude
 from jaxurban.report.figures.frame import END_LOOK
 from jaxurban.report.figures.metrics import plot_metric
 from jaxurban.report.figures.style import TEXT_PT
+from jaxurban.report.write import Look
 
 
 def plot_return(home: ReturnAltitude) -> Figure:
@@ -15,6 +16,6 @@ def plot_return(home: ReturnAltitude) -> Figure:
     text = home.sentence.replace(", at", ",\nat", 1)
     panel.set_title(f"{text} Beige: no value.", loc="left", fontsize=TEXT_PT)
     panel.plot(*home.home_xy_m, marker="*", markersize=14.0, clip_on=False, **END_LOOK)
-    label = {"textcoords": "offset points", "backgroundcolor": "white", "fontsize": TEXT_PT}
+    label: Look = {"textcoords": "offset points", "backgroundcolor": "white", "fontsize": TEXT_PT}
     panel.annotate("home", home.home_xy_m, (9, 7), **label)
     return figure
