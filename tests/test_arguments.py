@@ -1027,7 +1027,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--clearance": "30",
             "--vertical-clearance": "9",
             "--resolution": "40",
-            "-o": "{out}/home.tif",
+            "-o": Case("home.txt", refused=".tif"),
             "--json": JSON,
         },
     ),

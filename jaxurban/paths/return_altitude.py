@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from jaxurban.checks import typed
+from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.io.geotiff import write_bands
 from jaxurban.io.read.guesses import percent
@@ -130,8 +130,9 @@ class ReturnAltitude(FactsRepr):
     @property
     def cautions(self) -> list[Caution]:
         """How many cells have no value, and what the maps guess."""
-        share = percent(np.isnan(self.altitude_m).mean())
-        return [Caution(NO_VALUE.format(share)), *caution_of_guesses(self.maps.guesses)]
+        share = np.isnan(self.altitude_m).mean()
+        cautions = caution_of_guesses(self.maps.guesses)
+        return [Caution(NO_VALUE.format(percent(share))), *cautions] if share else cautions
 
     @typed
     def save(self, file: str | Path) -> Path:
@@ -144,14 +145,14 @@ class ReturnAltitude(FactsRepr):
           The file, or the folder.
 
         Raises:
-          InputError: what cannot be written to.
+          InputError: another end of the name, or what cannot be written to.
 
         Examples:
           >>> ju.return_altitude(maps, start).save("home.tif").name
           'home.tif'
         """
         file = Path(file)
-        if file.suffix != ".tif":
+        if one_of("the end of a file's name", file.suffix, (".tif", "")) == "":
             return self.maps.save(file, layers=[NAME])
         return write_bands(file, self.maps.grid, {LONG_NAME: self.altitude_m}, "m")
 
