@@ -33,6 +33,8 @@ from jaxurban.paths.plan import cost_map as cost_map
 from jaxurban.paths.plan import plan as plan
 from jaxurban.paths.profile import cautions as cautions
 from jaxurban.paths.queries import PlannedPaths as PlannedPaths
+from jaxurban.paths.return_altitude import ReturnAltitude as ReturnAltitude
+from jaxurban.paths.return_altitude import return_altitude as return_altitude
 from jaxurban.paths.route_report import OverflownDensity as OverflownDensity
 from jaxurban.paths.route_report import RouteReport as RouteReport
 from jaxurban.paths.to_go import cost_to_go as cost_to_go

@@ -301,6 +301,9 @@ USES: dict[str, Callable[..., Any]] = {
     ),
     "plan": on.planned,
     "plan_many": on.many,
+    "return_altitude": lambda **given: (
+        ju.return_altitude(on.maps(), **{"home": GOAL} | given).altitude_m
+    ),
     "sample_city": lambda **given: ju.sample_city("nihonbashi", **given).kinds,
     "sky": lambda **given: ju.sky(given.pop("where", home() / "maps"), START, 20.0, **given),
     "sky_along": lambda **given: ju.sky_along(
@@ -633,6 +636,12 @@ TABLE: dict[str, dict[str, Any]] = {
         "file": Same("it keeps the rows of an interrupted call: the result is the same"),
         "num_threads": Same("any number of threads finds the same paths"),
         "progress": PROGRESS,
+    },
+    "return_altitude": {
+        "home": on.BETWEEN,
+        "home_xy_m": Case((585_000.0, 4_512_000.0), refused="home must be given in one way"),
+        "clearance_m": 30.0,
+        "vertical_clearance_m": 9.0,
     },
     "sky": SKY | {"time": LATER},
     "sky_along": SKY | {"altitude_m": 60.0, "times": LATER, "speed_m_s": 10.0},
@@ -1011,6 +1020,17 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         },
     ),
     "info": (("{home}/maps",), {"--json": JSON}),
+    "return": (
+        ("{home}/maps", "--home={start}", "--resolution=20"),
+        {
+            "--home": "-73.993819,40.758629",
+            "--clearance": "30",
+            "--vertical-clearance": "9",
+            "--resolution": "40",
+            "-o": Case("home.txt", refused=".tif"),
+            "--json": JSON,
+        },
+    ),
     "sky": (
         ("{home}/maps", "--at={start}", "--altitude=20"),
         {

@@ -38,6 +38,7 @@ MADE = (  # what functions return; XY is looked at where it is used
         "OverflownDensity",
         "PlannedPath",
         "PlannedPaths",
+        "ReturnAltitude",
         "RouteReport",
         "SensitivityStudy",
     ),

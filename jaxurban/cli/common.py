@@ -369,6 +369,18 @@ MAPS = grouped(
         "covers; paths may then cut true outlines.  [default: the scenario's, else touched]",
     ),
 )
+CLEARANCES = together(
+    METRES(
+        "--clearance",
+        "clearance_m",
+        help="Least distance from buildings that reach the path's altitude.  [default: the scenario's, else 0]",
+    ),
+    METRES(
+        "--vertical-clearance",
+        "vertical_clearance_m",
+        help="Least height over roofs; a path goes around higher ones.  [default: the scenario's, else 3]",
+    ),
+)
 CONSTRAINTS = grouped(
     "constraints",
     constraints_of,
@@ -383,16 +395,7 @@ CONSTRAINTS = grouped(
         multiple=True,
         help="Bound that every cell of a path must keep, such as gps>=0.3; repeatable.",
     ),
-    METRES(
-        "--clearance",
-        "clearance_m",
-        help="Least distance from buildings that reach the path's altitude.  [default: the scenario's, else 0]",
-    ),
-    METRES(
-        "--vertical-clearance",
-        "vertical_clearance_m",
-        help="Least height over roofs; a path goes around higher ones.  [default: the scenario's, else 3]",
-    ),
+    CLEARANCES,
 )
 COST_MODEL = click.option(
     "--cost-model",

@@ -20,6 +20,7 @@ from jaxurban.cli.common import logged_on_stderr, print_json
 from jaxurban.cli.compare import compare, validate
 from jaxurban.cli.demo import demo
 from jaxurban.cli.fetch import fetch
+from jaxurban.cli.home import return_home
 from jaxurban.cli.info import info
 from jaxurban.cli.maps import maps
 from jaxurban.cli.plan import plan
@@ -55,6 +56,7 @@ COMMANDS = (
     info,
     maps,
     plan,
+    return_home,
     score,
     sensitivity,
     sensitivity_study,

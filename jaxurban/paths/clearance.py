@@ -29,11 +29,9 @@ def obstacles_within(
 ) -> np.ndarray:
     """Return ``[Y, X]`` bool: whether a roof in the cell reaches an altitude, or ends less than ``vertical_m`` below.
 
-    Where a horizontal distance is kept, a roof counts in every cell that it touches; otherwise where the maps' rule of
-    obstacles counts it. One of guessed height counts in every cell that it touches, up to its bound. Cells without data
-    and roofs of unknown height are obstacles too, bare ground is none. Over terrain the height of a roof is measured
-    from the lowest ground within ``horizontal_m``, since a path may pass it there. No margin is added to ``vertical_m``
-    for what a file may change, as files round heights up.
+    Roofs are those of `reaches_m`, and bare ground is no obstacle. Over terrain the height of a roof is measured from
+    the lowest ground within ``horizontal_m``, since a path may pass it there. No margin is added to ``vertical_m`` for
+    what a file may change, as files round heights up.
 
     Args:
       maps: the metric maps.
@@ -46,6 +44,30 @@ def obstacles_within(
     """
     from jaxurban.world.surface import stands_at  # imported here: it brings JAX
 
+    roof_m = reaches_m(maps, horizontal_m)
+    if "terrain" in maps.ds:  # above the ground from which a path may pass it
+        roof_m = roof_m + (roof_m > 0) * _over_lowest_ground_m(maps, horizontal_m)
+    is_obstacle = stands_at(roof_m, np.float32(altitude_m - vertical_m))
+    # The maps' own obstacles count too, which are known at the altitudes of the maps alone.
+    if altitude_m in maps.altitudes_m:
+        is_obstacle |= maps.m("obstacle", altitude_m) != 0
+    return is_obstacle
+
+
+def reaches_m(maps: "MetricMaps", horizontal_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` up to which height above its ground what stands in each cell may reach, 0 where nothing does.
+
+    Where a horizontal distance is kept, a roof counts in every cell that it touches; otherwise where the maps' rule of
+    obstacles counts it. One of guessed height counts in every cell that it touches, up to its bound. Cells without data
+    and roofs of unknown height reach to inf.
+
+    Args:
+      maps: the metric maps.
+      horizontal_m: the distance that is kept from obstacles; 0 for none.
+
+    Raises:
+      InputError: maps that hold no touched roofs.
+    """
     name = "roof_touched" if horizontal_m or maps.obstacles == "touched" else "roof"
     if name not in maps.ds:
         raise InputError(
@@ -53,14 +75,8 @@ def obstacles_within(
             "(clearance_m and vertical_clearance_m 0, no radius of the vehicle)"
         )
     roof_m = np.maximum(maps.m(name), roof_limits_m(maps))  # NaN where either is
-    is_obstacle = np.isnan(roof_m) | ~maps.ds["has_data"].values
-    if "terrain" in maps.ds:  # above the ground from which a path may pass it
-        roof_m = roof_m + (roof_m > 0) * _over_lowest_ground_m(maps, horizontal_m)
-    is_obstacle |= stands_at(roof_m, np.float32(altitude_m - vertical_m))
-    # The maps' own obstacles count too, which are known at the altitudes of the maps alone.
-    if altitude_m in maps.altitudes_m:
-        is_obstacle |= maps.m("obstacle", altitude_m) != 0
-    return is_obstacle
+    is_known = maps.ds["has_data"].values & ~np.isnan(roof_m)
+    return np.where(is_known, roof_m, np.float32(np.inf))
 
 
 def _over_lowest_ground_m(maps: "MetricMaps", reach_m: float) -> np.ndarray:
@@ -90,11 +106,36 @@ def limit_near_m(maps: "MetricMaps", cell: "Cell", horizontal_m: float) -> float
       horizontal_m: the clearance.
     """
     limit_m = roof_limits_m(maps)
-    offset = np.abs(np.indices(limit_m.shape) - np.reshape(cell, (2, 1, 1)))
-    apart_m = np.hypot(*np.maximum(offset - 1, 0)) * maps.grid.resolution_m
-    step_m, _ = closing_step_m(horizontal_m, maps.grid.resolution_m)
-    is_near = (apart_m < step_m * (1 - SAME_LENGTH)) | (offset.max(axis=0) == 0)
+    away = np.indices(limit_m.shape) - np.reshape(cell, (2, 1, 1))
+    is_near = _closes(away, horizontal_m, maps.grid.resolution_m)
     return float(np.nanmax(limit_m[is_near], initial=0.0))
+
+
+def _closes(away: np.ndarray, horizontal_m: float, resolution_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` whether what stands so many rows and columns away, ``[2, Y, X]``, closes a cell."""
+    away = np.abs(away)
+    apart_m = np.hypot(*np.maximum(away - 1, 0)) * resolution_m
+    step_m, _ = closing_step_m(horizontal_m, resolution_m)
+    return (apart_m < step_m * (1 - SAME_LENGTH)) | (away.max(axis=0) == 0)
+
+
+def highest_within(top_m: np.ndarray, horizontal_m: float, resolution_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` the highest of the cells that close each cell by a horizontal clearance, and of itself.
+
+    These are the cells that `closed_by_clearance` looks at; inf where the maps' border is as near.
+
+    Args:
+      top_m: ``[Y, X]`` of each cell.
+      horizontal_m: the clearance.
+      resolution_m: side of a cell.
+    """
+    from scipy.ndimage import maximum_filter
+
+    step_m, _ = closing_step_m(horizontal_m, resolution_m)
+    reach = min(math.ceil(step_m / resolution_m), max(top_m.shape))
+    away = np.indices((2 * reach + 1,) * 2) - reach
+    is_near = _closes(away, horizontal_m, resolution_m)
+    return maximum_filter(top_m, footprint=is_near, mode="constant", cval=np.inf)
 
 
 def reach_said(limit_m: float) -> str:

@@ -10,12 +10,14 @@ from matplotlib.colors import BoundaryNorm, Normalize
 
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
-from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Variable, high_is_bad
+from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Scale, Variable, high_is_bad
 from jaxurban.metrics.gps import FIX
+from jaxurban.paths.return_altitude import LONG_NAME, NAME
 from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import (
     EMPTY_COLOUR,
     class_patches,
+    colours_of,
     drawn_variables,
     metric_colours,
     values_of,
@@ -29,6 +31,9 @@ BAR_COLOURS = 256  # steps of the bar of a layer without classes
 RANGE_ERROR_M = 5.0  # of a satellite's range, standard deviation, a round figure: the position's is HDOP times it
 ERROR_LABEL = f"Horizontal position error in metres, low is good: HDOP x {RANGE_ERROR_M:g} m"
 ERROR_COLOURS = Colours("viridis_r", Normalize(0, 50), ERROR_LABEL, extend="max")
+RETURN = Variable(
+    NAME, LONG_NAME, "m", title="Return altitude: click home", scale=Scale(low=None, high=None)
+)
 NO_FIX_PATCH = ("no fix", "repeating-linear-gradient(135deg,#d01824 0 2px,transparent 2px 4px)")
 # How values travel of a cell in an obstacle, and of a cell that is not drawn.
 OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)
@@ -112,6 +117,8 @@ class DrawnLayer:
             return COST_COLOURS
         if self.name == POSITION_ERROR:
             return ERROR_COLOURS
+        if self.name == NAME:
+            return colours_of(self.variable, lambda: values, f"{LONG_NAME}, in metres")
         metric = self.cost_of
         if metric is None:
             return metric_colours(self.maps, self.name, None if self.dims else values)
@@ -158,6 +165,7 @@ def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
         for name, variable in variables.items():
             if name not in maps.metrics and group == _group(maps, variable):
                 add(name, variable, group)
+    add(NAME, RETURN, "Ground")
     return layers
 
 

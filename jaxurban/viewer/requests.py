@@ -24,10 +24,14 @@ class Request(BaseModel):
 
 
 class OneView(Request):
-    """A map: its layer, and the numbers of its altitude, time and time of day in the lists of the scene."""
+    """A map: its layer, and the numbers of its altitude, time and time of day in the lists of the scene.
+
+    ``home`` is that of the layer of returns, which has no values without it.
+    """
 
     layer: Name
     at: MapIndex
+    home: Place | None = None
 
 
 class Subtrahend(OneView):

@@ -7,7 +7,7 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from html import escape
 from operator import attrgetter
 from pathlib import Path
@@ -29,6 +29,7 @@ from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import cautions, cautious_profile, without_fix
+from jaxurban.paths.return_altitude import NAME, return_altitude
 from jaxurban.paths.route_report import CLEARANCE, RouteReport
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
@@ -37,7 +38,7 @@ from jaxurban.report.figures.metrics import group_numbers, line_colour
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.satellites.along import sky_from
 from jaxurban.satellites.sight import Sight
-from jaxurban.settings import Preset, Vehicle
+from jaxurban.settings import CLEARANCES, Preset, Vehicle
 from jaxurban.viewer import markup
 from jaxurban.viewer.base import base_of
 from jaxurban.viewer.layers import H_NORM, NOTHING, DrawnLayer, difference, layers_of, legend_of
@@ -377,7 +378,13 @@ class Viewer:
     def _values(self, view: OneView) -> np.ndarray:
         """Return the values ``[Y, X]`` of a map of these maps, without a difference."""
         layer, at = self._layer(view)
-        return self.kept.get((view.layer, at), lambda: layer.values(at))
+        if view.layer != NAME:
+            return self.kept.get((view.layer, at), lambda: layer.values(at))
+        if view.home is None:
+            return np.full(self.maps.grid.shape, NOTHING)
+        kept = {name: getattr(self.plans.limits, name) for name in CLEARANCES}
+        returns = partial(return_altitude, self.maps, view.home, **kept)
+        return self.kept.get((view.layer, view.home), lambda: returns().altitude_m)
 
     def _layer(self, view: OneView) -> tuple[DrawnLayer, OneMap]:
         """Return a layer of these maps, and the altitude, time and time of day at which it is looked at.
@@ -476,7 +483,7 @@ class Viewer:
         is_inside = self._value_in(self.layers["obstacle"], cell) != 0
 
         rows: list[dict[str, Any]] = []
-        if cell.view is not None:
+        if cell.view is not None and cell.view.minus is not None:
             layer, _ = self._layer(cell.view)
             value = self.values(cell.view)[cell.row, cell.col]
             words = {"told": "Difference", "classes": [], "unit": unit_of(layer)}
@@ -507,7 +514,9 @@ class Viewer:
         """
         variable = self.maps.variable(layer.name)
         if variable not in self.maps.ds:
-            value = self.values(View(layer=layer.name, at=cell.at))[cell.row, cell.col]
+            home = cell.view.home if cell.view else None
+            view = View(layer=layer.name, at=cell.at, home=home)
+            value = self.values(view)[cell.row, cell.col]
             return float(value) if np.isfinite(value) else math.nan
         at = self.place(cell.at, layer.dims)
         array = self.maps.ds[variable]

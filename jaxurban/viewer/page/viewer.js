@@ -37,9 +37,11 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   };
   const places = (which = '') => DIMS.map(name => +field(which + name).value);
   const flight = () => parseFloat(field('flight_m').value || field('altitude').selectedOptions[0]?.text); // metres
+  const isOfHome = () => field('layer').value === 'return_altitude';
   const show = guard(async () => {
     const layer = layers[field('layer').value], less = layers[field('minus-layer').value];
     const request = { layer: layer.name, at: ofLayer(layer, places()) };
+    if (isOfHome() && state.home) request.home = toLonLat(state.home);
     if (less) request.minus = { layer: less.name, at: ofLayer(less, places('minus-')),
       is_other: field('minus-is_other').value === '1' };
     is('minus-box').hidden = !less;
@@ -92,7 +94,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
       spot(place, 1, '#1f2429', '#1f2429');
       mark(name, markOf(name));
     }
-    for (const each of [state.tab === 'look' && state.sky, state.linked]) if (each) spot(each, 5, '#1f2429', '#fff');
+    for (const each of [state.tab === 'look' && (isOfHome() ? state.home : state.sky), state.linked]) if (each) spot(each, 5, '#1f2429', '#fff');
     if (map.matches(':focus-visible')) spot([view.x, view.y], 3, '#fff', '#1f2429');
     const most = 130 * view.scale, power = 10 ** Math.floor(Math.log10(most));
     const length = [5, 2, 1].map(factor => factor * power).find(each => each <= most);
@@ -136,7 +138,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   // --- the pointer
   const look = latest(async ([x, y]) => {
     const cell = [y, x].map(metres => Math.floor(metres / side)), table = is('values');
-    const { minus, ...shown } = state.shown?.request ?? {}, drawn = minus && { view: { ...shown, minus } };
+    const { minus, ...shown } = state.shown?.request ?? {}, drawn = (minus || shown.home) && { view: { ...shown, minus } };
     const values = await ask('values', { at: places(), row: cell[0], col: cell[1], ...drawn });
     table.replaceChildren();
     for (const { name, told, value, classes, unit } of values) {
@@ -325,7 +327,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   };
   const click = (place, end = state.ends.start ? 'goal' : 'start') => {
     if (!isInside(place) || !scene.can_plan) return;
-    if (state.tab === 'look') showSky(state.sky = place).then(() => reveal(is('sky-box')));
+    if (state.tab === 'look' && isOfHome()) { state.home = place; show(); }
+    else if (state.tab === 'look') showSky(state.sky = place).then(() => reveal(is('sky-box')));
     else if (state.drawing) state.drawing.push(place);
     else { setEnd(end, place); plan(); }
     draw();

@@ -1,0 +1,56 @@
+"""jaxurban return."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxurban.cli.common import (
+    CLEARANCES,
+    FILES,
+    FOLDER,
+    JSON_FLAG,
+    LONLAT,
+    RESOLUTION,
+    print_json,
+)
+from jaxurban.progress import LOG
+
+
+@click.command("return")
+@FOLDER
+@click.option("--home", type=LONLAT, required=True, help="Home: longitude,latitude in degrees.")
+@CLEARANCES
+@RESOLUTION
+@FILES(
+    help="File to write: .tif, or a picture (.png, .pdf, .svg); or a folder for Zarr and GeoTIFF; repeatable."
+)
+@JSON_FLAG
+def return_home(
+    folder: Path,
+    resolution_m: float | None,
+    files: tuple[Path, ...],
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Say how high a straight flight home must be over the maps in DIR.
+
+    Altitudes are in metres above the ground at home, for every cell that the flight may return from.
+    """
+    from jaxurban.maps.saving import open_maps
+    from jaxurban.paths.return_altitude import return_altitude
+    from jaxurban.report.figures.home import plot_return
+    from jaxurban.report.write import PICTURES, save
+
+    home = return_altitude(open_maps(folder, resolution_m), **options)
+    for file in files:
+        is_picture = file.suffix.lower() in PICTURES
+        save(file.parent, {file.name: partial(plot_return, home) if is_picture else home.save})
+        LOG.info(f"wrote {file}")
+    for caution in home.cautions:
+        LOG.info(caution)
+    if as_json:
+        print_json(home.figures)
+    else:
+        print("\n".join(f"{name}: {fact}" for name, fact in home.facts.items()))

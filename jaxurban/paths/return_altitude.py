@@ -1,0 +1,223 @@
+"""return_altitude: how high a straight flight home must be, from every cell of maps."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from jaxurban.checks import one_of, typed
+from jaxurban.errors import InputError
+from jaxurban.io.geotiff import write_bands
+from jaxurban.io.read.guesses import percent
+from jaxurban.kernels.line.homeward import highest_homeward
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
+from jaxurban.paths.clearance import highest_within, reaches_m
+from jaxurban.paths.constraints import Constraints, describe_constraints
+from jaxurban.paths.elevation import Elevation
+from jaxurban.paths.places import XY, Point, one_place
+from jaxurban.paths.plan import rules_on
+from jaxurban.public import Caution, FactsRepr, caution_of_guesses
+
+NAME = "return_altitude"  # of the variable
+LONG_NAME = "least altitude of a straight flight home, above the ground at home"
+FIGURES = {  # of `ReturnAltitude.figures`: quantile, and how far from home cells may be
+    "least_m": (0.0, np.inf),
+    "median_m": (0.5, np.inf),
+    "p95_m": (0.95, np.inf),
+    "highest_m": (1.0, np.inf),
+    "within_500_m": (1.0, 500.0),
+    "within_1000_m": (1.0, 1000.0),
+}
+NO_VALUE = (
+    "{} of the cells have no value, as no altitude is known to clear them: their line home meets cells without data or "
+    "a roof that nothing bounds, or comes nearer to the maps' border than the clearance."
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ReturnAltitude(FactsRepr):
+    """The least altitude of a straight return home from every cell. ``Y`` rows, ``X`` columns.
+
+    Attributes:
+      maps: with `altitude_m` as one more variable, ``return_altitude``, which they save and pictures show.
+      home_xy_m: easting and northing of home in the maps' CRS.
+      ground_m: elevation of the ground there, above the zero of the terrain; 0 over level ground.
+      limits: the clearances and the vehicle.
+
+    Examples:
+      >>> home = ju.return_altitude(maps, start)
+      >>> home.altitude_m.shape, round(float(home.at_lonlat(*goal)))
+      ((30, 30), 398)
+    """
+
+    maps: MetricMaps
+    home_xy_m: tuple[float, float]
+    ground_m: float
+    limits: Constraints
+
+    @property
+    def altitude_m(self) -> np.ndarray:
+        """``[Y, X]`` float32 metres above the ground at home, row 0 in the south; NaN where there is no value."""
+        return self.maps.m(NAME)
+
+    def at_xy(self, x_m: Any, y_m: Any) -> np.ndarray:
+        """Return the altitude from places, easting and northing in the maps' CRS; arrays give an array.
+
+        Returns:
+          Metres above the ground at home; NaN where there is no value.
+
+        Raises:
+          InputError: a place outside the maps.
+
+        Examples:
+          >>> home = ju.return_altitude(maps, start)
+          >>> bool(home.at_xy(*maps.grid.xy_of_lonlat(*goal)) == home.at_lonlat(*goal))
+          True
+        """
+        return self.altitude_m[self.maps.grid.cell_of_xy(x_m, y_m)]
+
+    def at_lonlat(self, lon: Any, lat: Any) -> np.ndarray:
+        """Return the altitude from places, longitude and latitude in degrees; arrays give an array.
+
+        Returns:
+          Metres above the ground at home; NaN where there is no value.
+
+        Raises:
+          InputError: a place outside the maps.
+
+        Examples:
+          >>> round(float(ju.return_altitude(maps, start).at_lonlat(*goal)))
+          398
+        """
+        return self.at_xy(*self.maps.grid.xy_of_lonlat(lon, lat))
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """What the cells with a value need, in metres above the ground at home, by name.
+
+        ``least_m``, ``median_m``, ``p95_m`` and ``highest_m``, which clears them all; ``within_500_m`` and
+        ``within_1000_m``, which clear those as near to home.
+        """
+        grid = self.maps.grid
+        east_m, north_m = self.home_xy_m
+        apart_m = np.hypot(grid.x_m - east_m, grid.y_m[:, None] - north_m)
+        figures = {}
+        for name, (share, reach_m) in FIGURES.items():
+            near_m = self.altitude_m[apart_m <= reach_m]
+            figures[name] = float(np.nanquantile(near_m, share, method="higher"))
+        return figures
+
+    @property
+    def sentence(self) -> str:
+        """What one altitude clears."""
+        return (
+            "A return at {highest_m:.1f} m above the ground at home clears all that stands from every cell with a "
+            "value, at {within_500_m:.1f} m from those within 500 m of home, at {within_1000_m:.1f} m within 1 km."
+        ).format_map(self.figures)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What one altitude clears, what the cells need, and what is kept."""
+        needs = "least {least_m:.1f} m, median {median_m:.1f} m, 95 % {p95_m:.1f} m, highest {highest_m:.1f} m"
+        return {
+            "clears": self.sentence,
+            "by cell": needs.format_map(self.figures),
+            "kept": describe_constraints(self.limits.to_dict()),
+        }
+
+    @property
+    def cautions(self) -> list[Caution]:
+        """How many cells have no value, and what the maps guess."""
+        share = np.isnan(self.altitude_m).mean()
+        cautions = caution_of_guesses(self.maps.guesses)
+        return [Caution(NO_VALUE.format(percent(share))), *cautions] if share else cautions
+
+    @typed
+    def save(self, file: str | Path) -> Path:
+        """Write the map as a GeoTIFF, or the maps with it to a folder.
+
+        Args:
+          file: named ``.tif``; or a folder, which gets Zarr and GeoTIFFs as `MetricMaps.save` writes them.
+
+        Returns:
+          The file, or the folder.
+
+        Raises:
+          InputError: another end of the name, or what cannot be written to.
+
+        Examples:
+          >>> ju.return_altitude(maps, start).save("home.tif").name
+          'home.tif'
+        """
+        file = Path(file)
+        if one_of("the end of a file's name", file.suffix, (".tif", "")) == "":
+            return self.maps.save(file, layers=[NAME])
+        return write_bands(file, self.maps.grid, {LONG_NAME: self.altitude_m}, "m")
+
+
+@typed
+def return_altitude(
+    maps: MapsLike,
+    home: Point | None = None,
+    *,
+    home_xy_m: Point | None = None,
+    clearance_m: float | None = None,
+    vertical_clearance_m: float | None = None,
+) -> ReturnAltitude:
+    """Return how high a flight must be, from every cell, to fly straight home over all that stands on the way.
+
+    A return climbs straight up, flies level and straight home at one altitude, and descends over home. The value of a
+    cell is the least altitude, above the ground at home, at which a straight line from anywhere in the cell to home
+    keeps the vertical clearance over the ground and over all that stands in every cell that it touches, or that is
+    nearer to such a cell than the clearance. Cells count as for `plan`: what hangs counts from the ground up, roofs of
+    guessed height count up to their bound, and the vehicle of the maps' scenario adds its radius to the clearance.
+    There is no value where a line meets a cell without data or a roof that nothing bounds.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      home: longitude, latitude in degrees.
+      home_xy_m: easting, northing in the maps' CRS, instead of ``home``.
+      clearance_m, vertical_clearance_m: kept from all that stands, and over it; left out, as in the maps' scenario, or
+        0 and 3 m.
+
+    Returns:
+      `ReturnAltitude`.
+
+    Raises:
+      InputError: home is outside the maps, or its cell has no value.
+
+    Examples:
+      >>> home = ju.return_altitude(maps, start, vertical_clearance_m=10.0)
+      >>> print(home.sentence)
+      A return at ... m above the ground at home clears all that stands from every cell with a value, at ...
+    """
+    kept = Constraints(clearance_m=clearance_m, vertical_clearance_m=vertical_clearance_m)
+    maps, _, limits = rules_on(as_maps(maps), None, kept, "")
+    grid = maps.grid
+    place: Any = one_place("home", home, home_xy_m)[:2]
+    home_m = np.array(place if home is None or isinstance(home, XY) else grid.xy_of_lonlat(*place))
+    home_cell = grid.cell_of_xy(*home_m)  # refuses a home outside
+
+    # The highest that must be cleared in each cell, above home's ground. The ground within a cell is nowhere above the
+    # highest of the centres around it.
+    top_m = reaches_m(maps, limits.horizontal_m)
+    ground_m = float(Elevation(maps, None).at(home_m))
+    if "terrain" in maps.ds:
+        top_m = top_m + maximum_filter(np.nan_to_num(maps.m("terrain")), 3) - ground_m
+    top_m = highest_within(top_m.astype(np.float32), limits.horizontal_m, grid.resolution_m)
+
+    # A cell is closed at the very height of its roof.
+    col, row = (home_m - grid.bounds_m[:2]) / grid.resolution_m
+    altitude_m = highest_homeward(top_m, (row, col)) + np.float32(limits.vertical_m)
+    altitude_m = np.nextafter(altitude_m, np.float32(np.inf))
+    altitude_m[np.isinf(altitude_m)] = np.nan
+    if np.isnan(altitude_m[home_cell]):
+        raise InputError(
+            "home is beside cells without data or a roof that nothing bounds, or nearer to the maps' border than the "
+            "clearance, so that no return can be judged: choose another home, or maps of a wider region"
+        )
+    variable = ("y", "x"), altitude_m, {"long_name": LONG_NAME, "units": "m"}
+    maps = replace(maps, ds=maps.ds.assign({NAME: variable}))
+    return ReturnAltitude(maps, tuple(home_m.tolist()), ground_m, limits)

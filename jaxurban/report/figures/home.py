@@ -1,0 +1,21 @@
+"""The picture of how high a straight flight home must be."""
+
+from matplotlib.figure import Figure
+
+from jaxurban.paths.return_altitude import NAME, ReturnAltitude
+from jaxurban.report.figures.frame import END_LOOK
+from jaxurban.report.figures.metrics import plot_metric
+from jaxurban.report.figures.style import TEXT_PT
+from jaxurban.report.write import Look
+
+
+def plot_return(home: ReturnAltitude) -> Figure:
+    """Return the least altitude of a straight return from every cell, with home as a star."""
+    figure = plot_metric(home.maps, NAME)
+    panel = figure.axes[0]
+    text = home.sentence.replace(", at", ",\nat", 1)
+    panel.set_title(f"{text} Beige: no value.", loc="left", fontsize=TEXT_PT)
+    panel.plot(*home.home_xy_m, marker="*", markersize=14.0, clip_on=False, **END_LOOK)
+    label: Look = {"textcoords": "offset points", "backgroundcolor": "white", "fontsize": TEXT_PT}
+    panel.annotate("home", home.home_xy_m, (9, 7), **label)
+    return figure
