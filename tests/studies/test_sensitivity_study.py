@@ -209,7 +209,7 @@ def test_no_text_of_a_figure_leaves_the_page_and_panels_that_are_compared_share_
 ):
     for name, draw in study_figures(weight_study.tables, 2.0).items():
         assert_on_the_page(name, draw())
-    figure = plot_nearest(weight_study.tables["weights"], 2.0)
+    figure = plot_nearest(weight_study.tables["summary"], 2.0)
     assert len({panel.get_xlim() for panel in figure.axes}) == 1
     colours = {line.get_label(): line.get_color() for panel in figure.axes for line in panel.lines}
     named = {name: colour for name, colour in colours.items() if name in METRICS}

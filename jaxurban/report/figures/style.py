@@ -75,7 +75,6 @@ printed = rc_context(
         "svg.hashsalt": "jaxurban",  # else two files of one figure differ
     }
 )
-LEGEND_COLUMNS = 6
 ENTRY_IN = 0.45  # of a legend's entry, beside its letters
 WIDE = 5.0  # an axis whose ends differ by this factor has ticks at 1, 2 and 5 of each decade
 EDGE_IN, TITLE_IN = 0.1, 0.8
@@ -241,9 +240,9 @@ def legend_above(panel: Axes, lift: float = 0.0) -> None:
 
 
 def legend_below(figure: Figure, panel: Axes) -> None:
-    """Write the legend of a panel at the foot of its figure, in at most `LEGEND_COLUMNS` columns."""
+    """Write the legend of a panel at the foot of its figure, which has no note, in as many columns as fit."""
     handles, names = panel.get_legend_handles_labels()
-    num_cols = min(LEGEND_COLUMNS, len(names))
+    num_cols = min(len(names), legend_columns(names, figure.get_figwidth()))
     legend = figure.legend(handles, names, loc="outside lower center", ncols=num_cols)
     for handle in legend.legend_handles:  # a line that is drawn beside its place stands at it here
         if isinstance(handle, Artist):
@@ -321,17 +320,17 @@ def step_up(panel: Axes, values: np.ndarray, end: float, **look: Any) -> None:
     panel.step([1.0, *reached, end], [*share, share[-1]], where="post", **look)
 
 
-def dots(panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, **look: Any) -> None:
+def dots(panel: Axes, y: np.ndarray, rows: pd.DataFrame, name: str, **look: Any) -> None:
     """Draw a statistic of a table's rows as dots with their intervals as bars; dots without an interval are hollow.
 
     Args:
       panel: to draw in.
-      x: ``[N]`` place of each row.
+      y: ``[N]`` place of each row.
       rows: ``N`` rows with the columns NAME, NAME_low and NAME_high; NaN where a value or an interval is not known.
       name: of the statistic.
       look: of the dots, as Matplotlib's keywords: a ``color``, and maybe a ``label`` for the legend.
     """
-    # How far each bar reaches below and above its dot; NaN, which is drawn as 0, without an interval.
+    # How far each bar reaches to the left and right of its dot; NaN, which is drawn as 0, without an interval.
     columns = [name, f"{name}_low", f"{name}_high"]
     values, low, high = rows[columns].to_numpy(np.float64).T
     below = values - low
@@ -344,14 +343,22 @@ def dots(panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, **look: Any)
         if is_drawn.any():
             look["label"] = label
             panel.errorbar(
-                x[is_drawn],
                 values[is_drawn],
-                yerr=bars[:, is_drawn],
+                y[is_drawn],
+                xerr=bars[:, is_drawn],
                 markerfacecolor=face,
                 **DOT,
                 **look,
             )
             label = None  # the legend names a series once
+
+
+def name_rows(panel: Axes, names: Sequence[str]) -> None:
+    """Give a panel a row for each name, the first one on top, and lines upright in place of those across."""
+    panel.set_yticks(range(len(names)), names)
+    panel.set_ylim(len(names) - 0.4, -0.6)
+    panel.grid(visible=False)
+    panel.grid(axis="x", linewidth=0.4, alpha=0.5)
 
 
 def show_plain(axis: Axis) -> None:
