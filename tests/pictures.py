@@ -110,8 +110,8 @@ def _cut(figure: Figure, texts: list, boxes: list, names: list) -> Iterator[str]
 
 def _covered(texts: list, boxes: list, names: list) -> Iterator[str]:
     """Yield the pairs of texts that overlap."""
-    small = [shrunk(text, box) for text, box in zip(texts, boxes, strict=True)]
-    for one, other in shapely.STRtree(small).query(small, predicate="intersects").T:
+    small = np.array([shrunk(text, box) for text, box in zip(texts, boxes, strict=True)], object)
+    for one, other in shapely.STRtree(small).query(small, predicate="intersects").T.tolist():
         if one < other:
             yield f"{names[one]!r} and {names[other]!r} overlap"
 

@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import (
     FuncFormatter,
+    Locator,
     LogLocator,
     MaxNLocator,
     NullFormatter,
@@ -76,7 +77,7 @@ printed = rc_context(
     }
 )
 ENTRY_IN = 0.45  # of a legend's entry, beside its letters
-WIDE = 5.0  # an axis whose ends differ by this factor has ticks at 1, 2 and 5 of each decade
+WIDE, VERY_WIDE = 5.0, 1e3  # factors between the ends of an axis from which its ticks are others
 EDGE_IN, TITLE_IN = 0.1, 0.8
 # Of a name beside its mark: steps to the right and up, how it is aligned there, and how far from the mark's middle.
 STEPS, ACROSS, UPWARD = (1, -1, 0), ("center", "left", "right"), ("center", "bottom", "top")
@@ -368,10 +369,17 @@ def show_plain(axis: Axis) -> None:
 
 
 def show_plain_log(axis: Axis) -> None:
-    """Label a logarithmic axis with plain numbers: 1, 2 and 5 of each decade, or round numbers where it is short."""
+    """Label a logarithmic axis with plain numbers: 1, 2 and 5 of each decade, or round numbers where it is short.
+
+    An axis of many decades (`VERY_WIDE`) has a label at some of them.
+    """
     low, high = axis.get_view_interval()
-    is_wide = high > WIDE * low
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if is_wide else MaxNLocator(4))
+    locator: Locator = LogLocator(subs=(1.0, 2.0, 5.0))
+    if high > VERY_WIDE * low:
+        locator = LogLocator(numticks=8)
+    elif high < WIDE * low:
+        locator = MaxNLocator(4)
+    axis.set_major_locator(locator)
     show_plain(axis)
 
 
