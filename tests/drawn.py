@@ -229,9 +229,7 @@ def _weighed(is_hard: bool) -> Any:
         corners = np.ones((2, len(names)))
         corners[:, names.index(name)] = 0.1, 10.0
         shares = (cuts - 0.1) / 9.9
-        cells = tuple(
-            np.array([[1 - a, a], [1 - b, b]]) for a, b in pairwise(shares)
-        )
+        cells = tuple(np.array([[1 - a, a], [1 - b, b]]) for a, b in pairwise(shares))
         sums = rng.uniform(1, 2, (num, len(names))) * 1e4
         lines[name] = Partition(corners, sums, sums, cells, True, 1e-3, 9, names)
     traded = ("distance", *varied[:2]) if is_hard else ("distance", "gps")

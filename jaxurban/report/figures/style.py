@@ -45,7 +45,7 @@ HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.2, 0.13, 18.0  # of a line of a heading, of
 SERIES_COLOURS = ("#1a1a1a", "#d55e00", "#56b4e9", "#7f7f7f", "#8c510a", "#66c2a5", "#f0c800")
 MARKERS = "osD^vP*X"
 DOT: Look = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
-LABEL_IN = 1.9  # of a line of the label of an upright colour bar
+LABEL_IN, BESIDE_IN = 1.9, 0.6  # of a line of the label of an upright colour bar; left of panels
 SYMBOL = re.compile(r"(\$[mH]_\\mathrm\{[^$]*\}\$)|\\?\$")  # of a metric, or a dollar
 BOLD = 1.2  # how much wider bold letters are
 SHOWN_SHARE = 0.99  # of the cells that changed lie within the colour bar of a difference
@@ -420,14 +420,16 @@ def tick_label(value: float, _: float = 0.0) -> str:
 def bar_ticks(colours: Colours) -> list[float]:
     """Return where a colour bar has ticks, as values: its own, else at equal distances on the bar.
 
-    Those at the ends are exact; on a scale that is not linear those between are rounded to one digit.
+    Those at the ends are exact; those between are rounded, on a scale that is not linear to one digit.
     """
     if colours.ticks is not None:
         return list(colours.ticks)
     num_ticks = 4 if isinstance(colours.norm, LogNorm) else 5
     ticks = np.asarray(colours.norm.inverse(np.linspace(0, 1, num_ticks))).tolist()
-    if type(colours.norm) is not Normalize:  # round numbers between the ends
-        ticks[1:-1] = [float(f"{tick:.0e}") for tick in ticks[1:-1]]
+    digits = (
+        ".1e" if type(colours.norm) is Normalize else ".0e"
+    )  # of round numbers between the ends
+    ticks[1:-1] = [float(format(tick, digits)) for tick in ticks[1:-1]]
     return ticks
 
 
@@ -460,11 +462,15 @@ def add_colour_bar(
         **place,
     )
 
-    # The label, which has the whole width of the figure below panels.
+    # The label, which has the width of all panels below them.
     has_page_width = cax is None and location == "bottom"
-    label_in = figure.get_figwidth() if has_page_width else LABEL_IN
+    label_in = figure.get_figwidth() - BESIDE_IN if has_page_width else LABEL_IN
     bar.set_label(wrapped(colours.label, label_in))
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
+    if cax is not None or location == "bottom":  # no number stands beyond a lying bar
+        numbers = bar.ax.get_xticklabels()
+        numbers[0].set_ha("left")
+        numbers[-1].set_ha("right")
     bar.outline.set(linewidth=0.4)
     bar.ax.minorticks_off()
 
