@@ -52,10 +52,8 @@ MAX_HEIGHT_IN, MIN_HEIGHT_IN = 6.5, 0.8  # of all panels and what is below them;
 FIRST_IN, BAR_IN = 6.0, 0.6  # height of a row before the layout settles; of a bar below a panel
 BAR_AT_IN, THICK_IN = 0.15, 0.07  # of a bar below its panel
 NORTHING_IN, SIDE_IN = 0.55, 1.9  # left of all panels, right of them where a legend fits there
-MIN_WIDTH_IN, FILLED = (
-    1.45,
-    0.7,
-)  # of a column of panels; share of a bar that its numbers fill at most
+MIN_WIDTH_IN = 1.45  # of a column of panels
+FILLED = 0.6  # share of a bar below a panel that its numbers fill at most
 TICK_IN, MAX_TICKS = 0.75, 3  # width of an easting; most of them below a panel
 OBSTACLE_COLOUR, NO_DATA_COLOUR, GUESSED_ROOF_COLOUR = "#c4c4c4", "#efe4d6", "#d98c4a"
 NO_DATA_PATCH = ("no data", NO_DATA_COLOUR)
