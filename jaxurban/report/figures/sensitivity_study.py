@@ -39,6 +39,12 @@ def study_figures(tables: Mapping[str, pd.DataFrame], wrong: float) -> Figures:
     }
 
 
+def _parts(summary: pd.DataFrame, cut: str) -> pd.DataFrame:
+    """Return the rows of the parts of a cut; those of all routes where the summary has one part alone."""
+    is_part = summary.cut == cut
+    return summary[is_part if is_part.any() else summary.cut == ALL]
+
+
 @styled
 def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
     """Return how much more a route costs that was planned under one wrong weight: a row per weight, a dot per city.
@@ -50,8 +56,7 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
       wrong: by which factor the weight is wrong, in both directions.
     """
     weights = summary.weight_name[summary.regret.notna()].unique()
-    is_of_city = summary.cut == "city"
-    by_city = summary[is_of_city if is_of_city.any() else summary.cut == ALL]
+    by_city = _parts(summary, "city")
     cities = by_city.value.unique()
     heading = f"Cost of a weight that is {wrong:g} times too large or too small"
     figure, (panel,) = panels(1, heading, height_in=ROW_IN * len(weights))
@@ -86,13 +91,14 @@ def plot_nearest(summary: pd.DataFrame, wrong: float) -> Figure:
       summary: as in `plot_regret`; ``nearest`` is the median factor, and altitudes are parts of the cut ``altitude_m``.
       wrong: the factor of the regrets, drawn as a dashed line.
     """
-    known = summary[(summary.cut == "altitude_m") & summary.nearest.notna()]
-    weights = known.weight_name.unique()
+    by_altitude = _parts(summary, "altitude_m")
+    weights = by_altitude.weight_name[by_altitude.nearest.notna()].unique()
     heading = "By which factor a weight must be off to change half of the routes"
     height_in = ROW_IN * len(weights)
-    figure, axes = panels(known.value.nunique(), heading, height_in=height_in, shares_y=True)
-    end = max(known[["nearest", "nearest_high"]].max(axis=None), wrong, 1.01)
-    for panel, (altitude, rows) in zip(axes, known.groupby("value", sort=False), strict=True):
+    altitudes = by_altitude.groupby("value", sort=False)
+    figure, axes = panels(len(altitudes), heading, height_in=height_in, shares_y=True)
+    end = np.nanmax([wrong, *by_altitude.nearest, *by_altitude.nearest_high])
+    for panel, (altitude, rows) in zip(axes, altitudes, strict=True):
         for place, name in enumerate(weights):
             row = rows[rows.weight_name == name]
             y = np.full(len(row), place)
