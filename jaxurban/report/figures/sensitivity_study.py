@@ -55,7 +55,7 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
         share of the cost.
       wrong: by which factor the weight is wrong, in both directions.
     """
-    weights = summary.weight_name[summary.regret.notna()].unique()
+    weights = summary.weight_name[summary.regret.notna()].unique().tolist()
     by_city = _parts(summary, "city")
     cities = by_city.value.unique()
     heading = f"Cost of a weight that is {wrong:g} times too large or too small"
@@ -92,7 +92,7 @@ def plot_nearest(summary: pd.DataFrame, wrong: float) -> Figure:
       wrong: the factor of the regrets, drawn as a dashed line.
     """
     by_altitude = _parts(summary, "altitude_m")
-    weights = by_altitude.weight_name[by_altitude.nearest.notna()].unique()
+    weights = by_altitude.weight_name[by_altitude.nearest.notna()].unique().tolist()
     heading = "By which factor a weight must be off to change half of the routes"
     height_in = ROW_IN * len(weights)
     altitudes = by_altitude.groupby("value", sort=False)

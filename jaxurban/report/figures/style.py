@@ -469,8 +469,8 @@ def add_colour_bar(
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
     if cax is not None or location == "bottom":  # no number stands beyond a lying bar
         numbers = bar.ax.get_xticklabels()
-        numbers[0].set_ha("left")
-        numbers[-1].set_ha("right")
+        numbers[0].set_horizontalalignment("left")
+        numbers[-1].set_horizontalalignment("right")
     bar.outline.set(linewidth=0.4)
     bar.ax.minorticks_off()
 
