@@ -467,10 +467,8 @@ def add_colour_bar(
     label_in = figure.get_figwidth() - BESIDE_IN if has_page_width else LABEL_IN
     bar.set_label(wrapped(colours.label, label_in))
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
-    if cax is not None or location == "bottom":  # no number stands beyond a lying bar
-        numbers = bar.ax.get_xticklabels()
-        numbers[0].set_horizontalalignment("left")
-        numbers[-1].set_horizontalalignment("right")
+    if cax is not None or location == "bottom":  # no long number stands beyond a lying bar
+        bar.ax.get_xticklabels()[-1].set_horizontalalignment("right")
     bar.outline.set(linewidth=0.4)
     bar.ax.minorticks_off()
 
