@@ -53,6 +53,7 @@ FIRST_IN, BAR_IN = 6.0, 0.6  # height of a row before the layout settles; of a b
 BAR_AT_IN, THICK_IN = 0.15, 0.07  # of a bar below its panel
 NORTHING_IN, SIDE_IN = 0.55, 1.9  # left of all panels, right of them where a legend fits there
 MIN_WIDTH_IN = 1.45  # of a column of panels
+LEAST_BAR_IN = 0.9  # of a bar that holds its numbers
 FILLED = 0.6  # share of a bar below a panel that its numbers fill at most
 TICK_IN, MAX_TICKS = 0.75, 3  # width of an easting; most of them below a panel
 OBSTACLE_COLOUR, NO_DATA_COLOUR, GUESSED_ROOF_COLOUR = "#c4c4c4", "#efe4d6", "#d98c4a"
@@ -275,6 +276,8 @@ def _add_bar_below(figure: Figure, spot: Axes, bar: Colours, size: Size) -> None
     under = spot.inset_axes((0, -BAR_AT_IN / height_in, 1, THICK_IN / height_in))
     label = wrapped(bar.label, size.cell_in)
     add_colour_bar(figure, [spot], replace(bar, ticks=ticks, label=label), cax=under)
+    if size.panel_in < LEAST_BAR_IN:  # too narrow for both numbers within its ends
+        under.get_xticklabels()[-1].set_horizontalalignment("center")
 
 
 def _add_key(
