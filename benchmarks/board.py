@@ -12,10 +12,10 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import shapely
+from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import jaxurban as ju
@@ -27,11 +27,23 @@ from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.bitstar.bounds import cost_grid_of, reachable_cells
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.refine import refine
+from jaxurban.report.figures.style import (
+    MARKERS,
+    SERIES_COLOURS,
+    chart,
+    dress,
+    legend_above,
+    letter_all,
+    name_rows,
+    styled,
+)
 from jaxurban.report.write import write_picture
 from jaxurban.studies.board import city_maps, problem_of, score, unpacked
 from jaxurban.studies.demonstrations import demonstration_from_line
 
 MOST_GAP = 0.8  # that is drawn
+ROW_IN, CITY_GAP = 0.42, 0.22  # height of a method's row; between its cities, as a share of it
+LIFT = 0.1  # of the legend over the title, as a share of a panel
 SAMPLING_S = 1.0  # of each query
 TCOD_UNIT, TCOD_STEPS = (
     100,
@@ -165,35 +177,39 @@ def fitted(folder: Path) -> list[dict[str, str]]:
     return rows
 
 
-def draw(board: pd.DataFrame, file: Path) -> None:
-    """Draw the gap of each method by track and city: a dot at the median, a line to 90 %, an arrow beyond."""
-    figure, panels = plt.subplots(1, 2, figsize=(9, 4), layout="constrained", sharex=True)
-    for panel, track in zip(panels, GRID, strict=True):
+@styled
+def picture(board: pd.DataFrame) -> Figure:
+    """Return the gap of each method by track and city: a dot at the median, a line to 90 %, an arrow beyond."""
+    note = "Dots: median over the queries; lines: to the gap that 90 % stay below; arrows: beyond the axis."
+    num_rows = max(board[board.track == track].method.nunique() for track in GRID)
+    figure = chart(ROW_IN * num_rows + 0.3, "How much more routes cost than the bound", note)
+    axes = figure.subplots(1, 2, sharex=True)
+    for panel, track in zip(axes, GRID, strict=True):
         lines = board[board.track == track]
         methods = (
             lines.groupby("method")[["asked", "valid", "gap_median"]]
             .sum()
-            .sort_values("gap_median")[::-1]
+            .sort_values("gap_median")
         )
-        for k, (city, of_city) in enumerate(lines.groupby("city")):
-            at, most = (
-                methods.index.get_indexer(of_city.method) + 0.22 * (1 - k),
-                of_city.gap_90.clip(upper=MOST_GAP),
-            )
-            panel.hlines(at, 100 * of_city.gap_median, 100 * most, color=f"C{k}")
-            panel.plot(100 * of_city.gap_median, at, "o", color=f"C{k}", label=city)
+        dress(panel)
+        for number, (city, of_city) in enumerate(lines.groupby("city")):
+            at = methods.index.get_indexer(of_city.method) + CITY_GAP * (number - 1)
+            most = of_city.gap_90.clip(upper=MOST_GAP)
+            look = {"color": SERIES_COLOURS[number], "markersize": 4.0}
+            panel.hlines(at, 100 * of_city.gap_median, 100 * most, color=look["color"])
+            panel.plot(100 * of_city.gap_median, at, MARKERS[number], label=city, **look)
             is_beyond = of_city.gap_90 > MOST_GAP
-            panel.plot(100 * most[is_beyond], at[is_beyond], ">", color=f"C{k}", clip_on=False)
+            panel.plot(100 * most[is_beyond], at[is_beyond], ">", clip_on=False, **look)
         failed = methods.asked - methods.valid
         labels = [
             name + f"\n{num} of {methods.asked[name]} fail" * (num > 0)
             for name, num in failed.items()
         ]
-        panel.set_yticks(range(len(labels)), labels)
-        panel.set(title=f"track {track}", xlabel="gap to the bound, %", xlim=(-1, 100 * MOST_GAP))
-        panel.grid(axis="x", alpha=0.3)
-    panels[0].legend(loc="center right")
-    write_picture(figure, file)
+        name_rows(panel, labels)
+        panel.set(title=f"track {track}", xlabel="gap to the bound (%)", xlim=(-1, 100 * MOST_GAP))
+    letter_all(axes)
+    legend_above(axes[0], LIFT)
+    return figure
 
 
 def main() -> None:
@@ -225,7 +241,8 @@ def main() -> None:
         file = options.output / f"{name}.csv"
         pd.DataFrame(rows).to_csv(file, index=False)
         print(score(options.bench, file, options.output / "board.csv")[0].to_string())
-    draw(pd.read_csv(options.output / "board.csv"), options.output / "board.png")
+    board = pd.read_csv(options.output / "board.csv")
+    write_picture(picture(board), options.output / "board.png")
 
 
 if __name__ == "__main__":

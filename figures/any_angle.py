@@ -8,9 +8,10 @@ from pathlib import Path as File
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize as Linear
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.patheffects import Normal, Stroke
 from scipy.optimize import minimize_scalar
 
 import jaxurban as ju
@@ -18,14 +19,8 @@ from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.refine import refine
-from jaxurban.report.figures.paths import (
-    APART_PT,
-    BLOCKED_COLOUR,
-    EDGE_PT,
-    LINE_PT,
-    Beside,
-    lanes_of,
-)
+from jaxurban.report.figures.frame import mark_ends
+from jaxurban.report.figures.paths import BLOCKED_COLOUR
 from jaxurban.report.figures.style import (
     FAINT_INK,
     INK,
@@ -37,19 +32,22 @@ from jaxurban.report.figures.style import (
     letter_all,
     styled,
 )
-from jaxurban.report.write import write_picture
+from jaxurban.report.write import Look, write_picture
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
-PART_M = 110.0  # half the side of what is drawn larger
-STYLES = {
-    "A* on the grid": "#0b3c8c",
-    "Theta*": "#ffb000",
-    "Theta*, refined": "#c51b8a",
-    "Snell's law": "#1a1a1a",
+PART_M = np.array(
+    [137.5, 110.0]
+)  # half the sides of what is drawn larger, as wide by its height as the city
+EDGE = [Stroke(linewidth=3.6, foreground=INK), Normal()]
+STYLES: dict[str, Look] = {  # each at its place, later ones thinner or dashed over earlier ones
+    "A* on the grid": {"color": "#0b3c8c", "linewidth": 1.4},
+    "Theta*": {"color": "#ffb000", "linewidth": 3.0, "path_effects": EDGE},
+    "Theta*, refined": {"color": "#c51b8a", "linewidth": 1.6},
+    "Snell's law": {"color": INK, "linewidth": 0.9, "linestyle": (0, (3, 3))},
 }
 COLOURS = Colours(
     "Greys",
-    Normalize(0, 2.5),
+    Linear(0, 2.5),
     f"map cost per {RESOLUTION_M:g} m",
     extend="max",
     ticks=(0, 0.5, 1, 1.5, 2, 2.5),
@@ -96,7 +94,7 @@ def paths_of(problem: Problem) -> dict[str, Path]:
 
 
 def draw(panel: Axes, problem: Problem, lines: dict[str, np.ndarray]) -> None:
-    """Draw the cost map, darker where a path pays more, and lines, side by side where they coincide."""
+    """Draw the cost map, darker where a path pays more, and lines."""
     rows, cols = problem.is_free.shape
     shown = np.ma.masked_where(~problem.is_free, problem.cost)
     cmap = colormaps[COLOURS.cmap].with_extremes(bad=BLOCKED_COLOUR)
@@ -104,11 +102,8 @@ def draw(panel: Axes, problem: Problem, lines: dict[str, np.ndarray]) -> None:
     panel.imshow(
         shown, origin="lower", extent=extent, cmap=cmap, norm=COLOURS.norm, interpolation="nearest"
     )
-    for (name, line), lane in zip(
-        lines.items(), lanes_of([*lines.values()], RESOLUTION_M), strict=True
-    ):
-        beside = [Beside(lane * APART_PT, LINE_PT + 2 * EDGE_PT, "white"), Beside(lane * APART_PT)]
-        panel.plot(*line.T, color=STYLES[name], linewidth=LINE_PT, path_effects=beside, label=name)
+    for name, line in lines.items():
+        panel.plot(*line.T, label=name, **STYLES[name])
     panel.set(xlabel="east (m)", aspect="equal")
     panel.tick_params(labelsize=SMALL_PT, length=3, color=FAINT_INK)
 
@@ -116,8 +111,8 @@ def draw(panel: Axes, problem: Problem, lines: dict[str, np.ndarray]) -> None:
 @styled
 def picture() -> Figure:
     """Return the figure."""
-    figure = chart(3.6, "A path on the grid, Theta*'s and the refined one")
-    left, middle, right = axes = figure.subplots(1, 3)
+    figure = chart(2.6, "A path on the grid, that of Theta*, and that path refined")
+    left, middle, right = axes = figure.subplots(1, 3, width_ratios=(1, 1.25, 1.25))
     problem, bent_m = two_media()
     paths = paths_of(problem)
     costs = {name: path.cost for name, path in paths.items()}
@@ -128,10 +123,15 @@ def picture() -> Figure:
         {name: path.points_m for name, path in paths.items()} | {"Snell's law": bent_m},
     )
     left.set_title("two media")
-    for height_m, cost in ((8.0, 0), (108.0, 1)):
+    for height_m, cost in ((8.0, 0), (183.0, 1)):
         box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
         left.text(
-            192, height_m, f"{cost} per {RESOLUTION_M:g} m", ha="right", size=SMALL_PT, bbox=box
+            8 if cost else 192,
+            height_m,
+            f"{cost} per {RESOLUTION_M:g} m",
+            ha="left" if cost else "right",
+            size=SMALL_PT,
+            bbox=box,
         )
     shown = [costs]
     problem = city()
@@ -139,21 +139,29 @@ def picture() -> Figure:
     lines = {name: path.points_m for name, path in paths.items()}
     shown.append({name: path.cost for name, path in paths.items()})
     draw(middle, problem, lines)
-    middle.set_title(f"the synthetic city, {ALTITUDE_M:g} m above ground")
+    middle.set_title(f"synthetic city, {ALTITUDE_M:g} m up")
     draw(right, problem, lines)
     x_m, y_m = lines["A* on the grid"][len(lines["A* on the grid"]) // 2]
     corner_m = np.array([x_m, y_m]) - PART_M
     look = {"fill": False, "edgecolor": INK, "linewidth": 1.0}
-    middle.add_patch(Rectangle(corner_m, 2 * PART_M, 2 * PART_M, **look))
+    middle.add_patch(Rectangle(tuple(corner_m), *(2 * PART_M), **look))
     right.set(
-        xlim=(x_m - PART_M, x_m + PART_M),
-        ylim=(y_m - PART_M, y_m + PART_M),
-        title="the square of (b)",
+        xlim=(x_m - PART_M[0], x_m + PART_M[0]),
+        ylim=(y_m - PART_M[1], y_m + PART_M[1]),
+        title="the box in (b)",
     )
-    for panel, by_name in zip(axes, shown, strict=False):
-        said = "\n".join(f"{name}: {cost:.2f}" for name, cost in by_name.items())
-        panel.set_xlabel(f"east (m)\n\ncost of the path\n{said}")
+    for line in left.get_lines()[: len(STYLES)]:  # in the legend, with their costs
+        name = str(line.get_label())
+        sums = [
+            f"{by_name[name]:.2f} in ({place})"
+            for place, by_name in zip("ab", shown, strict=True)
+            if name in by_name
+        ]
+        line.set_label(f"{name}: cost {', '.join(sums)}")
     left.set_ylabel("north (m)")
+    for panel in (left, middle):
+        ends = panel.get_lines()[0].get_xydata()
+        mark_ends(panel, ends[0], ends[-1])
     letter_all(axes)
     add_colour_bar(figure, axes, COLOURS)
     legend_below(figure, left)

@@ -9,7 +9,7 @@ from matplotlib.ticker import PercentFormatter
 
 import jaxurban as ju
 from jaxurban.report.figures.sky import sky_places
-from jaxurban.report.figures.style import INK, SMALL_PT, chart, dress, letter_all, styled
+from jaxurban.report.figures.style import INK, chart, dress, letter_all, styled
 from jaxurban.report.satellites import CLASSES, draw_cities, draw_horizon, satellite_figures
 from jaxurban.report.write import write_picture
 from jaxurban.studies.receiver.agreement import SatelliteAgreement
@@ -24,9 +24,9 @@ EDGES_DBHZ = (25, 30, 35, 40, 45)  # between the classes of received satellites
 def plot_sky(of: SatelliteAgreement, credit: str) -> Figure:
     """Return the sky of one place, how strongly hidden and visible satellites are heard, and displaced cities."""
     heading = "Satellites that the maps call hidden are mostly heard weakly or not at all"
-    figure = chart(3.3, heading, credit, WIDTH_MM)
-    grid = figure.add_gridspec(2, 2)
-    place = figure.add_subplot(grid[:, 0], projection="polar")
+    figure = chart(3.6, heading, credit, WIDTH_MM)
+    grid = figure.add_gridspec(3, 2, height_ratios=(1, 1, 0.01))  # the last row holds the legend
+    place = figure.add_subplot(grid[:2, 0], projection="polar")
     strengths, cities = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
     sky, judged = of.skies[-1], of.rows[of.rows.is_judged]
     draw_horizon(place, sky.horizon_deg)
@@ -46,8 +46,10 @@ def plot_sky(of: SatelliteAgreement, credit: str) -> Figure:
         shares = np.bincount(number, minlength=len(EDGES_DBHZ) + 2) / len(rows)
         strengths.bar(np.arange(len(shares)) + 0.4 * is_seen - 0.2, shares, width=0.4, color=colour)
     place.set_anchor("N")
-    key = {"title": "large: heard strongly; hollow: not at all", "title_fontsize": SMALL_PT}
-    place.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), **key)
+    place.set_xlabel("large: heard strongly\nhollow: not at all", labelpad=8)
+    holder = figure.add_subplot(grid[2, :])
+    holder.set_axis_off()
+    holder.legend(*place.get_legend_handles_labels(), loc="center", ncols=2, borderaxespad=0)
     strengths.set_xticks([0, *np.arange(len(EDGES_DBHZ)) + 1.5], ["none", *EDGES_DBHZ])
     strengths.set(
         xlabel="C/N0 at the receiver (dBHz)", ylabel="share of each kind", title="all places"

@@ -30,9 +30,9 @@
 # %matplotlib inline
 from collections.abc import Callable
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 import jaxurban as ju
 from jaxurban.planners.astar import astar, heuristic_at, make_heuristic
@@ -40,6 +40,8 @@ from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bulk import solve_batched
 from jaxurban.report.figures import plot_paths
+from jaxurban.report.figures.paths import planner_colours
+from jaxurban.report.figures.style import legend_below, panels, styled
 from jaxurban.settings import PlannerName
 
 ju.keep_programs()  # what JAX compiles is kept for later sessions
@@ -91,20 +93,27 @@ plot_paths(maps, list(paths.values()))
 # of all.
 
 # %%
-figure, axes = plt.subplots(figsize=(7.5, 4.0), layout="constrained")
-for name in ("bitstar-dist", "bitstar-plus"):
-    seconds, _, costs = np.array(paths[name].search.history).T
-    axes.step(seconds, costs, where="post", marker=".", label=name)
-for name, marker in (("astar-dist", "s"), ("astar-plus", "o"), ("theta-star", "*")):
-    axes.plot(paths[name].search.elapsed_s, paths[name].cost, marker, markersize=9, label=name)
-axes.axhline(min(path.cost for path in paths.values()), color="black", linewidth=0.8)
-axes.set(
-    xscale="log",
-    xlabel="time since the start of the search (s)",
-    ylabel="cost of the best path so far (1)",
-)
-axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
-plt.show()
+colours = planner_colours(planners)
+
+
+@styled
+def plot_history() -> Figure:
+    """Return the cost of the best path by time."""
+    figure, (panel,) = panels(1, "Cost of the best path so far", height_in=2.5)
+    for name in ("bitstar-dist", "bitstar-plus"):
+        seconds, _, costs = np.array(paths[name].search.history).T
+        panel.step(seconds, costs, where="post", marker=".", color=colours[name], label=name)
+    for name, marker in (("astar-dist", "s"), ("astar-plus", "o"), ("theta-star", "^")):
+        ended = paths[name].search.elapsed_s, paths[name].cost
+        panel.plot(*ended, marker, color=colours[name], markersize=7, label=f"{name}, when done")
+    cheapest = min(path.cost for path in paths.values())
+    panel.axhline(cheapest, color="black", linewidth=0.8, label="cheapest of all")
+    panel.set(xscale="log", xlabel="time since the start of the search (s)", ylabel="cost")
+    legend_below(figure, panel)
+    return figure
+
+
+plot_history()
 
 # %% [markdown]
 # ## One search after the other, or all together
@@ -219,13 +228,23 @@ print(f"by {np.median(excess):.2f} % in the median and {excess.max():.1f} % at w
 print(f"and it expands {np.median(expanded):.2f} times the cells in the median.")
 
 # %%
-figure, axes = plt.subplots(figsize=(7.5, 3.6), layout="constrained")
-axes.scatter(expanded, excess, s=22)
-axes.axhline(0, color="black", linewidth=0.8)
-axes.set(
-    xlabel="cells expanded, printed over admissible (1)", ylabel="cost above the cheapest path (%)"
-)
-plt.show()
+
+
+@styled
+def plot_printed() -> Figure:
+    """Return how much more paths of the printed heuristic cost, by the cells that they took."""
+    heading = f"The printed heuristic finds a more costly path in {np.mean(excess > 1e-6):.0%} of the queries"
+    figure, (panel,) = panels(1, heading, height_in=2.5)
+    panel.plot(expanded, excess, "o", color=colours["astar-plus"], markersize=5, label="a query")
+    panel.axhline(0, color="black", linewidth=0.8, label="the cheapest path")
+    panel.axvline(1, color="black", linewidth=0.8, linestyle="--", label="as many cells as `tiles`")
+    panel.set(xlabel="cells expanded, as a multiple of those of `tiles`")
+    panel.set(ylabel="cost above the cheapest path (%)")
+    legend_below(figure, panel)
+    return figure
+
+
+plot_printed()
 
 # %% [markdown]
 # ## A question to try

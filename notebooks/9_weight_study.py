@@ -84,10 +84,10 @@ summary[summary.cut == "city"].pivot(index="weight_name", columns="value", value
 # %% [markdown]
 # ## How near the next route is
 #
-# By which factor a weight may change before the cheapest route becomes another one: the share of routes that changed.
+# By which factor a weight may change before half of the cheapest routes become other ones.
 
 # %%
-plot_nearest(found.tables["weights"], found.settings.wrong)
+plot_nearest(summary, found.settings.wrong)
 
 # %% [markdown]
 # ## Where a weight matters

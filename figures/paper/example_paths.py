@@ -166,7 +166,7 @@ def draw(
         panels.append(MapPanel(case.title, cut, outcomes, part))
     heading = f"Example paths {altitude_m:g} m above ground: {town.title}"
     heading = joined(heading, shared.time_of_day, by=", ")
-    note = joined(f"{PATH_M:g} m cells", "below: cost, length", maps.attribution)
+    note = joined(f"{PATH_M:g} m cells", maps.attribution)
     colours = planner_colours(PAPER_PLANNERS)
     legend = obstacle_patches(maps, BLOCKED_COLOUR)
     if any(not _holds(maps.grid, part) for part in parts):

@@ -1,5 +1,6 @@
 """What buildings cost a route over a folder of maps: the sources read again, a table and a map written."""
 
+import math
 from functools import partial
 from pathlib import Path
 
@@ -61,11 +62,13 @@ def plot_building_costs(
         *ground_said(grid, city.attribution),
     )
 
-    # The scale of colours ends at the largest cost or gain on both sides, and is linear up to a thousandth of that.
-    most = table.per_metre.abs().to_numpy().max(initial=1e-12)
+    # The scale of colours ends at the power of ten above all costs and gains, and is linear up to a thousandth of that.
+    most = 10.0 ** math.ceil(math.log10(table.per_metre.abs().to_numpy().max(initial=1e-12)))
     ticks = -most, -most / 100, 0.0, most / 100, most
     norm = SymLogNorm(most / 1000, vmin=-most, vmax=most)
-    colours = Colours("RdBu_r", norm, "cost per metre of height", ticks=ticks)
+    colours = Colours(
+        "RdBu_r", norm, "cost per metre of height, on a logarithmic scale", ticks=ticks
+    )
 
     # The part of the region around the route.
     low = np.maximum(planned.xy_m.min(axis=0) - MARGIN_M, grid.bounds_m[:2])

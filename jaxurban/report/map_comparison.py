@@ -153,7 +153,7 @@ def _note(result: MapComparison, time: str | None) -> str:
     """
     lines = []
     for side, name, maps in zip("AB", result.names, (result.a, result.b), strict=True):
-        facts = [f"{side}: {name}"]
+        facts = [joined(side, name if name != side else "", by=": ")]
         if time:
             facts.append(time_said(time if side == "A" else result.times[time]))
         guesses = guesses_said(maps, time is not None)

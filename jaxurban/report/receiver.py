@@ -14,7 +14,15 @@ from matplotlib.ticker import MaxNLocator
 
 from jaxurban.io.read.tracks import AZIMUTH
 from jaxurban.maps.levels import listed_m
-from jaxurban.report.figures.style import ends_of, letter_all, panels, show_plain_log, styled
+from jaxurban.report.figures.style import (
+    FAINT_INK,
+    ends_of,
+    legend_below,
+    letter_all,
+    panels,
+    show_plain_log,
+    styled,
+)
 from jaxurban.report.satellites import (
     peak_text,
     satellite_figures,
@@ -23,6 +31,7 @@ from jaxurban.report.satellites import (
 )
 from jaxurban.report.write import (
     Figures,
+    Look,
     Written,
     bullets,
     fill,
@@ -47,7 +56,7 @@ NAMES = {NUM_VISIBLE: "satellites in view", "gps": "GPS quality m"}
 LABELS = {TRACKED: "satellites tracked", ERROR: "horizontal error (m)"}
 COUNTS = (NUM_VISIBLE, TRACKED)  # of satellites
 HEADS = {WITHIN: "rank correlation within blocks", SPEARMAN: "over the whole track"}
-RECEIVER_COLOUR, MAP_COLOUR = "#d55e00", "#0072b2"
+RECEIVER_COLOUR, NUM_CLASSES = "#d55e00", 6
 
 
 OF_LOG = "Where satellites stand is what the log says, and those that its file leaves out are not counted."
@@ -65,7 +74,8 @@ def name_of(prediction: str) -> str:
 def plot_scatter(result: ReceiverValidation) -> Figure:
     """Return what the receiver measured against what the maps predict of it: a panel per measurement.
 
-    A point per piece of track; many points on one place are darker. Values that are infinite stand at the edge.
+    A circle per piece of track, and the middle half of what was measured in each sixth of the pieces, by prediction.
+    Values that are infinite stand at the edge.
     """
     rows = result.main.to_dict("records")
     heading = "Receiver against prediction, with rank correlations"
@@ -80,28 +90,25 @@ def plot_scatter(result: ReceiverValidation) -> Figure:
         y = known[witness].clip(*ends_of(known[witness].to_numpy()))
         _scale_axis(panel.xaxis, panel.set_xscale, name)
         _scale_axis(panel.yaxis, panel.set_yscale, witness)
-        panel.scatter(x, y, s=12, color=MAP_COLOUR, alpha=0.2, linewidths=0)
+        look: Look = {"markersize": 2.5, "markerfacecolor": "none", "label": "piece of track"}
+        panel.plot(x, y, "o", color=FAINT_INK, **look)
 
-        # Numbers of satellites have a line of medians.
-        title = f"within blocks {row[WITHIN]:.2f}, whole track {row[SPEARMAN]:.2f}"
-        if name == NUM_VISIBLE:
-            medians = known.groupby(np.round(known[name]))[witness].median()
-            panel.plot(
-                medians.index,
-                medians,
-                color=RECEIVER_COLOUR,
-                marker="o",
-                markersize=3.5,
-                linewidth=1.2,
-            )
-            title += "  ·  line: medians"
+        # Classes of about as many pieces: the middle half of what was measured as a bar, its median as a dot.
+        of_class = np.ceil(NUM_CLASSES * x.rank(pct=True))
+        middle_x = x.groupby(of_class).median()
+        low, median, high = (y.groupby(of_class).quantile(share) for share in (0.25, 0.5, 0.75))
+        label = "median and middle half of a sixth of the pieces"
+        panel.vlines(middle_x, low, high, color=RECEIVER_COLOUR, linewidth=2.5, label=label)
+        panel.plot(middle_x, median, "o", color=RECEIVER_COLOUR, markersize=6)
 
         label = f"maps: {name_of(name)}"
         num_infinite = np.isinf(known[name]).sum()
         if num_infinite:
             label += f" ({num_infinite} undetermined, at the right edge)"
+        title = f"within blocks {row[WITHIN]:.2f}, whole track {row[SPEARMAN]:.2f}"
         panel.set(title=title, xlabel=label, ylabel=f"receiver: {LABELS[witness]}")
     letter_all(axes)
+    legend_below(figure, axes[0])
     return figure
 
 

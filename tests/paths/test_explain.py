@@ -350,7 +350,7 @@ def test_the_curves_are_the_values_of_the_report_by_distance_under_altitude_and_
         (heights, "roofs beneath", "roof_m"),
         (metrics, "GPS quality", "gps"),
         (people, "Population", "population"),
-        (walls, "distance to obstacles", "nearest_wall_m"),
+        (walls, "nearest obstacle", "nearest_wall_m"),
     ):
         drawn = steps(panel)[label].get_data()
         np.testing.assert_array_equal(drawn.values, report.profile[name])
@@ -430,7 +430,7 @@ def test_roofs_of_guessed_height_and_stretches_above_every_obstacle_are_told_apa
     np.testing.assert_array_equal(guessed.get_data().values, np.where(is_first, 12.0, 0.0))
     assert "of guessed height" not in steps(plot_profile(planned, maps, report).axes[0])
     np.testing.assert_array_equal(
-        steps(walls)["distance to obstacles"].get_data().values, clear_m.where(~is_first)
+        steps(walls)["nearest obstacle"].get_data().values, clear_m.where(~is_first)
     )
     assert "gaps: above every obstacle" in [
         text.get_text() for text in walls.get_legend().get_texts()

@@ -32,7 +32,7 @@ from jaxurban.report.write import DPI, write_picture
 from jaxurban.world.kinds import EFFECTS, GROUPS
 from tests.made_maps import made_maps, maps_of_kinds
 from tests.paths.volumes import made_path
-from tests.report.legible import assert_legible, drawn_texts
+from tests.pictures import assert_legible, drawn_texts
 
 pytestmark = pytest.mark.usefixtures("without_layout")
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)

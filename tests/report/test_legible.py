@@ -15,8 +15,8 @@ from jaxurban.report.figures.style import chart, label_apart, styled
 from jaxurban.report.satellites import satellite_figures
 from jaxurban.satellites.along import SkyAt
 from tests.made_agreement import made
+from tests.pictures import assert_legible
 from tests.receiver_logs import found
-from tests.report.legible import assert_legible
 
 SYSTEMS = ("gps", "galileo", "beidou", "glonass", "qzss", "navic")
 STATES = ("seen", "hidden", "unknown")

@@ -162,7 +162,7 @@ def test_boxes_stand_on_the_side_of_the_edge_that_the_map_says(of_satellites):
 
 
 def test_the_picture_of_the_first_screen_shows_shares_of_each_kind():
-    _, strengths, cities = sky.plot_sky(made(), "Data: a credit").axes
+    _, strengths, cities, _ = sky.plot_sky(made(), "Data: a credit").axes
     heights = np.array([bar.get_height() for bar in strengths.patches]).reshape(2, -1)
     np.testing.assert_allclose(heights.sum(axis=1), 1)
     judged = made().rows[made().rows.is_judged & made().rows.is_seen]

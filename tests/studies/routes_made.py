@@ -8,9 +8,6 @@ import geopandas
 import numpy as np
 import pandas as pd
 import shapely
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.text import Text
 from scipy import ndimage
 
 import jaxurban as ju
@@ -119,19 +116,3 @@ def same_rows(one: pd.DataFrame, other: pd.DataFrame) -> None:
         rows.drop(columns=["elapsed_s", "setup_s"], errors="ignore") for rows in (one, other)
     )
     pd.testing.assert_frame_equal(one, other, check_like=True)
-
-
-def assert_on_the_page(name: str, figure: Figure) -> None:
-    """Check that no text of a figure but its ticks' leaves the page."""
-    renderer = FigureCanvasAgg(figure).get_renderer()
-    figure.draw(renderer)
-    sides = [axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)]
-    ticks = {id(label) for axis in sides for label in axis.get_ticklabels(which="both")}
-    for text in figure.findobj(Text):
-        if text.get_visible() and text.get_text().strip() and id(text) not in ticks:
-            box = text.get_window_extent(renderer)
-            assert min(box.x0, box.y0) > -1, (name, text.get_text())
-            assert max(box.x1 - figure.bbox.width, box.y1 - figure.bbox.height) < 1, (
-                name,
-                text.get_text(),
-            )

@@ -28,7 +28,8 @@ from jaxurban.studies.weights.routes import OnPerturbedMaps
 from jaxurban.studies.weights.sobol import sobol_indices
 from jaxurban.studies.weights.summary import summarise, summarise_shares
 from tests.cli_runs import TOWN, run
-from tests.studies.routes_made import WEIGHT_STUDY, assert_on_the_page, run_study, same_rows
+from tests.pictures import faults
+from tests.studies.routes_made import WEIGHT_STUDY, run_study, same_rows
 
 KEY = ["city", "instance", "altitude_m"]
 WHERE = {"study": "", "weight_study": "routes/"}  # rows lie in a study's folder
@@ -207,14 +208,17 @@ def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_pop
 def test_no_text_of_a_figure_leaves_the_page_and_panels_that_are_compared_share_their_scale(
     weight_study,
 ):
-    for name, draw in study_figures(weight_study.tables, 2.0).items():
-        assert_on_the_page(name, draw())
-    figure = plot_nearest(weight_study.tables["weights"], 2.0)
+    for draw in study_figures(weight_study.tables, 2.0).values():
+        assert faults(draw()) == []
+    figure = plot_nearest(weight_study.tables["summary"], 2.0)
     assert len({panel.get_xlim() for panel in figure.axes}) == 1
-    colours = {line.get_label(): line.get_color() for panel in figure.axes for line in panel.lines}
-    named = {name: colour for name, colour in colours.items() if name in METRICS}
-    assert len(named) > 1
-    assert named == {name: METRICS[name].colour for name in named}
+    names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    for panel in figure.axes:
+        dots = [line for line in panel.lines if line.get_marker() == "o"]
+        rows = {names[round(line.get_ydata()[0])]: line.get_color() for line in dots}
+        shown = {name: colour for name, colour in rows.items() if name in METRICS}
+        assert len(shown) > 1
+        assert shown == {name: METRICS[name].colour for name in shown}
 
 
 def made_weights(**regret: float) -> pd.DataFrame:

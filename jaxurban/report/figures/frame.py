@@ -26,6 +26,7 @@ from jaxurban.paths.constraints import describe_clearances, describe_kept
 from jaxurban.report.figures.style import (
     FAINT_INK,
     INK,
+    LETTERS_PER_IN,
     LINE_IN,
     SMALL_PT,
     TEXT_PT,
@@ -39,6 +40,7 @@ from jaxurban.report.figures.style import (
     legend_columns,
     letter,
     styled,
+    tick_label,
     wrapped,
 )
 from jaxurban.report.write import Look
@@ -50,7 +52,9 @@ MAX_HEIGHT_IN, MIN_HEIGHT_IN = 6.5, 0.8  # of all panels and what is below them;
 FIRST_IN, BAR_IN = 6.0, 0.6  # height of a row before the layout settles; of a bar below a panel
 BAR_AT_IN, THICK_IN = 0.15, 0.07  # of a bar below its panel
 NORTHING_IN, SIDE_IN = 0.55, 1.9  # left of all panels, right of them where a legend fits there
-MIN_WIDTH_IN, MIN_BAR_IN = 1.45, 1.0  # of a column of panels, of a bar of more than two ticks
+MIN_WIDTH_IN = 1.45  # of a column of panels
+LEAST_BAR_IN = 0.9  # of a bar that holds its numbers
+FILLED = 0.6  # share of a bar below a panel that its numbers fill at most
 TICK_IN, MAX_TICKS = 0.75, 3  # width of an easting; most of them below a panel
 OBSTACLE_COLOUR, NO_DATA_COLOUR, GUESSED_ROOF_COLOUR = "#c4c4c4", "#efe4d6", "#d98c4a"
 NO_DATA_PATCH = ("no data", NO_DATA_COLOUR)
@@ -252,7 +256,7 @@ def _add_ticks(spot: Axes, size: Size, is_left: bool, is_bottom: bool) -> None:
         spot.set_ylabel("northing (km)")
     if is_bottom:
         foot = spot.get_xlabel()
-        spot.set_xlabel(joined("easting (km)", foot, by="\n"), loc="left" if foot else "center")
+        spot.set_xlabel(joined("easting (km)", foot, by="\n\n"), loc="left" if foot else "center")
 
 
 def _add_bar_below(figure: Figure, spot: Axes, bar: Colours, size: Size) -> None:
@@ -265,12 +269,15 @@ def _add_bar_below(figure: Figure, spot: Axes, bar: Colours, size: Size) -> None
       size: of the panels.
     """
     ticks = bar_ticks(bar)
-    if size.panel_in < MIN_BAR_IN:
+    num_letters = sum(len(tick_label(tick)) for tick in ticks)
+    if num_letters > FILLED * LETTERS_PER_IN * size.panel_in:
         ticks = [ticks[0], ticks[-1]]
     height_in = size.panel_in * size.tall
     under = spot.inset_axes((0, -BAR_AT_IN / height_in, 1, THICK_IN / height_in))
     label = wrapped(bar.label, size.cell_in)
     add_colour_bar(figure, [spot], replace(bar, ticks=ticks, label=label), cax=under)
+    if size.panel_in < LEAST_BAR_IN:  # too narrow for both numbers within its ends
+        under.get_xticklabels()[-1].set_horizontalalignment("center")
 
 
 def _add_key(
@@ -448,7 +455,7 @@ def rules_said(*settings: Mapping[str, Any]) -> str:
     """
     rules: dict[str, list[str]] = {"cost model": [], "weights": [], "obstacles": []}
     for route in settings:
-        weights = ", ".join(f"{name} {weight:g}" for name, weight in route["weights"].items())
+        weights = ", ".join(f"{name} {weight:.3g}" for name, weight in route["weights"].items())
         if route["objective"] == "distance":
             weights = "the distance alone"
         limits = route["limits"]

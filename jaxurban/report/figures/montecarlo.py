@@ -67,7 +67,7 @@ def plot_success(success: pd.DataFrame) -> Figure:
     """
     colours = planner_colours(sorted(success.planner.unique()))
     ranges = range_names(success)
-    heading = "Share of pairs that some path joins, for which one was found"
+    heading = "Share of the pairs with a known path for which each planner found one"
     figure, axes = panels(success.altitude_m.nunique(), heading, shares_y=True)
     x = np.arange(len(ranges))
     width = BARS_SHARE / len(colours)  # of a bar
@@ -90,7 +90,7 @@ def plot_costs(table: pd.DataFrame) -> Figure:
         by that of the cheapest one known, from 1 up; NaN where it has no path, which counts as not solved.
     """
     colours = planner_colours(sorted(table.planner.unique()))
-    heading = "Share of pairs solved at so many times the cheapest cost known"
+    heading = "Share of pairs solved within a factor of the cheapest cost known"
     figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True)
     end = np.clip(table.ratio.quantile(0.98), *RATIO_AXIS)
     for panel, rank, planner, rows in _curves(table, axes, colours):

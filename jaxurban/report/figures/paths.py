@@ -70,9 +70,8 @@ PLANNER_COLOURS = {
     "ptp": "#c51b8a",
 }
 OTHER_COLOURS = ("#00857a", "#7b3fb5", "#7fc241", "#8c510a", "#59d8c8", "#d9a3ff", "#404040")
-COST_COLOURS = Colours("gray", Normalize(0, 1), "$H_\\mathrm{norm}$\n(0: best free cell, 1: worst)")
+COST_COLOURS = Colours("gray", Normalize(0, 1), "normalised cost\n(0: best free cell, 1: worst)")
 BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
-BESIDE = Line2D([], [], linestyle="none", label="shared stretches:\nside by side")
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
 LINE_PT = 1.6  # of a path
 EDGE_PT = 0.4  # of its white edge, which parts it from the map and from the next one
@@ -175,10 +174,8 @@ def plot_paths(
     day = days.pop() if len(days) == 1 else ""
     heading = joined(f"{what}, by altitude above ground", day, by=", ")
 
-    # The note: sky and maps, what stands below the panels, and the rules of the routes.
+    # The note: sky and maps, and the rules of the routes.
     facts = frame_note(maps, None if has_times else times.pop())
-    if drawn:
-        facts = joined(facts, "below: cost, length")
     note = joined(facts, rules_said(*(each.path.settings for each in drawn)), by="\n")
 
     # The legend: obstacles, and each path that is drawn in its colour.
@@ -235,7 +232,11 @@ def _cost_panel(
     title = joined(f"{place.altitude_m:g} m", place.time_of_day, by=" · ")
     if place.time and has_time:
         title = joined(title, time_said(place.time), by=" · ")
-    foot = "\n".join(outcome_of(each.path, each.name) for each in named)
+    foot = joined(
+        "cost, length:" if named else "",
+        *(outcome_of(each.path, each.name) for each in named),
+        by="\n",
+    )
     return MapPanel(title, cost_layers(maps, *place), foot)
 
 
@@ -377,6 +378,16 @@ class Beside(AbstractPathEffect):
         for part in shapely.get_parts(moved):
             renderer.draw_path(look, Outline(shapely.get_coordinates(part)), IdentityTransform())
         look.restore()
+
+
+BESIDE = Line2D(
+    [],
+    [],
+    linewidth=LINE_PT,
+    color="#555555",
+    path_effects=[Beside(-APART_PT / 2), Beside(APART_PT / 2)],
+    label="shared stretches:\nside by side",
+)
 
 
 def path_entries(colours: Mapping[str, str], *paths_at: Sequence[PlannedPath]) -> list[Line2D]:

@@ -195,7 +195,7 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
         baseline=None,
         linewidth=1.3,
         color=CLEARANCE_COLOUR,
-        label="distance to obstacles",
+        label="nearest obstacle",
     )
 
     # A mark in the middle of the cell with the least distance.

@@ -1,13 +1,14 @@
 """Pictures of what weights do to a route: breakpoints along lines, the Pareto front."""
 
 import math
+from itertools import combinations
 
 import numpy as np
-from matplotlib.collections import LineCollection
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal, Stroke
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from jaxurban.report.figures.frame import (
     ENDS,
@@ -18,14 +19,10 @@ from jaxurban.report.figures.frame import (
     rules_said,
 )
 from jaxurban.report.figures.metrics import line_colour, obstacle_patches
-from jaxurban.report.figures.paths import BLOCKED_COLOUR, cost_layers, draw_ends
+from jaxurban.report.figures.paths import BLOCKED_COLOUR, EDGE_PT, cost_layers, draw_ends
 from jaxurban.report.figures.style import (
-    FAINT_INK,
     INK,
     Colours,
-    add_colour_bar,
-    chart,
-    dress,
     legend_below,
     letter_all,
     panels,
@@ -35,8 +32,15 @@ from jaxurban.report.figures.style import (
 from jaxurban.report.write import Figures, Look, listed
 from jaxurban.studies.weights.study import Sensitivity
 
-GIVEN_COLOUR = "#c51b8a"
-ON_ROUTES_COLOUR = "#ffffff"  # of the given weights' route over others of all colours
+MOST_ROUTES = 10  # along the range of one weight
+GIVEN_STAR: Look = {"color": "#c51b8a", "markersize": 11.0, "markeredgecolor": INK}
+GIVEN_ROUTE: Look = {  # dark with a white edge, so that it is seen over all colours
+    "color": INK,
+    "linewidth": 1.2,
+    "linestyle": (0, (3, 2)),
+    "path_effects": [Stroke(linewidth=2.2, foreground="white"), Normal()],
+    "zorder": 6,
+}
 
 
 def sensitivity_figures(result: Sensitivity) -> Figures:
@@ -102,8 +106,8 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     """Return a map for each varied weight with the routes along its range, coloured by where they are the cheapest.
 
     A route has the colour of the geometric middle of the values at which it is the cheapest, as a multiple of the given
-    weight; later routes are thinner, so that earlier ones are seen below them. The route under the given weights is
-    dashed.
+    weight; later routes are thinner, so that earlier ones are seen below them. Of more than `MOST_ROUTES` some are left
+    out, evenly. The route under the given weights is dashed.
     """
     low, high = result.settings.factors
 
@@ -120,7 +124,7 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     z = result.route.altitude_m
     layers = cost_layers(result.maps, z, settings["time"], settings["time_of_day"])
     panels_of = [
-        MapPanel(f"{name}, routes: {len(line.cells)}", layers)
+        MapPanel(f"{name}, {len(_shown(len(line.cells)))} of {len(line.cells)} routes", layers)
         for name, line in result.lines.items()
     ]
     heading = "Cheapest routes along the range of each weight"
@@ -134,7 +138,7 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
         note,
         legend=[
             *obstacle_patches(result.maps, BLOCKED_COLOUR),
-            ("given weights\n(dashed)", ON_ROUTES_COLOUR),
+            Line2D([], [], label="given weights", **GIVEN_ROUTE),
             *ENDS,
         ],
         colours=colours,
@@ -147,57 +151,47 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
         table = result.breakpoints(name)
         given_weight = result.weights[result.names.index(name)]
         middle = np.sqrt(table["from"] * table["to"]) / given_weight
-        widths = np.linspace(3.2, 1.4, len(table))
-        routes = LineCollection(
-            result.line_routes[name],
-            capstyle="round",
-            colors=colours(middle),
-            linewidths=widths,
-            zorder=4,
-        )
-        panel.add_collection(routes)
-
-        # The route under the given weights, white with a dark edge, so that it is seen over all colours.
-        edge = [Stroke(linewidth=2.4, foreground=INK), Normal()]
-        panel.plot(
-            *result.route.xy_m.T,
-            color=ON_ROUTES_COLOUR,
-            linewidth=1.2,
-            linestyle=(0, (3, 2)),
-            path_effects=edge,
-            zorder=6,
-        )
+        shown = _shown(len(table))
+        widths = np.linspace(3.2, 1.4, len(shown))
+        for number, colour, width in zip(shown, colours(middle)[shown], widths, strict=True):
+            edge = [Stroke(linewidth=width + 2 * EDGE_PT, foreground="white"), Normal()]
+            panel.plot(
+                *result.line_routes[name][number].T,
+                color=colour,
+                linewidth=width,
+                path_effects=edge,
+                zorder=4,
+            )
+        panel.plot(*result.route.xy_m.T, **GIVEN_ROUTE)
     return figure
+
+
+def _shown(num: int) -> np.ndarray:
+    """Return which of the routes along a range are drawn: at most `MOST_ROUTES`, the first and the last among them."""
+    return np.unique(np.linspace(0, num - 1, min(num, MOST_ROUTES)).astype(int))
 
 
 @styled
 def plot_pareto(result: Sensitivity) -> Figure:
     """Return the best trade-offs between two or three features of routes, a point per route (supported Pareto points).
 
-    The first two features are the axes, and the last one is the colour; a star is the route under the given weights.
+    A panel for each pair of features; a star is the route under the given weights.
     """
     # The features of each route, and of the route under the given weights: these are the gradient of the cost.
-    front = result.front
-    figure = chart(4.0, f"Best trade-offs between {listed(front.objectives)}")
-    panel = figure.subplots()
-    points = front.points[[*front.objectives]].to_numpy()
-    gradient = result.cost["gradient"].loc[[*front.objectives]].to_numpy()
-    last = np.append(points[:, -1], gradient[-1])
-    labels = [_feature_label(result, name) for name in front.objectives]
-    colours = Colours("viridis", Normalize(last.min(), last.max()), labels[-1])
-    look: Look = {"norm": colours.norm, "cmap": colours.cmap, "label": "_"}
-    x, y, *_ = points.T
-    panel.scatter(x, y, s=26, c=points[:, -1], edgecolors=FAINT_INK, linewidths=0.4, **look)
-
-    # The star.
-    look |= {"marker": "*", "edgecolors": GIVEN_COLOUR, "label": "given weights"}
-    panel.scatter(gradient[0], gradient[1], s=220, c=gradient[-1:], **look)
-    if len(labels) == 3:
-        add_colour_bar(figure, [panel], colours)
-    panel.set(xlabel=labels[0], ylabel=labels[1])
-    panel.margins(0.06)
-    dress(panel)
-    panel.legend(loc="best", frameon=True)
+    names = result.front.objectives
+    gradient = result.cost["gradient"]
+    pairs = list(combinations(names, 2))
+    figure, axes = panels(len(pairs), f"Best trade-offs between {listed(names)}")
+    for panel, (across, up) in zip(axes, pairs, strict=True):
+        points = result.front.points
+        panel.plot(points[across], points[up], "o", color=INK, markersize=3.5, label="best routes")
+        panel.plot(gradient[across], gradient[up], "*", label="given weights", **GIVEN_STAR)
+        panel.set(xlabel=_feature_label(result, across), ylabel=_feature_label(result, up))
+        panel.margins(0.06)
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_major_locator(MaxNLocator(4))
+    letter_all(axes)
+    legend_below(figure, axes[0])
     return figure
 
 
@@ -209,4 +203,4 @@ def _feature_label(result: Sensitivity, name: str) -> str:
     unit = "sum of c over steps"
     if settings["cost_model"] == "line":
         unit = f"sum of c per {settings['reference_length_m']:g} m"
-    return f"{name} cost ({unit}; lower is better)"
+    return f"{name} cost ({unit})"

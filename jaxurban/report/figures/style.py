@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import (
     FuncFormatter,
+    Locator,
     LogLocator,
     MaxNLocator,
     NullFormatter,
@@ -44,7 +45,7 @@ HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.2, 0.13, 18.0  # of a line of a heading, of
 SERIES_COLOURS = ("#1a1a1a", "#d55e00", "#56b4e9", "#7f7f7f", "#8c510a", "#66c2a5", "#f0c800")
 MARKERS = "osD^vP*X"
 DOT: Look = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
-LABEL_IN = 1.9  # of a line of the label of an upright colour bar
+LABEL_IN, BESIDE_IN = 1.9, 0.6  # of a line of the label of an upright colour bar; left of panels
 SYMBOL = re.compile(r"(\$[mH]_\\mathrm\{[^$]*\}\$)|\\?\$")  # of a metric, or a dollar
 BOLD = 1.2  # how much wider bold letters are
 SHOWN_SHARE = 0.99  # of the cells that changed lie within the colour bar of a difference
@@ -75,9 +76,8 @@ printed = rc_context(
         "svg.hashsalt": "jaxurban",  # else two files of one figure differ
     }
 )
-LEGEND_COLUMNS = 6
 ENTRY_IN = 0.45  # of a legend's entry, beside its letters
-WIDE = 5.0  # an axis whose ends differ by this factor has ticks at 1, 2 and 5 of each decade
+WIDE, VERY_WIDE = 5.0, 1e3  # factors between the ends of an axis from which its ticks are others
 EDGE_IN, TITLE_IN = 0.1, 0.8
 # Of a name beside its mark: steps to the right and up, how it is aligned there, and how far from the mark's middle.
 STEPS, ACROSS, UPWARD = (1, -1, 0), ("center", "left", "right"), ("center", "bottom", "top")
@@ -241,9 +241,9 @@ def legend_above(panel: Axes, lift: float = 0.0) -> None:
 
 
 def legend_below(figure: Figure, panel: Axes) -> None:
-    """Write the legend of a panel at the foot of its figure, in at most `LEGEND_COLUMNS` columns."""
+    """Write the legend of a panel at the foot of its figure, which has no note, in as many columns as fit."""
     handles, names = panel.get_legend_handles_labels()
-    num_cols = min(LEGEND_COLUMNS, len(names))
+    num_cols = min(len(names), legend_columns(names, figure.get_figwidth()))
     legend = figure.legend(handles, names, loc="outside lower center", ncols=num_cols)
     for handle in legend.legend_handles:  # a line that is drawn beside its place stands at it here
         if isinstance(handle, Artist):
@@ -321,17 +321,17 @@ def step_up(panel: Axes, values: np.ndarray, end: float, **look: Any) -> None:
     panel.step([1.0, *reached, end], [*share, share[-1]], where="post", **look)
 
 
-def dots(panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, **look: Any) -> None:
+def dots(panel: Axes, y: np.ndarray, rows: pd.DataFrame, name: str, **look: Any) -> None:
     """Draw a statistic of a table's rows as dots with their intervals as bars; dots without an interval are hollow.
 
     Args:
       panel: to draw in.
-      x: ``[N]`` place of each row.
+      y: ``[N]`` place of each row.
       rows: ``N`` rows with the columns NAME, NAME_low and NAME_high; NaN where a value or an interval is not known.
       name: of the statistic.
       look: of the dots, as Matplotlib's keywords: a ``color``, and maybe a ``label`` for the legend.
     """
-    # How far each bar reaches below and above its dot; NaN, which is drawn as 0, without an interval.
+    # How far each bar reaches to the left and right of its dot; NaN, which is drawn as 0, without an interval.
     columns = [name, f"{name}_low", f"{name}_high"]
     values, low, high = rows[columns].to_numpy(np.float64).T
     below = values - low
@@ -344,14 +344,22 @@ def dots(panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, **look: Any)
         if is_drawn.any():
             look["label"] = label
             panel.errorbar(
-                x[is_drawn],
                 values[is_drawn],
-                yerr=bars[:, is_drawn],
+                y[is_drawn],
+                xerr=bars[:, is_drawn],
                 markerfacecolor=face,
                 **DOT,
                 **look,
             )
             label = None  # the legend names a series once
+
+
+def name_rows(panel: Axes, names: Sequence[str]) -> None:
+    """Give a panel a row for each name, the first one on top, and lines upright in place of those across."""
+    panel.set_yticks(range(len(names)), names)
+    panel.set_ylim(len(names) - 0.4, -0.6)
+    panel.grid(visible=False)
+    panel.grid(axis="x", linewidth=0.4, alpha=0.5)
 
 
 def show_plain(axis: Axis) -> None:
@@ -361,10 +369,17 @@ def show_plain(axis: Axis) -> None:
 
 
 def show_plain_log(axis: Axis) -> None:
-    """Label a logarithmic axis with plain numbers: 1, 2 and 5 of each decade, or round numbers where it is short."""
+    """Label a logarithmic axis with plain numbers: 1, 2 and 5 of each decade, or round numbers where it is short.
+
+    An axis of many decades (`VERY_WIDE`) has a label at some of them.
+    """
     low, high = axis.get_view_interval()
-    is_wide = high > WIDE * low
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if is_wide else MaxNLocator(4))
+    locator: Locator = LogLocator(subs=(1.0, 2.0, 5.0))
+    if high > VERY_WIDE * low:
+        locator = LogLocator(numticks=8)
+    elif high < WIDE * low:
+        locator = MaxNLocator(4)
+    axis.set_major_locator(locator)
     show_plain(axis)
 
 
@@ -405,14 +420,16 @@ def tick_label(value: float, _: float = 0.0) -> str:
 def bar_ticks(colours: Colours) -> list[float]:
     """Return where a colour bar has ticks, as values: its own, else at equal distances on the bar.
 
-    Those at the ends are exact; on a scale that is not linear those between are rounded to one digit.
+    Those at the ends are exact; those between are rounded, on a scale that is not linear to one digit.
     """
     if colours.ticks is not None:
         return list(colours.ticks)
     num_ticks = 4 if isinstance(colours.norm, LogNorm) else 5
     ticks = np.asarray(colours.norm.inverse(np.linspace(0, 1, num_ticks))).tolist()
-    if type(colours.norm) is not Normalize:  # round numbers between the ends
-        ticks[1:-1] = [float(f"{tick:.0e}") for tick in ticks[1:-1]]
+    digits = (
+        ".1e" if type(colours.norm) is Normalize else ".0e"
+    )  # of round numbers between the ends
+    ticks[1:-1] = [float(format(tick, digits)) for tick in ticks[1:-1]]
     return ticks
 
 
@@ -445,11 +462,13 @@ def add_colour_bar(
         **place,
     )
 
-    # The label, which has the whole width of the figure below panels.
+    # The label, which has the width of all panels below them.
     has_page_width = cax is None and location == "bottom"
-    label_in = figure.get_figwidth() if has_page_width else LABEL_IN
+    label_in = figure.get_figwidth() - BESIDE_IN if has_page_width else LABEL_IN
     bar.set_label(wrapped(colours.label, label_in))
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
+    if cax is not None or location == "bottom":  # no long number stands beyond a lying bar
+        bar.ax.get_xticklabels()[-1].set_horizontalalignment("right")
     bar.outline.set(linewidth=0.4)
     bar.ax.minorticks_off()
 

@@ -20,7 +20,7 @@ from jaxurban.report.figures.frame import (
 )
 from jaxurban.report.figures.metrics import line_colour, obstacle_patches
 from jaxurban.report.figures.paths import APART_PT, BESIDE, BLOCKED_COLOUR, Beside, lanes_of
-from jaxurban.report.figures.style import Colours, dots, panels, show_plain_log, styled
+from jaxurban.report.figures.style import Colours, dots, name_rows, panels, show_plain_log, styled
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
@@ -37,7 +37,7 @@ def plot_weights(fit: WeightFit) -> Figure:
     # A row per weight, with the ends of its interval named as `dots` expects them; NaN where there is no dot.
     table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
     table = table.where(table.weight > 0)
-    figure, (panel,) = panels(1, "Fitted weights and their intervals", height_in=2.5)
+    figure, (panel,) = panels(1, "Fitted weights and their intervals", height_in=0.3 * len(table))
     for place, name in enumerate(table.index):
         dots(
             panel,
@@ -47,9 +47,9 @@ def plot_weights(fit: WeightFit) -> Figure:
             color=line_colour(name),
             marker="o",
         )
-    panel.set_xticks(range(len(table)), table.index)
-    panel.set(yscale="log", xlim=(-0.6, len(table) - 0.4), ylabel="weight (each in its unit)")
-    show_plain_log(panel.yaxis)
+    panel.set(xscale="log", xlabel="weight (bars that leave the axis reach 0)")
+    show_plain_log(panel.xaxis)
+    name_rows(panel, table.index.to_list())
     return figure
 
 

@@ -58,7 +58,7 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
         cost.plot(line["x"][changed], above[changed], "o", color=colour, markerfacecolor="white")
         if "no_fix_m" in line:
             no_fix.plot(line["x"], line["no_fix_m"], color=colour)
-    cost.plot([], [], "ok", markerfacecolor="white", label="a route differs from the best time's")
+    cost.plot([], [], "ok", markerfacecolor="white", label="another route than at the best time")
     legend_above(cost)
 
     # The scales: they reach as far as `LEAST_TOP`, so that a small effect looks small, and begin a little below 0.
