@@ -15,6 +15,7 @@ from jaxurban.cli.common import (
     RESOLUTION,
     print_json,
 )
+from jaxurban.paths.export.suffixes import PICTURES
 from jaxurban.progress import LOG
 
 
@@ -41,7 +42,7 @@ def return_home(
     from jaxurban.maps.saving import open_maps
     from jaxurban.paths.return_altitude import return_altitude
     from jaxurban.report.figures.home import plot_return
-    from jaxurban.report.write import PICTURES, save
+    from jaxurban.report.write import save
 
     home = return_altitude(open_maps(folder, resolution_m), **options)
     for file in files:
