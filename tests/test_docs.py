@@ -167,7 +167,9 @@ def run_alone(*arguments: str) -> tuple[int, str, str]:
     return ended.returncode, ended.stdout, ended.stderr
 
 
-def run_shell(block: Block, page: Path, capsys) -> None:
+def run_shell(block: Block, page: Path, capsys) -> str:
+    """Run the commands of a block and return all that they print."""
+    said = ""
     for words in commands_of(block):
         match words:
             case ["jaxurban", *arguments]:
@@ -177,8 +179,9 @@ def run_shell(block: Block, page: Path, capsys) -> None:
                 else:
                     # What this process holds counts toward a ceiling, and depends on the tests before.
                     by = run_alone if "--memory" in arguments else partial(run, capsys)
-                    code, _, err = by(*arguments)
+                    code, out, err = by(*arguments)
                     assert code == 0, f"{name_of(page)}:{block.line}: {shlex.join(words)}\n{err}"
+                    said += out + err
             case ["make", *targets]:
                 made = re.findall(
                     r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
@@ -201,6 +204,16 @@ def run_shell(block: Block, page: Path, capsys) -> None:
                 assert words == [".", ".venv/bin/activate"], (
                     f"{name_of(page)}: not known here: {shlex.join(words)}"
                 )
+    return said
+
+
+def assert_shown(block: Block, said: str, page: Path) -> None:
+    """Assert that what a page shows below a block is what the block printed, line by line; ``...`` stands for any text."""
+    for line in block.text.splitlines():
+        wanted = ".*".join(re.escape(part) for part in line.strip().split("..."))
+        assert re.search(rf"^.*{wanted}$", said, re.MULTILINE), (
+            f"{name_of(page)}:{block.line} shows {line!r}, but what was printed is:\n{said}"
+        )
 
 
 def commands_of(block: Block) -> Iterator[list[str]]:
@@ -224,17 +237,22 @@ def with_code() -> Iterator[Any]:
 @pytest.mark.parametrize("page", [*with_code()])
 def test_the_blocks_of_a_page_run_in_their_order(page, folder, capsys):
     namespace: dict[str, Any] = {"__name__": "__main__"}
+    said = ""
     for block in blocks_of(page):
         match block.language:
+            case "text" if said:
+                assert_shown(block, said, page)
+                said = ""
             case "python":
                 source = (
                     "\n" * (block.line - 1) + block.text
                 )  # so that a traceback names the page's own line
                 exec(compile(source, str(page), "exec"), namespace)
+                said = capsys.readouterr().out
             case "toml":
                 keep_toml(block)
             case "sh":
-                run_shell(block, page, capsys)
+                said = run_shell(block, page, capsys)
 
     # What a page writes as a mission passes its check: wholly, or but for what other maps do not hold.
     maps = "out/first" if page.stem == "tutorial" else "out/manhattan"
