@@ -208,7 +208,7 @@ def run_shell(block: Block, page: Path, capsys) -> str:
 
 
 def assert_shown(block: Block, said: str, page: Path) -> None:
-    """Assert that what a page shows below a block is what the block printed, line by line; ``...`` stands for any text."""
+    """Assert that each line shown below a block is one that it printed; ``...`` stands for any text."""
     for line in block.text.splitlines():
         wanted = ".*".join(re.escape(part) for part in line.strip().split("..."))
         assert re.search(rf"^.*{wanted}$", said, re.MULTILINE), (
@@ -238,7 +238,11 @@ def with_code() -> Iterator[Any]:
 def test_the_blocks_of_a_page_run_in_their_order(page, folder, capsys):
     namespace: dict[str, Any] = {"__name__": "__main__"}
     said = ""
+    lines, last = page.read_text(encoding="utf-8").splitlines(), 0
     for block in blocks_of(page):
+        if any(line.startswith("#") for line in lines[last : block.line - 2]):
+            said = ""  # what stands below another heading is no output
+        last = block.line + block.text.count("\n")
         match block.language:
             case "text" if said:
                 assert_shown(block, said, page)
