@@ -24,6 +24,9 @@ TABLE_LINK = re.compile(
 FIGURE_LINK = re.compile(r"\]\(((?:\.\./)*)\.\./figures/")  # as files of the repository see it
 RAN = ROOT / "out" / "notebooks"
 WIDGET = "application/vnd.jupyter.widget-view+json"
+KERNEL_FILE = re.compile(
+    r"[^\s\"]*/ipykernel_\d+/\d+\.py:\d+: "
+)  # of the machine that ran a notebook
 STYLE = re.compile(r"<style scoped>.*?</style>\n", re.DOTALL)  # of pandas' tables
 COMMANDS = "<!-- commands: all -->"
 NAMES_PAGE = "reference/api.md"
@@ -67,16 +70,15 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             raise FileNotFoundError(
                 f"{ran.relative_to(ROOT)} is not there: make notebooks runs the notebooks"
             )
+        notebook = KERNEL_FILE.sub("", ran.read_text(encoding="utf-8"))
         resources = {"output_files_dir": f"{source.stem}_files"}
         page, made = MarkdownExporter().from_notebook_node(
-            _without_widgets(nbformat.read(ran, 4)), resources
+            _without_widgets(nbformat.reads(notebook, 4)), resources
         )
         files.append(
             File.generated(config, f"notebooks/{source.stem}.md", content=_introduced(page, source))
         )
-        files.append(
-            File.generated(config, f"notebooks/{source.stem}.ipynb", abs_src_path=str(ran))
-        )
+        files.append(File.generated(config, f"notebooks/{source.stem}.ipynb", content=notebook))
         for name, picture in made["outputs"].items():
             files.append(File.generated(config, f"notebooks/{name}", content=picture))
     return files
