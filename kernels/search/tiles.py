@@ -68,7 +68,8 @@ def begin(start: Array, goal: Array, bound: Array) -> Search:
     g = jnp.full((num_queries, num_i * SIDE + 2, num_j * SIDE + 2), jnp.inf)
     open_g = jnp.full((num_queries, num_i + 2, num_j + 2), jnp.inf)
     for step in product(RIM, RIM):  # the goal itself may lower cells of the next tile
-        open_g = open_g.at[query, *((goal + jnp.array(step)) // SIDE + 1).T].set(0.0, mode="drop")
+        beside = (goal + jnp.array([step], goal.dtype)) // SIDE + 1
+        open_g = open_g.at[query, *beside.T].set(0.0, mode="drop")
     return Search(
         start,
         bound,
@@ -160,9 +161,9 @@ def _round(search: Search, grid: Grid, band: float, num_together: int) -> Search
     of_rows = [lowered[rim].min(0) for rim in RIM.values()]
     lowest = jnp.array([[row[rim].min(0) for rim in RIM.values()] for row in of_rows])
     lowest = lowest.at[1, 1].set(again.min((0, 1)))
-    beside = jnp.arange(3)
+    di, dj = jnp.indices((3, 3, 1))[:2]
     open_g = search.open_g.at[query, i + 1, j + 1].set(jnp.inf, mode="drop")
-    open_g = open_g.at[query, i + beside[:, None, None], j + beside[:, None]].min(
+    open_g = open_g.at[query[None, None], i[None, None] + di, j[None, None] + dj].min(
         lowest, mode="drop"
     )
 
