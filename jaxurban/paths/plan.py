@@ -293,7 +293,7 @@ def plan(
     """
     maps = as_maps(maps)
     search = PathSearch.of(
-        maps,
+        maps.planning,
         is_for_volumes=isinstance(altitude_m, Levels),
         planner=planner,
         heuristic=heuristic,
