@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxurban.kernels.line.segment_cost import segment_costs
+from jaxurban.kernels.line.segment_costs import segment_costs
 from jaxurban.kernels.search.heap import NO_PARENT
 
 NO_QUERY = -1

@@ -18,7 +18,7 @@ from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import METRIC_WEIGHT, MOST_WEIGHT, Weights
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import weights_on
+from jaxurban.metrics.weights import weights_on
 from jaxurban.paths.places import XY
 from jaxurban.paths.plan import rules_on
 from jaxurban.paths.queries import IN_METRES, WEIGHT_PREFIX, Query
