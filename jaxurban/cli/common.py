@@ -137,40 +137,45 @@ def check_place(ctx: click.Context, param: click.Parameter, lonlat: Point) -> Po
 
 
 def check_route(
-    folder: Path, altitude_m: float | None, time: str | None, weights: dict[str, float]
-) -> Settings:
-    """Refuse what the maps in a folder do not hold, before they are opened, and return their recorded settings.
+    folder: Path,
+    altitude_m: float | None,
+    time: str | None,
+    weights: dict[str, float],
+    search: Settings,
+) -> None:
+    """Refuse what does not go with the maps in a folder before they are opened, as far as `glance` knows them.
 
     Args:
       folder: of the maps.
       altitude_m: of the route; None: it may climb.
       time: of the GPS map; None: the first.
-      weights: by name; none of them needs JAX.
-
-    Returns:
-      Settings by section; empty where `glance` sees none.
+      weights: by name.
+      search: keywords of `PathSearch.of`.
 
     Raises:
-      InputError: an altitude, time or weight that the maps do not hold.
+      InputError: an altitude, time or weight that the maps do not hold, or a wrong search.
     """
     from jaxurban.io.glance import glance
     from jaxurban.maps.levels import around, index_of
-    from jaxurban.settings import iso_utc
+    from jaxurban.settings import Planning, iso_utc
 
     maps = glance(folder)
     if maps is None:
-        return {}
+        return
     if altitude_m is not None:
         around(altitude_m, maps.altitudes_m)
     if time is not None and "gps" in maps.variables:  # not the statistics of a long series
         index_of("time", iso_utc(time), maps.times)
-    if weights:
+    if weights:  # that are given: their names bring JAX
         from jaxurban.metrics.custom import held_metrics
         from jaxurban.metrics.weights import weights_on
 
         maps.metrics = held_metrics(maps)
         weights_on(maps, weights)
-    return maps.recorded
+    from jaxurban.paths.search import PathSearch
+
+    planning = Planning(**maps.recorded.get("planning", {}))
+    PathSearch.of(planning, altitude_m is None, **search)
 
 
 PATH, GIVEN, MAPS_PATH = NamedPath(), NamedPath(check_given), NamedPath(stored_maps)

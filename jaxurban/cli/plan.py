@@ -285,13 +285,8 @@ def plan(
             search["on_ground"] = search["snap"] is not False and is_mission
         if search["on_ground"] and outputs.from_roof:
             search["on_ground"] = "goal"
-    recorded = check_route(folder, altitude_m if levels is None else None, time, rules["weights"])
-    if search["planner"] or search["heuristic"]:
-        from jaxurban.paths.search import PathSearch
-        from jaxurban.settings import Planning
-
-        planning = Planning(**recorded.get("planning", {}))
-        PathSearch.of(planning, levels is not None, **search)
+    route_m = altitude_m if levels is None else None
+    check_route(folder, route_m, time, rules["weights"], search)
     maps = maps_of(folder).open()
     which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
 

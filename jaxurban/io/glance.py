@@ -25,22 +25,18 @@ def glance(folder: Path) -> Any:
         (path,) = stored_maps(folder).values()
         parts = json.loads((path / METADATA).read_bytes())["metadata"]
 
-        def values(name: str, dtype: str) -> np.ndarray:
+        def values(axis: str, dtype: str) -> np.ndarray:
             """Return the values along an axis, which are in one chunk."""
-            return np.frombuffer(Zstd().decode((path / name / "0").read_bytes()), dtype)
+            return np.frombuffer(Zstd().decode((path / axis / "0").read_bytes()), dtype)
 
-        variables = {
-            name.removesuffix("/.zattrs"): SimpleNamespace(attrs=part)
-            for name, part in parts.items()
-            if name.endswith("/.zattrs")
-        }
-        seconds = values("time", "<i8").astype("M8[s]")
+        attrs = parts[".zattrs"]
+        names = [name.partition("/")[0] for name in parts if name.endswith("/.zattrs")]
         return SimpleNamespace(
-            attrs=parts[".zattrs"],
+            attrs=attrs,
             sizes={axis: parts[f"{axis}/.zarray"]["shape"][0] for axis in "yx"},
-            variables=variables,
-            recorded=settings_of(folder) or json.loads(parts[".zattrs"].get("settings", "{}")),
+            variables={name: SimpleNamespace(attrs=parts[f"{name}/.zattrs"]) for name in names},
+            recorded=settings_of(folder) or json.loads(attrs.get("settings", "{}")),
             altitudes_m=values("altitude", "<f8").tolist(),
-            times=[f"{text}Z" for text in np.datetime_as_string(seconds)],
+            times=[f"{time}Z" for time in values("time", "<M8[s]")],
         )
     return None

@@ -7,7 +7,7 @@ from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.paths.places import snap_limit_m
 from jaxurban.planners.registry import EXACT_PLANNERS, VOLUME_PLANNERS, find_planner
-from jaxurban.settings import DEFAULTS, Backend, HeuristicName, OnGround, Planning, PlannerName
+from jaxurban.settings import DEFAULTS, Backend, HeuristicName, OnGround, PlannerName, Planning
 
 
 @dataclass(frozen=True)
