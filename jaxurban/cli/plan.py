@@ -369,10 +369,10 @@ def _check_files(outputs: RouteFiles, is_when: bool) -> None:
       InputError: a file of a format that holds no path.
       UsageError: an option of missions without a mission, or ``--when`` with a file that is no table.
     """
-    from jaxurban.io.tables import SUFFIXES
-
     suffixes = [file.suffix.lower() for file in outputs.files]
     if is_when:
+        from jaxurban.io.tables import SUFFIXES
+
         if not set(suffixes).issubset(SUFFIXES):
             raise click.UsageError(NOT_WHEN)
     else:
