@@ -30,11 +30,14 @@ def glance(folder: Path) -> Any:
             return np.frombuffer(Zstd().decode((path / axis / "0").read_bytes()), dtype)
 
         attrs = parts[".zattrs"]
-        names = [name.partition("/")[0] for name in parts if name.endswith("/.zattrs")]
         return SimpleNamespace(
             attrs=attrs,
             sizes={axis: parts[f"{axis}/.zarray"]["shape"][0] for axis in "yx"},
-            variables={name: SimpleNamespace(attrs=parts[f"{name}/.zattrs"]) for name in names},
+            variables={
+                name.removesuffix("/.zattrs"): SimpleNamespace(attrs=part)
+                for name, part in parts.items()
+                if name.endswith("/.zattrs")
+            },
             recorded=settings_of(folder) or json.loads(attrs.get("settings", "{}")),
             altitudes_m=values("altitude", "<f8").tolist(),
             times=[f"{time}Z" for time in values("time", "<M8[s]")],
