@@ -16,7 +16,7 @@ from jaxurban.kernels.blocks import LARGE
 from jaxurban.kernels.distance import nearest as distance
 from jaxurban.kernels.lidar import hard
 from jaxurban.kernels.lidar import soft as soft_lidar
-from jaxurban.kernels.line.segment_cost import segment_costs
+from jaxurban.kernels.line.segment_costs import segment_costs
 from jaxurban.kernels.search import sample_graph, tiles
 from jaxurban.kernels.shadows import blocks, rays, sweep
 from jaxurban.kernels.shadows.sweep import shadow_heights

@@ -16,12 +16,12 @@ from jaxurban.kernels.search.heap import (
     EXHAUSTED,
     FOUND,
     FULL,
+    NO_PARENT,
     PAUSED,
     Heap,
     drop_top,
     place,
 )
-from jaxurban.kernels.search.sample_graph import NO_PARENT
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status, index_of
 from jaxurban.planners.bitstar.bounds import Bounds, cost_grid_of, make_bounds, reachable_cells
 from jaxurban.planners.compiled_first import compiled_first

@@ -11,7 +11,6 @@ import time
 from functools import partial
 
 import numpy as np
-from scipy.ndimage import label
 
 from jaxurban.checks import one_of
 from jaxurban.kernels.search.bounds import LandmarkBound, TileBound, printed_plus_field, tile_bound
@@ -348,6 +347,8 @@ def landmark_cells(problem: Problem, num: int) -> list[Cell]:
     & Werneck 2005), saved no more expansions on Lower Manhattan and needs searches of its own.
     """
     # A diagonal step between two free neighbours joins what they join already.
+    from scipy.ndimage import label
+
     parts, _ = label(problem.is_free, np.ones((3, 3)) if problem.cost_model.joins_corners else None)
     largest = 1 + np.argmax(np.bincount(parts.ravel())[1:])  # part 0 is what is not free
     rows, cols = np.nonzero(parts == largest)

@@ -12,7 +12,8 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid
-from jaxurban.kernels.search.sample_graph import NO_PARENT, NO_QUERY, Samples, Sizes, search_samples
+from jaxurban.kernels.search.heap import NO_PARENT
+from jaxurban.kernels.search.sample_graph import NO_QUERY, Samples, Sizes, search_samples
 from jaxurban.planners.base import Path, Problem, ProblemCache
 from jaxurban.planners.bitstar.bounds import cost_grid_of
 from jaxurban.planners.bitstar.planner import DEFAULTS, Batches, BitStarOptions, check_limits

@@ -11,7 +11,7 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
-from jaxurban.kernels.search.sample_graph import NO_PARENT
+from jaxurban.kernels.search.heap import NO_PARENT
 from jaxurban.kernels.tolerances import CHEAPER, INSIDE, SAME_COST
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import cost_grid_of, make_bounds

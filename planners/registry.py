@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, get_args
 
-import jax
 import numpy as np
 
 from jaxurban.checks import at_least, nearest_name, one_of
 from jaxurban.errors import InputError
-from jaxurban.kernels.engine import num_cores
 from jaxurban.planners.any_angle import ptp, theta_star
 from jaxurban.planners.astar import (
     AUTO,
@@ -27,8 +25,6 @@ from jaxurban.planners.astar import (
 from jaxurban.planners.base import Cell, Path, Problem, ProblemCache
 from jaxurban.planners.bitstar.bounds import HEURISTICS as OFF_GRID_HEURISTICS
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
-from jaxurban.planners.bulk import solve_batched
-from jaxurban.planners.tile_search import solve_by_tiles
 from jaxurban.settings import Backend
 
 Outcome = tuple[int, Path | Exception]
@@ -188,6 +184,12 @@ def solve_many(
         have, or a wrong number of threads.
     """
     find_planner(planner, heuristic, backend=backend)  # raises the errors
+    import jax  # here, like all that it computes with: the names of planners are checked without it
+
+    from jaxurban.kernels.engine import num_cores
+    from jaxurban.planners.bulk import solve_batched
+    from jaxurban.planners.tile_search import solve_by_tiles
+
     if num_threads is not None:
         at_least("num_threads", num_threads, 1)
     only = range(len(problems)) if only is None else only

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial, wraps
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import click
@@ -16,7 +15,7 @@ import click
 from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
-from jaxurban.io.stored import METADATA, stored_maps
+from jaxurban.io.stored import stored_maps
 from jaxurban.programs import keep_programs as keep_programs
 from jaxurban.progress import LOG, reporting
 
@@ -123,20 +122,60 @@ def check_place(ctx: click.Context, param: click.Parameter, lonlat: Point) -> Po
     Raises:
       InputError: the place lies outside.
     """
+    from jaxurban.io.glance import glance
     from jaxurban.world.grid import grid_of
 
     grid = None
-    with suppress(OSError, LookupError, TypeError, ValueError):
-        (path,) = stored_maps(ctx.params["folder"]).values()
-        arrays = json.loads((path / METADATA).read_bytes())["metadata"]
-        sizes = {axis: arrays[f"{axis}/.zarray"]["shape"][0] for axis in "yx"}
-        grid = grid_of(SimpleNamespace(attrs=arrays[".zattrs"], sizes=sizes))
+    with suppress(AttributeError, LookupError, TypeError, ValueError):  # damaged metadata, or None
+        grid = grid_of(glance(ctx.params["folder"]))
     if grid is not None:
         try:
             grid.cell_of_lonlat(*lonlat)
         except InputError as error:
             raise InputError(f"{param.name}: {error}") from error
     return lonlat
+
+
+def check_route(
+    folder: Path,
+    altitude_m: float | None,
+    time: str | None,
+    weights: dict[str, float],
+    search: Settings,
+) -> None:
+    """Refuse what does not go with the maps in a folder before they are opened, as far as `glance` knows them.
+
+    Args:
+      folder: of the maps.
+      altitude_m: of the route; None: it may climb.
+      time: of the GPS map; None: the first.
+      weights: by name.
+      search: keywords of `PathSearch.of`.
+
+    Raises:
+      InputError: an altitude, time or weight that the maps do not hold, or a wrong search.
+    """
+    from jaxurban.io.glance import glance
+    from jaxurban.maps.levels import around, index_of
+    from jaxurban.settings import Planning, iso_utc
+
+    maps = glance(folder)
+    if maps is None:
+        return
+    if altitude_m is not None:
+        around(altitude_m, maps.altitudes_m)
+    if time is not None and "gps" in maps.variables:  # not the statistics of a long series
+        index_of("time", iso_utc(time), maps.times)
+    if weights:  # that are given: their names bring JAX
+        from jaxurban.metrics.custom import held_metrics
+        from jaxurban.metrics.weights import weights_on
+
+        maps.metrics = held_metrics(maps)
+        weights_on(maps, weights)
+    from jaxurban.paths.search import PathSearch
+
+    planning = Planning(**maps.recorded.get("planning", {}))
+    PathSearch.of(planning, altitude_m is None, **search)
 
 
 PATH, GIVEN, MAPS_PATH = NamedPath(), NamedPath(check_given), NamedPath(stored_maps)

@@ -24,6 +24,7 @@ from jaxurban.cli.common import (
     MapsOf,
     RouteRules,
     Settings,
+    check_route,
     grouped,
     print_json,
 )
@@ -278,6 +279,14 @@ def plan(
         for_one_route = [with_report, search["refine"], search["exposure"], on_ground, *how_written]
         if any(for_one_route) or levels is not None:
             raise click.UsageError(NOT_WHEN)
+    else:  # a mission's ends must be free down to the ground
+        if search["on_ground"] is None:
+            is_mission = any(file.suffix.lower() == ".plan" for file in outputs.files)
+            search["on_ground"] = search["snap"] is not False and is_mission
+        if search["on_ground"] and outputs.from_roof:
+            search["on_ground"] = "goal"
+    route_m = altitude_m if levels is None else None
+    check_route(folder, route_m, time, rules["weights"], search)
     maps = maps_of(folder).open()
     which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
 
@@ -299,12 +308,7 @@ def plan(
     if levels is not None:
         start = (*start, altitude_m)
         goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
-    if search["on_ground"] is None:
-        is_mission = any(file.suffix.lower() == ".plan" for file in outputs.files)
-        search["on_ground"] = search["snap"] is not False and is_mission
-    if search["on_ground"] and outputs.from_roof:
-        search["on_ground"] = "goal"
-    path_search = PathSearch.of(maps, levels is not None, **search)
+    path_search = PathSearch.of(maps.planning, levels is not None, **search)
     costs = cost_map(maps, levels or altitude_m, **which_map, **rules)
     planned = costs.planned(start, goal, path_search)
     if outputs.simplify_m:
@@ -365,10 +369,10 @@ def _check_files(outputs: RouteFiles, is_when: bool) -> None:
       InputError: a file of a format that holds no path.
       UsageError: an option of missions without a mission, or ``--when`` with a file that is no table.
     """
-    from jaxurban.io.tables import SUFFIXES
-
     suffixes = [file.suffix.lower() for file in outputs.files]
     if is_when:
+        from jaxurban.io.tables import SUFFIXES
+
         if not set(suffixes).issubset(SUFFIXES):
             raise click.UsageError(NOT_WHEN)
     else:

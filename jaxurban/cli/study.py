@@ -83,6 +83,7 @@ def study(
         changes = (*changes, f"planning.preset={preset!r}")
     scenario = Scenario.from_toml(scenario_file, changes)
     from jaxurban.io.workspace import Workspace
+    from jaxurban.maps.provenance import finished
     from jaxurban.maps.run import run_scenario
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.planners.cost import CostModel
@@ -109,8 +110,10 @@ def study(
     instances = None if instances_file is None else read_instances(instances_file)
     cover = land_cover_of(scenario) if instances is None else None
     with reporting("maps") as report:
-        run = run_scenario(scenario, folder, report, overwrite)
-    for warning in run.record["warnings"]:
+        record = finished(scenario, folder)
+        if record is None:
+            record = run_scenario(scenario, folder, report, overwrite).record
+    for warning in record["warnings"]:
         LOG.warning(f"warning: {warning}")
 
     # Draw instances where no file names them, run all planners on them, and write the report.

@@ -95,6 +95,38 @@ class Levels:
         return np.sort(np.concatenate([fixed, steps[is_new]]))
 
 
+def around(altitude_m: float, altitudes_m: Sequence[float]) -> list[float]:
+    """Return the altitudes of maps about another one; arguments and errors as of `MetricMaps.around`."""
+    altitude_m = finite("altitude_m", altitude_m)
+    low_m, high_m = min(altitudes_m), max(altitudes_m)
+    if not low_m <= altitude_m <= high_m:
+        raise InputError(
+            f"there are no maps for altitude {altitude_m:g} m: these maps reach from {low_m:g} to {high_m:g} m"
+        )
+    below_m = max(z_m for z_m in altitudes_m if z_m <= altitude_m)
+    above_m = min(z_m for z_m in altitudes_m if z_m >= altitude_m)
+    return sorted({below_m, above_m})
+
+
+def index_of(name: str, value: Any, values: Sequence) -> int:
+    """Return the index of a value among those that maps hold; 0, that of the first, where it is None.
+
+    Args:
+      name: what messages call the value.
+      value: the value that is looked for.
+      values: that the maps hold.
+
+    Raises:
+      InputError: the maps do not hold the value.
+    """
+    if value is None:
+        return 0
+    if value not in values:
+        listed_values = ", ".join(map(str, values)) or "none, so leave it out"
+        raise InputError(f"there are no maps for {name} {value}: these maps hold {listed_values}")
+    return values.index(value)
+
+
 def values_at(
     z_m: float | np.ndarray,
     altitudes_m: Sequence[float],

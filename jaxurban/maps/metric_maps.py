@@ -13,6 +13,7 @@ import xarray as xr
 
 from jaxurban.checks import finite, typed
 from jaxurban.errors import InputError
+from jaxurban.maps.levels import around, index_of
 from jaxurban.metrics.base import TIME_OF_DAY, UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.progress import LOG
@@ -247,26 +248,6 @@ class MetricMaps(FactsRepr):
         """The metrics of the cost in these maps by name, those that a user added too, in the order of the layers."""
         return held_metrics(self.ds)
 
-    def _index_of(self, name: str, value: Any, values: Sequence) -> int:
-        """Return the index of a value among those that the maps hold; 0, that of the first, where it is None.
-
-        Args:
-          name: what messages call the value.
-          value: the value that is looked for.
-          values: that the maps hold.
-
-        Raises:
-          InputError: the maps do not hold the value.
-        """
-        if value is None:
-            return 0
-        if value not in values:
-            listed_values = ", ".join(map(str, values)) or "none, so leave it out"
-            raise InputError(
-                f"there are no maps for {name} {value}: these maps hold {listed_values}"
-            )
-        return values.index(value)
-
     @typed
     def check_altitude(self, altitude_m: float) -> None:
         """Raise InputError unless these maps hold an altitude.
@@ -279,7 +260,7 @@ class MetricMaps(FactsRepr):
           ...     print(error)
           there are no maps for altitude 40.0: these maps hold 20.0, 60.0
         """
-        self._index_of("altitude", altitude_m, self.altitudes_m)
+        index_of("altitude", altitude_m, self.altitudes_m)
 
     @typed
     def around(self, altitude_m: float) -> list[float]:
@@ -295,15 +276,7 @@ class MetricMaps(FactsRepr):
           >>> maps.around(60.0), maps.around(40.0)
           ([60.0], [20.0, 60.0])
         """
-        altitude_m = finite("altitude_m", altitude_m)
-        low_m, high_m = min(self.altitudes_m), max(self.altitudes_m)
-        if not low_m <= altitude_m <= high_m:
-            raise InputError(
-                f"there are no maps for altitude {altitude_m:g} m: these maps reach from {low_m:g} to {high_m:g} m"
-            )
-        below_m = max(z_m for z_m in self.altitudes_m if z_m <= altitude_m)
-        above_m = min(z_m for z_m in self.altitudes_m if z_m >= altitude_m)
-        return sorted({below_m, above_m})
+        return around(altitude_m, self.altitudes_m)
 
     @typed
     def m(
@@ -347,9 +320,9 @@ class MetricMaps(FactsRepr):
             )
         utc_time = None if time is None else iso_utc(time)
         index = {
-            "altitude": self._index_of("altitude", altitude_m, self.altitudes_m),
-            "time": self._index_of("time", utc_time, self.times),
-            "time_of_day": self._index_of("time of day", time_of_day, self.times_of_day),
+            "altitude": index_of("altitude", altitude_m, self.altitudes_m),
+            "time": index_of("time", utc_time, self.times),
+            "time_of_day": index_of("time of day", time_of_day, self.times_of_day),
         }
         values = self.ds[variable].variable  # without coordinates, which xarray would cut too
         return values.isel(index, missing_dims="ignore").values

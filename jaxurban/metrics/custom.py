@@ -321,15 +321,17 @@ def held_metrics(ds: "xr.Dataset") -> dict[str, Metric]:
     A metric counts as held where its median is, which a long series keeps in its place. The variable of a user's layer
     has its settings in the attribute ``layer`` (`Layer.record`).
     """
+    variables = ds.variables
     records = {
         str(name): json.loads(variable.attrs["layer"])
-        for name, variable in ds.variables.items()
+        for name, variable in variables.items()
         if "layer" in variable.attrs
     }
     metrics = {
         metric.name: metric
         for metric in known_beside(records)
-        if metric.name in ds or (TIME in metric.dims and f"{metric.name}_median" in ds)
+        if metric.name in variables
+        or (TIME in metric.dims and f"{metric.name}_median" in variables)
     }
     for name, record in sorted(records.items()):
         metrics[name] = own_metric(name, Layer(**record))

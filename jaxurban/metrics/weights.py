@@ -220,6 +220,22 @@ class Weights:
 WeightsLike = Weights | Mapping[str, float] | None
 
 
+def weights_on(maps: Any, given: WeightsLike) -> Weights:
+    """Return ``given`` as `Weights`; what a mapping leaves out is as the maps' scenario has it, or by default.
+
+    Args:
+      maps: with the ``recorded`` settings and the ``metrics`` of `MetricMaps`.
+      given: in any of several ways.
+
+    Raises:
+      InputError: an invalid weight, or one above 0 that is given of a metric that the maps do not hold.
+    """
+    usual = maps.recorded.get("weights")
+    weights = Weights.of(given, usual).checked(maps.metrics)
+    check_held(given, maps.metrics, usual)
+    return weights
+
+
 def check_held(
     given: WeightsLike, metrics: Iterable[str], usual: Mapping[str, float] | None = None
 ) -> None:

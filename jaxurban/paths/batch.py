@@ -120,7 +120,7 @@ def plan_many(
     """
     maps = as_maps(maps)
     search = PathSearch.of(
-        maps,
+        maps.planning,
         planner=planner,
         heuristic=heuristic,
         budget_s=budget_s,

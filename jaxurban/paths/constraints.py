@@ -12,9 +12,7 @@ import numpy as np
 
 from jaxurban.checks import nearest_name, typed
 from jaxurban.errors import IgnoredZoneWarning, InputError, warn
-from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
-from jaxurban.io.tables import number_or_none
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.paths.clearance import (
     closed_by_clearance,
@@ -222,7 +220,11 @@ class Constraints:
           >>> print(limits)
           1 no-fly zone, gps>=0.5, num_visible>=4, clearance of 5 m, vertical clearance of 3 m
         """
-        zones = [zone for file in as_tuple(no_fly) for zone in read_zones(file)]
+        zones: list[Zone] = []
+        for file in as_tuple(no_fly):
+            from jaxurban.io.read.airspace import read_zones  # here: it brings pandas
+
+            zones.extend(read_zones(file))
         bounds = map(Bound.parse, as_tuple(require))
         return cls(tuple(zones), tuple(bounds), clearance_m, vertical_clearance_m, vehicle)
 
@@ -297,6 +299,8 @@ class Constraints:
           >>> ju.Constraints.read(require="gps>=0.5", clearance_m=5.0).to_dict()
           {'no_fly': [], 'require': ['gps>=0.5'], 'clearance_m': 5.0, 'vertical_clearance_m': 3.0}
         """
+        from jaxurban.io.tables import number_or_none  # here: it brings pandas
+
         zones = [
             {
                 "name": zone.name,

@@ -11,7 +11,7 @@ from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.maps.levels import SAME_M, Levels, listed_m
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.weights import Weights, WeightsLike, check_held
+from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.finish import MapNotes, finish, map_notes, map_settings
 from jaxurban.paths.path import PlannedPath
@@ -38,18 +38,6 @@ from jaxurban.settings import Backend, HeuristicName, Objective, OnGround, Plann
 from jaxurban.world.grid import Grid
 
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
-
-
-def weights_on(maps: MetricMaps, given: WeightsLike) -> Weights:
-    """Return ``given`` as `Weights`; what a mapping leaves out is as the maps' scenario has it, or by default.
-
-    Raises:
-      InputError: an invalid weight, or one above 0 that is given of a metric that the maps do not hold.
-    """
-    usual = maps.recorded.get("weights")
-    weights = Weights.of(given, usual).checked(maps.metrics)
-    check_held(given, maps.metrics, usual)
-    return weights
 
 
 @dataclass

@@ -159,7 +159,9 @@ def costs_of(
 
     # What the cheapest route costs.
     try:
-        cheapest = limited_map.planned(XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps, snap=True))
+        cheapest = limited_map.planned(
+            XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps.planning, snap=True)
+        )
     except InputError as error:
         return figures | {"cost_note": f"No route to compare with: {str(error).partition(';')[0]}."}
     reason = ""

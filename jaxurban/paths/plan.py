@@ -14,9 +14,9 @@ from jaxurban.maps.free_memory import free_bytes
 from jaxurban.maps.levels import Levels, values_at
 from jaxurban.maps.memory import distinct_texts
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
-from jaxurban.metrics.weights import WeightsLike
+from jaxurban.metrics.weights import WeightsLike, weights_on
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import CostMap, weights_on
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import Point, one_place
 from jaxurban.paths.search import PathSearch
@@ -293,7 +293,7 @@ def plan(
     """
     maps = as_maps(maps)
     search = PathSearch.of(
-        maps,
+        maps.planning,
         is_for_volumes=isinstance(altitude_m, Levels),
         planner=planner,
         heuristic=heuristic,

@@ -5,10 +5,9 @@ from dataclasses import dataclass, field, replace
 
 from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError
-from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.places import snap_limit_m
 from jaxurban.planners.registry import EXACT_PLANNERS, VOLUME_PLANNERS, find_planner
-from jaxurban.settings import DEFAULTS, Backend, HeuristicName, OnGround, PlannerName
+from jaxurban.settings import DEFAULTS, Backend, HeuristicName, OnGround, PlannerName, Planning
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class PathSearch:
     @typed
     def of(
         cls,
-        maps: MetricMaps | None = None,
+        planning: Planning = DEFAULTS,
         is_for_volumes: bool = False,
         *,
         planner: PlannerName | None = None,
@@ -63,7 +62,7 @@ class PathSearch:
         """Return a checked search; what is left out is as the maps' scenario says it.
 
         Args:
-          maps: whose scenario gives planner, budget and seed; None for the defaults.
+          planning: of the maps' scenario, with its planner, budget and seed; left out, the defaults.
           is_for_volumes: whether the path may climb; then the scenario gives only the budget.
           planner: left out and not in the scenario, ``"astar-plus"``, between levels ``"astar-volume"``.
           heuristic, budget_s, seed, snap, on_ground, refine, exposure, backend: the attributes; None: left out.
@@ -74,7 +73,6 @@ class PathSearch:
             the grid or with refinement.
         """
         # Planner, budget and seed: the arguments, else the scenario, else the defaults.
-        planning = DEFAULTS if maps is None else maps.planning
         if is_for_volumes:
             planning = replace(DEFAULTS, planner="astar-volume", budget_s=planning.budget_s)
         arguments = {"planner": planner, "budget_s": budget_s, "seed": seed}

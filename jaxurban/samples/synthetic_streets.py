@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import shapely
-from scipy.interpolate import PchipInterpolator
 
 from jaxurban.world.blocks import OTHER_DISTRICT
 
@@ -173,6 +172,8 @@ class CityPlan:
 
     def parts(self) -> list[Land]:
         """Return the island and, where the box reaches them, the suburbs beyond its two rivers."""
+        from scipy.interpolate import PchipInterpolator
+
         # The island: up along its western shore and back along the eastern one.
         shore_s = np.linspace(-1.0, 1.0, 161)
         western_q, eastern_q = PchipInterpolator(SHORES[:, 0], SHORES[:, 1:])(shore_s).T

@@ -22,9 +22,9 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.kernels.tolerances import SAME_RECORDED_COST
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.scenario import Study
-from jaxurban.metrics.weights import Weights
+from jaxurban.metrics.weights import Weights, weights_on
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import CostMap, weights_on
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.planners.base import Status

@@ -11,9 +11,9 @@ from jaxurban.checks import one_of
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
-from jaxurban.metrics.weights import Weights, WeightsLike
+from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import CostMap, weights_on
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.explain import explain
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.finish import simplify

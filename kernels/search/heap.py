@@ -18,6 +18,7 @@ BUCKETS_PER_STEP = 32  # in the cost of a typical step: wider ones hold more to 
 NUM_FAR, FREE_SLOT, BUCKET, IS_HEAP = range(4)  # places in a queue's ``tally``
 NO_SLOT = -1
 AS_STACK, AS_HEAP = np.int64(0), np.int64(1)  # how entries are kept: what ``IS_HEAP`` may be
+NO_PARENT = -1  # of a node of a tree: it is the start, or outside
 
 
 class Heap(NamedTuple):

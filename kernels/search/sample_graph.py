@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxurban.kernels.line.segment_cost import segment_costs
+from jaxurban.kernels.line.segment_costs import segment_costs
+from jaxurban.kernels.search.heap import NO_PARENT
 
 NO_QUERY = -1
-NO_PARENT = -1
 BY_TREE = -1  # in place of an edge's number: the parent in the tree given, or none
 MOST_SQUARES = 1 << 12  # along a side of the map, so that a square's number fits beside its query's
 SQUARES_OF_A_QUERY = 1 << 26

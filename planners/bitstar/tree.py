@@ -6,8 +6,15 @@ import numpy as np
 
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import segment_cost
-from jaxurban.kernels.search.heap import AS_HEAP, EXHAUSTED, FULL, PAUSED, drop_top, place
-from jaxurban.kernels.search.sample_graph import NO_PARENT
+from jaxurban.kernels.search.heap import (
+    AS_HEAP,
+    EXHAUSTED,
+    FULL,
+    NO_PARENT,
+    PAUSED,
+    drop_top,
+    place,
+)
 from jaxurban.kernels.tolerances import SAME_COST
 from jaxurban.planners.bitstar.bounds import Bounds
 

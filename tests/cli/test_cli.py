@@ -15,9 +15,13 @@ import jax
 import pytest
 from shapely import box
 
+import jaxurban as ju
 from jaxurban.cli.common import use_device
 from jaxurban.cli.main import app
 from jaxurban.cli.plan import _path_table
+from jaxurban.io.glance import glance
+from jaxurban.metrics.custom import held_metrics
+from jaxurban.world.grid import grid_of
 from tests.cli_runs import ENDS, TOWN, assert_one_sentence, run, write_city
 from tests.test_process import heavy_modules
 
@@ -235,6 +239,9 @@ def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_p
         [*route, "--no-fly", str(wrong)],
         [*route, "--clearance=-1"],
         [*route, "--end", "land"],
+        [*route, "--altitude=600"],
+        [*route, "--time", "noon"],
+        [*route, "--time", "2020-04-27T17:00"],
         ["plan", str(made), "--start=-70,40.756", *ends[1:]],
         ["sensitivity", str(made), ends[0], "--goal=-70,40.76", ends[2]],
         [*route, "--when", "--refine"],
@@ -249,6 +256,52 @@ def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_p
     )
     heavy = heavy_modules(f"from jaxurban.cli.main import main{runs}")
     assert not {"jax", "matplotlib", "numba", "rasterio", "scipy", "xarray"} & set(heavy)
+
+
+@pytest.mark.parametrize(
+    ("option", "allowed"),
+    [
+        ("--planner=dijkstra", {"numba", "scipy"}),
+        ("--planner=astar-volume", {"numba", "scipy"}),
+        ("--heuristic=near", {"numba", "scipy"}),
+        ("--weights=noise=1", {"jax"}),
+        ("--weights=gps=-1", {"jax"}),
+        ("--weights=gps_vertical=1", {"jax"}),
+    ],
+)
+def test_wrong_names_and_weights_are_answered_before_maps_are_opened(made, capsys, option, allowed):
+    words = ["plan", str(made), *ENDS, "--altitude=20", option]
+    heavy = heavy_modules(
+        f"from jaxurban.cli.main import main\ntry: main({words})\nexcept SystemExit as e: assert e.code == 2"
+    )
+    assert set(heavy) <= {"numpy", "pyproj", "shapely"} | allowed
+
+    # What is said is what the same words of Python say.
+    name, _, text = option.removeprefix("--").partition("=")
+    value = ju.Weights.named_in(text) if name == "weights" else text
+    start, goal = ([float(x) for x in end.partition("=")[2].split(",")] for end in ENDS)
+    with pytest.raises(ju.InputError) as refused:
+        ju.plan(ju.open_maps(made), start, goal, altitude_m=20.0, **{name: value})
+    code, _, err = run(capsys, *words)
+    assert (code, err) == (2, f"jaxurban: error: {refused.value}\n")
+
+
+def test_a_glance_at_maps_sees_what_their_opening_does(made, tmp_path):
+    maps = ju.open_maps(made)
+    glanced = glance(made)
+    assert tuple(glanced.altitudes_m) == maps.altitudes_m
+    assert tuple(glanced.times) == maps.times
+    assert list(held_metrics(glanced)) == list(maps.metrics)
+    assert maps.recorded == {name: glanced.recorded[name] for name in maps.recorded}
+    assert grid_of(glanced) == maps.grid
+
+    # Maps of Python have no record of a run. What is damaged, and one of several, is left to their opening.
+    folder = maps.with_recorded({"planning": {"planner": "ptp"}}).save(tmp_path / "saved")
+    assert glance(folder).recorded == {"planning": {"planner": "ptp"}}
+    for part in (".zmetadata", "time/0"):
+        shutil.copytree(folder, tmp_path / part)
+        (tmp_path / part / "maps.zarr/20m" / part).write_bytes(b"{}")
+        assert glance(tmp_path / part) is None
 
 
 def test_complete_maps_are_answered_soon_and_changed_ones_are_made_again(made, tmp_path):

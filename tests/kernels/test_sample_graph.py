@@ -7,7 +7,8 @@ import pytest
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
-from jaxurban.kernels.search.sample_graph import NO_PARENT, NO_QUERY, Samples, Sizes, search_samples
+from jaxurban.kernels.search.heap import NO_PARENT
+from jaxurban.kernels.search.sample_graph import NO_QUERY, Samples, Sizes, search_samples
 
 SHAPE = (20, 26)
 NUM_NODES = 256

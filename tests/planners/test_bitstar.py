@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxurban.kernels.search.sample_graph import NO_PARENT
+from jaxurban.kernels.search.heap import NO_PARENT
 from jaxurban.planners import bulk as batched
 from jaxurban.planners.base import Status
 from jaxurban.planners.bitstar.bounds import HEURISTICS, InformedSet, graph_radius, make_bounds

@@ -7,7 +7,8 @@ import jax
 import numpy as np
 import pytest
 
-from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost, segment_costs
+from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
+from jaxurban.kernels.line.segment_costs import segment_costs
 from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.cost import CostModel, path_states

@@ -16,9 +16,8 @@ from jaxurban.io.read.rasterise import burn
 from jaxurban.io.tables import read_table
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.weights import METRIC_WEIGHT, MOST_WEIGHT, Weights
+from jaxurban.metrics.weights import METRIC_WEIGHT, MOST_WEIGHT, Weights, weights_on
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import weights_on
 from jaxurban.paths.places import XY
 from jaxurban.paths.plan import rules_on
 from jaxurban.paths.queries import IN_METRES, WEIGHT_PREFIX, Query

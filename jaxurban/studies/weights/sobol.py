@@ -16,8 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from SALib.analyze import sobol as analysis
-from SALib.sample import sobol as sampling
 from scipy import special
 
 from jaxurban.checks import at_least, one_of
@@ -108,6 +106,8 @@ def sobol_indices(
         "names": list(factors),
         "bounds": [[0.0, 1.0]] * len(factors),
     }
+    from SALib.sample import sobol as sampling  # here: reports import this module too
+
     points = sampling.sample(problem, num_samples, calc_second_order=False, seed=seed)
     tables = {name: _indices(problem, values, seed) for name, values in evaluate(points).items()}
     return pd.concat(tables, names=["outcome"])
@@ -180,6 +180,8 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
     table = pd.DataFrame(facts, pd.Index(problem["names"], name="factor"))
     if np.ptp(values) <= CONSTANT * np.abs(values).max():
         return table
+    from SALib.analyze import sobol as analysis
+
     with warnings.catch_warnings():
         # SALib warns where a part of the values is constant; the intervals show it.
         warnings.filterwarnings("ignore", "Constant values encountered")
