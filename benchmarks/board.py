@@ -199,7 +199,8 @@ def picture(board: pd.DataFrame) -> Figure:
             panel.hlines(at, 100 * of_city.gap_median, 100 * most, color=look["color"])
             panel.plot(100 * of_city.gap_median, at, MARKERS[number], label=city, **look)
             is_beyond = of_city.gap_90 > MOST_GAP
-            panel.plot(100 * most[is_beyond], at[is_beyond], ">", clip_on=False, **look)
+            if is_beyond.any():  # a line without a point would take room at the figure's corner
+                panel.plot(100 * most[is_beyond], at[is_beyond], ">", clip_on=False, **look)
         failed = methods.asked - methods.valid
         labels = [
             name + f"\n{num} of {methods.asked[name]} fail" * (num > 0)

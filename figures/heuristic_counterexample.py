@@ -6,13 +6,15 @@
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from jaxurban.planners.astar import astar, heuristic_at, make_heuristic
 from jaxurban.planners.base import Problem
+from jaxurban.report.figures.style import chart, styled
+from jaxurban.report.write import write_picture
 
+WIDTH_MM = 162.0
 COST = np.array([[0.0, 5.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 0.0]])  # row 0 in the south
 START, CULPRIT, GOAL = (0, 0), (1, 0), (0, 2)
 BEST, PRINTED = "#0b3c8c", "#b3400a"  # told apart by readers with any colour vision, and in grey
@@ -39,10 +41,11 @@ def counterexample() -> dict[str, object]:
     }
 
 
+@styled
 def draw(found: dict) -> Figure:
     """Return the figure."""
-    figure = Figure(figsize=(6.4, 3.1), layout="constrained")
-    FigureCanvasAgg(figure)
+    heading = "The printed heuristic counts a wall that the best path goes around"
+    figure = chart(3.1, heading, width=WIDTH_MM)
     axes = figure.add_subplot()
     for (row, col), cost in np.ndenumerate(COST):
         axes.add_patch(
@@ -88,18 +91,24 @@ def draw(found: dict) -> Figure:
         (f"around the wall: cost {found['best'].cost:.2f}", BEST),
         (f"through it: cost {found['printed'].cost:.2f},", PRINTED),
         ("found by A* with the printed $h_\\mathrm{plus}$", PRINTED),
-        (f"$f(n)$ = {found['g']:.0f} + {found['h_printed']:.2f} = {f:.2f}", "black"),
+        ("dashed: the box between $n$ and the goal, all", "0.2"),
+        ("that $h_\\mathrm{plus}$ sees: a wall right across it", "0.2"),
+        (
+            f"$f(n) = g + h_\\mathrm{{plus}}$ = {found['g']:.0f} + {found['h_printed']:.2f} = {f:.2f}",
+            "black",
+        ),
+        (f"true cost from $n$ to the goal: {found['cost_to_go']:.2f}", "black"),
         ("number in a cell: cost of entering it", "0.35"),
     ]
     for k, (text, colour) in enumerate(lines):
-        axes.text(3.2, 2.4 - 0.42 * k, text, color=colour, fontsize=11.5, va="center")
+        axes.text(3.2, 2.8 - 0.37 * k, text, color=colour, fontsize=9.5, va="center")
     axes.set(xlim=(-0.05, 6.3), ylim=(-0.05, 3.05), aspect="equal")
     axes.axis("off")
     return figure
 
 
 def main() -> None:
-    draw(counterexample()).savefig(Path(__file__).with_suffix(".png"), dpi=150)
+    write_picture(draw(counterexample()), Path(__file__).with_suffix(".png"), dpi=200)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Draw what climbing is worth: over a wall or around it, and across the synthetic city. Writes figures/volume.png.
 
-Above: a wall of 30 m with a door at its far end; a route with cheap climbing goes over it, one with expensive climbing
+Above: a wall of 30 m that ends before the edge; a route with cheap climbing goes over it, one with expensive climbing
 goes around. Below: the same two choices across the city, with the roofs under each route.
 """
 
@@ -16,18 +16,21 @@ from matplotlib.figure import Figure
 import jaxurban as ju
 from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Problem
-from jaxurban.report.figures.style import chart, styled
+from jaxurban.report.figures.style import chart, letter_all, styled
 from jaxurban.report.write import write_picture
 
 FILE = Path(__file__).with_suffix(".png")
 ROOF, COLOURS, LEVELS_M = "#8a8a8a", "plasma", (10.0, 40.0)
+AT = 0.3  # share of a path at which its letter stands
+CIRCLE = {"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.8}
+LETTER = {"size": 9, "weight": "bold", "ha": "center", "va": "center", "bbox": CIRCLE, "zorder": 6}
 START_M, GOAL_M = np.array([200.0, 130.0]), np.array([800.0, 620.0])  # in the synthetic city
 
 
 def wall() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
     """Return roofs, resolution, a path for each price of climbing, and the levels."""
     roof_m = np.zeros((41, 41))
-    roof_m[:33, 20] = 30.0
+    roof_m[:29, 20] = 30.0
     levels_m = np.arange(10.0, 51.0, 10.0)
     is_free = roof_m < levels_m[:, None, None]
     paths = {}
@@ -72,16 +75,7 @@ def draw_plan(panel: Axes, roof_m: np.ndarray, resolution_m: float, paths, norm:
         panel.add_collection(
             LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.8, zorder=3)
         )
-        look = {"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.8}
-        panel.text(
-            *points[_farthest(points, paths), :2],
-            letter,
-            size=10,
-            weight="bold",
-            ha="center",
-            va="center",
-            bbox=look,
-        )
+        panel.text(*points[round(AT * len(points)), :2], letter, **LETTER)
     ends = next(iter(paths.values()))[[0, -1], :2]
     panel.plot(*ends[0], "o", color="white", markeredgecolor="black", markersize=7, zorder=5)
     panel.plot(*ends[1], "*", color="white", markeredgecolor="black", markersize=13, zorder=5)
@@ -94,66 +88,59 @@ def draw_plan(panel: Axes, roof_m: np.ndarray, resolution_m: float, paths, norm:
     )
 
 
-def _farthest(points: np.ndarray, paths: dict[str, np.ndarray]) -> int:
-    """Return the point that lies farthest from all other paths: its label covers none of them."""
-    others = np.concatenate([other for other in paths.values() if other is not points])
-    apart_m = np.hypot(*(points[:, None, :2] - others[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
-    return int(apart_m.argmax())
-
-
 def draw_profile(
-    panel: Axes, roof_m: np.ndarray, resolution_m: float, points: np.ndarray, norm: Normalize
+    panel: Axes,
+    roof_m: np.ndarray,
+    resolution_m: float,
+    paths: dict[str, np.ndarray],
+    norm: Normalize,
 ) -> None:
-    """Draw one path's altitude over the way flown, with the roofs beneath it."""
-    along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T)))
-    cols, rows = np.floor(points[:, :2] / resolution_m).astype(int).T
-    panel.fill_between(along_m, roof_m[rows, cols], step="mid", color=ROOF, linewidth=0)
-    pieces = np.stack([points[:-1], points[1:]], axis=1)[:, :, [0, 2]]
-    pieces[:, 0, 0], pieces[:, 1, 0] = along_m[:-1], along_m[1:]
-    middle_m = (points[:-1, 2] + points[1:, 2]) / 2
-    panel.plot(along_m, points[:, 2], color="black", linewidth=3.6)
-    panel.add_collection(
-        LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.2, zorder=3)
-    )
-    climbed_m = np.maximum(np.diff(points[:, 2]), 0).sum()
-    length_m = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-    panel.text(
-        0.99,
-        0.95,
-        f"{length_m:,.0f} m flown, {climbed_m:.0f} m climbed",
-        transform=panel.transAxes,
-        ha="right",
-        va="top",
-    )
+    """Draw the altitudes of both paths over the way flown, with the roofs beneath the first of them."""
+    for letter, (label, points) in zip("AB", paths.items(), strict=True):
+        along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T)))
+        if letter == "A":
+            cols, rows = np.floor(points[:, :2] / resolution_m).astype(int).T
+            look = {"color": ROOF, "linewidth": 0, "label": "roofs below A"}
+            panel.fill_between(along_m, roof_m[rows, cols], step="mid", **look)
+        pieces = np.stack([points[:-1], points[1:]], axis=1)[:, :, [0, 2]]
+        pieces[:, 0, 0], pieces[:, 1, 0] = along_m[:-1], along_m[1:]
+        middle_m = (points[:-1, 2] + points[1:, 2]) / 2
+        panel.plot(along_m, points[:, 2], color="black", linewidth=3.6)
+        panel.add_collection(
+            LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.2, zorder=3)
+        )
+        climbed_m = np.maximum(np.diff(points[:, 2]), 0).sum()
+        length_m = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+        facts = f"{letter}: {label}; {length_m:,.0f} m flown, {climbed_m:.0f} m climbed"
+        panel.plot([], [], " ", label=facts)
+        place_m = (
+            along_m[0] + 0.85 * along_m[-1],
+            np.interp(0.85 * along_m[-1], along_m, points[:, 2]),
+        )
+        panel.text(*place_m, letter, **LETTER)
+    panel.legend(loc="upper left", handlelength=1.2)
 
 
 @styled
 def picture() -> Figure:
     """Return the figure."""
-    figure = chart(7.6, "Over or around: what a metre of climb costs decides")
+    figure = chart(6.0, "Over or around: what a metre of climb costs decides")
     figure.get_layout_engine().set(rect=(0.015, 0, 0.985, 1))  # else a label at the left is cut
     cities = {"a wall of 30 m": wall(), "the synthetic city": city()}
-    axes = figure.subplot_mosaic("ab;ac;de;df", width_ratios=(1, 1.25))
+    axes = figure.subplots(2, 2, width_ratios=(1, 1.25))
     norm = Normalize(*LEVELS_M)
-    for letters, (name, (roof_m, resolution_m, paths, levels_m)) in zip(
-        ("abc", "def"), cities.items(), strict=True
+    for (plan, profile), (name, (roof_m, resolution_m, paths, levels_m)) in zip(
+        axes, cities.items(), strict=True
     ):
-        plan, *profiles = (axes[each] for each in letters)
         draw_plan(plan, roof_m, resolution_m, paths, norm)
-        plan.set_title(f"({letters[0]}) {name}, from above")
-        for letter, route, panel, (label, points) in zip(
-            letters[1:], "AB", profiles, paths.items(), strict=True
-        ):
-            draw_profile(panel, roof_m, resolution_m, points, norm)
-            panel.set(ylim=(0, 1.25 * levels_m[-1]), ylabel="above ground (m)")
-            panel.set_title(f"({letter}) route {route}: {label}")
-            panel.set_xlim(left=0)
-            for z_m in levels_m:
-                panel.axhline(z_m, color="#bbbbbb", linewidth=0.5, zorder=0)
-        profiles[-1].set_xlabel("distance flown, seen from above (m)")
-    bar = figure.colorbar(
-        ScalarMappable(norm, COLOURS), ax=[*axes.values()], location="right", aspect=50
-    )
+        plan.set_title(f"{name}, from above")
+        draw_profile(profile, roof_m, resolution_m, paths, norm)
+        profile.set(ylim=(0, 1.5 * levels_m[-1]), ylabel="above ground (m)", xlim=(0, None))
+        profile.set(title="heights flown", xlabel="distance flown, seen from above (m)")
+        profile.set_yticks(levels_m)
+        profile.grid(axis="y", linewidth=0.5)
+    letter_all(axes.ravel())
+    bar = figure.colorbar(ScalarMappable(norm, COLOURS), ax=axes, location="right", aspect=50)
     bar.set_label("altitude above ground (m)")
     bar.outline.set(linewidth=0.4)
     return figure

@@ -315,6 +315,12 @@ def _along(plot, case: Case) -> Figure:
     return plot(found(), agreement(45, "G{:02}") if case.is_hard else made())
 
 
+def _return(plot, case: Case) -> Figure:
+    maps = maps_for(case.is_hard)
+    xy_m = maps.grid.xy_of_cell(*case.pick((20, 20), (20, 25)))
+    return plot(ju.return_altitude(maps, home_xy_m=xy_m, vertical_clearance_m=case.pick(0.0, 12.5)))
+
+
 def _all_maps(plot, case: Case) -> Figure:
     return plot(maps_for(case.is_hard))
 
@@ -323,6 +329,7 @@ PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
     "buildings.plot_building_costs": _building_costs,
     "check.plot_flown_heights": _mission,
     "check.plot_mission": _mission,
+    "home.plot_return": _return,
     "map_comparison.plot_difference": _difference,
     "metrics.plot_epochs": _epochs,
     "metrics.plot_gps_rating": _all_maps,

@@ -50,7 +50,7 @@ CENSUS = {
     "table": DATA / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
     "districts": DATA / "districts/nyc_community_districts.geojson",
 }
-LOOK_DPI = 200  # of the pictures to look at
+LOOK_DPI = 190  # of the pictures to look at
 CREDIT = "buildings © OpenStreetMap contributors (ODbL); US Census Bureau; NYC Open Data"
 HEADS = ("The paper", "Here", "Why they differ")
 

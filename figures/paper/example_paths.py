@@ -125,16 +125,18 @@ def place(shared: CostMap, name: str, share: Share):
 
 
 def window(grid: Grid, paths: Sequence[PlannedPath]) -> Grid:
-    """Return the square part of a grid around paths; it may reach beyond the grid."""
+    """Return the square part of a grid around paths, moved into the grid where it is no larger than that."""
     found = [path.xy_m for path in paths if path.status.has_path]
     points = np.concatenate(found or [np.reshape(grid.bounds_m, (2, 2))])
     low, high = points.min(axis=0), points.max(axis=0)
     half = math.ceil((0.5 + MARGIN) * float((high - low).max()) / grid.resolution_m)
-    row, col = grid.cell_of_xy(*((low + high) / 2))
+    middle = np.array(grid.cell_of_xy(*((low + high) / 2)))
+    room = np.subtract(grid.shape, 2 * half)
+    row, col = np.where(room > 0, np.clip(middle - half, 0, room), room // 2).tolist()
     return replace(
         grid,
-        first_row=grid.first_row + int(row) - half,
-        first_col=grid.first_col + int(col) - half,
+        first_row=grid.first_row + row,
+        first_col=grid.first_col + col,
         num_rows=2 * half,
         num_cols=2 * half,
     )
@@ -171,7 +173,9 @@ def draw(
     legend = obstacle_patches(maps, BLOCKED_COLOUR)
     if any(not _holds(maps.grid, part) for part in parts):
         legend = [*legend[:1], ("beyond the\nregion, or\nno data", NO_DATA_COLOUR)]
-    entries = path_entries(colours, *results)
+    found = [path.search.planner for paths in results for path in paths if path.status.has_path]
+    drawn = {planner: colour for planner, colour in colours.items() if planner in found}
+    entries = path_entries(drawn, *results)
     look = {"legend": [*legend, *entries], "colours": COST_COLOURS, "has_ticks": False}
     figure, axes = draw_maps(
         parts[0],

@@ -28,7 +28,8 @@ def caption(town: Town, maps: MetricMaps) -> Caption:
         f"The paper gives neither beams, nor angles, nor range. Here the lowest of {lidar.beams} beams falls by "
         f"{-low_deg:g} degrees and reaches {lidar.range_m:g} m: from 20 m up it meets a house of {HOUSE_M:g} m that "
         f"stands {(20 - HOUSE_M) / math.tan(math.radians(-low_deg)):.0f} m away or farther, so low quarters are "
-        "weaker, not blind. A fan that looked level only would deepen the paper's contrast.",
+        "weaker, not blind. A fan that looked level only would deepen the paper's contrast. The rings around towers at "
+        "122 m are single beams: each falls by an angle of its own, and reaches a roof below at one distance.",
     )
 
 

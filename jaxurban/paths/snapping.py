@@ -54,10 +54,10 @@ def places_near(
         return [End((*level_index, *cell), float(np.hypot(*offset_m)))]
 
     # The free cells within reach, the nearest first. No cell is within -1 m: the place may not move.
-    reach_m = -1.0 if limit_m is None else limit_m
+    everywhere_m = cost_map.grid.resolution_m * sum(is_free.shape)
+    reach_m = -1.0 if limit_m is None else min(limit_m, everywhere_m)
     cells, away_m = _free_within(cost_map, is_free, xy_m, cell, reach_m)
     if away_m.size == 0:
-        everywhere_m = cost_map.grid.resolution_m * sum(is_free.shape)
         cells, away_m = _free_within(cost_map, is_free, xy_m, cell, everywhere_m)
         why = OVER_ROOF
         if not cost_map.levels_free[level][cell]:

@@ -2,6 +2,7 @@
 
 import json
 from functools import partial
+from itertools import compress
 from typing import Any
 
 import geopandas as gpd
@@ -12,7 +13,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.patheffects import withStroke
 
 from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.check_result import MissionCheck
@@ -36,13 +36,12 @@ from jaxurban.world.grid import Grid
 
 FOUND_COLOUR, STREET_COLOUR = "#d00000", "#9a9a9a"
 STREETS = ("street", "major")
-EDGE: Look = {"path_effects": [withStroke(linewidth=2.6, foreground="white")]}
-NUMBER: Look = EDGE | {"color": FOUND_COLOUR, "zorder": 21}  # over the ends of the mission
+NUMBER: Look = frame.HALO | {"color": FOUND_COLOUR, "zorder": 21}  # over the ends of the mission
 FOUND: Look = NUMBER | {"marker": "x", "linestyle": "none", "label": "findings, by number"}
-MISSION: Look = EDGE | {"color": ALTITUDE_COLOUR, "label": "mission", "zorder": 4}
+MISSION: Look = frame.HALO | {"color": ALTITUDE_COLOUR, "label": "mission", "zorder": 4}
 HOME: Look = frame.END_LOOK | {"marker": "p", "markersize": 14.0, "label": "home"}
 ZONE: Look = {"facecolor": "none", "edgecolor": FOUND_COLOUR, "hatch": "////"}
-LEGEND: tuple[Artist, ...] = (
+LEGEND: tuple[Artist, ...] = (  # in the order of `is_drawn`
     Line2D([], [], **MISSION),
     Line2D([], [], **HOME),
     *frame.ENDS,
@@ -106,10 +105,13 @@ def plot_mission(result: MissionCheck) -> Figure:
     window = grid.window_in(maps.grid)
     flight = result.flight
     shown = [layer._replace(values=layer.values[window]) for layer in layers]
+    has_ends, has_guessed = (True, True), "roof_guessed" in maps.ds
+    is_drawn = True, flight.mission.home, *has_ends, len(result.findings), result.zones, has_guessed
+    legend = [*compress(LEGEND, is_drawn)]
     panel = frame.MapPanel(f"Roof height (m), {flight.mission.name}", shown)
     note = frame.frame_note(maps)
     figure, (axes,) = frame.draw_maps(
-        grid, [panel], result.sentence, note, legend=LEGEND, colours=colours
+        grid, [panel], result.sentence, note, legend=legend, colours=colours
     )
 
     # Over them streets, zones, the mission with its home and ends, and the findings.

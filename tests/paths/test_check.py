@@ -563,7 +563,7 @@ def test_pictures_show_the_mission_and_each_finding_by_its_number(open_scene, nu
     assert (flown_m.max(axis=0) <= (east, north)).all()
     assert east - west <= SIDE_M
     labels = [text.get_text() for text in figure.findobj(Legend)[0].get_texts()]
-    assert {"mission", "home", "no-fly zone", "findings, by number"} <= set(labels)
+    assert labels == ["mission", "home", "start", "goal", "findings, by number", "no-fly zone"]
 
 
 def test_the_map_of_a_short_mission_is_a_part_of_the_maps_with_zones_and_home(open_scene):
@@ -582,7 +582,11 @@ def test_the_map_of_a_short_mission_is_a_part_of_the_maps_with_zones_and_home(op
     (home,) = [line for line in axes.lines if line.get_label() == "home"]
     assert home.get_xydata()[0] - scene.corner_m == pytest.approx([800, 900], abs=1e-3)
     assert not axes.collections
-    axes = plot_mission(ju.check(fine, mission, constraints=zoned)).axes[0]
+    figure = plot_mission(ju.check(fine, mission, constraints=zoned))
+    axes = figure.axes[0]
+    labels = [text.get_text() for text in figure.findobj(Legend)[0].get_texts()]
+    assert "no-fly zone" in labels
+    assert "height guessed" not in labels
     (outline,) = axes.collections[0].get_paths()
     assert outline.vertices.min(axis=0) - scene.corner_m == pytest.approx([850, 850])
     assert outline.vertices.max(axis=0) - scene.corner_m == pytest.approx([990, 990])

@@ -301,8 +301,9 @@ def test_the_free_cell_nearest_to_the_place_itself_is_taken(block, inside):
         )
         assert tuple(map(int, block.grid.cell_of_xy(*path.xy_m[0]))) == cell
         assert path.snap_distance_m[0] == pytest.approx(6.0)
-    just_as_far = ju.plan(block, **inside, altitude_m=ALTITUDE_M, snap=70.0)
-    assert just_as_far.snap_distance_m[0] == 70.0
+    for as_far_m in (70.0, np.inf):
+        just_as_far = ju.plan(block, **inside, altitude_m=ALTITUDE_M, snap=as_far_m)
+        assert just_as_far.snap_distance_m[0] == 70.0
 
 
 def test_how_far_is_told_in_text_json_and_files(block, inside, tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -192,6 +193,13 @@ def test_a_strip_shows_the_table(maps, departures):
             np.testing.assert_array_equal(
                 line.get_ydata(), values[departures.table["time_of_day"] == day]
             )
+
+
+def test_a_strip_without_a_stretch_without_a_fix_has_no_panel_for_it(maps, departures):
+    table = departures.table.assign(no_fix_m=0.0)
+    figure = plot_when(replace(departures, table=table), maps)
+    assert len(figure.axes) == 1
+    assert "no flight without a fix is known" in " ".join(figure._supxlabel.get_text().split())
 
 
 def test_the_command_prints_writes_and_draws_the_same(maps, pairs, tmp_path, capsys):

@@ -4,6 +4,8 @@ import json
 import re
 import subprocess
 import sys
+import textwrap
+from functools import partial
 
 import matplotlib
 import numpy as np
@@ -27,7 +29,7 @@ from jaxurban.report import figures as plotting
 from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.paths import LINE_PT, PLANNER_COLOURS, lanes_of, maps_figures
-from jaxurban.report.figures.style import chart
+from jaxurban.report.figures.style import chart, wrapped
 from jaxurban.report.write import DPI, write_picture
 from jaxurban.world.kinds import EFFECTS, GROUPS
 from tests.made_maps import made_maps, maps_of_kinds
@@ -481,6 +483,47 @@ def test_titles_name_the_time_of_day_and_legends_lanes(maps):
 
 
 @pytest.mark.usefixtures("laid_out")
+@pytest.mark.parametrize(
+    "draw", [partial(plotting.plot_metric, name="gps"), plotting.plot_obstacles]
+)
+def test_panels_of_one_colour_are_left_out_and_named_unless_all_are(draw):
+    maps = make_maps()
+    low_m, z = maps.altitudes_m[0], maps.altitudes_m[-1]
+    maps.ds["obstacle"][-1] = 0
+    maps.ds["gps"][-1] = 0.75
+    figure = draw(maps, altitude_m=[low_m, z])
+    (title,) = titles_of(figure)
+    assert title.startswith(f"{low_m:g} m")
+    note = " ".join(figure._supxlabel.get_text().split())
+    assert f"Not drawn, as the map is the same everywhere: {z:g} m" in note
+    assert len(titles_of(draw(maps, altitude_m=z))) == 1
+
+
+def test_no_word_of_a_note_stands_alone_and_no_line_is_too_long():
+    words = ["one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
+    for num in range(1, len(words) + 1):
+        line = " ".join(words[:num])
+        for width_in in (0.6, 0.9, 1.4, 2.0):
+            lines = wrapped(line, width_in).splitlines()
+            full = textwrap.wrap(line, max(8, int((width_in - 0.1) * 18)))
+            assert len(lines) == len(full)
+            assert max(map(len, lines)) <= max(map(len, full))
+            narrower = textwrap.wrap(line, max(map(len, lines)) - 1, break_long_words=False)
+            assert len(narrower) > len(lines) or max(map(len, lines)) in map(len, words)
+
+
+def test_no_line_begins_with_a_dot_nor_parts_a_number_from_its_unit_or_name():
+    note = "weights: distance 0.1, gps 1  ·  5 m cells  ·  97 % of heights  ·  16:00 UTC"
+    for width_in in (1.0, 1.5, 2.0, 3.0):
+        lines = wrapped(note, width_in).splitlines()
+        assert " ".join(" ".join(lines).split()) == " ".join(note.split())
+        assert not [line for line in lines if re.match(r"[ ·%m]", line)]
+        assert all(
+            line.count(" m") + line.count(" %") == line.count("5 m") + line.count("7 %")
+            for line in lines
+        )
+
+
 def test_scale_and_north_keep_out_of_the_way_of_a_routes_ends(maps):
     grid = maps.grid
     ends = np.reshape(grid.bounds_m, (2, 2)) + np.array([[150.0], [-150.0]])

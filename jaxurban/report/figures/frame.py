@@ -15,6 +15,7 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.offsetbox import AnchoredOffsetbox, AnchoredText
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
@@ -65,6 +66,9 @@ MAP = "map"  # gid of a panel over a grid
 CORNERS = {"lower left": (0, 0), "lower right": (1, 0), "upper left": (0, 1), "upper right": (1, 1)}
 NEAR = 0.2
 NORTH = "▲\nN"
+SAME = 0.01  # share of a scale, which no eye tells apart
+# Around what is drawn over maps, so that it is seen over any colour.
+HALO: Look = {"path_effects": [withStroke(linewidth=2.4, foreground="white")]}
 SETTLING = 3  # runs of the layout, after which a figure's height is right to 0.01 inches
 END_LOOK: Look = {
     "linestyle": "none",
@@ -119,6 +123,25 @@ class Size(NamedTuple):
     is_beside: bool
 
 
+def varied(panels: list[MapPanel], note: str) -> tuple[list[MapPanel], str]:
+    """Return the panels of more than one colour, and the note with the titles of others; all if all have only one.
+
+    Args:
+      panels: each of a map and of a layer over it, whose classes below 0 are not drawn.
+      note: of their figure.
+    """
+    flat = []
+    for panel in panels:
+        (values, colours), over = panel.layers
+        shown = colours.norm(values[values >= 0])
+        if shown.size and np.ptp(shown) < SAME and over.values.max() < 0:
+            flat.append(panel.title)
+    if len(flat) in (0, len(panels)):
+        return panels, note
+    kept = [panel for panel in panels if panel.title not in flat]
+    return kept, f"Not drawn, as the map is the same everywhere: {'; '.join(flat)}\n{note}"
+
+
 @styled
 def draw_maps(
     grid: Grid,
@@ -153,6 +176,8 @@ def draw_maps(
     """
     # How large the panels are, and how much room ticks, feet and colour bars leave them.
     bars = [_own_bar(panel) for panel in panels]
+    if len(panels) == 1:
+        colours = colours or bars[0]
     if colours is not None:
         bars = [None] * len(panels)
     width_in = inches(width)
@@ -247,7 +272,7 @@ def _add_ticks(spot: Axes, size: Size, is_left: bool, is_bottom: bool) -> None:
     """
     num_ticks = int(np.clip(size.panel_in / TICK_IN, 1, MAX_TICKS))
     for axis in (spot.xaxis, spot.yaxis):
-        axis.set_major_locator(MaxNLocator(num_ticks, steps=[1, 2, 5, 10], min_n_ticks=1))
+        axis.set_major_locator(MaxNLocator(num_ticks, steps=[1, 2, 5, 10]))
         axis.set_major_formatter(lambda value, _: f"{value / 1000:.7g}")
     spot.tick_params(
         labelleft=is_left, labelbottom=is_bottom, labelsize=SMALL_PT, length=3, color=FAINT_INK
@@ -415,14 +440,16 @@ def _orient(panel: Axes) -> None:
         color=INK,
         size_vertical=thick_m,
         pad=0.25,
+        frameon=False,
     )
     letters = {"color": INK, "ha": "center", "linespacing": 0.9}
-    north = AnchoredText(NORTH, "upper right", prop=letters, pad=0.15)
+    north = AnchoredText(NORTH, "upper right", prop=letters, pad=0.15, frameon=False)
     for mark in (scale, north):
         mark.borderpad = 0.3
-        mark.patch.set(edgecolor="none", boxstyle="square,pad=0")
         mark.set_zorder(15)
         panel.add_artist(mark)
+        for part in mark.findobj():
+            part.set(**HALO)
 
 
 def frame_note(

@@ -39,6 +39,7 @@ from jaxurban.report.figures.frame import (
     joined,
     meaning_of,
     symbol_of,
+    varied,
 )
 from jaxurban.report.figures.style import Colours, Width, ends_of
 
@@ -225,6 +226,8 @@ def plot_metric(
 ) -> Figure:
     """Return panels of one metric (of the cost, a user's own too, a DOP or num_visible), all on one scale.
 
+    Of several altitudes, one at which the map is the same everywhere has no panel, and the note says which.
+
     Args:
       maps: from `build_maps` or `open_maps`.
       name: which metric.
@@ -256,7 +259,7 @@ def plot_metric(
             heading += f" over {len(maps.times)} epochs"
         heading += ", by altitude above ground"
         has_sky = bool(variable.of) and TIME in maps.metrics[variable.of].dims
-        note = frame_note(maps, time, has_sky=has_sky, of=name)
+        panels, note = varied(panels, frame_note(maps, time, has_sky=has_sky, of=name))
 
     # A map without altitudes has no obstacles, and a panel for each time of day if it varies with that.
     else:
@@ -387,7 +390,7 @@ def plot_obstacles(
         patches[:1] = [entries[number] for number in sorted(numbers)]
     legend = [("free", FREE_COLOUR), *patches]
     heading = "Obstacles, by altitude above ground"
-    note = frame_note(maps, has_sky=False)
+    panels, note = varied(panels, frame_note(maps, has_sky=False))
     return draw_maps(maps.grid, panels, heading, note, legend=legend, width=width)[0]
 
 
@@ -439,7 +442,7 @@ def _class_figure(
         text = f"{z:g} m  ·  {title.format(percent(share))}"
         panels.append(MapPanel(text, [drawn, obstacle_layer(maps, z)]))
     heading += ", by altitude above ground"
-    note = frame_note(maps, time)
+    panels, note = varied(panels, frame_note(maps, time))
     legend = [*classes, *obstacle_patches(maps)]
     return draw_maps(maps.grid, panels, heading, note, legend=legend, width=width)[0]
 

@@ -29,10 +29,10 @@ from jaxurban.studies.montecarlo.analysis import range_names, weighted_rows
 
 SHARES = Colours(
     "Greys",
-    LogNorm(1e-6, 0.3),
-    "share of the free cells",
+    LogNorm(1e-4, 30),
+    "share of the free cells (%)",
     extend="max",
-    ticks=(1e-6, 1e-4, 0.01, 0.3),
+    ticks=(1e-4, 0.01, 1, 30),
 )
 CURVES_APART_PT = 1.5
 BARS_SHARE = 0.8  # of the distance between two ranges, which the bars of all planners take
@@ -135,7 +135,7 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
     for panel, row in zip(axes, rows, strict=True):
         is_free = maps.is_free(row.altitude_m, "centre")
         x, y = (maps.m(name, row.altitude_m)[is_free] for name in names)
-        share_of_a_cell = np.full(len(x), 1 / max(len(x), 1))
+        share_of_a_cell = np.full(len(x), 100 / max(len(x), 1))
         panel.hist2d(
             x, y, bins, weights=share_of_a_cell, cmap=SHARES.cmap, norm=SHARES.norm, cmin=1e-12
         )

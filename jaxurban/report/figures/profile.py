@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullLocator
 
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.variables import BUILT_COLOUR, GROUP_COLOURS, ROOF_KIND
@@ -26,8 +25,8 @@ from jaxurban.report.figures.style import (
     dress,
     legend_above,
     letter,
-    show_plain,
     styled,
+    tick_label,
 )
 from jaxurban.report.write import Look, save
 from jaxurban.world.kinds import GROUPS
@@ -211,9 +210,8 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
     panel.set_yscale("symlog", linthresh=LINEAR_UP_TO_M)
     panel.set_ylim(0, top_m)
     ticks_m = [tick_m for tick_m in CLEARANCE_TICKS_M if tick_m <= top_m]
-    panel.yaxis.set_major_locator(FixedLocator(ticks_m))
-    panel.yaxis.set_minor_locator(NullLocator())
-    show_plain(panel.yaxis)
+    panel.set_yticks(ticks_m, map(tick_label, ticks_m))
+    panel.minorticks_off()
 
 
 def save_profile(

@@ -1,17 +1,17 @@
 """Pictures of what weights do to a route: breakpoints along lines, the Pareto front."""
 
-import math
 from itertools import combinations
 
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patheffects import Normal, Stroke
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 
 from jaxurban.report.figures.frame import (
     ENDS,
+    HALO,
     MapPanel,
     draw_maps,
     frame_note,
@@ -27,6 +27,7 @@ from jaxurban.report.figures.style import (
     letter_all,
     panels,
     show_plain,
+    show_plain_log,
     styled,
 )
 from jaxurban.report.write import Figures, Look, listed
@@ -34,11 +35,10 @@ from jaxurban.studies.weights.study import Sensitivity
 
 MOST_ROUTES = 10  # along the range of one weight
 GIVEN_STAR: Look = {"color": "#c51b8a", "markersize": 11.0, "markeredgecolor": INK}
-GIVEN_ROUTE: Look = {  # dark with a white edge, so that it is seen over all colours
+GIVEN_ROUTE: Look = HALO | {  # dark with a white edge, so that it is seen over all colours
     "color": INK,
     "linewidth": 1.2,
     "linestyle": (0, (3, 2)),
-    "path_effects": [Stroke(linewidth=2.2, foreground="white"), Normal()],
     "zorder": 6,
 }
 
@@ -90,13 +90,10 @@ def plot_breakpoints(result: Sensitivity) -> Figure:
             label="given weight",
         )
 
-        panel.set_xscale("log")
-        panel.xaxis.set_major_locator(LogLocator(numticks=6))
-        panel.xaxis.set_minor_locator(NullLocator())
-        for axis in (panel.xaxis, panel.yaxis):
-            show_plain(axis)
         title = f"{name}, breakpoints: {len(line.breakpoints)}"
-        panel.set(xlim=(low, high), xlabel=f"weight of {name}", title=title)
+        panel.set(xscale="log", xlim=(low, high), xlabel=f"weight of {name}", title=title)
+        show_plain_log(panel.xaxis)
+        show_plain(panel.yaxis)
     legend_below(figure, axes[0])
     letter_all(axes, "cheapest cost")
     return figure
@@ -111,13 +108,8 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     """
     low, high = result.settings.factors
 
-    # A tick at each power of ten, from the low factor to the first one that is not below the high factor. Rounding may
-    # bring a logarithm a little above a whole number, which the small number undoes.
-    first = math.ceil(math.log10(low) - 1e-9)
-    last = math.ceil(math.log10(high) - 1e-9)
-    ticks = [10.0**power for power in range(first, last + 1)]
     label = "weight, as a multiple of the given one"
-    colours = Colours("viridis", LogNorm(low, high), label, ticks=ticks)
+    colours = Colours("viridis", LogNorm(low, high), label, ticks=(low, 1.0, high))
 
     # Equal maps of the normalised cost, on which the routes are drawn, with the ends of the given weights' route.
     settings = result.route.settings
@@ -154,7 +146,7 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
         shown = _shown(len(table))
         widths = np.linspace(3.2, 1.4, len(shown))
         for number, colour, width in zip(shown, colours(middle)[shown], widths, strict=True):
-            edge = [Stroke(linewidth=width + 2 * EDGE_PT, foreground="white"), Normal()]
+            edge = [withStroke(linewidth=width + 2 * EDGE_PT, foreground="white")]
             panel.plot(
                 *result.line_routes[name][number].T,
                 color=colour,

@@ -60,7 +60,8 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
         "outlines": "exact outlines",
         "map": "satellites by the map's cell, horizon by outlines",
     }
-    note = [joined(time_said(time), methods[of.by], of.attribution), *of.cautions]
+    counted = f"times counted below: {len(of.times)}"
+    note = [joined(time_said(time), methods[of.by], of.attribution, counted), *of.cautions]
     heading = f"The sky {of.altitude_m:g} m above ground at {lon:.5f}, {lat:.5f}"
     figure = chart(SKY * inches(width) + KEY_IN, heading, "\n".join(note), width)
     panel: Any = figure.add_subplot(projection="polar")

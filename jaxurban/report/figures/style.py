@@ -84,6 +84,9 @@ STEPS, ACROSS, UPWARD = (1, -1, 0), ("center", "left", "right"), ("center", "bot
 AWAY_PT, BESIDE_PT = (5, 8, 12, 17, 23), 8  # farther away than BESIDE_PT it has a line
 MARK_PT = 4  # half of a mark's side
 POINTS = "offset points"
+# Spaces at which no line is broken: before a number, its unit, and the dot between two facts.
+KEPT = re.compile(r"(?<=\S) (?=[%\d]|m\b| ·)| (?=·)")
+FIXED_SPACE = "\N{NO-BREAK SPACE}"
 FEWEST_LETTERS = 8  # of a broken line, however narrow its place is
 
 
@@ -130,7 +133,15 @@ def wrapped(text: str, width_in: float, size_pt: float = SMALL_PT) -> str:
     text = SYMBOL.sub(lambda match: match[1] or r"\$", text)
     letters_per_in = LETTERS_PER_IN * SMALL_PT / size_pt
     num_letters = max(FEWEST_LETTERS, int((width_in - EDGE_IN) * letters_per_in))
-    return "\n".join(textwrap.fill(line, num_letters) for line in text.splitlines())
+    # As few lines as fit, about equally long, so that no word stands alone.
+    lines = []
+    for line in KEPT.sub(FIXED_SPACE, text).splitlines():
+        num_lines = len(textwrap.wrap(line, num_letters)) or 1
+        width = max(len(line) // num_lines, 1, *map(len, line.split(" ")))
+        while len(textwrap.wrap(line, width)) > num_lines:
+            width += 1
+        lines.append(textwrap.fill(line, min(width, num_letters)))
+    return "\n".join(lines).replace(FIXED_SPACE, " ")
 
 
 def chart(height_in: float, heading: str, note: str = "", width: Width = "page") -> Picture:
@@ -226,17 +237,14 @@ def legend_above(panel: Axes, lift: float = 0.0) -> None:
       panel: whose labelled lines and areas the legend names.
       lift: how far above the panel the legend begins, as a share of the panel's height.
     """
-    handles, names = panel.get_legend_handles_labels()
+    names = panel.get_legend_handles_labels()[1]
     figure: Any = panel.figure
-    num_cols = legend_columns(names, figure.get_figwidth())
     panel.legend(
-        handles,
-        names,
         loc="lower left",
         bbox_to_anchor=(0, 1 + lift),
         borderaxespad=0.3,
         columnspacing=1.2,
-        ncols=num_cols,
+        ncols=legend_columns(names, figure.get_figwidth()),
     )
 
 
@@ -477,10 +485,11 @@ def difference_colours(changed: np.ndarray, label: str) -> Colours:
     """Return colours from blue over white at 0 to red, whose ends are equally far from 0.
 
     Args:
-      changed: ``[N]`` sizes of the changes, from 0 up; the ends hold the share `SHOWN_SHARE` of them, and are -1 and 1
-        where none is finite.
+      changed: ``[N]`` sizes of the changes, from 0 up; the ends, of two digits, hold about the share
+        `SHOWN_SHARE` of them, and are -1 and 1 where none is finite.
       label: of the colour bar.
     """
     finite = changed[np.isfinite(changed)]
     limit = max(1e-12, float(np.quantile(finite, SHOWN_SHARE))) if len(finite) else 1.0
+    limit = float(f"{limit:.2g}")
     return Colours("RdBu_r", Normalize(-limit, limit), label, "both", (-limit, 0.0, limit))

@@ -18,6 +18,8 @@ from jaxurban.report.figures.style import (
 )
 
 MOST_TICKS, HEIGHT_IN = 8, 3.0
+WIDTHS_PT = 3.2, 2.0, *(1.2,) * 5  # of the lines
+LABELS = "cost above best (%)", "no fix (m)"
 FOOT = 0.05  # of the scales, below 0, so that marks there are whole
 LEAST_TOP = 10.0, 50.0  # of the scales, percent and metres, so that a small effect looks small
 
@@ -27,7 +29,7 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
     """Return the cost above the best time and the length without a fix by time, a line for each time of day.
 
     At hollow marks a route differs from the best time's. A line has a gap where a route has no path. With one time
-    alone, times of day are along the axis instead.
+    alone, times of day are along the axis instead. Where no flight without a fix is known, its panel is left out.
 
     Args:
       departures: from `jaxurban.when`.
@@ -45,30 +47,44 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
         labels = [time[11:16] for time in table["time"].unique()]  # hours and minutes
     table["x"] = table[along].factorize()[0]
 
-    # A line of the cost for each value, and one of the length without a fix where the maps hold GPS.
+    # A panel of the cost, and one of the length without a fix where a route has any.
     facts = [f"{name}: {fact}" for name, fact in departures.facts.items() if fact]
+    num = 2
+    if "no_fix_m" not in table or not table["no_fix_m"].any():
+        num = 1
+        facts.append("no flight without a fix is known")
     note = f"{joined(*facts)}\n{frame_note(as_maps(maps))}"
     figure = chart(HEIGHT_IN, "When to fly", note, width)
-    cost, no_fix = axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    ratios = (2, 1)[:num]
+    axes = figure.subplots(num, 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0]
+
+    # A line for each value, later ones thinner, so that all are seen where they coincide.
+    cost, *no_fix = axes
     lines = table.groupby(series, sort=False)
-    for colour, (name, line) in zip(SERIES_COLOURS, lines, strict=False):
+    for colour, wide_pt, (name, line) in zip(SERIES_COLOURS, WIDTHS_PT, lines, strict=False):
         above = 100 * line["above_best"]
         changed = line["num_changed"] > 0
-        cost.plot(line["x"], above, "o-", color=colour, label=name or "the best time's route")
+        cost.plot(
+            line["x"],
+            above,
+            "o-",
+            color=colour,
+            linewidth=wide_pt,
+            label=name or "the best time's route",
+        )
         cost.plot(line["x"][changed], above[changed], "o", color=colour, markerfacecolor="white")
-        if "no_fix_m" in line:
-            no_fix.plot(line["x"], line["no_fix_m"], color=colour)
+        for panel in no_fix:
+            panel.plot(line["x"], line["no_fix_m"], color=colour, linewidth=wide_pt)
     cost.plot([], [], "ok", markerfacecolor="white", label="another route than at the best time")
     legend_above(cost)
 
     # The scales: they reach as far as `LEAST_TOP`, so that a small effect looks small, and begin a little below 0.
-    for number, label in enumerate(("cost above best (%)", "no fix (m)")):
-        panel = axes[number]
+    for number, panel in enumerate(axes):
         top = max(LEAST_TOP[number], panel.get_ylim()[1])
-        panel.set(ylabel=letter(number, 2) + label, ylim=(-FOOT * top, top))
+        panel.set(ylabel=letter(number, num) + LABELS[number], ylim=(-FOOT * top, top))
         dress(panel)
     figure.align_ylabels(axes)
     step = math.ceil(len(labels) / MOST_TICKS)
-    no_fix.set_xticks(range(0, len(labels), step), labels[::step])
-    no_fix.set_xlabel(axis_label)
+    panel.set_xticks(range(0, len(labels), step), labels[::step])
+    panel.set_xlabel(axis_label)
     return figure
