@@ -572,7 +572,6 @@ class Viewer:
             "has_path": planned.status.has_path,
             "xy_m": planned.xy_m,
             "cost": number_or_none(planned.cost),
-            "cost_by_layer": dict(planned.cost_by_layer),
             "button": markup.route_button(query.planner, PLANNER_LINES[query.planner], text, notes),
             "html": markup.costs(planned.cost_by_layer, self._labels, self._colours),
             "message": planned.message,

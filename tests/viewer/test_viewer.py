@@ -381,7 +381,7 @@ def test_a_route_is_that_of_the_printed_command_coordinate_for_coordinate(
     code, out, err = run(capsys, *arguments, "--json")
     found = json.loads(out)
     assert code == (0 if shown["has_path"] else 3), err
-    assert all(found[name] == shown[name] for name in ("xy_m", "cost", "cost_by_layer"))
+    assert all(found[name] == shown[name] for name in ("xy_m", "cost"))
     assert found["settings"]["weights"] == (QUERY | more)["weights"]
     if shown["has_path"]:
         saved = json.loads(answer(viewer, "save", **QUERY | more | {"format": ".geojson"}))
