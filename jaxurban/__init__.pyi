@@ -7,6 +7,7 @@ from jaxurban.errors import InputError as InputError
 from jaxurban.errors import JaxurbanError as JaxurbanError
 from jaxurban.io.city import City as City
 from jaxurban.maps.build import build_maps as build_maps
+from jaxurban.maps.citation import cite as cite
 from jaxurban.maps.levels import Levels as Levels
 from jaxurban.maps.metric_maps import MetricMaps as MetricMaps
 from jaxurban.maps.saving import open_maps as open_maps

@@ -14,12 +14,13 @@ import geopandas
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.text import Text
 
 import jaxurban as ju
 from jaxurban.maps import scenario
 from jaxurban.paths.export.write import write_path
 from jaxurban.public import NAMESPACES, public_names, renamed_arguments
-from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
+from jaxurban.report.figures import bare, plot_metric, plot_overview, plot_paths
 from tests.made_maps import made_maps
 
 MAPS = made_maps(24, 30)
@@ -144,6 +145,38 @@ def test_pictures_take_one_path_several_or_a_batch(paths):
     assert plot_overview(MAPS, paths).axes
     with pytest.raises(ju.InputError, match="paths must be paths from plan"):
         plot_paths(MAPS, [5])
+
+
+def test_paths_are_where_they_are_without_lanes_and_the_legend_names_none(paths):
+    same = [paths[0], paths[0]]
+    for lanes in (True, False):
+        figure = plot_paths(MAPS, same, names=["a", "b"], lanes=lanes)
+        lines = [line for line in figure.axes[0].lines if line.get_path_effects()]
+        offsets = [line.get_path_effects()[1].offset_pt for line in lines]
+        assert any(offsets) == lanes
+        names = [text.get_text() for text in figure.findobj(Text)]
+        assert any("side by side" in name for name in names) == lanes
+
+
+def test_a_bare_picture_has_neither_title_nor_note_and_its_panels_are_as_large():
+    figure = plot_metric(MAPS, "gps", altitude_m=20.0)
+    figure.draw_without_rendering()
+    high, panel = figure.get_figheight(), figure.axes[0].get_window_extent().size
+    assert "Guessed" in figure.get_supxlabel() or MAPS.attribution in figure.get_supxlabel()
+    assert bare(figure) is figure
+    figure.draw_without_rendering()
+    assert figure.get_suptitle() == figure.get_supxlabel() == ""
+    assert figure.get_figheight() < high
+    np.testing.assert_allclose(figure.axes[0].get_window_extent().size, panel, rtol=0.08)
+
+
+def test_what_to_cite_names_the_version_and_ends_with_the_credit_of_the_data():
+    software, paper, *data = ju.cite(MAPS).splitlines()
+    assert software.endswith(f", version {ju.__version__}.")
+    assert "10.48550/arXiv.2102.07218" in paper
+    assert data == ([f"Data: {MAPS.attribution}."] if MAPS.attribution else [])
+    credited = type(MAPS)(MAPS.ds.assign_attrs(attribution="© some city"))
+    assert ju.cite(credited).endswith("\nData: © some city.")
 
 
 def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():

@@ -10,6 +10,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
+
+from jaxurban.maps.citation import PAPER, SOFTWARE
 
 ROOT = Path(__file__).parents[1]
 OPTIONS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
@@ -221,6 +224,12 @@ def test_whatever_names_the_version_names_that_of_the_package():
     ]
     for name in ("CITATION.cff", "jaxurban/report/templates/board.cff"):
         assert f"\nversion: {version}\n" in (ROOT / name).read_text(encoding="utf-8")
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    (author,), (paper,) = citation["authors"], citation["references"]
+    assert f"{author['name']}: {citation['title']}" == SOFTWARE
+    names = ", ".join(f"{each['given-names']} {each['family-names']}" for each in paper["authors"])
+    (doi,) = paper["identifiers"]
+    assert f"{names}: {paper['title']}, https://doi.org/{doi['value']}" == PAPER
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     sections = [
         section for section in changes.split("\n## ")[1:] if not section.startswith("Unreleased\n")

@@ -435,6 +435,7 @@ def _write_departures(
         print_json(all_facts, code, message)
     else:
         table = departures.table.filter(regex="^(?!exposure_)")  # all columns but exposures
+        table = table.dropna(axis="columns", how="all")  # maps may hold no time of day
         print(table.to_string(index=False, float_format="{:,.4g}".format))
         for name, fact in facts.items():
             print(f"{name}: {fact}")

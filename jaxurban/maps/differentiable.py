@@ -26,6 +26,7 @@ from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import Problem
 from jaxurban.planners.cost import CostModel
+from jaxurban.public import FactsRepr
 from jaxurban.settings import SLABS, TO_GROUND, Heights
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
@@ -94,8 +95,8 @@ class PathVisits(NamedTuple):
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class SoftCity:
+@dataclass(frozen=True, repr=False)
+class SoftCity(FactsRepr):
     """A city and a sky, made ready on the host by `soft_city`; a pytree: one program serves all of the same shapes.
 
     Attributes:
@@ -131,6 +132,12 @@ class SoftCity:
     )
     own: tuple[tuple[str, Layer], ...] = field(default=(), metadata={"static": True})
     built_m: Float[Array, " B"] | None = None
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """How many cells and buildings there are, and the layers."""
+        what = f"{self.building.shape} cells, {len(self.height_m):,} buildings"
+        return {"city": what, "layers": ", ".join(self.names)}
 
     @property
     def metrics(self) -> dict[str, Metric]:

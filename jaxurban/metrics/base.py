@@ -233,6 +233,7 @@ class Metric:
         ``name``, and those of ``also``. What they are inside obstacles, `Variable.inside` decides; NaN closes a cell.
       cost: turns m into the cost c in [0, 1] (numbers, NumPy or JAX arrays).
       label: what figures call it.
+      cost_label: what lists of weights and of costs call it: what the route avoids; left out, the label.
       one_means: what a value of one means.
       colour: of its lines in figures.
       colour_map: of its maps; perceptually uniform, each metric its own.
@@ -269,6 +270,7 @@ class Metric:
     one_means: str
     colour: str
     colour_map: str
+    cost_label: str = ""
     unit: str = "1"
     inside: float | None = np.nan
     reach_m: Callable[[Any], float] = none_of_it
@@ -288,8 +290,9 @@ class Metric:
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Take the name for the section where none is named."""
+        """Take the name for the section, and the label for that of the cost, where none is named."""
         object.__setattr__(self, "section", self.section or self.name)
+        object.__setattr__(self, "cost_label", self.cost_label or self.label)
 
     def __repr__(self) -> str:
         return f"<{self.label}: 1 means {self.one_means}>"

@@ -512,6 +512,7 @@ METRIC = Metric(
     cost=low_is_bad,
     reach_m=attrgetter("range_m"),
     label="Lidar quality",
+    cost_label="Poor lidar",
     one_means="every scan position returns",
     colour="#e69f00",
     colour_map="plasma",

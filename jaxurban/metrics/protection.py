@@ -285,6 +285,7 @@ METRIC = Metric(
     compute=_maps,
     cost=low_is_bad,
     label="Protection",
+    cost_label="Lack of protection",
     one_means="an HPL of 0 m",
     colour="#332288",
     colour_map="cividis",

@@ -279,6 +279,7 @@ METRIC = Metric(
     cost=low_is_bad,
     reach_m=attrgetter("threshold_m"),
     label="Distance to obstacles",
+    cost_label="Nearness to obstacles",
     one_means="no obstacle within the threshold",
     colour="#009e73",
     colour_map="inferno",

@@ -10,6 +10,7 @@ import pandas as pd
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
+from jaxurban.public import FactsRepr
 from jaxurban.report.figures.sensitivity_study import study_figures
 from jaxurban.report.write import (
     REPORT_FILE,
@@ -53,8 +54,8 @@ GIVEN = (
 MOST_REASONS = 3
 
 
-@dataclass(frozen=True, eq=False)
-class SensitivityStudy:
+@dataclass(frozen=True, eq=False, repr=False)
+class SensitivityStudy(FactsRepr):
     """What a weight study found.
 
     Attributes:
@@ -87,6 +88,13 @@ class SensitivityStudy:
     settings: SensitivityStudySettings
     is_sampled: bool = True
     parameters: pd.DataFrame = field(default_factory=pd.DataFrame)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The cities, how many routes there are, and how many of them have a path."""
+        num_paths = self.rows.status.isin(HAS_PATH).sum()
+        routes = f"{len(self.rows)}, {num_paths} with a path"
+        return {"cities": ", ".join(self.maps), "routes": routes}
 
     @cached_property
     def tables(self) -> dict[str, pd.DataFrame]:

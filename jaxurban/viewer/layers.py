@@ -148,12 +148,12 @@ def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
     for name in maps.metrics:
         add(name, variables[name], "Metrics")
         metric_dims += variables[name].dims
-    total = Variable(H_NORM, "all costs together, H_norm", dims=tuple(dict.fromkeys(metric_dims)))
+    total = Variable(H_NORM, "all costs together", dims=tuple(dict.fromkeys(metric_dims)))
     add(H_NORM, total, "Costs")
 
     # The cost of each metric.
     for name, metric in maps.metrics.items():
-        cost = Variable(f"{COST_OF}{name}", f"cost of {metric.label}", dims=variables[name].dims)
+        cost = Variable(f"{COST_OF}{name}", f"cost: {metric.cost_label}", dims=variables[name].dims)
         add(cost.name, cost, "Costs", metric)
 
     # What the page computes from HDOP, then the variables that are no metric.

@@ -249,15 +249,19 @@ def _height_words(flight_m: float, roof_m: float, per_m: float) -> str:
     roof_y = MIDDLE - per_m * roof_m
     if roof_m > 0 and min(abs(roof_y - y) for y in text_at) > LETTERS:
         text_at[roof_y] = f"{number(roof_m)} m"
-    text_at |= {BOTTOM - METRICS_HIGH: "m 1", BOTTOM: "0"}
+    text_at |= {BOTTOM - METRICS_HIGH: "1", BOTTOM: "0"}
     return "".join(
         f'<b style="top:{y - LETTERS / 2:.0f}px">{text}</b>' for y, text in text_at.items()
     )
 
 
 def _distances(total_m: float) -> list[tuple[float, str]]:
-    """Return round distances along a route of ``total_m`` above 0, seven at most, each in metres and as a text."""
+    """Return round distances along a route of ``total_m`` above 0, seven at most, each in metres and as a text.
+
+    The first text alone has the unit, so that they do not touch on a narrow page.
+    """
     # The least of 1, 2, 5 and 10 times a power of ten that makes six steps or fewer.
     distances_m = MaxNLocator(6, steps=[1, 2, 5, 10]).tick_values(0, total_m)
     unit, unit_m = ("km", 1000) if total_m >= 1000 else ("m", 1)
-    return [(at_m, f"{at_m / unit_m:g} {unit}") for at_m in distances_m if at_m <= total_m]
+    places = [(at_m, f"{at_m / unit_m:g}") for at_m in distances_m if at_m <= total_m]
+    return [(0.0, f"0 {unit}"), *places[1:]]

@@ -258,8 +258,8 @@ class Viewer:
         maps, grid = self.maps, self.maps.grid
         cells = f"{grid.num_rows:,} × {grid.num_cols:,} cells of {grid.resolution_m:g} m"
         cells = escape(f"{cells} · {crs_said(grid.crs)}")
-        side = "west" if north_deg > 0 else "east"
-        north = f"true north {abs(north_deg):.2f}° {side} of the grid's north"
+        side = "left" if north_deg > 0 else "right"
+        north = f"true north {abs(north_deg):.2f}° to the {side} of up"
         guessed = guesses_said(maps, has_sky=True)
         groups = np.unique(group_numbers(maps)).tolist()
 
@@ -315,9 +315,9 @@ class Viewer:
 
     @cached_property
     def _labels(self) -> dict[str, str]:
-        """The label of each weight: of the distance and of the metrics."""
-        return {"distance": "Distance"} | {
-            name: metric.label for name, metric in self.maps.metrics.items()
+        """The label of each weight and cost: of the distance and of the metrics."""
+        return {"distance": "Distance flown"} | {
+            name: metric.cost_label for name, metric in self.maps.metrics.items()
         }
 
     @cached_property
@@ -572,7 +572,6 @@ class Viewer:
             "has_path": planned.status.has_path,
             "xy_m": planned.xy_m,
             "cost": number_or_none(planned.cost),
-            "cost_by_layer": dict(planned.cost_by_layer),
             "button": markup.route_button(query.planner, PLANNER_LINES[query.planner], text, notes),
             "html": markup.costs(planned.cost_by_layer, self._labels, self._colours),
             "message": planned.message,
@@ -677,18 +676,20 @@ def _total_rows(report: RouteReport, planned: PlannedPath) -> list[tuple[str, st
 def status_said(planned: PlannedPath) -> str:
     """Return in words how a planner's search ended: its status, the paths that it searched, and its gap.
 
-    The gap is by how much the path may cost more than the cheapest of these paths. It is left out for an optimal path
-    and if it is not known.
+    The gap is by how much the path may cost more than the cheapest of these paths; if it is not known, that is said.
     """
     search = planned.search
     text = planned.status.value
     if not planned.status.has_path:
         return text
+    proof = "not proven the cheapest"
+    if planned.status is Status.OPTIMAL:
+        proof = "the cheapest of its kind"
+    elif search.gap < math.inf:
+        proof = f"at most {search.gap:.1%} above the cheapest"
     if search.graph:
         text = f"{text} ({search.graph})"
-    if planned.status is not Status.OPTIMAL and search.gap < math.inf:
-        text = f"{text}, at most {search.gap:.1%} above the cheapest"
-    return text
+    return f"{text}, {proof}"
 
 
 def unit_of(layer: DrawnLayer) -> str:

@@ -51,7 +51,13 @@ def view(
     folder = "" if opened is maps else str(maps)
     others = None if against is None else as_maps(against)
     viewer = Viewer(
-        opened, folder=folder, weights=weights, preset=preset, against=others, sources=sources
+        opened,
+        name=getattr(opened.folder, "name", "the maps"),
+        folder=folder,
+        weights=weights,
+        preset=preset,
+        against=others,
+        sources=sources,
     )
     return widget_of(viewer)
 

@@ -340,6 +340,12 @@ def soft():
         yield soft_city()
 
 
+def test_a_soft_city_shows_how_large_it_is_and_its_layers(soft):
+    num = len(HEIGHT_M)
+    cells = f"{BUILDING.shape} cells, {num} buildings"
+    assert repr(soft) == f"SoftCity(city: {cells}; layers: gps, lidar, population, risk)"
+
+
 def problem_of(soft, cost_model="cell"):
     """The planning question on the soft layers; obstacles are those of the city's own heights."""
     costs = np.asarray(layers_of(soft, soft.height_m, SOFT))

@@ -131,6 +131,7 @@ def test_maps_in_memory_and_a_table_of_queries_give_the_same_rows(alpha, weight_
         ["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m", "time", "time_of_day"]
     ]
     again = ju.studies.sensitivity_study({"alpha": alpha}, tmp_path, queries, settings=WEIGHT_STUDY)
+    assert repr(again).startswith(f"SensitivityStudy(cities: alpha; routes: {len(again.rows)}, ")
     kinds = ("cost", "elasticity", "below", "above", "people")
     columns = [
         name

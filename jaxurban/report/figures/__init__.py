@@ -12,4 +12,5 @@ from jaxurban.report.figures.paths import plot_paths as plot_paths
 from jaxurban.report.figures.paths import save_figures as save_figures
 from jaxurban.report.figures.profile import plot_profile as plot_profile
 from jaxurban.report.figures.profile import save_profile as save_profile
+from jaxurban.report.figures.style import bare as bare
 from jaxurban.report.figures.when import plot_when as plot_when

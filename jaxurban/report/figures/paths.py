@@ -133,6 +133,7 @@ def plot_paths(
     names: Sequence[str] | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
+    lanes: bool = True,
     width: Width = "page",
 ) -> Figure:
     """Return the normalised cost by altitude (black best, white worst) with the paths of all planners.
@@ -148,6 +149,7 @@ def plot_paths(
       names: what the paths are called, one after the other; left out, by their planners.
       time: UTC time of the GPS maps of a panel without paths; the first if left out.
       time_of_day: of the population map of a panel without paths; the first if left out.
+      lanes: whether paths that coincide are drawn side by side; else each is where it is, the last on top.
       width: see `plot_metric`.
 
     Raises:
@@ -181,7 +183,8 @@ def plot_paths(
     # The legend: obstacles, and each path that is drawn in its colour.
     colours = planner_colours(each.name for each in named)
     paths_at = [[each.path for each in shown] for shown in named_at.values()]
-    entries = path_entries({each.name: colours[each.name] for each in drawn}, *paths_at)
+    names_drawn = {each.name: colours[each.name] for each in drawn}
+    entries = path_entries(names_drawn, *paths_at, lanes=lanes)
     figure, axes = draw_maps(
         maps.grid,
         panels,
@@ -192,7 +195,7 @@ def plot_paths(
         width=width,
     )
     for panel, shown, here in zip(axes, named_at.values(), paths_at, strict=True):
-        draw_paths(panel, here, [colours[each.name] for each in shown])
+        draw_paths(panel, here, [colours[each.name] for each in shown], APART_PT * lanes)
     return figure
 
 
@@ -270,19 +273,22 @@ def cost_layers(
     return [MapLayer(norm, COST_COLOURS), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
 
 
-def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]) -> None:
+def draw_paths(
+    panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str], apart_pt: float = APART_PT
+) -> None:
     """Draw the paths that reach their goal, and start and goal of the first of them.
 
     Args:
       panel: a map.
       paths: the paths of the panel; those without a route are left out.
       colours: one for each path.
+      apart_pt: from one lane to the next; 0: every path is where it is.
     """
     # Lanes are of the paths with a route only. Each path is drawn twice: as a white edge, and over that in its colour.
     lanes = iter(lanes_in(paths))
     for path, colour in zip(paths, colours, strict=True):
         if path.status.has_path:
-            offset_pt = next(lanes) * APART_PT
+            offset_pt = next(lanes) * apart_pt
             edge = Beside(offset_pt, LINE_PT + 2 * EDGE_PT, "white")
             panel.plot(
                 *path.xy_m.T,
@@ -390,7 +396,9 @@ BESIDE = Line2D(
 )
 
 
-def path_entries(colours: Mapping[str, str], *paths_at: Sequence[PlannedPath]) -> list[Line2D]:
+def path_entries(
+    colours: Mapping[str, str], *paths_at: Sequence[PlannedPath], lanes: bool = True
+) -> list[Line2D]:
     """Return the entries of a legend: the names of paths, their ends, and that some are drawn side by side.
 
     The latter two are left out where no panel shows such paths.
@@ -398,6 +406,7 @@ def path_entries(colours: Mapping[str, str], *paths_at: Sequence[PlannedPath]) -
     Args:
       colours: of the paths, by their names.
       paths_at: the paths of each panel.
+      lanes: whether paths that coincide are drawn side by side.
     """
     lines = [
         Line2D([], [], color=colour, linewidth=2.5, label=shortened(name))
@@ -405,7 +414,7 @@ def path_entries(colours: Mapping[str, str], *paths_at: Sequence[PlannedPath]) -
     ]
     if any(path.status.has_path for paths in paths_at for path in paths):
         lines += ENDS
-    if any(lane for paths in paths_at for lane in lanes_in(paths)):
+    if lanes and any(lane for paths in paths_at for lane in lanes_in(paths)):
         lines.append(BESIDE)
     return lines
 

@@ -169,6 +169,22 @@ def chart(height_in: float, heading: str, note: str = "", width: Width = "page")
     return figure
 
 
+def bare(figure: Figure) -> Figure:
+    """Return a figure without its title and its note, which a caption then says; it is altered, and lower by both.
+
+    The note has the credit of the data, which must then stand elsewhere (`jaxurban.cite`).
+
+    Args:
+      figure: from any ``plot_*`` function.
+    """
+    lines_in = HEAD_IN * len(figure.get_suptitle().splitlines())
+    lines_in += LINE_IN * len(figure.get_supxlabel().splitlines())
+    figure.suptitle("")
+    figure.supxlabel("")
+    figure.set_figheight(figure.get_figheight() - lines_in)
+    return figure
+
+
 def columns_of(num: int) -> int:
     """Return how many of several panels stand side by side."""
     return 2 if num == 4 else min(num, 3)

@@ -1,6 +1,6 @@
 // What the map is drawn with: the part in view, tiles, the base map with its names, and lines side by side.
 const KINDS = { // pixels: width of the line; most: metres a pixel up to which it is drawn
-  water: { fill: '#7d9db3', stroke: '#2a6f97', pixels: 1.5, most: Infinity },
+  water: { fill: '#b9d3e6', stripes: '#2a6f97', stroke: '#2a6f97', pixels: 1.5, most: Infinity },
   park: { fill: '#a3bf90', stroke: '#3f7d3a', pixels: 1, most: 3 },
   path: { stroke: '#fff', pixels: 0.6, most: 1.2 }, street: { stroke: '#fff', pixels: 0.8, most: 4 },
   major: { stroke: '#fff', pixels: 1.6, most: Infinity }, rail: { stroke: '#4a5158', pixels: 0.8, most: 3 },
@@ -24,9 +24,9 @@ function baseMap({ shapes, names }) {
     return [KINDS[kind], path];
   });
   const fill = (pen, toPixel, scale) => inMetres(pen, toPixel, scale, () => {
-    for (const [{ fill: fillStyle }, path] of paths) {
-      if (fillStyle) Object.assign(pen, { fillStyle }).fill(path, 'evenodd');
-    }
+    for (const [{ fill, stripes }, path] of paths) // level stripes are known for water below any colours
+      for (const fillStyle of [fill, stripes && striped(pen, stripes, scale)])
+        if (fillStyle) Object.assign(pen, { fillStyle }).fill(path, 'evenodd');
   });
   const draw = (pen, toPixel, scale) => inMetres(pen, toPixel, scale, () => { // lines alone, which hide no values
     for (const [{ stroke, pixels, most }, path] of paths) {
@@ -34,8 +34,8 @@ function baseMap({ shapes, names }) {
       if (scale <= most) pen.stroke(path);
     }
   });
-  const write = (pen, toPixel, scale, width, height) => { // those in front come first, and none over another
-    const taken = [];
+  const write = (pen, toPixel, scale, width, height, ends) => { // those in front come first, and none over another,
+    const taken = ends.map(toPixel).map(([left, top]) => [left + 18, top, 28, 10]); // nor over the label of an end
     for (const [x, y, text, kind, angle, metres] of names) {
       const [left, top] = toPixel([x, y]), most = KINDS[kind]?.most ?? Infinity;
       if (taken.length > 60) return;
@@ -118,11 +118,12 @@ const colouring = (edges, colours, [blocked, nothing, zero]) => value => {
   return colours[low];
 };
 const whereNoFix = value => value === Infinity ? 0xffffffff : 0; // of a dilution of precision
-function hatch(pen) { // red lines
-  const tile = new OffscreenCanvas(6, 6), ink = tile.getContext('2d');
-  ink.fillStyle = '#d01824';
-  for (let k = -1; k < 6; k++) ink.fillRect(k, 5 - k, 2, 1);
-  return pen.createPattern(tile, 'repeat');
+function striped(pen, fillStyle, scale, slope = 0) { // lines of a colour, level ones or rising ones
+  const tile = new OffscreenCanvas(6, 6), ink = Object.assign(tile.getContext('2d'), { fillStyle });
+  for (let k = -1; k < 6; k++) ink.fillRect(k, 5 - slope * k, 2, 1);
+  const pattern = pen.createPattern(tile, 'repeat');
+  pattern.setTransform(new DOMMatrix([scale, 0, 0, scale, 0, 0]));
+  return pattern;
 }
 function viewOf(map, wide, high, side, redraw) { // the part of the map in view: its scale in metres a
   // pixel, and what fitted it, until it is moved
@@ -185,7 +186,7 @@ function tilesOf(ask, { tile, rows, cols, resolution_m: side, strides }, view, g
     }
     for (const key of held.keys()) if (held.size > Math.max(200, 3 * num)) held.delete(key); // never those in view
     if (isHatched) {
-      Object.assign(over, { globalCompositeOperation: 'source-in', fillStyle: hatch(over) });
+      Object.assign(over, { globalCompositeOperation: 'source-in', fillStyle: striped(over, '#d01824', 1, 1) });
       over.fillRect(0, 0, clientWidth, clientHeight);
     }
     pen.globalAlpha = alpha;

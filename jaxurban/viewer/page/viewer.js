@@ -14,8 +14,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const base = scene.has_base ? baseMap(await ask('base', {})) : null;
   const tell = (text, isOld = false) => { // that the maps are old stays
     if (!root.querySelector('.jv-reload').hidden) return;
-    is('tell').textContent = text;
-    is('tell').classList.toggle('jv-limit', isOld);
+    Object.assign(is('tell'), { textContent: text }).classList.toggle('jv-limit', isOld);
     root.querySelector('.jv-reload').hidden = !isOld;
   };
   const guard = action => async (...given) => {
@@ -79,7 +78,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
       base?.draw(ink, toPixel, scale);
       state.outlines?.(ink, toPixel, view, flight(), isShown);
     });
-    base?.write(pen, toPixel, view.scale, width, height);
+    base?.write(pen, toPixel, view.scale, width, height, Object.keys(state.ends).map(markOf));
     for (const zone of state.zones) line(zone, '#a01830', 1.5, { fill: '#a0183033' });
     if (state.drawing) line(state.drawing, '#a01830', 1.5);
     const routes = state.routes.map((route, k) => ({ ...route, off: 4 * (k - (state.routes.length - 1) / 2) }));
@@ -94,7 +93,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
       spot(place, 1, '#1f2429', '#1f2429');
       mark(name, markOf(name));
     }
-    for (const each of [state.tab === 'look' && (isOfHome() ? state.home : state.sky), state.linked]) if (each) spot(each, 5, '#1f2429', '#fff');
+    const looked = state.tab === 'look' && (isOfHome() ? state.home : state.sky);
+    for (const each of [looked, state.linked]) if (each) spot(each, 5, '#1f2429', '#fff');
     if (map.matches(':focus-visible')) spot([view.x, view.y], 3, '#fff', '#1f2429');
     const most = 130 * view.scale, power = 10 ** Math.floor(Math.log10(most));
     const length = [5, 2, 1].map(factor => factor * power).find(each => each <= most);
@@ -138,7 +138,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   // --- the pointer
   const look = latest(async ([x, y]) => {
     const cell = [y, x].map(metres => Math.floor(metres / side)), table = is('values');
-    const { minus, ...shown } = state.shown?.request ?? {}, drawn = (minus || shown.home) && { view: { ...shown, minus } };
+    const view = state.shown?.request, drawn = (view?.minus || view?.home) && { view };
     const values = await ask('values', { at: places(), row: cell[0], col: cell[1], ...drawn });
     table.replaceChildren();
     for (const { name, told, value, classes, unit } of values) {
@@ -272,10 +272,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     is('costs').innerHTML = route?.html ?? '';
     is('command').textContent = route?.command ?? '';
     is('command').hidden = is('copy').hidden = !route?.command;
-    if (route?.has_path) report(route); else {
-      is('report').classList.add('jv-empty');
-      choose(state.tab);
-    }
+    if (route?.has_path) report(route); else is('report').classList.add('jv-empty');
+    if (route?.has_path === false) frame();
     draw();
   };
   const report = latest(async route => {
@@ -288,8 +286,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     }).finally(() => { is('report').ariaBusy = false; });
     if (is('tell').textContent === follows) tell('');
     if (state.route !== route) return;
-    state.report = found;
-    draw();
+    draw(state.report = found);
     for (const name of ['cautions', 'totals', 'profile', 'saved', 'report-text']) is(name).innerHTML = found[name];
     is('report').classList.remove('jv-empty');
     frame();
@@ -304,9 +301,9 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const fitRoutes = () => {
     const { offsetWidth: across, parentElement: { offsetHeight: below } } = is('legend');
     const [left0, bottom0] = map.clientWidth > 3 * across ? [across, 0] : [0, below]; // beside the legend, or above it
-    const free = [left0 + 24, is('at').parentElement.offsetHeight + 24, map.clientWidth - 74,
-      map.clientHeight - bottom0 - 24];
-    const corners = state.routes.filter(each => each.has_path).flatMap(each => each.xy_m);
+    const free = [left0 + 24, is('at').parentElement.offsetHeight + 24,
+      map.clientWidth - 114, map.clientHeight - bottom0 - 24]; // right of an end stands its label
+    const corners = [...Object.values(state.ends), ...state.routes.flatMap(each => each.has_path ? each.xy_m : [])];
     const [[left, right], [low, top]] = [0, 1].map(k => corners.map(place => place[k])).map(each =>
       [Math.min(...each), Math.max(...each)]);
     const scale = 1.1 * Math.max((right - left) / (free[2] - free[0]), (top - low) / (free[3] - free[1]), side / 40);
@@ -435,8 +432,6 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     state.tab = tab;
     for (const each of all('[data-tab]')) each.ariaSelected = each.dataset.tab === tab;
     for (const page of all('[data-page]')) page.hidden = page.dataset.page !== tab;
-    const { classList } = is('report');
-    is('report').hidden = tab !== 'plan' && classList.contains('jv-empty');
   };
   for (const button of all('[data-tab]')) button.onclick = () => {
     choose(button.dataset.tab);
@@ -444,6 +439,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     keep();
     draw();
   };
+  root.querySelector('.jv-key').open = map.clientWidth > 500; // on a phone it would cover the map
   const first = kept(), held = keepsPlan && window.location.hash.slice(1);
   try { if (held) restore(JSON.parse(decodeURIComponent(held))); } catch {
     restore(first);
