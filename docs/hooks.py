@@ -69,7 +69,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, last in zip(all_names, lasts, strict=True):
         # A search for "plan" also finds PlannedPath and plan_many: the name itself comes first.
         begins_another = any(other != last and other.startswith(last) for other in lasts)
-        boost = BOOST if begins_another else 1
+        is_class = page_of(name).startswith("reference/classes/")
+        boost = BOOST if begins_another and not is_class else 1
         title, index = f"ju.{name}", "../api.md"
         page = NAME_PAGE.format(title=title, index=index, name=name, boost=boost)
         files.append(File.generated(config, page_of(name), content=page))
