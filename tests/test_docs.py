@@ -6,6 +6,7 @@ files of zones, outlines, blocks and routes made here.
 """
 
 import ast
+import itertools
 import re
 import shlex
 import shutil
@@ -264,6 +265,19 @@ def test_the_blocks_of_a_page_run_in_their_order(page, folder, capsys):
         code, out, _ = run(capsys, "check", maps, mission)
         is_first = page.stem in ("README", "tutorial")
         assert code == ExitCode.DONE or (code == ExitCode.NOT_JUDGED and not is_first), out
+
+
+@pytest.mark.slow
+def test_readme_prints_the_same_over_the_maps_that_its_scenario_makes(folder, capsys):
+    shutil.rmtree("out")
+    blocks = blocks_of(PAGES[0])
+    for block, after in itertools.pairwise(blocks):
+        if block.language == "toml":
+            Path("scenario.toml").write_text(block.text, encoding="utf-8")
+        if block.language == "sh" and "jaxurban" in block.text:
+            said = run_shell(block, PAGES[0], capsys)
+            assert after.language == "text"
+            assert_shown(after, said, PAGES[0])
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

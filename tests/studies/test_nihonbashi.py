@@ -71,7 +71,7 @@ def test_the_sample_shows_that_the_sky_agrees():
         < loss["street"]
         < loss["elevation"]
     )
-    assert "is predicted better from the margin" in of.verdict
+    assert "The margin to the shadow's edge and the elevation predict" in of.verdict
 
 
 def test_500_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
