@@ -23,7 +23,6 @@ FLOOR := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
 
 demo: $(VENV)/.run
 	$(BIN)/jaxurban demo -o out/demo --overwrite
-	@echo "To look at it in a browser: $(BIN)/jaxurban view out/demo"
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile

@@ -32,8 +32,13 @@ COMMANDS = "<!-- commands: all -->"
 NAMES_PAGE = "reference/api.md"
 NAMES_HEAD = "| for | names |\n|---|---|\n"
 NAMES_ROW = re.compile(r"^\| ([^|`]+) \| ((?:`[\w.]+` )+)\|$", re.MULTILINE)  # what for, names
+# How much higher than others a search ranks the pages of zones and of options, and a name that begins other names.
+BOOST = 3
+FIRST_FOUND = "guides/plan.md", "reference/commands.md"
 NAME_PAGE = """---
 title: {title}
+search:
+  boost: {boost}
 ---
 
 ::: jaxurban.{name}
@@ -45,7 +50,8 @@ title: {title}
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Return the configuration with a fence for mathematics, and with the page of every public name in its menu."""
+    """Return the configuration with the version, a fence for mathematics and the pages of public names in its menu."""
+    config.site_name += f" {jaxurban.__version__}"
     fence = {"name": "math", "class": "math", "format": mathml}
     config.mdx_configs.setdefault("pymdownx.superfences", {})["custom_fences"] = [fence]
     (reference,) = (each["Reference"] for each in config.nav if "Reference" in each)
@@ -58,8 +64,15 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Return the site's files with the pictures of figures/, the notebooks as they ran, and a page per public name."""
-    for name in (each for _, names in public_names() for each in names):
-        page = NAME_PAGE.format(title=f"ju.{name}", index="../api.md", name=name)
+    all_names = [name for _, names in public_names() for name in names]
+    lasts = [name.rpartition(".")[2].lower() for name in all_names]
+    for name, last in zip(all_names, lasts, strict=True):
+        # A search for "plan" also finds PlannedPath and plan_many: the name itself comes first.
+        begins_another = any(other != last and other.startswith(last) for other in lasts)
+        is_class = page_of(name).startswith("reference/classes/")
+        boost = BOOST if begins_another and not is_class else 1
+        title, index = f"ju.{name}", "../api.md"
+        page = NAME_PAGE.format(title=title, index=index, name=name, boost=boost)
         files.append(File.generated(config, page_of(name), content=page))
     for picture in sorted((ROOT / "figures").rglob("*.png")):
         name = picture.relative_to(ROOT).as_posix()
@@ -87,6 +100,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Return the page with its tables and listings written out, and with links to figures as the site has them."""
     markdown = TABLE_LINK.sub(lambda found: (ROOT / found[1]).read_text(encoding="utf-8"), markdown)
+    if page.file.src_uri in FIRST_FOUND:
+        page.meta["search"] = {"boost": BOOST}
     if page.file.src_uri == NAMES_PAGE:
         markdown = NAMES_ROW.sub(_described, markdown.replace(NAMES_HEAD, ""))
     return FIGURE_LINK.sub(r"](\1figures/", markdown.replace(COMMANDS, _commands()))

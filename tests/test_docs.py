@@ -6,6 +6,7 @@ files of zones, outlines, blocks and routes made here.
 """
 
 import ast
+import itertools
 import re
 import shlex
 import shutil
@@ -226,6 +227,16 @@ RUN = {"python", "toml", "sh"}
 NOT_RUN = {"text", "math"}  # diagrams, and formulas, which `make docs` turns into MathML or fails
 
 
+# README's own commands make the maps that the guides take for granted, so that it is the first page.
+COMMANDS_WITH_OUTPUT = [
+    (page, block, shown)
+    for page in PAGES
+    if page.stem != "tutorial"  # which has maps of its own
+    for block, shown in itertools.pairwise(blocks_of(page))
+    if (block.language, shown.language) == ("sh", "text")
+]
+
+
 def with_code() -> Iterator[Any]:
     """Yield the pages that have blocks to run."""
     for page in PAGES:
@@ -257,6 +268,8 @@ def test_the_blocks_of_a_page_run_in_their_order(page, folder, capsys):
                 keep_toml(block)
             case "sh":
                 said = run_shell(block, page, capsys)
+                if page.parent.name == "guides":
+                    said = ""  # these show what is printed over other maps: see the next test
 
     # What a page writes as a mission passes its check: wholly, or but for what other maps do not hold.
     maps = "out/first" if page.stem == "tutorial" else "out/manhattan"
@@ -264,6 +277,15 @@ def test_the_blocks_of_a_page_run_in_their_order(page, folder, capsys):
         code, out, _ = run(capsys, "check", maps, mission)
         is_first = page.stem in ("README", "tutorial")
         assert code == ExitCode.DONE or (code == ExitCode.NOT_JUDGED and not is_first), out
+
+
+@pytest.mark.slow
+def test_readme_and_guides_show_what_is_printed_over_the_maps_of_readmes_scenario(folder, capsys):
+    shutil.rmtree("out")
+    (scenario,) = (block for block in blocks_of(PAGES[0]) if block.language == "toml")
+    Path("scenario.toml").write_text(scenario.text, encoding="utf-8")
+    for page, block, shown in COMMANDS_WITH_OUTPUT:
+        assert_shown(shown, run_shell(block, page, capsys), page)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -123,8 +123,10 @@ def git(folder: Path, *arguments: str) -> str:
 
 
 def test_a_table_goes_by_the_last_commit_named_before_its_code():
-    page = "commit 1111111 ... at commit 2222222.\n<!-- measured code: a b/c -->\ncommit 3333333\n| table without |\n"
-    assert stale_tables.tables_of(page) == [("2222222", ["a", "b/c"])]
+    page = "commit 1111111 ... at commit\n2222222.\n<!-- measured code: a b/c -->\ncommit 3333333\n| table without |\n"
+    assert stale_tables.tables_of(page) == [("2222222", ["a", "b/c"], "")]
+    kept = page.replace(" -->", "; kept: no script -->")
+    assert stale_tables.tables_of(kept) == [("2222222", ["a", "b/c"], "no script")]
 
 
 def test_commits_that_change_the_code_make_a_table_stale_and_others_do_not(tmp_path):
@@ -145,12 +147,18 @@ def test_commits_that_change_the_code_make_a_table_stale_and_others_do_not(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("num", "said"), [(1, "1 commit to kernels, planners"), (2, "2 commits to kernels, planners")]
+    ("num", "kept", "said"),
+    [
+        (1, "", "1 commit to kernels, planners: measure it again"),
+        (2, "; kept: no script", "2 commits to kernels, planners: no script"),
+    ],
 )
-def test_a_stale_table_is_listed_with_how_many_commits_are_later(num, said, monkeypatch, tmp_path):
+def test_a_stale_table_is_listed_with_how_many_commits_are_later_and_why_it_is_kept(
+    num, kept, said, monkeypatch, tmp_path
+):
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "page.md").write_text(
-        "commit 1111111\n<!-- measured code: kernels planners -->\n"
+        f"commit 1111111\n<!-- measured code: kernels planners{kept} -->\n"
     )
     monkeypatch.setattr(stale_tables, "ROOT", tmp_path)
     monkeypatch.setattr(stale_tables, "changes_since", lambda commit, folders: num)
@@ -168,7 +176,7 @@ def test_without_a_repository_or_without_git_no_table_is_stale(tmp_path, monkeyp
 
 @pytest.mark.parametrize("page", PAGES)
 def test_every_page_names_code_that_exists(page):
-    for _, folders in stale_tables.tables_of((ROOT / page).read_text(encoding="utf-8")):
+    for _, folders, _ in stale_tables.tables_of((ROOT / page).read_text(encoding="utf-8")):
         assert [folder for folder in folders if not (ROOT / folder).exists()] == []
 
 

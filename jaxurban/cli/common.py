@@ -499,7 +499,7 @@ CORRIDOR = grouped(
     OF_CORRIDOR(
         "--ground-buffer",
         "ground_buffer_m",
-        help="With --corridor: the ground risk buffer.  [default: the flight's height, 1:1, a hint]",
+        help="With --corridor: the ground risk buffer.  [default: the flight's height (1:1 rule)]",
     ),
     OF_CORRIDOR(
         "--density-cell",

@@ -76,9 +76,11 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> None:
                     path.save(folder / PATHS_FOLDER / name)
             report("figures")
             figures = save_figures(maps, paths, folder / "figures")
-    LOG.info(
-        f"demo finished: look at {folder / 'figures'}, the paths are in {folder / PATHS_FOLDER}"
-    )
+    num_found = sum(path.status.has_path for path in paths)
+    overview, table_file = folder / "figures" / "overview.png", folder / TABLE_FILE
+    LOG.info(f"Look at {overview}: it shows the maps and the paths over them.")
+    LOG.info(f"{num_found} of {len(paths)} searches found a path; {table_file} compares them.")
+    LOG.info(f"To plan by hand in a browser, run: jaxurban view {folder}")
     if as_json:
         record = {"folder": str(folder), "record": str(folder / RUN_FILE)}
         print_json(record | {"figures": [str(figure) for figure in figures], "paths": facts})

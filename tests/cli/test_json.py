@@ -1,5 +1,6 @@
 """``--json``: one object at every exit code, as docs/reference/json.schema.json describes it."""
 
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -249,9 +250,16 @@ def test_a_sensitivity_and_a_fit_are_objects(made, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_the_demo_is_an_object(tmp_path, capsys, monkeypatch):
+def test_the_demo_is_an_object_and_ends_with_a_picture_and_three_sentences(
+    tmp_path, capsys, monkeypatch
+):
     monkeypatch.setattr(demo, "RESOLUTION_M", 50.0)
     monkeypatch.setattr(scenario, "PAPER_PLANNERS", ("ptp", "astar-plus"))
     code, out, err = run(capsys, "demo", "-o", tmp_path / "out", "--json")
     assert code == ExitCode.DONE, err
-    assert len(check_json(out, code, "demo")["paths"]) > 1
+    paths = check_json(out, code, "demo")["paths"]
+    assert len(paths) > 1
+    picture, counts, view = err.splitlines()[-3:]
+    assert Path(re.search(r"Look at (\S+):", picture)[1]).is_file()
+    assert f" of {len(paths)} searches" in counts
+    assert view.endswith(f"jaxurban view {tmp_path / 'out'}")

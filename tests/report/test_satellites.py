@@ -31,7 +31,7 @@ def test_the_report_leads_with_the_verdict_and_counts_come_second(of_satellites)
     report = validation_markdown(of_satellites)
     order = ["**Maps and receiver agree.**", "## Satellite by satellite", "## What agrees"]
     assert [report.index(part) for part in order] == sorted(report.index(part) for part in order)
-    assert report.startswith(f"# A receiver beside the maps\n\n{order[0]}\n")
+    assert report.startswith(f"# A receiver's log, compared with the maps\n\n{order[0]}\n")
     assert "nan" not in report
 
 

@@ -71,7 +71,7 @@ def test_the_sample_shows_that_the_sky_agrees():
         < loss["street"]
         < loss["elevation"]
     )
-    assert "is predicted better from the margin" in of.verdict
+    assert "The margin to the shadow's edge and the elevation predict" in of.verdict
 
 
 def test_500_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
@@ -160,5 +160,5 @@ def test_times_that_are_an_hour_off_are_not_praised_and_a_quarter_of_one_is(data
         angles = angles.drop(columns=["lon_deg", "lat_deg"])
         log = strengths.merge(angles, on=["utc", "satellite"])
         of = validated(log[log.elevation_deg >= 5.0], num_displaced=200).satellites
-        assert of.verdict.startswith("What this receiver hears") == (abs(hours) < 1)
+        assert of.verdict.startswith("The margin to the shadow's edge") == (abs(hours) < 1)
         assert low < of.score().auc < high

@@ -130,7 +130,7 @@ def test_a_receiver_that_hears_what_the_city_leaves_open_is_believed():
     assert of.score().within_low > 0.8
     assert of.score().auc > of.displaced.auc.max() + 0.1
     assert of.peak["within_95_m"] <= 10.0  # two cells
-    assert "is predicted better from the margin" in of.verdict
+    assert "The margin to the shadow's edge and the elevation predict" in of.verdict
     assert set(of.scores.which) == {"all", "received", "E", "G", "unguarded"}
     assert of.score("E").rows + of.score("G").rows == of.score().rows
     assert of.strong_dbhz == of.rows[of.rows.is_judged].cn0_dbhz.median()

@@ -492,8 +492,8 @@ def verdict_of(
     auc = f"an AUC of {score.auc:.2f} ({score.auc_low:.2f} to {score.auc_high:.2f})"
     if not gain.gain_low > 0:
         return (
-            f"It is not shown that what this receiver hears {where} is predicted better from the maps than from the "
-            f"elevation and the street's direction: {gained}."
+            f"It is not shown that the maps predict what this receiver hears {where} better than the "
+            f"elevation and the street's direction do: {gained}."
         )
     num_cities = int(displaced.auc.notna().sum())
     if num_cities < FEWEST_CITIES:
@@ -509,7 +509,7 @@ def verdict_of(
             "check whether times and places are right."
         )
     return (
-        f"What this receiver hears {where} is predicted better from the margin to the shadow's edge and the elevation "
-        f"than from the elevation and the street's direction: {gained}; C/N0 separates seen from hidden satellites "
+        f"The margin to the shadow's edge and the elevation predict what this receiver hears {where} better than the "
+        f"elevation and the street's direction do: {gained}; C/N0 separates seen from hidden satellites "
         f"with {auc}, and displaced cities reach at most {most:.2f}."
     )
