@@ -35,7 +35,7 @@ def return_home(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Say how high a straight flight home must be over the maps in DIR.
+    """Say how high a straight flight home must be.
 
     Altitudes are in metres above the ground at home, for every cell that the flight may return from.
     """

@@ -88,16 +88,6 @@ def test_geojson_is_read_by_geopandas_at_the_same_place_and_holds_no_nan(route, 
     assert feature["properties"]["lower_bound"] is None
 
 
-def test_geojson_of_a_path_that_climbs_has_its_heights_as_third_coordinates(tmp_path):
-    z_m = np.linspace(20.0, 60.0, len(staircase()))
-    climbing = made_path(GRID, staircase(), altitude_m=z_m)
-    write_path(climbing, tmp_path / "climb.geojson")
-    (frame,) = gpd.read_file(tmp_path / "climb.geojson").itertuples()
-    read_m = shapely.get_coordinates(frame.geometry, include_z=True)[:, 2]
-    np.testing.assert_allclose(read_m, z_m, atol=0.01)
-    assert (read_m >= z_m).all()
-
-
 def test_kml_is_read_by_gdal_and_its_line_lies_at_its_altitude_above_ground(route, tmp_path):
     file = tmp_path / "path.kml"
     assert write_path(route, file)

@@ -1,8 +1,7 @@
 """Planned paths as files for other programs: the format is chosen by the file's suffix.
 
 GeoJSON (RFC 7946): a FeatureCollection of one LineString a path, and one more for each segment of a report.
-Coordinates are longitude and latitude, since a third one would be a height above the ellipsoid; only a path whose
-height changes, as in a volume, has a third one, its height above ground, as ``height_reference`` says. The altitudes
+Coordinates are longitude and latitude only, since a third one would be a height above the ellipsoid; the altitudes
 above ground and all else that is known of the path are properties (``altitude_m``, ``z_m`` of each point, ``cost``,
 ``metrics`` ..., with the numbers of these two as ``cost_gps``, ``mean_gps`` ... too; ``cautions`` as sentences;
 ``height_reference`` says what the heights count from; over terrain, ``ground_m`` is the elevation below each). With a
@@ -59,7 +58,7 @@ GROUND_REFERENCE = (
 
 
 def _feature(properties: Mapping[str, Any], lonlat: np.ndarray) -> dict[str, Any]:
-    """Return a line ``[N, 2]`` of longitude and latitude, or ``[N, 3]`` with heights, as a feature of GeoJSON."""
+    """Return a line ``[N, 2]`` of longitude and latitude as a feature of GeoJSON."""
     geometry = {"type": "LineString", "coordinates": positions(lonlat)}
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
@@ -79,8 +78,7 @@ def to_geojson(routes: Named, report: RouteReport | None) -> bytes:
             facts[f"cost_{layer}"] = cost
         for metric, mean in facts["metrics"].items():
             facts[f"mean_{metric}"] = mean
-        z_m = upward(route.z_m)
-        facts["z_m"] = z_m.tolist()
+        facts["z_m"] = upward(route.z_m).tolist()
         ground = route.ground
         if ground is not None:
             elevation_m = np.interp(np.arange(len(route.z_m)), ground.at, ground.elevation_m)
@@ -88,10 +86,7 @@ def to_geojson(routes: Named, report: RouteReport | None) -> bytes:
             facts["ground_reference"] = GROUND_REFERENCE
         if name:
             facts = {"name": name, **facts}
-        line = route.lonlat
-        if np.ptp(z_m) > 0:
-            line = np.column_stack([line, z_m])
-        features.append(_feature(facts, line))
+        features.append(_feature(facts, route.lonlat))
         lines = () if report is None else report.lines
         features += [_feature(segment, line) for segment, line in zip(segments, lines, strict=True)]
     collection = {"type": "FeatureCollection", "features": features}
