@@ -16,6 +16,7 @@ from jaxurban.kernels.blocks import LARGE
 from jaxurban.kernels.distance import nearest as distance
 from jaxurban.kernels.lidar import hard
 from jaxurban.kernels.lidar import soft as soft_lidar
+from jaxurban.kernels.line.homeward import _highest_east
 from jaxurban.kernels.line.segment_costs import segment_costs
 from jaxurban.kernels.search import sample_graph, tiles
 from jaxurban.kernels.shadows import blocks, rays, sweep
@@ -357,6 +358,9 @@ KERNELS: dict[str, Callable[[], Call]] = {
         (SAMPLES, float64(*REGION), float64(), array(dtype=bool)),
         {"is_line": True, "sizes": GRAPH},
         True,
+    ),
+    "highest homeward": lambda: Call(
+        _highest_east, (array(2001, 8002), float64(), float64()), {}, True
     ),
     "tiles: begin": lambda: Call(
         tiles.begin, (ENDS_OF_TILES, ENDS_OF_TILES, BOUND_OF_TILES), {}, True

@@ -24,9 +24,8 @@ TABLE_LINK = re.compile(
 FIGURE_LINK = re.compile(r"\]\(((?:\.\./)*)\.\./figures/")  # as files of the repository see it
 RAN = ROOT / "out" / "notebooks"
 WIDGET = "application/vnd.jupyter.widget-view+json"
-KERNEL_FILE = re.compile(
-    r"[^\s\"]*/ipykernel_\d+/\d+\.py:\d+: "
-)  # of the machine that ran a notebook
+# Of the machine that ran a notebook; bounded, as a search for any length takes hours over a picture's text.
+KERNEL_FILE = re.compile(r"/[\w/.-]{0,100}?ipykernel_\d+/\d+\.py:\d+: ")
 STYLE = re.compile(r"<style scoped>.*?</style>\n", re.DOTALL)  # of pandas' tables
 COMMANDS = "<!-- commands: all -->"
 NAMES_PAGE = "reference/api.md"

@@ -65,16 +65,16 @@ def _highest_east(cells: Float[Array, "N 2*Y+2"], row: Array, col: Array) -> Flo
       row, col: of home.
     """
     num_lines, num_places = cells.shape
-    corner_row = jnp.arange(num_places // 2)
+    corner_row = jnp.arange(num_places // 2, dtype=row.dtype)[None]
     first = jnp.floor(col).astype(int) + 1
 
     def of_corners(line):
         """Return the highest on the line home from each corner of some lines of corners, ``[B, 1]``."""
-        slope = (corner_row - row) / (line - col)
+        slope = (corner_row - row) / (line.astype(col.dtype) - col)
 
         def advance(crossed, highest):
             """Take in what the lines home touch where they cross a line of corners."""
-            at = row + slope * (crossed - col)
+            at = row + slope * (crossed.astype(col.dtype) - col)
             place = jnp.floor(at + SAME_LENGTH) + jnp.ceil(at - SAME_LENGTH) + 1
             top = jnp.take(cells[crossed], place.astype(int), mode="clip")
             return jnp.where(crossed <= line, jnp.maximum(highest, top), highest)
@@ -84,4 +84,4 @@ def _highest_east(cells: Float[Array, "N 2*Y+2"], row: Array, col: Array) -> Flo
         return jnp.where(jnp.abs(slope) <= 1 + SAME_LENGTH, highest, nothing)
 
     lines = jnp.arange(rounded_up(num_lines, LINES_AT_ONCE)).reshape(-1, LINES_AT_ONCE, 1)
-    return lax.map(of_corners, lines).reshape(-1, len(corner_row))[:num_lines]
+    return lax.map(of_corners, lines).reshape(-1, corner_row.size)[:num_lines]
