@@ -13,44 +13,14 @@ After the sources and documents of the autopilots, as of November 2026:
 """
 
 import math
-from collections.abc import Iterable
-from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
 
 from jaxurban.io.read.mission_flight import LEAST_RETURN_M, levels_m
 from jaxurban.io.read.mission_parts import Autopilot
 
 ENOUGH_M = 0.01  # by which a return may be lower than it needs to be
-
-
-class Departure(NamedTuple):
-    """A place at which an item of a mission ends, and from which the vehicle may return.
-
-    Attributes:
-      item: its number.
-      apart_m: distance from home.
-      own_m: height above home at which the vehicle is there; NaN where it is not known.
-      least_m: least height above home at which a straight, level way home clears everything; NaN where it is not known.
-      as_guessed_m: the same if guessed heights are right, in place of their bounds.
-      why: the reason why ``least_m`` is not known.
-    """
-
-    item: int
-    apart_m: float
-    own_m: float
-    least_m: float
-    as_guessed_m: float
-    why: str
-
-    def flown_m(self, autopilot: Autopilot, altitude_m: float) -> float:
-        """Return the least height at which an autopilot flies home from here, by its default cone.
-
-        It is NaN where the return altitude is not known, and does not count a height of its own that is not known.
-        """
-        return max(levels_m(autopilot, self.apart_m, altitude_m)[0], self.own_m)
-
-    def is_low(self, autopilot: Autopilot, altitude_m: float) -> bool:
-        """Return whether that height is less than the way home needs; not where one of the two is not known."""
-        return self.flown_m(autopilot, altitude_m) < self.least_m - ENOUGH_M
 
 
 # What to type, with places for the altitude in metres and centimetres, and what switches the cone off.
@@ -66,24 +36,48 @@ PARAMETERS: dict[Autopilot, tuple[str, str]] = {
     ),
 }
 
+LOW_IN_CONE = (
+    "; by its default cone it returns from item {item}, {apart_m:.0f} m from home, at {flown_m:.1f} m, below the "
+    "{least_m:.1f} m needed"
+)
+
 
 def typed_m(altitude_m: float) -> int:
     """Return an altitude as it is typed: whole metres, rounded up, and no less than autopilots climb."""
     return math.ceil(max(altitude_m - ENOUGH_M, LEAST_RETURN_M))
 
 
+def low_returns(departures: pd.DataFrame, autopilot: Autopilot, altitude_m: float) -> pd.DataFrame:
+    """Return the rows of places from which an autopilot flies home lower than needed, by its default cone.
+
+    What is not known is not low; a height of the flight's own that is not known does not count.
+
+    Args:
+      departures: places from which a flight may return: ``apart_m`` from home, ``own_m``, its height there, and
+        ``least_m``, the height that the way home needs, both above home.
+      autopilot: which returns.
+      altitude_m: the return altitude, above home; NaN if it is not known.
+
+    Returns:
+      The rows with ``flown_m``, the least height above home at which it flies.
+    """
+    levels = [levels_m(autopilot, apart_m, altitude_m)[0] for apart_m in departures["apart_m"]]
+    flown_m = np.maximum(levels, departures["own_m"].fillna(-np.inf))
+    is_low = flown_m < departures["least_m"] - ENOUGH_M
+    return departures.assign(flown_m=flown_m)[is_low]
+
+
 def parameter_lines(
-    altitude_m: float,
-    autopilot: Autopilot = "unknown",
-    departures: Iterable[Departure] | None = None,
+    altitude_m: float, autopilot: Autopilot = "unknown", departures: pd.DataFrame | None = None
 ) -> list[str]:
     """Return what to type into an autopilot for a return altitude, a sentence for each autopilot.
 
     Args:
       altitude_m: metres above home that a return needs; it is rounded up to whole metres (`typed_m`).
       autopilot: the one that is asked for; of ``"unknown"`` all are, of ``"dji"`` none, whose app asks for the height.
-      departures: places from which it may return. The sentence names the first that the autopilot's default cone leaves
-        lower than the way home needs, if there is one. Left out, it says how to switch the cone off.
+      departures: places from which it may return, the ``item`` to which each belongs, and what `low_returns` asks for.
+        The sentence names the first that the autopilot's default cone leaves lower than the way home needs, if there is
+        one. Left out, it says how to switch the cone off.
 
     Examples:
       >>> from jaxurban.paths.autopilots import parameter_lines
@@ -95,14 +89,10 @@ def parameter_lines(
     for name, (text, setting) in PARAMETERS.items():
         if autopilot not in (name, "unknown"):
             continue
-        line = text.format(m=metres, cm=100 * metres)
-        low = [each for each in departures or () if each.is_low(name, metres)]
-        if low:
-            line += (
-                f"; by its default cone it returns from item {low[0].item}, {low[0].apart_m:.0f} m from home, at "
-                f"{low[0].flown_m(name, metres):.1f} m, below the {low[0].least_m:.1f} m needed: set {setting}"
-            )
-        elif departures is None and setting:
-            line += f"; near home it returns lower by default: set {setting}"
-        lines.append(f"{line}.")
+        lower = ["; near home it returns lower by default"]
+        if departures is not None:
+            low = low_returns(departures, name, metres).to_dict("records")
+            lower = [LOW_IN_CONE.format_map(row) for row in low]
+        cone = f"{lower[0]}: set {setting}" if setting and lower else ""
+        lines.append(f"{text.format(m=metres, cm=100 * metres)}{cone}.")
     return lines

@@ -26,7 +26,7 @@ from jaxurban.paths.constraints import Bound, Constraints
 from jaxurban.paths.contacts import Prisms, buildings_of, union_m
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.flown import costs_of, figures_of
-from jaxurban.paths.item_returns import item_returns
+from jaxurban.paths.item_returns import by_item, departures_of, return_lines
 from jaxurban.paths.judge import SPAN, judged, placed
 from jaxurban.paths.legs import Flight, flight_of
 from jaxurban.paths.path import PlannedPath
@@ -171,6 +171,7 @@ def check(
     tables = [table for table in (findings, exceeded) if len(table)]
     findings = pd.concat(tables or [findings])
 
+    departures = departures_of(flight, buildings, known, limits)
     lost = [] if is_outlined else [text for text in maps.guesses if text.endswith(WITHOUT_DATA)]
     not_judged = [
         *[CHANGED] * has_changed,
@@ -192,7 +193,8 @@ def check(
         maps=maps,
         zones=limits.zones,
         left_out=left_out(maps, city),
-        return_altitudes=item_returns(flight, buildings, known, limits, geoid_m),
+        return_altitudes=by_item(departures),
+        return_lines=return_lines(departures, mission),
     )
 
 

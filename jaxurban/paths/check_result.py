@@ -16,7 +16,6 @@ from jaxurban.io.read.zone import Zone
 from jaxurban.io.results import Result
 from jaxurban.io.tables import SUFFIXES, records_of, write_table
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.item_returns import return_lines
 from jaxurban.paths.legs import Flight
 from jaxurban.public import Caution, caution_of_guesses
 from jaxurban.settings import time_said
@@ -64,8 +63,10 @@ class MissionCheck(Result):
       zones: the no-fly zones in force, with those of the mission's geofence.
       return_altitudes: a row for each place at which an item ends: its ``item``, ``apart_m`` (from home), ``own_m``
         (its height above home), ``least_m``, the least height above home at which a straight, level way home clears
-        everything, up to the bound of guessed heights (NaN where that is not known, with the reason in ``why``), and
-        ``as_guessed_m``, the same if guessed heights are right. No row without a home.
+        everything, up to the bound of guessed heights (NaN where that is not known, with the reason in ``why``),
+        ``as_guessed_m``, the same if guessed heights are right, and ``way_m``, the least from wherever on the way to
+        it. No row without a home.
+      return_lines: at which altitude it may return from wherever it is, a sentence each, and what to type.
 
     Examples:
       >>> ju.check(maps, path, sources=city, max_people=30)
@@ -87,6 +88,7 @@ class MissionCheck(Result):
     zones: Sequence[Zone] = ()
     left_out: str = ""
     return_altitudes: pd.DataFrame = field(default_factory=pd.DataFrame)
+    return_lines: Sequence[str] = ()
 
     @property
     def state(self) -> State:
@@ -105,11 +107,6 @@ class MissionCheck(Result):
     def sentences(self) -> list[str]:
         """The findings, a sentence each."""
         return [_sentence_of(row) for row in self.findings.to_dict("records")]
-
-    @property
-    def return_lines(self) -> list[str]:
-        """At which altitude it may return from its items, a sentence each, and what to type into the autopilot."""
-        return return_lines(self.return_altitudes, self.flight.mission)
 
     @property
     def numbers(self) -> dict[str, str]:
@@ -184,7 +181,7 @@ class MissionCheck(Result):
             "limits": dict(self.limits),
             "guesses": list(self.maps.guesses),
             "return_altitudes": records_of(self.return_altitudes),
-            "return_lines": self.return_lines,
+            "return_lines": list(self.return_lines),
         }
 
     def to_geojson(self) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from jaxurban.io.city import City
 from jaxurban.io.read.sampling import values_at
@@ -75,7 +76,13 @@ class Elevation:
     @cached_property
     def off_m(self) -> np.ndarray:
         """``[Y, X]`` by how many metres the ground in each cell may leave `at`, where it is of cells."""
-        from scipy.ndimage import maximum_filter, minimum_filter
-
         terrain_m = self.maps.m("terrain")
         return OFF_SHARE * (maximum_filter(terrain_m, 3) - minimum_filter(terrain_m, 3))
+
+    @cached_property
+    def highest_m(self) -> np.ndarray:
+        """``[Y, X]`` float32 what the ground in each cell does not exceed; 0 on level ground."""
+        if self.is_flat:
+            return np.zeros(self.maps.grid.shape, np.float32)
+        highest_m = maximum_filter(np.nan_to_num(self.maps.m("terrain")), 3)
+        return highest_m if self.is_exact else highest_m + np.nan_to_num(self.off_m)

@@ -1,5 +1,6 @@
 """A planned route explained: what each layer and each segment costs, who is below, where GPS or room is scarce."""
 
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
@@ -24,6 +25,7 @@ from jaxurban.paths.profile import (
     people_below,
     profile_of,
 )
+from jaxurban.paths.return_altitude import NAME, return_altitude
 from jaxurban.paths.route_report import (
     CLEARANCE,
     COST_OF,
@@ -36,7 +38,7 @@ from jaxurban.paths.route_report import (
     RouteReport,
 )
 from jaxurban.planners.cost import CostModel
-from jaxurban.settings import Vehicle
+from jaxurban.settings import CLEARANCES, Vehicle
 
 SECONDS_PER_HOUR = 3600.0
 EXTRA_MAPS = {VISIBLE: VISIBLE, FIX: FIX, "density": DENSITY, "terrain": "terrain_m"}
@@ -62,6 +64,8 @@ def explain(
     route to the square of the nearest cell with a roof at its altitude (see `clearance_m`). The highest roof that
     touches a cell counts, where the maps hold it, so that 0 is contact. The maps do not hold what stands outside their
     region: ``walls_outside_m`` is the distance to the border, which those obstacles exceed.
+    ``return_altitude_m``, above the ground at the start, clears a straight flight back there from anywhere on the route
+    (`return_altitude`).
     Where a route climbs, each cell takes the maps at its height: those of an altitude within a metre of it, else
     both around it. The number of satellites there is that of the one below, where there are fewer.
 
@@ -134,8 +138,14 @@ def explain(
 
     lonlat = maps.grid.lonlat_at(states[:, :2] + maps.grid.bounds_m[:2])
     not_of_whole = ("from_", "to_", "min_", "max_")
+    totals = {name: whole[name] for name in whole if not name.startswith(not_of_whole)}
+    limits = planned.settings.get("limits", {})
+    clearances = {name: limits.get(name) for name in CLEARANCES}
+    with suppress(InputError):  # maps that hold no roofs, or not those at the start
+        home = return_altitude(maps, home_xy_m=tuple(planned.xy_m[0]), **clearances)
+        totals[NAME + "_m"] = float(home.altitude_m[tuple(parts.cell.T)].max())
     return RouteReport(
-        totals={name: whole[name] for name in whole if not name.startswith(not_of_whole)},
+        totals=totals,
         segments=pd.DataFrame(rows, index=numbers, columns=list(whole)),
         profile=profile,
         lines=tuple(lonlat[first : last + 1] for first, last in ends),

@@ -1,119 +1,152 @@
-"""The least altitude at which a mission may return home from each of its items, and what to say of it."""
-
-from dataclasses import replace
+"""The least altitude at which a mission may return home from wherever it is, and what to say of it."""
 
 import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.io.read.mission_parts import Leg, Mission, Place
+from jaxurban.io.read.mission_parts import Mission
+from jaxurban.kernels.line.homeward import highest_homeward
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
-from jaxurban.paths.autopilots import Departure, parameter_lines, typed_m
+from jaxurban.paths.autopilots import low_returns, parameter_lines, typed_m
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.contacts import TOUCH_M, Prisms, contacts
-from jaxurban.paths.judge import is_off
-from jaxurban.paths.legs import NOWHERE_M, Flight, elevation_of, flight_of, zeros_of
+from jaxurban.paths.contacts import Prisms
+from jaxurban.paths.elevation import Elevation
+from jaxurban.paths.legs import NOWHERE_M, Flight, Steps
 
-ENDING = ("land", "return")  # kinds of legs that end on the way home, or there
-MOST_STEPS = 10_000  # that are looked at together, so that few pairs of them and outlines are held
-NO_DATA = "the line home leaves what is known"
-NO_BOUND = "the line home passes what is of a height that nothing bounds"
+OF_STRETCH = {"leg": "first", "apart_m": "min", "own_m": "min", "ground_m": "max"}  # of its steps
+MOST_STRETCHES = 2_000  # that a mission is cut into: those of long ones are longer than a cell
+FANS_AT_ONCE = 500  # so that few pairs of them and outlines are held
+UNKNOWN = (
+    "No return altitude is known from item {} on: a line home leaves what is known, comes nearer to its border than "
+    "the clearance, or meets a roof that nothing bounds."
+)
 
 
-def item_returns(
-    flight: Flight,
-    buildings: Prisms,
-    known: shapely.Geometry,
-    limits: Constraints,
-    geoid_m: float | None,
+def departures_of(
+    flight: Flight, buildings: Prisms, known: shapely.Geometry, limits: Constraints
 ) -> pd.DataFrame:
-    """Return the least altitude at which a straight, level way home clears everything, from each item of a mission.
+    """Return the least altitude at which a straight, level way home clears everything, from wherever a mission flies.
 
     It clears outlines that are no farther from the line in plan than the horizontal clearance, up to the bound of what
     is of guessed height, and the ground below the line, by the vertical clearance. What hangs in the air is passed
-    above. No-fly zones and closed cells do not count, nor do the climb at the item and the descent at home.
+    above. Ground counts as the highest in each cell, also below what stands. No-fly zones and closed cells do not
+    count, nor do climbs, landings and the mission's own returns.
 
     Args:
       flight: the mission over the maps.
       buildings: what stands there.
       known: the area in which all buildings are known, in the maps' CRS.
       limits: the clearances.
-      geoid_m: height of the geoid above the ellipsoid; None where it is not given.
 
     Returns:
-      A row for each place at which an item ends, in the order flown, with the columns of `Departure`. No row without a
-      home.
+      A row for each stretch of a leg over the maps, about a cell long, in the order flown: ``item``, to which it leads,
+      ``apart_m`` (least distance from home), ``own_m`` (least height of the flight) and ``least_m`` (NaN where it is
+      not known), both above home. No row without a home.
     """
-    # The ways home, level with home: what they lack there of a clearance, the return altitude has to give.
     mission, ground = flight.mission, flight.ground
-    maps = ground.maps
-    ends = {(leg.item, leg.end): None for leg in mission.legs if leg.kind not in ENDING}
-    if mission.home is None or not ends:
-        return pd.DataFrame(columns=Departure._fields)
-    home = Place(*mission.home, 0.0, "home")
-    legs = tuple(Leg(home._replace(lon=at.lon, lat=at.lat), home, "leg", item) for item, at in ends)
-    steps = flight_of(replace(mission, legs=legs), ground).steps
-    is_known = maps.ds["has_data"].values[tuple(steps.cell.T)] & np.isfinite(steps.z_m).all(axis=1)
-    steps = steps.take(is_known & ~is_off(steps, known, limits.horizontal_m))
-    if not ground.is_exact:
-        steps = steps._replace(z_m=steps.z_m - ground.off_m[tuple(steps.cell.T)][:, None])
+    grid = ground.maps.grid
+    steps = Steps(*map(np.concatenate, zip(flight.steps, flight.variants, strict=True)))
+    is_return = np.array([leg.kind == "return" for leg in mission.legs], bool)[steps.leg]
+    steps = steps.take(~flight.is_on_site(steps) & ~is_return)
+    if mission.home is None or not len(steps.leg):
+        return pd.DataFrame(columns=["item", "apart_m", "own_m", "least_m"])
+    home_m = np.nan_to_num(grid.xy_at(np.array(mission.home)), posinf=NOWHERE_M)
+    zero_m = ground.at(home_m) + mission.home_above_ground_m
+    high_m = _highest_ground_on_way(ground, home_m) - zero_m
 
-    # Of the ground and what stands, and of what may stand within a bound.
-    least_m, guessed_m = np.full((2, len(legs)), -np.inf)
-    np.maximum.at(least_m, steps.leg, limits.vertical_m - steps.z_m.min(axis=1))
-    clearance_m = max(limits.vertical_m, FILE_MARGIN_M)
-    buildings = buildings._replace(floor_m=np.full(len(buildings.top_m), -np.inf))
-    for part in np.array_split(np.arange(len(steps.leg)), len(steps.leg) // MOST_STEPS + 1):
-        near = contacts(steps.take(part), buildings, ground, limits.horizontal_m)
-        leg = steps.leg[part[near["step"]]]
-        np.maximum.at(least_m, leg, clearance_m - near["gap_m"])
-        np.maximum.at(guessed_m, leg, clearance_m - near["spare_m"])
-
-    # A way that is cut off has fewer metres, or no step at all.
-    lonlat = np.array([mission.home, *(at[:2] for _, at in ends)])
-    places_m = np.nan_to_num(maps.grid.xy_at(lonlat), posinf=NOWHERE_M)
-    apart_m = np.linalg.norm(places_m[1:] - places_m[0], axis=1)
-    is_cut = np.bincount(steps.leg, steps.over_m, len(legs)) < apart_m - TOUCH_M
-    needed_m = np.maximum(least_m, guessed_m)
-    why = np.select([is_cut | np.isneginf(least_m), np.isposinf(needed_m)], [NO_DATA, NO_BOUND], "")
-    zeros_m = zeros_of(mission, ground, geoid_m)
-    return pd.DataFrame(
+    # Stretches, and the areas that their ways home pass.
+    stretch_m = max(grid.resolution_m, steps.length_m.sum() / MOST_STRETCHES)
+    state = np.column_stack([steps.leg, steps.along_m[:, 0] // stretch_m])
+    stretch = np.cumsum(np.diff(state, axis=0, prepend=state[:1]).any(axis=1))
+    corners_m = np.insert(steps.ends_m, 1, home_m, axis=1).reshape(-1, 2)
+    fans = shapely.convex_hull(shapely.multipoints(corners_m, indices=np.repeat(stretch, 3)))
+    rows = pd.DataFrame(
         {
-            "item": [item for item, _ in ends],
-            "apart_m": apart_m,
-            "own_m": [elevation_of(at, ground, zeros_m) - zeros_m["home"] for _, at in ends],
-            "least_m": np.where(why == "", needed_m, np.nan),
-            "as_guessed_m": np.where(why == NO_DATA, np.nan, least_m),
-            "why": why,
+            "leg": steps.leg,
+            "apart_m": np.linalg.norm(steps.ends_m - home_m, axis=2).min(axis=1),
+            "own_m": (steps.z_m + steps.ground_m).min(axis=1) - zero_m,
+            "ground_m": high_m[tuple(steps.cell.T)],
         }
     )
+    table = rows.groupby(stretch).agg(OF_STRETCH)
+
+    # The least altitude that clears what is there.
+    tops_m = _highest_tops(fans, buildings, ground, limits.horizontal_m) - zero_m
+    clearance_m = max(limits.vertical_m, FILE_MARGIN_M)
+    least_m = (table.pop("ground_m") + limits.vertical_m).clip(lower=tops_m + clearance_m)
+    known = shapely.buffer(known, -limits.horizontal_m)
+    shapely.prepare(known)
+    is_known = shapely.covers(known, fans) & np.isfinite(least_m)
+    items = [mission.legs[leg].item for leg in table["leg"]]
+    table = table.assign(item=items, least_m=least_m.where(is_known))
+    return table.sort_values("leg", kind="stable").drop(columns="leg")
 
 
-def return_lines(table: pd.DataFrame, mission: Mission) -> list[str]:
+def _highest_ground_on_way(ground: Elevation, home_m: np.ndarray) -> np.ndarray:
+    """Return ``[Y, X]`` the highest ground on straight ways home from each cell; inf over cells without data."""
+    grid = ground.maps.grid
+    high_m = np.where(ground.maps.ds["has_data"].values, ground.highest_m, np.float32(np.inf))
+    if not high_m.any():  # level ground, all of which is known
+        return high_m
+    col, row = ((home_m - grid.bounds_m[:2]) / grid.resolution_m).clip(0, grid.shape[::-1])
+    return highest_homeward(high_m, (row, col))
+
+
+def _highest_tops(
+    areas: np.ndarray, buildings: Prisms, ground: Elevation, beside_m: float
+) -> np.ndarray:
+    """Return the highest elevation of what stands in areas or near them, ``[A]``; -inf where nothing does.
+
+    Args:
+      areas: polygons, lines or points.
+      buildings: what stands, up to the bound of what is of guessed height.
+      ground: on which it stands; the highest in the cells of its bounding box counts.
+      beside_m: how far from an area it may be.
+    """
+    top_m = np.maximum(buildings.top_m, buildings.limit_m)
+    if not ground.is_flat:
+        grid = ground.maps.grid
+        corners_m = shapely.bounds(buildings.polygons).reshape(-1, 2, 2) - grid.bounds_m[:2]
+        corners = (
+            (corners_m / grid.resolution_m).astype(int).clip(0, np.array(grid.shape)[::-1] - 1)
+        )
+        for number, ((west, south), (east, north)) in enumerate(corners):
+            top_m[number] += ground.highest_m[south : north + 1, west : east + 1].max()
+    tree = shapely.STRtree(buildings.polygons)
+    highest_m = np.full(len(areas), -np.inf)
+    for part in np.array_split(np.arange(len(areas)), len(areas) // FANS_AT_ONCE + 1):
+        area, prism = tree.query(areas[part], "dwithin", distance=beside_m)
+        np.maximum.at(highest_m, part[area], top_m[prism])
+    return highest_m
+
+
+def by_item(departures: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each item that a mission flies to, from `departures_of`: that of the last stretch before it.
+
+    ``way_m`` is the least altitude from wherever on the way to it, NaN where it is not known.
+    """
+    way_m = departures.groupby("item")["least_m"].agg(lambda least_m: least_m.max(skipna=False))
+    last = departures.drop_duplicates("item", keep="last")
+    return last.assign(way_m=last["item"].map(way_m)).reset_index(drop=True)
+
+
+def return_lines(departures: pd.DataFrame, mission: Mission) -> list[str]:
     """Return what to say of the altitudes at which a mission may return: of its own, the least, and what to type.
 
     Args:
-      table: the least altitudes (`item_returns`).
+      departures: the least altitudes (`departures_of`).
       mission: whose autopilot and return altitude count.
     """
-    departures = [Departure(*row) for row in table.itertuples(index=False)]
-    unknown = [each for each in departures if each.why]
-    low = [each for each in departures if each.is_low(mission.autopilot, 0.0)]
     lines = []
-    if low:
+    low = low_returns(departures, mission.autopilot, 0.0)
+    if len(low):
         altitude_m = mission.return_altitude_m
-        failing = [each for each in low if each.is_low(mission.autopilot, altitude_m)]
-        fails = f"{altitude_m:g} m fails from item {failing[0].item} on; " if failing else ""
-        worst = max(low, key=lambda each: each.least_m)
-        as_guessed_m = typed_m(max(each.as_guessed_m for each in low))
-        guess = f" ({as_guessed_m} m if guessed heights are right)"
-        if as_guessed_m == typed_m(worst.least_m):
-            guess = ""
-        lines.append(f"A return at {fails}{typed_m(worst.least_m)} m clears all items{guess}.")
-        lines += parameter_lines(worst.least_m, mission.autopilot, departures)
-    elif len(unknown) < len(departures):
-        lines.append("A return from each item clears all at the height of the item.")
-    lines += [
-        f"No return altitude is known from item {each.item} on: {each.why}." for each in unknown[:1]
-    ]
-    return lines
+        failing = low_returns(departures, mission.autopilot, altitude_m)["item"]
+        fails = f"{altitude_m:g} m fails from item {failing.iloc[0]} on; " if len(failing) else ""
+        least_m = low["least_m"].max()
+        lines.append(f"A return at {fails}{typed_m(least_m)} m clears all.")
+        lines += parameter_lines(least_m, mission.autopilot, departures)
+    elif departures["least_m"].notna().any():
+        lines.append("A return clears all at the height that the flight has, wherever it begins.")
+    unknown = departures["item"][departures["least_m"].isna()]
+    return [*lines, *map(UNKNOWN.format, unknown[:1])]

@@ -199,7 +199,10 @@ def _beyond(
       known: the area in which all buildings are known, in the maps' CRS.
       horizontal_m: the clearance.
     """
-    yield spans(steps.along_m[is_off(steps, known, horizontal_m)], NO_CITY)
+    judged_area = shapely.buffer(known, -horizontal_m) if horizontal_m else known
+    shapely.prepare(judged_area)
+    is_off = ~shapely.intersects_xy(judged_area, *steps.ends_m.mean(axis=1).T)
+    yield spans(steps.along_m[is_off], NO_CITY)
 
     is_on_site = flight.is_on_site(steps)
     z_m = steps.z_m.mean(axis=1)
@@ -210,13 +213,6 @@ def _beyond(
     is_above = z_m > high_m + GROUND_TOLERANCE_M
     yield spans(steps.along_m[is_below], f"lie below the maps, which begin at {low_m:g} m")
     yield spans(steps.along_m[is_above], f"lie above the maps, which reach to {high_m:g} m")
-
-
-def is_off(steps: Steps, known: shapely.Geometry, horizontal_m: float) -> np.ndarray:
-    """Return ``[P]`` whether steps lie outside ``known``, or nearer to its border than the clearance."""
-    judged_area = shapely.buffer(known, -horizontal_m) if horizontal_m else known
-    shapely.prepare(judged_area)
-    return ~shapely.intersects_xy(judged_area, *steps.ends_m.mean(axis=1).T)
 
 
 def _buried(steps: Steps) -> pd.DataFrame:

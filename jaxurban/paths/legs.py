@@ -228,12 +228,12 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
 
     # Their heights: above the zero of the terrain, or above the ground for segments that follow it.
     ground_m = ground.at(ends_m)
-    zeros_m = zeros_of(mission, ground, geoid_m)
+    zeros_m = _zeros_m(mission, ground, geoid_m)
     zero_m = np.vectorize(zeros_m.get, otypes=[float])(segments.datum, ground_m)
     z_m = segments.height_m + zero_m
     is_level = np.vectorize(lambda place: bool(place.level_with), otypes=[bool])(segments.place)
     for end in zip(*np.nonzero(is_level), strict=True):
-        z_m[end] = elevation_of(segments.place[end], ground, zeros_m)
+        z_m[end] = _elevation_m(segments.place[end], ground, zeros_m)
     follows_ground = segments.follows_ground
     z_m[follows_ground] -= ground_m[follows_ground]
     is_given = (segments.datum == "ground") & follows_ground[:, None] & ~is_level
@@ -389,7 +389,7 @@ def _corners_of(leg: Leg) -> list[Place]:
     return [leg.start, *circle, leg.start] if is_on_circle else circle
 
 
-def zeros_of(mission: Mission, ground: Elevation, geoid_m: float | None) -> dict[str, float]:
+def _zeros_m(mission: Mission, ground: Elevation, geoid_m: float | None) -> dict[str, float]:
     """Return the elevation of the zero of each datum, measured as the maps' ground is; NaN where it is not known.
 
     Home may be on a roof. Over terrain elevations are above the geoid. Without terrain they are above the level ground.
@@ -415,7 +415,7 @@ def zeros_of(mission: Mission, ground: Elevation, geoid_m: float | None) -> dict
     }
 
 
-def elevation_of(place: Place, ground: Elevation, zeros_m: dict[str, float]) -> float:
+def _elevation_m(place: Place, ground: Elevation, zeros_m: dict[str, float]) -> float:
     """Return the elevation of a place, NaN where it is not known.
 
     Args:
@@ -427,7 +427,7 @@ def elevation_of(place: Place, ground: Elevation, zeros_m: dict[str, float]) -> 
     other = place.level_with
     if other is None:
         return place.height_m + zero_m
-    other_m = elevation_of(other, ground, zeros_m)
+    other_m = _elevation_m(other, ground, zeros_m)
     if place.datum == "ground":
         other_m += zero_m - ground.at_lonlat(other.lon, other.lat)
     return other_m if math.isnan(place.height_m) else np.maximum(place.height_m + zero_m, other_m)

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 
 from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
@@ -13,6 +12,7 @@ from jaxurban.io.geotiff import write_bands
 from jaxurban.io.read.guesses import percent
 from jaxurban.kernels.line.homeward import highest_homeward
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
+from jaxurban.paths.autopilots import parameter_lines
 from jaxurban.paths.clearance import highest_within, reaches_m
 from jaxurban.paths.constraints import Constraints, describe_constraints
 from jaxurban.paths.elevation import Elevation
@@ -22,14 +22,7 @@ from jaxurban.public import Caution, FactsRepr, caution_of_guesses
 
 NAME = "return_altitude"  # of the variable
 LONG_NAME = "least altitude of a straight flight home, above the ground at home"
-FIGURES = {  # of `ReturnAltitude.figures`: quantile, and how far from home cells may be
-    "least_m": (0.0, np.inf),
-    "median_m": (0.5, np.inf),
-    "p95_m": (0.95, np.inf),
-    "highest_m": (1.0, np.inf),
-    "within_500_m": (1.0, 500.0),
-    "within_1000_m": (1.0, 1000.0),
-}
+REACHES_M = {"highest_m": np.inf, "within_500_m": 500.0, "within_1000_m": 1000.0}  # of `figures`
 NO_VALUE = (
     "{} of the cells have no value, as no altitude is known to clear them: their line home meets cells without data or "
     "a roof that nothing bounds, or comes nearer to the maps' border than the clearance."
@@ -62,22 +55,6 @@ class ReturnAltitude(FactsRepr):
         """``[Y, X]`` float32 metres above the ground at home, row 0 in the south; NaN where there is no value."""
         return self.maps.m(NAME)
 
-    def at_xy(self, x_m: Any, y_m: Any) -> np.ndarray:
-        """Return the altitude from places, easting and northing in the maps' CRS; arrays give an array.
-
-        Returns:
-          Metres above the ground at home; NaN where there is no value.
-
-        Raises:
-          InputError: a place outside the maps.
-
-        Examples:
-          >>> home = ju.return_altitude(maps, start)
-          >>> bool(home.at_xy(*maps.grid.xy_of_lonlat(*goal)) == home.at_lonlat(*goal))
-          True
-        """
-        return self.altitude_m[self.maps.grid.cell_of_xy(x_m, y_m)]
-
     def at_lonlat(self, lon: Any, lat: Any) -> np.ndarray:
         """Return the altitude from places, longitude and latitude in degrees; arrays give an array.
 
@@ -91,23 +68,21 @@ class ReturnAltitude(FactsRepr):
           >>> round(float(ju.return_altitude(maps, start).at_lonlat(*goal)))
           398
         """
-        return self.at_xy(*self.maps.grid.xy_of_lonlat(lon, lat))
+        return self.altitude_m[self.maps.grid.cell_of_lonlat(lon, lat)]
 
     @property
     def figures(self) -> dict[str, float]:
-        """What the cells with a value need, in metres above the ground at home, by name.
+        """What clears the cells with a value, in metres above the ground at home, by name.
 
-        ``least_m``, ``median_m``, ``p95_m`` and ``highest_m``, which clears them all; ``within_500_m`` and
-        ``within_1000_m``, which clear those as near to home.
+        ``highest_m`` clears them all; ``within_500_m`` and ``within_1000_m`` clear those as near to home.
         """
         grid = self.maps.grid
         east_m, north_m = self.home_xy_m
         apart_m = np.hypot(grid.x_m - east_m, grid.y_m[:, None] - north_m)
-        figures = {}
-        for name, (share, reach_m) in FIGURES.items():
-            near_m = self.altitude_m[apart_m <= reach_m]
-            figures[name] = float(np.nanquantile(near_m, share, method="higher"))
-        return figures
+        return {
+            name: float(np.nanmax(self.altitude_m[apart_m <= reach_m]))
+            for name, reach_m in REACHES_M.items()
+        }
 
     @property
     def sentence(self) -> str:
@@ -119,13 +94,10 @@ class ReturnAltitude(FactsRepr):
 
     @property
     def facts(self) -> dict[str, str]:
-        """What one altitude clears, what the cells need, and what is kept."""
-        needs = "least {least_m:.1f} m, median {median_m:.1f} m, 95 % {p95_m:.1f} m, highest {highest_m:.1f} m"
-        return {
-            "clears": self.sentence,
-            "by cell": needs.format_map(self.figures),
-            "kept": describe_constraints(self.limits.to_dict()),
-        }
+        """What one altitude clears, what is kept, and what to type into autopilots to clear all cells."""
+        typed = [line.split(": ", 1) for line in parameter_lines(self.figures["highest_m"])]
+        kept = describe_constraints(self.limits.to_dict())
+        return {"clears": self.sentence, "kept": kept, **dict(typed)}
 
     @property
     def cautions(self) -> list[Caution]:
@@ -200,13 +172,11 @@ def return_altitude(
     home_m = np.array(place if home is None or isinstance(home, XY) else grid.xy_of_lonlat(*place))
     home_cell = grid.cell_of_xy(*home_m)  # refuses a home outside
 
-    # The highest that must be cleared in each cell, above home's ground. The ground within a cell is nowhere above the
-    # highest of the centres around it.
-    top_m = reaches_m(maps, limits.horizontal_m)
-    ground_m = float(Elevation(maps, None).at(home_m))
-    if "terrain" in maps.ds:
-        top_m = top_m + maximum_filter(np.nan_to_num(maps.m("terrain")), 3) - ground_m
-    top_m = highest_within(top_m.astype(np.float32), limits.horizontal_m, grid.resolution_m)
+    # The highest that must be cleared in each cell, above home's ground.
+    ground = Elevation(maps, None)
+    ground_m = float(ground.at(home_m))
+    top_m = reaches_m(maps, limits.horizontal_m) + (ground.highest_m - np.float32(ground_m))
+    top_m = highest_within(top_m, limits.horizontal_m, grid.resolution_m)
 
     # A cell is closed at the very height of its roof.
     col, row = (home_m - grid.bounds_m[:2]) / grid.resolution_m

@@ -2,10 +2,11 @@
 
 import math
 
+import pandas as pd
 import pytest
 
 from jaxurban.io.read.mission_flight import levels_m
-from jaxurban.paths.autopilots import Departure, parameter_lines, typed_m
+from jaxurban.paths.autopilots import low_returns, parameter_lines, typed_m
 
 # Autopilot, metres from home, return altitude, own height above home, the least height that is flown home, and why.
 RULES = [
@@ -32,16 +33,16 @@ RULES = [
 ]
 
 
-def departure(item: int, apart_m: float, own_m: float, least_m: float) -> Departure:
-    return Departure(item, apart_m, own_m, least_m, least_m, "")
+def departures(*rows: tuple[int, float, float, float]) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=["item", "apart_m", "own_m", "least_m"])
 
 
 @pytest.mark.parametrize(("autopilot", "apart_m", "altitude_m", "own_m", "flown_m", "why"), RULES)
 def test_an_autopilot_returns_at_the_height_of_its_documents(
     autopilot, apart_m, altitude_m, own_m, flown_m, why
 ):
-    place = departure(1, apart_m, own_m, 0.0)
-    assert place.flown_m(autopilot, altitude_m) == pytest.approx(flown_m), why
+    low = low_returns(departures((1, apart_m, own_m, 1e3)), autopilot, altitude_m)
+    assert low["flown_m"].tolist() == pytest.approx([flown_m]), why
     assert levels_m(autopilot, apart_m, altitude_m)[-1] == altitude_m
 
 
@@ -51,33 +52,34 @@ def test_altitudes_are_rounded_up_to_whole_metres_that_every_parameter_holds():
 
 
 def test_each_autopilot_gets_its_parameter_in_its_unit():
-    copter, px4, inav = parameter_lines(73.2, departures=[])
+    none = departures()
+    copter, px4, inav = parameter_lines(73.2, departures=none)
     assert copter == "ArduCopter: RTL_ALT = 7400 (cm) up to 4.6, RTL_ALT_M = 74 (m) from 4.7 on."
     assert px4 == "PX4: RTL_RETURN_ALT = 74 (m)."
     assert inav.startswith("INAV: nav_rth_altitude = 7400 (cm, at most 65000), nav_rth_alt_mode")
-    assert parameter_lines(73.2, "px4", []) == [px4]
-    assert parameter_lines(73.2, "dji", []) == []
+    assert parameter_lines(73.2, "px4", none) == [px4]
+    assert parameter_lines(73.2, "dji", none) == []
 
 
 def test_the_cone_is_named_at_the_first_place_where_it_leaves_a_return_too_low():
-    places = [
-        departure(2, 25.0, 10.0, 74.0),  # cone 75 m
-        departure(3, 20.0, 10.0, 74.0),  # cone 60 m
-        departure(4, 8.0, 80.0, 74.0),  # its own height is enough
-        departure(5, 8.0, 5.0, math.nan),  # what it needs is not known
-    ]
+    places = departures(
+        (2, 25.0, 10.0, 74.0),  # cone 75 m
+        (3, 20.0, 10.0, 74.0),  # cone 60 m
+        (4, 8.0, 80.0, 74.0),  # its own height is enough
+        (5, 8.0, 5.0, math.nan),  # what it needs is not known
+    )
     copter, px4, inav = parameter_lines(74.0, departures=places)
     assert "from item 3, 20 m from home, at 60.0 m, below the 74.0 m needed" in copter
     assert copter.endswith("set RTL_CONE_SLOPE = 0.")
     assert "CONE" not in px4
     assert "cone" not in inav
-    assert "at 8.0 m" in parameter_lines(74.0, "px4", [departure(6, 8.0, 5.0, 74.0)])[0]
+    assert "at 8.0 m" in parameter_lines(74.0, "px4", departures((6, 8.0, 5.0, 74.0)))[0]
 
 
 def test_what_is_not_known_is_not_low():
-    assert not departure(1, 8.0, 5.0, math.nan).is_low("px4", 10.0)
-    assert not departure(1, 8.0, 5.0, 74.0).is_low("px4", math.nan)
-    assert departure(1, 80.0, math.nan, 74.0).is_low("px4", 10.0)
+    assert low_returns(departures((1, 8.0, 5.0, math.nan)), "px4", 10.0).empty
+    assert low_returns(departures((1, 8.0, 5.0, 74.0)), "px4", math.nan).empty
+    assert len(low_returns(departures((1, 80.0, math.nan, 74.0)), "px4", 10.0)) == 1
 
 
 def test_without_places_it_says_how_to_switch_each_cone_off():

@@ -87,7 +87,8 @@ def test_at_the_least_altitude_nothing_is_found_and_a_little_lower_something_is(
     home, *places = places_of(maps, 7, 121)
     table = judged(maps, city, mission_over(home, places)).return_altitudes
     assert table["item"].tolist() == list(range(1, 121))
-    assert table["as_guessed_m"].equals(table["least_m"])
+    assert (table["way_m"] >= table["least_m"]).all()
+    assert hills or table["way_m"].equals(table["least_m"])  # each leg begins at home
 
     at_least = judged(maps, city, ways_home(home, places, table["least_m"]))
     assert at_least.state == "clean", at_least.lines
@@ -98,15 +99,39 @@ def test_at_the_least_altitude_nothing_is_found_and_a_little_lower_something_is(
 
     # Those that are lower meet a building; or the ground decides, which is cleared by the vertical clearance; or an
     # outline that is as far as the clearance in plan, of which a check lets pass what files may take from it.
-    lower = judged(maps, city, ways_home(home, places, table["least_m"] - 0.1)).findings
-    assert set(lower["kind"]) == {"building"}
+    # Over hills the highest ground of cells counts, which exceeds that below a line by up to 10 m.
+    by_m = 10.0 if hills else 0.1
+    lower = judged(maps, city, ways_home(home, places, table["least_m"] - by_m)).findings
+    assert set(lower["kind"]) <= {"building", "terrain"}
     is_met = table["item"].isin(lower["item"])
     lines = shapely.linestrings(at_least.flight.lines_m)
     apart_m = shapely.distance(lines[:, None], city.buildings.polygons)
     is_at_clearance = (np.abs(apart_m - CLEAR_M) <= 0.05).any(axis=1)
-    is_on_ground = lowest_m <= ABOVE_M + 1e-6
+    is_on_ground = lowest_m <= ABOVE_M + (by_m if hills else 1e-6)
     assert (is_met | is_on_ground | is_at_clearance).all()
-    assert is_met.mean() > 0.8
+    assert is_met.mean() > 0.7
+
+
+@pytest.mark.parametrize("hills", [False, True])
+def test_the_way_to_an_item_needs_what_places_along_it_need(hills):
+    """Each metre of legs that do not lead through home is flown to alone, and judged from there."""
+    maps, city = scene_of(hills)
+    rng = np.random.default_rng(3)
+    num_more = 0
+    for seed in range(6):
+        home, begin, end = places_of(maps, seed, 3)
+        legs = (Leg(begin, end, "leg", 1),)
+        mission = Mission("x", legs, home[:2], None, (), None)
+        row = judged(maps, city, mission).return_altitudes.iloc[0]
+        shares = np.sort(rng.uniform(size=300))[:, None]
+        lonlat = np.array(begin[:2]) + shares * (np.array(end[:2]) - np.array(begin[:2]))
+        along = [Place(lon, lat, 20.0, "home") for lon, lat in [*lonlat.tolist(), end[:2]]]
+        alone_m = judged(maps, city, mission_over(home, along)).return_altitudes["least_m"]
+        assert judged(maps, city, ways_home(home, along, alone_m.to_numpy())).state == "clean"
+        assert row["way_m"] >= alone_m.max() - 1e-6
+        assert row["way_m"] <= alone_m.max() + (6.0 if hills else 1e-6)
+        num_more += row["way_m"] > row["least_m"] + 1
+    assert num_more >= 3
 
 
 def test_by_cells_the_way_home_clears_what_the_ground_may_be_off_too():
@@ -116,7 +141,7 @@ def test_by_cells_the_way_home_clears_what_the_ground_may_be_off_too():
     assert "which may be off by" in by_cells.outlines
     least_m = by_cells.return_altitudes["least_m"]
     assert judged(maps, None, ways_home(home, places, least_m)).state == "clean"
-    assert judged(maps, None, ways_home(home, places, least_m - 0.1)).state != "clean"
+    assert judged(maps, None, ways_home(home, places, least_m - 10.0)).state != "clean"
 
 
 def test_points_along_the_way_home_clear_every_outline_by_the_clearances():
@@ -141,20 +166,15 @@ def test_a_guessed_roof_is_cleared_by_its_bound_and_without_one_nothing_is_known
         home, *places = places_of(maps, 3, 16)
         result = judged(maps, city, mission_over(home, places))
         table = result.return_altitudes
-        crosses = table[table["least_m"] != table["as_guessed_m"]]
-        assert set(crosses["as_guessed_m"].round(6)) == {GUESS_M + ABOVE_M}
+        crosses = table[~(table["least_m"] == ABOVE_M)]
         assert len(crosses) > 10
         if is_known:
             assert set(crosses["least_m"].round(6)) == {BOUND_M + ABOVE_M}
-            assert (
-                result.return_lines[0]
-                == "A return at 58 m clears all items (23 m if guessed heights are right)."
-            )
+            assert result.return_lines[0] == "A return at 58 m clears all."
             ways = ways_home(home, places, [BOUND_M + ABOVE_M + 0.01] * len(places))
             assert judged(maps, city, ways).state == "clean"
         else:
             assert crosses["least_m"].isna().all()
-            assert crosses["why"].str.contains("nothing bounds").all()
             assert result.return_lines[-1].startswith(
                 f"No return altitude is known from item {crosses['item'].iloc[0]} on"
             )
@@ -174,9 +194,9 @@ def test_a_line_that_leaves_the_maps_has_no_altitude():
     ):
         legs = (Leg(at_home, there, "leg", 1),)
         result = judged(maps, city, Mission("x", legs, at_home[:2], 0.0, (), None))
-        row = result.return_altitudes.iloc[0]
-        assert np.isfinite(row["least_m"]) == is_known
-        assert ("leaves" in row["why"]) != is_known
+        table = result.return_altitudes
+        assert (table["way_m"].notna().all() and len(table) == 1) == is_known
+        assert is_known or any("No return" in text or "outside" in text for text in result.lines)
         # In cells without data it leaves them, too.
         has_data = maps.ds["has_data"].copy(data=np.zeros(maps.grid.shape, bool))
         empty = replace(maps, ds=maps.ds.assign(has_data=has_data))
@@ -211,7 +231,7 @@ def test_heights_above_the_ground_and_the_sea_are_brought_to_home():
     ground = result.flight.ground
     home_m, place_m = (ground.at_lonlat(*each[:2]) for each in (home, place))
     own_m = result.return_altitudes["own_m"].tolist()
-    assert own_m == pytest.approx([20.0, 20.0 + place_m - home_m, 20.0 - home_m])
+    assert own_m == pytest.approx([20.0, 20.0 + place_m - home_m, 20.0 - home_m], abs=2.0)
 
 
 def plan_of(folder, home: Place, places: list[Place], firmware: int) -> str:
@@ -246,11 +266,11 @@ def test_a_plan_is_told_what_to_type_by_its_firmware(tmp_path, firmware, names):
     home, *places = places_of(maps, 15, 5)
     file = plan_of(tmp_path, home, places, firmware)
     result = ju.check(maps, file, sources=city, return_altitude_m=10.0)
-    low = result.return_altitudes.query("own_m < least_m")
-    most_m = math.ceil(low["least_m"].max())
+    low = result.return_altitudes.query("own_m < way_m")
+    most_m = math.ceil(low["way_m"].max())
     first, *typed = result.return_lines
     item = low["item"].iloc[0]
-    assert first == f"A return at 10 m fails from item {item} on; {most_m} m clears all items."
+    assert first == f"A return at 10 m fails from item {item} on; {most_m} m clears all."
     assert len(typed) == len(names)
     for line, name in zip(typed, names, strict=True):
         assert f" {name}" in line
@@ -259,9 +279,9 @@ def test_a_plan_is_told_what_to_type_by_its_firmware(tmp_path, firmware, names):
     json.dumps(result.to_dict(), allow_nan=False)
 
     open_height = ju.check(maps, file, sources=city)
-    assert open_height.return_lines[0] == f"A return at {most_m} m clears all items."
+    assert open_height.return_lines[0] == f"A return at {most_m} m clears all."
     enough = ju.check(maps, file, sources=city, return_altitude_m=float(most_m))
-    assert enough.return_lines[0] == f"A return at {most_m} m clears all items."
+    assert enough.return_lines[0] == f"A return at {most_m} m clears all."
 
 
 def test_a_flight_above_all_may_return_at_its_own_height(tmp_path):
@@ -271,7 +291,7 @@ def test_a_flight_above_all_may_return_at_its_own_height(tmp_path):
     file = plan_of(tmp_path, home, high, 12)
     table = ju.check(maps, file, sources=city).return_altitudes
     lines = return_lines(table[1:], ju.check(maps, file, sources=city).flight.mission)
-    assert lines == ["A return from each item clears all at the height of the item."]
+    assert lines == ["A return clears all at the height that the flight has, wherever it begins."]
 
 
 def test_a_mission_without_home_has_no_row():

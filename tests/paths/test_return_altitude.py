@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import shapely
-from scipy.ndimage import gaussian_filter, maximum_filter
+from scipy.ndimage import gaussian_filter
 
 import jaxurban as ju
 from jaxurban.paths.clearance import highest_within, reaches_m
+from jaxurban.paths.elevation import Elevation
 from jaxurban.viewer.requests import Cell, View
 from jaxurban.viewer.viewer import Viewer
 from tests.made_maps import made_maps
@@ -46,7 +47,7 @@ def test_over_hills_the_ground_counts_too():
     ground_m = maps.m("terrain")
     assert home.ground_m == pytest.approx(ground_m[20, 25], abs=1e-3)
     highest_m = (
-        np.nanmax(maximum_filter(ground_m, 3) + maps.m("roof_touched")) - home.ground_m + 3.0
+        np.nanmax(Elevation(maps, None).highest_m + maps.m("roof_touched")) - home.ground_m + 3.0
     )
     assert home.figures["highest_m"] <= highest_m + 0.01
     least_m = ground_m + maps.m("roof_touched") - home.ground_m + 3.0
@@ -64,14 +65,12 @@ def test_value_is_just_above_what_is_highest_on_the_way():
     home = ju.return_altitude(
         maps, home_xy_m=maps.grid.xy_of_cell(15, 10), vertical_clearance_m=5.0
     )
-    assert home.at_xy(*maps.grid.xy_of_cell(15, 27)) == pytest.approx(45.0)
-    assert (
-        home.at_xy(*maps.grid.xy_of_cell(15, 27)) > 45.0
-    )  # where planners fly; at 45 m the cell is closed
-    assert home.at_xy(*maps.grid.xy_of_cell(3, 10)) == pytest.approx(5.0)
+    assert home.altitude_m[15, 27] == pytest.approx(45.0)
+    assert home.altitude_m[15, 27] > 45.0  # where planners fly; at 45 m the cell is closed
+    assert home.altitude_m[3, 10] == pytest.approx(5.0)
     assert home.figures["within_500_m"] == pytest.approx(45.0)
     lon, lat = maps.grid.lonlat_of_cell(15, 27)
-    assert home.at_lonlat(lon, lat) == home.at_xy(*maps.grid.xy_of_cell(15, 27))
+    assert home.at_lonlat(lon, lat) == home.altitude_m[15, 27]
 
 
 def test_no_value_where_the_line_meets_what_is_unknown():
