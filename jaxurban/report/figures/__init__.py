@@ -1,5 +1,6 @@
 """Pictures of metric maps and paths, as matplotlib Figures (in a notebook: ``%matplotlib inline`` shows them)."""
 
+from jaxurban.report.figures.home import plot_return as plot_return
 from jaxurban.report.figures.metrics import plot_epochs as plot_epochs
 from jaxurban.report.figures.metrics import plot_gps_rating as plot_gps_rating
 from jaxurban.report.figures.metrics import plot_heights as plot_heights

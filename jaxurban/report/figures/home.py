@@ -10,7 +10,11 @@ from jaxurban.report.write import Look
 
 
 def plot_return(home: ReturnAltitude) -> Figure:
-    """Return the least altitude of a straight return from every cell, with home as a star."""
+    """Return the least altitude of a straight return from every cell, with home as a star.
+
+    Args:
+      home: from `ju.return_altitude`.
+    """
     figure = plot_metric(home.maps, NAME)
     panel = figure.axes[0]
     text = home.sentence.replace(", at", ",\nat", 1)
