@@ -74,15 +74,17 @@ class ReturnAltitude(FactsRepr):
     def figures(self) -> dict[str, float]:
         """What clears the cells with a value, in metres above the ground at home, by name.
 
-        ``highest_m`` clears them all; ``within_500_m`` and ``within_1000_m`` clear those as near to home.
+        ``highest_m`` clears them all; ``within_500_m`` and ``within_1000_m`` clear those as near to home, ``median_m``
+        half of them.
         """
         grid = self.maps.grid
         east_m, north_m = self.home_xy_m
         apart_m = np.hypot(grid.x_m - east_m, grid.y_m[:, None] - north_m)
-        return {
+        highest_m = {
             name: float(np.nanmax(self.altitude_m[apart_m <= reach_m]))
             for name, reach_m in REACHES_M.items()
         }
+        return {"median_m": float(np.nanmedian(self.altitude_m)), **highest_m}
 
     @property
     def sentence(self) -> str:
@@ -97,7 +99,8 @@ class ReturnAltitude(FactsRepr):
         """What one altitude clears, what is kept, and what to type into autopilots to clear all cells."""
         typed = [line.split(": ", 1) for line in parameter_lines(self.figures["highest_m"])]
         kept = describe_constraints(self.limits.to_dict())
-        return {"clears": self.sentence, "kept": kept, **dict(typed)}
+        median = "{median_m:.1f} m".format_map(self.figures)
+        return {"clears": self.sentence, "median of cells": median, "kept": kept, **dict(typed)}
 
     @property
     def cautions(self) -> list[Caution]:
