@@ -163,9 +163,9 @@ def draw(
     layers = cost_layers(maps, altitude_m, shared.time, shared.time_of_day)
     panels = []
     for case, part, paths in zip(cases, parts, results, strict=True):
-        outcomes = "\n".join(outcome_of(path, path.search.planner) for path in paths)
+        outcomes = [outcome_of(path, path.search.planner) for path in paths]
         cut = [crop(layer, maps.grid, part) for layer in layers]
-        panels.append(MapPanel(case.title, cut, outcomes, part))
+        panels.append(MapPanel(case.title, cut, "\n".join(["cost, length:", *outcomes]), part))
     heading = f"Example paths {altitude_m:g} m above ground: {town.title}"
     heading = joined(heading, shared.time_of_day, by=", ")
     note = joined(f"{PATH_M:g} m cells", maps.attribution)

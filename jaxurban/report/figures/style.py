@@ -84,8 +84,8 @@ STEPS, ACROSS, UPWARD = (1, -1, 0), ("center", "left", "right"), ("center", "bot
 AWAY_PT, BESIDE_PT = (5, 8, 12, 17, 23), 8  # farther away than BESIDE_PT it has a line
 MARK_PT = 4  # half of a mark's side
 POINTS = "offset points"
-# Spaces at which no line is broken: before a number, its unit, and the dot between two facts.
-KEPT = re.compile(r"(?<=\S) (?=[%\d]|m\b| ·)| (?=·)")
+# Spaces at which no line is broken: before a number, its unit, "cells" after it, and the dot between two facts.
+KEPT = re.compile(r"(?<=\S) (?=[%\d]|m\b|cells\b| ·)| (?=·)")
 FIXED_SPACE = "\N{NO-BREAK SPACE}"
 FEWEST_LETTERS = 8  # of a broken line, however narrow its place is
 
@@ -141,7 +141,8 @@ def wrapped(text: str, width_in: float, size_pt: float = SMALL_PT) -> str:
         while len(textwrap.wrap(line, width)) > num_lines:
             width += 1
         lines.append(textwrap.fill(line, min(width, num_letters)))
-    return "\n".join(lines).replace(FIXED_SPACE, " ")
+    # Where a line ends between two facts, their dot has nothing more to part.
+    return "\n".join(lines).replace(FIXED_SPACE, " ").replace("  ·\n", "\n")
 
 
 def chart(height_in: float, heading: str, note: str = "", width: Width = "page") -> Picture:
