@@ -101,6 +101,7 @@ pd.DataFrame(
 ).round(2)
 
 # %%
+plt.style.use("tableau-colorblind10")
 figure, axes = plt.subplots(figsize=(7.5, 3.8), layout="constrained")
 is_open = ~judged["is blocked"]
 for side_m in SIDES_M[:-1]:

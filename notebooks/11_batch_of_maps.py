@@ -67,6 +67,7 @@ is_street = np.asarray((one["obstacle"][0] == 0) & (one["risk"][0] < 1))
 good = np.asarray(made["gps"][:, :, 0] > 0.5)[..., is_street].mean(axis=-1)
 has_fix = np.isfinite(made["hdop"][0, :, 0])[..., is_street].mean(axis=-1)
 
+plt.style.use("tableau-colorblind10")
 figure, axes = plt.subplots(figsize=(7.5, 4.0), layout="constrained")
 for threshold, shares in zip(thresholds, good, strict=True):
     axes.plot(range(24), 100 * shares, label=f"m_gps above 0.5, threshold {threshold:g}")

@@ -115,6 +115,7 @@ print(f"{is_street.mean():.0%} of the region is street")
 means.round(3)
 
 # %%
+plt.style.use("tableau-colorblind10")
 figure, axes = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
 for name, style in (
     ("gps", "o-"),
@@ -126,7 +127,7 @@ for name, style in (
 axes.set(
     xscale="log",
     xlabel="altitude above ground (m)",
-    ylabel="mean m over the streets, or share of them (1)",
+    ylabel="mean m over the streets,\nor share of them",
 )
 axes.set_ylim(0, 1.03)
 axes.set_xticks(means.index, [f"{z:g}" for z in means.index])
