@@ -25,7 +25,7 @@ FIGURE_LINK = re.compile(r"\]\(((?:\.\./)*)\.\./figures/")  # as files of the re
 RAN = ROOT / "out" / "notebooks"
 WIDGET = "application/vnd.jupyter.widget-view+json"
 # Of the machine that ran a notebook; bounded, as a search for any length takes hours over a picture's text.
-KERNEL_FILE = re.compile(r"/[\w/.-]{0,100}?ipykernel_\d+/\d+\.py:\d+: ")
+KERNEL_FILE = re.compile(r"/[\w/.-]{0,100}?(?:ipykernel_\d+/\d+\.py:\d+: |(?=my-town-\w))")
 STYLE = re.compile(r"<style scoped>.*?</style>\n", re.DOTALL)  # of pandas' tables
 COMMANDS = "<!-- commands: all -->"
 NAMES_PAGE = "reference/api.md"

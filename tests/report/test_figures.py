@@ -26,7 +26,7 @@ from jaxurban.metrics.variables import FREE_COLOUR, GROUP_COLOURS
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import Status
 from jaxurban.report import figures as plotting
-from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR
+from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps, flat_layer
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.paths import LINE_PT, PLANNER_COLOURS, lanes_of, maps_figures
 from jaxurban.report.figures.style import chart, wrapped
@@ -512,16 +512,30 @@ def test_no_word_of_a_note_stands_alone_and_no_line_is_too_long():
             assert len(narrower) > len(lines) or max(map(len, lines)) in map(len, words)
 
 
-def test_no_line_begins_with_a_dot_nor_parts_a_number_from_its_unit_or_name():
+def test_no_line_begins_or_ends_with_a_dot_nor_parts_a_number_from_its_unit_or_name():
     note = "weights: distance 0.1, gps 1  ·  5 m cells  ·  97 % of heights  ·  16:00 UTC"
     for width_in in (1.0, 1.5, 2.0, 3.0):
         lines = wrapped(note, width_in).splitlines()
-        assert " ".join(" ".join(lines).split()) == " ".join(note.split())
-        assert not [line for line in lines if re.match(r"[ ·%m]", line)]
+        assert " ".join(lines).replace("·", "").split() == note.replace("·", "").split()
+        assert not [line for line in lines if re.match(r"[ ·%m]|cells", line) or line[-1] in " ·"]
         assert all(
             line.count(" m") + line.count(" %") == line.count("5 m") + line.count("7 %")
             for line in lines
         )
+
+
+def test_scale_and_north_stand_on_white_over_black(maps):
+    figure, (panel,) = draw_maps(
+        maps.grid, [MapPanel("", [flat_layer(np.ones(maps.grid.shape, bool), "black")])], ""
+    )
+    marks = [mark for mark in panel.artists if isinstance(mark, AnchoredOffsetbox)]
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    image = np.asarray(canvas.buffer_rgba())[::-1, :, :3] / 255
+    for mark in marks:
+        (text,) = [part for part in mark.findobj(Text) if part.get_text()]
+        (left, foot), (right, top) = text.get_window_extent().get_points().round().astype(int)
+        assert image[foot:top, left:right].mean() > 0.6
 
 
 def test_scale_and_north_keep_out_of_the_way_of_a_routes_ends(maps):
