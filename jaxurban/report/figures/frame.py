@@ -69,8 +69,6 @@ NORTH = "▲\nN"
 SAME = 0.01  # share of a scale, which no eye tells apart
 # Around what is drawn over maps, so that it is seen over any colour.
 HALO: Look = {"path_effects": [withStroke(linewidth=2.4, foreground="white")]}
-# Around scale bars and north arrows, so that letters stand on one white patch over black and over scattered roofs.
-PATCH: Look = {"path_effects": [withStroke(linewidth=6.0, foreground="white")]}
 SETTLING = 3  # runs of the layout, after which a figure's height is right to 0.01 inches
 END_LOOK: Look = {
     "linestyle": "none",
@@ -451,7 +449,8 @@ def _orient(panel: Axes) -> None:
         mark.set_zorder(15)
         panel.add_artist(mark)
         for part in mark.findobj():
-            part.set(**PATCH)
+            # Letters stand on one white patch, which over black and over scattered roofs a thin edge is not.
+            part.set_path_effects([withStroke(linewidth=6.0, foreground="white")])
 
 
 def frame_note(

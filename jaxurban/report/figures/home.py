@@ -1,11 +1,12 @@
 """The picture of how high a straight flight home must be."""
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from jaxurban.paths.return_altitude import NAME, ReturnAltitude
 from jaxurban.report.figures.frame import END_LOOK
 from jaxurban.report.figures.metrics import plot_metric
-from jaxurban.report.figures.style import TEXT_PT
+from jaxurban.report.figures.style import HEAD_IN, TEXT_PT
 from jaxurban.report.write import Look
 
 
@@ -18,7 +19,11 @@ def plot_return(home: ReturnAltitude) -> Figure:
     figure = plot_metric(home.maps, NAME)
     panel = figure.axes[0]
     text = home.sentence.replace(", at", ",\nat", 1)
-    panel.set_title(f"{text} Beige: no value.", loc="left", fontsize=TEXT_PT)
+    if np.isnan(home.altitude_m).any():
+        text += " Beige: no value."
+    panel.set_title(text, loc="left", fontsize=TEXT_PT)
+    # The second line of the title takes no room from the map.
+    figure.set_figheight(figure.get_figheight() + HEAD_IN)
     panel.plot(*home.home_xy_m, marker="*", markersize=14.0, clip_on=False, **END_LOOK)
     label: Look = {"textcoords": "offset points", "backgroundcolor": "white", "fontsize": TEXT_PT}
     panel.annotate("home", home.home_xy_m, (9, 7), **label)
