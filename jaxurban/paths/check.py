@@ -194,7 +194,7 @@ def check(
         zones=limits.zones,
         left_out=left_out(maps, city),
         return_altitudes=by_item(departures),
-        return_lines=return_lines(departures, mission),
+        return_lines=return_lines(departures, flight),
     )
 
 

@@ -63,9 +63,8 @@ class MissionCheck(Result):
       zones: the no-fly zones in force, with those of the mission's geofence.
       return_altitudes: a row for each place at which an item ends: its ``item``, ``apart_m`` (from home), ``own_m``
         (its height above home), ``least_m``, the least height above home at which a straight, level way home clears
-        everything, up to the bound of guessed heights (NaN where that is not known, with the reason in ``why``),
-        ``as_guessed_m``, the same if guessed heights are right, and ``way_m``, the least from wherever on the way to
-        it. No row without a home.
+        everything, up to the bound of guessed heights (NaN where that is not known), and ``way_m``, the least from
+        wherever on the way to it. No row without a home.
       return_lines: at which altitude it may return from wherever it is, a sentence each, and what to type.
 
     Examples:

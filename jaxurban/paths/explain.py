@@ -140,7 +140,7 @@ def explain(
     not_of_whole = ("from_", "to_", "min_", "max_")
     totals = {name: whole[name] for name in whole if not name.startswith(not_of_whole)}
     limits = planned.settings.get("limits", {})
-    clearances = {name: limits.get(name) for name in CLEARANCES}
+    clearances = {name: limits.get(name, 0.0) for name in CLEARANCES}
     with suppress(InputError):  # maps that hold no roofs, or not those at the start
         home = return_altitude(maps, home_xy_m=tuple(planned.xy_m[0]), **clearances)
         totals[NAME + "_m"] = float(home.altitude_m[tuple(parts.cell.T)].max())

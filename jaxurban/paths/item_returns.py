@@ -4,7 +4,6 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.io.read.mission_parts import Mission
 from jaxurban.kernels.line.homeward import highest_homeward
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.paths.autopilots import low_returns, parameter_lines, typed_m
@@ -30,7 +29,8 @@ def departures_of(
     It clears outlines that are no farther from the line in plan than the horizontal clearance, up to the bound of what
     is of guessed height, and the ground below the line, by the vertical clearance. What hangs in the air is passed
     above. Ground counts as the highest in each cell, also below what stands. No-fly zones and closed cells do not
-    count, nor do climbs, landings and the mission's own returns.
+    count, nor do the climb and the landing straight above home and the mission's own returns; a climb, descent or
+    landing elsewhere does.
 
     Args:
       flight: the mission over the maps.
@@ -45,12 +45,16 @@ def departures_of(
     """
     mission, ground = flight.mission, flight.ground
     grid = ground.maps.grid
+    nothing = pd.DataFrame(columns=["item", "apart_m", "own_m", "least_m"])
+    if mission.home is None:
+        return nothing
+    home_m = np.nan_to_num(grid.xy_at(np.array(mission.home)), posinf=NOWHERE_M)
     steps = Steps(*map(np.concatenate, zip(flight.steps, flight.variants, strict=True)))
     is_return = np.array([leg.kind == "return" for leg in mission.legs], bool)[steps.leg]
-    steps = steps.take(~flight.is_on_site(steps) & ~is_return)
-    if mission.home is None or not len(steps.leg):
-        return pd.DataFrame(columns=["item", "apart_m", "own_m", "least_m"])
-    home_m = np.nan_to_num(grid.xy_at(np.array(mission.home)), posinf=NOWHERE_M)
+    is_above_home = (steps.ends_m == home_m).all(axis=(1, 2))
+    steps = steps.take(~is_above_home & ~is_return)
+    if not len(steps.leg):
+        return nothing
     zero_m = ground.at(home_m) + mission.home_above_ground_m
     high_m = _highest_ground_on_way(ground, home_m) - zero_m
 
@@ -130,23 +134,31 @@ def by_item(departures: pd.DataFrame) -> pd.DataFrame:
     return last.assign(way_m=last["item"].map(way_m)).reset_index(drop=True)
 
 
-def return_lines(departures: pd.DataFrame, mission: Mission) -> list[str]:
+def return_lines(departures: pd.DataFrame, flight: Flight) -> list[str]:
     """Return what to say of the altitudes at which a mission may return: of its own, the least, and what to type.
 
     Args:
       departures: the least altitudes (`departures_of`).
-      mission: whose autopilot and return altitude count.
+      flight: the mission, whose autopilot and return altitude count, over the maps.
     """
     lines = []
+    mission = flight.mission
+    unknown = departures["item"][departures["least_m"].isna()]
+    has_gaps = mission.not_judged or len(flight.unknown) or len(unknown)
+    cleared = "all that is judged" if has_gaps else "all"
     low = low_returns(departures, mission.autopilot, 0.0)
     if len(low):
         altitude_m = mission.return_altitude_m
         failing = low_returns(departures, mission.autopilot, altitude_m)["item"]
-        fails = f"{altitude_m:g} m fails from item {failing.iloc[0]} on; " if len(failing) else ""
         least_m = low["least_m"].max()
-        lines.append(f"A return at {fails}{typed_m(least_m)} m clears all.")
+        fails = ""
+        if len(failing):
+            by_cone = "flown level, " if altitude_m >= least_m else ""
+            fails = f"{altitude_m:g} m fails from item {failing.iloc[0]} on; {by_cone}"
+        lines.append(f"A return at {fails}{typed_m(least_m)} m clears {cleared}.")
         lines += parameter_lines(least_m, mission.autopilot, departures)
     elif departures["least_m"].notna().any():
-        lines.append("A return clears all at the height that the flight has, wherever it begins.")
-    unknown = departures["item"][departures["least_m"].isna()]
+        lines.append(
+            f"A return clears {cleared} at the height that the flight has, wherever it begins."
+        )
     return [*lines, *map(UNKNOWN.format, unknown[:1])]

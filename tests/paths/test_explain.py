@@ -73,6 +73,19 @@ def report(planned, maps) -> ju.RouteReport:
     return ju.explain(planned, maps, speed_m_s=12.5, swath_m=8.0)
 
 
+@pytest.mark.parametrize("above_m", [0.0, 3.0, 12.0])
+def test_the_return_altitude_keeps_the_clearance_of_the_plan_also_where_it_is_none(
+    maps, ends, above_m
+):
+    path = route(maps, ends, constraints=ju.Constraints(vertical_clearance_m=above_m))
+    kept = ju.return_altitude(maps, home_xy_m=path.xy_m[0], vertical_clearance_m=above_m)
+    least_m = ju.explain(path, maps).totals["return_altitude_m"]
+    assert least_m in kept.altitude_m
+    if above_m == 0:
+        default = ju.explain(route(maps, ends), maps).totals["return_altitude_m"]
+        assert least_m <= default - 3.0 + 0.01
+
+
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 @pytest.mark.parametrize("planner", ["ptp", "astar-plus", "bitstar-plus"])
 def test_segments_add_up_to_the_paths_cost_layer_by_layer(maps, ends, planner, cost_model):

@@ -288,10 +288,58 @@ def test_a_flight_above_all_may_return_at_its_own_height(tmp_path):
     maps, city = scene_of(hills=False)
     home, *places = places_of(maps, 15, 5)
     high = [place._replace(height_m=150.0) for place in places]
-    file = plan_of(tmp_path, home, high, 12)
-    table = ju.check(maps, file, sources=city).return_altitudes
-    lines = return_lines(table[1:], ju.check(maps, file, sources=city).flight.mission)
+    result = ju.check(maps, plan_of(tmp_path, home, high, 12), sources=city)
+    lines = return_lines(result.return_altitudes[1:], result.flight)
     assert lines == ["A return clears all at the height that the flight has, wherever it begins."]
+
+
+@pytest.mark.parametrize("kind", ["leg", "climb", "land"])
+def test_a_straight_descent_or_landing_away_from_home_needs_what_its_place_needs(kind):
+    maps, city = scene_of(hills=False)
+    home, *places = places_of(maps, 7, 30)
+    table = judged(maps, city, mission_over(home, places)).return_altitudes
+    high = places[table["least_m"].argmax()]._replace(height_m=150.0)
+    above_home = high._replace(lon=home.lon, lat=home.lat)
+    legs = (
+        Leg(home._replace(height_m=0.0), above_home, "climb", 1),
+        Leg(above_home, high, "leg", 2),
+        Leg(high, high._replace(height_m=5.0), kind, 3),
+    )
+    result = judged(maps, city, Mission("x", legs, home[:2], None, (), None))
+    assert result.return_altitudes["item"].tolist() == [2, 3]
+    low = result.return_altitudes.iloc[1]
+    assert low["own_m"] == pytest.approx(5.0)
+    assert low["least_m"] == table["least_m"].max() > 40.0
+    assert result.return_lines[0] == f"A return at {math.ceil(low['least_m'])} m clears all."
+
+
+def test_what_is_not_judged_is_not_said_to_be_cleared():
+    maps, city = scene_of(hills=False)
+    home, *places = places_of(maps, 7, 30)
+    outside = places[-1]._replace(lon=places[-1].lon + 0.1)
+    for ends, not_judged in ((places, ("item 9 is not read",)), ([*places, outside], ())):
+        mission = replace(mission_over(home, ends), not_judged=not_judged)
+        line, *_ = judged(maps, city, mission).return_lines
+        assert line.endswith(" m clears all that is judged.")
+    high = [place._replace(height_m=150.0) for place in places]
+    mission = replace(
+        mission_over(high[0]._replace(lon=home.lon, lat=home.lat), high), not_judged=("x",)
+    )
+    assert judged(maps, city, mission).return_lines == [
+        "A return clears all that is judged at the height that the flight has, wherever it begins."
+    ]
+
+
+def test_where_the_cone_alone_fails_the_altitude_is_said_to_be_one_of_a_level_flight(tmp_path):
+    maps, city = scene_of(hills=False)
+    house = city.buildings.polygons[np.argmax(city.buildings.height_m)]
+    west_m, south_m, east_m, north_m = house.bounds
+    at = [maps.grid.lonlat_of_xy(x, (south_m + north_m) / 2) for x in (west_m - 3, east_m + 3)]
+    home, place = (Place(float(lon), float(lat), 5.0, "home") for lon, lat in at)
+    file = plan_of(tmp_path, home, [place], 3)
+    lines = ju.check(maps, file, sources=city, return_altitude_m=300.0).return_lines
+    assert lines[0] == "A return at 300 m fails from item 2 on; flown level, 93 m clears all."
+    assert lines[1].endswith("below the 93.0 m needed: set RTL_CONE_SLOPE = 0.")
 
 
 def test_a_mission_without_home_has_no_row():
