@@ -13,7 +13,7 @@ from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.legs import NOWHERE_M, Flight, Steps
 
 OF_STRETCH = {"leg": "first", "apart_m": "min", "own_m": "min", "ground_m": "max"}  # of its steps
-MOST_STRETCHES = 2_000  # that a mission is cut into: those of long ones are longer than a cell
+MOST_STRETCHES = 1_000  # that a mission is cut into: those of long ones are longer than a cell
 FANS_AT_ONCE = 500  # so that few pairs of them and outlines are held
 UNKNOWN = (
     "No return altitude is known from item {} on: a line home leaves what is known, comes nearer to its border than "
@@ -63,7 +63,7 @@ def departures_of(
     state = np.column_stack([steps.leg, steps.along_m[:, 0] // stretch_m])
     stretch = np.cumsum(np.diff(state, axis=0, prepend=state[:1]).any(axis=1))
     corners_m = np.insert(steps.ends_m, 1, home_m, axis=1).reshape(-1, 2)
-    fans = shapely.convex_hull(shapely.multipoints(corners_m, indices=np.repeat(stretch, 3)))
+    fans = shapely.convex_hull(shapely.linestrings(corners_m, indices=np.repeat(stretch, 3)))
     rows = pd.DataFrame(
         {
             "leg": steps.leg,
