@@ -291,7 +291,7 @@ def plan(
     which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
 
     # Imported here: it takes a second or two.
-    from jaxurban.paths.explain import explain
+    from jaxurban.paths.explain import explain, with_return_altitude
     from jaxurban.paths.finish import simplify
     from jaxurban.paths.plan import cost_map
     from jaxurban.paths.search import PathSearch
@@ -324,6 +324,7 @@ def plan(
             density = corridor(costs.maps, planned, time_of_day=time_of_day)
             density = replace(density, detours=density_detours(planned, costs, density))
         report = explain(planned, costs.maps, density=density, **flight)
+        report = with_return_altitude(report, planned, costs.maps)
     refused = []
     for file in outputs.files:
         try:

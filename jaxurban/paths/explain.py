@@ -1,6 +1,5 @@
 """A planned route explained: what each layer and each segment costs, who is below, where GPS or room is scarce."""
 
-from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
@@ -64,8 +63,6 @@ def explain(
     route to the square of the nearest cell with a roof at its altitude (see `clearance_m`). The highest roof that
     touches a cell counts, where the maps hold it, so that 0 is contact. The maps do not hold what stands outside their
     region: ``walls_outside_m`` is the distance to the border, which those obstacles exceed.
-    ``return_altitude_m``, above the ground at the start, clears a straight flight back there from anywhere on the route
-    (`return_altitude`).
     Where a route climbs, each cell takes the maps at its height: those of an altitude within a metre of it, else
     both around it. The number of satellites there is that of the one below, where there are fewer.
 
@@ -138,14 +135,8 @@ def explain(
 
     lonlat = maps.grid.lonlat_at(states[:, :2] + maps.grid.bounds_m[:2])
     not_of_whole = ("from_", "to_", "min_", "max_")
-    totals = {name: whole[name] for name in whole if not name.startswith(not_of_whole)}
-    limits = planned.settings.get("limits", {})
-    clearances = {name: limits.get(name, 0.0) for name in CLEARANCES}
-    with suppress(InputError):  # maps that hold no roofs, or not those at the start
-        home = return_altitude(maps, home_xy_m=tuple(planned.xy_m[0]), **clearances)
-        totals[NAME + "_m"] = float(home.altitude_m[tuple(parts.cell.T)].max())
     return RouteReport(
-        totals=totals,
+        totals={name: whole[name] for name in whole if not name.startswith(not_of_whole)},
         segments=pd.DataFrame(rows, index=numbers, columns=list(whole)),
         profile=profile,
         lines=tuple(lonlat[first : last + 1] for first, last in ends),
@@ -157,6 +148,26 @@ def explain(
         cautions=cautions(planned, maps, profile),
         density=density,
     )
+
+
+def with_return_altitude(
+    report: RouteReport, planned: PlannedPath, maps: MetricMaps
+) -> RouteReport:
+    """Return a report with one more of its totals: ``return_altitude_m``, above the ground at the start of the route.
+
+    It clears a straight flight back to the start from anywhere on the route, under its clearances (`return_altitude`);
+    NaN where none is known. It is left out on maps that hold no roofs, or not those at the start. As it is computed in
+    JAX, which does not work in a forked process, `explain` leaves it out.
+    """
+    limits = planned.settings.get("limits", {})
+    clearances = {name: limits.get(name, 0.0) for name in CLEARANCES}
+    _, parts = cut_on(planned, maps)
+    try:
+        home = return_altitude(maps, home_xy_m=tuple(planned.xy_m[0]), **clearances)
+    except InputError:
+        return report
+    least_m = float(home.altitude_m[tuple(parts.cell.T)].max())
+    return replace(report, totals={**report.totals, NAME + "_m": least_m})
 
 
 def _amounts(parts: Steps, profile: pd.DataFrame, vehicle: Vehicle, swath_m: float) -> pd.DataFrame:

@@ -157,7 +157,7 @@ class RouteReport(FactsRepr):
         ``no_fix_m`` (length without a position fix: HDOP is infinite), the same as ``under_4_satellites_m`` (its name
         in 1.0), ``nearest_wall_m``, ``walls_outside_m`` (see
         `explain`), ``least_over_roofs_m`` (above the roofs beneath; NaN over none), ``time_s``, ``energy_wh``,
-        ``return_altitude_m`` (see `explain`; NaN where none is known).
+        ``return_altitude_m`` (in the reports of the command and the viewer; NaN where none is known).
         What the maps or the arguments do not say is left out.
       segments: a row for each of a few parts of nearly equal length: the same, ``from_m`` and ``to_m`` along
         the route, and ``min_*`` and ``max_*`` of each metric. The sums of costs, lengths and people are the totals.

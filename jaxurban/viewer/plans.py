@@ -14,7 +14,7 @@ from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.explain import explain
+from jaxurban.paths.explain import explain, with_return_altitude
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.finish import simplify
 from jaxurban.paths.path import PlannedPath
@@ -90,7 +90,8 @@ class Plans:
     def _explain(self, planned: PlannedPath, query: Plan) -> RouteReport:
         """Return the report of a route, flown at the speed and with the power of the query."""
         maps = self.maps.with_obstacles(query.obstacles)
-        return explain(planned, maps, speed_m_s=query.speed_m_s, power_w=query.power_w)
+        report = explain(planned, maps, speed_m_s=query.speed_m_s, power_w=query.power_w)
+        return with_return_altitude(report, planned, maps)
 
     def file(self, query: Plan, at: OneMap, suffix: str) -> bytes:
         """Return a route as the bytes of a file, as ``jaxurban plan -o`` writes it.

@@ -17,6 +17,7 @@ from jaxurban.io.read.zone import cell_boxes
 from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.variables import GROUP_COLOURS
+from jaxurban.paths.explain import with_return_altitude
 from jaxurban.paths.legs import between
 from jaxurban.paths.profile import clearance_m, cut_evenly, nearest_level_m
 from jaxurban.planners.cost import path_states
@@ -79,11 +80,13 @@ def test_the_return_altitude_keeps_the_clearance_of_the_plan_also_where_it_is_no
 ):
     path = route(maps, ends, constraints=ju.Constraints(vertical_clearance_m=above_m))
     kept = ju.return_altitude(maps, home_xy_m=path.xy_m[0], vertical_clearance_m=above_m)
-    least_m = ju.explain(path, maps).totals["return_altitude_m"]
+    report = with_return_altitude(ju.explain(path, maps), path, maps)
+    least_m = report.totals["return_altitude_m"]
     assert least_m in kept.altitude_m
     if above_m == 0:
-        default = ju.explain(route(maps, ends), maps).totals["return_altitude_m"]
-        assert least_m <= default - 3.0 + 0.01
+        default = route(maps, ends)
+        report = with_return_altitude(ju.explain(default, maps), default, maps)
+        assert least_m <= report.totals["return_altitude_m"] - 3.0 + 0.01
 
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
