@@ -12,7 +12,13 @@ from jaxurban.paths.contacts import Prisms
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.legs import NOWHERE_M, Flight, Steps
 
-OF_STRETCH = {"leg": "first", "apart_m": "min", "own_m": "min", "ground_m": "max"}  # of its steps
+OF_STRETCH = {  # of its steps
+    "leg": "first",
+    "apart_m": "min",
+    "own_m": "min",
+    "end_m": "last",
+    "ground_m": "max",
+}
 MOST_STRETCHES = 1_000  # that a mission is cut into: those of long ones are longer than a cell
 FANS_AT_ONCE = 500  # so that few pairs of them and outlines are held
 UNKNOWN = (
@@ -40,12 +46,12 @@ def departures_of(
 
     Returns:
       A row for each stretch of a leg over the maps, about a cell long, in the order flown: ``item``, to which it leads,
-      ``apart_m`` (least distance from home), ``own_m`` (least height of the flight) and ``least_m`` (NaN where it is
-      not known), both above home. No row without a home.
+      ``apart_m`` (least distance from home), ``own_m`` (least height of the flight), ``end_m`` (its height at the
+      end) and ``least_m`` (NaN where it is not known), all above home. No row without a home.
     """
     mission, ground = flight.mission, flight.ground
     grid = ground.maps.grid
-    nothing = pd.DataFrame(columns=["item", "apart_m", "own_m", "least_m"])
+    nothing = pd.DataFrame(columns=["item", "apart_m", "own_m", "end_m", "least_m"])
     if mission.home is None:
         return nothing
     home_m = np.nan_to_num(grid.xy_at(np.array(mission.home)), posinf=NOWHERE_M)
@@ -64,11 +70,13 @@ def departures_of(
     stretch = np.cumsum(np.diff(state, axis=0, prepend=state[:1]).any(axis=1))
     corners_m = np.insert(steps.ends_m, 1, home_m, axis=1).reshape(-1, 2)
     fans = shapely.convex_hull(shapely.linestrings(corners_m, indices=np.repeat(stretch, 3)))
+    own_m = steps.z_m + steps.ground_m - zero_m
     rows = pd.DataFrame(
         {
             "leg": steps.leg,
             "apart_m": np.linalg.norm(steps.ends_m - home_m, axis=2).min(axis=1),
-            "own_m": (steps.z_m + steps.ground_m).min(axis=1) - zero_m,
+            "own_m": own_m.min(axis=1),
+            "end_m": own_m[:, 1],
             "ground_m": high_m[tuple(steps.cell.T)],
         }
     )
@@ -131,7 +139,8 @@ def by_item(departures: pd.DataFrame) -> pd.DataFrame:
     """
     way_m = departures.groupby("item")["least_m"].agg(lambda least_m: least_m.max(skipna=False))
     last = departures.drop_duplicates("item", keep="last")
-    return last.assign(way_m=last["item"].map(way_m)).reset_index(drop=True)
+    last = last.assign(own_m=last["end_m"], way_m=last["item"].map(way_m)).drop(columns="end_m")
+    return last.reset_index(drop=True)
 
 
 def return_lines(departures: pd.DataFrame, flight: Flight) -> list[str]:

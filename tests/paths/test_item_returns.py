@@ -102,14 +102,14 @@ def test_at_the_least_altitude_nothing_is_found_and_a_little_lower_something_is(
     # Over hills the highest ground of cells counts, which exceeds that below a line by up to 10 m.
     by_m = 10.0 if hills else 0.1
     lower = judged(maps, city, ways_home(home, places, table["least_m"] - by_m)).findings
-    assert set(lower["kind"]) <= {"building", "terrain"}
+    assert set(lower["kind"]) == ({"building", "terrain"} if hills else {"building"})
     is_met = table["item"].isin(lower["item"])
     lines = shapely.linestrings(at_least.flight.lines_m)
     apart_m = shapely.distance(lines[:, None], city.buildings.polygons)
     is_at_clearance = (np.abs(apart_m - CLEAR_M) <= 0.05).any(axis=1)
     is_on_ground = lowest_m <= ABOVE_M + (by_m if hills else 1e-6)
     assert (is_met | is_on_ground | is_at_clearance).all()
-    assert is_met.mean() > 0.7
+    assert is_met.mean() > 0.8
 
 
 @pytest.mark.parametrize("hills", [False, True])
@@ -231,7 +231,7 @@ def test_heights_above_the_ground_and_the_sea_are_brought_to_home():
     ground = result.flight.ground
     home_m, place_m = (ground.at_lonlat(*each[:2]) for each in (home, place))
     own_m = result.return_altitudes["own_m"].tolist()
-    assert own_m == pytest.approx([20.0, 20.0 + place_m - home_m, 20.0 - home_m], abs=2.0)
+    assert own_m == pytest.approx([20.0, 20.0 + place_m - home_m, 20.0 - home_m])
 
 
 def plan_of(folder, home: Place, places: list[Place], firmware: int) -> str:
