@@ -845,6 +845,21 @@ SLOW = (
     "when",
     "SoftParams",
     "all_maps",
+    "Buildings",
+    "City.from_files",
+    "Constraints",
+    "CostMap.plan",
+    "Gps",
+    "Population",
+    "Protection",
+    "Region",
+    "SensitivitySettings",
+    "Terrain",
+    "build_maps",
+    "check",
+    "plan",
+    "plan_many",
+    "soft_city",
 )
 
 
@@ -1168,7 +1183,7 @@ NOT_WALKED = {
     "validate": "its options are rows of ReceiverSettings",
     "view": "it serves until it is stopped; ju.view has the rows",
 }
-SLOW_COMMANDS = ("plan", "compare", "study", "tune", "sensitivity", "sensitivity-study")
+SLOW_COMMANDS = ("plan", "check", "compare", "study", "tune", "sensitivity", "sensitivity-study")
 
 
 @cache

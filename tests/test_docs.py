@@ -241,10 +241,10 @@ def with_code() -> Iterator[Any]:
     """Yield the pages that have blocks to run."""
     for page in PAGES:
         if {block.language for block in blocks_of(page)} & RUN:
-            marks = [pytest.mark.slow] * (page != PAGES[0])
-            yield pytest.param(page, id=name_of(page), marks=marks)
+            yield pytest.param(page, id=name_of(page))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [*with_code()])
 def test_the_blocks_of_a_page_run_in_their_order(page, folder, capsys):
     namespace: dict[str, Any] = {"__name__": "__main__"}

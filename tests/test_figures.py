@@ -72,6 +72,7 @@ def test_a_window_shows_the_grid_where_it_is_and_nothing_beyond():
     assert np.isnan(example_paths.crop(plain, GRID, part).values[:5]).all()
 
 
+@pytest.mark.slow
 def test_a_figure_is_drawn_for_the_eye_and_for_print_and_a_small_one_is_kept_apart(
     tmp_path, monkeypatch
 ):

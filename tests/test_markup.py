@@ -142,6 +142,7 @@ def test_no_text_of_maps_is_markup_in_a_picture(maps, tmp_path):
     assert not names & {"img", "script"}
 
 
+@pytest.mark.slow
 def test_no_text_of_maps_is_markup_in_a_report(maps, tmp_path):
     start, goal = ends(maps)
     path = ju.plan(maps, start, goal, altitude_m=20.0, snap=True)

@@ -111,6 +111,7 @@ compare("files and a plan")
 """
 
 
+@pytest.mark.slow
 def test_the_users_process_stays_as_libraries_alone_leave_it():
     command = [sys.executable, "-W", "ignore::UserWarning", "-c", STATE]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)

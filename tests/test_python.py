@@ -331,6 +331,7 @@ def test_a_former_key_of_a_scenario_works_and_beside_its_successor_is_unknown(mo
         ju.Scenario.from_dict(settings | {"gps": {"mask": 7.0, "mask_deg": 7.0}})
 
 
+@pytest.mark.slow
 def test_a_guess_is_warned_of_on_the_user_s_line(tmp_path):
     with pytest.warns(ju.GuessWarning) as of_city:
         city = ju.sample_city("shinjuku")

@@ -44,6 +44,7 @@ def test_commands_of_px4_give_each_second_the_satellites_of_the_table(made):
     assert (table.loc[~np.isfinite(table["hdop"]), "satellites"] == 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", ["tiles"], indirect=True)
 def test_tiles_are_where_the_map_is_in_its_colours(made):
     with rasterio.open("out/manhattan/geotiff/gps_60m_25m.tif") as file:
@@ -95,6 +96,7 @@ def test_the_table_of_a_site_is_that_of_the_maps(made):
     assert table["num_visible"].nunique() > 1
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::jaxurban.errors.GuessWarning")
 @pytest.mark.parametrize("made", ["course"], indirect=True)
 def test_the_exercise_has_an_answer(made):

@@ -174,6 +174,7 @@ def test_a_batch_takes_its_weight_from_a_column(maps, ends, path):
     assert batch.to_dataframe().cost_toy.item() == pytest.approx(path.cost_by_layer["toy"])
 
 
+@pytest.mark.slow
 def test_pictures_show_it(maps, path, tmp_path):
     assert "View to the north" in plot_metric(maps, "toy").texts[0].get_text()
     assert any(

@@ -33,6 +33,7 @@ def names_in(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
+@pytest.mark.slow
 def test_maps_writes_the_files_of_the_contract(made):
     per_altitude = {
         f"{metric}_{z}m_20m.tif"
@@ -118,6 +119,7 @@ def test_a_region_without_buildings_is_fine_when_asked_for(tmp_path, capsys):
     )
 
 
+@pytest.mark.slow
 def test_elements_weeks_old_warn_and_work_and_years_old_are_refused(
     made, tmp_path, capsys, data_dir
 ):
@@ -155,6 +157,7 @@ def test_further_maps_are_written_when_they_are_asked_for(made, tmp_path, capsys
     }
 
 
+@pytest.mark.slow
 def test_a_long_series_of_epochs_is_kept_as_statistics(made, tmp_path, capsys):
     series = ('start="2020-04-27T00:00:00Z"', 'stop="2020-04-27T23:59:00Z"', "step_s=3000")
     given = (part for setting in series for part in ("--set", f"gps.{setting}"))
@@ -304,6 +307,7 @@ def test_a_glance_at_maps_sees_what_their_opening_does(made, tmp_path):
         assert glance(tmp_path / part) is None
 
 
+@pytest.mark.slow
 def test_complete_maps_are_answered_soon_and_changed_ones_are_made_again(made, tmp_path):
     shutil.copy(made.parent / "town.toml", tmp_path)
     shutil.copytree(made, tmp_path / "maps")

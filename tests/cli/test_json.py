@@ -185,6 +185,7 @@ def test_a_budget_that_is_spent_without_a_path_is_an_object(
     assert check_json(out, code, name)["status"] == "budget-empty"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", [ExitCode.DONE, ExitCode.NO_PATH])
 def test_a_study_is_an_object(code, tmp_path, capsys, made):
     planner, altitude_m = ("ptp", 20) if code else ("astar-plus", 60)
@@ -212,6 +213,7 @@ def test_a_study_of_sensitivity_is_an_object(code, walled, made, tmp_path, capsy
     check_json(out, code, "sensitivity-study")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("more", "code"),
     [

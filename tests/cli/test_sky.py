@@ -30,6 +30,7 @@ def maps(tmp_path_factory):
 AT = ("--at=-73.9985,40.7575", "--altitude", 10)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
 def test_a_place_is_printed_and_written(maps, tmp_path, capsys):
     files = [tmp_path / name for name in ("sky.png", "sky.csv")]

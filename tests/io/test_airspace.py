@@ -86,6 +86,7 @@ border = st.integers(-12, 102).map(lambda number: 5.0 * number)
 places = st.tuples(st.floats(-60, 510) | border, st.floats(-60, 410) | border)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.lists(places, min_size=3, max_size=8, unique=True), st.floats(0.05, 0.9))
 def test_exactly_the_cells_that_share_a_point_with_the_polygon_are_closed(corners, hole):
@@ -99,6 +100,7 @@ def test_exactly_the_cells_that_share_a_point_with_the_polygon_are_closed(corner
     np.testing.assert_array_equal(touched_cells(placed, GRID), each)
 
 
+@pytest.mark.slow
 def test_a_long_edge_bends_as_its_own_crs_draws_it():
     # The 42nd parallel over 6 degrees is 1.4 km away from the straight line between its projected ends.
     grid = Grid.from_bounds((-75.02, 41.99, -74.98, 42.01), 100.0, crs=UTM)

@@ -113,6 +113,7 @@ def test_bounds_elsewhere_name_the_extent_and_a_swap(town):
         ju.City.from_files(town, bounds=(41.881, -87.64, 41.882, -87.62))
 
 
+@pytest.mark.slow
 def test_info_says_what_a_file_or_a_folder_of_maps_holds_and_where(town, capsys):
     code, out, err = run(capsys, "info", town, "--json")
     facts = json.loads(out)

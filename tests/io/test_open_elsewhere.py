@@ -65,6 +65,7 @@ def test_what_is_read_back_has_the_bits_of_what_was_held(maps, folder):
         ), name
 
 
+@pytest.mark.slow
 def test_values_and_axes_of_ones_own_are_read_back(maps, tmp_path):
     changed = maps.ds.isel(time=[0]).transpose(..., "altitude", "time", "y", "x").copy(deep=True)
     inside = (changed["obstacle"].values[0] != 0) & changed["has_data"].values

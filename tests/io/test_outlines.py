@@ -434,6 +434,7 @@ FILES = {  # CRS; buildings, those with a height, with levels only, parts, as fa
 
 
 @pytest.mark.data
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_counts_of_a_real_file_agree_with_its_readme(data_dir, name):
     crs, known, issues = FILES[name]

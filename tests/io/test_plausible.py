@@ -61,6 +61,7 @@ def city_of(source, **more):
     return city, " | ".join(name for name in city.guesses if name != "flat ground")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", SOURCES)
 def test_ground_without_data_below_buildings_is_that_around_and_they_still_stand(tmp_path, source):
     terrain = pixels(tmp_path / "dtm.tif", np.where(IS_BUILT, -9999, PLANE_M), nodata=-9999)

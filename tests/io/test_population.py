@@ -132,6 +132,7 @@ def test_a_wrong_block_field_is_refused_with_the_remedy(tmp_path, field, sentenc
         read(tmp_path, SF1, block_field=field)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_manhattan_has_its_census_by_district(data_dir):
     files = ju.Population(

@@ -59,6 +59,7 @@ def assert_lawful(trials: list[Trial]) -> None:
     assert len(unsaid) <= (1 - LEAST_FOUND) * len(known), unsaid
 
 
+@pytest.mark.slow
 def test_random_cities_keep_the_law(written):
     assert_lawful([trials_of(city, verdicts_of(*asked))[0] for city, asked in written])
 
@@ -78,6 +79,7 @@ def test_cities_are_of_all_styles_formats_and_edits():
     assert {thing.edit for city in cities for thing in city.things} == {*EDITS}
 
 
+@pytest.mark.slow
 def test_ogr_and_shapely_see_what_was_planted(written, folder):
     num_read = 0
     for city, _ in written[:NUM_SEEN]:

@@ -222,6 +222,7 @@ def test_damaged_logs_are_read_or_refused(tmp_path, made, seed):
         read_log(written(tmp_path, text))
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_a_real_log_has_the_same_rows_in_every_format(data_dir, tmp_path):
     table = pd.read_csv(data_dir / "tokyo/tokyo_nihonbashi_2023-06-22_satellites.csv.gz")

@@ -46,6 +46,7 @@ SMALL = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CITIES)
 def test_a_sample_is_small_credited_and_comes_with_its_satellites(name):
     assert sum(file.stat().st_size for file in located(f"sample:{name}").parent.iterdir()) <= 2e6
@@ -97,6 +98,7 @@ def test_gps_of_a_sample_stands_as_nominal_satellites_do(name):
         np.testing.assert_allclose(getattr(ours, field), getattr(nominal, field), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_example_of_sample_city_runs():
     assert doctest.testmod(cities) == (0, 4)
 
@@ -107,6 +109,7 @@ def bits_of(buildings):
     return shapely.to_wkb(buildings.polygons).tolist(), [column.tobytes() for column in columns]
 
 
+@pytest.mark.slow
 def test_lower_manhattan_brings_trees_and_wires_unless_buildings_alone_count():
     city = ju.sample_city("lower-manhattan")
     alone = ju.sample_city("lower-manhattan", kinds=["building"])
@@ -195,6 +198,7 @@ def test_a_scenario_of_a_sample_holds_no_path_of_this_machine(name, tmp_path):
         assert CREDITS[name] in " ".join(picture.tags().values())
 
 
+@pytest.mark.slow
 def test_a_scenario_of_a_sample_keeps_what_it_says_itself():
     settings = {
         "buildings": {"source": "sample:lower-manhattan"},
@@ -282,6 +286,7 @@ def test_the_script_makes_the_files_that_are_here(data_dir, tmp_path, monkeypatc
                 assert digest_of(path) == digest_of(again), path.name
 
 
+@pytest.mark.slow
 def test_maps_are_made_with_what_a_city_was_read_with_unless_they_are_given_others():
     bounds = (-74.012, 40.704, -74.0105, 40.705)
     real = ju.Gps(orbits="sample:shinjuku/galileo.tle", times="2018-12-19T03:00:00Z", mask_deg=20.0)

@@ -92,6 +92,7 @@ def test_dops_below_20_of_random_skies_equal_float64_to_1e_5(num, num_systems):
     assert_as_float64(random_sky(num, num), numbers, random_choices(num, num))
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_dops_below_20_of_gps_and_galileo_over_tokyo_equal_float64_to_1e_5(data_dir):
     files = [data_dir / "tokyo" / f"{system}_2018-12-19.tle" for system in ("gps", "galileo")]

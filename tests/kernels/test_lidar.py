@@ -122,8 +122,9 @@ CASES = {  # those that may share their shapes do, and so one program
 }
 # What differs between cases beside shapes is made on the host: two of them show the form for a GPU.
 BY_GPU = ("the default puck at fewer azimuths", "a range under half a cell")
+SLOW = ("the default", "all beams")  # the begin of a name
 PARAMS = [
-    pytest.param(name, form, marks=[pytest.mark.slow] * name.startswith("the default"))
+    pytest.param(name, form, marks=[pytest.mark.slow] * name.startswith(SLOW))
     for name, form in itertools.product(CASES, FLAT)
     if form == "cpu" or name in BY_GPU
 ]
@@ -239,6 +240,7 @@ def test_more_positions_return_than_sixteen_bits_count():
     assert (counts_of(roof_m, None, [10.0], np.array([0.0]), 70_000, 2.0, 5.0) == 70_000).all()
 
 
+@pytest.mark.slow
 def test_counts_mapped_over_cities_are_those_of_each_and_have_no_slope():
     scan = [5.0], np.deg2rad(np.linspace(-15, 15, 4)), 12, 30.0, 5.0
     roofs_m = np.stack([random_city(40, 6, seed) for seed in (2, 3)])
@@ -299,7 +301,8 @@ def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell,
     assert found.min() < found.max()
 
 
-@pytest.mark.parametrize("on_terrain", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("on_terrain", [False, True])
 def test_counts_can_be_traced_and_exported_and_for_a_gpu_have_no_loop_whose_end_is_data(on_terrain):
     scan, roof_m = (
         ([5.0], np.deg2rad(np.linspace(-15, 15, 4)), 12, 30.0, 5.0),

@@ -186,6 +186,7 @@ def form(request, monkeypatch):
     return request.param
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS, indirect=True)
 def test_a_part_within_the_ring_of_its_neighbours_hands_on_the_higher_of_roof_and_shadow(form):
     whole, lines = (

@@ -147,6 +147,7 @@ def test_a_bend_on_a_corner_between_borders_passes_it():
     assert is_free_way(crossings, free, False)
 
 
+@pytest.mark.slow
 def test_a_way_is_free_where_a_thin_tube_around_it_joins_its_ends_inside_free_cells():
     rng = np.random.default_rng(5)
     seen = {True: 0, False: 0, "corner": 0}

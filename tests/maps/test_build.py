@@ -103,6 +103,7 @@ def test_normalised_map_spans_free_cells(maps):
     np.testing.assert_allclose((h[free].min(), h[free].max()), (0.0, 1.0), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_one_run_over_several_resolutions_shares_its_box(tmp_path):
     region = {
         "bounds": [-74.0, 40.755, -73.995, 40.76],

@@ -165,6 +165,7 @@ print(json.dumps(counts))
 """
 
 
+@pytest.mark.slow
 def test_three_cities_of_other_size_crs_altitudes_and_time_compile_the_programs_of_the_first():
     done = subprocess.run([sys.executable, "-c", MAPS], capture_output=True, text=True, check=True)
     first, *others = json.loads(done.stdout.splitlines()[-1])

@@ -79,6 +79,7 @@ def texts_of(maps):
     return [text.get_text() for text in plotting.plot_heights(maps).findobj(Text)]
 
 
+@pytest.mark.slow
 def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_picture(
     tmp_path, capsys
 ):

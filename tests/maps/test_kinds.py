@@ -93,6 +93,7 @@ def maps_of(city: City, **settings):
 NO_ERRORS = HeightStd(height=0.0, levels=0.0, default=0.0, raster=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("more", "settings"),
     [
@@ -217,6 +218,7 @@ def test_sky_by_the_map_is_that_of_the_city_in_which_plants_are_buildings_or_are
         pd.testing.assert_frame_equal(found, other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "city",
     [
@@ -235,7 +237,6 @@ def test_sky_by_the_map_is_that_of_the_city_in_which_plants_are_buildings_or_are
                 gps=Gps(plants="hide"),
             ),
             id="slabs, plants hide",
-            marks=pytest.mark.slow,
         ),
     ],
 )
@@ -289,6 +290,7 @@ def test_one_text_of_kinds_is_one_kind():
         City.from_files("synthetic", kinds="tree")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gps", [None, Gps(plants="hide")], ids=["pass", "hide"])
 def test_all_maps_are_those_of_build_maps(gps):
     city = replace(by_raster(), structures=structures(), gps=gps)
@@ -303,6 +305,7 @@ def test_all_maps_are_those_of_build_maps(gps):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plants", ["pass", "hide"])
 def test_soft_layers_are_those_of_kinds_as_buildings_and_slopes_those_by_differences(plants):
     trees = replace(by_raster(), structures=structures())
@@ -373,6 +376,7 @@ def around(middle: float) -> slice:
     return slice(max(math.ceil(middle) - 1, 0), max(math.floor(middle) + 1, 0))
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(("has_terrain", "side_m"), [(False, 5), (True, 5), (True, 2)])
 def test_gothenburgs_canopy_closes_cells_and_returns_as_brute_force_says(

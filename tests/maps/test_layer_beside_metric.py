@@ -224,6 +224,7 @@ def test_settings_and_gradients_are_those_of_the_one_and_the_other(registry, cit
     assert (LONG in of_layer.names) is (registry is METRICS)
 
 
+@pytest.mark.slow
 def test_a_scenario_and_commands_name_both(registry, tmp_path, capsys):
     layer = '[layers.noise]\nsource = "noise.tif"\ncost = "high-is-bad"\nscale = [0, 80]\n'
     file, out = tmp_path / "town.toml", tmp_path / "out"

@@ -330,6 +330,7 @@ def amid() -> MapTask:
     )
 
 
+@pytest.mark.slow
 def test_less_is_asked_for_than_maps_and_their_work_take_and_more_for_finer_ones_and_more_altitudes(
     amid, tmp_path, monkeypatch
 ):

@@ -102,6 +102,7 @@ def assert_as_kept(maps, expected, t=0):
         assert_same(name, values, held)
 
 
+@pytest.mark.slow
 def test_it_gives_the_bits_of_the_recipe(task, inputs, views):
     expected = compute_maps(task).ds
     for t in range(task.num_times):
@@ -441,6 +442,7 @@ def test_the_gradient_through_the_planner_and_the_whole_maps_is_that_of_the_path
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_one_program_serves_other_values_and_other_skies(soft):
     first = layers_of(soft, soft.height_m, SOFT)
     compiled = layers_of._cache_size()

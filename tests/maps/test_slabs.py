@@ -29,6 +29,7 @@ def grounded():
     return compute_maps(task(city(TO_GROUND)))
 
 
+@pytest.mark.slow
 def test_a_slab_is_an_obstacle_from_floor_to_top(maps, grounded):
     at = {z_m: int(maps.m("obstacle", z_m)[ON_DECK]) for z_m in PARAMS.altitudes_m}
     assert at == {2.0: 0, 12.0: 1, 13.0: 1, 20.0: 0, 42.0: 0}

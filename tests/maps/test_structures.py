@@ -66,6 +66,7 @@ def test_a_structure_is_a_roof_as_a_building_of_its_outline_and_the_unknown_is_n
     assert hung.roof_m[1, 38] == 0.0
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_the_buildings_and_structures_are_constants():
     city = works()
     params = ju.grad.SoftParams(altitude_m=25.0)
@@ -118,6 +119,7 @@ def test_the_viewer_outlines_structures_and_what_is_unknown():
     assert group.tolist() == [GROUP_NUMBERS[kind] for kind in works().standing.kinds]
 
 
+@pytest.mark.slow
 def test_the_bound_of_a_cell_is_the_highest_of_the_guessed_outlines_that_touch_it(tmp_path):
     of = tiled_runs.task(tiled_runs.city())
     buildings = of.city.buildings

@@ -81,6 +81,7 @@ def test_shadow_reach_is_the_length_of_the_longest_shadow_by_side():
     )
 
 
+@pytest.mark.slow
 def test_visibility_keeps_float64_where_only_the_caller_enabled_it():
     with jax.enable_x64(True):
         roof_m = jnp.asarray(
@@ -193,6 +194,7 @@ def maps(task) -> ju.MetricMaps:
     return compute_maps(task)
 
 
+@pytest.mark.slow
 def test_maps_of_two_systems_equal_float64_with_two_clocks(task, maps):
     scene = TileScene(task, task.surface()).at(task.metrics["gps"], (0, 0))
     words = np.where(scene.is_obstacle, 0, np.asarray(scene.words[0], np.int64))

@@ -109,6 +109,7 @@ def test_the_halo_holds_the_threshold_in_whole_steps():
     assert halo_cells(Risk(10.0), 5.0, reach_m=100.0) == 32
 
 
+@pytest.mark.slow
 def test_nothing_stands_beyond_the_surface():
     roof_m, scan = SCATTERED_M[10:-10, 10:-10], Lidar(azimuths=60)
     alone = compute_lidar(surface_on(roof_m, REGION, REGION), [20.0], scan)
@@ -351,6 +352,7 @@ ROW = Blocks(
 CELLS = jnp.asarray(np.random.default_rng(1).integers(-1, 12, (6, 7)), jnp.int32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("time_of_day", "normalise"), [("day", "max"), ("night", 30_000.0), ("weekend-20", "p80")]
 )

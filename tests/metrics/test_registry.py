@@ -57,6 +57,7 @@ def test_metrics_stand_in_the_papers_order_and_an_unknown_one_is_named():
     assert len({metric.colour for metric in known_metrics().values()}) == len(known_metrics())
 
 
+@pytest.mark.slow
 def test_a_function_sees_the_surface_and_has_gradients_where_it_has_a_soft_form():
     def shade(surface, altitude_m, softness_m=0.0):
         return surface.crop(surface.roof_m) / altitude_m

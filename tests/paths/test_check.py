@@ -449,6 +449,7 @@ def is_in_area(part: dict, lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
     return is_in
 
 
+@pytest.mark.slow
 def test_geofences_of_a_file_are_judged_as_points_every_20_cm_are(open_scene, tmp_path):
     rng = np.random.default_rng(5)
     kinds = {"clean": 0, "breached": 0}
@@ -535,7 +536,9 @@ def numbers_in(axes, found) -> list[int]:
     return sorted(marks)
 
 
-@pytest.mark.parametrize(("num_passes", "fewest"), [(1, 1), (8, 8), (40, 30)])
+@pytest.mark.parametrize(
+    ("num_passes", "fewest"), [(1, 1), (8, 8), pytest.param(40, 30, marks=pytest.mark.slow)]
+)
 def test_pictures_show_the_mission_and_each_finding_by_its_number(open_scene, num_passes, fewest):
     tower = open_scene.city.buildings.polygons[np.argmax(open_scene.city.buildings.height_m)]
     x_m, y_m = np.array(tower.centroid.coords[0]) - open_scene.corner_m
@@ -566,6 +569,7 @@ def test_pictures_show_the_mission_and_each_finding_by_its_number(open_scene, nu
     assert labels == ["mission", "home", "start", "goal", "findings, by number", "no-fly zone"]
 
 
+@pytest.mark.slow
 def test_the_map_of_a_short_mission_is_a_part_of_the_maps_with_zones_and_home(open_scene):
     fine = made_maps(200, 200, (0.5, 400.0))
     scene = open_scene._replace(maps=fine)
@@ -592,6 +596,7 @@ def test_the_map_of_a_short_mission_is_a_part_of_the_maps_with_zones_and_home(op
     assert outline.vertices.max(axis=0) - scene.corner_m == pytest.approx([990, 990])
 
 
+@pytest.mark.slow
 def test_the_report_has_each_finding_under_its_number(open_scene, tmp_path):
     ends = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
     result = checked(

@@ -159,7 +159,13 @@ def test_unknown_roofs_and_cells_without_data_are_kept_clear_of():
     assert np.array_equal(closed, by_hand)
 
 
-@pytest.mark.parametrize("planner", PLANNERS)
+@pytest.mark.parametrize(
+    "planner",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * name.startswith("bitstar"))
+        for name in PLANNERS
+    ],
+)
 @pytest.mark.parametrize(
     ("seed", "clearance_m"),
     [

@@ -188,18 +188,14 @@ def low_roofs(maps) -> ju.MetricMaps:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "planning", "rules"),
     [
         ("", {}, ("line", "touched", 3.0)),
         ("paper", {}, ("cell", "centre", 0.0)),
-        *(
-            pytest.param(*case, marks=pytest.mark.slow)
-            for case in (
-                ("", {"cost_model": "cell", "vertical_clearance_m": 0.0}, ("cell", "touched", 0.0)),
-                ("", {"preset": "paper", "vertical_clearance_m": 3.0}, ("cell", "centre", 3.0)),
-            )
-        ),
+        ("", {"cost_model": "cell", "vertical_clearance_m": 0.0}, ("cell", "touched", 0.0)),
+        ("", {"preset": "paper", "vertical_clearance_m": 3.0}, ("cell", "centre", 3.0)),
         ("paper", {"cost_model": "line", "vertical_clearance_m": 3.0}, ("line", "centre", 3.0)),
     ],
 )
@@ -268,6 +264,7 @@ def folder(maps, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_commands_plan_one_path_under_the_scenarios_cost_model_and_the_same_constraints(
     folder, options, plans, zone_file, tmp_path, capsys
 ):
@@ -338,6 +335,7 @@ def test_routes_of_other_constraints_than_the_fits_are_told(maps, plans, zone_fi
     assert read.note == ""
 
 
+@pytest.mark.slow
 def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(
     folder, plans, zone_file, tmp_path, capsys
 ):

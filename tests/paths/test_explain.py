@@ -226,6 +226,7 @@ def test_the_report_is_json_ready_and_its_table_holds_every_segment(report):
     assert any(line.startswith("people overflown") and "(strip of 8 m)" in line for line in lines)
 
 
+@pytest.mark.slow
 def test_the_command_line_prints_writes_and_draws_the_report_at_any_altitude(
     folder, maps, ends, tmp_path, capsys
 ):
@@ -395,6 +396,7 @@ def test_stretches_without_a_fix_are_shaded_over_their_whole_length(maps, planne
     assert "no fix" in [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("laid_out")
 def test_a_profile_without_walls_or_of_one_place_is_drawn(maps, ends, planned, tmp_path):
     save_profile(

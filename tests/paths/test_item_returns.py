@@ -81,6 +81,7 @@ def judged(maps, city, mission: Mission):
     return ju.check(maps, mission, sources=city, clearance_m=CLEAR_M, vertical_clearance_m=ABOVE_M)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hills", [False, True])
 def test_at_the_least_altitude_nothing_is_found_and_a_little_lower_something_is(hills):
     maps, city = scene_of(hills)
@@ -112,6 +113,7 @@ def test_at_the_least_altitude_nothing_is_found_and_a_little_lower_something_is(
     assert is_met.mean() > 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hills", [False, True])
 def test_the_way_to_an_item_needs_what_places_along_it_need(hills):
     """Each metre of legs that do not lead through home is flown to alone, and judged from there."""
@@ -134,6 +136,7 @@ def test_the_way_to_an_item_needs_what_places_along_it_need(hills):
     assert num_more >= 3
 
 
+@pytest.mark.slow
 def test_by_cells_the_way_home_clears_what_the_ground_may_be_off_too():
     maps, _ = scene_of(hills=True)
     home, *places = places_of(maps, 17, 41)
@@ -144,6 +147,7 @@ def test_by_cells_the_way_home_clears_what_the_ground_may_be_off_too():
     assert judged(maps, None, ways_home(home, places, least_m - 10.0)).state != "clean"
 
 
+@pytest.mark.slow
 def test_points_along_the_way_home_clear_every_outline_by_the_clearances():
     maps, city = scene_of(hills=False)
     home, *places = places_of(maps, 11, 61)
@@ -180,6 +184,7 @@ def test_a_guessed_roof_is_cleared_by_its_bound_and_without_one_nothing_is_known
             )
 
 
+@pytest.mark.slow
 def test_a_line_that_leaves_the_maps_has_no_altitude():
     maps, city = scene_of(hills=True)
     inside, home = places_of(maps, 5, 2)

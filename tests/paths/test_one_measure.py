@@ -43,6 +43,7 @@ def routes_on(maps, num: int):
             yield path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["town", "hills"])
 def test_a_route_is_as_long_as_near_as_risky_and_as_costly_by_whatever_door(
     name, request, tmp_path

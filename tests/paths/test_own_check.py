@@ -76,6 +76,7 @@ def is_roof(maps) -> np.ndarray:
     return maps.is_free(ALTITUDE_M) & (maps.m("roof") > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planner", ["astar-plus", "theta-star"])
 def test_what_is_written_meets_no_roof_and_what_is_refused_does(town, city, tmp_path, planner):
     rng = np.random.default_rng(4)
@@ -195,6 +196,7 @@ def test_a_mission_says_how_it_was_checked(town, tmp_path):
         assert words in json.loads((tmp_path / "x.plan").read_text())["note"]
 
 
+@pytest.mark.slow
 def test_the_command_moves_ends_to_the_ground_and_keeps_other_files(folder, tmp_path, capsys):
     maps = ju.open_maps(folder)
     roof, goal = np.argwhere(is_roof(maps))[50], np.argwhere(maps.m("roof_touched") == 0)[-10]

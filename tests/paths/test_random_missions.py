@@ -41,6 +41,7 @@ def assert_lawful(trial: Trial) -> None:
     assert not trial.ruling.invented, f"{trial.ruling.invented}; {about}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, NUM_QUICK, 20))
 def test_random_missions_keep_the_law(court, first):
     trials = [court.trial(number) for number in range(first, first + 20)]

@@ -48,10 +48,8 @@ def command(capsys, folder, *options):
     return json.loads(out)
 
 
-@pytest.mark.parametrize(
-    ("planning", "preset"),
-    [*PLANNING[:3], *(pytest.param(*each, marks=pytest.mark.slow) for each in PLANNING[3:])],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("planning", "preset"), PLANNING)
 def test_python_plans_over_a_folder_as_the_command_does(planning, preset, tmp_path, capsys):
     weights = ju.Weights(distance=0.02, gps=3.0, risk=0.5).to_dict()
     folder = folder_of(
@@ -199,6 +197,7 @@ PLANNINGS = st.fixed_dictionaries(
 )
 
 
+@pytest.mark.slow
 @given(PLANNINGS, st.sampled_from(["", "paper"]))
 @settings(max_examples=25, deadline=None)
 def test_equal_settings_plan_equally_under_every_preset_and_after_replace(named, preset):

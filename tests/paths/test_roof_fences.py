@@ -99,6 +99,7 @@ def fences_within_limits(path):
     return None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_again", [True, False])
 def test_fences_cover_the_roofs_that_reach_the_flight_and_keep_off_it(
     is_again, reader, monkeypatch, tmp_path

@@ -122,6 +122,7 @@ def test_a_path_between_levels_keeps_its_climbs_and_its_report(maps):
     assert simple.cost_by_layer["climb"] == pytest.approx(path.cost_by_layer["climb"])
 
 
+@pytest.mark.slow
 def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps, tmp_path, capsys):
     maps.save(tmp_path / "maps")
     start, goal = (place[:2] for place in ends_of(maps))

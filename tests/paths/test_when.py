@@ -58,6 +58,7 @@ def longest_m(report: ju.RouteReport) -> float:
     return max((part[-1]["to_m"] - part[0]["from_m"] for part in stretches), default=0.0)
 
 
+@pytest.mark.slow
 def test_the_table_is_that_of_a_plan_at_each_time(maps, pairs, departures):
     times = [*itertools.product(maps.times, maps.times_of_day)]
     assert [*departures.table[["time", "time_of_day"]].itertuples(index=False, name=None)] == times
@@ -202,6 +203,7 @@ def test_a_strip_without_a_stretch_without_a_fix_has_no_panel_for_it(maps, depar
     assert "no flight without a fix is known" in " ".join(figure._supxlabel.get_text().split())
 
 
+@pytest.mark.slow
 def test_the_command_prints_writes_and_draws_the_same(maps, pairs, tmp_path, capsys):
     folder = maps.save(tmp_path / "maps")
     start, goal = (",".join(map(str, place)) for place in pairs[0])

@@ -217,6 +217,7 @@ def test_room_that_is_too_small_grows_and_changes_nothing(monkeypatch):
     assert rooms[-1] > rooms[0] == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planner", ["bitstar-dist", "bitstar-plus"])
 def test_many_queries_take_the_batched_search_by_name_and_auto_does_not(monkeypatch, planner):
     problems = queries_on_one_map()

@@ -332,6 +332,7 @@ def test_a_crash_takes_the_place_of_its_path_and_no_search_begins_after_the_iter
     assert len(begun) <= 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cell", "line"])
 @pytest.mark.parametrize("connectivity", [4, 8])
 def test_tiles_are_exact_over_many_tiles_and_wide_spreads_whatever_runs_beside(kind, connectivity):
@@ -386,6 +387,7 @@ def test_landmarks_bound_the_cost_from_a_start_to_every_cell_of_a_tile_tighter_t
     assert bound.sum() > octile.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cell", "line"])
 def test_tiles_as_a_gpu_lowers_them_cost_what_sweeps_find(monkeypatch, kind):
     problem = random_problem(3, SHAPE, kind=kind)

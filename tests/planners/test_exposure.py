@@ -84,6 +84,7 @@ def check(seed, shape=(40, 40)):
     return len(costs)
 
 
+@pytest.mark.slow
 def test_paths_bounds_and_gaps_are_those_of_dijkstra_over_cells_and_exposures():
     assert sum(check(seed, (20, 24)) for seed in range(8)) > 10
 

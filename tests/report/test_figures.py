@@ -407,14 +407,8 @@ def test_scale_bar_is_as_long_as_it_says(rows, cols, resolution_m):
         np.testing.assert_allclose(np.diff(x_pixels, axis=0)[0], width, rtol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("width", "width_mm"),
-    [
-        ("column", 88.9),
-        pytest.param("page", 182.0, marks=pytest.mark.slow),
-        pytest.param(120, 120.0, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "width_mm"), [("column", 88.9), ("page", 182.0), (120, 120.0)])
 def test_a_file_is_as_wide_as_asked_and_its_text_stays_text(maps, tmp_path, width, width_mm):
     figure, again = (
         plotting.plot_metric(maps, "risk", altitude_m=60, width=width) for _ in range(2)

@@ -47,12 +47,11 @@ def covered(panel, boxes, marks: np.ndarray) -> list[str]:
     return [name for name, box in boxes if box.count_contains(middles)]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     version_info < (3, 11), reason="Matplotlib before 3.11 lets a polar panel's title meet its N"
 )
-@pytest.mark.parametrize(
-    ("num", "name"), [(45, "G{:02}"), pytest.param(45, "STARLINK-{:04}", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("num", "name"), [(45, "G{:02}"), (45, "STARLINK-{:04}")])
 def test_pictures_beside_a_receiver_can_be_read(num, name):
     of = agreement(num, name)
     pictures = {key: draw() for key, draw in satellite_figures(found(), of).items()}

@@ -12,15 +12,23 @@ from tests.drawn import PICTURES, Case, draw, functions
 from tests.pictures import faults
 from tests.report.test_legible import agreement
 
+SLOW = (
+    "metrics.plot_epochs",
+    "paths.plot_overview",
+    "receiver.plot_scatter",
+    "satellites.plot_displacement",
+    "satellites.plot_skies",
+)
+
 
 def cases() -> list:
-    """Return a case for each picture at each width that it has; the easy ones are slow."""
+    """Return a case for each picture at each width that it has; the easy ones are slow, and so are some others."""
     both = []
     for name in PICTURES:
         has_width = "width" in inspect.signature(functions()[name]).parameters
         for width in WIDTHS_MM if has_width else ("page",):
             for is_hard in (True, False):
-                marks = [] if is_hard else [pytest.mark.slow]
+                marks = [] if is_hard and name not in SLOW else [pytest.mark.slow]
                 label = f"{name}-{width}-{'hard' if is_hard else 'easy'}"
                 both.append(pytest.param(name, Case(is_hard, width), id=label, marks=marks))
     return both

@@ -116,6 +116,7 @@ def test_all_twelve_districts_are_there_and_commerce_is_in_the_south(city):
     )
 
 
+@pytest.mark.slow
 def test_island_streets_are_turned_29_degrees_clockwise_from_north(full_city):
     blocks = full_city.blocks
     on_island = blocks.district < OTHER_DISTRICT

@@ -56,6 +56,7 @@ def at_cells(made: ju.MetricMaps, num: int, seed: int) -> tuple[np.ndarray, list
     return cells, [ju.XY(*xy) for xy in zip(*made.grid.xy_of_cell(*cells), strict=True)]
 
 
+@pytest.mark.slow
 def test_at_centres_the_answer_by_the_map_is_the_maps():
     (rows, cols), centres = at_cells(maps(), 4, seed=0)
     for row, col, centre in zip(rows, cols, centres, strict=True):
@@ -69,6 +70,7 @@ def test_at_centres_the_answer_by_the_map_is_the_maps():
     )
 
 
+@pytest.mark.slow
 def test_a_roof_hides_what_is_below_its_edge_and_is_named():
     here = ju.sky(city(), MIDDLE, 20.0, gps=GPS)
     table = here.table

@@ -79,7 +79,13 @@ def test_new_weights_change_the_record_and_not_its_times(job):
 
 @pytest.mark.parametrize(
     ("part", "least"),
-    [("maps.zarr/**/[0-9]*", 20), ("maps.zarr/**/.z*", 40), ("geotiff/*", 6), ("run.json", 1)],
+    [
+        ("run.json", 1),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in (("maps.zarr/**/[0-9]*", 20), ("maps.zarr/**/.z*", 40), ("geotiff/*", 6))
+        ),
+    ],
 )
 def test_damage_to_every_file_of_a_kind_is_told_and_mended(job, part, least):
     """Files are deleted, cut and flipped by turns; `test_interrupted` damages one at a time."""

@@ -51,6 +51,7 @@ def test_other_code_settings_or_another_device_make_maps_stale_and_weights_do_no
     assert record.run_key(job_of(), {}, on) != key
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("are_saved", [False, True])
 def test_maps_that_came_while_another_run_read_its_city_are_not_replaced(
     are_saved, tmp_path, monkeypatch
@@ -168,6 +169,7 @@ def test_a_changed_scenario_is_refused_with_both_differences_and_a_new_folder(jo
     assert files_of(job) == before
 
 
+@pytest.mark.slow
 def test_saved_maps_have_the_record_of_their_own_run_or_none(job, tmp_path):
     made = pipeline.run_scenario(job_of(weights={"gps": 7}), job).maps[20.0]
     made.save(tmp_path / "copy")
@@ -178,6 +180,7 @@ def test_saved_maps_have_the_record_of_their_own_run_or_none(job, tmp_path):
     assert settings_of(job) == {}
 
 
+@pytest.mark.slow
 def test_open_maps_refuse_to_read_those_of_another_run_or_that_were_saved_over_them(job, tmp_path):
     folders = job, *(shutil.copytree(job, tmp_path / name) for name in ("swapped", "saved"))
     maps, swapped, saved = map(ju.open_maps, folders)
@@ -210,6 +213,7 @@ def test_spreads_are_not_taken_for_statistics_over_time(tmp_path):
     assert not list((tmp_path / "geotiff").glob("gps_p05*"))
 
 
+@pytest.mark.slow
 def test_people_from_a_raster_and_every_credit_reach_the_files_and_a_region_beyond_the_data_warns(
     tmp_path, capsys
 ):

@@ -85,6 +85,7 @@ def test_the_table_agrees_with_finite_differences_of_the_soft_cost_and_is_writte
     assert table.lat.between(lat - 0.02, lat + 0.02).all()
 
 
+@pytest.mark.slow
 def test_other_sources_than_those_of_the_maps_are_refused(folder, route, tmp_path):
     record = json.loads((folder / RUN_FILE).read_text())
     record["inputs"]["orbits"] = {"path": "sky.tle", "sha256": "0"}
@@ -99,6 +100,7 @@ def test_other_sources_than_those_of_the_maps_are_refused(folder, route, tmp_pat
         write_buildings(tmp_path, route, tmp_path)
 
 
+@pytest.mark.slow
 def test_other_routes_weights_and_altitudes_are_refused(folder, route, task, tmp_path):
     soft, params = soften(task), SoftParams(25.0, 2.0)
     nowhere = replace(route, status=type(route.status).NO_PATH)

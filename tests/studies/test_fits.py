@@ -138,6 +138,7 @@ def test_the_weight_of_a_constant_layer_is_said_to_be_unknown_and_bends_no_other
         assert fit.weights.risk == 0
 
 
+@pytest.mark.slow
 def test_two_layers_that_are_one_cannot_be_told_apart(small):
     _, fit = fitted(ju.MetricMaps(small.ds.assign(risk=small.ds["lidar"])), max_rounds=3)
     sentence = "The weights of lidar and risk cannot be distinguished: competing routes trade them at one rate."
@@ -196,6 +197,7 @@ def found(spoilt):
     return compare_fits({"Aton": spoilt[:NUM], "Beton": spoilt[NUM:]}, bootstrap=20)
 
 
+@pytest.mark.slow
 def test_a_fit_of_routes_that_turn_one_corner_says_first_that_they_do_not_follow_the_metrics(small):
     unit = ju.cost_map(small, 60.0)
     corners = [((k, 1), (k, 30), (33, 30)) for k in range(1, 17)]

@@ -149,6 +149,7 @@ def test_a_planner_that_kills_its_worker_costs_its_own_rows_alone(folders, study
     assert any("killed again and again" in row["note"] for row in rows.values())
 
 
+@pytest.mark.slow
 def test_the_report_holds_every_table_figure_and_sentence(study, tmp_path):
     report = study.save(tmp_path)[-1].read_text()
     assert "Weights: those of each route (`instances.parquet`). Obstacles: touched." in report

@@ -70,11 +70,13 @@ def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
     assert len(made) > 1
 
 
+@pytest.mark.slow
 def test_legs_change_no_value(monkeypatch):
     monkeypatch.setattr(maps_track, "LEG_CELLS", 100)
     pd.testing.assert_frame_equal(validated(drive().assign(num_tracked=5)).epochs, seen().epochs)
 
 
+@pytest.mark.slow
 def test_a_receiver_that_tracks_what_is_in_view_scores_above_every_shift():
     of = score(found())
     assert of.within > 0.7
@@ -92,6 +94,7 @@ def test_a_shuffled_log_scores_nothing():
     assert min(of.within_p, of.spearman_p) > 0.05
 
 
+@pytest.mark.slow
 def test_quarters_alone_score_over_the_whole_track_and_not_within_blocks():
     """A receiver that knows how many are in view in the quarter, and nothing of the street."""
     pieces = (

@@ -259,6 +259,7 @@ def test_a_draw_has_its_peak_where_it_is_highest_and_none_where_nothing_is_known
     )
 
 
+@pytest.mark.slow
 def test_blocks_without_a_row_are_none():
     block, weights = drawn_blocks(np.array([7, 3, 7, 90]), seed=0)
     np.testing.assert_array_equal(block, [1, 0, 1, 2])
@@ -386,6 +387,7 @@ def test_shifted_and_swapped_predictions_are_seldom_praised():
     assert sum(praised) <= FALSE_PRAISE
 
 
+@pytest.mark.slow
 def test_the_horizon_of_a_place_is_that_of_its_sky():
     city, mask_deg = load_city(scenario()), scenario().gps.mask_deg
     for of in found().satellites.skies:

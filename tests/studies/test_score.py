@@ -254,6 +254,7 @@ def test_a_board_keeps_other_methods_and_replaces_the_lines_of_the_same(bench, t
     assert table.read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_an_outside_planner_that_reads_the_files_alone_meets_every_bound_of_the_grid(tmp_path):
     maps = {"town": made_maps(24, 30)}
     first, again, _ = (

@@ -346,6 +346,7 @@ def test_it_shows_what_each_weight_does_its_report_every_file_and_its_figures_th
         replace(found, settings=replace(found.settings, tolerance=0.1)).save(tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_the_command_prints_json_and_tells_a_start_that_was_moved_there_and_in_the_report(
     crossed, command, tmp_path
 ):

@@ -89,6 +89,7 @@ def test_rows_are_what_planning_under_each_weight_gives(folders, weight_study):
                 assert row[f"regret_{side}:{name}"] == pytest.approx(cost / best.cost - 1, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_elasticities_sum_to_one_and_a_route_that_no_factor_changes_has_no_regret(weight_study):
     weights = weight_study.tables["weights"]
     np.testing.assert_allclose(weights.groupby(KEY).elasticity.sum(), 1.0)
@@ -429,6 +430,7 @@ def test_routes_on_maps_of_another_parameter_are_those_planned_on_maps_built_wit
     assert rows.is_other.sum() > 0
 
 
+@pytest.mark.slow
 def test_every_number_that_metrics_have_a_gradient_by_is_halved_and_doubled_or_it_is_said_why_not(
     of_parameters,
 ):

@@ -37,6 +37,7 @@ def costs_of(shown):
     return [each.features @ HIDDEN.vector(each.query.names) for each in shown]
 
 
+@pytest.mark.slow
 def test_a_study_gives_the_routes_of_its_planners_at_their_own_costs(study):
     for planner, most, mean in (
         ("astar-plus", 1e-9, 1e-9),

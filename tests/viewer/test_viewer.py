@@ -255,6 +255,7 @@ def test_holes_of_outlines_run_against_their_outer_rings():
         assert turns[0] != turns[1]
 
 
+@pytest.mark.slow
 def test_outlines_and_skies_are_of_moved_files_where_their_folder_is_named(
     tmp_path, capsys, caplog
 ):

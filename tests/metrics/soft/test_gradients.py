@@ -69,6 +69,7 @@ def apart(name, softness_m, z_m=ALTITUDE_M):
     return jnp.abs(soft_map(name, softness_m=softness_m, altitude_m=z_m) - exact)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BY_CASE)
 def test_derivatives_equal_central_differences_and_float32_keeps_the_values(name):
     with jax.enable_x64(True):
@@ -97,6 +98,7 @@ def test_float32_keeps_slopes_of_gps_to_1e_3_of_the_largest():
         np.testing.assert_allclose(found[name], slope, atol=1e-3 * np.abs(slope).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BY_CASE)
 def test_one_program_serves_all_altitudes_limits_softnesses_heights_and_skies(name):
     case = CASES[name]
@@ -228,6 +230,7 @@ def test_of_risk_a_roof_above_the_altitude_has_no_gradient_and_one_below_brings_
     assert (slope[::2] < 0).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("num", "wall_m"), [(0, 0.0), (9, 5000.0)])
 def test_where_no_satellite_is_there_or_seen_m_and_its_slopes_are_0_and_not_nan(num, wall_m):
     with jax.enable_x64(True):

@@ -83,6 +83,7 @@ def chances(margin_m):
     return 1 / (1 + np.exp(0.19 - 0.64 * np.sign(cut_m) * np.log(1 + np.abs(cut_m) / 2)))
 
 
+@pytest.mark.slow
 def test_the_curve_has_the_chances_of_the_study_and_their_slopes_by_the_margin_at_the_edge_too():
     margin_m = np.array(
         [-np.inf, -1e30, -60.0, -40.0, -1.0, -1e-9, 0.0, 1e-9, 1.0, 40.0, 60.0, 1e30, np.inf]
