@@ -95,7 +95,7 @@ def test_no_text_is_cut_or_over_another_and_the_map_takes_half_of_each_screen(br
             page.mouse.click(*middle_of(page, cell))
         settle(page)
         check()
-        assert all(is_in_sight(page, each) for each in BUTTONS if screen is not PHONE)
+        until(page, lambda: all(is_in_sight(page, each) for each in BUTTONS if screen is not PHONE))
         report = page.locator("text=Report by segment")
         report.click()
         report.scroll_into_view_if_needed()
@@ -153,9 +153,9 @@ def test_touch_alone_opens_the_sheet_plans_a_route_and_a_zone_moves_the_map_and_
         assert not is_open()
         x, y = (100, page.locator("header").bounding_box()["y"] + 20)
         hand.move([(x, y), (x, y - 100)])
-        assert is_open()
+        until(page, is_open)
         hand.tap_on('[data-do="sheet"]')
-        assert not is_open()
+        until(page, lambda: not is_open())
 
         hand.tap_on('[data-tab="plan"]')
         for cell in (START, GOAL):
@@ -163,8 +163,8 @@ def test_touch_alone_opens_the_sheet_plans_a_route_and_a_zone_moves_the_map_and_
             hand.tap(middle_of(page, cell))
         settle(page)
         assert "cost" in page.locator(".jv-route").inner_text()
-        assert is_in_sight(page, ".jv-route")
-        assert is_in_sight(page, '[data-is="cautions"] p >> nth=0')
+        until(page, lambda: is_in_sight(page, ".jv-route"))
+        until(page, lambda: is_in_sight(page, '[data-is="cautions"] p >> nth=0'))
         first = route_of(page)["geometry"]["coordinates"]
 
         hand.tap_on('[data-do="zone"]')
@@ -190,9 +190,9 @@ def test_touch_alone_opens_the_sheet_plans_a_route_and_a_zone_moves_the_map_and_
         box, before = page.locator(".jv-map").bounding_box(), metres_per_pixel(page)
         x, y = box["x"] + 150, box["y"] + 160
         hand.move([(x - 30, y), (x - 60, y)], [(x + 30, y), (x + 60, y)])
-        assert math.isclose(metres_per_pixel(page), before / 2, rel_tol=0.03)
+        until(page, lambda: math.isclose(metres_per_pixel(page), before / 2, rel_tol=0.03))
         hand.move([(x - 60, y), (x - 30, y)], [(x + 60, y), (x + 30, y)])
-        assert math.isclose(metres_per_pixel(page), before, rel_tol=0.03)
+        until(page, lambda: math.isclose(metres_per_pixel(page), before, rel_tol=0.03))
         hand.move([(x, y), (x, y + 50)])
         assert route_of(page)["geometry"]["coordinates"] == third  # none of these set an end
 
@@ -201,7 +201,7 @@ def test_touch_alone_opens_the_sheet_plans_a_route_and_a_zone_moves_the_map_and_
         hand.rest(middle_of(page, cell))
         values = page.locator('[data-is="values"]')
         until(page, lambda: values.get_attribute("data-cell") == f"{cell[0]} {cell[1]}")
-        assert is_in_sight(page, '[data-is="values"] tr >> nth=0')
+        until(page, lambda: is_in_sight(page, '[data-is="values"] tr >> nth=0'))
         gps = page.locator('[data-layer="gps"]').get_attribute("data-value")
         assert float(gps) == float(MAPS.m("gps", 20.0)[tuple(cell)])
 
