@@ -12,7 +12,7 @@ from jaxurban.io.geotiff import write_bands
 from jaxurban.io.read.guesses import percent
 from jaxurban.kernels.line.homeward import highest_homeward
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
-from jaxurban.paths.autopilots import parameter_lines
+from jaxurban.paths.autopilots import parameter_lines, typed_m
 from jaxurban.paths.clearance import highest_within, reaches_m
 from jaxurban.paths.constraints import Constraints, describe_constraints
 from jaxurban.paths.elevation import Elevation
@@ -88,18 +88,19 @@ class ReturnAltitude(FactsRepr):
 
     @property
     def sentence(self) -> str:
-        """What one altitude clears."""
+        """What one altitude clears, in whole metres, rounded up as they are typed."""
+        whole = {name: typed_m(figure_m) for name, figure_m in self.figures.items()}
         return (
-            "A return at {highest_m:.1f} m above the ground at home clears all that stands from every cell with a "
-            "value, at {within_500_m:.1f} m from those within 500 m of home, at {within_1000_m:.1f} m within 1 km."
-        ).format_map(self.figures)
+            "A return at {highest_m} m above the ground at home clears all that stands from every cell with a "
+            "value, at {within_500_m} m from those within 500 m of home, at {within_1000_m} m within 1 km."
+        ).format_map(whole)
 
     @property
     def facts(self) -> dict[str, str]:
         """What one altitude clears, what is kept, and what to type into autopilots to clear all cells."""
         typed = [line.split(": ", 1) for line in parameter_lines(self.figures["highest_m"])]
         kept = describe_constraints(self.limits.to_dict())
-        median = "{median_m:.1f} m".format_map(self.figures)
+        median = "{median_m:.0f} m".format_map(self.figures)
         return {"clears": self.sentence, "median of cells": median, "kept": kept, **dict(typed)}
 
     @property
