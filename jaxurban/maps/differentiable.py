@@ -203,9 +203,9 @@ class SoftCity(FactsRepr):
     ) -> Float[Array, "L y x"] | Float[Array, "L P"]:
         """Return the soft cost layers c_j, not weighted, on the region ``[L, y, x]`` or at chosen cells ``[L, P]``.
 
-        Differentiable in ``height_m`` and every leaf of ``params``, as docs/algorithms/gradients.md says. Runs
-        under `jax.jit` and `jax.vmap`, with no new program for other values. The layers do not say where nobody may
-        fly: obstacles are a constraint of the planner, not a cost.
+        Differentiable in ``height_m`` and every leaf of ``params``. Runs under `jax.jit` and `jax.vmap`, with no new
+        program for other values. The layers do not say where nobody may fly: obstacles are a constraint of the
+        planner, not a cost.
 
         Args:
           height_m: ``[B]`` building heights, such as `height_m` of this city.

@@ -58,7 +58,7 @@ class ReceptionCurve:
         """Return the curve of one drive: the chance that a u-blox in a car received 35 dBHz or more.
 
         It is fitted to 251 s in Nihonbashi, Tokyo. In another city it kept the order and the ends, but said 0.44 near
-        the edge where the share was 0.82. No flight has validated it (docs/algorithms/gradients.md).
+        the edge where the share was 0.82. No flight has validated it.
 
         Returns:
           The curve, its log as the source.

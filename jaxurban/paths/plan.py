@@ -252,8 +252,7 @@ def plan(
       altitude_m: within the range of the maps' altitudes; between two of them metrics are taken linearly from both,
         which the path's message says, and obstacles from the roofs' own heights. Or `Levels`, for a path that may climb
         and descend on its way. It costs the metrics of the cells it enters, its length in space, and each metre of
-        climb and descent (docs/algorithms/search.md); 8 neighbours are 26 there. ``objective="distance"`` leaves
-        climb and descent out too.
+        climb and descent; 8 neighbours are 26 there. ``objective="distance"`` leaves climb and descent out too.
       start_xy_m, goal_xy_m: easting, northing in the maps' CRS (and altitude), instead of ``start`` and ``goal``.
       weights: numbers by name, such as ``{"gps": 2.0}``: how much the distance (per metre) and each metric count.
       objective, cost_model, time, time_of_day, constraints, preset: which map, as in `cost_map`.

@@ -76,7 +76,7 @@ def building_costs(
 
     The route stays where it is: for an optimal route this is also the gradient of the optimal cost, as long as no other
     route becomes cheaper; for any other planner's route it is the gradient of that route's cost. Costs are those of the
-    soft maps (see docs/algorithms/gradients.md), whose softness says over how many metres a roof fades: the exact cost
+    soft maps, whose softness says over how many metres a roof fades: the exact cost
     changes by jumps, when a shadow's edge or a lidar beam passes a cell of the route.
 
     Only buildings with any effect are listed; a negative one means that more height helps (walls are landmarks for the
