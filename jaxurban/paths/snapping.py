@@ -223,8 +223,8 @@ def what_would_join(cost_map: "CostMap", start: Cell, goal: Cell) -> str:
             break
 
     others = "Finer maps"
-    if cost_map.constraints.keeps_clear:
-        others = "A smaller clearance or finer maps"
+    if str(cost_map.constraints):  # a zone, a bound or a clearance, which another sentence lists
+        others = "Looser constraints or finer maps"
     if "roof_guessed" in cost_map.maps.ds:
         others += ", or known heights of roofs that are guessed,"
     return f"{answer}{others} may join them too."

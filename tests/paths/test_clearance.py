@@ -304,7 +304,7 @@ def test_a_start_too_near_is_told_by_what_and_moved_on_request():
         assert ju.plan(maps, **at, constraints=constraints, snap=True).status is Status.OPTIMAL
 
 
-def test_no_path_names_the_clearance_among_what_may_join():
+def test_no_path_names_constraints_among_what_may_join():
     maps = scattered(12)
     roof_m = np.zeros(maps.grid.shape)
     roof_m[:, 25] = 80.0
@@ -316,11 +316,11 @@ def test_no_path_names_the_clearance_among_what_may_join():
     ]
     assert "Constraints were on (clearance of 6 m, vertical clearance of 3 m)" in message
     assert (
-        "not joined at a greater altitude of these maps. A smaller clearance or finer maps may join them"
+        "not joined at a greater altitude of these maps. Looser constraints or finer maps may join them"
         in message
     )
     between = plan_volume(walled, **ends, constraints=constraints).to_dict()["message"]
-    assert "A smaller clearance or finer maps may join them" in between
+    assert "Looser constraints or finer maps may join them" in between
     assert ju.plan(walled, **ends, altitude_m=ALTITUDE_M).status is Status.OPTIMAL
 
 
