@@ -20,11 +20,13 @@ from jaxurban.report.figures.style import chart, letter_all, styled
 from jaxurban.report.write import write_picture
 
 FILE = Path(__file__).with_suffix(".png")
-ROOF, COLOURS, LEVELS_M = "#8a8a8a", "plasma", (10.0, 40.0)
-AT = 0.3  # share of a path at which its letter stands
+ROOF, COLOURS, LEVELS_M = "#8a8a8a", "plasma", (10.0, 60.0)
+# Shares of each path at which its letter stands: from above, and in the profile.
+AT = {"A": (0.3, 0.6), "B": (0.6, 0.85)}
+SHOWN = np.s_[:160, :180]  # of the synthetic city's rows and columns
 CIRCLE = {"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.8}
 LETTER = {"size": 9, "weight": "bold", "ha": "center", "va": "center", "bbox": CIRCLE, "zorder": 6}
-START_M, GOAL_M = np.array([200.0, 130.0]), np.array([800.0, 620.0])  # in the synthetic city
+START_M, GOAL_M = np.array([280.0, 260.0]), np.array([695.0, 440.0])  # in the synthetic city
 
 
 def wall() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
@@ -58,7 +60,7 @@ def city() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
         print(
             f"climb cost {climb_cost:g}: cost {path.cost:.1f}, {path.length_m:.0f} m, up to {path.z_m.max():g} m"
         )
-    return maps.m("roof"), grid.resolution_m, paths, volume.altitudes_m
+    return maps.m("roof")[SHOWN], grid.resolution_m, paths, volume.altitudes_m
 
 
 def draw_plan(panel: Axes, roof_m: np.ndarray, resolution_m: float, paths, norm: Normalize) -> None:
@@ -75,12 +77,13 @@ def draw_plan(panel: Axes, roof_m: np.ndarray, resolution_m: float, paths, norm:
         panel.add_collection(
             LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.8, zorder=3)
         )
-        panel.text(*points[round(AT * len(points)), :2], letter, **LETTER)
+        panel.text(*points[round(AT[letter][0] * len(points)), :2], letter, **LETTER)
     ends = next(iter(paths.values()))[[0, -1], :2]
     panel.plot(*ends[0], "o", color="white", markeredgecolor="black", markersize=7, zorder=5)
     panel.plot(*ends[1], "*", color="white", markeredgecolor="black", markersize=13, zorder=5)
     panel.set(
         aspect="equal",
+        anchor="N",  # its title is as high as that beside it
         xlim=(0, size_m[0]),
         ylim=(0, size_m[1]),
         xlabel="east (m)",
@@ -113,11 +116,8 @@ def draw_profile(
         length_m = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
         facts = f"{letter}: {label}; {length_m:,.0f} m flown, {climbed_m:.0f} m climbed"
         panel.plot([], [], " ", label=facts)
-        place_m = (
-            along_m[0] + 0.85 * along_m[-1],
-            np.interp(0.85 * along_m[-1], along_m, points[:, 2]),
-        )
-        panel.text(*place_m, letter, **LETTER)
+        place_m = AT[letter][1] * along_m[-1]
+        panel.text(place_m, np.interp(place_m, along_m, points[:, 2]), letter, **LETTER)
     panel.legend(loc="upper left", handlelength=1.2)
 
 
