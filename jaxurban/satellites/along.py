@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.checks import positive, typed
+from jaxurban.checks import one_of, positive, typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.orbits import rinex_name
 from jaxurban.io.read.tracks import ALTITUDE, CN0, LAT, LON, SATELLITE, UTC, track_of
@@ -65,6 +65,20 @@ class SkyAt(FactsRepr):
     def times(self) -> tuple[str, ...]:
         """The times, UTC."""
         return tuple(self.dops["time"])
+
+    def at(self, time: str) -> "SkyAt":
+        """Return the sky at one of its times, of which alone the cautions speak.
+
+        Raises:
+          InputError: no such time.
+
+        Examples:
+          >>> here = ju.sky(city, (-73.971, 40.7795), 20.0)
+          >>> here.at(here.times[0]).facts["satellites"]
+          '1 seen, 0 hidden, 6 unknown'
+        """
+        one_of("time", time, self.times)
+        return sky_from(self._sight, self.lonlat, self.altitude_m, time=time, by=self.by)
 
     @property
     def facts(self) -> dict[str, str]:

@@ -304,5 +304,6 @@ def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caut
     }
     for fault, has_fault in faults.items():
         if has_fault.any():
-            cautions.append(Caution(f"{has_fault.sum()} of {num} rows are {fault}.", "limit"))
+            which = "The place is" if num == 1 else f"{has_fault.sum()} of {num} rows are"
+            cautions.append(Caution(f"{which} {fault}.", "limit"))
     return cautions

@@ -9,7 +9,6 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
-from jaxurban.errors import InputError
 from jaxurban.report.figures.frame import joined, time_said
 from jaxurban.report.figures.style import (
     INK,
@@ -51,24 +50,23 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
     Raises:
       InputError: no such time.
     """
-    # The figure with its heading and note.
+    # The figure with its heading and note, which counts what is drawn.
     time = of.times[0] if time is None else time
-    if time not in of.times:
-        raise InputError(f"time must be one of {', '.join(of.times)}, got {time!r}")
+    if of.times != (time,):
+        of = of.at(time)
     lon, lat = of.lonlat
     methods = {
         "outlines": "exact outlines",
         "map": "satellites by the map's cell, horizon by outlines",
     }
-    counted = f"times counted below: {len(of.times)}"
-    note = [joined(time_said(time), methods[of.by], of.attribution, counted), *of.cautions]
+    note = [joined(time_said(time), methods[of.by], of.attribution), *of.cautions]
     heading = f"The sky {of.altitude_m:g} m above ground at {lon:.5f}, {lat:.5f}"
     figure = chart(SKY * inches(width) + KEY_IN, heading, "\n".join(note), width)
     panel: Any = figure.add_subplot(projection="polar")
     draw_horizon(panel, of.horizon_deg)
 
     # The satellites at that time: a marker and a colour for each system, a look for each state.
-    now = of.table[of.table["time"] == time]
+    now = of.table
     systems = enumerate(dict.fromkeys(now["system"]))
     for (number, system), (state, state_look) in product(systems, LOOKS.items()):
         rows = now[(now["system"] == system) & (now["state"] == state)]
