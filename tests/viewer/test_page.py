@@ -478,6 +478,17 @@ def test_a_click_shows_the_sky_over_the_place_and_another_altitude_shows_that_of
         page.wait_for_selector(".jv-sky")
 
 
+def test_a_sky_that_is_refused_says_so_where_it_would_stand_and_nothing_while_planning(browser):
+    with shown(browser, Viewer(MAPS), is_well=False) as page:
+        corner = page.locator('[data-is="map"]').bounding_box()
+        page.mouse.click(corner["x"] + corner["width"] / 2, corner["y"] + corner["height"] / 2)
+        sky = page.locator('[data-is="sky"]')
+        until(page, lambda: "made in memory" in sky.inner_text())
+        until(page, lambda: page.locator('[data-is="tell"]').inner_text() == "")
+        page.click('[data-tab="plan"]')
+        assert not sky.is_visible()
+
+
 def test_the_keyboard_alone_plans_a_route(page):
     page.click('[data-tab="plan"]')
     page.click('[data-do="clear"]')

@@ -163,15 +163,13 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     if (state.sky) tell(follows);
     const sky = state.sky && ask('sky', { at: places(), place: toLonLat(state.sky) });
     is('sky').innerHTML = await Promise.resolve(sky).catch(error => {
-      is('sky').innerHTML = ''; // what it holds is of another place
-      throw error;
+      is('sky').textContent = error.message; // in place of what it holds, which is of another place
+      if (error.isOld) throw error;
+      return is('sky').innerHTML;
     }) ?? '';
     if (is('tell').textContent === follows) tell('');
   });
-  const setEnd = (name, place) => {
-    state.ends[name] = place;
-    delete state.marks[name];
-  };
+  const setEnd = (name, place) => { state.ends[name] = place; delete state.marks[name]; };
   const fingers = new Map(); // on the map, or the mouse's button: where they are
   const grip = () => { // their middle, and how far they are from it
     const points = [...fingers.values()];
@@ -181,8 +179,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const endAt = (at, reach) => state.tab === 'plan' && !state.drawing && Object.keys(state.ends).find(name =>
     Math.hypot(...toPixel(markOf(name)).map((pixel, k) => pixel - at[k])) < reach);
   const showValues = place => { // of the cell below a finger that rests
-    state.drag.isMoved = true;
-    state.drag.end = null;
+    Object.assign(state.drag, { isMoved: true, end: null });
     choose('look');
     point(place);
     reveal(is('values'));
@@ -358,14 +355,11 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
       map.focus({ preventScroll: true });
       hint();
     },
-    sheet: () => open(sheet.ariaExpanded === 'false'),
+    sheet: () => open(sheet.ariaExpanded === 'false'), reload: () => window.location.reload(),
     'save-zones': () => download(zones(), 'zones.geojson'),
     clear: () => { Object.assign(state, { ends: {}, zones: [], drawing: null }); tell(''); showRoutes([]); plan(); },
-    closer: () => view.zoom(0.7),
-    farther: () => view.zoom(1 / 0.7),
-    fit: () => view.fit(),
+    closer: () => view.zoom(0.7), farther: () => view.zoom(1 / 0.7), fit: () => view.fit(),
     reset: () => { state.sky = null; restore(first); between(); show(); showSky(); actions.clear(); actions.fit(); },
-    reload: () => window.location.reload(),
     copy: () => navigator.clipboard.writeText(is('command').textContent),
   };
   for (const [name, html] of Object.entries(scene.html)) (is(name) ?? field(name)).innerHTML = html;
