@@ -69,6 +69,9 @@ class SkyAt(FactsRepr):
     def at(self, time: str) -> "SkyAt":
         """Return the sky at one of its times, of which alone the cautions speak.
 
+        Returns:
+          `SkyAt` with the rows of that time.
+
         Raises:
           InputError: no such time.
 
@@ -174,9 +177,9 @@ def sky_from(
     utc = np.array(look.sky.times)
     look.rows.insert(0, "time", utc[look.epoch])
     look.dops.insert(0, "time", utc)
-    lon, lat = sight.region.lonlat_of_xy(*xy_m[:, 0].tolist())
+    lonlat = sight.region.lonlat_of_xy(*xy_m[:, 0].tolist())
     credit = sight.city.attribution
-    return SkyAt((lon, lat), altitude_m, by, look.rows, look.dops, cautions, credit, sight)
+    return SkyAt(lonlat, altitude_m, by, look.rows, look.dops, cautions, credit, sight)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -299,7 +299,7 @@ def test_the_picture_fills_the_horizon_and_names_every_satellite():
     assert names == {name.removesuffix(" (nominal)").split()[-1] for name in now["satellite"]}
     labels = panel.get_legend_handles_labels()[1]
     assert labels == ["buildings", "GPS, seen", "GPS, hidden ✕"]
-    with pytest.raises(ju.InputError, match="time must be .* or "):
+    with pytest.raises(ju.InputError, match=r"time must be .* or "):
         plot_sky(here, "2020-04-27T18:00:00Z")
 
 
