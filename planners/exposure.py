@@ -278,28 +278,23 @@ def within_budgets(
     if not is_over and problem.levels_m is None and search.has_gap:
         num_labels, is_over = search.close(prices)
 
-    end = _end_of(search, num_labels, is_over, budgets)
+    status, note = _end_of(search, num_labels, is_over, budgets)
     best = search.best()
     num_expanded = sum(path.num_expanded for path in search.paths) + num_labels
     return Path.of(
         problem,
         np.empty(0) if best is None else best.points_m,
-        end.status,
+        status,
         np.inf if is_over else search.bound,
         begin_s + first.setup_s,
-        **first.ran | {"num_expanded": num_expanded, "note": end.note},
+        **first.ran | {"num_expanded": num_expanded, "note": note},
     )
 
 
-class _End(NamedTuple):
-    """How a search within budgets ended, and the sentence that says so."""
-
-    status: Status
-    note: str
-
-
-def _end_of(search: _Search, num_labels: int, is_over: bool, budgets: Mapping[str, float]) -> _End:
-    """Return how a search ended.
+def _end_of(
+    search: _Search, num_labels: int, is_over: bool, budgets: Mapping[str, float]
+) -> tuple[Status, str]:
+    """Return how a search within budgets ended, and the sentence that says so.
 
     Args:
       search: after its last search.
@@ -315,16 +310,15 @@ def _end_of(search: _Search, num_labels: int, is_over: bool, budgets: Mapping[st
         if best.cost * (1 - 2 * SAME_EXPOSURE) <= search.bound:
             status = Status.OPTIMAL
         counts = f"searches: {len(search.paths)}, labels: {num_labels:,}"
-        return _End(status, f"That is of the paths that keep {limits} ({counts}).")
+        return status, f"That is of the paths that keep {limits} ({counts})."
     if is_over:
         least = zip(budgets, search.least_exposures(), strict=True)
         exposures = ", ".join(f"{value:.10g} to {name}" for name, value in least)
         alone = " to each alone" if len(budgets) > 1 else ""
-        note = f"The least exposure that any path has{alone} is {exposures}."
-        return _End(Status.OVER_EXPOSURE, note)
+        return Status.OVER_EXPOSURE, f"The least exposure that any path has{alone} is {exposures}."
     remedy = "raise budget_s, or a budget of exposure" if is_spent else "raise a budget of exposure"
-    note = f"Whether any path keeps {limits} is not known: {remedy}."
-    return _End(Status.BUDGET_EMPTY if is_spent else Status.UNDECIDED, note)
+    status = Status.BUDGET_EMPTY if is_spent else Status.UNDECIDED
+    return status, f"Whether any path keeps {limits} is not known: {remedy}."
 
 
 @compiled()
