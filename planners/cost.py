@@ -285,12 +285,6 @@ def _is_way(problem: "Problem", is_free: np.ndarray, cut: Crossings) -> bool:
     )
 
 
-def _nodes_of(problem: "Problem", points_m: np.ndarray) -> np.ndarray:
-    """Return ``[N, 3]`` level, row and column of points."""
-    cells = np.floor(points_m[:, 1::-1] / problem.resolution_m).astype(np.int64)
-    return np.column_stack([np.searchsorted(problem.levels_m, points_m[:, 2]), cells])
-
-
 def _nodes_in(problem: "Problem", cut: Crossings) -> Index:
     """Return row and column (in a volume level first) of each part; of a step between levels half lies on either."""
     if problem.levels_m is None:
@@ -310,7 +304,9 @@ def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
       problem: a query in a volume.
       points_m: ``[N, 3]`` x, y, altitude, which is one of the levels.
     """
-    nodes = _nodes_of(problem, points_m)
+    # Level, row and column of the points.
+    cells = np.floor(points_m[:, 1::-1] / problem.resolution_m).astype(np.int64)
+    nodes = np.column_stack([np.searchsorted(problem.levels_m, points_m[:, 2]), cells])
     if (nodes < 0).any() or (nodes >= problem.is_free.shape).any():
         return False
 
