@@ -22,7 +22,7 @@ from jaxurban.kernels.search.heap import (
     drop_top,
     place,
 )
-from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status, index_of
+from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status, index_of, way_to
 from jaxurban.planners.bitstar.bounds import Bounds, cost_grid_of, make_bounds, reachable_cells
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.cost import sample_segment
@@ -98,7 +98,7 @@ def theta_star(
     lower_bound = np.inf
     num_expanded = 0
     is_reachable = reachable_cells(problem)
-    if is_reachable is not None:
+    if is_reachable[problem.goal]:
         bounds = make_bounds(heuristic, problem, is_reachable)
         cost_grid = cost_grid_of(problem, is_reachable)
         xy, num_expanded = _search(problem, cost_grid, bounds, begin_s + budget_s)
@@ -165,13 +165,7 @@ def _search(
         if time.perf_counter() >= end_s:
             break
 
-    # Follow the parents from the goal back.
-    path = []
-    node = goal
-    while node != NO_PARENT and ended == FOUND:
-        path.append(node)
-        node = int(nodes.parent[node])
-    cells = np.array(path[::-1], np.int64)
+    cells = np.array(way_to(goal, nodes.parent) if ended == FOUND else [], np.int64)
     return np.stack([cells % num_cols, cells // num_cols], axis=-1) + 0.5, num_expanded
 
 

@@ -12,6 +12,7 @@ from jaxurban.checks import positive
 from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
 from jaxurban.kernels.search.bounds import LandmarkBound, tile_minima
+from jaxurban.kernels.search.heap import NO_PARENT
 from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.kernels.tolerances import SAME_COST
 from jaxurban.planners.cost import CostModel, PathFeatures, allowed_moves, path_features
@@ -335,6 +336,14 @@ class Problem:
         if self.cache.tile_minima is None:
             self.cache.tile_minima = tile_minima(self.cost, self.is_free)
         return self.cache.tile_minima
+
+
+def way_to(node: int, parent: np.ndarray) -> list[int]:
+    """Return the nodes on the way to a node, itself included, from the first, whose parent is `NO_PARENT`."""
+    way = [node]
+    while parent[way[-1]] != NO_PARENT:
+        way.append(int(parent[way[-1]]))
+    return way[::-1]
 
 
 def index_of(problem: Problem, cell: Cell) -> int:

@@ -13,8 +13,8 @@ from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
 from jaxurban.kernels.search.heap import NO_PARENT
 from jaxurban.kernels.tolerances import CHEAPER, INSIDE, SAME_COST
-from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
-from jaxurban.planners.bitstar.bounds import cost_grid_of, make_bounds
+from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status, way_to
+from jaxurban.planners.bitstar.bounds import cost_grid_of, make_bounds, reachable_cells
 from jaxurban.planners.compiled_first import compiled_first
 
 # Cell sides that waypoints keep from borders, lest rounding puts them in the cell beyond.
@@ -61,8 +61,7 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
     # The map, of which only what the start is joined to counts, and the waypoints in cell sides.
     begin_s = time.perf_counter()
     end_s = begin_s + budget_s
-    islands = problem.islands
-    is_reachable = islands == islands[problem.start]
+    is_reachable = reachable_cells(problem)
     cost_grid = cost_grid_of(problem, is_reachable)
     # A point on the map's outer border belongs to no cell.
     xy = np.minimum(
@@ -191,10 +190,7 @@ def shortcut(cost_grid: CostGrid, xy: np.ndarray) -> np.ndarray:
     _weigh_shortcuts(cost_grid, xy, best, parent)
     if best[-1] == np.inf:
         return xy
-    kept = [len(xy) - 1]
-    while parent[kept[-1]] != NO_PARENT:
-        kept.append(parent[kept[-1]])
-    return xy[kept[::-1]]
+    return xy[way_to(len(xy) - 1, parent)]
 
 
 @compiled()

@@ -3,12 +3,12 @@
 import time
 
 import numpy as np
-import shapely
 
 from jaxurban.checks import positive
 from jaxurban.kernels.compiled import compiled, on_host
 from jaxurban.kernels.line.segment_cost import are_clear, is_clear
-from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.kernels.search.heap import NO_PARENT
+from jaxurban.planners.base import Path, Problem, Status, way_to
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.cost import level_parts
 from jaxurban.planners.refine import subdivided
@@ -136,12 +136,6 @@ def _fewest(
     return np.asarray(xy[fewest_legs(is_free, xy, tolerance, margin)])
 
 
-def farthest(before: np.ndarray, after: np.ndarray) -> float:
-    """Return the largest distance of the points of a path ``[N, 2]`` from the simplified path ``[W, 2]``."""
-    line = shapely.LineString(after if len(after) > 1 else np.repeat(after, 2, axis=0))
-    return float(shapely.distance(shapely.points(before), line).max())
-
-
 def _divided(xy: np.ndarray, is_far: np.ndarray) -> np.ndarray:
     """Return the points ``[N, 2]`` with others between them, `PART` apart, along each leg that is not clear.
 
@@ -261,13 +255,10 @@ def fewest_legs(is_free: np.ndarray, xy: np.ndarray, tolerance: float, margin: f
     num = len(xy)
     legs = np.full(num, num)
     squares = np.full(num, np.inf)
-    parent = np.zeros(num, np.int64)
+    parent = np.full(num, NO_PARENT)
     legs[0], squares[0] = 0, 0.0
     _weigh_legs(is_free, xy, tolerance, margin, legs, squares, parent)
-    kept = [num - 1]
-    while kept[-1] > 0:
-        kept.append(parent[kept[-1]])
-    return np.array(kept[::-1])
+    return np.array(way_to(num - 1, parent))
 
 
 @compiled()

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import shapely
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
@@ -14,12 +15,12 @@ from jaxurban.kernels.tolerances import SAME_EXPOSURE, SAME_PLACE_M
 from jaxurban.metrics.variables import ROOF_KIND
 from jaxurban.paths.constraints import describe_kept
 from jaxurban.paths.ground import ground_along
+from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import End
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import pocket_note, snap_note, what_would_join
 from jaxurban.planners.base import Path, Status
-from jaxurban.planners.simplify import farthest
 from jaxurban.planners.simplify import simplify as simplify_path
 from jaxurban.public import renamed_arguments
 
@@ -297,9 +298,10 @@ def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> P
         note = f"{planned.search.note} Not simplified to {tolerance_m:g} m, which would exceed {exceeded}."
         return replace(planned, search=replace(planned.search, note=note))
 
+    away_m = shapely.distance(shapely.points(points_m[:, :2]), line_of(simpler.points_m[:, :2]))
     note = (
         f"Simplified to {tolerance_m:g} m: {len(simpler.points_m)} of {len(points_m)} waypoints, at most "
-        f"{farthest(points_m[:, :2], simpler.points_m[:, :2]):.2f} m from the planned path; the weighted cost is "
+        f"{away_m.max():.2f} m from the planned path; the weighted cost is "
         f"{after['cost']:.3f}, before {planned.cost:.3f}."
     )
     search = replace(simpler, note=" ".join(filter(None, (simpler.note, note))))

@@ -174,12 +174,10 @@ def _entered_between(minima: np.ndarray, end: int) -> np.ndarray:
     return between
 
 
-def reachable_cells(problem: Problem) -> np.ndarray | None:
-    """Return ``[Y, X]`` bool the cells that paths off the grid may cross; None if no way joins start and goal."""
+def reachable_cells(problem: Problem) -> np.ndarray:
+    """Return ``[Y, X]`` bool the cells that paths off the grid from the start may cross; without a way not the goal."""
     islands = problem.islands
-    if islands[problem.start] == islands[problem.goal]:
-        return islands == islands[problem.start]
-    return None
+    return np.asarray(islands == islands[problem.start])
 
 
 def cost_grid_of(problem: Problem, is_reachable: np.ndarray) -> CostGrid:
@@ -267,10 +265,11 @@ class InformedSet:
         for _ in range(MAX_ROUNDS if self.cells.size else 0):
             if num_kept >= num_samples:
                 break
+            num_points = max(64, 2 * (num_samples - num_kept))
             if area < self.cells.size:
-                xy = self._in_ellipse(max(64, 2 * (num_samples - num_kept)), major, minor, rng)
+                xy = self._in_ellipse(num_points, major, minor, rng)
             else:
-                xy = self._in_cells(max(64, 2 * (num_samples - num_kept)), rng)
+                xy = self._in_cells(num_points, rng)
             if self.incumbent < np.inf and len(xy):
                 xy = xy[np.add(*self.bounds.from_start_and_to_goal(xy)) < self.incumbent]
             kept.append(xy)
@@ -313,14 +312,9 @@ class InformedSet:
         # Off the borders of cells, and only in reachable cells of the map.
         cell = np.floor(xy)
         xy = cell + np.clip(xy - cell, OFF_BORDER, 1 - OFF_BORDER)
-        col, row = cell.astype(np.int64).T
-        is_inside = (
-            (row >= 0)
-            & (row < self.is_reachable.shape[0])
-            & (col >= 0)
-            & (col < self.is_reachable.shape[1])
-        )
-        is_inside[is_inside] = self.is_reachable[row[is_inside], col[is_inside]]
+        is_inside = ((cell >= 0) & (cell < self.is_reachable.shape[::-1])).all(axis=1)
+        col, row = cell[is_inside].astype(np.int64).T
+        is_inside[is_inside] = self.is_reachable[row, col]
         return xy[is_inside]
 
 

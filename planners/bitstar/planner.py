@@ -23,6 +23,7 @@ from jaxurban.planners.bitstar.bounds import (
     cost_grid_of,
     graph_radius,
     make_bounds,
+    reachable_cells,
 )
 from jaxurban.planners.bitstar.tree import EDGE, NOT_COSTED, BatchGraph, Tree, advance
 from jaxurban.planners.compiled_first import compiled_first
@@ -126,13 +127,12 @@ class Batches:
           max_samples: limit of samples; None for no limit.
         """
         self.begin_s = time.perf_counter()
-        islands = problem.islands
         self.end_s = self.begin_s + budget_s
         self.max_samples = max_samples
         self.problem = problem
         self.options = options
         self._heuristic = heuristic
-        self.is_reachable = islands == islands[problem.start]
+        self.is_reachable = reachable_cells(problem)
         self.bounds: Bounds = make_bounds(heuristic, problem, self.is_reachable)
         self.tree = Tree.of_ends(self.bounds)
         self.radius = np.inf

@@ -16,6 +16,7 @@ from jaxurban.kernels.search.heap import (
     place,
 )
 from jaxurban.kernels.tolerances import SAME_COST
+from jaxurban.planners.base import way_to
 from jaxurban.planners.bitstar.bounds import Bounds
 
 SAMPLE, OLD, FRESH, EXPANDED = 0, 1, 2, 3  # a node's state; all but SAMPLE are in the tree
@@ -154,12 +155,8 @@ class Tree(NamedTuple):
 
     def path(self) -> np.ndarray:
         """Return the nodes of the tree's path to the goal, the start first; none where it is not in the tree."""
-        nodes = []
-        node = self.goal
-        while node != NO_PARENT and np.isfinite(self.g[self.goal]):
-            nodes.append(node)
-            node = int(self.parent[node])
-        return np.array(nodes[::-1], np.int64)
+        is_there = np.isfinite(self.g[self.goal])
+        return np.array(way_to(self.goal, self.parent) if is_there else [], np.int64)
 
     def path_cost(self, path: np.ndarray) -> float:
         """Return the cost of a path that `path` gave, inf for none; it may be below the last node's ``g``."""
