@@ -2,6 +2,7 @@
 
 import copy
 import time
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, Protocol, Self, TypeVar
@@ -344,6 +345,16 @@ def way_to(node: int, parent: np.ndarray) -> list[int]:
     while parent[way[-1]] != NO_PARENT:
         way.append(int(parent[way[-1]]))
     return way[::-1]
+
+
+def grouped(
+    problems: Sequence[Problem], chosen: Iterable[int], key: Callable[[Problem], Hashable]
+) -> list[list[int]]:
+    """Return the numbers of chosen problems, those with equal keys together."""
+    groups: dict[Hashable, list[int]] = {}
+    for index in chosen:
+        groups.setdefault(key(problems[index]), []).append(index)
+    return list(groups.values())
 
 
 def index_of(problem: Problem, cell: Cell) -> int:

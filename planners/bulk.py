@@ -14,7 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.search.heap import NO_PARENT
 from jaxurban.kernels.search.sample_graph import NO_QUERY, Samples, Sizes, search_samples
-from jaxurban.planners.base import Path, Problem, ProblemCache
+from jaxurban.planners.base import Path, Problem, grouped
 from jaxurban.planners.bitstar.bounds import cost_grid_of
 from jaxurban.planners.bitstar.planner import DEFAULTS, Batches, BitStarOptions, check_limits
 
@@ -82,9 +82,6 @@ def solve_batched(
         )
 
     kind = device_kind()
-    by_map: dict[ProblemCache, list[int]] = {}
-    for index, problem in enumerate(problems):
-        by_map.setdefault(problem.cache, []).append(index)
 
     def search(index: int) -> Batches:
         """Return the batches of one query, whose clock begins now."""
@@ -93,7 +90,7 @@ def solve_batched(
 
     def paths() -> Generator[tuple[int, Path]]:
         """Yield paths map by map; the queries of a map run together in groups."""
-        for indices in by_map.values():
+        for indices in grouped(problems, range(len(problems)), lambda problem: problem.cache):
             waiting = iter(indices)
             first = problems[indices[0]]
             graphs = _Graphs(cost_grid_of(first, first.is_free), kind)

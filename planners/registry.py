@@ -22,7 +22,7 @@ from jaxurban.planners.astar import (
     make_landmarks,
     volume_astar,
 )
-from jaxurban.planners.base import Cell, Path, Problem, ProblemCache
+from jaxurban.planners.base import Cell, Path, Problem, ProblemCache, grouped
 from jaxurban.planners.bitstar.bounds import HEURISTICS as OFF_GRID_HEURISTICS
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
 from jaxurban.settings import Backend
@@ -221,19 +221,17 @@ def solve_many(
         shared = []
         if heuristic != "exact":
             shared = [k for k in only if heuristics[k] == "exact"]
-        for same_goal in _by_map_and_goal(problems, shared):
+        for same_goal in grouped(problems, shared, _map_and_goal):
             # This fills the cache with the goal's field, on which the searches only walk down.
             cost_to_go(problems[same_goal[0]])
             walk = partial(find_planner(planner, "exact"), budget_s=budget_s, seed=seed)
             yield from run(same_goal, walk)
 
-        # Landmarks are made next, from one problem of each map that needs them, into the map's cache.
+        # Landmarks are made next, once for each map that needs them, into its cache.
         alone = sorted(set(only) - set(shared))
-        with_landmarks = {
-            problems[k].cache: problems[k] for k in alone if heuristics[k] == "landmarks"
-        }
-        for problem in with_landmarks.values():
-            make_landmarks(problem)
+        for k in alone:
+            if heuristics[k] == "landmarks":
+                make_landmarks(problems[k])
 
         # All others together in JAX, or by heuristic.
         if runs_in_jax:
@@ -259,12 +257,8 @@ def _check_in_jax(planner: str, heuristic: str | None) -> None:
         )
 
 
-def _by_map_and_goal(problems: Sequence[Problem], chosen: Sequence[int]) -> list[list[int]]:
-    """Return the numbers of chosen problems, those on one map to one goal together."""
-    groups: dict[tuple[ProblemCache, Cell], list[int]] = {}
-    for index in chosen:
-        groups.setdefault((problems[index].cache, problems[index].goal), []).append(index)
-    return list(groups.values())
+def _map_and_goal(problem: Problem) -> tuple[ProblemCache, Cell]:
+    return problem.cache, problem.goal
 
 
 def choose_heuristics(
@@ -286,7 +280,7 @@ def choose_heuristics(
     heuristics = [heuristic] * len(problems)
     if (heuristic or PLANNERS[planner].default_heuristic) != AUTO:
         return heuristics
-    others: dict[ProblemCache, list[int]] = {}
+    others: list[int] = []
 
     def choose(name: str, indices: list[int], fewest: int, num_fields: int) -> bool:
         """Set a heuristic for problems on one map if they are enough for its fields; return whether it was set."""
@@ -296,10 +290,10 @@ def choose_heuristics(
             heuristics[index] = name
         return is_chosen
 
-    for indices in _by_map_and_goal(problems, range(len(problems))):
+    for indices in grouped(problems, range(len(problems)), _map_and_goal):
         if planner not in EXACT_PLANNERS or not choose("exact", indices, FEW_TO_ONE_GOAL, 1):
-            others.setdefault(problems[indices[0]].cache, []).extend(indices)
-    for indices in others.values():
+            others += indices
+    for indices in grouped(problems, others, lambda problem: problem.cache):
         choose("landmarks", indices, FEW_QUERIES + 1, NUM_LANDMARKS)
     return heuristics
 

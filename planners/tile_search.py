@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxurban.kernels.search.tiles import SIDE, Grid, Search, advance, begin
 from jaxurban.planners.astar import astar, make_heuristic
-from jaxurban.planners.base import Path, Problem, ProblemCache, Status
+from jaxurban.planners.base import Path, Problem, Status, grouped
 from jaxurban.planners.bulk import device_kind, power_of_two
 from jaxurban.planners.cost import STEPS
 from jaxurban.planners.grid_search import graph_of
@@ -57,10 +57,7 @@ def solve_by_tiles(
       planner: the name that the paths carry.
       budget_s: seconds for each.
     """
-    by_map: dict[ProblemCache, list[int]] = {}
-    for index, problem in enumerate(problems):
-        by_map.setdefault(problem.cache, []).append(index)
-    for indices in by_map.values():
+    for indices in grouped(problems, range(len(problems)), lambda problem: problem.cache):
         starts = np.array([problems[index].start for index in indices], np.int32)
         grid, bound, band = _tiled(problems[indices[0]], starts)
         num_fitting = BYTES_OF_G[device_kind()] // (8 * problems[indices[0]].cost.size)
