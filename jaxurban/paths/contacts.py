@@ -158,9 +158,7 @@ def contacts(
         z_m.min(axis=1) - prisms.top_m[prism], prisms.floor_m[prism] - z_m.max(axis=1)
     )
     spare_m = z_m.min(axis=1) - prisms.limit_m[prism]
-    from_m, to_m = steps.along_m[step].T
-    rows = {"step": step, "prism": prism, "from_m": from_m, "to_m": to_m}
-    table = pd.DataFrame(rows | {"gap_m": gap_m, "spare_m": spare_m, "apart_m": apart_m})
+    table = steps.table(step, prism=prism, gap_m=gap_m, spare_m=spare_m, apart_m=apart_m)
     return table.sort_values("from_m", kind="stable", ignore_index=True)
 
 

@@ -1,7 +1,7 @@
 """What a mission meets: buildings, the ground, no-fly zones and closed cells; and what of it cannot be judged."""
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pandas as pd
@@ -218,7 +218,8 @@ def _beyond(
 def _buried(steps: Steps) -> pd.DataFrame:
     """Return a row for each stretch of a mission below the ground, with its greatest depth (``by_m``)."""
     z_m = steps.z_m.min(axis=1)
-    stretches = _stretches(steps, z_m < -FILE_MARGIN_M, gap_m=z_m)
+    deep = np.flatnonzero(z_m < -FILE_MARGIN_M)
+    stretches = merged(steps.table(deep, gap_m=z_m[deep]))
     texts = [f"lies up to {-gap_m:.1f} m below the ground" for gap_m in stretches["gap_m"]]
     return stretches.assign(kind="terrain", what=texts, by_m=-stretches["gap_m"])
 
@@ -232,7 +233,9 @@ def _closed(
 ) -> Iterator[pd.DataFrame]:
     """Yield, for each bound and each layer of the user, a table of the stretches in cells that it closes.
 
-    A bound closes cells where it is not kept, a layer those where it has no value.
+    A bound closes cells where it is not kept, a layer those where it has no value. A step at an altitude of the maps is
+    judged there. One between two altitudes is judged at their middle, where a bound must hold at both. One beyond all
+    altitudes is judged at the middle of the two that are nearest to it.
 
     Args:
       steps: of the mission.
@@ -240,13 +243,27 @@ def _closed(
       limits: whose bounds count.
       times, time_of_day: of the maps; a bound must be kept at each of the times.
     """
+    levels_m = sorted(maps.altitudes_m)
+    middles_m = [sum(pair) / 2 for pair in pairwise(levels_m)] or levels_m
+    step_m = steps.z_m.mean(axis=1)
+    level_below = np.searchsorted(levels_m, step_m, side="right") - 1
+    middle_m = np.array(middles_m)[np.clip(level_below, 0, len(middles_m) - 1)]
+    nearest_m = nearest_level_m(step_m, levels_m)
+    is_on_level = np.abs(steps.z_m - nearest_m[:, None]).max(axis=1) < LEVEL_M
+    judged_at_m = np.where(is_on_level, nearest_m, middle_m)
+
     bounds = {f"do not keep {bound}": bound for bound in limits.bounds}
     for name in maps.metrics:
         if "layer" in maps.ds[maps.variable(name)].attrs:
             # Every value keeps this bound, so that only missing ones do not.
             bounds[f"have no value of {name}"] = Bound(name, ">=", 0.0)
     for fault, bound in bounds.items():
-        stretches = _stretches(steps, _is_closed(steps, maps, bound, times, time_of_day))
+        is_closed = np.zeros(len(judged_at_m), bool)
+        for z_m, time in product(np.unique(judged_at_m).tolist(), times):
+            is_here = judged_at_m == z_m
+            is_kept = bound.is_kept(maps, z_m, time, time_of_day)
+            is_closed[is_here] |= ~is_kept[tuple(steps.cell[is_here].T)]
+        stretches = merged(steps.table(np.flatnonzero(is_closed)))
         yield stretches.assign(kind="closed", what=f"enters cells that {fault}")
 
 
@@ -336,52 +353,3 @@ def _zones(steps: Steps, ground: Elevation, limits: Constraints) -> pd.DataFrame
     entered = [zones[number] for number in rows["prism"]]
     what = [f"enters the no-fly zone {zone.label}, {zone.heights}" for zone in entered]
     return rows.assign(kind="zone", what=what)
-
-
-def _is_closed(
-    steps: Steps,
-    maps: MetricMaps,
-    bound: Bound,
-    times: Sequence[str | None],
-    time_of_day: str | None,
-) -> np.ndarray:
-    """Return ``[P]`` bool: whether each step is in a cell where a bound is not kept at one of the times or more.
-
-    A step at an altitude of the maps is judged there. One between two altitudes is judged at their middle, where a
-    bound must hold at both. One beyond all altitudes is judged at the middle of the two that are nearest to it.
-
-    Args:
-      steps: ``P`` of them.
-      maps: that hold the variable of the bound.
-      bound: to be kept.
-      times, time_of_day: of the maps.
-    """
-    levels_m = sorted(maps.altitudes_m)
-    middles_m = [sum(pair) / 2 for pair in pairwise(levels_m)] or levels_m
-    step_m = steps.z_m.mean(axis=1)
-    level_below = np.searchsorted(levels_m, step_m, side="right") - 1
-    middle_m = np.array(middles_m)[np.clip(level_below, 0, len(middles_m) - 1)]
-    nearest_m = nearest_level_m(step_m, levels_m)
-    is_on_level = np.abs(steps.z_m - nearest_m[:, None]).max(axis=1) < LEVEL_M
-    judged_at_m = np.where(is_on_level, nearest_m, middle_m)
-
-    is_closed = np.zeros(len(judged_at_m), bool)
-    for z_m in np.unique(judged_at_m).tolist():
-        is_here = judged_at_m == z_m
-        for time in times:
-            is_kept = bound.is_kept(maps, z_m, time, time_of_day)
-            is_closed[is_here] |= ~is_kept[tuple(steps.cell[is_here].T)]
-    return is_closed
-
-
-def _stretches(steps: Steps, is_chosen: np.ndarray, **columns: np.ndarray) -> pd.DataFrame:
-    """Return a row for each stretch of neighbouring steps that are chosen (`merged`).
-
-    Args:
-      steps: ``P`` of them.
-      is_chosen: ``[P]`` bool.
-      columns: ``[P]`` further values of the steps, by the names of their columns.
-    """
-    from_m, to_m = steps.along_m.T
-    rows = {"step": np.arange(len(is_chosen)), "from_m": from_m, "to_m": to_m, **columns}
-    return merged(pd.DataFrame(rows)[is_chosen])

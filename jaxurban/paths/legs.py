@@ -60,6 +60,11 @@ class Steps(NamedTuple):
         """Return some of the steps."""
         return Steps(*(values[chosen] for values in self))
 
+    def table(self, step: np.ndarray, **columns: np.ndarray) -> pd.DataFrame:
+        """Return a row for each of some steps, given by their numbers: where it begins and ends, and more columns."""
+        from_m, to_m = self.along_m[step].T
+        return pd.DataFrame({"step": step, "from_m": from_m, "to_m": to_m, **columns})
+
     @property
     def over_m(self) -> np.ndarray:
         """``[P]`` length on the ground."""
