@@ -111,7 +111,7 @@ def plan_case(shared: CostMap, case: Case) -> list[PlannedPath]:
     for planner in PAPER_PLANNERS:
         limits = {"max_samples": NUM_SAMPLES} if draws_samples(planner) else {}
         found = find_planner(planner)(problem, budget_s=math.inf, seed=0, **limits)
-        paths.append(finish(shared, found, ends, PathSearch(planner, budget_s=math.inf)))
+        paths.append(finish(shared, found, ends, PathSearch.of(planner=planner, budget_s=math.inf)))
     return paths
 
 

@@ -180,7 +180,10 @@ def plan_many(
         num_done = sum(results.counts.values())
         LOG.warning("interrupted: %d of %d queries are done", num_done, len(batch))
     finally:
-        results.save()
+        if (
+            store is not None
+        ):  # which keeps results of an earlier run, too, that were not asked for yet
+            store.save()
     return PlannedPaths(results.rows, results.paths, was_interrupted)
 
 
@@ -299,11 +302,6 @@ class _Results:
             path = replace(path, settings=settings)
         self.add(k, row["status"], row["message"], path, key)
         return True
-
-    def save(self) -> None:
-        """Write the file, if there is one: these results, and those of an earlier run that were not asked for yet."""
-        if self._store is not None:
-            self._store.save()
 
 
 def _plan_batch(

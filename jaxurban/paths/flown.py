@@ -81,7 +81,7 @@ def figures_of(
 
     # Clearances: of a few steps, and of all that may be nearer to an obstacle.
     is_known = np.isfinite(steps.z_m).all(axis=1)
-    steps = steps.take(np.flatnonzero(is_known & ~flight.is_on_site(steps)))
+    steps = steps.take(is_known & ~flight.is_on_site(steps))
     some = steps.take(np.arange(0, len(steps.leg), FEW))
     away_m = clearances_on(maps, some)[CLEARANCE].min(initial=np.inf)
     near = clearances_on(maps, steps, away_m + AT_LIMIT)

@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -350,9 +350,10 @@ def row_of(
 
     # What else the planner reported. Of its points the first is enough, as the others follow from x and y.
     search = planned.search
-    reported = {field.name: getattr(search, field.name) for field in fields(Path)}
-    reported["status"] = search.status.value
-    reported["points_m"] = search.points_m[:1].tolist()
+    reported = vars(search) | {
+        "status": search.status.value,
+        "points_m": search.points_m[:1].tolist(),
+    }
     return row | {"search": json.dumps(reported), "key": key}
 
 

@@ -1,7 +1,7 @@
 """PathSearch: how a path is searched for, and which budgets of exposure it keeps."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError
@@ -33,14 +33,14 @@ class PathSearch:
     """
 
     planner: PlannerName
-    heuristic: HeuristicName | None = None
-    budget_s: float = DEFAULTS.budget_s
-    seed: int = DEFAULTS.seed
-    snap: bool | float = False
-    refine: bool = False
-    exposure: Mapping[str, float] = field(default_factory=dict)
-    on_ground: OnGround = False
-    backend: Backend = "auto"
+    heuristic: HeuristicName | None
+    budget_s: float
+    seed: int
+    snap: bool | float
+    refine: bool
+    exposure: Mapping[str, float]
+    on_ground: OnGround
+    backend: Backend
 
     @classmethod
     @typed
