@@ -15,7 +15,7 @@ import numpy as np
 from jaxurban.checks import one_of
 from jaxurban.kernels.search.bounds import LandmarkBound, TileBound, printed_plus_field, tile_bound
 from jaxurban.kernels.search.heap import CLOSED, EXHAUSTED, FOUND, PAUSED
-from jaxurban.planners.base import Cell, Path, Problem, Status
+from jaxurban.planners.base import Cell, Path, Problem, Status, islands_of
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.grid_search import (
     NO_HEURISTIC,
@@ -157,9 +157,10 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
     if name == "euclidean":
         return NO_HEURISTIC._replace(euclidean=per_side)
     if name == "landmarks":
-        return octile._replace(
-            landmarks=landmark_bound(problem, make_landmarks(problem, end_s=end_s))
-        )
+        landmarks = make_landmarks(problem, end_s=end_s)
+        goal_term = landmarks.cost_share * float(problem.cost[problem.goal]) + landmarks.goal_term
+        at_goal = landmarks.costs[problem.goal]
+        return octile._replace(landmarks=landmarks._replace(at_goal=at_goal, goal_term=goal_term))
     if name == "tiles":
         return octile._replace(tiles=_tile_bound(problem))
     if name == "octile":
@@ -308,10 +309,10 @@ def make_landmarks(
 ) -> LandmarkBound:
     """Return landmarks for a problem's map and weights, built once for all its queries (`Problem.between`).
 
-    Landmarks that the map has already are returned, whatever their number; `landmark_bound` gives the bound to a goal.
-    The bound is lowered by one unit in the last place of the largest cost for every cell, which is more than the sums
-    along any path can lose, and by two in the last place of float32, in which costs are kept (each of the two costs
-    and their difference lose half a unit at most), so that rounding never lifts it above the true cost.
+    Landmarks that the map has already are returned, whatever their number. Their bound is lowered by one unit in the
+    last place of the largest cost for every cell, which is more than the sums along any path can lose, and by two in
+    the last place of float32, in which costs are kept (each of the two costs and their difference lose half a unit at
+    most), so that rounding never lifts it above the true cost.
 
     Args:
       problem: the query; its start and goal play no part.
@@ -347,9 +348,7 @@ def landmark_cells(problem: Problem, num: int) -> list[Cell]:
     & Werneck 2005), saved no more expansions on Lower Manhattan and needs searches of its own.
     """
     # A diagonal step between two free neighbours joins what they join already.
-    from scipy.ndimage import label
-
-    parts, _ = label(problem.is_free, np.ones((3, 3)) if problem.cost_model.joins_corners else None)
+    parts = islands_of(problem.is_free, problem.cost_model.joins_corners)
     largest = 1 + np.argmax(np.bincount(parts.ravel())[1:])  # part 0 is what is not free
     rows, cols = np.nonzero(parts == largest)
     away = np.hypot(rows - rows.mean(), cols - cols.mean())
@@ -360,9 +359,3 @@ def landmark_cells(problem: Problem, num: int) -> list[Cell]:
         cells.append((int(rows[i]), int(cols[i])))
         nearest = np.minimum(nearest, np.hypot(rows - rows[i], cols - cols[i]))
     return cells
-
-
-def landmark_bound(problem: Problem, landmarks: LandmarkBound) -> LandmarkBound:
-    """Return the landmarks' bound on the cost to a problem's goal."""
-    goal_term = landmarks.cost_share * float(problem.cost[problem.goal]) + landmarks.goal_term
-    return landmarks._replace(at_goal=landmarks.costs[problem.goal], goal_term=goal_term)

@@ -326,10 +326,7 @@ class Problem:
     @property
     def islands(self) -> np.ndarray:
         """``[Y, X]`` the number of the part of the map in which paths off the grid join a cell; 0: blocked."""
-        from scipy.ndimage import label
-
-        passes_corners = self.cost_model.passes_corners and not self.leg_margin_m
-        return np.asarray(label(self.is_free, np.ones((3, 3)) if passes_corners else None)[0])
+        return islands_of(self.is_free, self.cost_model.passes_corners and not self.leg_margin_m)
 
     @property
     def tile_minima(self) -> np.ndarray:
@@ -337,6 +334,26 @@ class Problem:
         if self.cache.tile_minima is None:
             self.cache.tile_minima = tile_minima(self.cost, self.is_free)
         return self.cache.tile_minima
+
+
+def islands_of(is_free: np.ndarray, cuts_corners: bool) -> np.ndarray:
+    """Return the number of the island of each free cell, from 1 up, and 0 where a cell is closed.
+
+    An island is a set of free cells that are joined. Cells of one level join if they touch with a side, or also with a
+    corner; cells of two levels only straight up and down, as every way that climbs also leads through such steps.
+
+    Args:
+      is_free: ``[Y, X]`` or ``[K, Y, X]`` bool; the result has the same shape.
+      cuts_corners: whether cells that touch with a corner are joined.
+    """
+    from scipy.ndimage import generate_binary_structure, label
+
+    joins = joins_on_level = generate_binary_structure(2, 2 if cuts_corners else 1)
+    if is_free.ndim == 3:
+        joins = generate_binary_structure(3, 1)  # the six cells that share a side
+        joins[1] = joins_on_level
+    islands, _ = label(is_free, joins)
+    return islands
 
 
 def way_to(node: int, parent: np.ndarray) -> list[int]:

@@ -15,7 +15,7 @@ from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.finish import MapNotes, finish, map_notes, map_settings
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.places import XY, End, Point, islands_of, one_place
+from jaxurban.paths.places import XY, End, Point, one_place
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import (
     free_to_ground,
@@ -25,7 +25,7 @@ from jaxurban.paths.snapping import (
     why_closed,
 )
 from jaxurban.planners.astar import AUTO, make_landmarks
-from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.base import Cell, Problem, islands_of
 from jaxurban.planners.corners import with_corner_bound
 from jaxurban.planners.cost import CostModel, PathFeatures
 from jaxurban.planners.exposure import within_budgets

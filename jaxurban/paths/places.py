@@ -1,4 +1,4 @@
-"""Places as users give them and ends of queries: points, how far one may be moved, and islands of joined free cells."""
+"""Places as users give them and ends of queries: points, and how far one may be moved."""
 
 import numbers
 from dataclasses import dataclass
@@ -90,23 +90,3 @@ def snap_limit_m(snap: Any) -> float | None:
             f"snap must be True (at most {MAX_SNAP_M:g} m), False, or metres above 0, got {snap!r}"
         )
     return float(snap)
-
-
-def islands_of(is_free: np.ndarray, cuts_corners: bool) -> np.ndarray:
-    """Return the number of the island of each free cell, from 1 up, and 0 where a cell is closed.
-
-    An island is a set of free cells that are joined. Cells of one level join if they touch with a side, or also with a
-    corner; cells of two levels only straight up and down, as every way that climbs also leads through such steps.
-
-    Args:
-      is_free: ``[Y, X]`` or ``[K, Y, X]`` bool; the result has the same shape.
-      cuts_corners: whether cells that touch with a corner are joined.
-    """
-    from scipy.ndimage import generate_binary_structure, label
-
-    joins = joins_on_level = generate_binary_structure(2, 2 if cuts_corners else 1)
-    if is_free.ndim == 3:
-        joins = generate_binary_structure(3, 1)  # the six cells that share a side
-        joins[1] = joins_on_level
-    islands, _ = label(is_free, joins)
-    return islands

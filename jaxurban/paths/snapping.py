@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.paths.places import MAX_SNAP_M, End, islands_of, snap_limit_m
-from jaxurban.planners.base import Cell
+from jaxurban.paths.places import MAX_SNAP_M, End, snap_limit_m
+from jaxurban.planners.base import Cell, islands_of
 
 if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap

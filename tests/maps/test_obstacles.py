@@ -10,9 +10,8 @@ import shapely
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.paths import snapping
-from jaxurban.paths.places import islands_of
 from jaxurban.paths.queries import IN_METRES
-from jaxurban.planners.base import Status
+from jaxurban.planners.base import Status, islands_of
 from tests.made_maps import city_of_boxes
 from tests.paths.volumes import plan_volume
 
