@@ -130,7 +130,12 @@ def find_planner(
         raise InputError(f"planner {name!r} takes no heuristic {heuristic!r}{nearest}: {remedy}")
     one_of("backend", backend, get_args(Backend))
     if backend == "jax":
-        _check_in_jax(name, heuristic)
+        is_for_tiles = name in EXACT_PLANNERS and heuristic in TILED_HEURISTICS
+        if name not in SAMPLING_PLANNERS and not is_for_tiles:
+            raise InputError(
+                f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristic octile, and "
+                f"{' and '.join(SAMPLING_PLANNERS)}, not {name!r} with {heuristic or 'its own'}: take backend='numba'"
+            )
         return partial(_in_jax, planner=name, heuristic=heuristic)
     return entry.run if heuristic is None else partial(entry.run, heuristic=heuristic)
 
@@ -245,16 +250,6 @@ def solve_many(
             yield from run([k for k in alone if heuristics[k] == name], search)
 
     return outcomes()
-
-
-def _check_in_jax(planner: str, heuristic: str | None) -> None:
-    """Raise InputError where no search in JAX can stand for a planner with a heuristic."""
-    is_for_tiles = planner in EXACT_PLANNERS and heuristic in TILED_HEURISTICS
-    if planner not in SAMPLING_PLANNERS and not is_for_tiles:
-        raise InputError(
-            f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristic octile, and "
-            f"{' and '.join(SAMPLING_PLANNERS)}, not {planner!r} with {heuristic or 'its own'}: take backend='numba'"
-        )
 
 
 def _map_and_goal(problem: Problem) -> tuple[ProblemCache, Cell]:
