@@ -126,8 +126,8 @@ class Bound:
           InputError: no such map, or an altitude beyond the range of the maps.
         """
         variable = maps.variable(self.variable)
-        if variable not in maps.ds or maps.ds[variable].dims[-2:] != ("y", "x"):
-            names = sorted(str(name) for name in maps.ds if maps.ds[name].dims[-2:] == ("y", "x"))
+        names = sorted(str(name) for name in maps.ds if maps.ds[name].dims[-2:] == ("y", "x"))
+        if variable not in names:
             raise InputError(
                 f"the bound {self} is on a map that these maps do not hold{nearest_name(self.variable, names)}: choose "
                 f"one of {', '.join(names)}, or make maps that hold it"

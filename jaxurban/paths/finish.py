@@ -1,7 +1,7 @@
 """Planner's paths made `PlannedPath`s: measured on their cost map, with its settings, and what is said of them."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -240,21 +240,6 @@ def _between_m(cost_map: "CostMap") -> list[float]:
     return around_m if len(around_m) == 2 else []
 
 
-def over_budget(exposure: Mapping[str, float], budgets: Mapping[str, float]) -> str:
-    """Return the budgets of exposure that a path exceeds, in words; empty where it keeps all.
-
-    Args:
-      exposure: of the path, by metric.
-      budgets: the most that is allowed, by metric, in the same units; a rounding above it is still within.
-    """
-    exceeded = [
-        f"the budget of {most:g} for {name}"
-        for name, most in budgets.items()
-        if exposure[name] > most * (1 + 2 * SAME_EXPOSURE)
-    ]
-    return " and ".join(exceeded)
-
-
 @renamed_arguments(on="cost_map")
 @typed
 def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> PlannedPath:
@@ -293,9 +278,14 @@ def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> P
     after = measured(cost_map, simpler.points_m)
 
     # The path stays as it is where a simpler one exceeds a budget.
-    exceeded = over_budget(after["exposure_by_layer"], planned.settings.get("exposure", {}))
+    exceeded = [
+        f"the budget of {most:g} for {name}"
+        for name, most in planned.settings.get("exposure", {}).items()
+        if after["exposure_by_layer"][name] > most * (1 + 2 * SAME_EXPOSURE)
+    ]
     if exceeded:
-        note = f"{planned.search.note} Not simplified to {tolerance_m:g} m, which would exceed {exceeded}."
+        budgets = " and ".join(exceeded)
+        note = f"{planned.search.note} Not simplified to {tolerance_m:g} m, which would exceed {budgets}."
         return replace(planned, search=replace(planned.search, note=note))
 
     away_m = shapely.distance(shapely.points(points_m[:, :2]), line_of(simpler.points_m[:, :2]))
