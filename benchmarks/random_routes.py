@@ -36,7 +36,7 @@ from jaxurban.io.read.zone import Zone
 from jaxurban.maps.build import compute_maps
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.explain import explain
-from jaxurban.paths.export.qgc_plan import ENDS
+from jaxurban.paths.export.qgc_plan import END_NOTES
 from jaxurban.paths.export.write import write_path
 from jaxurban.paths.finish import simplify
 from jaxurban.paths.places import XY
@@ -269,7 +269,7 @@ def fly(city: str, rules: list[str], num_pairs: int, resolution_m: float) -> pd.
         :num_pairs
     ]
     to_metres = pyproj.Transformer.from_crs("EPSG:4326", maps.grid.crs, always_xy=True).transform
-    rows, ends = [], cycle(ENDS)
+    rows, ends = [], cycle(END_NOTES)
     with tempfile.TemporaryDirectory() as folder, mission_reader() as reader:
         judge = Judge(Outlines(scene.city.buildings), to_metres, reader, Path(folder))
         for number, pair in enumerate(

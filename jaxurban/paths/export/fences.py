@@ -26,7 +26,8 @@ def exclusions(route: PlannedPath) -> tuple[list[np.ndarray], str]:
     if not route.zones:
         return [], ""
     low_m, high_m = route.z_m.min(), route.z_m.max()
-    surroundings = _surroundings(route)
+    nearest_m, farthest_m = route.xy_m.min(axis=0) - NEAR_M, route.xy_m.max(axis=0) + NEAR_M
+    surroundings = covering_grid((*nearest_m, *farthest_m), NEAR_M / 10, route.crs)
     box = shapely.box(*surroundings.bounds_m)
     line = line_of(route.xy_m)
 
@@ -81,10 +82,3 @@ def without_holes(polygon: shapely.Geometry) -> list[shapely.Polygon]:
         ):
             parts += shapely.get_parts(polygonal(shapely.intersection(part, side))).tolist()
     return polygons
-
-
-def _surroundings(route: PlannedPath) -> Grid:
-    """Return the land within `NEAR_M` of a path's box, as a coarse grid."""
-    low_m = route.xy_m.min(axis=0) - NEAR_M
-    high_m = route.xy_m.max(axis=0) + NEAR_M
-    return covering_grid((*low_m, *high_m), NEAR_M / 10, route.crs)

@@ -11,7 +11,7 @@ and so are roofs beside it where they are asked for (`roof_fences`). The file ho
 
 import json
 from collections.abc import Sequence
-from typing import Any, get_args
+from typing import Any
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.mission_items import HOME_HEIGHT
@@ -46,13 +46,12 @@ ALTITUDE_RELATIVE = 1
 GROUND_SPEED, THROTTLE_AS_IT_IS = 1, -1
 
 
-END_NOTES = {
+END_NOTES: dict[MissionEnd, str] = {
     "land": "It ends with a landing at the goal.",
     "return": "It ends with the autopilot's return to launch: straight home at the autopilot's own altitude, which was "
     "not checked for obstacles.",
     "none": "It ends at the last waypoint, without a landing.",
 }
-ENDS: tuple[MissionEnd, ...] = get_args(MissionEnd)
 FROM_ROOF = "It starts from the roof of {:.1f} m at the start, which is home: altitudes count from that roof."
 
 
@@ -72,7 +71,7 @@ def height_note(route: PlannedPath) -> str:
 
 
 def mission_note(
-    route: PlannedPath, end: str, roofs: RoofFences | None, from_roof: bool = False
+    route: PlannedPath, end: MissionEnd, roofs: RoofFences | None, from_roof: bool = False
 ) -> str:
     """Return what to know of a ``.plan``: its altitudes, its end and its geofence, in a few sentences."""
     roof_note = "" if roofs is None else roofs.note

@@ -158,14 +158,10 @@ def _fences(
             parts = polygonal(shapely.difference(simple, strip))
 
         # Keep fences that are off the path when they are rounded as in the file.
-        written = np.array([_as_written(part, grid) for part in without_holes(parts)])
+        corners_m = [grid.xy_at(ring_of(part, grid)) for part in without_holes(parts)]
+        written = np.array([shapely.Polygon(ring_m) for ring_m in corners_m])
         apart_m = APART_M if reach_m else FILE_MARGIN_M
         is_apart = shapely.distance(written, line) >= apart_m
         fences += written[is_apart & shapely.is_valid(written)].tolist()
         uncovered = uncovered[~shapely.covered_by(uncovered, shapely.union_all(fences))]
     return fences, num_met + len(uncovered)
-
-
-def _as_written(polygon: shapely.Polygon, grid: Grid) -> shapely.Polygon:
-    """Return a polygon in the grid's CRS as a file holds it, its corners rounded in degrees."""
-    return shapely.Polygon(grid.xy_at(ring_of(polygon, grid)))

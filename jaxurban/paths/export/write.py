@@ -45,7 +45,7 @@ from jaxurban.paths.export.base import (
     upward,
     waypoints,
 )
-from jaxurban.paths.export.qgc_plan import ENDS, to_qgc_plan
+from jaxurban.paths.export.qgc_plan import END_NOTES, to_qgc_plan
 from jaxurban.paths.export.roof_fences import RoofFences, roof_fences
 from jaxurban.paths.export.suffixes import MISSION, check_route_file
 from jaxurban.paths.path import PlannedPath
@@ -236,7 +236,7 @@ def write_path(
     encode = encoder_of(file)
     if end is not None or roofs is not None or from_roof:
         check_is_mission(file)
-        chosen = one_of("end", end or "land", ENDS)
+        chosen = one_of("end", end or "land", END_NOTES)
         encode = partial(to_qgc_plan, end=chosen, roofs=roofs, from_roof=from_roof)
 
     # The paths and their names.
