@@ -199,7 +199,7 @@ def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: flo
       octile: the octile heuristic on one altitude.
       end_s: time of `time.perf_counter` to give up at.
     """
-    _, goal_row, goal_col = problem.goal
+    goal, goal_row, goal_col = problem.goal
     _, num_rows, num_cols = problem.is_free.shape
 
     # The least that changing from each level to the goal's costs beside horizontal length: of each level ``[H, 3]`` to
@@ -211,7 +211,6 @@ def _volume_heuristic(name: str, problem: Problem, octile: Heuristic, end_s: flo
     )
     up = change[:-1, 2]
     down = change[1:, 0]
-    goal = problem.goal[0]
     rise = np.concatenate([np.cumsum(up[:goal][::-1])[::-1], [0.0], np.cumsum(down[goal:])])
 
     if name == "none":
@@ -236,11 +235,16 @@ def _seen_from_above(problem: Problem, end_s: float) -> np.ndarray:
     # The map as seen from above: the cheapest level of each cell, free if any level is.
     cost = problem.cost.min(axis=0)
     is_free = np.any(problem.is_free, axis=0)
-    (_, *start), (_, *goal) = problem.start, problem.goal
     weights = [problem.distance_weight, 1.0]
     model = problem.cost_model
     plan = Problem(
-        cost[None], is_free, tuple(start), tuple(goal), problem.resolution_m, weights, model
+        cost[None],
+        is_free,
+        problem.start[1:],
+        problem.goal[1:],
+        problem.resolution_m,
+        weights,
+        model,
     )
 
     # Backwards from the goal: shares of the cells that a step leaves and enters change places.

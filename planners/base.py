@@ -312,15 +312,13 @@ class Problem:
         """
         cells = self.cache.cells
         if cells.moves is None:
-            num_rows, num_cols = self.is_free.shape[-2:]
-            levels = self.is_free.reshape(-1, num_rows, num_cols)
+            levels = self.is_free.reshape(-1, *self.is_free.shape[-2:])
             keeps_corners = self.cost_model.diagonal == "both-free" or self.leg_margin_m > 0
             allowed = [
                 allowed_moves(is_free, self.cost_model.connectivity, keeps_corners)
                 for is_free in levels
             ]
-            moves = allowed[0] if self.levels_m is None else np.stack(allowed)
-            cells.moves = _read_only(moves, np.uint8)
+            cells.moves = _read_only(np.reshape(allowed, self.is_free.shape), np.uint8)
         return cells.moves
 
     @property

@@ -239,7 +239,6 @@ def path_features(
     # The path cut at borders of cells.
     cut = crossed_cells(points_m, problem.resolution_m)
     points_m = cut.points_m
-    is_volume = problem.levels_m is not None
     if points_m.shape[1] != problem.is_free.ndim:
         raise InputError(
             f"a path must be [N, {problem.is_free.ndim}] here, got shape {points_m.shape}: mend the path"
@@ -249,9 +248,9 @@ def path_features(
     # Metres, in a volume also climbed and descended; and whether the path is valid.
     legs_m = np.diff(points_m, axis=0).T
     length_m = np.hypot(*legs_m[:2])
-    if is_volume:
+    if problem.levels_m is not None:
         rise_m = legs_m[2]
-        length_m = np.hypot(length_m, legs_m[2])
+        length_m = np.hypot(length_m, rise_m)
         metres = [length_m.sum(), np.maximum(rise_m, 0).sum(), np.maximum(-rise_m, 0).sum()]
         is_valid = _is_allowed(problem, points_m)
     else:

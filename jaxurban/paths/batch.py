@@ -8,7 +8,6 @@ from pathlib import Path as FilePath
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
@@ -19,9 +18,17 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.places import End, Point
+from jaxurban.paths.places import End
 from jaxurban.paths.plan import cost_map
-from jaxurban.paths.queries import NOT_RUN, PlannedPaths, Query, path_of, read_queries, row_of
+from jaxurban.paths.queries import (
+    NOT_RUN,
+    PlannedPaths,
+    QueriesLike,
+    Query,
+    path_of,
+    read_queries,
+    row_of,
+)
 from jaxurban.paths.rows import BAD_INPUT, failure
 from jaxurban.paths.search import PathSearch
 from jaxurban.planners.base import Path, Status
@@ -48,7 +55,7 @@ NEEDED = {"query", "status", "message", "key", "budget_s", "search", "x_m", "y_m
 @typed
 def plan_many(
     maps: MapsLike,
-    queries: pd.DataFrame | Sequence[tuple[Point, Point]] | np.ndarray,
+    queries: QueriesLike,
     *,
     altitude_m: float | None = None,
     backend: Backend = "auto",

@@ -530,8 +530,9 @@ def describe_constraints(record: Mapping[str, Any]) -> str:
 
 def describe_clearances(record: Mapping[str, Any]) -> list[str]:
     """Return a phrase for each distance kept from obstacles, from a record of `Constraints.to_dict`."""
-    phrases = KEPT_CLEAR.items()
-    return [f"{phrase} of {record[name]:g} m" for name, phrase in phrases if record.get(name)]
+    return [
+        f"{phrase} of {record[name]:g} m" for name, phrase in KEPT_CLEAR.items() if record.get(name)
+    ]
 
 
 def describe_kept(record: Mapping[str, Any], resolution_m: float) -> str:

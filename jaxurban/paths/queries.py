@@ -36,6 +36,7 @@ OF_SEARCH = (
     "heuristic",
     "backend",
 )
+QueriesLike = pd.DataFrame | Sequence[tuple[Point, Point]] | np.ndarray
 NOT_RUN = "not-run"  # beside the names of `Status` and what `jaxurban.paths.rows` adds
 
 
@@ -74,7 +75,7 @@ class Query:
 
 
 def read_queries(
-    queries: pd.DataFrame | Sequence[tuple[Point, Point]] | np.ndarray,
+    queries: QueriesLike,
     *,
     altitude_m: float | None = None,
     time: str | None = None,

@@ -18,10 +18,9 @@ from jaxurban.paths.batch import plan_many
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.places import Point
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.profile import cautious_profile, guess_cautions, without_fix
-from jaxurban.paths.queries import PlannedPaths, table_of
+from jaxurban.paths.queries import PlannedPaths, QueriesLike, table_of
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress
 from jaxurban.public import Caution, FactsRepr, listed
@@ -121,7 +120,7 @@ def _time_of(row: pd.Series) -> str:
 @typed
 def when(
     maps: MapsLike,
-    queries: pd.DataFrame | Sequence[tuple[Point, Point]] | np.ndarray,
+    queries: QueriesLike,
     *,
     altitude_m: float | None = None,
     progress: Progress = True,

@@ -229,5 +229,5 @@ def _command(
         "autoContinue": True,
         "command": command,
         "frame": frame,
-        "params": list(params),
+        "params": params,
     }

@@ -119,8 +119,7 @@ def _fewest(
     """
     for coarsest in range(len(REACHES_M)):
         fences, num_unfenced = _fences(roofs, line, grid, REACHES_M[coarsest::-1])
-        # Rings repeat their first vertex.
-        num_vertices = sum(len(fence.exterior.coords) - 1 for fence in fences)
+        num_vertices = shapely.count_coordinates(fences) - len(fences)  # rings repeat their first
         if num_vertices <= most:
             break
     return fences, num_unfenced
