@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from jaxurban.settings import CostKind
 
 # Row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest.
 Cell = tuple[int, ...]
-T = TypeVar("T")
 
 EVERY_PATH = "paths at any angle"  # of `Path.graph`
 NO_COST = "The path costs nothing under these weights, so its shape means nothing: weigh the distance too."

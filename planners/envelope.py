@@ -116,15 +116,16 @@ def call_on_host(
       shapes: shapes and types of the results, float32 or float64.
       arrays: the function's arguments, float32 or float64.
     """
-    dtypes = [np.dtype(jnp.result_type(array)) for array in arrays]
+    given = [jax.ShapeDtypeStruct(array.shape, jnp.result_type(array)) for array in arrays]
+    out = tuple(jax.eval_shape(_bits, shape) for shape in shapes)
 
     def on_words(*words):
         """Call the function with the numbers that words of 32 bits stand for, and return its results as words."""
-        values = map(_from_words, map(np.asarray, words), dtypes)
-        results = zip(function(*values), shapes, strict=True)
-        return tuple(_to_words(np.asarray(value, shape.dtype)) for value, shape in results)
+        results = zip(function(*map(_viewed, words, given)), shapes, out, strict=True)
+        return tuple(
+            _viewed(np.asarray(value, shape.dtype), word) for value, shape, word in results
+        )
 
-    out = tuple(jax.eval_shape(_bits, shape) for shape in shapes)
     words = jax.pure_callback(on_words, out, *map(_bits, arrays), vmap_method="sequential")
     return tuple(
         lax.bitcast_convert_type(word, shape.dtype)
@@ -133,15 +134,11 @@ def call_on_host(
 
 
 def _bits(values: Array) -> Array:
-    return lax.bitcast_convert_type(values, jnp.uint32)  # float64: a last axis of two words
+    return lax.bitcast_convert_type(
+        values, jnp.uint32
+    )  # float64: a last axis of two words, the low one first
 
 
-def _from_words(words: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Return the numbers as words of 32 bits, the low one first."""
-    values = np.asarray(words, order="C").view(dtype)
-    return values[..., 0] if dtype.itemsize == 8 else values
-
-
-def _to_words(values: np.ndarray) -> np.ndarray:
-    words = np.ascontiguousarray(values).reshape(*values.shape, 1).view(np.uint32)
-    return words if values.dtype.itemsize == 8 else words[..., 0]
+def _viewed(values: np.ndarray, like: jax.ShapeDtypeStruct) -> np.ndarray:
+    """Return the same bits as values of another type and shape."""
+    return np.asarray(values).reshape(-1).view(like.dtype).reshape(like.shape)
