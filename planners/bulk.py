@@ -83,11 +83,6 @@ def solve_batched(
 
     kind = device_kind()
 
-    def search(index: int) -> Batches:
-        """Return the batches of one query, whose clock begins now."""
-        problem = problems[index]
-        return Batches(problem, heuristic, options, seeds[index], budget_s, max_samples)
-
     def paths() -> Generator[tuple[int, Path]]:
         """Yield paths map by map; the queries of a map run together in groups."""
         for indices in grouped(problems, range(len(problems)), lambda problem: problem.cache):
@@ -95,7 +90,11 @@ def solve_batched(
             first = problems[indices[0]]
             graphs = _Graphs(cost_grid_of(first, first.is_free), kind)
             while group := list(islice(waiting, SAMPLED_TOGETHER[kind])):
-                queries = {index: search(index) for index in group}
+                # The clock of each query begins now.
+                queries = {
+                    k: Batches(problems[k], heuristic, options, seeds[k], budget_s, max_samples)
+                    for k in group
+                }
                 for index in _run_together(graphs, queries):
                     yield index, queries[index].path(planner, "jax")
 
