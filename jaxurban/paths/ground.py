@@ -46,6 +46,16 @@ def ground_along(points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> Gro
       terrain_m: ``[Y, X]`` elevation of the ground in each cell.
       grid: of ``terrain_m``.
     """
+
+    def halved(bends: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return ``B`` places along the path and those halfway between neighbours, their x, y and elevation.
+
+        Places are counted in the path's points (2.5 is halfway from the third to the fourth), ascending; metres.
+        """
+        at = np.interp(np.arange(2 * len(bends) - 1) / 2, np.arange(len(bends)), bends)
+        x_m, y_m = (np.interp(at, np.arange(len(points_m)), values) for values in points_m.T)
+        return at, x_m, y_m, elevation_at(x_m, y_m, terrain_m, grid.resolution_m)
+
     # Where the ground bends: where the line leaves a square between four centres for another on the same leg.
     between_centres = crossed_cells(points_m + grid.resolution_m / 2, grid.resolution_m)
     leg = between_centres.segment
@@ -54,34 +64,15 @@ def ground_along(points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> Gro
     bends = np.unique(np.append(np.arange(len(points_m)), square_ends[:-1][is_bend]))
 
     # Into how many pieces the ground between two bends is cut: each of n bulges by the bulge / n².
-    *_, elevation_m = _halved(bends, points_m, terrain_m, grid)
+    *_, elevation_m = halved(bends)
     bulge_m = np.abs(elevation_m[1::2] - (elevation_m[:-1:2] + elevation_m[2::2]) / 2)
     num_pieces = np.fmax(np.ceil(np.sqrt(bulge_m / MOST_BULGE_M)), 1)
     pieces_before = np.append(0, np.cumsum(num_pieces))
     bends = np.interp(np.arange(pieces_before[-1] + 1), pieces_before, bends)
 
-    at, x_m, y_m, elevation_m = _halved(bends, points_m, terrain_m, grid)
+    at, x_m, y_m, elevation_m = halved(bends)
     lonlat = np.stack(grid.lonlat_of_xy(x_m + grid.x_min_m, y_m + grid.y_min_m), axis=-1)
     return Ground(at, lonlat, elevation_m)
-
-
-def _halved(
-    bends: np.ndarray, points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid
-) -> tuple[np.ndarray, ...]:
-    """Return ``B`` places along a path and those halfway between neighbours, their x and y, and the elevation there.
-
-    Four arrays ``[2 B - 1]``: places counted in the path's points, x and y in metres, and metres above the terrain's
-    zero.
-
-    Args:
-      bends: ``[B]`` places, counted in the path's points (2.5 is halfway from the third to the fourth), ascending.
-      points_m: ``[N, 2]`` x, y of the path from the grid's southwest corner.
-      terrain_m: ``[Y, X]`` elevation of the ground in each cell.
-      grid: of ``terrain_m``.
-    """
-    at = np.interp(np.arange(2 * len(bends) - 1) / 2, np.arange(len(bends)), bends)
-    x_m, y_m = (np.interp(at, np.arange(len(points_m)), values) for values in points_m.T)
-    return at, x_m, y_m, elevation_at(x_m, y_m, terrain_m, grid.resolution_m)
 
 
 def elevation_at(

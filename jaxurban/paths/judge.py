@@ -69,7 +69,7 @@ def judged(
         findings = [
             *_buildings(near, buildings, limits),
             _buried(steps),
-            _zones(steps, ground, limits),
+            _zones(steps, ground, limits.zones),
             *_closed(steps, maps, limits, times, time_of_day),
         ]
         tables.append(placed(pd.concat(findings, ignore_index=True), flight, steps))
@@ -180,8 +180,7 @@ def _at_corners(flight: Flight, buildings: Prisms, limits: Constraints) -> Itera
     ground = flight.ground
     near = contacts(corners, buildings, ground, limits.horizontal_m)
     is_close = (near["gap_m"] < limits.vertical_m - FILE_MARGIN_M) | _may_meet(near, limits)
-    in_zone = contacts(corners, _prisms_of(limits.zones, ground.maps), ground)
-    for rows in (near[is_close], in_zone[in_zone["gap_m"] <= 0]):
+    for rows in (near[is_close], _in_zones(corners, ground, limits.zones)):
         yield rows[SPAN].assign(reason=CUT)
 
 
@@ -334,22 +333,22 @@ def _described(
     )
 
 
-def _prisms_of(zones: Sequence[Zone], maps: MetricMaps) -> Prisms:
-    """Return no-fly zones as prisms on the grid of maps."""
-    return Prisms(
-        polygons=np.array([zone.on(maps.grid) for zone in zones], object),
+def _in_zones(steps: Steps, ground: Elevation, zones: Sequence[Zone]) -> pd.DataFrame:
+    """Return a row for each step in each no-fly zone (`contacts`)."""
+    prisms = Prisms(
+        polygons=np.array([zone.on(ground.maps.grid) for zone in zones], object),
         floor_m=np.array([zone.floor_m for zone in zones], float),
         top_m=np.array([zone.ceiling_m for zone in zones], float),
         limit_m=np.full(len(zones), -np.inf),
         kind=np.full(len(zones), "zone", object),
     )
+    rows = contacts(steps, prisms, ground)
+    return rows[rows["gap_m"] <= 0]
 
 
-def _zones(steps: Steps, ground: Elevation, limits: Constraints) -> pd.DataFrame:
-    """Return a row for each stretch of a mission in a no-fly zone of ``limits``."""
-    zones = limits.zones
-    rows = contacts(steps, _prisms_of(zones, ground.maps), ground)
-    rows = merged(rows[rows["gap_m"] <= 0], "prism")
+def _zones(steps: Steps, ground: Elevation, zones: Sequence[Zone]) -> pd.DataFrame:
+    """Return a row for each stretch of a mission in a no-fly zone."""
+    rows = merged(_in_zones(steps, ground, zones), "prism")
     entered = [zones[number] for number in rows["prism"]]
     what = [f"enters the no-fly zone {zone.label}, {zone.heights}" for zone in entered]
     return rows.assign(kind="zone", what=what)
