@@ -534,11 +534,10 @@ class CostMap(FactsRepr):
         is_guided = self.is_prepared and not search.exposure and search.heuristic is None
         if is_guided and PLANNERS[search.planner].default_heuristic == AUTO:
             search = replace(search, heuristic="landmarks")
-        is_for_volumes = self.levels is not None
         find_path = find_planner(
             search.planner,
             search.heuristic,
-            is_for_volumes=is_for_volumes,
+            is_for_volumes=self.levels is not None,
             backend=search.backend,
         )
 

@@ -71,7 +71,7 @@ def height_note(route: PlannedPath) -> str:
 
 
 def mission_note(
-    route: PlannedPath, end: MissionEnd, roofs: RoofFences | None, from_roof: bool = False
+    route: PlannedPath, end: MissionEnd, roofs: RoofFences | None, from_roof: bool
 ) -> str:
     """Return what to know of a ``.plan``: its altitudes, its end and its geofence, in a few sentences."""
     roof_note = "" if roofs is None else roofs.note
