@@ -121,12 +121,6 @@ class _Search:
         return least * self.units + self.budgets
 
     @property
-    def has_gap(self) -> bool:
-        """Whether a path within the budgets may cost less than the best one known, or none is known."""
-        best = self.best()
-        return best is None or best.cost > self.bound * (1 + SAME_EXPOSURE)
-
-    @property
     def is_late(self) -> bool:
         """Whether no further search may begin."""
         return self.is_out_of_time or len(self.paths) >= MOST_SEARCHES
@@ -275,7 +269,9 @@ def within_budgets(
         is_over = bool((search.least_exposures() > search.budgets * (1 + SAME_EXPOSURE)).any())
         if not is_over:
             prices = search.raise_bound()
-    if not is_over and problem.levels_m is None and search.has_gap:
+    best = search.best()
+    has_gap = best is None or best.cost > search.bound * (1 + SAME_EXPOSURE)
+    if not is_over and problem.levels_m is None and has_gap:
         num_labels, is_over = search.close(prices)
 
     status, note = _end_of(search, num_labels, is_over, budgets)

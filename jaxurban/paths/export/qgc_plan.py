@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from jaxurban.errors import InputError
+from jaxurban.io.read.mission_flight import LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
 from jaxurban.io.read.mission_items import HOME_HEIGHT
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.export.base import (
@@ -33,18 +34,10 @@ from jaxurban.paths.route_report import RouteReport
 from jaxurban.settings import MissionEnd
 
 # MAVLink common message set, and the values that QGroundControl's plan format takes from it
-MAV_CMD_NAV_WAYPOINT, MAV_CMD_NAV_RETURN_TO_LAUNCH, MAV_CMD_NAV_LAND, MAV_CMD_NAV_TAKEOFF = (
-    16,
-    20,
-    21,
-    22,
-)
-MAV_CMD_DO_CHANGE_SPEED = 178
 MAV_FRAME_MISSION, MAV_FRAME_GLOBAL_RELATIVE_ALT = 2, 3
 MAV_AUTOPILOT_PX4, MAV_TYPE_QUADROTOR = 12, 2
 ALTITUDE_RELATIVE = 1
 GROUND_SPEED, THROTTLE_AS_IT_IS = 1, -1
-
 
 END_NOTES: dict[MissionEnd, str] = {
     "land": "It ends with a landing at the goal.",
@@ -184,18 +177,18 @@ def _items(
     """
     lonlats = along.lonlat.tolist()
     heights_m = upward(along.above_home_m - roof_m).tolist()
-    items = [_place(MAV_CMD_NAV_TAKEOFF, lonlats[0], heights_m[0])]
+    items = [_place(TAKEOFF, lonlats[0], heights_m[0])]
     if speed_m_s is not None:
         params = [GROUND_SPEED, speed_m_s, THROTTLE_AS_IT_IS, 0, 0, 0, 0]
-        items.append(_command(MAV_CMD_DO_CHANGE_SPEED, params))
+        items.append(_command(SPEED, params))
     for lonlat, height_m in zip(lonlats[1:], heights_m[1:], strict=True):
-        items.append(_place(MAV_CMD_NAV_WAYPOINT, lonlat, height_m))
+        items.append(_place(WAYPOINT, lonlat, height_m))
     if end == "land":
         ground_m = 0.0 if along.ground_m is None else float(along.ground_m[-1] - along.ground_m[0])
         ground_m = round(ground_m - roof_m, Z_DECIMALS)
-        items.append(_place(MAV_CMD_NAV_LAND, lonlats[-1], ground_m))
+        items.append(_place(LAND, lonlats[-1], ground_m))
     elif end == "return":
-        items.append(_command(MAV_CMD_NAV_RETURN_TO_LAUNCH, [0] * 7))
+        items.append(_command(RETURN, [0] * 7))
     return [item | {"doJumpId": number} for number, item in enumerate(items, start=1)]
 
 
