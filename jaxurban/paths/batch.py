@@ -187,9 +187,7 @@ def plan_many(
         num_done = sum(results.counts.values())
         LOG.warning("interrupted: %d of %d queries are done", num_done, len(batch))
     finally:
-        if (
-            store is not None
-        ):  # which keeps results of an earlier run, too, that were not asked for yet
+        if store is not None:  # with an earlier run's results that were not asked for yet
             store.save()
     return PlannedPaths(results.rows, results.paths, was_interrupted)
 
