@@ -338,7 +338,7 @@ def _of_folder(folder: Path, planner: str | None, pilot_columns: Mapping) -> _So
 
     # Each instance beside the row of the chosen planner.
     rows = rows[rows.planner == one_of("planner", planner, counts.index)]
-    instances = table.merge(rows[[*KEY, *OF_ROW]], "left", list(KEY))
+    instances = table.merge(rows[[*KEY, *OF_ROW]], "left", KEY)
     return _Source(str(folder), instances, settings, planner)
 
 

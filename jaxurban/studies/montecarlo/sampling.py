@@ -1,7 +1,7 @@
 """Instances of a Monte Carlo benchmark: places by stratum and range, times of day and weights, all from one seed."""
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,7 @@ NUM_DOUBLINGS = 5  # of the pairs drawn, until so many are joined as are wanted
 # Starts, and goals for each, before a kind of instance is passed over.
 NUM_TRIES, NUM_GOALS = 200, 256
 
-KEY = ("instance", "altitude_m")
+KEY = ["instance", "altitude_m"]
 TIMES = ("time", "time_of_day")
 # None where a file holds none.
 OPTIONAL = (*TIMES, "start_stratum", "goal_stratum", "range", "is_connected")
@@ -145,12 +145,12 @@ def sample_instances(
     # A row per pair of places. Its generator draws place, times and weights in this order, so that no option changes
     # what the others draw.
     is_free = np.logical_and.reduce([_always_free(maps, z_m, constraints) for z_m in altitudes_m])
-    places = _Places(maps, is_free, cover, at_least("seed", seed))
+    draw_places = _places(maps, is_free, cover, at_least("seed", seed))
     names = ("distance", *maps.metrics)
     rows = []
     for number in range(num):
         rng = np.random.default_rng([seed, 1, number])
-        row: dict[str, Any] = {"instance": number, **places.draw(rng)}
+        row: dict[str, Any] = {"instance": number, "altitude_m": 0.0} | draw_places(rng)
         row["time"] = None if maps.default_time is None else str(rng.choice(maps.times))
         row["time_of_day"] = str(rng.choice(maps.times_of_day)) if maps.times_of_day else None
         shares = rng.dirichlet(np.ones(len(names)))
@@ -164,7 +164,6 @@ def sample_instances(
 
     # The same pairs at every altitude.
     pairs = pd.DataFrame(rows).assign(crs=maps.grid.crs)
-    pairs.insert(1, "altitude_m", 0.0)
     at_altitudes = [pairs.assign(altitude_m=z_m) for z_m in altitudes_m]
     table = pd.concat(at_altitudes, ignore_index=True)
     table = with_connection(table, maps, model, constraints)
@@ -260,8 +259,8 @@ def _end_facts(grid: Grid, end: str, x_m: float, y_m: float) -> dict[str, object
     """
     lon, lat = grid.lonlat_of_xy(x_m, y_m)
     return {
-        f"{end}_x_m": x_m,
-        f"{end}_y_m": y_m,
+        f"{end}_x_m": float(x_m),
+        f"{end}_y_m": float(y_m),
         f"{end}_lon": float(lon),
         f"{end}_lat": float(lat),
     }
@@ -271,67 +270,59 @@ def _diagonal_m(grid: Grid) -> float:
     return float(np.hypot(*grid.shape)) * grid.resolution_m
 
 
-class _Places:
-    """Free cells by stratum, from which pairs are drawn."""
+def _places(
+    maps: MetricMaps, is_free: np.ndarray, cover: LandCover | None, seed: int
+) -> Callable[[np.random.Generator], dict[str, object]]:
+    """Return a function that draws a pair of places of the next kind that the maps offer, from a generator.
 
-    def __init__(
-        self, maps: MetricMaps, is_free: np.ndarray, cover: LandCover | None, seed: int
-    ) -> None:
-        """Sort the free cells by stratum.
+    It returns the pair's columns: ends, distance, strata and range, and raises InputError if no kind offers a pair.
 
-        Args:
-          maps: their roofs decide the strata.
-          is_free: ``[Y, X]`` bool.
-          cover: water and parks, as in `strata_of`.
-          seed: of the order in which kinds of pairs take turns.
+    Args:
+      maps: their roofs decide the strata.
+      is_free: ``[Y, X]`` bool.
+      cover: water and parks, as in `strata_of`.
+      seed: of the order in which kinds of pairs take turns.
 
-        Raises:
-          InputError: fewer than two free cells.
-        """
-        self.grid = maps.grid
-        strata = np.where(is_free, strata_of(maps, cover), NO_STRATUM).ravel()
+    Raises:
+      InputError: fewer than two free cells.
+    """
+    grid = maps.grid
+    strata = np.where(is_free, strata_of(maps, cover), NO_STRATUM).ravel()
 
-        # Flat numbers of the free cells of each stratum, and the strata that have any.
-        self.cells = [np.flatnonzero(strata == number) for number in range(len(STRATA))]
-        present = [number for number, cells in enumerate(self.cells) if len(cells)]
+    # Flat numbers of the free cells of each stratum, and the strata that have any.
+    cells = [np.flatnonzero(strata == number) for number in range(len(STRATA))]
+    present = [number for number, of_stratum in enumerate(cells) if len(of_stratum)]
 
-        # Each kind is the stratum of the start, that of the goal and a range.
-        self.kinds = list(itertools.product(present, present, RANGES))
-        self.seed = seed
-        self.num_dealt = 0  # kinds that were drawn so far
-        if sum(map(len, self.cells)) < 2:
-            raise InputError(
-                "fewer than two cells are free at every altitude of the benchmark: leave out the lowest one, or loosen "
-                "the constraints"
-            )
+    # Each kind is the stratum of the start, that of the goal and a range.
+    kinds = list(itertools.product(present, present, RANGES))
+    dealt = itertools.count()  # numbers the kinds that are drawn
+    if sum(map(len, cells)) < 2:
+        raise InputError(
+            "fewer than two cells are free at every altitude of the benchmark: leave out the lowest one, or loosen "
+            "the constraints"
+        )
 
-    def draw(self, rng: np.random.Generator) -> dict[str, object]:
-        """Return the columns of a pair of places of the next kind that the maps offer: ends, distance, strata, range.
-
-        Raises:
-          InputError: no kind offers a pair.
-        """
-        for _ in self.kinds:
+    def draw(rng: np.random.Generator) -> dict[str, object]:
+        """Return the columns of the next pair."""
+        for _ in kinds:
             # The next kind: they are shuffled again each time all of them were drawn.
-            turn, place = divmod(self.num_dealt, len(self.kinds))
-            self.num_dealt += 1
-            order = np.random.default_rng([self.seed, 0, turn]).permutation(len(self.kinds))
-            start_stratum, goal_stratum, name = self.kinds[order[place]]
-            low_m, high_m = np.multiply(RANGES[name], _diagonal_m(self.grid))
+            turn, place = divmod(next(dealt), len(kinds))
+            order = np.random.default_rng([seed, 0, turn]).permutation(len(kinds))
+            start_stratum, goal_stratum, name = kinds[order[place]]
+            low_m, high_m = np.multiply(RANGES[name], _diagonal_m(grid))
 
             # Each try draws one start and many goals, and takes the first goal that is as far away as is wanted. Cells
             # are flat numbers: row times the number of columns, plus column.
             for _ in range(NUM_TRIES):
-                row, col = np.divmod(rng.choice(self.cells[start_stratum]), self.grid.num_cols)
-                goals = rng.choice(self.cells[goal_stratum], NUM_GOALS)
-                rows, cols = np.divmod(goals, self.grid.num_cols)
-                away_m = np.hypot(rows - row, cols - col) * self.grid.resolution_m
+                row, col = np.divmod(rng.choice(cells[start_stratum]), grid.num_cols)
+                rows, cols = np.divmod(rng.choice(cells[goal_stratum], NUM_GOALS), grid.num_cols)
+                away_m = np.hypot(rows - row, cols - col) * grid.resolution_m
                 fits = np.flatnonzero((away_m >= low_m) & (away_m < high_m))
                 if len(fits):
                     first = fits[0]
-                    goal = rows[first], cols[first]
-                    ends = self._end("start", (row, col)) | self._end("goal", goal)
-                    return ends | {
+                    return {
+                        **_end_facts(grid, "start", *grid.xy_of_cell(row, col)),
+                        **_end_facts(grid, "goal", *grid.xy_of_cell(rows[first], cols[first])),
                         "distance_m": float(away_m[first]),
                         "start_stratum": STRATA[start_stratum],
                         "goal_stratum": STRATA[goal_stratum],
@@ -341,8 +332,7 @@ class _Places:
             "no two free cells of these maps lie far enough apart for a benchmark: use a larger region"
         )
 
-    def _end(self, end: str, cell: tuple[int, int]) -> dict[str, object]:
-        return _end_facts(self.grid, end, *map(float, self.grid.xy_of_cell(*cell)))
+    return draw
 
 
 def _always_free(maps: MetricMaps, altitude_m: float, constraints: Constraints) -> np.ndarray:
@@ -500,9 +490,9 @@ def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
         table[column] = values.astype(np.int64) if column == "instance" else values
 
     # No instance twice at one altitude.
-    twice = table.duplicated(list(KEY))
+    twice = table.duplicated(KEY)
     if twice.any():
-        number, altitude_m = table.loc[twice, list(KEY)].to_numpy()[0]
+        number, altitude_m = table.loc[twice, KEY].to_numpy()[0]
         raise InputError(
             f"{name} holds instance {number:g} at {altitude_m:g} m twice: renumber them"
         )

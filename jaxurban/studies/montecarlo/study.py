@@ -313,14 +313,14 @@ def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
     try:
         if workspace.is_changed(file):
             raise InputError(f"{str(file)!r} is not as it was written")
-        before = read_instances(file).set_index(list(KEY))
+        before = read_instances(file).set_index(KEY)
     except InputError as error:
         raise InputError(
             f"{str(folder)!r} holds a study whose instances are lost ({error}): {remedy}"
         ) from error
 
     # None of them may be missing now.
-    now = instances.set_index(list(KEY))
+    now = instances.set_index(KEY)
     lost = before.index.difference(now.index)
     if len(lost):
         number, altitude_m = lost[0]

@@ -301,8 +301,7 @@ class _Aim(NamedTuple):
     shortest: AnyArray
 
 
-@dataclass(frozen=True, eq=False)
-class _Best:
+class _Best(NamedTuple):
     """The best weights of one search so far.
 
     Attributes:
@@ -318,8 +317,7 @@ class _Best:
     rows: list[dict]
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
+class _Search(NamedTuple):
     """What searches for different targets share: the routes that they find, and compiled code."""
 
     pool: RoutePool

@@ -115,24 +115,51 @@ def find_breakpoints(
     Raises:
       InputError: the query has no path.
     """
-    # Rounds of searches at all corners of cells that are not verified yet.
+    # The routes found so far: features and integrals [2, K] of each, its cost at each corner [C], and its cell, empty
+    # where another route is as cheap or cheaper everywhere.
+    facts: list[np.ndarray] = []
+    ends: list[np.ndarray] = []
+    cells: list[np.ndarray] = []
+
+    # Rounds of searches at all places [P, C] at which one is still due: corners of cells, each once.
     before = pool.num_plans
-    growing = _Growing(corners, tolerance)
-    places = growing.unverified()
+    verified: set[tuple[int, ...]] = set()
+    places = np.eye(len(corners))
     while len(places) and pool.num_plans - before < max_plans:
-        growing.verify(places, pool.cheapest(places @ corners)[:, 0])
-        places = growing.unverified()
+        verified.update(map(_key, places))
+        found = pool.cheapest(places @ corners)[:, 0]
+        for place, features, integrals in zip(places, *found, strict=True):
+            at_corners = corners @ features
+            known = np.min(np.array(ends) @ place) if ends else np.inf
+            if not place @ at_corners < known * (1 - tolerance):
+                continue
+
+            # A new route: its cell is what the known routes leave it, and their cells lose what it takes.
+            new = np.eye(len(corners))
+            for route, other in enumerate(ends):
+                if len(cells[route]):
+                    new = _clip(new, at_corners - other)
+                    cells[route] = _clip(cells[route], other - at_corners)
+            facts.append(np.stack([features, integrals]))
+            ends.append(at_corners)
+            cells.append(new)
+        due = {_key(place): place for cell in cells for place in cell}
+        places = np.array([place for key, place in due.items() if key not in verified])
         if on_plans is not None:
             on_plans(pool.num_plans - before)
 
-    # The routes that have a cell, in the order in which they are reported.
-    order = growing.order()
-    facts = np.array([growing.facts[route] for route in order])
+    # The routes that have a cell: along a line from its first corner on, else by falling size.
+    order = [route for route, cell in enumerate(cells) if len(cell)]
+    if len(corners) == 2:
+        order.sort(key=lambda route: cells[route][:, 1].min())
+    else:
+        order.sort(key=lambda route: -_size(cells[route]))
+    chosen = np.array([facts[route] for route in order])
     return Partition(
         corners=corners,
-        features=facts[:, 0],
-        integrals=facts[:, 1],
-        cells=tuple(growing.cells[route] for route in order),
+        features=chosen[:, 0],
+        integrals=chosen[:, 1],
+        cells=tuple(cells[route] for route in order),
         is_complete=not len(places),
         tolerance=tolerance,
         num_plans=pool.num_plans - before,
@@ -227,57 +254,6 @@ def pareto_front(
         pool, corners, tolerance=tolerance, max_plans=max_plans, on_plans=on_plans
     )
     return replace(result, objectives=tuple(objectives))
-
-
-class _Growing:
-    """The partition by the routes known so far: facts ``[2, K]``, cost at each corner ``[C]`` and cell of each."""
-
-    def __init__(self, corners: np.ndarray, tolerance: float) -> None:
-        self.corners = corners
-        self.tolerance = tolerance
-        self.facts: list[np.ndarray] = []
-        self.ends: list[np.ndarray] = []
-        # Empty where another route is as cheap or cheaper everywhere.
-        self.cells: list[np.ndarray] = []
-        self.verified: set[tuple[int, ...]] = set()
-
-    def unverified(self) -> np.ndarray:
-        """Return the places ``[P, C]`` at which a search is still due: corners of cells, each once."""
-        cells = self.cells or [np.eye(len(self.corners))]
-        due = {_key(place): place for cell in cells for place in cell}
-        return np.array([place for key, place in due.items() if key not in self.verified])
-
-    def verify(self, places: np.ndarray, result: np.ndarray) -> None:
-        """Take in what searches at places ``[P, C]`` found, ``[2, P, K]``."""
-        self.verified.update(map(_key, places))
-        for place, features, integrals in zip(places, *result, strict=True):
-            ends = self.corners @ features
-            known = np.min(np.array(self.ends) @ place) if self.ends else np.inf
-            if place @ ends < known * (1 - self.tolerance):
-                self._add(np.stack([features, integrals]), ends)
-
-    def _add(self, facts: np.ndarray, ends: np.ndarray) -> None:
-        """Add a route: its cell is what the known routes leave it, and their cells lose what it takes.
-
-        Args:
-          facts: ``[2, K]`` its features and integrals.
-          ends: ``[C]`` its cost at each corner.
-        """
-        new = np.eye(len(self.corners))
-        for route, other in enumerate(self.ends):
-            if len(self.cells[route]):
-                new = _clip(new, ends - other)
-                self.cells[route] = _clip(self.cells[route], other - ends)
-        self.facts.append(facts)
-        self.ends.append(ends)
-        self.cells.append(new)
-
-    def order(self) -> list[int]:
-        """Return the routes that have a cell: along a line from its first corner on, else by falling size."""
-        routes = [route for route, cell in enumerate(self.cells) if len(cell)]
-        if len(self.corners) == 2:
-            return sorted(routes, key=lambda route: self.cells[route][:, 1].min())
-        return sorted(routes, key=lambda route: -_size(self.cells[route]))
 
 
 def _clip(cell: np.ndarray, excess: np.ndarray) -> np.ndarray:
