@@ -18,7 +18,6 @@ from jaxurban.progress import Progress, reporting
 from jaxurban.report.sensitivity_study import FILES, SensitivityStudy, write_sensitivity_study
 from jaxurban.studies.weights.changed_maps import add_changed_rows
 from jaxurban.studies.weights.cities import (
-    check_some_vary,
     in_order,
     named_sources,
     open_cities,
@@ -105,7 +104,6 @@ def sensitivity_study(
         )
     cities = open_cities(sources_by_city, settings, weights)
     instances = routes_of_cities(cities, routes, altitudes_m)
-    check_some_vary(cities, instances)
 
     # What identifies the study in its folder. With several processes each search has one thread.
     key = cities.settings.to_dict() | {

@@ -19,7 +19,6 @@ from jaxurban.kernels.tolerances import SAME_RECORDED_COST
 from jaxurban.maps.build import build_maps
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.plan import cost_map
 from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar_plus
@@ -35,8 +34,11 @@ from jaxurban.settings import SampleName
 from jaxurban.studies.montecarlo.sampling import sample_joined
 
 QUERIES, DEMONSTRATIONS, CHECKSUMS = "queries.csv", "demonstrations.csv", "CHECKSUMS"
-TEXTS = {"README.md": "report/templates/board.md", "CITATION.cff": "report/templates/board.cff"}
-TEXTS |= {"NOTICE.md": "samples/NOTICE.md"}
+TEXTS = {
+    "README.md": "report/templates/board.md",
+    "CITATION.cff": "report/templates/board.cff",
+    "NOTICE.md": "samples/NOTICE.md",
+}
 # Names of cities.
 SAMPLED: tuple[SampleName, ...] = ("lower-manhattan", "shinjuku")
 SYNTHETIC = "synthetic"
@@ -87,7 +89,21 @@ def make_benchmark(
             # Costs are rounded before anything is planned, so that the files hold what routes were judged by.
             costs = cost_map(city_map, city_map.altitudes_m[0], cost_model="line")
             problem = costs.problem.with_costs(np.round(costs.costs, DECIMALS))
-            written.append(_pack(costs, problem, folder / f"{city}.npz"))
+            file = folder / f"{city}.npz"
+            written.append(file)
+
+            # The same map gives the same bytes, since NumPy dates the parts of such files 1980.
+            with whole_file(file) as scratch, scratch.open("wb") as stream:
+                np.savez_compressed(
+                    stream,
+                    layers=costs.names,
+                    crs=costs.grid.crs,
+                    west_south_m=costs.grid.bounds_m[:2],
+                    resolution_m=problem.resolution_m,
+                    reference_length_m=costs.cost_model.reference_length_m,
+                    costs=problem.costs,
+                    is_free=problem.is_free,
+                )
 
             # Pairs of ends, in metres from the map's southwest corner: first those of queries, then of demonstrations.
             instances = sample_joined(
@@ -130,30 +146,6 @@ def city_maps() -> dict[str, MetricMaps]:
         name: build_maps(city, resolution_m=5.0, altitudes_m=(20.0,))
         for name, city in cities.items()
     }
-
-
-def _pack(costs: CostMap, problem: Problem, file: Path) -> Path:
-    """Write a city's map as a compressed .npz, and return the file.
-
-    The same map gives the same bytes, since NumPy dates the parts of such files 1980.
-
-    Args:
-      costs: what the layers and the place of the map are read from.
-      problem: of the same map, with the costs as they are to be kept.
-      file: where to; it appears only when it is whole.
-    """
-    with whole_file(file) as scratch, scratch.open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            layers=costs.names,
-            crs=costs.grid.crs,
-            west_south_m=costs.grid.bounds_m[:2],
-            resolution_m=problem.resolution_m,
-            reference_length_m=costs.cost_model.reference_length_m,
-            costs=problem.costs,
-            is_free=problem.is_free,
-        )
-    return file
 
 
 def problem_of(problem: Problem, names: Sequence[str], row: Mapping[str, Any]) -> Problem:
@@ -245,11 +237,9 @@ def score(
     # The bundle's checksums, by file name, and its queries, which must be as it was made. In the track "weights" a
     # submission names a city instead of a query.
     sums = folder / CHECKSUMS
-    digests = dict[str, str]()
     with readable(sums, "checksums of a benchmark", f"make one by jaxurban score {folder} --make"):
-        for line in sums.read_text().splitlines():
-            digest, name = line.split("  ")
-            digests[name] = digest
+        listed = [line.split("  ") for line in sums.read_text().splitlines()]
+        digests = {name: digest for digest, name in listed}
     _check_files(folder, [QUERIES, *digests], digests)
     queries = read_table(folder / QUERIES, "queries")
     is_weights = queries["track"] == "weights"
@@ -274,11 +264,10 @@ def score(
 
     # A line for each track and city; the bundle is named by the beginning of a hash of its checksums.
     bundle = digest_of(sums)[:12]
-    rows = []
-    for (track, city), part in routes.groupby(["track", "city"], sort=False):
-        keys = {"method": method, "bundle": bundle, "track": track, "city": city}
-        rows.append(keys | _summary(part))
-    lines = pd.DataFrame(rows)
+    lines = pd.DataFrame(
+        {"method": method, "bundle": bundle, "track": track, "city": city} | _summary(part)
+        for (track, city), part in routes.groupby(["track", "city"], sort=False)
+    )
     if board is not None:
         # They replace lines of the same method, bundle, track and city.
         board = Path(board)

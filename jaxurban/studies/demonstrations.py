@@ -41,8 +41,6 @@ ROUNDED_CELLS = (
 NEARER = 1e-3  # what a cell away from a line costs, in lengths of a cell
 MOST_REASONS = 3  # in an error; a warning has them all
 
-MapOf = Callable[[float, str | None, str | None], CostMap]  # by altitude, time and time of day
-
 
 @typed
 @dataclass(frozen=True, eq=False)
@@ -276,7 +274,7 @@ def _cost_maps(
     constraints: Constraints | None,
     preset: Preset,
     metrics: Sequence[str] | None,
-) -> MapOf:
+) -> Callable[[float, str | None, str | None], CostMap]:
     """Return a function of altitude in metres, time and time of day that gives the cost map there.
 
     It makes each cost map once, as fits count maps by identity. Warns of the first route that was planned under another
@@ -295,7 +293,19 @@ def _cost_maps(
     """
     # The rules of the cost maps: an argument comes before the rules of the maps' scenario.
     if cost_model is None:
-        cost_model = _common_model(planned)
+        models = {
+            name: CostModel.from_settings(settings)
+            for name, settings in planned
+            if "cost_model" in settings
+        }
+        first = next(iter(models), "")  # a name that no model has where there is none
+        for name, other in models.items():
+            if other != models[first]:
+                raise InputError(
+                    f"{first} was planned under the cost model {models[first]} and {name} under {other}: fit them "
+                    "apart, or name one for all (--cost-model, cost_model=)"
+                )
+        cost_model = models.get(first)
     rules = RouteRules(
         cost_model=cost_model, constraints=constraints or Constraints(), preset=preset
     )
@@ -321,30 +331,6 @@ def _cost_maps(
         return cost_map if metrics is None else cost_map.only(metrics)
 
     return map_of
-
-
-def _common_model(planned: Sequence[tuple[str, Mapping]]) -> CostModel | None:
-    """Return the cost model that routes were planned under; None where no route names one.
-
-    Args:
-      planned: each route's name and the settings that it was planned under.
-
-    Raises:
-      InputError: an invalid cost model, or routes that were planned under different ones.
-    """
-    models = {
-        name: CostModel.from_settings(settings)
-        for name, settings in planned
-        if "cost_model" in settings
-    }
-    first = next(iter(models), "")  # a name that no model has where there is none
-    for name, other in models.items():
-        if other != models[first]:
-            raise InputError(
-                f"{first} was planned under the cost model {models[first]} and {name} under {other}: fit them apart, "
-                "or name one for all (--cost-model, cost_model=)"
-            )
-    return models.get(first)
 
 
 def _describe_rules(rules: Mapping[str, Any]) -> str:

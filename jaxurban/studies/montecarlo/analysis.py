@@ -43,7 +43,7 @@ def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
       instances: of the same benchmark.
     """
     wanted = [*KEY, "range", "start_stratum", "goal_stratum", "time_of_day", "distance_m"]
-    table = rows.merge(instances.filter(wanted), on=list(KEY), validate="many_to_one")
+    table = rows.merge(instances.filter(wanted), on=KEY, validate="many_to_one")
     table["range"] = table.get("range", pd.Series(index=table.index)).astype(object).fillna("any")
     table["has_path"] = table.status.isin(HAS_PATH)
 
@@ -138,7 +138,7 @@ def usage(table: pd.DataFrame) -> pd.DataFrame:
     table = table[table.planner.isin(solved.index[solved >= OFTEN])]
     num_runs = len(table[["planner", "objective"]].drop_duplicates())
     result = table[table.has_path]
-    result = result[result.groupby(list(KEY)).has_path.transform("size") == num_runs]
+    result = result[result.groupby(KEY).has_path.transform("size") == num_runs]
     runs = result.groupby(["planner", "objective", "altitude_m"])
     means = runs[[*facts_of(result), "detour"]].mean()
     return means.assign(instances=runs.size()).reset_index()
@@ -177,10 +177,10 @@ def paired(table: pd.DataFrame) -> pd.DataFrame:
     """
     # Costs and seconds, a row per pair of places and a column per planner.
     rows = weighted_rows(table)
-    cost = rows[rows.has_path].pivot(index=list(KEY), columns="planner", values="cost")
+    cost = rows[rows.has_path].pivot(index=KEY, columns="planner", values="cost")
     cost = cost.reindex(columns=sorted(rows.planner.unique()))
     is_solved = cost.notna()
-    seconds = rows.pivot(index=list(KEY), columns="planner", values="elapsed_s")
+    seconds = rows.pivot(index=KEY, columns="planner", values="elapsed_s")
 
     # A row for each two planners; ratios are over the pairs that both solved at a cost above 0.
     result = []
@@ -340,7 +340,23 @@ def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.Dat
         is_free = maps.is_free(altitude_m, "centre")
         gps = maps.m("gps", altitude_m)[is_free].astype(np.float64)
         lidar = maps.m("lidar", altitude_m)[is_free].astype(np.float64)
-        row = {"altitude_m": altitude_m, **_sensors(gps, lidar)}
+
+        # The mean of m_lidar where GPS is poor and where it is good; NaN where GPS is nearly never poor, or always.
+        gps_serves, lidar_serves = gps >= GOOD, lidar >= GOOD
+        in_poor = in_good = np.nan
+        if FEWEST <= (~gps_serves).mean() < 1:
+            in_poor = lidar[~gps_serves].mean()
+            in_good = lidar[gps_serves].mean()
+        row = {
+            "altitude_m": altitude_m,
+            "gps": gps.mean(),
+            "lidar": lidar.mean(),
+            "gps_serves": gps_serves.mean(),
+            "lidar_serves": lidar_serves.mean(),
+            "either_serves": (gps_serves | lidar_serves).mean(),
+            "lidar_where_gps_poor": in_poor,
+            "lidar_where_gps_good": in_good,
+        }
 
         # [tiles, 6] the sums over each tile from which a correlation is computed, after those of all tiles, or of the
         # tiles of each draw, are added up.
@@ -351,30 +367,6 @@ def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.Dat
         interval = interval_of(correlation, correlation_of(draws @ sums), len(free_tiles))
         result.append(row | named("correlation", interval))
     return pd.DataFrame(result)
-
-
-def _sensors(gps: np.ndarray, lidar: np.ndarray) -> dict[str, float]:
-    """Return the columns of `complementarity` that say how well GPS and lidar serve, alone and together.
-
-    Args:
-      gps, lidar: ``[N]`` m of both in the free cells of an altitude.
-    """
-    gps_serves, lidar_serves = gps >= GOOD, lidar >= GOOD
-
-    # The mean of m_lidar where GPS is poor and where it is good; NaN where GPS is nearly never poor, or always.
-    in_poor = in_good = np.nan
-    if FEWEST <= (~gps_serves).mean() < 1:
-        in_poor = lidar[~gps_serves].mean()
-        in_good = lidar[gps_serves].mean()
-    return {
-        "gps": gps.mean(),
-        "lidar": lidar.mean(),
-        "gps_serves": gps_serves.mean(),
-        "lidar_serves": lidar_serves.mean(),
-        "either_serves": (gps_serves | lidar_serves).mean(),
-        "lidar_where_gps_poor": in_poor,
-        "lidar_where_gps_good": in_good,
-    }
 
 
 def correlation_of(sums: np.ndarray) -> np.ndarray:

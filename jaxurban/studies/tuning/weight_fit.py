@@ -165,8 +165,21 @@ def fit_weights(
         best = fit.least_mean_regret(float(regret.mean()))
         draws, interval = refitted(fit, scale, bootstrap)
 
+    # What each weight costs on average, and how much that differs between demonstrations.
+    cost = fit.weights * fit.demo.mean(axis=0)
+    spread = fit.weights * fit.demo.std(axis=0)
+    table = pd.DataFrame(
+        {
+            "weight": scaled(fit.weights, scale),
+            "low": interval[0],
+            "high": interval[1],
+            "share_of_cost": cost / cost.sum(),
+            "spread": spread / max(float(np.linalg.norm(spread)), 1e-300),  # 0 / 0 is 0
+        },
+        pd.Index(names, name="name"),
+    )
+
     # Sentences on what the fit says, and on what it cannot say.
-    table = _weight_table(fit, scale, interval)
     unidentified = [_constant_sentence(name, name in left_out) for name in constant]
     unidentified += _wide_sentences(table.drop(index=list(constant)))
     unidentified += indistinct_weights(fit.pool, fit.unit, fit.weights, is_fitted)
@@ -211,27 +224,6 @@ def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str
         return set(constant)
     costs = [cost_map.cost_of for cost_map in maps_of(queries)]
     return {name for name in constant if not np.any([cost_of(name) for cost_of in costs])}
-
-
-def _weight_table(fit: FitUnderWay, scale: str, interval: np.ndarray) -> pd.DataFrame:
-    """Return the table of a `WeightFit`, with a row for each weight.
-
-    Args:
-      fit: when it has ended.
-      scale: of its weights.
-      interval: ``[2, K]`` lower and upper ends, of the same scale.
-    """
-    # What each weight costs on average, and how much that differs between demonstrations.
-    cost = fit.weights * fit.demo.mean(axis=0)
-    spread = fit.weights * fit.demo.std(axis=0)
-    columns = {
-        "weight": scaled(fit.weights, scale),
-        "low": interval[0],
-        "high": interval[1],
-        "share_of_cost": cost / cost.sum(),
-        "spread": spread / max(float(np.linalg.norm(spread)), 1e-300),  # 0 / 0 is 0
-    }
-    return pd.DataFrame(columns, pd.Index(fit.pool.names, name="name"))
 
 
 def _constant_sentence(name: str, is_left_out: bool) -> str:

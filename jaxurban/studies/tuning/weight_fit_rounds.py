@@ -130,7 +130,16 @@ class FitUnderWay:
         noise = FIRST_NOISE * (LAST_NOISE / FIRST_NOISE) ** progress
         rng = np.random.default_rng([IN_ROUND, number, self.seed])
         num_known = self.pool.num_routes
-        worst_gap = self._search(noise, rng)
+
+        # [Q, 1 + NUM_PROBES, K] weights for searches, which add routes to the pool: the current ones first, then
+        # perturbed ones.
+        probes = np.exp(rng.normal(size=(len(self.demo), 1 + NUM_PROBES, len(self.unit))) * noise)
+        probes[:, 0] = 1.0
+        probed = self.weights * probes
+
+        # [Q, 1 + NUM_PROBES] the cheapest costs among the routes known so far, and by search.
+        expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.routes[0]), axis=-1)
+        searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
 
         # The first rounds minimise the loss, which leads from anywhere. Later ones minimise the mean regret, in which
         # demonstrations that are far costlier than most count less. Patience with them falls to 1 over the rounds
@@ -151,30 +160,10 @@ class FitUnderWay:
             "noise": noise,
             "loss": float(loss),
             "mean_regret": float(np.mean(np.asarray(regrets(weights_of(log_weights), task)))),
-            "worst_gap": worst_gap,
+            "worst_gap": float(np.max(expected / searched - 1)),
             "new_routes": self.pool.num_routes - num_known,
             "num_plans": self.pool.num_plans,
         }
-
-    def _search(self, noise: float, rng: np.random.Generator) -> float:
-        """Search for the cheapest routes under the current and under perturbed weights, which adds them to the pool.
-
-        Args:
-          noise: standard deviation of the perturbed log weights about the current ones.
-          rng: draws them.
-
-        Returns:
-          The largest share by which a searched route was cheaper than all routes known before.
-        """
-        # [Q, 1 + NUM_PROBES, K] weights for searches: the current ones first, then perturbed ones.
-        probes = np.exp(rng.normal(size=(len(self.demo), 1 + NUM_PROBES, len(self.unit))) * noise)
-        probes[:, 0] = 1.0
-        probed = self.weights * probes
-
-        # [Q, 1 + NUM_PROBES] the cheapest costs among the routes known so far, and by search.
-        expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.routes[0]), axis=-1)
-        searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
-        return float(np.max(expected / searched - 1))
 
     def searched_regret(self, log_weights: np.ndarray) -> np.ndarray:
         """Return ``[Q]`` the regret of each demonstration under weights, against the cheapest route by search."""
@@ -182,25 +171,7 @@ class FitUnderWay:
         cheapest = self.pool.cheapest(weights[None])[0, :, 0]
         return (self.demo @ weights) / (cheapest @ weights) - 1
 
-    def near_optimal_range(self, scale: np.ndarray, least: np.ndarray) -> np.ndarray:
-        """Return ``[2, K]`` the least and the largest value of each weight that explain the routes as well as the fit.
-
-        The weights W that are compared have a . W = 1. Weights that are not fitted have the range 0 to 0.
-
-        Args:
-          scale: ``[K]`` a: ones where weights sum to 1, or 1 for the distance alone.
-          least: ``[Q, K]`` features that the demonstrations have at least (`Demonstration.least_features`).
-        """
-        # In the units of the task.
-        unit = self.unit[self.is_fitted]
-        task = self._task_without_noise()._replace(demo=(least / self.unit)[:, self.is_fitted])
-        scaled = (self.weights * self.unit)[self.is_fitted]
-        sides = scale[self.is_fitted] / unit
-        ends = np.zeros((2, len(self.unit)))
-        ends[:, self.is_fitted] = near_optimal_range(scaled, task, sides, SETTLED) / unit
-        return ends
-
-    def _task_without_noise(self) -> FitTask:
+    def task_without_noise(self) -> FitTask:
         """Return the task for what noise plays no part in, such as the regret; two noises are the fewest."""
         return self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
 
@@ -215,7 +186,7 @@ class FitUnderWay:
         """
         lowest = jnp.asarray(self.log_weights)
         for _ in range(REGRET_ROUNDS):
-            task = self._task_without_noise()._replace(trust=jnp.ones(len(self.demo)))
+            task = self.task_without_noise()._replace(trust=jnp.ones(len(self.demo)))
             lowest, expected = descend(lowest, task, mean_regret, STEPS)
             reached = float(self.searched_regret(np.asarray(lowest)).mean())
             best = min(best, reached)
@@ -276,10 +247,17 @@ def refitted(fit: FitUnderWay, scale: str, bootstrap: int) -> tuple[np.ndarray, 
     if not bootstrap:
         return draws, np.full((2, num), np.nan)
 
-    # The range of weights that explain the demonstrations as well, among those with the sum 1 or the distance weight 1.
+    # [2, K] the range of weights that explain the demonstrations as well, among those with the sum 1 or the distance
+    # weight 1: 0 to 0 where a weight is not fitted, and found in the units of the task.
+    is_fitted = fit.is_fitted
+    unit = fit.unit[is_fitted]
     sides = np.ones(num) if scale == "simplex" else np.eye(num)[0]
     least = np.array([each.least_features for each in fit.demonstrations])
-    low, high = fit.near_optimal_range(sides, least)
+    task = fit.task_without_noise()._replace(demo=(least / fit.unit)[:, is_fitted])
+    in_units = (fit.weights * fit.unit)[is_fitted]
+    ends = np.zeros((2, num))
+    ends[:, is_fitted] = near_optimal_range(in_units, task, sides[is_fitted] / unit, SETTLED) / unit
+    low, high = ends
     if len(draws):
         drawn_low, drawn_high = np.percentile(draws, [5, 95], axis=0)
         low = np.minimum(drawn_low, low)

@@ -21,8 +21,6 @@ from jaxurban.progress import LOG, Report
 from jaxurban.studies.weights.cities import Cities, in_order
 from jaxurban.studies.weights.routes import OnOtherParameters, OnPerturbedMaps, row_columns
 
-Stores = dict[type[OnPerturbedMaps], RowStore]
-
 
 def add_changed_rows(
     folder: Path,
@@ -47,14 +45,15 @@ def add_changed_rows(
       maps that could not be made.
     """
     # A store for each kind of change that is wanted.
-    stores = {}
     wanted = {
         OnPerturbedMaps: cities.settings.num_heights > 0,
         OnOtherParameters: cities.settings.has_parameters,
     }
-    for kind, is_wanted in wanted.items():
-        if is_wanted:
-            stores[kind] = RowStore(folder / kind.folder / ROWS_FILE, kind.key, has_parts=True)
+    stores = {
+        kind: RowStore(folder / kind.folder / ROWS_FILE, kind.key, has_parts=True)
+        for kind, is_wanted in wanted.items()
+        if is_wanted
+    }
 
     # Rows are saved with all their columns, whatever happens.
     skipped = []
@@ -67,15 +66,15 @@ def add_changed_rows(
     finally:
         for store in stores.values():
             store.save(row_columns(store.rows))
-    tables = {}
-    for kind, store in stores.items():
-        rows = read_table(store.file, "rows of changed maps")
-        tables[kind.folder] = in_order(rows, cities.maps)
+    tables = {
+        kind.folder: in_order(read_table(store.file, "rows of changed maps"), cities.maps)
+        for kind, store in stores.items()
+    }
     return tables, tuple(skipped)
 
 
 def _add_city(
-    stores: Stores,
+    stores: dict[type[OnPerturbedMaps], RowStore],
     city: str,
     cities: Cities,
     instances: pd.DataFrame,

@@ -178,7 +178,13 @@ def routes_of_cities(
     table = pd.concat(parts, ignore_index=True)
     no_weights = dict.fromkeys(weight_columns(cities.metrics), 0.0)
     columns = dict.fromkeys([*table, *no_weights])
-    return table.reindex(columns=list(columns)).fillna(no_weights)
+    table = table.reindex(columns=list(columns)).fillna(no_weights)
+
+    # A weight that is 0 on some routes is no error here: the row of such a route says so.
+    varied = ("distance", *cities.metrics)
+    largest = table[[WEIGHT_PREFIX + name for name in varied]].max().to_numpy()
+    varied_columns(varied, largest, settings.vary, " on every route")
+    return table
 
 
 def _listed_routes(
@@ -211,20 +217,6 @@ def _listed_routes(
         part = instances_of_queries(maps, queries)
     check_instances(part, maps)
     return part
-
-
-def check_some_vary(cities: Cities, instances: pd.DataFrame) -> None:
-    """Raise InputError unless every weight to vary is above 0 on one route at least.
-
-    A weight that is 0 on some routes is no error here: the row of such a route says so.
-
-    Args:
-      cities: of the study; their settings name the weights to vary, or none, which means all metrics.
-      instances: the routes, with a column for each weight.
-    """
-    names = ("distance", *cities.metrics)
-    largest = instances[[WEIGHT_PREFIX + name for name in names]].max().to_numpy()
-    varied_columns(names, largest, cities.settings.vary, " on every route")
 
 
 def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:

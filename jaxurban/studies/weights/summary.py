@@ -13,8 +13,8 @@ import pandas as pd
 
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval, Statistic, named
-from jaxurban.studies.weights.routes import OF_SHARE, OF_WEIGHT, ROUTE_KEY
-from jaxurban.studies.weights.sobol import FEW_SAMPLES
+from jaxurban.studies.weights.routes import OF_WEIGHT, ROUTE_KEY
+from jaxurban.studies.weights.sobol import FEW_SAMPLES, OF_SHARE
 
 DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "distance_m")
 ALL = "all"
@@ -106,14 +106,6 @@ def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.S
     }
 
 
-def by_stratum(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table with ``stratum``, each row once for each stratum that its route starts or ends in."""
-    ends = [table.assign(stratum=table[name]) for name in ("start_stratum", "goal_stratum")]
-    both = pd.concat(ends).dropna(subset="stratum")
-    once = both.reset_index().drop_duplicates(["index", "stratum"], ignore_index=True)
-    return once.drop(columns="index")
-
-
 def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
     """Yield the parts of a table of weights: what the table is cut by, the value of the part, and the part.
 
@@ -121,7 +113,11 @@ def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
     names both, joined by a comma.
     """
     yield ALL, ALL, table
-    strata = by_stratum(table)
+
+    # The table with ``stratum``, each row once for each stratum that its route starts or ends in.
+    ends = [table.assign(stratum=table[name]) for name in ("start_stratum", "goal_stratum")]
+    both = pd.concat(ends).dropna(subset="stratum").reset_index()
+    strata = both.drop_duplicates(["index", "stratum"], ignore_index=True)
     for cut in (*CUTS, *BOTH):
         columns = [cut] if isinstance(cut, str) else list(cut)
         source = strata if "stratum" in columns else table
