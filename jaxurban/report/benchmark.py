@@ -18,7 +18,6 @@ from jaxurban.report.write import Markdown, code, fill, save
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics, weight_columns
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED, Benchmark
 
-COSTS_FOLDER, GRID_FOLDER, PAGE_FILE = "costs", "movingai", "README.md"
 GRID_PLANNERS = "astar-dist", "astar-plus"  # optimal on the grid, where their status says so
 # MovingAI's grid format: ``.map`` and ``.scen`` files (Sturtevant 2012, movingai.com/benchmarks/formats), whose first
 # row is the northern one and whose y counts southward; here row 0 is in the south.
@@ -100,13 +99,19 @@ def export_benchmark(
         # A grid for each altitude, a file of costs for each altitude and time, and the table of all instances.
         num_shortest = 0
         for altitude_m in sorted(instances.altitude_m.unique()):
-            file = folder / GRID_FOLDER / f"{name}_{short_number(altitude_m)}m.map"
+            file = folder / "movingai" / f"{name}_{short_number(altitude_m)}m.map"
             num_shortest += _write_grid(
                 maps, instances, rows, altitude_m, file, settings.constraints
             )
         for key, _ in instances.groupby(["altitude_m", "time", "time_of_day"], dropna=False):
             _write_costs(maps, folder, key, name, settings)
-        table = instances.merge(_references(rows), on=list(KEY), how="left")
+
+        # The best known cost of each instance, with its planner, and the proven optimum on the grid.
+        weighted = rows[rows.cost.notna() & (rows.objective == WEIGHTED)]
+        best = weighted.loc[weighted.groupby(KEY).cost.idxmin(), [*KEY, "cost", "planner"]]
+        best = best.rename(columns={"cost": "best_known", "planner": "best_planner"})
+        optimum = weighted[_is_optimum(weighted)].groupby(KEY).cost.min().rename("grid_optimum")
+        table = instances.merge(best.merge(optimum, on=KEY, how="left"), on=KEY, how="left")
         save(folder, {"instances": table})
         counts = {
             "shortest": num_shortest,
@@ -132,7 +137,7 @@ def export_benchmark(
             cost_rule=cost_rule,
             weights=Markdown(", ".join(map(code, columns))),
         )
-        write_whole(folder / PAGE_FILE, page)
+        write_whole(folder / "README.md", page)
         return counts
 
 
@@ -206,7 +211,7 @@ def _write_costs(
         parts.append(time_of_day)
     if len(maps.times) > 1 and time is not None:
         parts.append(time.replace("-", "").replace(":", ""))
-    file = folder / COSTS_FOLDER / f"{'_'.join(parts)}.npz"
+    file = folder / "costs" / f"{'_'.join(parts)}.npz"
     with whole_file(file) as scratch, scratch.open("wb") as stream:
         np.savez_compressed(
             stream,
@@ -217,20 +222,6 @@ def _write_costs(
             x_min_m=cost_map.grid.x_min_m,
             y_min_m=cost_map.grid.y_min_m,
         )
-
-
-def _references(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the reference costs of each instance with a weighted path: a row per instance, by the columns `KEY`.
-
-    ``best_known`` and ``best_planner``: cost and planner of the cheapest path of all; ``grid_optimum``: the cost of the
-    cheapest path over the grid, NaN where none is proven.
-    """
-    key = list(KEY)
-    weighted = rows[rows.cost.notna() & (rows.objective == WEIGHTED)]
-    best = weighted.loc[weighted.groupby(key).cost.idxmin(), [*key, "cost", "planner"]]
-    best = best.rename(columns={"cost": "best_known", "planner": "best_planner"})
-    optimum = weighted[_is_optimum(weighted)].groupby(key).cost.min().rename("grid_optimum")
-    return best.merge(optimum, on=key, how="left")
 
 
 def _is_optimum(rows: pd.DataFrame) -> pd.Series:

@@ -77,8 +77,9 @@ def plot_building_costs(
 
     # The map with its heading, note and legend.
     panels = [MapPanel(f"{planned.search.planner}, cost {planned.cost:,.1f}")]
-    heading = "What one more metre of each building costs the route"
-    heading = joined(heading, settings["time_of_day"], by=", ")
+    heading = joined(
+        "What one more metre of each building costs the route", settings["time_of_day"], by=", "
+    )
     note = f"{facts}\n{rules_said(settings)}"
     figure, (panel,) = draw_maps(
         near, panels, heading, note, legend=[("route", ROUTE_COLOUR), *ENDS], colours=colours

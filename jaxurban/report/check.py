@@ -32,7 +32,6 @@ from jaxurban.report.write import (
     plain,
     study_outputs,
 )
-from jaxurban.world.grid import Grid
 
 FOUND_COLOUR, STREET_COLOUR = "#d00000", "#9a9a9a"
 STREETS = ("street", "major")
@@ -95,18 +94,30 @@ def check_markdown(result: MissionCheck, figures: list[str]) -> str:
 @styled
 def plot_mission(result: MissionCheck) -> Figure:
     """Return the mission over roofs, streets and zones, as far as the maps hold it, and its findings by number."""
+    # The part of the maps around the mission, a square with a margin as far as the maps reach.
     maps = result.maps
-    grid = _around(result)
+    flight = result.flight
+    whole = maps.grid
+    corners_m = flight.lines_m.reshape(-1, 2)
+    cells = ((corners_m - whole.bounds_m[:2]) / whole.resolution_m).astype(int)  # column, row
+    low, high = cells.min(axis=0), cells.max(axis=0)
+    half = max(LEAST_CELLS, int((0.5 + MARGIN) * (high - low).max()))
+    middle = (low + high) // 2
+    west, south = np.minimum(half - middle, 0).tolist()  # how many cells are cut off
+    east, north = np.minimum(middle + half - whole.shape[::-1], 0).tolist()
+    grid = whole.padded(west, south, east, north)
+
+    # The roofs there, and what the legend names.
     layers = roof_layers(maps)
     colours = layers[-1].colours
-    if "roof_guessed" in maps.ds:
+    has_guessed = "roof_guessed" in maps.ds
+    if has_guessed:
         is_guessed = maps.m("roof_guessed") & (layers[-1].values > 0)
         layers.append(frame.flat_layer(is_guessed, frame.GUESSED_ROOF_COLOUR))
-    window = grid.window_in(maps.grid)
-    flight = result.flight
+    window = grid.window_in(whole)
     shown = [layer._replace(values=layer.values[window]) for layer in layers]
-    has_ends, has_guessed = (True, True), "roof_guessed" in maps.ds
-    is_drawn = True, flight.mission.home, *has_ends, len(result.findings), result.zones, has_guessed
+    found = result.findings
+    is_drawn = True, flight.mission.home, True, True, len(found), result.zones, has_guessed
     legend = [*compress(LEGEND, is_drawn)]
     panel = frame.MapPanel(f"Roof height (m), {flight.mission.name}", shown)
     note = frame.frame_note(maps)
@@ -126,7 +137,7 @@ def plot_mission(result: MissionCheck) -> Figure:
     if flight.mission.home:
         axes.plot(*grid.xy_of_lonlat(*flight.mission.home), **HOME)
     frame.mark_ends(axes, flight.lines_m[0, 0], flight.lines_m[-1, 1])
-    _mark(axes, *grid.xy_at(result.findings[["lon", "lat"]].to_numpy(float)).T)
+    _mark(axes, *grid.xy_at(found[["lon", "lat"]].to_numpy(float)).T)
     return figure
 
 
@@ -152,19 +163,6 @@ def plot_flown_heights(result: MissionCheck) -> Figure:
     _mark(axes, found["along_m"], found["height_m"])
     legend_above(axes)
     return figure
-
-
-def _around(result: MissionCheck) -> Grid:
-    """Return the part of the maps around a mission, a square with a margin as far as the maps reach."""
-    grid = result.maps.grid
-    corners_m = result.flight.lines_m.reshape(-1, 2)
-    cells = ((corners_m - grid.bounds_m[:2]) / grid.resolution_m).astype(int)  # column, row
-    low, high = cells.min(axis=0), cells.max(axis=0)
-    half = max(LEAST_CELLS, int((0.5 + MARGIN) * (high - low).max()))
-    middle = (low + high) // 2
-    west, south = np.minimum(half - middle, 0).tolist()  # how many cells are cut off
-    east, north = np.minimum(middle + half - grid.shape[::-1], 0).tolist()
-    return grid.padded(west, south, east, north)
 
 
 def _mark(axes: Axes, x: Any, y: Any) -> None:

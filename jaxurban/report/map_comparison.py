@@ -13,7 +13,6 @@ from jaxurban.checks import one_of
 from jaxurban.io.geotiff import write_bands
 from jaxurban.io.stored import short_number
 from jaxurban.maps.provenance import NOT_SET
-from jaxurban.maps.shared import OneMap
 from jaxurban.report.figures.frame import (
     OBSTACLE_COLOUR,
     MapLayer,
@@ -81,7 +80,7 @@ def plot_difference(result: MapComparison, layer: str, *, time: str | None = Non
     times = list(dict.fromkeys(place.time for place in places))
     time = times[0] if time is None else one_of("time", time, times)
     is_drawn = [place.time == time for place in places]
-    rows = result.table[result.table.layer == layer][is_drawn].itertuples()
+    rows: Any = result.table[result.table.layer == layer][is_drawn].itertuples()
     places = list(compress(places, is_drawn))
     differences = [result.of(layer, **place._asdict()) for place in places]
 
@@ -90,14 +89,25 @@ def plot_difference(result: MapComparison, layer: str, *, time: str | None = Non
     colours = difference_colours(sizes[sizes > result.tolerance], _label(result, layer))
 
     # A panel for each map: the differences, cut off at the ends of the scale, and blocked cells over them.
+    has_data = result.a.ds["has_data"].values & result.b.ds["has_data"].values
     panels = []
     for place, row, values in zip(places, rows, differences, strict=True):
         where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
+
+        # [Y, X] the cells that are shown as blocked: they have data in both maps and no difference; of a mask (`MASKS`)
+        # at an altitude they are blocked in both.
+        is_grey = np.isnan(values)
+        if layer in MASKS and place.altitude_m is not None:
+            is_free = result.a.is_free(place.altitude_m, None if layer == CLOSED else "centre")
+            is_grey = ~is_free & (values == 0)
         layers = [
             MapLayer(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours),
-            flat_layer(_is_grey(result, layer, place, values), OBSTACLE_COLOUR),
+            flat_layer(is_grey & has_data, OBSTACLE_COLOUR),
         ]
-        panels.append(MapPanel(joined(where, _change_text(row)), layers))
+        text = "unchanged"
+        if row.share_changed:
+            text = f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed"
+        panels.append(MapPanel(joined(where, text), layers))
 
     # What the picture says.
     blocked = "blocked in A and B" if layer in MASKS else "blocked in A or B"
@@ -105,31 +115,6 @@ def plot_difference(result: MapComparison, layer: str, *, time: str | None = Non
     heading = f"{heading_of(result, layer)}, B - A"
     note = _note(result, time)
     return draw_maps(result.grid, panels, heading, note, legend=legend, colours=colours)[0]
-
-
-def _is_grey(result: MapComparison, layer: str, place: OneMap, values: np.ndarray) -> np.ndarray:
-    """Return ``[Y, X]`` bool: the cells that a picture of differences shows as blocked.
-
-    They have data in both maps and no difference; of a mask (`MASKS`) at an altitude they are blocked in both.
-
-    Args:
-      result: the comparison.
-      layer: the layer that is drawn.
-      place: altitude, time and time of day of the picture.
-      values: ``[Y, X]`` the differences there; NaN where one of the maps has no value.
-    """
-    is_grey = np.isnan(values)
-    if layer in MASKS and place.altitude_m is not None:
-        is_free = result.a.is_free(place.altitude_m, None if layer == CLOSED else "centre")
-        is_grey = ~is_free & (values == 0)
-    return is_grey & result.a.ds["has_data"].values & result.b.ds["has_data"].values
-
-
-def _change_text(row: Any) -> str:
-    """Return how far a map changed, of its row of the table."""
-    if not row.share_changed:
-        return "unchanged"
-    return f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed"
 
 
 def _label(result: MapComparison, layer: str) -> str:

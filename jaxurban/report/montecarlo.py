@@ -10,7 +10,6 @@ from jaxurban.report.sensitivity_study import weights_said
 from jaxurban.report.write import Written, fill, listed, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
-from jaxurban.studies.montecarlo.analysis import complementarity
 from jaxurban.studies.montecarlo.study import BenchmarkResult
 
 
@@ -43,7 +42,8 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
     }
     if set(analysis.SENSORS) <= set(result.maps.metrics):
         altitudes_m = sorted(table.altitude_m.unique())
-        tables["complementarity"] = complementarity(result.maps, altitudes_m=altitudes_m)
+        complementarity = analysis.complementarity(result.maps, altitudes_m=altitudes_m)
+        tables["complementarity"] = complementarity
     return tables
 
 
@@ -57,6 +57,13 @@ def report_markdown(
       tables: from `tables_of`.
       figures: names of the pictures that lie beside the report.
     """
+    # The shares of joined pairs that were solved: a row per planner and range, a column per altitude.
+    success = tables["success"]
+    solved = success.pivot(index=["planner", "range"], columns="altitude_m", values="share_joined")
+    names = sorted(success.planner.unique()), analysis.range_names(success)
+    solved = solved.reindex(pd.MultiIndex.from_product(names, names=solved.index.names))
+    solved = solved.rename(columns=lambda z: f"{z:g} m").reset_index()
+
     # The share of pairs of places that some path joins, by altitude, and the budget of a run in words.
     table = result.table
     settings = result.settings
@@ -68,7 +75,7 @@ def report_markdown(
         budget = f"{study.budget_s:g} s a run"
     return fill(
         "study",
-        {**tables, "success": _by_range(tables["success"])},
+        {**tables, "success": solved},
         figures,
         [result.maps.attribution],
         num_instances=table.instance.nunique(),
@@ -86,11 +93,3 @@ def report_markdown(
         fewest=FEWEST_GROUPS,
         analysis=analysis,
     )
-
-
-def _by_range(success: pd.DataFrame) -> pd.DataFrame:
-    """Return the shares of joined pairs that were solved: a row per planner and range, a column per altitude."""
-    shares = success.pivot(index=["planner", "range"], columns="altitude_m", values="share_joined")
-    names = sorted(success.planner.unique()), analysis.range_names(success)
-    shares = shares.reindex(pd.MultiIndex.from_product(names, names=shares.index.names))
-    return shares.rename(columns=lambda z: f"{z:g} m").reset_index()

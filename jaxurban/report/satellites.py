@@ -60,6 +60,8 @@ HEADS = {  # of the report's tables
     "north_m": "moved north (m)",
     "within_95_m": "95 % of resampled tracks within (m)",
     "scale": "heights times",
+    "scale_low": "heights times_low",
+    "scale_high": "heights times_high",
     "block_m": "blocks of (m)",
     "num_blocks": "blocks",
 }
@@ -109,14 +111,14 @@ def satellite_tables(of: SatelliteAgreement) -> dict[str, pd.DataFrame]:
     cities.insert(0, "the city", ["in its place", f"{num}, median", "most"])
     scores = of.scores.replace({"which": ROWS})
     tables = {"scores": scores, "cities": cities, "rivals": of.rivals, "lengths": of.block_lengths}
-    return {name: _with_digits(table).rename(columns=_head) for name, table in tables.items()}
+    return {name: _with_digits(table).rename(columns=HEADS) for name, table in tables.items()}
 
 
 def peak_text(of: SatelliteAgreement) -> str:
     """Return where the city fits the receiver best, as a table; in words where that is not known (NaN)."""
     if not np.isfinite(list(of.peak.values())).all():
         return f"None: that takes {FEWEST_GROUPS} blocks of track, and satellites both hidden and in view."
-    return framed(pd.DataFrame([of.peak]).rename(columns=_head))
+    return framed(pd.DataFrame([of.peak]).rename(columns=HEADS))
 
 
 def sentences_of(of: SatelliteAgreement) -> dict[str, str]:
@@ -157,12 +159,6 @@ def _with_digits(table: pd.DataFrame) -> pd.DataFrame:
 def _three_digits(value: float) -> str:
     """Return a number with three digits behind the point, never ``-0.000``; nothing for NaN."""
     return "" if math.isnan(value) else f"{value:z.3f}"
-
-
-def _head(column: str) -> str:
-    """Return the head of a column of the report's tables; the ends of an interval keep their suffix."""
-    name = column.removesuffix("_low").removesuffix("_high")
-    return HEADS.get(name, name) + column.removeprefix(name)
 
 
 @styled

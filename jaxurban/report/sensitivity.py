@@ -80,13 +80,27 @@ def report_tables(result: Sensitivity) -> dict[str, pd.DataFrame]:
     changes, a row per outcome (of ``changes`` per weight); ``costs``: the gradient of the cost; ``ends``: the routes
     that are best for one objective; ``ranges``: where along each weight the route stays (see `ranges`).
     """
+    # By what share each outcome changes where a weight is `MORE` times as large, as slopes are by the logarithm of a
+    # weight; ``unclear`` where a slope is not clear of 0.
+    slopes = result.outcomes
+    size = slopes["expected"].abs().clip(lower=1e-12)
+    change = slopes["expected_slope"] * np.log(MORE) / size
+    is_clear = slopes["expected_slope"].abs() > CLEAR * slopes["expected_slope_se"]
+    changes = change.map("{:+.1%}".format).where(is_clear, "unclear").unstack()
+
+    # The range of each outcome, and the total Sobol share of each varied weight with its interval, as text.
+    sobol = result.sobol
+    spread = sobol.groupby("outcome", sort=False)[["lowest", "highest"]].first()
+    totals = sobol["total"].map("{:.2f}".format) + sobol["total_ci"].map(" ± {:.2f}".format)
+    shares = totals.where(sobol["total"].notna(), "").unstack()
+
     # Tables with a row per outcome, by the labels of the outcomes.
-    values = result.outcomes["value"].groupby("outcome", sort=False).first()
+    values = slopes["value"].groupby("outcome", sort=False).first()
     units = [outcome_unit(str(name)) for name in values.index]
     by_outcome = {
         "outcomes": pd.DataFrame({"value": values, "unit": units}),
-        "indices": _sobol_shares(result),
-        "changes": _changes(result).loc[values.index],
+        "indices": spread.join(shares[[*result.lines]]),
+        "changes": changes.loc[values.index, [*result.names]],
     }
     tables = {
         name: table.rename(index=outcome_label).rename_axis("outcome")
@@ -106,32 +120,6 @@ def report_tables(result: Sensitivity) -> dict[str, pd.DataFrame]:
     ]
     tables["ranges"] = pd.DataFrame(rows)
     return tables
-
-
-def _changes(result: Sensitivity) -> pd.DataFrame:
-    """Return by what share each outcome changes where a weight is `MORE` times as large, as texts.
-
-    A row per outcome and a column per weight; ``unclear`` where a slope is not clear of 0 (`CLEAR`).
-    """
-    slopes = result.outcomes
-    size = slopes["expected"].abs().clip(lower=1e-12)
-    # Slopes are by the logarithm of a weight.
-    change = slopes["expected_slope"] * np.log(MORE) / size
-    is_clear = slopes["expected_slope"].abs() > CLEAR * slopes["expected_slope_se"]
-    texts = change.map("{:+.1%}".format).where(is_clear, "unclear")
-    return texts.unstack()[[*result.names]]
-
-
-def _sobol_shares(result: Sensitivity) -> pd.DataFrame:
-    """Return the range of each outcome, and the total Sobol share of each varied weight with its interval, as text.
-
-    A row per outcome; a share that is not known is an empty text.
-    """
-    sobol = result.sobol
-    spread = sobol.groupby("outcome", sort=False)[["lowest", "highest"]].first()
-    totals = sobol["total"].map("{:.2f}".format) + sobol["total_ci"].map(" ± {:.2f}".format)
-    shares = totals.where(sobol["total"].notna(), "").unstack()
-    return spread.join(shares[[*result.lines]])
 
 
 def ranges(result: Sensitivity, name: str) -> dict[str, float]:

@@ -199,7 +199,17 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     }
 
     if "sobol_summary" in tables:
-        result["sobol"] = _total_shares(tables["sobol_summary"])
+        # A share and its interval stand only where the share is clear of 0. Where that is unclear ``at most`` is the
+        # upper end of the interval; the verdict also says how many samples would settle it, where that is known.
+        sobol = tables["sobol_summary"]
+        total = sobol[sobol.kind == "total"].copy()
+        share = columns_of("share")  # with the ends of its interval
+        total["at most"] = total.share_high.where(total.verdict == UNCLEAR).clip(lower=0)
+        total[share] = total[share].where(total.verdict == CLEAR)
+        remedy = total.samples_needed.map(": about {:.0f} samples should do".format)
+        total["verdict"] += remedy.where(total.samples_needed > 0, "")
+        total["outcome"] = total.outcome.map(outcome_label)
+        result["sobol"] = total[["outcome", "weight_name", *share, "at most", "verdict"]]
     if "remade_summary" in tables:
         statistics = columns_of("is_other", "nominal_regret", "nominal_is_closed")
         result["perturbed"] = tables["remade_summary"][["of", "routes", *statistics]]
@@ -209,22 +219,6 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
         columns = ["parameter", "factor", "of", "routes", *statistics]
         result["parameters"] = changed.loc[changed.cut.isin([ALL, "city"]), columns]
     return result
-
-
-def _total_shares(sobol: pd.DataFrame) -> pd.DataFrame:
-    """Return the total Sobol shares for the report: a row per outcome and weight.
-
-    A share and its interval stand only where the share is clear of 0. Where that is unclear ``at most`` is the upper
-    end of the interval; the ``verdict`` also says how many samples would settle it, where that is known.
-    """
-    total = sobol[sobol.kind == "total"].copy()
-    share = columns_of("share")  # with the ends of its interval
-    total["at most"] = total.share_high.where(total.verdict == UNCLEAR).clip(lower=0)
-    total[share] = total[share].where(total.verdict == CLEAR)
-    remedy = total.samples_needed.map(": about {:.0f} samples should do".format)
-    total["verdict"] += remedy.where(total.samples_needed > 0, "")
-    total["outcome"] = total.outcome.map(outcome_label)
-    return total[["outcome", "weight_name", *share, "at most", "verdict"]]
 
 
 def weights_said(instances: pd.DataFrame) -> str:

@@ -1,6 +1,6 @@
 """Fitting weights from files, and writing what came of it: tables, pictures, report.md, and weights to paste."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, compress
@@ -108,13 +108,18 @@ def run_tuning(
     targets = [Target.parse(text) for text in settings.targets]
 
     with reporting("tune") as report:
-        # The demonstrations of each city; a folder of maps that stands several times is one city.
+        # The demonstrations of each city; a folder of maps that stands several times is one city. It has the folder's
+        # own name, with a number behind it where another folder before it has that name.
         report("routes")
         cities: dict[str, list[Demonstration]] = {}
-        names = _names_of([Path(source.folder).resolve() for source in sources])
-        for source, maps, name in zip(sources, maps_of_sources, names, strict=True):
+        names: dict[Path, str] = {}
+        for source, maps in zip(sources, maps_of_sources, strict=True):
+            place = Path(source.folder).resolve()
+            if place not in names:
+                number = sum(other.name == place.name for other in names)
+                names[place] = f"{place.name} {number + 1}" if number else place.name
             routes = _demonstrations(files_by_source[source], maps, settings)
-            cities.setdefault(name, []).extend(routes)
+            cities.setdefault(names[place], []).extend(routes)
         demonstrations = list(chain.from_iterable(cities.values()))
 
         # The output folder, with the files that a fit writes there. Those of another fit are recognised by the state
@@ -183,28 +188,13 @@ def _checked_files(
     return files_by_source
 
 
-def _origins(sources: Mapping[MapsFolder, Sequence[Path]], settings: TuneSettings) -> list[str]:
+def _origins(sources: Mapping[MapsFolder, Sequence[Path]], settings: TuneSettings) -> Iterator[str]:
     """Return for each folder of maps what the report says of its routes: their files, or how they were sampled."""
-    origins = []
     for source, files in sources.items():
         routes = f"{settings.sample} instances sampled with seed {settings.fit.seed}"
         if files:
             routes = ", ".join(map(str, files))
-        origins.append(f"{code(routes)} over the maps in {code(source.folder)}")
-    return origins
-
-
-def _names_of(folders: Sequence[Path]) -> list[str]:
-    """Return a name for the city of each folder of maps, in their order.
-
-    It is the folder's own name, with a number behind it where another folder before it has that name; one folder that
-    stands several times has one name.
-    """
-    names: dict[Path, str] = {}
-    for folder in dict.fromkeys(folders):
-        number = sum(other.name == folder.name for other in names)
-        names[folder] = f"{folder.name} {number + 1}" if number else folder.name
-    return [names[folder] for folder in folders]
+        yield f"{code(routes)} over the maps in {code(source.folder)}"
 
 
 def _demonstrations(
@@ -272,14 +262,14 @@ def _files_of(source: MapsFolder, files: Sequence[Path], sample: int | None) -> 
         return files
     folder = Path(source.folder)
     study = study_in(folder)
-    if study is not None and not (folder / ZARR_FOLDER).exists():
-        raise InputError(
-            f"{str(folder)!r} holds a study and no maps: name the folder of its maps before it"
-        )
     if study is None:
         raise InputError(
             f"there are no routes for the maps in {str(source.folder)!r}: name files of routes or a study after it, or "
             "sample instances (--sample)"
+        )
+    if not (folder / ZARR_FOLDER).exists():
+        raise InputError(
+            f"{str(folder)!r} holds a study and no maps: name the folder of its maps before it"
         )
     return [study]
 
@@ -345,8 +335,7 @@ def outputs_of(
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["figures/weights.png"] = lambda: plot_weights(fit)
         tables["regrets"] = _regrets(fit)
-        fields["fits"] = ""
-        fields["cautions"] = bullets(fit.cautions)
+        fields |= {"fits": "", "cautions": bullets(fit.cautions)}
         if result is not None:
             outputs["fits"] = result.table
             fields["fits"] = fits_section(result)
@@ -358,7 +347,12 @@ def outputs_of(
         tables["outcomes"] = outputs["targets"] = fit.outcomes.join(alone).reset_index()
 
     # What every fit has: tables of its weights and of its routes, and a picture of the routes on each map.
-    weights = weights.assign(unit=weights["name"].map(weight_units(first)))
+    model = first.cost_model
+    unit = f"per {model.reference_length_m:g} m flown"
+    if model.kind == "cell":
+        unit = "per cell entered"
+    units = {"distance": "per metre"} | dict.fromkeys(first.names, unit)
+    weights = weights.assign(unit=weights["name"].map(units))
     outputs |= {"weights": weights, "examples": routes}
     for name, cost_map in pictures.items():
         outputs[f"figures/{name}.png"] = partial(
@@ -366,11 +360,8 @@ def outputs_of(
         )
 
     # The report.
-    tables |= {
-        "weights": weights,
-        "setting": _setting([*pictures.values()]),
-        "means": _means(routes),
-    }
+    setting = _setting([*pictures.values()])
+    tables |= {"weights": weights, "setting": setting, "means": _means(routes)}
     report = fill(
         template,
         tables,
@@ -440,15 +431,9 @@ def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
 def _means(routes: pd.DataFrame) -> pd.DataFrame:
     """Return the means over routes of their length and of each metric along them, as given and under the weights."""
     planned = routes.filter(regex="^planned_").mean()
-    names = planned.index.str.removeprefix("planned_")
-    given = routes[names].mean()
-    return pd.DataFrame(
-        {
-            "mean over routes": names,
-            "as given": given.to_numpy(),
-            "planned": planned.to_numpy(),
-        }
-    )
+    planned.index = planned.index.str.removeprefix("planned_")
+    means = pd.DataFrame({"as given": routes[planned.index].mean(), "planned": planned})
+    return means.rename_axis("mean over routes").reset_index()
 
 
 def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
@@ -479,14 +464,6 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
         "outcomes": fit.outcomes.reset_index().to_dict("records"),
         "conflicts": [list(pair) for pair in fit.conflicts],
     }
-
-
-def weight_units(cost_map: CostMap) -> dict[str, str]:
-    """Return the unit of each weight on a map."""
-    unit = f"per {cost_map.cost_model.reference_length_m:g} m flown"
-    if cost_map.cost_model.kind == "cell":
-        unit = "per cell entered"
-    return {"distance": "per metre"} | dict.fromkeys(cost_map.names, unit)
 
 
 def weights_option(weights: Weights) -> str:

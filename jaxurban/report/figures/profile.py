@@ -73,8 +73,7 @@ def plot_profile(
     altitude = f"{planned.facts['altitude']} above ground"
     facts = planned.search.planner, f"{planned.length_m / 1000:.2f} km", altitude
     day = planned.settings["time_of_day"]
-    cost = f"cost {planned.cost:,.1f}"
-    summary = joined(*facts, day, cost, by=", ")
+    summary = joined(*facts, day, f"cost {planned.cost:,.1f}", by=", ")
 
     # The panels: heights, the metrics of which 1 is the best or the worst, one panel each, and the clearance.
     meanings = dict.fromkeys(metric.one_is for metric in maps.metrics.values())

@@ -114,13 +114,13 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     # Equal maps of the normalised cost, on which the routes are drawn, with the ends of the given weights' route.
     settings = result.route.settings
     z = result.route.altitude_m
-    layers = cost_layers(result.maps, z, settings["time"], settings["time_of_day"])
+    day = settings["time_of_day"]
+    layers = cost_layers(result.maps, z, settings["time"], day)
     panels_of = [
         MapPanel(f"{name}, {len(_shown(len(line.cells)))} of {len(line.cells)} routes", layers)
         for name, line in result.lines.items()
     ]
-    heading = "Cheapest routes along the range of each weight"
-    heading = joined(heading, settings["time_of_day"], by=", ")
+    heading = joined("Cheapest routes along the range of each weight", day, by=", ")
     facts = joined(f"{z:g} m above ground", "grey: normalised cost, black: lowest")
     note = "\n".join([facts, frame_note(result.maps, settings["time"]), rules_said(settings)])
     figure, axes = draw_maps(
