@@ -35,15 +35,12 @@ class Interval(NamedTuple):
 
 def named(name: str, interval: Interval) -> dict[str, float]:
     """Return an interval as columns."""
-    return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
+    return dict(zip(columns_of(name), interval, strict=True))
 
 
 def columns_of(*names: str) -> list[str]:
     """Return the columns of statistics, each followed by the ends of its interval (`named`)."""
-    columns: list[str] = []
-    for name in names:
-        columns += named(name, Interval(0.0, 0.0, 0.0))
-    return columns
+    return [f"{name}{end}" for name in names for end in ("", "_low", "_high")]
 
 
 class Clusters:

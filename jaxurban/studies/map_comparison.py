@@ -170,19 +170,20 @@ class MapComparison(Result):
     @property
     def facts(self) -> dict[str, str]:
         """What is compared, how much of it changed at most, and what was left out or made by other settings."""
-        facts = {"A": self.names[0], "B": self.names[1]}
-        facts |= {name: self.a.facts[name] for name in ("grid", "CRS", "altitudes")}
         times = [
             time_a if time_a == time_b else f"{time_a} of A beside {time_b} of B"
             for time_a, time_b in self.times.items()
         ]
-        facts["times"] = ", ".join(times)
-        facts["cells changed, at most"] = ", ".join(
-            f"{name} {share:.1%}" for name, share in self.most_changed.items()
-        )
-        facts["left out"] = ", ".join(self.left_out)
-        facts["settings that differ"] = ", ".join(self.settings or ())
-        return facts
+        changed = [f"{name} {share:.1%}" for name, share in self.most_changed.items()]
+        return {
+            "A": self.names[0],
+            "B": self.names[1],
+            **{name: self.a.facts[name] for name in ("grid", "CRS", "altitudes")},
+            "times": ", ".join(times),
+            "cells changed, at most": ", ".join(changed),
+            "left out": ", ".join(self.left_out),
+            "settings that differ": ", ".join(self.settings or ()),
+        }
 
     @property
     def most_changed(self) -> pd.Series:

@@ -18,12 +18,7 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import CRASHED, RouteJob, Run, failure
 from jaxurban.planners.base import Cell, Path
 from jaxurban.planners.corners import with_corner_bound
-from jaxurban.planners.registry import (
-    EXACT_PLANNERS,
-    PLANNERS,
-    SAMPLING_PLANNERS,
-    find_planner,
-)
+from jaxurban.planners.registry import EXACT_PLANNERS, PLANNERS, SAMPLING_PLANNERS, find_planner
 from jaxurban.settings import CostKind
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics
 from jaxurban.world.grid import Grid

@@ -33,18 +33,9 @@ from jaxurban.satellites.sight import Sight
 from jaxurban.satellites.track import NUM_VISIBLE
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.studies.receiver.agreement import SatelliteAgreement, agreement_of
-from jaxurban.studies.receiver.logs import (
-    ERROR,
-    TRACKED,
-    ReceiverLog,
-    read_receiver_log,
-)
+from jaxurban.studies.receiver.logs import ERROR, TRACKED, ReceiverLog, read_receiver_log
 from jaxurban.studies.receiver.logs import log_of as table_log
-from jaxurban.studies.receiver.prediction import (
-    ReceiverSettings,
-    predict,
-    track_of,
-)
+from jaxurban.studies.receiver.prediction import ReceiverSettings, predict, track_of
 from jaxurban.studies.receiver.rinex import with_navigation
 from jaxurban.studies.receiver.satellites import counted, known_of, with_directions
 

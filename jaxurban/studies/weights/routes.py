@@ -29,15 +29,19 @@ from jaxurban.studies.montecarlo.trial import located
 from jaxurban.studies.queries import RouteQuery, outcomes_of, query_between
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import nearest_breakpoints
-from jaxurban.studies.weights.sobol import check_sampling, sobol_of_weights, varied_columns
+from jaxurban.studies.weights.sobol import (
+    OF_SHARE,
+    check_sampling,
+    sobol_of_weights,
+    varied_columns,
+)
 
 ROUTE_KEY = ("city", *KEY)
 CITY_NUMBER = "city_number"  # column of instances: the place of a route's city among those of the study, from 0
 PARAMETER_FACTORS = (0.5, 2.0)
 SAME_SUMS = 1e-9  # relative: routes whose sums differ by less are one route
-# Columns of each weight, as "below:gps", and of each weight and outcome, as "first:gps:length_m".
+# Columns of each weight, as "below:gps"; those of each weight and outcome are as "first:gps:length_m" (`OF_SHARE`).
 OF_WEIGHT = ("elasticity", "below", "above", "regret_low", "regret_high")
-OF_SHARE = ("first", "first_ci", "total", "total_ci")
 TEXTS = ("city", "status", "note", "vary", "parameter")
 
 

@@ -31,9 +31,8 @@ NUM_RESAMPLES = 1000  # of the bootstrap that gives the confidence intervals
 CONFIDENCE = 0.95
 FEW_SAMPLES = 64  # with fewer, intervals contain known indices in 62 to 94 % of the cases only
 CONSTANT = 1e-12  # relative: an outcome that varies by less does not vary
+OF_SHARE = ("first", "first_ci", "total", "total_ci")  # columns of Sobol shares
 NUM_AT_ONCE = 64  # weights planned under between two reports of progress
-
-Evaluate = Callable[[np.ndarray], Mapping[str, np.ndarray]]
 
 
 def check_sampling(settings: Any) -> None:
@@ -87,7 +86,10 @@ def varied_columns(
 
 
 def sobol_indices(
-    evaluate: Evaluate, factors: Sequence[str], num_samples: int, seed: int = 0
+    evaluate: Callable[[np.ndarray], Mapping[str, np.ndarray]],
+    factors: Sequence[str],
+    num_samples: int,
+    seed: int = 0,
 ) -> pd.DataFrame:
     """Return Sobol indices of a function's outcomes with respect to its ``D`` factors, uniform from 0 to 1.
 
@@ -168,10 +170,7 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
     """
     # A table without indices, which is all of an outcome that does not vary.
     facts = {
-        "first": np.nan,
-        "first_ci": np.nan,
-        "total": np.nan,
-        "total_ci": np.nan,
+        **dict.fromkeys(OF_SHARE, np.nan),
         "mean": values.mean(),
         "std": values.std(),
         "lowest": values.min(),
