@@ -67,11 +67,11 @@ class _Harmless(Formatter):
 
 def files_of(names: Iterable[str]) -> list[str]:
     """Return the names of the files that `save` writes: of a name without an end, a table, one for each format."""
-    files = []
-    for name in names:
-        suffixes = [""] if Path(name).suffix else reversed(SUFFIXES)
-        files += [f"{name}{suffix}" for suffix in suffixes]
-    return files
+    return [
+        f"{name}{suffix}"
+        for name in names
+        for suffix in ([""] if Path(name).suffix else reversed(SUFFIXES))
+    ]
 
 
 def study_outputs(report: str, tables: Mapping[str, pd.DataFrame], figures: Figures) -> Outputs:
@@ -202,8 +202,8 @@ def framed(frame: pd.DataFrame) -> Markdown:
 
 def without_ends(frame: pd.DataFrame) -> list[Any]:
     """Return the columns of a table but for the ends of intervals (NAME_low, NAME_high)."""
-    with_interval = [name for name in frame if f"{name}_low" in frame]
-    ends = {f"{name}_low" for name in with_interval} | {f"{name}_high" for name in with_interval}
+    intervals = (name for name in frame if f"{name}_low" in frame)
+    ends = {f"{name}{end}" for name in intervals for end in ("_low", "_high")}
     return [name for name in frame if name not in ends]
 
 

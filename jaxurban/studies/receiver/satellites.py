@@ -70,8 +70,8 @@ def with_directions(log: ReceiverLog, track: Track, sky: Sky, grid: Grid) -> Rec
     is_up = (number >= 0) & (elevation_deg >= 0)
     names = satellites.categories[of_category < 0]
     left_out = {**log.left_out, **dict.fromkeys(names, "no orbit of [gps] orbits has its name")}
-    result = rows.assign(**angles)
-    return replace(log, satellites=result[is_up].reset_index(drop=True), left_out=left_out)
+    seen = rows.assign(**angles)[is_up].reset_index(drop=True)
+    return replace(log, satellites=seen, left_out=left_out)
 
 
 def counted(

@@ -370,7 +370,7 @@ class _Search(NamedTuple):
             for log_weights in self._least(np.concatenate([descended, starts]), NUM_TRIED, aim):
                 sums = self.pool.cheapest(np.exp(log_weights)[None])[:, :, 0]
                 reached = self.outcomes(np.concatenate(sums, axis=-1))
-                missed = np.asarray(_missed(reached, bound, sign))
+                missed = np.asarray(_missed(reached, aim))
                 if np.sum(missed**2) < np.sum(best.missed**2):
                     best = _Best(log_weights, reached, missed, rows)
 
@@ -467,16 +467,17 @@ def outcome_values(
     return jnp.stack(values)
 
 
-def _missed(values: AnyArray, bound: AnyArray, sign: AnyArray) -> Array:
+def _missed(values: AnyArray, aim: _Aim) -> Array:
     """Return ``[N]`` by which share of its bound each outcome misses its target, 0 where the target is met.
 
     A bound whose size is below 0.001 counts as that, so that nothing is divided by 0.
 
     Args:
       values: ``[N]`` outcomes.
-      bound, sign: ``[N]`` as in `_Aim`; a target with the sign 0 counts as met.
+      aim: its bounds and signs count; a target with the sign 0 counts as met.
     """
-    return jnp.maximum(sign * (bound - values) / jnp.maximum(jnp.abs(bound), 1e-3), 0.0)
+    size = jnp.maximum(jnp.abs(aim.bound), 1e-3)
+    return jnp.maximum(aim.sign * (aim.bound - values) / size, 0.0)
 
 
 def _squared_misses(
@@ -484,7 +485,7 @@ def _squared_misses(
 ) -> Array:
     """Return the sum of the squared misses of routes that add up to ``[Q, 2 K]``."""
     values = outcome_values(sums, aim.shortest, names, targets)
-    return jnp.sum(_missed(values, aim.bound, aim.sign) ** 2)
+    return jnp.sum(_missed(values, aim) ** 2)
 
 
 @partial(jax.jit, static_argnames=("names", "targets"))

@@ -44,10 +44,9 @@ def routes_of(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
       instances: of the study, with the columns `DESCRIBED`.
     """
     wanted = [*ROUTE_KEY, *DESCRIBED]
-    table = rows[rows.status.isin(HAS_PATH)].merge(
+    return rows[rows.status.isin(HAS_PATH)].merge(
         instances[wanted], on=list(ROUTE_KEY), validate="many_to_one"
     )
-    return table.reset_index(drop=True)
 
 
 def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.DataFrame:
