@@ -9,7 +9,6 @@ Averaged over W exp(Z), Z normal, it is smooth (Berthet et al. 2020, with the mu
 2022), and its derivative by log W is an average too: E[f(W exp(Z)) Z] / sigma^2 (Stein's identity).
 """
 
-import hashlib
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -69,7 +68,7 @@ class RoutePool:
         self._routes: list[dict[tuple[str, ...], np.ndarray]] = [{} for _ in self.queries]
 
         # [2, K] of every route that was searched, by the number of its query and the hash of its points.
-        self._sums: dict[tuple[int, bytes], np.ndarray] = {}
+        self._sums: dict[tuple[int, str], np.ndarray] = {}
         for query, route in enumerate(known):
             self._add(query, route)
 
@@ -104,6 +103,7 @@ class RoutePool:
           InputError: a query's start and goal are not connected.
         """
         weights = np.broadcast_to(weights, (len(self.queries), *np.shape(weights)[-2:]))
+        num_queries, num_weights, _ = weights.shape
 
         # The result of the same searches, if the store has it, else of searches that are made now.
         key = fingerprint(weights.shape, weights)
@@ -111,34 +111,25 @@ class RoutePool:
         if row is not None:
             result = np.frombuffer(row["found"]).reshape(2, *weights.shape)
         else:
-            result = self._search_all(weights)
+            # One query and one row of weights for each search, all weights of a query together.
+            numbers = np.repeat(np.arange(num_queries), num_weights).tolist()
+            queries = [self.queries[number] for number in numbers]
+            rows = weights.reshape(len(queries), -1)
+            if all(query.cost_map.is_free.size < FEW_CELLS for query in self.queries):
+                routes = list(map(RouteQuery.cheapest, queries, rows))
+            else:
+                with ThreadPoolExecutor(self._workers) as threads:
+                    routes = list(threads.map(RouteQuery.cheapest, queries, rows))
+            sums = np.array(list(map(self._sums_of, numbers, routes)))  # [Q M, 2, K]
+            result = np.moveaxis(sums.reshape(num_queries, num_weights, 2, -1), 2, 0)
             if self._store is not None:
                 self._store.add([{"weights": key, "found": result.tobytes()}])
                 self._store.save()
-        num_queries, num_weights, _ = weights.shape
         self.num_plans += num_queries * num_weights
-        for query, routes in enumerate(np.moveaxis(result, 0, 2)):
-            for route in routes:
+        for query, found in enumerate(np.moveaxis(result, 0, 2)):
+            for route in found:
                 self._add(query, route)
         return result
-
-    def _search_all(self, weights: np.ndarray) -> np.ndarray:
-        """Return ``[2, Q, M, K]`` as `cheapest` does, for weights ``[Q, M, K]``, by a search for each.
-
-        Neither the pool nor the store takes them up here.
-        """
-        # One query and one row of weights for each search, all weights of a query together.
-        num_queries, num_weights, _ = weights.shape
-        numbers = np.repeat(np.arange(num_queries), num_weights).tolist()
-        queries = [self.queries[number] for number in numbers]
-        rows = weights.reshape(len(queries), -1)
-        if all(query.cost_map.is_free.size < FEW_CELLS for query in self.queries):
-            routes = list(map(RouteQuery.cheapest, queries, rows))
-        else:
-            with ThreadPoolExecutor(self._workers) as threads:
-                routes = list(threads.map(RouteQuery.cheapest, queries, rows))
-        sums = np.array(list(map(self._sums_of, numbers, routes)))  # [Q M, 2, K]
-        return np.moveaxis(sums.reshape(num_queries, num_weights, 2, -1), 2, 0)
 
     def _sums_of(self, query: int, points_m: np.ndarray) -> np.ndarray:
         """Return ``[2, K]`` features and integrals of a route of a query (see `RouteQuery.sums`).
@@ -149,7 +140,7 @@ class RoutePool:
           query: its number.
           points_m: ``[N, 2]`` the route, in metres from the map's southwest corner.
         """
-        key = (query, hashlib.blake2b(points_m.tobytes(), digest_size=16).digest())
+        key = query, fingerprint(points_m)
         if key not in self._sums:
             self._sums[key] = self.queries[query].sums(points_m)
         return self._sums[key]

@@ -1,6 +1,6 @@
 """How sure fitted weights are: what demonstrations cannot show, and what others would have shown."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -170,8 +170,8 @@ def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray
 
 def indistinct_weights(
     pool: RoutePool, unit: np.ndarray, weights: np.ndarray, is_fitted: np.ndarray
-) -> list[str]:
-    """Return sentences on the weights, alone or mixed, about which the demonstrations say nothing.
+) -> Iterator[str]:
+    """Yield sentences on the weights, alone or mixed, about which the demonstrations say nothing.
 
     Routes that cost within 10 % of the cheapest one compete with it. C is the covariance of their features less those
     of the cheapest. A direction v with v C v = 0 can be added to W without changing any comparison between these
@@ -196,12 +196,10 @@ def indistinct_weights(
     # Weights of features in which competing routes do not differ.
     variances = np.diag(covariance)
     is_seen = variances > UNSEEN * max(float(np.max(variances)), 1e-300)
-    sentences = [
-        f"The weight of {name} cannot be identified: no competing route differs in it."
-        for name in names[~is_seen]
-    ]
+    for name in names[~is_seen]:
+        yield f"The weight of {name} cannot be identified: no competing route differs in it."
     if is_seen.sum() < 2:
-        return sentences
+        return
 
     # Mixtures of the others that change nothing: eigenvectors of C with next to no variance. A sentence names the
     # weights that have much part in them.
@@ -215,5 +213,4 @@ def indistinct_weights(
         why = f"{num} of their mixtures change no comparison"
         if num == 1:
             why = "competing routes trade them at one rate"
-        sentences.append(f"The weights of {listed} cannot be distinguished: {why}.")
-    return sentences
+        yield f"The weights of {listed} cannot be distinguished: {why}."
