@@ -255,11 +255,18 @@ def score_table(scores: pd.DataFrame) -> str:
         head += [HEADS[name], "95 % of shifts below", "p"]
     rows = []
     for row in scores.to_dict("records"):
-        cells = [LABELS[row["witness"]], name_of(row["prediction"])]
-        cells += [f"{row['piece_m']:g} m", f"{row['num']:,}"]
+        cells = [
+            LABELS[row["witness"]],
+            name_of(row["prediction"]),
+            f"{row['piece_m']:g} m",
+            f"{row['num']:,}",
+        ]
         for name in COEFFICIENTS:
-            cells += [with_interval(row, name), _number(row[f"{name}_shifts_95"])]
-            cells.append(_number(row[f"{name}_p"], digits=3))
+            cells += [
+                with_interval(row, name),
+                _number(row[f"{name}_shifts_95"]),
+                _number(row[f"{name}_p"], digits=3),
+            ]
         rows.append(cells)
     return table(head, rows)
 

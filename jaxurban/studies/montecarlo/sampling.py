@@ -239,8 +239,8 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
             row["goal_x_m"] - row["start_x_m"], row["goal_y_m"] - row["start_y_m"]
         )
         share = distance_m / _diagonal_m(grid)
-        ranges = [name for name, (low, high) in RANGES.items() if low <= share < high]
-        row["range"] = next(iter(ranges), None)
+        ranges = (name for name, (low, high) in RANGES.items() if low <= share < high)
+        row["range"] = next(ranges, None)
         row["time"] = maps.default_time
         if query.time is not None and maps.default_time is not None:
             row["time"] = iso_utc(query.time)

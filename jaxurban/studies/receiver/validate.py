@@ -120,8 +120,11 @@ class ReceiverValidation(Result):
         if self.satellites is not None:
             facts |= self.satellites.facts
         for row in self.main.to_dict("records"):
-            defined = [name for name in COEFFICIENTS if not np.isnan(row[name])]
-            parts = [f"{name} {row[name]:.2f} (p {row[f'{name}_p']:.3f})" for name in defined]
+            parts = [
+                f"{name} {row[name]:.2f} (p {row[f'{name}_p']:.3f})"
+                for name in COEFFICIENTS
+                if not np.isnan(row[name])
+            ]
             facts[str(row["witness"])] = ", ".join(parts) or "not defined"
         return facts
 
