@@ -124,7 +124,7 @@ def demonstrations_from_study(
         altitude_m = finite("altitude_m", altitude_m)
     if isinstance(study, BenchmarkResult):
         maps = study.maps if maps is None else maps
-        constraints = study.settings.constraints if constraints is None else constraints
+        constraints = constraints or study.settings.constraints
         study = study.folder
     maps = as_maps(_maps_of(study) if maps is None else maps)
 
