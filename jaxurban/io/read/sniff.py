@@ -27,6 +27,8 @@ WKT_COLUMNS = "wkt,geometry,geom,the_geom,wkt_geom,geometry_wkt"  # in tables, a
 # Any JSON before the first key or word that shows that it is GeoJSON.
 _JSON = rb'\{(?:(?!"(?:Feature|FeatureCollection|features|geometry|properties|coordinates)").)*'
 _ROOT = rb"<[<\s]*(?:[\w.-]+:)?"
+# A table with a column of WKT.
+_TABLE = rb"(?i:[^\r\n\0]*\b(?:%s)\b[^\r\n]*[\r\n].*" % WKT_COLUMNS.replace(",", "|").encode()
 _ARCHIVE = "an archive: unpack it with `%s FILE`, and name the file that was in it"
 # How a file begins: the suffix that such files bear, or what it is and the line that helps.
 FORMATS = {
@@ -61,13 +63,9 @@ FORMATS = {
     # A whole feature in the first line, or one that is longer than what is looked at.
     _JSON + rb'(?<!\n)"Feature"[^\n]*(?:\}\r?\n|\Z)': ".geojsonl",
     rb"\{": ".geojson",
-    rb"(?i:[^\r\n\0]*\b(?:%s)\b[^\r\n]*[\r\n].*\bSRID=\d+;)"
-    % WKT_COLUMNS.replace(
-        ",", "|"
-    ).encode(): "a table of EWKT: make WKT of it with `sed -E 's/SRID=[0-9]+;//' FILE "
-    "> wkt.csv` if its coordinates are longitude and latitude",
-    rb"(?i:[^\r\n\0]*\b(?:%s)\b[^\r\n]*[\r\n].*(?:POLYGON|SURFACE)\b)"
-    % WKT_COLUMNS.replace(",", "|").encode(): ".csv",
+    _TABLE + rb"\bSRID=\d+;)": "a table of EWKT: make WKT of it with "
+    "`sed -E 's/SRID=[0-9]+;//' FILE > wkt.csv` if its coordinates are longitude and latitude",
+    _TABLE + rb"(?:POLYGON|SURFACE)\b)": ".csv",
 }
 
 
