@@ -170,7 +170,10 @@ def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
     num_others = 0
     for frame in open_layers(path, ROLE):
         geometry = frame.geometry.name
-        num_others += sum(not _is_all_area(shape) for shape in frame.geometry)
+        num_others += sum(
+            shape is None or (shapely.get_dimensions(shapely.get_parts(shape)) != 2).any()
+            for shape in frame.geometry
+        )
         areas = frame[shapely.get_dimensions(frame.geometry.to_numpy()) == 2]
         _warn_of_ignored(areas.drop(columns=geometry), file)
 
@@ -192,11 +195,6 @@ def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
             f"{num_others} feature(s) of {file!r} are not polygons and close nothing: draw them as polygons"
         )
     return zones
-
-
-def _is_all_area(shape: shapely.Geometry | None) -> bool:
-    """Return whether a feature has a geometry, and all parts of it are polygons."""
-    return shape is not None and bool(np.all(shapely.get_dimensions(shapely.get_parts(shape)) == 2))
 
 
 def _plain(name: object) -> str:
@@ -408,20 +406,18 @@ def _limits(layer: Json, label: str, name: str, notes: Notes) -> tuple[float, fl
       InputError: a limit above ground that is not a number.
     """
     unit_m = METRES.get(str(layer.get("uomDimensions", layer.get("uom", ""))).upper())
-    limits_m = []
-    for end, none_m in (("lower", -math.inf), ("upper", math.inf)):
+    limits_m = {"lower": -math.inf, "upper": math.inf}
+    for end in limits_m:
         value = layer.get(f"{end}Limit", layer.get(end))
         zero = str(layer.get(f"{end}VerticalReference", layer.get(f"{end}Reference"))).upper()
         if value is None:
-            limits_m.append(none_m)
-        elif zero != "AGL" or unit_m is None:
+            continue
+        if zero != "AGL" or unit_m is None:
             notes[NO_LIMITS].append(name)
-            limits_m.append(none_m)
-        else:
-            what = f"the {end} limit of the no-fly zone {label}"
-            limits_m.append(finite(what, value, "metres or feet") * unit_m)
-    floor_m, ceiling_m = limits_m
-    return floor_m, ceiling_m
+            continue
+        what = f"the {end} limit of the no-fly zone {label}"
+        limits_m[end] = finite(what, value, "metres or feet") * unit_m
+    return limits_m["lower"], limits_m["upper"]
 
 
 def _times(facts: Json, name: str, notes: Notes) -> tuple[datetime | None, datetime | None]:

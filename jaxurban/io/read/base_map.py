@@ -93,14 +93,21 @@ def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFr
         frame = _from_osm(path, crs, bounds_m)
         frame.attrs = {"credit": OSM_CREDIT, "licence": LICENCE}
     else:
-        frame = _from_parquet(path, crs)
+        import pyarrow.parquet as pq
+
+        with readable(path, "a base map", "make the maps again, which writes it"):
+            frame = gpd.read_parquet(path)[["kind", "name", "geometry"]].to_crs(crs)
+            frame.attrs = facts_of(pq.read_schema(path).metadata)
     shapes = shapely.clip_by_rect(frame.geometry.to_numpy(), *bounds_m)
     is_point = frame["kind"].to_numpy() == "place"
     is_outside = ~frame.intersects(shapely.box(*bounds_m)).to_numpy()
     shapes[is_point & is_outside] = shapely.Point()
     frame = frame.set_geometry(shapes, crs=crs)
     frame = frame[~frame.is_empty].to_crs(WGS84)
-    return frame.set_geometry(shapely.transform(frame.geometry.to_numpy(), _rounded), crs=WGS84)
+    rounded = shapely.transform(
+        frame.geometry.to_numpy(), lambda points: np.round(points / STEP_DEG) * STEP_DEG
+    )
+    return frame.set_geometry(rounded, crs=WGS84)
 
 
 def write_base_map(path: Path, frame: gpd.GeoDataFrame) -> None:
@@ -126,21 +133,6 @@ def land_cover_in(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     shapes = shapely.make_valid(frame.geometry.to_numpy())
     kinds = frame["kind"].to_numpy()
     return LandCover(*(shapely.union_all(shapes[kinds == kind]) for kind in ("water", "park")))
-
-
-def _rounded(points: np.ndarray) -> np.ndarray:
-    """Return coordinates in degrees, rounded to `STEP_DEG`."""
-    return np.round(points / STEP_DEG) * STEP_DEG
-
-
-def _from_parquet(path: str | Path, crs: str) -> gpd.GeoDataFrame:
-    """Return the features of a file of `write_base_map` in ``crs``, its credit and licence as ``attrs``."""
-    import pyarrow.parquet as pq
-
-    with readable(path, "a base map", "make the maps again, which writes it"):
-        frame = gpd.read_parquet(path)[["kind", "name", "geometry"]].to_crs(crs)
-        frame.attrs = facts_of(pq.read_schema(path).metadata)
-    return frame
 
 
 def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
@@ -183,7 +175,7 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
     # Valid areas and lines in one piece, simplified.
     kind = frame["kind"].to_numpy()
     is_area = np.isin(kind, ("water", "park"))
-    is_line = ~np.isin(kind, ("water", "park", "place"))
+    is_line = ~is_area & (kind != "place")
     shapes = frame.geometry.to_numpy().copy()
     shapes[is_area] = shapely.make_valid(shapes[is_area])
     shapes[is_line] = shapely.line_merge(shapes[is_line])

@@ -112,7 +112,7 @@ class _Objects:
         """Read what has a key of `MAYBE`, and relations of buildings."""
         to_wkb = osmium.geom.WKBFactory()
         processor = open_osm(path).with_areas(MAY_STAND).with_filter(MAY_STAND_OR_TYPE)
-        self.places = processor.node_location_storage
+        self.places: Any = processor.node_location_storage
         item: Any
         for item in processor:
             if not (item.is_relation() or _may_stand(item.tags)):
@@ -153,7 +153,11 @@ class _Objects:
 
     def _keep_line(self, way: Any) -> None:
         """Keep the line of a way, and whether it lacks nodes."""
-        points = _points_of(way, self.places)
+        points = []
+        for node in way.nodes:
+            with suppress(KeyError):
+                place = self.places.get(node.ref)
+                points.append((place.lon, place.lat))
         self.lines[way.id] = _line_of(points)
         if len(points) < len(way.nodes):
             self.missing.add(("w", way.id))
@@ -241,16 +245,6 @@ def _may_stand(tags: Any) -> bool:
         return True
     is_grown = any(tags.get(key) in by_value for key, by_value in GROWN.items())
     return is_grown or any(key in tags for key in MAYBE)
-
-
-def _points_of(way: osmium.osm.Way, places: Any) -> list[tuple[float, float]]:
-    """Return longitude and latitude of the nodes of a way, those left out that a store of places lacks."""
-    points = []
-    for node in way.nodes:
-        with suppress(KeyError):
-            place = places.get(node.ref)
-            points.append((place.lon, place.lat))
-    return points
 
 
 def _line_of(points: list[tuple[float, float]]) -> shapely.Geometry:

@@ -117,20 +117,14 @@ class Near(NamedTuple):
         """
         x_min, y_min, x_max, y_max = self.bounds_m
         wide_m = x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M
-        box = box_between(wide_m, self.crs, crs)
-        is_box = box is not None and box[0] < box[2]  # not across the antimeridian
+        if not np.isfinite(wide_m).all():
+            return None
+        try:
+            box = transformer(self.crs, crs).transform_bounds(*wide_m, densify_pts=101)
+        except ProjError:
+            return None
+        is_box = np.isfinite(box).all() and box[0] < box[2]  # not across the antimeridian
         return box if is_box else None
-
-
-def box_between(box: Bounds, crs: str, other: str) -> Bounds | None:
-    """Return the box in another CRS around a box; None where there is none or it reaches beyond the projection."""
-    if not np.isfinite(box).all():
-        return None
-    try:
-        projected = transformer(crs, other).transform_bounds(*box, densify_pts=101)
-    except ProjError:
-        return None
-    return projected if np.isfinite(projected).all() else None
 
 
 def meets(boxes: np.ndarray, box: Bounds) -> np.ndarray:
