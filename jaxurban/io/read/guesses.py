@@ -14,7 +14,7 @@ import numpy as np
 from jaxurban import settings
 from jaxurban.errors import GuessWarning, warn
 from jaxurban.io.read.heights import LAYER_CLEARANCE_M
-from jaxurban.io.read.issues import NOT_READ, ReadIssue, ReadIssues, listed_counts
+from jaxurban.io.read.issues import ReadIssue, ReadIssues, listed_counts
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import lonlat_boxes
 from jaxurban.world.footprints import GUESSED_BY, Footprints
@@ -120,7 +120,8 @@ def structure_guesses(
         return {}
     unknown = structures.take(structures.touches(bounds_m) & structures.is_guessed)
     kinds = listed_counts(Counter(unknown.kinds))
-    not_read = listed_counts({reason: issues.get(reason, 0) for reason in NOT_READ})
+    reason = ReadIssue.NOT_IN_TABLE  # what may stand all the same
+    not_read = listed_counts({reason: issues.get(reason, 0)})
     guesses = {}
     if kinds:
         guesses[f"{len(unknown):,} structures of unknown height"] = (

@@ -92,7 +92,6 @@ LEFT_OUT = (  # why nothing stands where a file names something
     ReadIssue.NOT_STANDING,
     ReadIssue.NOT_IN_TABLE,
 )
-NOT_READ = (ReadIssue.NOT_IN_TABLE,)  # of these, what may stand all the same
 
 
 def listed_counts(counts: Mapping[str, int]) -> str:

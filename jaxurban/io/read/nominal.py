@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, date, datetime
+from datetime import date, datetime
 
 from sgp4.api import WGS72, Satrec
 from skyfield.api import EarthSatellite, Timescale
@@ -102,9 +102,7 @@ def nominal_satellites(
     noon = timescale.utc(day.year, day.month, day.day, 12)
     table = timescale.utc(*constellation.table_date.timetuple()[:3])
     elapsed_days = noon.ut1 - table.ut1
-    sgp4_epoch = datetime(day.year, day.month, day.day, 12, tzinfo=UTC) - datetime(
-        1949, 12, 31, tzinfo=UTC
-    )
+    sgp4_epoch = datetime(day.year, day.month, day.day, 12) - datetime(1949, 12, 31)
     motion_deg = constellation.latitude_rate_deg - constellation.perigee_rate_deg
     satellites = []
     for number, (slot, (node_deg, latitude_deg)) in enumerate(

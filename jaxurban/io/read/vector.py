@@ -112,7 +112,7 @@ def _read(
         kind = _checked_format(Path(path), plain)
         with in_own_words(*OF_DAMAGED):
             if kind == ".parquet":
-                frames = [_read_parquet(plain, name, named)]
+                frames = [_read_parquet(plain, named)]
             else:
                 options: dict[str, Any] = {"on_invalid": "ignore", "fid_as_index": True}
                 source: str | bytes = DRIVERS.get(kind, "") + str(plain)
@@ -182,12 +182,11 @@ def _fill_solids(
         frame.geometry = frame.geometry.where(frame.geometry.notna(), faces.geometry)
 
 
-def _read_parquet(path: Path, file: str, named: Collection[str] | None) -> gpd.GeoDataFrame:
+def _read_parquet(path: Path, named: Collection[str] | None) -> gpd.GeoDataFrame:
     """Return the features of a GeoParquet file, with the facts of its metadata as ``attrs``.
 
     Args:
       path: to read.
-      file: its name, for messages.
       named: read only geometries, these columns, and those that describe buildings (`is_of_buildings`); None: all.
 
     Without metadata of GeoParquet shapes are WKB in the first binary column, without a CRS.
