@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pyproj
 import rasterio
+import shapely
 from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
@@ -165,12 +166,8 @@ def raster_extent_m(path: str | Path, crs: str) -> Bounds:
 
 def _extent_of(source: rasterio.DatasetReader, crs: str) -> Bounds:
     """Return x_min, y_min, x_max, y_max in a CRS of the box around an open raster, by its four corners."""
-    col = np.array([0, source.width, 0, source.width])
-    row = np.array([0, 0, source.height, source.height])
-    x, y = transformed(source.transform, col, row)
-    box = x.min(), y.min(), x.max(), y.max()
-    x_min, y_min, x_max, y_max = transformer(_horizontal_crs(source), crs).transform_bounds(*box)
-    return x_min, y_min, x_max, y_max
+    box = shapely.box(*source.bounds).bounds  # in order, however rows and columns run
+    return transformer(_horizontal_crs(source), crs).transform_bounds(*box)
 
 
 @contextmanager
