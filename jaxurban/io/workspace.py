@@ -36,7 +36,6 @@ from jaxurban.progress import LOG
 
 RECORD_FILE = "checksums.json"
 JOURNAL_FILE = ".checksums.jsonl"
-LINE_KEYS = ("command", "name", "checksum")
 KEPT_FOLDER = "kept"  # where files go that were in the way of an output
 LONGEST_SETTINGS = 200  # characters of two settings that differ, in an error
 Each = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or one on threads
@@ -546,13 +545,10 @@ def _read(folder: Path) -> Sections:
 
 def _is_section(section: Any) -> bool:
     """Return whether a value of the record is the section of a command: its settings, and texts of checksums."""
-    if not isinstance(section, dict):
-        return False
-    settings = section.get("settings")
-    written = section.get("written")
-    if not isinstance(settings, dict) or not isinstance(written, dict):
-        return False
-    return all(isinstance(checksum, str) for checksum in written.values())
+    match section:
+        case {"settings": dict(), "written": dict(written)}:
+            return all(isinstance(checksum, str) for checksum in written.values())
+    return False
 
 
 def _sections(folder: Path) -> Sections:
@@ -636,19 +632,16 @@ def _journal(folder: Path) -> Iterator[dict[str, Any]]:
 def _parsed(text: str) -> dict[str, Any] | None:
     """Return the values of a line of a journal by their keys, None of a damaged line.
 
-    The keys are ``scratch`` alone, or `LINE_KEYS`; all values are texts, but a checksum may be None.
+    The keys are ``scratch`` alone, or ``command``, ``name`` and ``checksum``. All values are texts, but a checksum may
+    be None.
     """
-    try:
-        values = json.loads(text)
-        keys = ("scratch",) if "scratch" in values else LINE_KEYS
-        line = {key: values[key] for key in keys}
-    except (ValueError, TypeError, KeyError, RecursionError):
-        return None
-    is_sound = all(
-        isinstance(value, str) or (key == "checksum" and value is None)
-        for key, value in line.items()
-    )
-    return line if is_sound else None
+    with suppress(ValueError, RecursionError):
+        match json.loads(text):
+            case {"scratch": scratch}:
+                return {"scratch": scratch} if isinstance(scratch, str) else None
+            case {"command": str(), "name": str(), "checksum": str() | None} as line:
+                return line
+    return None
 
 
 def _save(folder: Path, sections: Sections) -> None:
