@@ -21,8 +21,7 @@ from jaxurban.io.download import Source, cache_folder, download
 from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, only_writer, sweep_scraps
 from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.heights import is_given
-from jaxurban.io.read.kinds import GROWN
-from jaxurban.io.read.kinds import NOTHING as NOTHING_STANDS
+from jaxurban.io.read.kinds import GROWN, NOTHING
 from jaxurban.io.read.orbits import WARN_AGE_DAYS, middle_epoch, read_orbits
 from jaxurban.io.read.osm import MAYBE, cut_buildings, format_of, header_box, read_osm
 from jaxurban.io.read.vector import OF_DAMAGED
@@ -88,7 +87,7 @@ SOURCES = {
         ),
     )
 }
-NOTHING = {  # reported where a file holds nothing for the region or the day
+NONE_HERE = {  # reported where a file holds nothing for the region or the day
     "census": "population: the census has no block in this region (it counts the United States), so the layer is left "
     "out; set [population] blocks to a file of your own",
     "districts": "districts: these (New York City's) do not touch this region, so every block counts as residential; "
@@ -99,9 +98,7 @@ NOTHING = {  # reported where a file holds nothing for the region or the day
 # All that the reader knows: by keys, and what grows by values.
 ASKED = [f'"{key}"' for key in MAYBE]
 for key, by_value in GROWN.items():
-    ASKED += [
-        f'"{key}"="{value}"' for value, kind in by_value.items() if kind is not NOTHING_STANDS
-    ]
+    ASKED += [f'"{key}"="{value}"' for value, kind in by_value.items() if kind is not NOTHING]
 OVERPASS = (
     "[out:xml][timeout:180][bbox:{south},{west},{north},{east}];("
     + "".join(f"nwr[{each}];" for each in ASKED)
@@ -151,9 +148,7 @@ class FetchJob:
     def box_m(self, margin_m: float) -> Bounds:
         """Return x_min, y_min, x_max, y_max of the region's box in `crs`, grown by a margin on each side."""
         to_m = transformer(WGS84, self.crs)
-        x_min, y_min, x_max, y_max = to_m.transform_bounds(
-            *check_bounds(self.bounds), densify_pts=21
-        )
+        x_min, y_min, x_max, y_max = to_m.transform_bounds(*self.bounds, densify_pts=21)
         return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
 
     def box(self, margin_m: float) -> Bounds:
@@ -299,7 +294,7 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
             path.unlink()  # so that the same command downloads it again
             raise InputError(str(error).replace(str(path), source.url)) from error
         if not sections:
-            left_out.append(NOTHING[source.name])
+            left_out.append(NONE_HERE[source.name])
             continue
 
         # The file, its settings and its entry in the record.

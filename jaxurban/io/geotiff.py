@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -198,12 +197,27 @@ def write_geotiffs(
       InputError: a layer that the maps do not hold, or a folder that cannot be written to.
     """
     home = folder / GEOTIFF_FOLDER
+    grid = grid_of(ds)
 
     def is_chosen(name: str) -> bool:
         """Return whether a file of this name is written."""
         return only is None or home / name in only
 
-    write = partial(_write_layer, ds, grid_of(ds), folder)
+    def write(layer: _Layer) -> None:
+        """Write one GeoTIFF, whole or not at all; InputError where it cannot be written."""
+        with whole_file(home / layer.file) as scratch:
+            write_cog(
+                scratch,
+                grid,
+                layer.dtype,
+                _parts(ds, layer),
+                # The mean of two classes is no class.
+                is_averaged=layer.is_averaged and layer.dtype == np.float32,
+                tags=layer.tags,
+                title=layer.title,
+                unit=layer.tags.get("units", ""),
+            )
+
     chosen = [layer for layer in _layers(ds, layers) if is_chosen(layer.file)]
     for _ in each(write, chosen):  # `map` writes nothing until its results are taken
         pass
@@ -220,22 +234,6 @@ def write_geotiffs(
 def _rows_of(ds: xr.Dataset, name: str, place: tuple[int, ...], rows: slice) -> np.ndarray:
     """Return a copy of rows (counted from the south) of a map, ``[y, x]`` from north to south."""
     return ds.variables[name][(*place, rows)].values[::-1].copy()
-
-
-def _write_layer(ds: xr.Dataset, grid: Grid, folder: Path, layer: _Layer) -> None:
-    """Write one GeoTIFF, whole or not at all; InputError where it cannot be written."""
-    with whole_file(folder / GEOTIFF_FOLDER / layer.file) as scratch:
-        write_cog(
-            scratch,
-            grid,
-            layer.dtype,
-            _parts(ds, layer),
-            # The mean of two classes is no class.
-            is_averaged=layer.is_averaged and layer.dtype == np.float32,
-            tags=layer.tags,
-            title=layer.title,
-            unit=layer.tags.get("units", ""),
-        )
 
 
 def _parts(ds: xr.Dataset, layer: _Layer) -> Iterator[np.ndarray]:

@@ -1,7 +1,7 @@
 """Missions of MAVLink's items from files: QGroundControl's ``.plan``, and the rows of ``QGC WPL 110``."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -91,7 +91,8 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
         version = whole.get("version")
         if version is True or version != known:
             notes.append(f"its {what} is {str(version)[:40]}, and only {known} is understood")
-        notes += _unknown(whole, parts)
+        held = [key for key, value in whole.items() if value and isinstance(value, dict | list)]
+        notes += [f"its part {key[:40]!r} is not judged" for key in held if key not in parts]
     zones, damaged = read_geofence(geofence, name, any_is_enough=autopilot == "px4")
     notes += damaged
     rally = _object(plan.get("rallyPoints") or {}, "its rallyPoints")
@@ -204,12 +205,6 @@ def _check_keys(items: Sequence[Item], what: str) -> None:
             raise DamagedError(
                 f"{what} {other} and {what} {item.number} have the same number {item.key}, which jumps name: change one"
             )
-
-
-def _unknown(whole: Mapping[str, Any], known: Sequence[str]) -> list[str]:
-    """Return a sentence for each part of an object that holds other parts, and is not known."""
-    parts = [key for key, value in whole.items() if value and isinstance(value, dict | list)]
-    return [f"its part {key[:40]!r} is not judged" for key in parts if key not in known]
 
 
 def _object(value: Any, what: str) -> dict[str, Any]:

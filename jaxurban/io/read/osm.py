@@ -105,7 +105,6 @@ class _Objects:
         self.num_repaired = 0
         self._read_objects(path)
         self._read_lines(path)
-        self._join_relations()
         self._build_shapes()
 
     def _read_objects(self, path: str | Path) -> None:
@@ -181,15 +180,14 @@ class _Objects:
             and shapely.build_area(self.lines[key[1]]).is_empty
         }
 
-    def _join_relations(self) -> None:
-        """Give outlines what their relation says beside their own tags."""
+    def _build_shapes(self) -> None:
+        """Build what is no area from its lines; what does not close is these lines."""
+        # Outlines have what their relation says beside their own tags.
         for key, of_relation in self.of_members.items():
             own = self.tags.get(key, {})
             if "building:part" not in own:
                 self.tags[key] = {"building": "yes"} | of_relation | own
 
-    def _build_shapes(self) -> None:
-        """Build what is no area from its lines; what does not close is these lines."""
         no_shape = self.ways_of.keys() & self.tags.keys() - self.shapes.keys() - self.degenerate
         for key in sorted(no_shape):
             known = [self.lines[way] for way in self.ways_of[key] if way in self.lines]

@@ -246,7 +246,10 @@ def _checked_format(path: Path, plain: Path) -> str:
     with plain.open("rb") as file:
         head = file.read(HEAD_BYTES)
     text = plain.read_bytes() if kind in JSON_SUFFIXES else b""
-    if any(word in head for word in REFERRING) or _links_crs(text):
+    # GDAL would follow a link of a CRS to a server.
+    letters = ESCAPE.sub(lambda match: bytes.fromhex(match[1].decode()), text).lower()
+    is_linked = b'"crs"' in letters and LINK.search(letters)
+    if is_linked or any(word in head for word in REFERRING):
         raise ValueError("it refers to other files or servers, which are never opened")
     try:
         text.decode()
@@ -255,12 +258,6 @@ def _checked_format(path: Path, plain: Path) -> str:
             "it is not in UTF-8: convert it, as with `iconv -f LATIN1 -t UTF-8`"
         ) from None
     return kind
-
-
-def _links_crs(text: bytes) -> bool:
-    """Return whether a ``crs`` in a text of JSON may be a link, which GDAL would follow to a server."""
-    plain = ESCAPE.sub(lambda match: bytes.fromhex(match[1].decode()), text).lower()
-    return b'"crs"' in plain and LINK.search(plain) is not None
 
 
 def _check(name: str, frame: gpd.GeoDataFrame) -> None:
@@ -388,19 +385,19 @@ def read_vector(
 
     # Polygons, also those in collections, and places where a geometry is missing.
     shapes = without_collections(np.array(frame.geometry, object))
-    is_polygon = np.isin(shapely.get_type_id(shapes), POLYGONS) | shapely.is_missing(shapes)
+    is_kept = np.isin(shapely.get_type_id(shapes), POLYGONS) | shapely.is_missing(shapes)
 
+    # And what is named.
     names = [name for name in frame if is_of_buildings(name, named)]
     columns = {name: _values(frame[name]) for name in names}
     tags = tags_of(columns) if file is None else tags_of_table(columns, file, frame.crs)
-    named_kinds = [
-        is_given(tags[key]) for key in ("building", "part", "height", *KINDS) if key in tags
-    ]
+    for key in ("building", "part", "height", *KINDS):
+        if key in tags:
+            is_kept |= is_given(tags[key])
     for key, by_value in (GROWN | IN_WORDS).items():
         if key in tags:
             words = pd.Series(tags[key]).astype(str).str.lower()
-            named_kinds.append(words.isin(by_value).to_numpy())
-    is_kept = np.logical_or.reduce([is_polygon, *named_kinds])
+            is_kept |= words.isin(by_value).to_numpy()
     is_ring = is_kept & shapely.is_ring(shapes)
     shapes[is_ring] = [shapely.Polygon(ring) for ring in shapes[is_ring]]
     issues = {ReadIssue(name): count for name, count in facts.get("issues", {}).items()}

@@ -87,19 +87,6 @@ class Zone:
             self.start is None or self.start - time <= FLIGHT
         )
 
-    def _seen_in(self, box: shapely.Geometry) -> list[shapely.Geometry]:
-        """Return the outline; where it or a box reaches across the antimeridian, also a turn (360 degrees) on and back.
-
-        The box is in the CRS of the outline; in a projected CRS there is only the outline.
-        """
-        lons = (self.polygon.bounds[0], self.polygon.bounds[2], box.bounds[0], box.bounds[2])
-        if (
-            max(map(abs, lons)) <= TURN / 2
-            or not pyproj.CRS.from_user_input(self.crs).is_geographic
-        ):
-            return [self.polygon]
-        return [affinity.translate(self.polygon, turn) for turn in (-TURN, 0.0, TURN)]
-
     def on(self, grid: Grid) -> shapely.Geometry:
         """Return the part of the zone near a grid, valid polygons in the grid's CRS; empty where it is elsewhere."""
         # A box around the grid in the zone's CRS, 1 % of its sides wider, and the outline in it.
@@ -110,12 +97,15 @@ class Zone:
         box = shapely.box(west - margin, south - margin, east + margin, north + margin)
         from jaxurban.io.read.outlines import polygonal  # here: it brings pandas
 
-        polygon = polygonal(
-            shapely.union_all([shapely.intersection(seen, box) for seen in self._seen_in(box)])
-        )
+        # Where the outline or the box reaches across the antimeridian, it is seen a turn on and back too.
+        crs = pyproj.CRS(self.crs)
+        seen = [self.polygon]
+        lons = (self.polygon.bounds[0], self.polygon.bounds[2], box.bounds[0], box.bounds[2])
+        if crs.is_geographic and max(map(abs, lons)) > TURN / 2:
+            seen = [affinity.translate(self.polygon, turn) for turn in (-TURN, 0.0, TURN)]
+        polygon = polygonal(shapely.union_all(shapely.intersection(seen, box)))
 
         # Edges are straight in the zone's CRS and bend in the grid's, so they are cut before.
-        crs = pyproj.CRS.from_user_input(self.crs)
         unit_m = METRES_PER_DEGREE if crs.is_geographic else crs.axis_info[0].unit_conversion_factor
         project = transformer(self.crs, grid.crs)
         moved = shapely.transform(
