@@ -46,9 +46,7 @@ def streamed(path: str, how: str = "") -> bytes:
     return json.dumps({"type": "gdal_streamed_alg", "command_line": command}).encode()
 
 
-def prisms_of_solids(
-    outlines: np.ndarray, crs: str, num_roofs: np.ndarray | None = None
-) -> pd.DataFrame:
+def prisms_of_solids(outlines: np.ndarray, crs: str, num_roofs: np.ndarray | None) -> pd.DataFrame:
     """Return the prisms of the faces of solids, and other outlines as they are, ``P`` in all, in order.
 
     A solid is a MultiPolygon whose vertices differ by more than `RELIEF_M` in height, and that has vertical faces or
@@ -125,16 +123,3 @@ def _prisms(
     step = np.ceil(top_m / STEP_M)
     steps = [step == one for one in np.unique(step)]
     return {top_m[same].max(): shapely.union_all(plan[same]) for same in steps}
-
-
-def with_solids(column: np.ndarray, prisms: pd.DataFrame) -> np.ndarray:
-    """Return a column of heights with those of solids in metres in place of what it says of them.
-
-    Of walls alone the height is 0, which no reader takes for a height: what they enclose is not known.
-
-    Args:
-      column: ``[P]`` numbers, or objects: texts, numbers and None.
-      prisms: ``P`` from `prisms_of_solids`.
-    """
-    height_m = prisms["height_m"].to_numpy(float)
-    return np.where(np.isnan(height_m), column, height_m)
