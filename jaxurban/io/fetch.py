@@ -148,7 +148,9 @@ class FetchJob:
     def box_m(self, margin_m: float) -> Bounds:
         """Return x_min, y_min, x_max, y_max of the region's box in `crs`, grown by a margin on each side."""
         to_m = transformer(WGS84, self.crs)
-        x_min, y_min, x_max, y_max = to_m.transform_bounds(*self.bounds, densify_pts=21)
+        x_min, y_min, x_max, y_max = to_m.transform_bounds(
+            *check_bounds(self.bounds), densify_pts=21
+        )
         return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
 
     def box(self, margin_m: float) -> Bounds:

@@ -133,8 +133,11 @@ class WorkFolder:
             return [mark]
         if not all(map(_is_of_steps, checksums)):
             return [mark]
-        paths = {self.path / name: checksum for name, checksum in checksums.items()}
-        return [path for path, checksum in paths.items() if not is_as_written(path, [checksum])]
+        return [
+            self.path / name
+            for name, checksum in checksums.items()
+            if not is_as_written(self.path / name, [checksum])
+        ]
 
     @property
     def zarr(self) -> Path:

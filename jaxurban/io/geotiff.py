@@ -33,28 +33,26 @@ TEXTS = ("long_name", "units", "one_means", "flag_meanings", CAVEAT)
 NUM_PLACES = 17  # of a colour map in QGIS styles, from low to high
 
 
-def geotiff_names(
-    variables: Collection[str], metrics: Iterable[str], layers: Sequence[str]
-) -> list[str]:
+def geotiff_names(ds: xr.Dataset, layers: Sequence[str]) -> list[str]:
     """Return the variables that are written as GeoTIFF: obstacles, the metrics of the cost, and further layers.
 
     Where the maps hold no variable of a metric's or a layer's own name but summaries of it over the times (`SERIES`),
     these are written in its place.
 
     Args:
-      variables: names of all variables that are maps.
-      metrics: names of the metrics of the cost.
+      ds: the maps.
       layers: further names, or ``("all",)`` for all variables.
 
     Returns:
-      Names out of ``variables``, each once.
+      Names of variables that are maps, each once.
 
     Raises:
       InputError: a layer that the maps do not hold.
     """
     names = ["obstacle"]
+    variables = held_variables(ds)
     further = sorted(variables) if tuple(layers) == (ALL,) else layers
-    for name in [*metrics, *further]:
+    for name in [*held_metrics(ds), *further]:
         candidates = [name] if name in variables else [f"{name}_{summary}" for summary in SERIES]
         known = [candidate for candidate in candidates if candidate in variables]
         if not known:
@@ -105,16 +103,14 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     resolution = f"{short_number(ds.attrs['resolution_m'])}m"
     times = [f"{time}Z" for time in np.datetime_as_string(ds["time"].values, unit="s")]
     common = {"credit": ds.attrs[CREDIT]} if CREDIT in ds.attrs else {}
-    norms = [name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs]
     metrics = held_metrics(ds)
     variables = held_variables(ds)
-    for name in geotiff_names(variables, metrics, layers):
+    for name in geotiff_names(ds, layers):
         # What all files of a variable share. A summary over times, such as `gps_mean`, begins with its metric's name.
         metric = metrics.get(name.rpartition("_")[0])
         array = ds[name]
         texts = {key: str(array.attrs[key]) for key in TEXTS if key in array.attrs}
         is_of_bytes = array.dtype in (np.bool_, np.uint8)
-        norms_of = norms if name == "population" else []
 
         # A file for each place: parts of its name and tags for each axis that the variable has.
         for place in np.ndindex(array.shape[:-2]):
@@ -128,8 +124,9 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
             if TIME_OF_DAY in index:
                 tags["time_of_day"] = str(ds["time_of_day"].values[index[TIME_OF_DAY]])
                 parts.append(tags["time_of_day"])
-                for norm in norms_of:  # the people of m = 1 at this time of day
-                    tags[norm] = repr(float(ds.attrs[norm][index[TIME_OF_DAY]]))
+                for norm in ("pop_norm_per_km2", "pop_norm_per_block"):
+                    if name == "population" and norm in ds.attrs:  # of m = 1 at this time of day
+                        tags[norm] = repr(float(ds.attrs[norm][index[TIME_OF_DAY]]))
             if TIME in index:
                 tags["time"] = times[index[TIME]]
                 if len(times) > 1:
@@ -151,10 +148,7 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
 def _styles(ds: xr.Dataset, layers: Sequence[str]) -> dict[str, str]:
     """Return the name of the variable of each QGIS style, by the name of the style's file; arguments as `_layers`."""
     resolution = short_number(ds.attrs["resolution_m"])
-    return {
-        f"{name}_{resolution}m.qml": name
-        for name in geotiff_names(held_variables(ds), held_metrics(ds), layers)
-    }
+    return {f"{name}_{resolution}m.qml": name for name in geotiff_names(ds, layers)}
 
 
 def geotiff_paths(ds: xr.Dataset, folder: Path, layers: Sequence[str]) -> list[Path]:

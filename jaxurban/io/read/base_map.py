@@ -167,7 +167,7 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
     box = shapely.box(*bounds_m)
     frame = gpd.GeoDataFrame(table, geometry=shapes, crs=crs)
     frame = frame[shapely.intersects(frame.geometry.to_numpy(), box)]
-    wet = sea(list(projected(coast, crs)), box)
+    wet = sea(projected(coast, crs), box)
     if not wet.is_empty:
         frame.loc[len(rows)] = ["water", "", wet]
     frame = frame.dissolve(["kind", "name"], as_index=False)[["kind", "name", "geometry"]]

@@ -153,16 +153,16 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
 
     if "est_height" in values:  # a rough figure
         estimate = values["est_height"]
-        rough = pd.Series([f"~{value}" for value in estimate], dtype=object)
-        values["est_height"] = rough.where(is_given(estimate), None).to_numpy()
+        rough = np.array([f"~{value}" for value in estimate], object)
+        rough[~is_given(estimate)] = None
+        values["est_height"] = rough
 
     tags: dict[str, np.ndarray] = {}
     for tag, names in COLUMNS.items():
         for name in names.split():
-            if tag in tags and name in values:
-                tags[tag] = _filled(tags[tag], values[name])
-            elif name in values:
-                tags[tag] = values[name]
+            if name in values:
+                own = values[name]
+                tags[tag] = _filled(tags[tag], own) if tag in tags else own
     if "max_height" in values:
         tags.pop("min_height", None)  # it is that of the lowest roof
     return tags

@@ -72,11 +72,12 @@ class Orbits:
     @property
     def nominal_systems(self) -> list[str]:
         """Constellations that have nominal satellites, each once: from no file, or named so by a file."""
-        systems = []
-        for satellite, source in zip(self.satellites, self.sources, strict=True):
-            if source == NOMINAL or satellite.name.endswith(MARK):
-                systems.append(_system(satellite.name))
-        return list(dict.fromkeys(systems))
+        names = [
+            satellite.name
+            for satellite, source in zip(self.satellites, self.sources, strict=True)
+            if source == NOMINAL or satellite.name.endswith(MARK)
+        ]
+        return list(dict.fromkeys(map(_system, names)))
 
 
 def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
@@ -90,14 +91,14 @@ def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
       InputError: no source, no such file, another kind of file, a cut or damaged one, two element sets of one
         satellite, or satellites of a constellation that another source holds whole.
     """
-    sources = [source] if isinstance(source, str | Path) else list(source)
-    if not sources or len(set(map(str, sources))) < len(sources):
+    sources = list(map(str, [source] if isinstance(source, str | Path) else source))
+    if not sources or len(set(sources)) < len(sources):
         raise InputError(
-            f"orbits must name at least one source and none twice, got {list(map(str, sources))}: {REMEDY}"
+            f"orbits must name at least one source and none twice, got {sources}: {REMEDY}"
         )
     satellites: list[EarthSatellite | Ephemeris] = []
     names: list[str] = []
-    for name in map(str, sources):
+    for name in sources:
         if name == NOMINAL:
             satellites += nominal_satellites(GPS.table_date, timescale())
         else:
@@ -124,10 +125,11 @@ def middle_epoch(orbits: Orbits) -> str | None:
 def _check_twice(orbits: Orbits) -> None:
     """Raise InputError where a satellite comes twice, or beside a constellation that another source holds whole."""
     pairs = list(zip(orbits.satellites, orbits.sources, strict=True))
-    whole = {}  # sources by constellation
-    for satellite, source in pairs:
-        if source == NOMINAL or isinstance(satellite, Ephemeris):
-            whole[_system(satellite.name)] = source
+    whole = {  # sources by constellation
+        _system(satellite.name): source
+        for satellite, source in pairs
+        if source == NOMINAL or isinstance(satellite, Ephemeris)
+    }
     from_files: dict[int, str] = {}  # sources by catalogue number
     for satellite, source in pairs:
         system = _system(satellite.name)
@@ -295,9 +297,9 @@ def look_angles(
 
     # Elements that are too old, and those that SGP4 gives up on.
     names = tuple(satellite.name for satellite in orbits.satellites)
-    iso = tuple(time.replace(tzinfo=None).isoformat() + "Z" for time in utc)
+    iso = tuple(map(iso_utc, utc))
     _check_places(orbits, iso, ~np.isfinite(elevation_rad))
-    _check_age(orbits.sources, iso, names, age_days, max_age_days)
+    _check_age(orbits, iso, age_days, max_age_days)
     return Sky(
         times=iso,
         names=names,
@@ -394,16 +396,12 @@ def _satellites_at(
 
 
 def _check_age(
-    sources: Sequence[str],
-    iso: Sequence[str],
-    names: Sequence[str],
-    age_days: np.ndarray,
-    max_age_days: float,
+    orbits: Orbits, iso: Sequence[str], age_days: np.ndarray, max_age_days: float
 ) -> None:
     """Warn of elements older than `WARN_AGE_DAYS`, refuse those older than ``max_age_days``, by the oldest ones.
 
     Args:
-      sources, names: of the satellites, ``S`` of each.
+      orbits: ``S`` satellites.
       iso: the times as texts, ``T`` of them.
       age_days: ``[T, S]`` days between a time and the epoch of the elements, 0 of nominal ones.
       max_age_days: the oldest ones accepted.
@@ -416,7 +414,8 @@ def _check_age(
         return
     t, s = np.argwhere(age_days == oldest_days)[0]
     age = (
-        f"the elements of {names[s]} in {sources[s]} are {oldest_days:.0f} days away from {iso[t]}"
+        f"the elements of {orbits.satellites[s].name} in {orbits.sources[s]} are {oldest_days:.0f} days away from "
+        f"{iso[t]}"
     )
     remedy = f'use elements of that date (CelesTrak, Space-Track) or orbits = "{NOMINAL}"'
     if oldest_days > max_age_days:

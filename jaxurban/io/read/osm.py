@@ -33,12 +33,11 @@ OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
     *("parking", "man_made", "building:height", "est_height"),
 )
 OF_TREES = ("natural", "height", "est_height", "diameter_crown", "leaf_type", "location", "level")
-OF_OTHERS = (
-    *("barrier", "waterway", "diameter", "width", "rotor:diameter", "height:hub"),
-    *("generator:source", "generator:method", *OF_TREES, *GROWN),
+TAGS = {
+    *(*OF_BUILDINGS, *OF_TREES, *MAYBE, *GROWN, "barrier", "waterway", "diameter", "width"),
+    *("rotor:diameter", "height:hub", "generator:source", "generator:method"),
     *(f"{life}:{key}" for life in NOT_BUILT for key in KINDS),
-)
-TAGS = {*OF_BUILDINGS, *MAYBE, *OF_OTHERS}
+}
 Key = tuple[str, int]  # "n", "w" or "r", and an id
 OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 import pyproj
 import shapely
 from pyproj.exceptions import ProjError
@@ -80,17 +79,16 @@ def joined(path: Path, several: Sequence[Outlines]) -> Outlines:
         )
     if len(several) == 1:
         return first
-    tables = [
-        pd.DataFrame(dict(each.tags), range(len(each.polygons)), dtype=object) for each in several
-    ]
-    table = pd.concat(tables, ignore_index=True)
-    table = table.where(table.notna(), None)
+    names = {name: None for each in several for name in each.tags}
     issues: Counter = Counter()
     for each in several:
         issues.update(each.issues)
     return Outlines(
         np.concatenate([each.polygons for each in several]),
-        {str(name): table[name].to_numpy(object) for name in table},
+        {
+            name: np.concatenate([each.column(name).astype(object) for each in several])
+            for name in names
+        },
         first.crs,
         tuple(box for each in several for box in each.boxes),
         dict(issues),

@@ -177,14 +177,13 @@ def _burn_heights(
     buildings: Footprints, grid: Grid, has_touched: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return roofs by centres and by touch (see `burn`), ``[Y, X]`` float32 metres each, 0 without a building."""
-    heights_m, boxes_m = buildings.height_m, buildings.boxes_m
     return burn(
         buildings.polygons,
-        heights_m,
+        buildings.height_m,
         grid,
         0.0,
         "float32",
-        boxes_m=boxes_m,
+        boxes_m=buildings.boxes_m,
         has_touched=has_touched,
     )
 

@@ -111,11 +111,10 @@ def checked(
     Raises:
       InputError: a column that is there twice, an invalid time, a number against its rule, or values of another unit.
     """
+    read = {}
     for column in columns:
         if (table.columns == column).sum() > 1:
             raise InputError(f"{what} has two columns {column}: keep one")
-    read = {}
-    for column in columns:
         if column in rules:
             read[column] = _numbers(table[column], rules[column], what)
         elif column == UTC:
@@ -131,10 +130,9 @@ def _check_units(table: pd.DataFrame, what: str, other_units: OtherUnits) -> Non
     Columns that are all 0 pass. ``what`` begins the message.
     """
     for bounds, unit, needed in other_units:
-        columns = [column for column in bounds if column in table]
-        largest = {column: float(table[column].abs().max()) for column in columns}
-        is_small = [0 < largest[column] <= bounds[column] for column in columns]
-        if is_small and all(is_small):  # all 0 is 0 in any unit
+        largest = {name: float(table[name].abs().max()) for name in bounds if name in table}
+        # All 0 is 0 in any unit.
+        if largest and all(0 < value <= bounds[name] for name, value in largest.items()):
             most = " and ".join(
                 f"{column} of at most {value:.4g}" for column, value in largest.items()
             )

@@ -45,8 +45,8 @@ def ulog_lines(path: Path, data: bytes) -> Shapes:
     fields = log.data_list[0].data
     is_fix = fields["fix_type"] >= LEAST_FIX
     units = OLD if "lon" in fields else NEW
-    lon, lat, height_m = (fields[name][is_fix] * unit for name, unit in units.items())
+    columns = [fields[name][is_fix] * unit for name, unit in units.items()]
     moments = fields["time_utc_usec"][is_fix].astype("datetime64[us]")
     times = np.datetime_as_string(moments, timezone="UTC").tolist()
-    points = list(zip(lon.tolist(), lat.tolist(), height_m.tolist(), strict=True))
+    points = list(map(tuple, np.column_stack(columns).tolist()))
     return [Line("fixes", points, "geoid", times=times)], len(is_fix)
