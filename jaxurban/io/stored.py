@@ -14,10 +14,6 @@ GEOTIFF_FOLDER = "geotiff"
 METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
 # Files by which a Zarr is known, of version 3 the last.
 OF_ZARR = (METADATA, ".zattrs", ".zgroup", "zarr.json")
-OTHER_VERSION = (
-    "comes from another version of jaxurban, or without its checksums.json: "
-    "make the maps again in a new folder"
-)
 
 
 def short_number(value: float) -> str:
@@ -62,7 +58,10 @@ def check_version(folder: Path) -> None:
     # Recorded names, cut to the depth of the outputs: "maps.zarr/5m", "run.json".
     written = {Path(folder, *Path(name).parts[:2]) for name in recorded(folder)}
     if outputs and written.isdisjoint(outputs):
-        raise InputError(f"{str(folder)!r} {OTHER_VERSION}")
+        raise InputError(
+            f"{str(folder)!r} comes from another version of jaxurban, or without its checksums.json: make the maps "
+            "again in a new folder"
+        )
 
 
 def stored_maps(folder: Path) -> dict[float, Path]:

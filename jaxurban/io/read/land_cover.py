@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import osmium
 import shapely
-from numpy.lib.stride_tricks import sliding_window_view
 from osmium.filter import TagFilter
 
 from jaxurban.errors import warn
@@ -56,7 +55,7 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
         whole = shapely.union_all(shapely.make_valid(projected(shapes, crs)))
         return shapely.intersection(whole, box)
 
-    wet = sea(list(projected(coast, crs)), box)
+    wet = sea(projected(coast, crs), box)
     return LandCover(water=shapely.union(joined("water"), wet), park=joined("park"))
 
 
@@ -109,14 +108,14 @@ def runs_of(way: osmium.osm.Way) -> list[shapely.LineString]:
     return [shapely.LineString(points) for points in runs if len(points) > 1]
 
 
-def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geometry:
+def sea(coast: np.ndarray, box: shapely.Polygon) -> shapely.Geometry:
     """Return the part of a box on the right of coast lines, which have the land on their left.
 
     A line that ends inside the box, less than `GAP_M` from its border, is led on to the border, as extracts are cut in
     this way. A box that no line cuts is all sea or all land, by the side of the nearest line on which its centre lies.
 
     Args:
-      coast: lines in a projected CRS in metres; without any there is no sea.
+      coast: array of lines in a projected CRS in metres; without any there is no sea.
       box: in the same CRS.
 
     Returns:
@@ -125,7 +124,7 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
     Warns:
       UserWarning: the lines have a gap, so that land and sea cannot be distinguished.
     """
-    if not coast:
+    if not len(coast):
         return shapely.Polygon()
 
     # Cut the box along the coast into faces, each of which is sea or land.
@@ -139,11 +138,11 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
     faces = shapely.get_parts(shapely.polygonize([network]))
     faces = faces[shapely.contains(box, shapely.point_on_surface(faces))]
 
-    # The coast's straight segments: `segments` is [N, 2 (x, y), 2 (from, to)]. Those that have a length are kept, and
-    # `right` is the direction [N, 2] to their right.
-    points = [shapely.get_coordinates(line) for line in coast]
-    segments = np.concatenate([sliding_window_view(line, 2, axis=0) for line in points])
-    start, end = np.moveaxis(segments, -1, 0)
+    # The ends [N, 2] of the coast's straight segments. Those that have a length are kept, and `right` is the direction
+    # [N, 2] to their right.
+    points, line = shapely.get_coordinates(coast, return_index=True)
+    first = np.flatnonzero(line[:-1] == line[1:])
+    start, end = points[first], points[first + 1]
     is_long = (start != end).any(axis=1)
     start = start[is_long]
     end = end[is_long]

@@ -64,8 +64,6 @@ FRAMES: dict[int, Datum] = {
     10: "ground",
     11: "ground",
 }
-MOVES_NOTHING = "it moves nothing"
-NEVER_REACHED = "jumps pass over it"
 MOST_FLOWN = 1_000_000  # after so many flown items, repeated ones counted too, jumps are not followed any more
 # So near to a circle's centre, as a share of its radius and in metres, ArduPilot begins the circle in the direction in
 # which it is headed.
@@ -254,7 +252,7 @@ class FlownItems:
         accounts = []
         for item in self._items:
             legs = tuple(legs_of[item.number])
-            still = MOVES_NOTHING if item.number in reached else NEVER_REACHED
+            still = "it moves nothing" if item.number in reached else "jumps pass over it"
             why = "" if legs else self._why.get(item.number, still)
             accounts.append(Account(f"item {item.number}", 1, legs, why))
         return accounts

@@ -39,8 +39,6 @@ DRIVERS = {
 }
 RASTER_SUFFIXES = tuple(DRIVERS)
 TIFF_MARKS = b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"  # first bytes
-# GDAL asks servers for no other file, where rasters are read.
-OFFLINE = {"CPL_VSIL_CURL_ALLOWED_FILENAME": "none"}
 OWN_VALUES = "in a unit of your own"
 HEIGHTS = "heights in metres"
 # The shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m.
@@ -196,7 +194,8 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
             )
         _check_mask(Path(path))
 
-        with rasterio.Env(**OFFLINE), rasterio.open(path, driver=DRIVERS[suffix]) as source:
+        offline = rasterio.Env(CPL_VSIL_CURL_ALLOWED_FILENAME="none")  # asks servers for no file
+        with offline, rasterio.open(path, driver=DRIVERS[suffix]) as source:
             if source.count != 1 and holds != OWN_VALUES:
                 raise InputError(
                     f"{name} has {source.count} bands: give a raster with one band, {holds}"

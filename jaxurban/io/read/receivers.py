@@ -37,7 +37,6 @@ from jaxurban.progress import LOG
 from jaxurban.world.grid import transformer
 
 OBSERVED = "observed"  # a time
-AGAIN = "convert or download it again"
 MATCH_S = 0.02  # most between the times of a reference and of its observation: clocks are kept to some milliseconds
 FIX_S = 0.5  # most between a fix of GnssLogger and its measurements
 HEIGHT = "height_m"
@@ -117,7 +116,7 @@ def read_log(
     sniff(path)
     what = f"the receiver log {str(file)!r}"
     with (
-        readable(path, "a log", AGAIN, KeyError, IndexError, TypeError, what=what),
+        readable(path, "a log", "convert or download it again", LookupError, TypeError, what=what),
         unpacked(path) as plain,
     ):
         data = plain.read_bytes()

@@ -53,20 +53,17 @@ def with_supports(structures: Footprints, shapes: np.ndarray) -> Footprints:
         ends, max_distance=SUPPORT_M
     )
 
-    # By end, then by span.
-    height_m, upper_m = (
-        np.repeat(of[is_span], 2) for of in (structures.height_m, structures.upper_m)
-    )
-    is_guessed = np.ones(len(ends), bool)
-    height_m[end] = supports.height_m[support]
-    upper_m[end] = supports.upper_m[support]
-    is_guessed[end] = supports.is_guessed[support]
-    is_unsure = is_guessed.reshape(-1, 2).any(axis=1)
+    # By end, then the higher of both ends of a span, which is unsure if either is.
+    higher = {}
+    for name in ("height_m", "upper_m", "is_guessed"):
+        by_end = np.repeat(getattr(structures, name)[is_span], 2)
+        by_end[end] = getattr(supports, name)[support]
+        higher[name] = by_end.reshape(-1, 2).max(axis=1)
+    is_unsure = higher["is_guessed"]
     is_long = shapely.length(shapes[is_span]) > LONG_SPAN_M
-    most_m = np.where(is_unsure & is_long, np.inf, upper_m.reshape(-1, 2).max(axis=1))
 
     columns = {name: getattr(structures, name).copy() for name in ("height_m", "limit_m", "origin")}
-    columns["height_m"][is_span] = height_m.reshape(-1, 2).max(axis=1)
-    columns["limit_m"][is_span] = most_m
+    columns["height_m"][is_span] = higher["height_m"]
+    columns["limit_m"][is_span] = np.where(is_unsure & is_long, np.inf, higher["upper_m"])
     columns["origin"][is_span] = np.where(is_unsure, HeightOrigin.DEFAULT, HeightOrigin.HEIGHT)
     return replace(structures, **columns)
