@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -88,15 +88,14 @@ def _encoding(array: xr.Variable, tile: tuple[int, int]) -> dict[str, Any]:
     return encoding
 
 
-def _to_zarr(
-    ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[int, int] = (1, 1)
-) -> None:
-    """Write a dataset into a Zarr without the values of its maps, and then the metadata of all of the Zarr.
+def _to_zarr(ds: xr.Dataset, path: Path, tile: tuple[int, int] = (1, 1)) -> None:
+    """Write a dataset into a new Zarr, or into one that lacks it, and then the metadata of all of the Zarr.
+
+    The values of its maps are left out.
 
     Args:
       ds: rows from south to north; in the Zarr they go from north to south.
       path: of the Zarr.
-      mode: ``"w"`` for a new Zarr, ``"a"`` to add variables to one.
       tile: rows and columns of a chunk of a map.
     """
     import dask.array
@@ -117,7 +116,7 @@ def _to_zarr(
     encoding = {str(name): _encoding(array, tile) for name, array in ds.variables.items()}
     ds.to_zarr(
         path,
-        mode=mode,
+        mode="a",
         encoding=encoding,
         zarr_format=2,
         consolidated=False,
@@ -149,7 +148,7 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     tile_rows, tile_cols = tile_shape((num_rows, num_cols))
     checksums: dict[str, str] = {}
     with scratch_for(path) as scratch:
-        _to_zarr(ds, scratch, "w", (tile_rows, tile_cols))
+        _to_zarr(ds, scratch, (tile_rows, tile_cols))
         maps = {str(name): array for name, array in ds.variables.items() if _is_map(array)}
         for name, array in maps.items():
             for layer in np.ndindex(array.shape[:-2]):
@@ -176,7 +175,7 @@ def create_zarr(ds: xr.Dataset, path: Path, tile: tuple[int, int]) -> None:
       InputError: it cannot be written.
     """
     with whole_file(path) as scratch:
-        _to_zarr(ds, scratch, "w", tile)
+        _to_zarr(ds, scratch, tile)
 
 
 def write_layer(
@@ -234,8 +233,8 @@ def put_zarr(made: Path, path: Path, checksums: Mapping[str, str]) -> None:
     Raises:
       InputError: a file of others is in the way.
     """
-    files = {file.relative_to(made).as_posix(): file for file in made.rglob("*") if file.is_file()}
-    of_files = {name: checksums.get(name) or checksum_of(file) for name, file in files.items()}
+    names = [file.relative_to(made).as_posix() for file in made.rglob("*") if file.is_file()]
+    of_files = {name: checksums.get(name) or checksum_of(made / name) for name in names}
     with Workspace.shared(path.parents[1], "maps") as workspace:
         # The metadata of all resolutions name the older maps too: they are written again, last.
         workspace.remove([f"{ZARR_FOLDER}/{METADATA}"])
@@ -269,7 +268,7 @@ def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
     """Add variables that are not maps to a Zarr; InputError as of `open_whole` where its arrays are not ours."""
     for file in path.glob("*/.zarray"):
         _check_arrays(file, {file.name: json.loads(file.read_bytes())})
-    _to_zarr(ds.drop_vars(list(ds.coords)), path, "a")
+    _to_zarr(ds.drop_vars(list(ds.coords)), path)
 
 
 def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
@@ -400,15 +399,22 @@ class _Maps(BackendEntrypoint):
           RemadeError: the Zarr was made again or removed in the meantime.
         """
         # By the consolidated metadata alone, at which `open_whole` has looked: so no array of others is opened.
-        options: dict[str, Any] = {"consolidated": True, "zarr_format": 2, "mask_and_scale": False}
         opened = _Opened.at(Path(filename_or_obj))
-        ds = xr.open_dataset(filename_or_obj, engine="zarr", chunks=None, cache=False, **options)
+        ds = xr.open_dataset(
+            filename_or_obj,
+            engine="zarr",
+            chunks=None,
+            cache=False,
+            consolidated=True,
+            zarr_format=2,
+            mask_and_scale=False,
+        )
 
         # Undo what belongs to the file: its attributes, and rows from the north.
         missing = {name: array.attrs.get("_FillValue") for name, array in ds.data_vars.items()}
         for variable in ds.variables.values():
-            own = {key: value for key, value in variable.attrs.items() if key not in FOREIGN}
-            variable.attrs = own
+            for key in FOREIGN:
+                variable.attrs.pop(key, None)
         ds = ds.isel({"y": slice(None, None, -1)}, missing_dims="ignore")
 
         # Maps become lazy; coordinates are read at once.
@@ -435,7 +441,8 @@ def open_whole(path: Path) -> xr.Dataset:
 
     Raises:
       InputError: metadata are not as they were written, a chunk is missing or cut, an array is not coded as ours are,
-        or a newer jaxurban wrote them in another layout; later, a chunk cannot be decoded.
+        a newer jaxurban wrote them in another layout, or their resolution is no length or their guesses are no object
+        of JSON; later, a chunk cannot be decoded.
     """
     try:
         for file, checksums in _recorded(path).items():
@@ -458,7 +465,13 @@ def open_whole(path: Path) -> xr.Dataset:
                 f"the maps in {str(path)!r} have layout {layout!r}, and this version of jaxurban reads {LAYOUT}: "
                 "update jaxurban, or make the maps again in a new folder"
             )
-        _check_facts(path, ds.attrs)
+        guesses = json.loads(ds.attrs.get("guesses", "{}"))
+        resolution_m = ds.attrs["resolution_m"]
+        is_length = isinstance(resolution_m, int | float) and 0 < resolution_m < math.inf
+        if not is_length or not isinstance(guesses, dict):
+            raise InputError(
+                f"the attributes of {str(path)!r} are not those of maps: make the maps again in a new folder"
+            )
         return ds
     except InputError:
         raise
@@ -477,36 +490,18 @@ def _check_arrays(file: Path, metadata: Mapping[str, Any]) -> None:
         )
 
 
-def _check_facts(path: Path, attributes: Mapping[str, Any]) -> None:
-    """Raise InputError unless the maps' resolution is a length and their guesses are a JSON object, if they have any.
-
-    Args:
-      path: of the Zarr, for the message.
-      attributes: of its dataset.
-    """
-    guesses = json.loads(attributes.get("guesses", "{}"))
-    resolution_m = attributes["resolution_m"]
-    is_length = isinstance(resolution_m, int | float) and 0 < resolution_m < math.inf
-    if not is_length or not isinstance(guesses, dict):
-        raise InputError(
-            f"the attributes of {str(path)!r} are not those of maps: make the maps again in a new folder"
-        )
-
-
 def _is_ours(array: Mapping[str, Any]) -> bool:
     """Return whether an array of these metadata (of a ``.zarray`` file) is coded as `_to_zarr` codes arrays.
 
     Plain types have no filter, text of any length has the one of `TEXT_FILTERS`, and all have the compressor.
     """
-    dtype = array.get("dtype")
-    filters = array.get("filters")
-    compressor = array.get("compressor")
-    if not isinstance(dtype, str) or not isinstance(compressor, dict):
-        return False
-    if compressor.get("id") != COMPRESSOR.codec_id:
-        return False
-    kind = np.dtype(dtype).kind
-    return (kind in PLAIN_KINDS and not filters) or (kind in TEXT_KINDS and filters == TEXT_FILTERS)
+    match array:
+        case {"dtype": str(dtype), "compressor": {"id": COMPRESSOR.codec_id}}:
+            kind = np.dtype(dtype).kind
+            filters = array.get("filters")
+            is_plain = kind in PLAIN_KINDS and not filters
+            return is_plain or (kind in TEXT_KINDS and filters == TEXT_FILTERS)
+    return False
 
 
 def _recorded(path: Path) -> dict[Path, set[str]]:

@@ -86,7 +86,6 @@ OUTLINE_READERS: dict[str, OutlineReader] = {  # by `sniff`, or by the file's ow
     **dict.fromkeys((*VECTOR_SUFFIXES, *OTHER_SUFFIXES), read_vector),
     **dict.fromkeys((*READERS, ARCHIVE), read_tiles),
 }
-FILE_FIELDS = ("source", *FILES)
 COLUMNS_SAID = "height_column, ground_column and levels_column are for tables of outlines"
 GEOD = pyproj.Geod(ellps="WGS84")
 GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
@@ -164,16 +163,17 @@ def read_city(
             ground_extent_m = raster_extent_m(terrain.source, crs)
         ground, guesses = filled_terrain(repr(str(terrain.source)), ground, crs, box_m)
     plants = None
-    if vegetation.source is not None and sniff(vegetation.source) == LIDAR:
-        if ground is None:
+    if vegetation.source is not None:
+        if sniff(vegetation.source) != LIDAR:
+            plants, plant_guesses = read_plants(vegetation.source, crs, wide_m, box_m)
+            guesses |= plant_guesses
+        elif ground is None:
             raise InputError(
                 f"plants of the lidar points {str(vegetation.source)!r} stand on the ground: give its elevation as "
                 "[terrain] source, which may be the same file"
             )
-        plants = heights_above(_points_of(vegetation.source, buildings).plants, ground)
-    elif vegetation.source is not None:
-        plants, plant_guesses = read_plants(vegetation.source, crs, wide_m, box_m)
-        guesses |= plant_guesses
+        else:
+            plants = heights_above(_points_of(vegetation.source, buildings).plants, ground)
     source = read_buildings(
         buildings, crs, bounds_m=wide_m, terrain=ground, beside=files["structures"]
     )
@@ -247,7 +247,7 @@ def _placed(section: Any) -> Any:
     paths = {
         name: located(file)
         for name, file in vars(section).items()
-        if name in FILE_FIELDS and file is not None
+        if name in ("source", *FILES) and file is not None
     }
     return replace(section, **paths)
 

@@ -114,14 +114,14 @@ def _read(
             if kind == ".parquet":
                 frames = [_read_parquet(plain, named)]
             else:
-                options: dict[str, Any] = {"on_invalid": "ignore", "fid_as_index": True}
+                on_invalid = "raise" if every_layer else "ignore"
+                options: dict[str, Any] = {"on_invalid": on_invalid, "fid_as_index": True}
                 source: str | bytes = DRIVERS.get(kind, "") + str(plain)
                 if kind == ".csv":
                     options |= CSV_OPTIONS
                 if kind not in DRIVERS and not every_layer:
                     source = openable(str(plain))
                 if every_layer:
-                    options["on_invalid"] = "raise"
                     layers = [layer for layer, _ in pyogrio.list_layers(source)]
                 else:
                     layers = _layers_of(source, name, role)
@@ -298,10 +298,8 @@ def _only_near(
     are no options.
     """
     facts = pyogrio.read_info(source, layer=layer)
-    if not (facts["crs"] and facts["geometry_type"]):
-        return {}
-    box = near.box_in(facts["crs"])
-    if box is None:
+    box = facts["geometry_type"] and facts["crs"] and near.box_in(facts["crs"])
+    if not box:
         return {}
 
     # The features that touch the surroundings, by their boxes: `sides` is [4, N].
