@@ -544,7 +544,13 @@ class FlownItems:
         heights_m = levels_m(self.autopilot, apart_m, self.return_altitude_m)
         for level_m in heights_m:
             is_variant = level_m < heights_m[-1]
-            for start, end in pairwise((*_way_home(at, home, level_m), ground)):
+            # It rises first, or stays as high as it is where that is more, then flies home level. Where the height is
+            # not known, it flies home without a rise and arrives at a height that is not known.
+            above = Place(at.lon, at.lat, level_m, "home", level_with=at)
+            way = [at, above, Place(*home, level_m, "home", level_with=at)]
+            if math.isnan(level_m):
+                way = [at, Place(*home, level_m, "home")]
+            for start, end in pairwise((*way, ground)):
                 kind = "land" if end == ground else "return"
                 if start != end:
                     self.legs.append(Leg(start, end, kind, item.number, is_variant=is_variant))
@@ -571,24 +577,6 @@ def levels_m(autopilot: Autopilot, apart_m: float, altitude_m: float) -> list[fl
     if autopilot in ("px4", "unknown") and apart_m <= CONE_REACH_M:
         heights_m.add(min(altitude_m, apart_m))
     return sorted(heights_m)
-
-
-def _way_home(at: Place, home: LonLat, level_m: float) -> tuple[Place, ...]:
-    """Return the places that a return leads through in the air, the last one over home.
-
-    The vehicle rises first, then flies home level. A vehicle that is higher than the return's height already stays as
-    high as it is, which `Place.level_with` says. Where the height is not known, the vehicle flies home without a rise
-    and arrives at a height that is not known.
-
-    Args:
-      at: where the return begins.
-      home: longitude and latitude of home.
-      level_m: height above home at which the vehicle returns; NaN where it is not known.
-    """
-    if math.isnan(level_m):
-        return at, Place(*home, level_m, "home")
-    above = Place(at.lon, at.lat, level_m, "home", level_with=at)
-    return at, above, Place(*home, level_m, "home", level_with=at)
 
 
 def _kept(at: Place, lon: float, lat: float, datum: Datum | None) -> Place:

@@ -320,15 +320,10 @@ def build_surface(
     """
     surface = replace(rasterise(city, grid, all_touched, has_guessed, has_kinds), region=region)
     check_has_data([surface.crop(surface.has_data)], city)
-    block: Any = rasterise_blocks(city, region)
-    return replace(
-        surface,
-        block=block,
-        roof_touched_m=surface.crop(surface.roof_touched_m),
-        roof_guessed=surface.crop(surface.roof_guessed),
-        roof_limit_m=surface.crop(surface.roof_limit_m),
-        roof_kind=surface.crop(surface.roof_kind),
-    )
+    of_region: dict[str, Any] = {"block": rasterise_blocks(city, region)}
+    for name in ("roof_touched_m", "roof_guessed", "roof_limit_m", "roof_kind"):
+        of_region[name] = surface.crop(getattr(surface, name))
+    return replace(surface, **of_region)
 
 
 def burn(
@@ -488,54 +483,40 @@ def bands_of(
       InputError: a file that cannot be read, another number of bands or another shape than needed, or no band for an
         altitude.
     """
-    return {
-        name: _bands(name, layer, region, altitudes_m, folder or Path())
-        for name, layer in layers.items()
-        if not callable(layer.source)
-    }
+    by_name: dict[str, Bands] = {}
+    for name, layer in layers.items():
+        if callable(layer.source):
+            continue
+        bands: Sequence[Raster | np.ndarray]
+        if isinstance(layer.source, str):
+            from jaxurban.io.read.raster import read_bands  # GDAL loads for files alone
 
+            path = (folder or Path()) / layer.source
+            bands = read_bands(path, region.crs, region.bounds_m)
+        else:
+            bands = _bands_of_array(name, layer.source, region)
+        for band in bands:
+            check_values(name, layer, band.values if isinstance(band, Raster) else band)
+        num = 1 if layer.altitudes_m is None else len(layer.altitudes_m)
+        if len(bands) != num:
+            raise InputError(
+                f"layer {name!r} has {len(bands)} band(s) for {num} altitude(s): name the altitude of each band in "
+                "altitudes_m, or give one band for all"
+            )
 
-def _bands(
-    name: str, layer: Layer, region: Grid, altitudes_m: Sequence[float], folder: Path
-) -> Bands:
-    """Return the bands of one layer: one for each flight altitude, or one for all.
-
-    Args:
-      name: of the layer, for messages.
-      layer: whose source is a path or an array.
-      region, altitudes_m: as for `bands_of`.
-      folder: that a relative path is relative to.
-
-    Raises:
-      InputError: as of `bands_of`.
-    """
-    bands: Sequence[Raster | np.ndarray]
-    if isinstance(layer.source, str):
-        from jaxurban.io.read.raster import read_bands  # GDAL loads for files alone
-
-        bands = read_bands(folder / layer.source, region.crs, region.bounds_m)
-    else:
-        bands = _bands_of_array(name, layer.source, region)
-    for band in bands:
-        check_values(name, layer, band.values if isinstance(band, Raster) else band)
-    num = 1 if layer.altitudes_m is None else len(layer.altitudes_m)
-    if len(bands) != num:
-        raise InputError(
-            f"layer {name!r} has {len(bands)} band(s) for {num} altitude(s): name the altitude of each band in "
-            "altitudes_m, or give one band for all"
-        )
-    if layer.altitudes_m is None:
-        return tuple(bands)
-
-    band_at: dict[float, Any] = dict(zip(layer.altitudes_m, bands, strict=True))
-    missing_m = [z_m for z_m in altitudes_m if z_m not in band_at]
-    if missing_m:
-        known = ", ".join(f"{z_m:g}" for z_m in band_at)
-        raise InputError(
-            f"layer {name!r} has no band for {missing_m[0]:g} m, only for {known} m: add one, or leave altitudes_m "
-            "out and give one band for all altitudes"
-        )
-    return tuple(band_at[z_m] for z_m in altitudes_m)
+        # One for each flight altitude, or one for all.
+        if layer.altitudes_m is not None:
+            band_at: dict[float, Any] = dict(zip(layer.altitudes_m, bands, strict=True))
+            missing_m = [z_m for z_m in altitudes_m if z_m not in band_at]
+            if missing_m:
+                known = ", ".join(f"{z_m:g}" for z_m in band_at)
+                raise InputError(
+                    f"layer {name!r} has no band for {missing_m[0]:g} m, only for {known} m: add one, or leave "
+                    "altitudes_m out and give one band for all altitudes"
+                )
+            bands = [band_at[z_m] for z_m in altitudes_m]
+        by_name[name] = tuple(bands)
+    return by_name
 
 
 def _bands_of_array(name: str, source: Any, region: Grid) -> list[np.ndarray]:

@@ -66,12 +66,14 @@ def read_routes(file: str | Path) -> list[Route]:
         if not pd.isna(row.get(SEGMENT_PROPERTY)):
             continue
 
-        # Properties of the feature win over the settings of jaxurban's own.
-        settings = _settings(row)
+        # The settings of jaxurban's own paths, an object or its JSON text; properties of the feature win over them.
+        settings = row.get("settings")
+        if isinstance(settings, str):
+            with suppress(ValueError, RecursionError):
+                settings = json.loads(settings)
+        settings = dict(settings) if isinstance(settings, dict) else {}
         facts = settings | {key: row[key] for key in PROPERTIES if not pd.isna(row.get(key))}
         facts.setdefault("name", row.get("Name"))  # of KML
-        time_of_day = facts.get(TIME_OF_DAY_PROPERTY)
-        time = facts.get(TIME_PROPERTY)
 
         parts = [part for part in shapely.get_parts(row.geometry) if part.length > 0]
         for part_number, part in enumerate(parts, start=1):
@@ -83,8 +85,9 @@ def read_routes(file: str | Path) -> list[Route]:
                 altitude_m = finite(
                     f"{ALTITUDE_PROPERTY} of route {name!r} of {str(file)!r}", altitude_m, "metres"
                 )
+            times = facts.get(TIME_OF_DAY_PROPERTY), facts.get(TIME_PROPERTY)
             lonlat = shapely.get_coordinates(part)
-            routes.append(Route(lonlat, name, altitude_m, time_of_day, time, settings))
+            routes.append(Route(lonlat, name, altitude_m, *times, settings))
 
     if not routes:
         raise InputError(
@@ -96,15 +99,3 @@ def read_routes(file: str | Path) -> list[Route]:
             SkippedRouteWarning,
         )
     return routes
-
-
-def _settings(row: Any) -> dict[str, Any]:
-    """Return the ``settings`` of a feature, which jaxurban's own paths have as an object or its JSON text.
-
-    They are empty where it has none, or where they cannot be read.
-    """
-    settings = row.get("settings")
-    if isinstance(settings, str):
-        with suppress(ValueError, RecursionError):
-            settings = json.loads(settings)
-    return dict(settings) if isinstance(settings, dict) else {}

@@ -120,15 +120,8 @@ def checked(
         elif column == UTC:
             read[UTC] = by_text(table[UTC], _times, what)
     table = table[list(columns)].assign(**read)
-    _check_units(table, what, other_units)
-    return table
 
-
-def _check_units(table: pd.DataFrame, what: str, other_units: OtherUnits) -> None:
-    """Raise InputError where all values of a column are as small as they would be in another unit.
-
-    Columns that are all 0 pass. ``what`` begins the message.
-    """
+    # Columns all of whose values are as small as they would be in another unit.
     for bounds, unit, needed in other_units:
         largest = {name: float(table[name].abs().max()) for name in bounds if name in table}
         # All 0 is 0 in any unit.
@@ -139,6 +132,7 @@ def _check_units(table: pd.DataFrame, what: str, other_units: OtherUnits) -> Non
             raise InputError(
                 f"{what} has {most} in all rows, as if they were {unit}: give {needed}"
             )
+    return table
 
 
 def by_text(column: pd.Series, read: Callable[[pd.Series, str], pd.Series], what: str) -> pd.Series:
