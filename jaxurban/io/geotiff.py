@@ -225,21 +225,17 @@ def write_geotiffs(
     return written
 
 
-def _rows_of(ds: xr.Dataset, name: str, place: tuple[int, ...], rows: slice) -> np.ndarray:
-    """Return a copy of rows (counted from the south) of a map, ``[y, x]`` from north to south."""
-    return ds.variables[name][(*place, rows)].values[::-1].copy()
-
-
 def _parts(ds: xr.Dataset, layer: _Layer) -> Iterator[np.ndarray]:
     """Yield a map ``[y, x]`` in parts of two blocks' rows, from the north to the south, as `write_cog` takes them.
 
     Cells without data hold what stands for no value; the map of where data are is written as it stands.
     """
     for stop in range(ds.sizes["y"], 0, -2 * BLOCK):
-        rows = slice(max(0, stop - 2 * BLOCK), stop)
-        values = _rows_of(ds, layer.name, layer.place, rows).astype(layer.dtype, copy=False)
+        rows = slice(max(0, stop - 2 * BLOCK), stop)  # counted from the south
+        values = ds.variables[layer.name][(*layer.place, rows)].values[::-1].astype(layer.dtype)
         if layer.name != "has_data":
-            np.copyto(values, no_value(layer.dtype), where=~_rows_of(ds, "has_data", (), rows))
+            has_data = ds.variables["has_data"][rows].values[::-1]
+            np.copyto(values, no_value(layer.dtype), where=~has_data)
         yield values
 
 

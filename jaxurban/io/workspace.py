@@ -243,12 +243,7 @@ class Workspace:
     def is_own(self, path: Path) -> bool:
         """Return whether a path is a file as this command wrote it; a link is not, nor a file behind a link."""
         name = self.name_of(path)
-        if (
-            name not in self.written
-            or os.path.islink(path)
-            or not os.path.isfile(path)
-            or self._obstacle(path)
-        ):
+        if name not in self.written or os.path.islink(path) or self._obstacle(path):
             return False
         return is_as_written(path, [self.written[name]])
 

@@ -278,9 +278,14 @@ def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone
         # The volumes of the zone: limits and outline of each.
         label = f"{name!r} of {file!r}"
         try:
-            volumes = [
-                (shape["layer"] or {}, _outline(shape)) for shape in _volumes(feature["geometry"])
-            ]
+            geometry = feature["geometry"]
+            if isinstance(geometry, list):  # ED-269
+                shapes = [{**part["horizontalProjection"], "layer": part} for part in geometry]
+            else:
+                is_whole = geometry["type"] != "GeometryCollection"
+                parts = [geometry] if is_whole else geometry["geometries"]
+                shapes = [{"layer": None, **part} for part in parts]
+            volumes = [(shape["layer"] or {}, _outline(shape)) for shape in shapes]
         except BROKEN as error:
             is_said = isinstance(error, ValueError)
             why = str(error) if is_said else "a part is missing, or is of another kind"
@@ -326,16 +331,10 @@ def _name(facts: Json, number: int) -> str:
     return str(name or facts.get("identifier") or f"zone {number}").strip()
 
 
-def _volumes(geometry: Any) -> list[dict[str, Any]]:
-    """Return the volumes of a zone as the geometries of ED-318, each with its ``layer``, None without limits."""
-    if isinstance(geometry, list):  # ED-269
-        return [{**volume["horizontalProjection"], "layer": volume} for volume in geometry]
-    parts = geometry["geometries"] if geometry["type"] == "GeometryCollection" else [geometry]
-    return [{"layer": None, **part} for part in parts]
-
-
 def _outline(shape: Json) -> shapely.Geometry:
-    """Return the outline of a volume (see `_volumes`) in longitude and latitude: polygons, or one around a circle.
+    """Return the outline of a volume in longitude and latitude: polygons, or one around a circle.
+
+    The volume is a geometry of ED-318 with its ``layer``, or is made to be like one.
 
     Raises:
       An error of `BROKEN`: a part is missing, is of another kind or is no place on the Earth.

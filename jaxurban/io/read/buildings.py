@@ -99,17 +99,15 @@ def to_buildings(
         buildings = with_decks(buildings, is_deck, layer.to_numpy(float))
 
     # Outlines and their parts: heights of one for the other, and which outlines the parts replace.
-    outline, part, shared = _own_parts(polygons, ~is_part & ~is_deck, is_part)
-    buildings = _above_underside(_with_outline_heights(buildings, outline, part, issues), issues)
-    share = _covered_share(polygons, outline, shared)
+    outline, part, share = _own_parts(polygons, ~is_part & ~is_deck, is_part)
+    buildings = _with_outline_heights(buildings, outline, part, issues)
     is_replaced = share >= REPLACED_SHARE
     issues[ReadIssue.OUTLINES_REPLACED_BY_PARTS] = int(np.sum(is_replaced))
     if file.hanging == SLABS:
         buildings, is_podium = _podiums(buildings, outline, part, is_replaced)
         issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = int(np.sum(is_podium))
         is_replaced &= ~is_podium
-    limit_m = _limits_m(buildings, found, file)
-    buildings = replace(buildings, limit_m=limit_m)
+    buildings = replace(buildings, limit_m=_limits_m(buildings, found, file))
     is_bare = is_replaced & ((1 - share) * shapely.area(polygons) > STRIP_M)
     buildings, is_replaced = _beside_parts(buildings, outline, part, is_replaced, is_bare)
     buildings = buildings.take(~is_replaced)
@@ -342,14 +340,16 @@ def _project(
 def _own_parts(
     polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return every pair of an outline and a part of its own: `BELONGING_SHARE` of the part at least lies inside it.
+    """Return every pair of an outline and a part of its own, and how much of each polygon its own parts cover.
+
+    `BELONGING_SHARE` of a part at least lies inside an outline that owns it.
 
     Args:
       polygons: ``[N]`` valid polygons.
       is_outline, is_part: ``[N]`` bool, which of them are outlines, and which are parts.
 
     Returns:
-      ``[P]`` indices of the outlines and of the parts, and ``[P]`` geometries, what each pair shares.
+      ``[P]`` indices of the outlines and of the parts, and ``[N]`` shares in [0, 1], 0 without a part.
     """
     outlines = np.flatnonzero(is_outline)
     parts = np.flatnonzero(is_part)
@@ -360,22 +360,14 @@ def _own_parts(
     part = parts[near_part]
     shared = shapely.intersection(polygons[outline], polygons[part])
     is_own = shapely.area(shared) >= BELONGING_SHARE * shapely.area(polygons[part])
-    return outline[is_own], part[is_own], shared[is_own]
+    outline, part, shared = outline[is_own], part[is_own], shared[is_own]
 
-
-def _covered_share(polygons: np.ndarray, outline: np.ndarray, shared: np.ndarray) -> np.ndarray:
-    """Return how much of each polygon the union of its own parts covers, ``[N]`` in [0, 1], 0 without a part.
-
-    Args:
-      polygons: ``[N]`` valid polygons.
-      outline, shared: ``[P]`` from `_own_parts`.
-    """
     share = np.zeros(len(polygons))
     order = np.argsort(outline, kind="stable")  # the pairs of each outline one after the other
     owners, starts = np.unique(outline[order], return_index=True)
     for owner, own in zip(owners, np.split(shared[order], starts[1:]), strict=False):
         share[owner] = shapely.area(shapely.union_all(own)) / shapely.area(polygons[owner])
-    return share
+    return outline, part, share
 
 
 def _podiums(
@@ -418,10 +410,13 @@ def _with_outline_heights(
 ) -> Footprints:
     """Return buildings in which parts without a height have that of their highest outline whose height is known.
 
+    Every roof is above its underside then. A roof at or below it is raised by the underside's height if it is an
+    estimate, by levels or by default; if its height is known, the underside is set to 0.
+
     Args:
       buildings: ``N`` outlines and parts.
       outline, part: ``[P]`` indices of outlines and their own parts.
-      issues: gets how many parts were given a height.
+      issues: gets how many parts were given a height, and how many undersides were set to 0.
     """
     height_m = buildings.height_m.copy()
     origin = buildings.origin.copy()
@@ -436,23 +431,15 @@ def _with_outline_heights(
     height_m[part[lowest_first]] = height_m[outline[lowest_first]]
     origin[part[lowest_first]] = origin[outline[lowest_first]]
     issues[ReadIssue.PARTS_GIVEN_OUTLINE_HEIGHT] = len(np.unique(part))
-    return replace(buildings, height_m=height_m, origin=origin)
 
-
-def _above_underside(buildings: Footprints, issues: ReadIssues) -> Footprints:
-    """Return buildings every roof of which is above its underside.
-
-    A roof at or below its underside is raised by the underside's height if it is an estimate, by levels or by default;
-    if its height is known, the underside is set to 0, and ``issues`` gets how many these were.
-    """
-    height_m = buildings.height_m
+    # Undersides.
     min_height_m = buildings.min_height_m
     is_wrong = min_height_m >= height_m
-    is_estimate = buildings.origin != HeightOrigin.HEIGHT
-    issues[ReadIssue.MIN_HEIGHTS_ABOVE_ROOF] = int(np.sum(is_wrong & ~is_estimate))
-    raised_m = np.where(is_wrong & is_estimate, height_m + min_height_m, height_m)
+    is_known = origin == HeightOrigin.HEIGHT
+    issues[ReadIssue.MIN_HEIGHTS_ABOVE_ROOF] = int(np.sum(is_wrong & is_known))
     return replace(
         buildings,
-        height_m=raised_m,
-        min_height_m=np.where(is_wrong & ~is_estimate, 0.0, min_height_m),
+        height_m=np.where(is_wrong & ~is_known, height_m + min_height_m, height_m),
+        min_height_m=np.where(is_wrong & is_known, 0.0, min_height_m),
+        origin=origin,
     )

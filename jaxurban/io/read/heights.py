@@ -236,20 +236,17 @@ def with_decks(buildings: Footprints, is_deck: np.ndarray, layer: np.ndarray) ->
       layer: ``[N]`` float64 of each outline, NaN where it has none.
     """
     has_height = buildings.origin == HeightOrigin.HEIGHT
-    floor_m = buildings.min_height_m
+    height_m = buildings.height_m
+    min_height_m = buildings.min_height_m
     by_layer_m = np.fmax(layer, 1.0) * LAYER_CLEARANCE_M
-    below_top_m = np.where(
-        has_height, np.maximum(buildings.height_m - DECK_DEPTH_M, 0.0), by_layer_m
-    )
-    floor_m = np.where(floor_m > 0, floor_m, below_top_m)
-    top_m = np.where(
-        has_height & (buildings.height_m > floor_m), buildings.height_m, floor_m + DECK_DEPTH_M
-    )
-    is_guess = ~has_height & (buildings.min_height_m == 0)
+    below_top_m = np.where(has_height, np.maximum(height_m - DECK_DEPTH_M, 0.0), by_layer_m)
+    floor_m = np.where(min_height_m > 0, min_height_m, below_top_m)
+    top_m = np.where(has_height & (height_m > floor_m), height_m, floor_m + DECK_DEPTH_M)
+    is_guess = ~has_height & (min_height_m == 0)
     origin = np.where(is_guess, HeightOrigin.LAYER, HeightOrigin.HEIGHT).astype(np.uint8)
     return replace(
         buildings,
-        height_m=np.where(is_deck, top_m, buildings.height_m),
-        min_height_m=np.where(is_deck, floor_m, buildings.min_height_m),
+        height_m=np.where(is_deck, top_m, height_m),
+        min_height_m=np.where(is_deck, floor_m, min_height_m),
         origin=np.where(is_deck, origin, buildings.origin),
     )

@@ -229,7 +229,7 @@ def home_of(home: LonLat | None, lon: float, lat: float, elevation_m: float) -> 
         raise DamagedError(
             f"home is {elevation_m:,.1f} m above the sea, where no ground is: give metres; are these centimetres?"
         )
-    check_place("home", lon, lat, elevation_m)
+    check_place("home", lon, lat)
     if home or math.isnan(lon + lat) or (lon, lat) == (0, 0):
         return home, None
     has_elevation = abs(elevation_m) > 0  # False of NaN

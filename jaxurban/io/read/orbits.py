@@ -305,7 +305,7 @@ def look_angles(
         names=names,
         azimuth_rad=(azimuth_rad - convergence_rad) % math.tau,
         elevation_rad=elevation_rad,
-        systems=tuple(_system(name) for name in names),
+        systems=tuple(map(_system, names)),
         element_age_days=age_days,
     )
 

@@ -138,19 +138,6 @@ def extent_of(boxes: np.ndarray) -> Bounds:
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def near_rows(boxes: np.ndarray, box: Bounds) -> np.ndarray:
-    """Return which features to read, ``[N]`` bool: all that touch the box around those that touch a box.
-
-    So every outline comes with all its parts, and every part with its outline, however large they are.
-
-    Args:
-      boxes: ``[N, 4]`` x_min, y_min, x_max, y_max of the features, NaN where they are empty.
-      box: the same of the region.
-    """
-    is_near = meets(boxes, box)
-    return meets(boxes, extent_of(boxes[is_near])) if is_near.any() else is_near
-
-
 def polygonal(geometry: shapely.Geometry) -> shapely.Geometry:
     """Return the polygons of a geometry or collection, as one Polygon or MultiPolygon; empty if it has none."""
     # Twice: a collection may hold MultiPolygons.

@@ -136,20 +136,22 @@ def rasterise(
         for others_m in (roof_m, returning_m):
             if others_m is not None:
                 np.maximum(others_m, solid_m, out=others_m)
-    rasters: dict[str, Any] = {
-        "roof_m": roof_m,
-        "terrain_m": terrain_m,
-        "has_data": has_data,
-        "block": None,
-        "roof_touched_m": touched_m,
-        "roof_guessed": guessed,
-        "roof_limit_m": limit_m,
-        "slabs": slabs,
-        "roof_kind": None if kind is None else kind.astype(np.uint8),
-        "hiding_m": hiding_m,
-        "returning_m": returning_m,
-    }
-    return Surface(**rasters, grid=grid, region=grid)
+    surface: Any = Surface  # of JAX's arrays by its hints, and here of NumPy's
+    return surface(
+        roof_m=roof_m,
+        terrain_m=terrain_m,
+        has_data=has_data,
+        block=None,
+        grid=grid,
+        region=grid,
+        roof_touched_m=touched_m,
+        roof_guessed=guessed,
+        roof_limit_m=limit_m,
+        slabs=slabs,
+        roof_kind=None if kind is None else kind.astype(np.uint8),
+        hiding_m=hiding_m,
+        returning_m=returning_m,
+    )
 
 
 def _roofs_of(city: City, counted: Counted, grid: Grid, all_touched: bool) -> np.ndarray:

@@ -19,7 +19,7 @@ from jaxurban.io.read.columns import is_of_buildings, named_columns, tags_of, ta
 from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.kinds import GROWN, IN_WORDS, KINDS
-from jaxurban.io.read.outlines import Near, Outlines, extent_of, near_rows
+from jaxurban.io.read.outlines import Near, Outlines, extent_of, meets
 from jaxurban.io.read.sniff import DATABASE, HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
 from jaxurban.io.read.solids import openable, streamed
 from jaxurban.world.grid import WGS84, check_on_earth
@@ -294,8 +294,8 @@ def _only_near(
     """Return the options by which pyogrio reads buildings near a region, and columns of buildings or named.
 
     The box to read is the one around all features that touch the region's surroundings: so everything that touches one
-    of these features is read too (see `near_rows`). Without a CRS or geometry, or where no box holds the region, there
-    are no options.
+    of these features is read too, as in `read_vector`. Without a CRS or geometry, or where no box holds the region,
+    there are no options.
     """
     facts = pyogrio.read_info(source, layer=layer)
     box = facts["geometry_type"] and facts["crs"] and near.box_in(facts["crs"])
@@ -379,7 +379,11 @@ def read_vector(
         frame = pd.concat([frame, *_read(beside, BUILDINGS)], ignore_index=True)
     box = None if near is None else near.box_in(frame.crs.to_wkt())
     if box is not None:
-        frame = frame[near_rows(shapely.bounds(frame.geometry.to_numpy()), box)]
+        # All that touch the box around those that touch the region: so every outline comes with all its parts, and
+        # every part with its outline, however large they are.
+        boxes = shapely.bounds(frame.geometry.to_numpy())
+        is_near = meets(boxes, box)
+        frame = frame[meets(boxes, extent_of(boxes[is_near]))]
 
     # Polygons, also those in collections, and places where a geometry is missing.
     shapes = without_collections(np.array(frame.geometry, object))
