@@ -452,8 +452,9 @@ def _city_of(
     buildings, structures, boxes_m, issues = to_buildings(file, outlines, crs)
     area = shapely.Polygon() if outlines.is_part else area_of_outlines(buildings.polygons, boxes_m)
     if bounds_m is not None:
-        buildings = buildings.take(meets(buildings.boxes_m.T, bounds_m))
-        structures = structures.take(meets(structures.boxes_m.T, bounds_m))
+        buildings, structures = (
+            each.take(meets(each.boxes_m.T, bounds_m)) for each in (buildings, structures)
+        )
         near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
         near_area = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
         area = area if near_area.is_empty else near_area
@@ -550,8 +551,10 @@ def area_of_raster(raster: Raster, crs: str) -> shapely.Geometry:
     known = shapely.box(0, 0, num_cols, num_rows)  # columns and rows
     if not is_known.all():
         # The borders of blocks, and which blocks have any data.
-        row = np.unique(np.linspace(0, num_rows, BLOCKS_A_SIDE + 1).astype(int))
-        col = np.unique(np.linspace(0, num_cols, BLOCKS_A_SIDE + 1).astype(int))
+        row, col = (
+            np.unique(np.linspace(0, num, BLOCKS_A_SIDE + 1).astype(int))
+            for num in (num_rows, num_cols)
+        )
         has_any = np.logical_or.reduceat(is_known, row[:-1], axis=0)
         has_any = np.logical_or.reduceat(has_any, col[:-1], axis=1)
         i, j = np.nonzero(has_any)

@@ -55,9 +55,10 @@ def unzipped(data: bytes) -> tuple[str, bytes, bytes]:
     with ZipFile(io.BytesIO(data)) as archive:
         if sum(file.file_size for file in archive.infolist()) > MOST_UNPACKED:
             raise DamagedError("it unpacks to more than 64 MB: name the .wpml or .kml in it")
-        names = archive.namelist()
-        waylines = [archive.read(name) for name in names if name.lower().endswith(".wpml")]
-        others = [archive.read(name) for name in names if name.lower().endswith(".kml")]
+        waylines, others = (
+            [archive.read(name) for name in archive.namelist() if name.lower().endswith(suffix)]
+            for suffix in (".wpml", ".kml")
+        )
     if len(waylines or others) != 1:
         raise DamagedError("it must hold one .wpml or one .kml: unpack it, and name one file")
     data, template, *_ = *waylines, *others, b""

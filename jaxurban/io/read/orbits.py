@@ -30,12 +30,12 @@ TLE_LENGTH = 69
 # How CelesTrak and Space-Track name navigation satellites. GSAT with fewer than four digits is an Indian
 # communications satellite, and Cosmos any Soviet or Russian one: an element file is taken to hold those that navigate.
 SYSTEM_NAMES = {
-    "gps": re.compile(r"GPS|NAVSTAR|G\d\d$"),
-    "galileo": re.compile(r"GALILEO|GSAT ?\d{4}|.*\(GALILEO|E\d\d$"),
-    "glonass": re.compile(r"GLONASS|COSMOS|.*\(GLONASS|R\d\d$"),
-    "beidou": re.compile(r"BEIDOU|BDS|C\d\d$"),
-    "qzss": re.compile(r"QZS|J\d\d$"),
-    "navic": re.compile(r"IRNSS|NVS|I\d\d$"),
+    "gps": r"GPS|NAVSTAR|G\d\d$",
+    "galileo": r"GALILEO|GSAT ?\d{4}|.*\(GALILEO|E\d\d$",
+    "glonass": r"GLONASS|COSMOS|.*\(GLONASS|R\d\d$",
+    "beidou": r"BEIDOU|BDS|C\d\d$",
+    "qzss": r"QZS|J\d\d$",
+    "navic": r"IRNSS|NVS|I\d\d$",
 }
 RINEX_NAME = re.compile(r"\b[GRECJIS]\d\d\b", re.ASCII)  # as in "BEIDOU-3 M1 (C19)"
 PRN = re.compile(r"PRN ?(\d+)", re.ASCII)  # as in "GPS BIIF-3 (PRN 24)", "QZS-2 (QZSS/PRN 184)"
@@ -65,6 +65,11 @@ class Orbits:
     satellites: tuple[EarthSatellite | Ephemeris, ...]
     sources: tuple[str, ...]
 
+    @property
+    def pairs(self) -> list[tuple[EarthSatellite | Ephemeris, str]]:
+        """Each satellite and its source."""
+        return list(zip(self.satellites, self.sources, strict=True))
+
     def of(self, source: str) -> list[int]:
         """Return the numbers of the satellites from one source."""
         return [s for s, name in enumerate(self.sources) if name == source]
@@ -74,7 +79,7 @@ class Orbits:
         """Constellations that have nominal satellites, each once: from no file, or named so by a file."""
         names = [
             satellite.name
-            for satellite, source in zip(self.satellites, self.sources, strict=True)
+            for satellite, source in self.pairs
             if source == NOMINAL or satellite.name.endswith(MARK)
         ]
         return list(dict.fromkeys(map(_system, names)))
@@ -111,9 +116,8 @@ def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
 
 def middle_epoch(orbits: Orbits) -> str | None:
     """Return the middle one of the epochs of the elements from files, to the minute, ISO 8601 UTC; None without any."""
-    pairs = zip(orbits.satellites, orbits.sources, strict=True)
     epochs = sorted(
-        satellite.epoch.utc_datetime() for satellite, source in pairs if source != NOMINAL
+        satellite.epoch.utc_datetime() for satellite, source in orbits.pairs if source != NOMINAL
     )
     if not epochs:
         return None
@@ -124,14 +128,13 @@ def middle_epoch(orbits: Orbits) -> str | None:
 
 def _check_twice(orbits: Orbits) -> None:
     """Raise InputError where a satellite comes twice, or beside a constellation that another source holds whole."""
-    pairs = list(zip(orbits.satellites, orbits.sources, strict=True))
     whole = {  # sources by constellation
         _system(satellite.name): source
-        for satellite, source in pairs
+        for satellite, source in orbits.pairs
         if source == NOMINAL or isinstance(satellite, Ephemeris)
     }
     from_files: dict[int, str] = {}  # sources by catalogue number
-    for satellite, source in pairs:
+    for satellite, source in orbits.pairs:
         system = _system(satellite.name)
         other = whole.get(system, source)
         if other != source:
@@ -318,7 +321,7 @@ def _check_places(orbits: Orbits, iso: Sequence[str], is_lost: np.ndarray) -> No
       iso: the times as texts, ``T`` of them.
       is_lost: ``[T, S]``, which satellites have no place at a time.
     """
-    for s, (satellite, source) in enumerate(zip(orbits.satellites, orbits.sources, strict=True)):
+    for s, (satellite, source) in enumerate(orbits.pairs):
         is_ephemeris = isinstance(satellite, Ephemeris)
         is_out = is_lost[:, orbits.of(source) if is_ephemeris else [s]].all(axis=1)
         if not is_out.any():
@@ -426,6 +429,6 @@ def _check_age(
 def _system(name: str) -> str:
     """Return the constellation of a satellite by its name, or ``"unknown"``."""
     for system, names in SYSTEM_NAMES.items():
-        if names.match(name.upper()):
+        if re.match(names, name.upper()):
             return system
     return "unknown"
