@@ -193,10 +193,6 @@ def write_geotiffs(
     home = folder / GEOTIFF_FOLDER
     grid = grid_of(ds)
 
-    def is_chosen(name: str) -> bool:
-        """Return whether a file of this name is written."""
-        return only is None or home / name in only
-
     def write(layer: _Layer) -> None:
         """Write one GeoTIFF, whole or not at all; InputError where it cannot be written."""
         with whole_file(home / layer.file) as scratch:
@@ -212,14 +208,14 @@ def write_geotiffs(
                 unit=layer.tags.get("units", ""),
             )
 
-    chosen = [layer for layer in _layers(ds, layers) if is_chosen(layer.file)]
+    chosen = [each for each in _layers(ds, layers) if only is None or home / each.file in only]
     for _ in each(write, chosen):  # `map` writes nothing until its results are taken
         pass
     written = [home / layer.file for layer in chosen]
 
     # The styles.
     for file, name in _styles(ds, layers).items():
-        if is_chosen(file):
+        if only is None or home / file in only:
             write_whole(home / file, style(ds, name))
             written.append(home / file)
     return written
@@ -386,15 +382,13 @@ def _ends(ds: xr.Dataset, name: str) -> tuple[float, float]:
 
     One layer is read at a time, so that the variable need not fit in memory.
     """
-    lows = []
-    highs = []
+    ends: list[float] = []
     for index in np.ndindex(ds[name].shape[:-2]):
         values = ds[name].variable[index].values
         values = values[np.isfinite(values)]
         if values.size:
-            lows.append(float(values.min()))
-            highs.append(float(values.max()))
-    return min(lows, default=0.0), max(highs, default=0.0)
+            ends += [float(values.min()), float(values.max())]
+    return min(ends, default=0.0), max(ends, default=0.0)
 
 
 def style(ds: xr.Dataset, name: str) -> str:
@@ -413,8 +407,7 @@ def style(ds: xr.Dataset, name: str) -> str:
         renderer = f'type="paletted"><rasterTransparency/><colorPalette>{entries}</colorPalette>'
     else:
         values, colours = ramp_of(ds, variable)
-        low = float(values[0])
-        high = float(values[-1])
+        low, *_, high = values.tolist()
         items = "".join(
             f'<item value="{value!r}" color="{colour}" alpha="255" label="{value:.4g}"/>'
             for value, colour in zip(values.tolist(), colours, strict=True)

@@ -215,17 +215,14 @@ def _heights(facts: Json, label: str) -> tuple[float, float]:
     Raises:
       InputError: a height that is not a number.
     """
-
-    def heights_m(names: Sequence[str]) -> list[float]:
-        """Return the heights in the properties of these names that are filled."""
-        return [
+    floors_m, ceilings_m = (
+        [
             finite(f"{name} of the no-fly zone {label}", facts[_plain(name)], "metres above ground")
             for name in names
             if _plain(name) in facts
         ]
-
-    floors_m = heights_m(FLOOR_NAMES)
-    ceilings_m = heights_m(CEILING_NAMES)
+        for names in (FLOOR_NAMES, CEILING_NAMES)
+    )
     units = [str(value) for name, value in facts.items() if UNIT_NAME.search(name)]
     unread = [unit for unit in units if _plain(unit) not in UNITS_READ]
     if unread and (floors_m or ceilings_m):

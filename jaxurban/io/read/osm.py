@@ -93,11 +93,7 @@ class _Objects:
         """Read a file that pyosmium can read."""
         self.tags: dict[Key, dict[str, str]] = {}
         self.shapes: dict[Key, str] = {}
-        self.areas: set[Key] = set()
-        self.closed: set[Key] = set()
-        self.open_ways: set[Key] = set()
-        self.missing: set[Key] = set()
-        self.degenerate: set[Key] = set()
+        self.areas, self.closed, self.open_ways, self.missing = (set[Key]() for _ in range(4))
         self.lines: dict[int, shapely.Geometry] = {}
         self.ways_of: dict[Key, list[int]] = {}
         self.of_members: dict[Key, dict[str, str]] = {}

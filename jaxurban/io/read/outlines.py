@@ -135,7 +135,7 @@ def extent_of(boxes: np.ndarray) -> Bounds:
     """Return the box around boxes ``[N, 4]``, NaN left out; inf and -inf without any."""
     low = np.fmin.reduce(boxes[:, :2], initial=np.inf)
     high = np.fmax.reduce(boxes[:, 2:], initial=-np.inf)
-    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+    return (*low.tolist(), *high.tolist())
 
 
 def polygonal(geometry: shapely.Geometry) -> shapely.Geometry:
