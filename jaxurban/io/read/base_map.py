@@ -98,16 +98,12 @@ def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFr
         with readable(path, "a base map", "make the maps again, which writes it"):
             frame = gpd.read_parquet(path)[["kind", "name", "geometry"]].to_crs(crs)
             frame.attrs = facts_of(pq.read_schema(path).metadata)
-    shapes = shapely.clip_by_rect(frame.geometry.to_numpy(), *bounds_m)
-    is_point = frame["kind"].to_numpy() == "place"
-    is_outside = ~frame.intersects(shapely.box(*bounds_m)).to_numpy()
-    shapes[is_point & is_outside] = shapely.Point()
-    frame = frame.set_geometry(shapes, crs=crs)
+    # Points outside would not be cut away.
+    frame = frame[(frame["kind"] != "place") | frame.intersects(shapely.box(*bounds_m))]
+    frame = frame.set_geometry(frame.clip_by_rect(*bounds_m))
     frame = frame[~frame.is_empty].to_crs(WGS84)
-    rounded = shapely.transform(
-        frame.geometry.to_numpy(), lambda points: np.round(points / STEP_DEG) * STEP_DEG
-    )
-    return frame.set_geometry(rounded, crs=WGS84)
+    rounded = frame.geometry.transform(lambda points: np.round(points / STEP_DEG) * STEP_DEG)
+    return frame.set_geometry(rounded)
 
 
 def write_base_map(path: Path, frame: gpd.GeoDataFrame) -> None:
@@ -130,9 +126,8 @@ def save_base_map(frame: gpd.GeoDataFrame | None, workspace: Workspace) -> None:
 def land_cover_in(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     """Return the water and the parks of a base map within a box; arguments and errors as of `read_base_map`."""
     frame = read_base_map(path, crs, bounds_m).to_crs(crs)
-    shapes = shapely.make_valid(frame.geometry.to_numpy())
-    kinds = frame["kind"].to_numpy()
-    return LandCover(*(shapely.union_all(shapes[kinds == kind]) for kind in ("water", "park")))
+    shapes = frame.make_valid()
+    return LandCover(*(shapes[frame["kind"] == kind].union_all() for kind in ("water", "park")))
 
 
 def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
@@ -163,10 +158,10 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
 
     # The features near the box and the sea, joined by kind and name.
     table = pd.DataFrame(rows, columns=["kind", "name", "shape"])
-    shapes = projected(list(shapely.from_wkb(table.pop("shape").to_numpy(object))), crs)
+    shapes = projected(shapely.from_wkb(table.pop("shape").to_numpy(object)), crs)
     box = shapely.box(*bounds_m)
     frame = gpd.GeoDataFrame(table, geometry=shapes, crs=crs)
-    frame = frame[shapely.intersects(frame.geometry.to_numpy(), box)]
+    frame = frame[frame.intersects(box)]
     wet = sea(projected(coast, crs), box)
     if not wet.is_empty:
         frame.loc[len(rows)] = ["water", "", wet]

@@ -381,7 +381,7 @@ def read_vector(
     if box is not None:
         # All that touch the box around those that touch the region: so every outline comes with all its parts, and
         # every part with its outline, however large they are.
-        boxes = shapely.bounds(frame.geometry.to_numpy())
+        boxes = frame.bounds.to_numpy()
         is_near = meets(boxes, box)
         frame = frame[meets(boxes, extent_of(boxes[is_near]))]
 
