@@ -213,7 +213,13 @@ class FlownItems:
             self._number = item.number
             num_flown += 1
             if item.command != JUMP:
-                self._fly_again(index)
+                key = index, self._state
+                if key in self._after:  # flown from the same state before: it adds nothing
+                    self._state = self._after[key]
+                    self._is_jump &= self._state == key[1]
+                else:
+                    self._fly(item)
+                    self._after[key] = self._state
                 index += 1
                 continue
             target_key, times, *_ = item.params
@@ -232,16 +238,6 @@ class FlownItems:
             index += 1
         if num_flown == MOST_FLOWN:
             self._say("its jumps are flown more often than is followed")
-
-    def _fly_again(self, index: int) -> None:
-        """Fly an item; one that was flown from the same state before adds nothing."""
-        key = index, self._state
-        if key in self._after:
-            self._state = self._after[key]
-            self._is_jump &= self._state == key[1]
-        else:
-            self._fly(self._items[index])
-            self._after[key] = self._state
 
     def _accounts(self) -> list[Account]:
         """Return what became of each item: its legs, or the sentence on it, or that it moves nothing."""

@@ -298,11 +298,18 @@ def look_angles(
             if orbits.sources[s] != NOMINAL:
                 age_days[index, s] = np.abs(moments.tt - satellite.epoch.tt)
 
-    # Elements that are too old, and those that SGP4 gives up on.
+    # Elements that SGP4 gives up on, and those that are too old, by the oldest ones.
     names = tuple(satellite.name for satellite in orbits.satellites)
     iso = tuple(map(iso_utc, utc))
     _check_places(orbits, iso, ~np.isfinite(elevation_rad))
-    _check_age(orbits, iso, age_days, max_age_days)
+    oldest_days = age_days.max(initial=0.0)
+    if oldest_days > min(WARN_AGE_DAYS, max_age_days):
+        t, s = np.argwhere(age_days == oldest_days)[0]
+        age = f"the elements of {names[s]} in {orbits.sources[s]} are {oldest_days:.0f} days away from {iso[t]}"
+        remedy = f'use elements of that date (CelesTrak, Space-Track) or orbits = "{NOMINAL}"'
+        if oldest_days > max_age_days:
+            raise InputError(f"{age}, more than max_age_days = {max_age_days:g}: {remedy}")
+        warn(f"{age}, so its place is uncertain: {remedy}", StaleElementsWarning)
     return Sky(
         times=iso,
         names=names,
@@ -396,34 +403,6 @@ def _satellites_at(
     for day in sorted({time.date() for time in utc}):
         of_day = zip(nominal, nominal_satellites(day, timescale()), strict=True)
         yield [t for t, time in enumerate(utc) if time.date() == day], list(of_day)
-
-
-def _check_age(
-    orbits: Orbits, iso: Sequence[str], age_days: np.ndarray, max_age_days: float
-) -> None:
-    """Warn of elements older than `WARN_AGE_DAYS`, refuse those older than ``max_age_days``, by the oldest ones.
-
-    Args:
-      orbits: ``S`` satellites.
-      iso: the times as texts, ``T`` of them.
-      age_days: ``[T, S]`` days between a time and the epoch of the elements, 0 of nominal ones.
-      max_age_days: the oldest ones accepted.
-
-    Raises:
-      InputError: there are older ones.
-    """
-    oldest_days = age_days.max(initial=0.0)
-    if oldest_days <= min(WARN_AGE_DAYS, max_age_days):
-        return
-    t, s = np.argwhere(age_days == oldest_days)[0]
-    age = (
-        f"the elements of {orbits.satellites[s].name} in {orbits.sources[s]} are {oldest_days:.0f} days away from "
-        f"{iso[t]}"
-    )
-    remedy = f'use elements of that date (CelesTrak, Space-Track) or orbits = "{NOMINAL}"'
-    if oldest_days > max_age_days:
-        raise InputError(f"{age}, more than max_age_days = {max_age_days:g}: {remedy}")
-    warn(f"{age}, so its place is uncertain: {remedy}", StaleElementsWarning)
 
 
 def _system(name: str) -> str:
