@@ -249,8 +249,7 @@ class RowStore:
         begin_s = time.perf_counter()
         parts = self._parts()
         if columns:
-            table = pd.DataFrame(self.rows, columns=list(columns), dtype=object)
-            table = table.astype(dict(columns))
+            table = pd.DataFrame(self.rows, columns=list(columns), dtype=object).astype(columns)
         else:
             table = pd.DataFrame(self.rows)
         write_table(table, self.file, self._settings)

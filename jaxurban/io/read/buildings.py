@@ -27,7 +27,7 @@ from jaxurban.io.read.kinds import (
     WOOD,
 )
 from jaxurban.io.read.outlines import Outlines, polygonal
-from jaxurban.io.read.solids import prisms_of_solids, rises_m
+from jaxurban.io.read.solids import prisms_of_solids
 from jaxurban.io.read.stands import what_stands
 from jaxurban.io.read.wires import in_spans, with_supports
 from jaxurban.settings import SLABS
@@ -69,8 +69,7 @@ def to_buildings(
     # What stands, the valid shapes of it, and the heights that solids have by their faces.
     issues = dict(outlines.issues)
     features = what_stands(outlines, file.hanging == SLABS, issues)
-    prisms = prisms_of_solids(features.polygons, outlines.crs, features.tags.get("num_roofs"))
-    rise_m = rises_m(features.polygons, outlines.crs)
+    prisms = prisms_of_solids(features)
     shapes, is_sound, is_whole = _project(prisms["polygon"].to_numpy(), outlines.crs, crs, issues)
     prisms = prisms[is_sound]
     to_city = transformer(outlines.crs, crs)
@@ -83,7 +82,7 @@ def to_buildings(
     # Of solids the height counts in place of what the file says of it. Walls alone, whose height is 0, close nothing.
     height_m = prisms["height_m"].to_numpy(float)
     height = np.where(np.isnan(height_m), features.column("height"), height_m)
-    tags = {**features.tags, "height": height, "rise_m": rise_m[prisms["feature"]]}
+    tags = {**features.tags, "height": height, "rise_m": prisms["rise_m"].to_numpy(float)}
     features = replace(features, polygons=shapes[is_sound], tags=tags)
     is_building = (features.tags["verdict"] == BUILDING) & is_whole[is_sound] & (height_m != 0)
     issues[ReadIssue.SOLIDS] = prisms["feature"][is_building & (height_m > 0)].nunique()

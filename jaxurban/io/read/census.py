@@ -109,9 +109,8 @@ def _by_night_and_day(night: gpd.GeoDataFrame, day: gpd.GeoDataFrame) -> gpd.Geo
     both = night.merge(day, on="_id", how="outer", suffixes=("", "_day"))
     both = both.rename(columns={"_count_day": "_day"})
     pairs = both.dropna(subset=["geometry", "geometry_day"])
-    by_night = pairs["geometry"].to_numpy()
-    by_day = pairs["geometry_day"].to_numpy()
-    if len(pairs) and shapely.equals_exact(by_night, by_day, tolerance=1e-3).all():
+    is_same = pairs["geometry"].geom_equals_exact(pairs["geometry_day"], tolerance=1e-3)
+    if len(pairs) and is_same.all():
         return both.assign(geometry=both["geometry"].fillna(both["geometry_day"]))
 
     # Two grids: people per square metre, by pieces.
@@ -188,7 +187,7 @@ def _polygons(
     """
     path = str(files.blocks)
     field = files.block_field
-    frame = _open(path, "blocks", field, "[population] block_field")
+    frame = _open(path, "blocks", field)
     block_id = _ids(frame[field])
     key = _keys(frame[field])
     is_second = key.duplicated()
@@ -220,14 +219,13 @@ def _polygons(
     return frame
 
 
-def _open(path: str | Path, role: str, field: str, setting: str) -> gpd.GeoDataFrame:
+def _open(path: str | Path, role: str, field: str) -> gpd.GeoDataFrame:
     """Return the features of a file that must have a field.
 
     Args:
       path: of the file.
-      role: what it holds, for messages.
+      role: what it holds, ``"blocks"`` or ``"districts"``, for messages.
       field: its name.
-      setting: that names the field, for messages.
 
     Raises:
       InputError: a file that cannot be read, or that has no such field; the message names the nearest one.
@@ -236,7 +234,9 @@ def _open(path: str | Path, role: str, field: str, setting: str) -> gpd.GeoDataF
     fields = [str(column) for column in frame.columns if column != "geometry"]
     if field not in fields:
         hint = nearest_name(field, fields) or f"; it has {', '.join(fields) or 'none'}"
-        raise InputError(f"{role} {str(path)!r} has no field {field!r}{hint}: {setting} names it")
+        raise InputError(
+            f"{role} {str(path)!r} has no field {field!r}{hint}: [population] {role[:-1]}_field names it"
+        )
     return frame
 
 
@@ -397,7 +397,7 @@ def read_districts(
     Raises:
       InputError: an unreadable file, no such field (names the nearest one), or a label that is not a whole number.
     """
-    frame = _open(path, "districts", field, "[population] district_field")
+    frame = _open(path, "districts", field)
     labels = pd.to_numeric(frame[field], errors="coerce").to_numpy(np.float64)
     is_unusable = ~((labels % 1 == 0) & (np.abs(labels) < 2**31))  # NaN too
     if is_unusable.any():

@@ -43,8 +43,6 @@ OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
 MAY_STAND = KeyFilter(*MAYBE, *GROWN)  # and what `_may_stand` leaves out
 MAY_STAND_OR_TYPE = KeyFilter(*MAYBE, *GROWN, "type")  # of relations
-_AREA_RELATIONS = ("multipolygon", "boundary")  # what libosmium makes areas of
-_OUTER = ("outline", "outer")  # of members of a relation of the type building
 
 
 def read_osm(path: str | Path) -> Outlines:
@@ -135,9 +133,10 @@ class _Objects:
         of_type = item.tags.get("type")
         if of_type == BUILDING:
             members = [(each.type, each.ref) for each in item.members]
-            outer = [(each.type, each.ref) for each in item.members if each.role in _OUTER]
+            outlines = ("outline", "outer")
+            outer = [(each.type, each.ref) for each in item.members if each.role in outlines]
             self.of_members |= dict.fromkeys(outer or members, _tags_of(item))
-        if of_type not in _AREA_RELATIONS:
+        if of_type not in ("multipolygon", "boundary"):  # of which libosmium makes areas
             return False
         may_stand = _may_stand(item.tags)
         # A bare one may be the outline in a relation of a building.

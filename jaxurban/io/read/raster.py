@@ -300,8 +300,9 @@ def raster_window(
     x, y = transformer(crs, _horizontal_crs(source)).transform(x_m, y_m)
     col, row = transformed(~source.transform, x, y)
     if np.all(np.isfinite(col) & np.isfinite(row)):
-        first_col = max(0, math.floor(col.min()) - _MARGIN_PIXELS)
-        first_row = max(0, math.floor(row.min()) - _MARGIN_PIXELS)
+        first_col, first_row = (
+            max(0, math.floor(place.min()) - _MARGIN_PIXELS) for place in (col, row)
+        )
         end_col = min(source.width, math.ceil(col.max()) + _MARGIN_PIXELS)
         end_row = min(source.height, math.ceil(row.max()) + _MARGIN_PIXELS)
         if first_col < end_col and first_row < end_row:
@@ -399,12 +400,6 @@ def check_is_no_surface(name: str, heights: Raster, crs: str) -> None:
         )
 
 
-def _raised_share(raster: Raster, crs: str) -> float:
-    """Return which share of the blocks on which something stands have no ground near 0; 0 where nothing stands."""
-    level_m = low_levels(raster, crs)
-    return float(np.mean(np.abs(level_m) > GROUND_M)) if len(level_m) else 0.0
-
-
 def pixel_m(raster: Raster, crs: str) -> np.ndarray:
     """Return how far the pixel in the middle of a raster reaches down and to the right, two lengths in metres.
 
@@ -419,20 +414,19 @@ def pixel_m(raster: Raster, crs: str) -> np.ndarray:
     return np.hypot(x_m[1:] - x_m[0], y_m[1:] - y_m[0])
 
 
-def low_levels(raster: Raster, crs: str) -> np.ndarray:
-    """Return the low level of each block of 100 m of a raster on which something stands, ``[N]`` metres.
+def _raised_share(raster: Raster, crs: str) -> float:
+    """Return which share of the blocks on which something stands have no ground near 0; 0 where nothing stands.
 
-    It is the value below which `LOW_SHARE` of a block's samples lie. Something stands where the highest sample is at
-    least `RELIEF_M` above it. Blocks with data in less than a quarter of their samples are left out.
+    Ground is the low level of a block of 100 m, below which `LOW_SHARE` of its samples lie. Something stands where the
+    highest sample is at least `RELIEF_M` above it. Blocks with data in less than a quarter of their samples are left
+    out.
 
     Args:
       raster: elevations or heights, metres.
       crs: projected CRS in metres, to measure pixels in.
     """
     num_rows, num_cols = raster.values.shape
-    down_m, right_m = pixel_m(raster, crs)
-    height = max(1, round(BLOCK_M / down_m))
-    width = max(1, round(BLOCK_M / right_m))
+    height, width = (max(1, round(BLOCK_M / side_m)) for side_m in pixel_m(raster, crs))
 
     # Blocks [row, column, row within, column within], and of each some `SAMPLES_A_SIDE` rows and columns.
     padded = np.pad(
@@ -450,4 +444,5 @@ def low_levels(raster: Raster, crs: str) -> np.ndarray:
     block = np.arange(len(values))
     low_m = values[block, (LOW_SHARE * num_finite).astype(int)]
     high_m = values[block, num_finite - 1]
-    return low_m[high_m - low_m >= RELIEF_M]
+    level_m = low_m[high_m - low_m >= RELIEF_M]
+    return float(np.mean(np.abs(level_m) > GROUND_M)) if len(level_m) else 0.0

@@ -11,6 +11,8 @@ import pyproj
 import shapely
 from pyogrio.errors import GeometryError
 
+from jaxurban.io.read.outlines import Outlines
+
 RELIEF_M = 0.5  # a body is higher; what of it is not is its ground
 STEP_M = 0.1  # roofs of one body between two multiples of it are one prism
 MIN_WALLS = 3  # of a body whose faces do not lie above each other
@@ -46,7 +48,7 @@ def streamed(path: str, how: str = "") -> bytes:
     return json.dumps({"type": "gdal_streamed_alg", "command_line": command}).encode()
 
 
-def prisms_of_solids(outlines: np.ndarray, crs: str, num_roofs: np.ndarray | None) -> pd.DataFrame:
+def prisms_of_solids(features: Outlines) -> pd.DataFrame:
     """Return the prisms of the faces of solids, and other outlines as they are, ``P`` in all, in order.
 
     A solid is a MultiPolygon whose vertices differ by more than `RELIEF_M` in height, and that has vertical faces or
@@ -56,39 +58,31 @@ def prisms_of_solids(outlines: np.ndarray, crs: str, num_roofs: np.ndarray | Non
     that no roof covers stands up to the lowest roof, and without any roof as high as the walls.
 
     Args:
-      outlines: ``[N]`` shapely geometries or None.
-      crs: of their coordinates. Heights are in the unit of its height axis; without one in that of its other axes, in
-        metres where these are degrees.
-      num_roofs: ``[N]`` how many faces, the first ones, are roofs as the file says, 0 where it does not say it. No
-        other face of these is a roof, whatever it looks like.
+      features: ``N`` of them. Heights are in the unit of their CRS's height axis; without one in that of its other
+        axes, in metres where these are degrees. The tag ``num_roofs`` is how many faces, the first ones, are roofs as
+        the file says, 0 where it does not say it. No other face of these is a roof, whatever it looks like.
 
     Returns:
       ``feature``, which outline each is of; ``height_m`` above the lowest vertex of the solid, rising, 0 of the hull of
-      one that has walls alone, and NaN of an outline that is no solid; and ``polygon``. Prisms of a solid may overlap.
+      one that has walls alone, and NaN of an outline that is no solid; ``polygon``; and ``rise_m``, how far the highest
+      vertex of the outline lies above the lowest of all, 0 without heights. Prisms of a solid may overlap.
     """
-    unit_m = _height_unit_m(crs)
+    outlines = features.polygons
+    num_roofs = features.tags.get("num_roofs")
+    axis = pyproj.CRS(features.crs).axis_info[-1]
+    unit_m = 1.0 if axis.unit_name == "degree" else axis.unit_conversion_factor
+    vertices, index = shapely.get_coordinates(outlines, include_z=True, return_index=True)
+    height_m = np.nan_to_num(vertices[:, 2]) * unit_m
+    rise_m = np.zeros(len(outlines))
+    np.maximum.at(rise_m, index, height_m - height_m.min(initial=np.inf))
+
     may_be = shapely.has_z(outlines) & (shapely.get_num_geometries(outlines) > 1)
     rows: list[tuple] = []
     for feature, outline in enumerate(outlines):
         roofs = 0 if num_roofs is None else num_roofs[feature]
         prisms = _prisms(outline, unit_m, roofs) if may_be[feature] else {math.nan: outline}
-        rows += [(feature, *prism) for prism in prisms.items()]
-    return pd.DataFrame(rows, columns=["feature", "height_m", "polygon"])
-
-
-def rises_m(outlines: np.ndarray, crs: str) -> np.ndarray:
-    """Return ``[N]`` how far the highest vertex of each outline lies above the lowest of all, 0 without heights."""
-    vertices, index = shapely.get_coordinates(outlines, include_z=True, return_index=True)
-    height_m = np.nan_to_num(vertices[:, 2]) * _height_unit_m(crs)
-    rise_m = np.zeros(len(outlines))
-    np.maximum.at(rise_m, index, height_m - height_m.min(initial=np.inf))
-    return rise_m
-
-
-def _height_unit_m(crs: str) -> float:
-    """Return the length of the unit of heights, in metres."""
-    axis = pyproj.CRS(crs).axis_info[-1]
-    return 1.0 if axis.unit_name == "degree" else axis.unit_conversion_factor
+        rows += [(feature, *prism, rise_m[feature]) for prism in prisms.items()]
+    return pd.DataFrame(rows, columns=["feature", "height_m", "polygon", "rise_m"])
 
 
 def _prisms(
