@@ -304,7 +304,19 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
             shutil.copyfile(path, target)
         for section, values in sections.items():
             settings.setdefault(section, {}).update(values)
-        files.append(_record_of(source, path))
+        fetched = datetime.fromtimestamp(path.stat().st_mtime, UTC)
+        files.append(
+            {
+                "source": source.name,
+                "file": source.file,
+                "credit": source.credit,
+                "licence": source.licence,
+                "url": source.url,
+                "fetched_utc": fetched.isoformat(timespec="seconds"),
+                "num_bytes": path.stat().st_size,
+                "sha256": path.name.split("-")[1],  # see `download`
+            }
+        )
     if not files:
         raise InputError(f"nothing of --what can be fetched here ({'; '.join(left_out)})")
 
@@ -322,26 +334,6 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
         )
         (stage / SCENARIO_FILE).write_text(f"{head}\n\n{tomli_w.dumps(settings)}", encoding="utf-8")
     return record
-
-
-def _record_of(source: Source, path: Path) -> dict[str, Any]:
-    """Return what `RECORD_FILE` says of a source's file.
-
-    Args:
-      source: the source.
-      path: of its copy in the cache, whose name has the digest in it (see `download`).
-    """
-    fetched = datetime.fromtimestamp(path.stat().st_mtime, UTC)
-    return {
-        "source": source.name,
-        "file": source.file,
-        "credit": source.credit,
-        "licence": source.licence,
-        "url": source.url,
-        "fetched_utc": fetched.isoformat(timespec="seconds"),
-        "num_bytes": path.stat().st_size,
-        "sha256": path.name.split("-")[1],
-    }
 
 
 def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:

@@ -140,7 +140,7 @@ def read_city(
     people = _placed(people)
     check_has_people(people, people.has_blocks)
 
-    # The region, and the wider box from which a shadow can reach it.
+    # The region, and the wider box from which a shadow can reach it: satellites are in view down to the mask alone.
     region = check_bounds(
         lonlat_extent(buildings.source, buildings.crs) if bounds is None else bounds
     )
@@ -149,7 +149,10 @@ def read_city(
     projected_crs(crs)
     box_m = box_of(region, crs)
     rise_m = TALLEST_M if terrain.source is None else TALLEST_M + RELIEF_M
-    wide_m = _shadow_box_m(box_m, rise_m, gps or Gps())
+    lowest_deg = max((gps or Gps()).lowest_mask_deg, 0.5)
+    reach_m = rise_m / math.tan(math.radians(lowest_deg))
+    x_min, y_min, x_max, y_max = box_m
+    wide_m = x_min - reach_m, y_min - reach_m, x_max + reach_m, y_max + reach_m
 
     # The ground, and the buildings on it.
     ground = ground_extent_m = None
@@ -178,8 +181,15 @@ def read_city(
         buildings, crs, bounds_m=wide_m, terrain=ground, beside=files["structures"]
     )
     source = replace(source, kinds=kinds)
-    if not buildings.allow_none:
-        _check_has_building(buildings, source, region, box_m)
+    has_outline = source.buildings is not None and source.buildings.touches(box_m).any()
+    has_roof = source.roofs is not None and (source.roofs.values > 0).any()
+    if not (has_outline or has_roof or buildings.allow_none):
+        raise InputError(
+            f"{str(buildings.source)!r} has no building in the region {list(region)}: "
+            f"{where_it_lies(lonlat_extent(buildings.source, buildings.crs), region)}; "
+            "move [region] bounds there, set [buildings] crs if the file declares a wrong one, or set [buildings] "
+            "allow_none = true if there are none"
+        )
 
     # Without bounds the region is all that the buildings cover, which may be too much.
     issues = dict(source.read_issues)
@@ -228,20 +238,6 @@ def _points_of(path: str | Path, buildings: settings.Buildings) -> Points:
     return read_points(Path(path), buildings.kind, buildings.crs if is_theirs else None)
 
 
-def _shadow_box_m(box_m: Bounds, rise_m: float, gps: Gps) -> Bounds:
-    """Return the box around a region outside which nothing can shadow it.
-
-    Args:
-      box_m: x_min, y_min, x_max, y_max of the region.
-      rise_m: how far a roof can stand above the lowest ground of the region.
-      gps: the settings of satellites, which are in view down to the elevation mask alone.
-    """
-    lowest_deg = max(gps.lowest_mask_deg, 0.5)
-    reach_m = rise_m / math.tan(math.radians(lowest_deg))
-    x_min, y_min, x_max, y_max = box_m
-    return x_min - reach_m, y_min - reach_m, x_max + reach_m, y_max + reach_m
-
-
 def _placed(section: Any) -> Any:
     """Return a section of settings in which each file, one of a sample city too, stands with its path."""
     paths = {
@@ -250,30 +246,6 @@ def _placed(section: Any) -> Any:
         if name in ("source", *FILES) and file is not None
     }
     return replace(section, **paths)
-
-
-def _check_has_building(
-    buildings: settings.Buildings, source: City, bounds: Sequence[float], box_m: Bounds
-) -> None:
-    """Raise InputError unless the region has a building: an outline, or a cell of a raster that is above 0.
-
-    Args:
-      buildings: names the file in the message.
-      source: what was read from the file.
-      bounds: west, south, east, north of the region in degrees, for the message.
-      box_m: x_min, y_min, x_max, y_max of the region in the city's CRS.
-    """
-    if source.buildings is not None:
-        if source.buildings.touches(box_m).any():
-            return
-    elif source.roofs is not None and (source.roofs.values > 0).any():
-        return
-    raise InputError(
-        f"{str(buildings.source)!r} has no building in the region {list(bounds)}: "
-        f"{where_it_lies(lonlat_extent(buildings.source, buildings.crs), bounds)}; "
-        "move [region] bounds there, set [buildings] crs if the file declares a wrong one, or set [buildings] "
-        "allow_none = true if there are none"
-    )
 
 
 def read_buildings(
