@@ -179,8 +179,9 @@ def mission_of_lines(
                         "latitude and height"
                     )
             check_place(what, *point)
-        last += len(line.points)
-        datums = line.datums or [datum] * len(line.points)
+        num = len(line.points)
+        last += num
+        datums = line.datums or [datum] * num
         places = [Place(*point, each) for point, each in zip(line.points, datums, strict=True)]
         first = len(legs)
         if home and not legs:
@@ -199,7 +200,7 @@ def mission_of_lines(
             for (lon, lat, _), height_m in zip(line.points, line.beside_m, strict=False)
         ]
         legs += [leg._replace(is_variant=True) for leg in _ways(beside, last)]
-        accounts.append(Account(line.what, len(line.points), tuple(range(first, len(legs)))))
+        accounts.append(Account(line.what, num, tuple(range(first, len(legs)))))
 
     notes = []
     if not home:
@@ -347,7 +348,7 @@ def xml_lines(path: Path, data: bytes) -> Shapes:
     root = xml_root(data)
     is_own = root.get("creator") == OWN
     for element in root.iter():
-        is_own = is_own or element.get("name") == OWN_DATA
+        is_own |= element.get("name") == OWN_DATA
         if tag_of(element) == DJI_TEMPLATE:
             raise DamagedError("it is DJI's template, which no drone flies: name a waylines.wpml")
         if tag_of(element) == "ele" and element.attrib:

@@ -132,10 +132,9 @@ class _Objects:
         """Keep the members of a relation that may need them; return whether it may stand itself."""
         of_type = item.tags.get("type")
         if of_type == BUILDING:
-            members = [(each.type, each.ref) for each in item.members]
-            outlines = ("outline", "outer")
-            outer = [(each.type, each.ref) for each in item.members if each.role in outlines]
-            self.of_members |= dict.fromkeys(outer or members, _tags_of(item))
+            outer = [each for each in item.members if each.role in ("outline", "outer")]
+            members = [(each.type, each.ref) for each in outer or item.members]
+            self.of_members |= dict.fromkeys(members, _tags_of(item))
         if of_type not in ("multipolygon", "boundary"):  # of which libosmium makes areas
             return False
         may_stand = _may_stand(item.tags)
