@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
-from jaxurban.checks import as_text, at_least, finite, positive, typed
+from jaxurban.checks import as_text, at_least, finite, positive, typed, values_given
 from jaxurban.errors import InputError
 
 CostKind = Literal["cell", "line"]
@@ -384,8 +384,7 @@ class Planning:
     def rules(self) -> Rules:
         """What is given here, and what the preset says of the rest."""
         settings = {item.name: getattr(self, item.name) for item in fields(Rules)}
-        given = {name: value for name, value in settings.items() if value is not None}
-        return replace(PRESETS[self.preset], **given)
+        return replace(PRESETS[self.preset], **values_given(settings))
 
 
 DEFAULTS = Planning()
