@@ -411,9 +411,8 @@ def _building_record(city: City, region: Grid) -> dict[str, Any]:
         assert city.roofs is not None
         highest_m = float(np.nanmax(city.roofs.values, initial=0.0))
         return record | {"height_origin_shares": {"raster": 1.0}, "highest_m": highest_m}
-    box = shapely.box(*region.bounds_m)
-    inside = city.buildings.take(shapely.intersects(city.buildings.polygons, box))
-    standing = city.standing.take(shapely.intersects(city.standing.polygons, box))
+    inside = city.buildings.inside(region.bounds_m)
+    standing = city.standing.inside(region.bounds_m)
     counts = inside.origin_counts()
     num = max(len(inside), 1)
     return record | {
