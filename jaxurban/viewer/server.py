@@ -6,7 +6,6 @@ No file is ever served by its name. A request must name this host, as a page of 
 
 import gzip
 import json
-import logging
 from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -14,6 +13,7 @@ from threading import Lock
 from typing import Any
 
 from jaxurban.errors import InputError, RemadeError
+from jaxurban.progress import LOG
 from jaxurban.viewer.html import html_page, policy_of
 from jaxurban.viewer.tiles import LEVEL
 from jaxurban.viewer.viewer import BYTES, JSON, Answer, Viewer
@@ -22,7 +22,6 @@ HOST = "127.0.0.1"
 MOST_BODY = 128 * 1024  # bytes of a request
 PATIENCE_S = 20.0  # for the next bytes of a request
 ASK = "/ask/"
-LOG = logging.getLogger("jaxurban")
 
 
 class _RefusedError(Exception):

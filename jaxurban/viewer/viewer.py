@@ -1,7 +1,6 @@
 """Viewer: maps and what answers the page about them, whichever door it came in by."""
 
 import json
-import logging
 import math
 import re
 import warnings
@@ -33,6 +32,7 @@ from jaxurban.paths.return_altitude import NAME, return_altitude
 from jaxurban.paths.route_report import CLEARANCE, RouteReport
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
+from jaxurban.progress import LOG
 from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.metrics import group_numbers, line_colour
 from jaxurban.report.figures.paths import planner_colours
@@ -62,7 +62,6 @@ from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, strides_of, tile_bytes
 from jaxurban.world.grid import crs_said
 
 JSON, BYTES = "application/json", "application/octet-stream"
-LOG = logging.getLogger("jaxurban")
 SECONDS_PER_MINUTE = 60
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
 PLANNER_LINES = planner_colours(PLANNERS)
