@@ -22,7 +22,7 @@ def base_of(maps: MetricMaps) -> dict[str, Any]:
     `MOST_NAMES`, in the order in which the page tries to draw them.
     """
     frame = maps.base_map
-    if frame is None or frame.empty:
+    if frame is None:
         return {}
 
     # Metres from the southwest corner.
