@@ -220,9 +220,9 @@ class Hiding:
         Over terrain they stand on the ground, whose greatest height they are given too.
         """
         city = self.city
-        if city.hides.outlines is None:
-            return None
         hiding = city.hides.outlines
+        if hiding is None:
+            return None
         standing = hiding.take(hiding.height_m > 0)
         if city.terrain is None:
             return Outlines(standing, city.hanging)
