@@ -42,12 +42,6 @@ NO_MEMORY = (
 )
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
-@click.version_option(package_name="jaxurban")
-def app() -> None:
-    """Metric maps for small drones over cities, and paths planned on them."""
-
-
 COMMANDS = (
     check,
     compare,
@@ -68,8 +62,13 @@ COMMANDS = (
 )
 
 
-for command in COMMANDS:
-    app.add_command(command)
+@click.group(
+    commands=COMMANDS,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+@click.version_option(package_name="jaxurban")
+def app() -> None:
+    """Metric maps for small drones over cities, and paths planned on them."""
 
 
 def _set_up_libraries() -> None:
