@@ -413,11 +413,9 @@ def soften(
 
     # The rasters and the people in the type of the layers, and how far each metric looks.
     surface = task.surface().of_jax()
-    terrain_m = None if surface.terrain_m is None else jnp.asarray(surface.terrain_m, dtype)
-    roofs_m: dict[str, Any] = {
-        name: jnp.asarray(getattr(surface, name), dtype) for name in surface.roofs
-    }
-    surface = replace(surface, **roofs_m, terrain_m=terrain_m)
+    rasters = {**surface.roofs, "terrain_m": surface.terrain_m}
+    in_dtype = jax.tree.map(lambda values: jnp.asarray(values, dtype), rasters)
+    surface = replace(surface, **in_dtype)
     population = None
     if city.blocks is not None:
         population = BlockPopulation.of(city.blocks, task.region.bounds_m, dtype)
