@@ -223,7 +223,6 @@ class MapTask:
 
 
 PLANE = ("y", "x")
-CONVENTIONS = "CF-1.11"
 NORTHING, EASTING = "projection_y_coordinate", "projection_x_coordinate"
 
 
@@ -271,7 +270,7 @@ def empty_dataset(
 
     # Attributes of the whole dataset, first those that all maps have.
     attrs: dict[str, object] = {
-        "Conventions": CONVENTIONS,
+        "Conventions": "CF-1.11",
         "crs": region.crs,
         "resolution_m": region.resolution_m,
         "first_row": region.first_row,
