@@ -34,11 +34,6 @@ Quadrant = tuple[int, int]
 QUADRANTS: dict[Quadrant, str] = {(1, 1): "ne", (1, -1): "nw", (-1, 1): "se", (-1, -1): "sw"}
 
 
-def quadrant_of(east: float, north: float) -> Quadrant:
-    """Return the quadrant of a direction; due north and south count as east, due east and west as north."""
-    return (1 if north >= 0 else -1), (1 if east >= 0 else -1)
-
-
 class _Spans(NamedTuple):
     """The lengths of tiles along one axis, in cells, and which of them cover the region."""
 
@@ -230,8 +225,10 @@ class TileJob:
         for t in range(self.task.num_times):
             for s in sky.in_view(t).numbers:
                 azimuth_rad = sky.azimuth_rad[t, s]
-                quadrant = quadrant_of(east=np.sin(azimuth_rad), north=np.cos(azimuth_rad))
-                order[quadrant].append((t, int(s)))
+                # Due north and south count as east, due east and west as north.
+                north = 1 if np.cos(azimuth_rad) >= 0 else -1
+                east = 1 if np.sin(azimuth_rad) >= 0 else -1
+                order[north, east].append((t, int(s)))
         return order
 
     def haloed(self, tile: Tile) -> Grid:

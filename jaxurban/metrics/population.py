@@ -379,14 +379,6 @@ def normaliser(values: Float[Array, " N"], normalise: str | float = "max") -> Fl
     return jnp.where(jnp.any(values > 0), jnp.nanpercentile(inhabited, percentile), 0.0)
 
 
-def block_metric(values: Float[Array, " N"], norm: Float[Array, ""]) -> Float[Array, " N"]:
-    """Return m of each block, equation (metric_pop), clipped to 1; 0 everywhere where ``norm`` is 0.
-
-    Where the clip acts the gradient is 0.
-    """
-    return jnp.minimum(values / jnp.where(norm > 0, norm, 1.0), 1.0)
-
-
 def map_blocks(block: Int[AnyArray, "..."], values: Float[AnyArray, "*T N"]) -> Any:
     """Return the values of the block under each cell, ``[*T, *block.shape]``, 0 in cells without a block.
 
@@ -425,7 +417,9 @@ def block_values(
     density = density_per_km2(people, blocks.area_m2)
     values = people if params.quantity == "count" else density
     norm = normaliser(values[blocks.in_region], params.normalise)
-    return block_metric(values, norm), density, norm
+    # Equation (metric_pop), clipped to 1; 0 everywhere where the norm is 0. Where the clip acts the gradient is 0.
+    m = jnp.minimum(values / jnp.where(norm > 0, norm, 1.0), 1.0)
+    return m, density, norm
 
 
 def region_blocks(blocks: Blocks, bounds_m: Bounds | None = None) -> Int[np.ndarray, " M"]:

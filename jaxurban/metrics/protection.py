@@ -188,11 +188,6 @@ def ranging_of(in_view: InView, params: Protection) -> "Ranging":
     )
 
 
-def protection_metric(hpl_m: np.ndarray, alert_limit_m: float) -> np.ndarray:
-    """Return m = 1 - min(HPL, limit) / limit in [0, 1]: 0 from the limit up, and at HPL = inf."""
-    return 1 - np.minimum(hpl_m, alert_limit_m) / alert_limit_m
-
-
 def levels_of_satellites(
     in_view: InView, params: Protection, patterns: UInt[np.ndarray, "W P"]
 ) -> np.ndarray:
@@ -228,9 +223,9 @@ def protection_maps(
     """
     choices, number = distinct_choices(words, is_obstacle)
     hpl_m, vpl_m = levels_of_satellites(in_view, params, choices)
-    is_within = hpl_m <= params.horizontal_alert_limit_m
-    is_within &= vpl_m <= params.vertical_alert_limit_m
-    m = protection_metric(hpl_m, params.horizontal_alert_limit_m)
+    limit_m = params.horizontal_alert_limit_m
+    is_within = (hpl_m <= limit_m) & (vpl_m <= params.vertical_alert_limit_m)
+    m = 1 - np.minimum(hpl_m, limit_m) / limit_m  # 0 from the limit up, and at HPL = inf
     by_choice = {METRIC.name: m, "hpl": hpl_m, "vpl": vpl_m, WITHIN_LIMITS: is_within}
 
     # Each cell gets the values of its choice, in the type of their variable.
