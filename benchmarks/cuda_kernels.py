@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxurban.kernels import dop
-from jaxurban.kernels.blocks import LARGE
+from jaxurban.kernels.blocks import LARGE, rounded_up
 from jaxurban.kernels.distance import nearest as distance
 from jaxurban.kernels.lidar import hard
 from jaxurban.kernels.lidar import soft as soft_lidar
@@ -128,7 +128,7 @@ def around(shape: tuple[int, ...], halo: int, *phases: int) -> jax.ShapeDtypeStr
     return array(*phases, *(side + 2 * halo for side in shape))
 
 
-HALO = risk.halo_cells(Risk(), 5.0)
+HALO = rounded_up(distance.window_cells(Risk().threshold_m, 5.0))
 RUN_M2, AROUND = array(HALO + 1), distance.disc(50.0, 5.0, jnp.float32)
 EDGES = float64(*REGION), float64(1024, 2), float64(1024, 2), float64()
 LINE = {"is_line": True, "passes_corners": array(dtype=bool)}

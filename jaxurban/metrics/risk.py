@@ -53,23 +53,6 @@ class Risk:
         check_fields(self, ["threshold_m"], "a positive number of metres", is_positive)
 
 
-def halo_cells(params: Risk, resolution_m: float, reach_m: float | None = None) -> int:
-    """Return how many cells around a region the program for its risk map is given.
-
-    They are at least as many as the map looks at, and a multiple of `jaxurban.kernels.blocks.HALO_STEP`.
-
-    Args:
-      params: the risk.
-      resolution_m: side of a cell.
-      reach_m: as for `compute_risk`.
-
-    Raises:
-      InputError: a traced threshold without ``reach_m``.
-    """
-    reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
-    return rounded_up(kernel.window_cells(reach_m, resolution_m))
-
-
 def compute_risk(
     surface: Surface,
     altitudes_m: Sequence[float] | Array,

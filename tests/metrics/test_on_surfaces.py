@@ -10,6 +10,8 @@ import shapely
 from scipy.ndimage import distance_transform_edt
 
 from jaxurban.errors import InputError
+from jaxurban.kernels.blocks import rounded_up
+from jaxurban.kernels.distance.nearest import window_cells
 from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics import lidar
 from jaxurban.metrics.lidar import Lidar, compute_lidar
@@ -21,7 +23,7 @@ from jaxurban.metrics.population import (
     density_per_km2,
     soft_population,
 )
-from jaxurban.metrics.risk import Risk, compute_risk, halo_cells
+from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.variables import SCALE, TimeTotals, series_statistics
 from jaxurban.world.blocks import Blocks, Zoning
 from jaxurban.world.grid import Grid
@@ -104,9 +106,8 @@ def test_a_traced_threshold_gives_the_maps_of_each_and_the_slope_of_a_share():
 
 
 def test_the_halo_holds_the_threshold_in_whole_steps():
-    halos = [halo_cells(Risk(cap_m), 5.0) for cap_m in (1.0, 80.0, 80.1, 81.0)]
-    assert halos == [16, 16, 32, 32]
-    assert halo_cells(Risk(10.0), 5.0, reach_m=100.0) == 32
+    halos = [rounded_up(window_cells(cap_m, 5.0)) for cap_m in (1.0, 80.0, 80.1, 81.0, 100.0)]
+    assert halos == [16, 16, 32, 32, 32]
 
 
 @pytest.mark.slow
