@@ -5,7 +5,6 @@ roofs have moved. Who runs it, and where the layers go, is the caller's.
 """
 
 from collections.abc import Iterator
-from contextlib import nullcontext
 from dataclasses import replace
 from itertools import chain
 from typing import Any, NamedTuple
@@ -33,7 +32,7 @@ class MapLayer(NamedTuple):
     values: Any  # a NumPy array from `tile_maps`
 
 
-def tile_maps(tile: TileScene, stage: Stage = nullcontext) -> Iterator[MapLayer]:
+def tile_maps(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     """Yield every layer of a tile, one at a time, so that few of them need be in memory.
 
     A layer is NaN where nothing is known of the cell (integers keep their value there); inside obstacles it is what

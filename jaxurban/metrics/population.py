@@ -358,7 +358,7 @@ def density_per_km2(people: Float[Array, " N"], area_m2: Float[Array, " N"]) -> 
     return jnp.where(has_area, people * M2_PER_KM2 / jnp.where(has_area, area_m2, 1.0), 0.0)
 
 
-def normaliser(values: Float[Array, " N"], normalise: str | float = "max") -> Float[Array, ""]:
+def normaliser(values: Float[Array, " N"], normalise: str | float) -> Float[Array, ""]:
     """Return the value at which m is 1, the paper's pop_norm; 0 where nobody lives.
 
     Percentiles are taken over inhabited blocks, or a city's empty ones (water, parks) would decide them.
@@ -422,7 +422,7 @@ def block_values(
     return m, density, norm
 
 
-def region_blocks(blocks: Blocks, bounds_m: Bounds | None = None) -> Int[np.ndarray, " M"]:
+def region_blocks(blocks: Blocks, bounds_m: Bounds | None) -> Int[np.ndarray, " M"]:
     """Return the indices of the blocks that touch a box (x_min, y_min, x_max, y_max); of all blocks without a box."""
     return np.arange(len(blocks)) if bounds_m is None else np.flatnonzero(blocks.touches(bounds_m))
 

@@ -104,7 +104,7 @@ def demo_city_for_bounds(bounds: Sequence[float], crs: str | None = None) -> Cit
     return _build(*_box_around(bounds, crs), seed=0)
 
 
-def demo_cover_for_bounds(bounds: Sequence[float], crs: str | None = None) -> LandCover:
+def demo_cover_for_bounds(bounds: Sequence[float], crs: str | None) -> LandCover:
     """Return the rivers and the park of `demo_city_for_bounds`, in its CRS; arguments and errors are the same."""
     extent_m, _ = _box_around(bounds, crs)
     return demo_cover(extent_m)
