@@ -82,14 +82,15 @@ def export_benchmark(
       maps: what the benchmark was made on.
       instances, rows: of a `BenchmarkResult`.
       folder: where to.
-      settings: of the benchmark, which `check_exportable` accepts.
+      settings: of the benchmark.
       name: of the city, for file names; letters, digits and hyphens.
 
     Raises:
-      InputError: a name of other characters, or a folder that cannot be written to.
+      InputError: a name of other characters, a folder that cannot be written to, or what `check_exportable` refuses.
     """
     folder = Path(folder)
     model = CostModel.of(settings.cost_model)
+    check_exportable(model, settings.constraints)
     if not name.replace("-", "").isalnum():
         raise InputError(
             f"the benchmark's name must be of letters, digits and hyphens, got {name!r}"

@@ -369,7 +369,7 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
     # The points of the route, and the same in cell sides from the southwest corner of the maps.
     grid = cost_map.grid
     points = np.asarray(xy_m, np.float64)
-    if len(points) < 2 or not np.isfinite(points).all():
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
         raise InputError(
             f"a route must be [N, 2] finite metres with N >= 2, got shape {points.shape}"
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from jaxurban.checks import typed
+from jaxurban.checks import at_least, typed
 from jaxurban.errors import InputError
 from jaxurban.studies.bootstrap import Clusters, named
 from jaxurban.studies.demonstrations import Demonstration
@@ -91,6 +91,7 @@ def compare_fits(
     """
     # The arguments.
     settings = settings or FitSettings()
+    at_least("bootstrap", bootstrap)
     if not 0 <= hold_out <= MOST_HELD_OUT:
         raise InputError(f"hold_out must be a share from 0 to {MOST_HELD_OUT:g}, got {hold_out}")
 
