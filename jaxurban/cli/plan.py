@@ -501,10 +501,13 @@ def _write(
     suffix = file.suffix.lower()
     notes = []
     if suffix in WAYPOINTS and outputs.simplify_m is None:
-        former_note = planned.search.note
-        planned = simplify(planned, costs, costs.grid.resolution_m / 2)
-        note = planned.search.note.removeprefix(former_note).strip()
+        former = planned
+        planned = simplify(former, costs, costs.grid.resolution_m / 2)
+        note = planned.search.note.removeprefix(former.search.note).strip()
         notes.append(f"{note} (--simplify 0 keeps every turn)")
+        for sentence in planned.cautions:  # which may pass nearer to what stands
+            if sentence not in former.cautions:
+                LOG.info(f"{file}: {sentence}")
 
     # A mission has an end and maybe fences.
     end = roofs = None

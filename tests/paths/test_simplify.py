@@ -146,6 +146,10 @@ def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps,
     assert few < 60 < all_points == facts["num_points"]
     said = ("Simplified to 2.5 m", "--simplify 0 keeps every turn", "a landing at the goal")
     assert all(words in err for words in said)
+    *_, simplified, _ = num_waypoints("--simplify", 2.5)
+    of_file = {*simplified["cautions"]} - {*facts["cautions"]}
+    assert of_file
+    assert all(f"{plan}: {sentence}" in err for sentence in of_file)
     every, same_points, _, err = num_waypoints("--simplify", 0)
     assert every > few
     assert same_points == all_points
