@@ -170,4 +170,4 @@ def return_lines(departures: pd.DataFrame, flight: Flight) -> list[str]:
         lines.append(
             f"A return clears {cleared} at the height that the flight has, wherever it begins."
         )
-    return [*lines, *map(UNKNOWN.format, unknown[:1])]
+    return [*map(UNKNOWN.format, unknown[:1]), *lines]  # no number is read before a gap
