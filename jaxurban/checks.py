@@ -288,13 +288,13 @@ def _home_of(name: str, function: Callable) -> str:
     """
     own = [each for each in inspect.signature(function).parameters if each not in ("self", "cls")]
 
-    # The remedy for each spelling of an argument: "" for the function's own arguments, else the call of a maker with
-    # the argument in it. The list of makers grows while it is walked through, so that nearer makers come first.
-    remedies = dict.fromkeys(own, "")
+    # The remedy for each spelling of an argument: the argument where it is the function's own, else the call of a maker
+    # with the argument in it. The list of makers grows while it is walked through, so that nearer makers come first.
+    remedies = {each: each for each in own}
     makers = [_Maker(function, "", "{}")]
     for maker in makers:
         for argument, hint in _hints(maker.function).items():
-            remedy = maker.call.format(f"{argument}=...") if maker.argument else ""
+            remedy = maker.call.format(f"{argument}=...") if maker.argument else argument
             bare = re.sub("_(m|s|m_s|deg|w)$", "", argument)  # without its unit
             of_made = f"{maker.argument}_{argument}", f"{maker.argument}_{bare}"
             for spelling in (argument, bare, *of_made):
@@ -310,7 +310,7 @@ def _home_of(name: str, function: Callable) -> str:
     if not nearest:
         return f"; it takes {', '.join(own)}"
     remedy = remedies[nearest[0]]
-    return f" (give {remedy})" if remedy else f" (did you mean {nearest[0]!r}?)"
+    return f" (did you mean {remedy!r}?)" if remedy in own else f" (give {remedy})"
 
 
 def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:

@@ -1,5 +1,6 @@
 """Files that are whole or not there at all, folders that one run holds, and checksums that tell damage."""
 
+import errno
 import hashlib
 import json
 import os
@@ -70,8 +71,9 @@ def scratch_for(path: Path) -> Iterator[Path]:
             recorder.begin(scratch)
         yield scratch
     except OSError as error:
+        space = "free space there, or " * (error.errno == errno.ENOSPC)
         raise InputError(
-            f"cannot write {str(path)!r}: {reason_of(error)}; free space there, or choose another folder"
+            f"cannot write {str(path)!r}: {reason_of(error)}; {space}choose another folder"
         ) from error
     finally:
         remove(scratch)

@@ -378,7 +378,7 @@ def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
 
     # The longest, the earlier of two as long, and then in the order of travel.
     longest = sorted(stretches, key=lambda stretch: stretch[0] - stretch[1])[:MOST_SEGMENTS]
-    listed = ", ".join(f"{from_m:.0f} to {to_m:.0f} m" for from_m, to_m in sorted(longest))
+    listed = ", ".join(f"{max(0, from_m):.0f} to {to_m:.0f} m" for from_m, to_m in sorted(longest))
     where = f"from {listed} along the route"
     if len(stretches) > len(longest):
         where += f" and {len(stretches) - len(longest)} shorter"
