@@ -363,8 +363,8 @@ def soft_city(
     check_region(city, grid)
     heights = replace(city.heights or Heights(), height_samples=0)
     sections = dict(params.sections)
-    gps = sections["gps"]
-    if city.gps and replace(gps, gdop_threshold=Gps.gdop_threshold) == Gps():
+    gps = sections.get("gps")
+    if gps and city.gps and replace(gps, gdop_threshold=Gps.gdop_threshold) == Gps():
         sections["gps"] = replace(city.gps, gdop_threshold=gps.gdop_threshold)
     settings = MapParams((float(params.altitude_m),), heights=heights, sections=sections)
     task = MapTask(city, grid, view_sky(grid, settings.gps), settings, check_layers(layers))
