@@ -39,6 +39,11 @@ def none_of_it(*_: Any) -> float:
     return 0.0
 
 
+def no_attributes(params: Any) -> dict[str, str]:
+    """Return nothing: a metric of which files say the same whatever its settings are."""
+    return {}
+
+
 class Scale(NamedTuple):
     """How the values of a variable become colours, in figures, in the viewer and in QGIS.
 
@@ -275,7 +280,7 @@ class Metric:
     also: tuple[Variable, ...] = ()
     available: str = ""
     recorded: Mapping[str, str] = field(default_factory=dict)
-    attributes: Callable[[Any], dict[str, str]] = lambda settings: {}
+    attributes: Callable[[Any], dict[str, str]] = no_attributes
     caveat: str = ""
     is_bracketed: bool = False
     is_numba_over_terrain: Callable[[Any], bool] = lambda settings: False

@@ -307,16 +307,15 @@ DOPS = {
     "tdop": "time",
 }
 
+_dop = partial(
+    Variable,
+    inside=np.nan,
+    scale=Scale("viridis_r", 1.0, 20.0, is_better_low=True),
+    is_averaged=False,
+)
 ALSO = (  # the scale of DOPs ends where the paper's rating turns poor
     *(
-        Variable(
-            name,
-            f"{kind} dilution of precision",
-            inside=np.nan,
-            scale=Scale("viridis_r", 1.0, 20.0, is_better_low=True),
-            symbol=name.upper(),
-            is_averaged=False,
-        )
+        _dop(name, f"{kind} dilution of precision", symbol=name.upper())
         for name, kind in DOPS.items()
     ),
     Variable(
