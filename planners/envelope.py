@@ -134,9 +134,8 @@ def call_on_host(
 
 
 def _bits(values: Array) -> Array:
-    return lax.bitcast_convert_type(
-        values, jnp.uint32
-    )  # float64: a last axis of two words, the low one first
+    # float64: a last axis of two words, the low one first.
+    return lax.bitcast_convert_type(values, jnp.uint32)
 
 
 def _viewed(values: np.ndarray, like: jax.ShapeDtypeStruct) -> np.ndarray:
