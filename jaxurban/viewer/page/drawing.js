@@ -35,21 +35,15 @@ function baseMap({ shapes, names }) {
     }
   });
   const write = (pen, toPixel, scale, width, height, ends) => { // those in front come first, and none over another,
-    const taken = ends.map(toPixel).map(([left, top]) => [left + 18, top, 28, 10]); // nor over the label of an end,
-    const map = pen.canvas.getBoundingClientRect(), overMap = pen.canvas.parentElement;
-    for (const part of overMap.querySelectorAll('.jv-zoom, .jv-foot > *')) { // nor below a button or the legend
-      const { x, y, width, height } = part.getBoundingClientRect(), [a, b] = [width / 2, height / 2];
-      taken.push([x - map.x + a, y - map.y + b, a, b]);
-    }
+    const taken = ends.map(toPixel).map(([left, top]) => [left + 18, top, 28, 10]); // nor over the label of an end
     for (const [x, y, text, kind, angle, metres] of names) {
       const [left, top] = toPixel([x, y]), most = KINDS[kind]?.most ?? Infinity;
       if (taken.length > 60) return;
-      const room = [Math.min(left, width - left), Math.min(top, height - top)]; // to the map's edges
-      if (Math.min(...room) < 0 || scale > most / 2) continue;
+      if (left < 0 || top < 0 || left > width || top > height || scale > most / 2) continue;
       pen.font = kind === 'place' ? '600 12.5px system-ui' : '11px system-ui';
       const half = pen.measureText(text).width / 2 + 4;
       const reach = [Math.abs(half * Math.cos(angle)) + 8, Math.abs(half * Math.sin(angle)) + 8];
-      if (metres && metres / scale < 2 * half || room.some((space, k) => space < reach[k] - 8)) continue;
+      if (metres && metres / scale < 2 * half || Math.min(left, width - left) < reach[0] - 8) continue;
       if (taken.some(([x2, y2, a, b]) => Math.abs(x2 - left) < a + reach[0] && Math.abs(y2 - top) < b + reach[1]))
         continue;
       taken.push([left, top, ...reach]);

@@ -169,7 +169,10 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     }) ?? '';
     if (is('tell').textContent === follows) tell('');
   });
-  const setEnd = (name, place) => { state.ends[name] = place; delete state.marks[name]; };
+  const setEnd = (name, place) => {
+    state.ends[name] = place;
+    delete state.marks[name];
+  };
   const fingers = new Map(); // on the map, or the mouse's button: where they are
   const grip = () => { // their middle, and how far they are from it
     const points = [...fingers.values()];
@@ -355,10 +358,13 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
       map.focus({ preventScroll: true });
       hint();
     },
-    sheet: () => open(sheet.ariaExpanded === 'false'), reload: () => window.location.reload(),
+    sheet: () => open(sheet.ariaExpanded === 'false'),
+    reload: () => window.location.reload(),
     'save-zones': () => download(zones(), 'zones.geojson'),
     clear: () => { Object.assign(state, { ends: {}, zones: [], drawing: null }); tell(''); showRoutes([]); plan(); },
-    closer: () => view.zoom(0.7), farther: () => view.zoom(1 / 0.7), fit: () => view.fit(),
+    closer: () => view.zoom(0.7),
+    farther: () => view.zoom(1 / 0.7),
+    fit: () => view.fit(),
     reset: () => { state.sky = null; restore(first); between(); show(); showSky(); actions.clear(); actions.fit(); },
     copy: () => navigator.clipboard.writeText(is('command').textContent),
   };
