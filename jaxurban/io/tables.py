@@ -4,12 +4,9 @@ import csv
 import hashlib
 import io
 import json
-import lzma
 import math
 import time
 import uuid
-import zipfile
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,6 +20,7 @@ from jaxurban.errors import InputError, readable
 from jaxurban.io.files import (
     BLANK,
     FIELD,
+    UNPACKING,
     is_whole,
     read_json,
     recorder_of,
@@ -33,7 +31,6 @@ from jaxurban.io.files import (
 
 SUFFIXES = (".parquet", ".csv")
 PACKED = (".gz", ".bz2", ".xz", ".zip", ".zst")  # behind .csv: what pandas unpacks
-UNPACKING = (EOFError, ImportError, lzma.LZMAError, zipfile.BadZipFile, zlib.error)
 MOST_COLUMNS = 2000
 ROWS_FILE = "rows.parquet"
 PARTS_FOLDER = "parts"

@@ -7,16 +7,9 @@ import numpy as np
 import shapely
 
 from jaxurban.io.city import City
-from jaxurban.io.read.guesses import (
-    BEYOND_DATA,
-    LEAST_SHARE,
-    NOMINAL_SKY,
-    WITHOUT_DATA,
-    Guesses,
-    share_guess,
-)
 from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.sampling import pixel_xy
+from jaxurban.knowledge import LEAST_SHARE, Guesses, GuessKind, guessed
 from jaxurban.metrics.population import BlockLayers, Population, region_blocks
 from jaxurban.settings import SLABS
 from jaxurban.world.blocks import Blocks
@@ -44,7 +37,7 @@ def region_guesses(
     params: Population,
     people: BlockLayers | None,
 ) -> Guesses:
-    """Return every guess behind the maps of a region, a sentence each by its short name.
+    """Return every guess behind the maps of a region.
 
     Args:
       city, region, sky: what the maps are made of.
@@ -53,53 +46,40 @@ def region_guesses(
       params: settings of the population.
       people: the population of every block; None without population.
     """
-    guesses = {**city.guesses, **sky.guesses}
+    guesses = city.guesses + sky.guesses
 
     # A city from no files (the synthetic one) has no real sky, and nothing stands beyond its edge.
     if city.sources:
         _, share = leaving_shares(city, region, sky, altitude_m)
-        guesses |= share_guess(
-            share,
-            BEYOND_DATA,
-            f"the visibility results at {altitude_m:g} m are of rays that leave the data below the highest roof and "
-            "count as clear there, so GPS may look better than it is: give the buildings of a wider area",
-        )
+        guesses += guessed(GuessKind.BEYOND_DATA, share, altitude_m=altitude_m)
     else:
-        guesses.pop(NOMINAL_SKY, None)
-    guesses |= _coverage_guesses(city, region)
-    guesses |= _hanging_guesses(city, region)
+        guesses = tuple(each for each in guesses if each.kind is not GuessKind.NOMINAL_SKY)
+    guesses += _coverage_guesses(city, region)
+    guesses += _hanging_guesses(city, region)
     for name, values in bands.items():
-        guesses |= _layer_guesses(name, values[0], region)
+        guesses += _layer_guesses(name, values[0], region)
 
     if city.blocks is not None and people is not None:
         if city.sources and city.blocks.day_count is None and {*params.times_of_day} - {"night"}:
-            guesses["people by factors"] = (
-                f"people by day are not counted: they are the census's times {params.gamma_commercial:g} in commercial "
-                f"districts and {params.gamma_residential:g} elsewhere; set [population] gamma_commercial and "
-                "gamma_residential"
+            guesses += guessed(
+                GuessKind.PEOPLE_BY_FACTORS,
+                commercial=params.gamma_commercial,
+                residential=params.gamma_residential,
             )
-        guesses |= _scale_guesses(city.blocks, region.bounds_m, people, params)
+        guesses += _scale_guesses(city.blocks, region.bounds_m, people, params)
     return guesses
 
 
 def _hanging_guesses(city: City, region: Grid) -> Guesses:
-    """Return the guess of how metrics treat what hangs over a region, by its short name.
+    """Return the guess of how metrics treat what hangs over a region.
 
     It is empty where nothing hangs there, or where everything that hangs is taken to reach the ground.
     """
     if city.standing is None or city.hanging != SLABS:
-        return {}
+        return ()
     hanging = city.standing.take(city.standing.min_height_m > 0)
     number = int(hanging.touches(region.bounds_m).sum())
-    if not number:
-        return {}
-    return {
-        f"{number:,} hanging parts": (
-            f"{number:,} parts and decks hang over the region, from their floor to their top: lidar meets those with "
-            "their floor at or below the altitude as if they reached the ground, and none above it; paths keep away "
-            'from all that is under them; set [buildings] hanging = "to_ground" for none'
-        )
-    }
+    return guessed(GuessKind.HANGING, number=number) if number else ()
 
 
 def outside_share(region: Grid, known: shapely.Geometry) -> float:
@@ -134,31 +114,21 @@ def _boxes_asked(city: City, buildings: Footprints, region: Grid) -> list[shapel
 def _coverage_guesses(city: City, region: Grid) -> Guesses:
     """Return the guesses of how much of a region is taken as free of buildings, or of people, without being known so.
 
-    Each is a sentence by its short name. A share that is small enough gives none.
+    A share that is small enough gives none.
     """
     # The ground on which buildings are not known. Boxes that the source was asked for count as known too.
     share = outside_share(region, city.known_area)
     if share > LEAST_SHARE and city.buildings is not None:
         boxes = _boxes_asked(city, city.buildings, region)
         share = outside_share(region, shapely.union_all([city.known_area, *boxes]))
-    guesses = share_guess(
-        share,
-        WITHOUT_DATA,
-        "the region lies beyond what the building source covers and is taken as free of buildings: give a source that "
-        "covers it, or a smaller region",
-    )
+    guesses = guessed(GuessKind.WITHOUT_DATA, share)
 
     # The ground in no census block.
     if city.blocks is not None and city.sources:
         box = shapely.box(*region.bounds_m)
         inhabited_m2 = shapely.area(shapely.intersection(city.blocks.polygons, box)).sum()
-        guesses |= share_guess(
-            1.0 - float(inhabited_m2) / float(box.area),
-            "the region without census",
-            "the region lies in no census block and is taken as without people: give blocks that cover it, unless it "
-            "is water",
-            EMPTY_SHARE,
-        )
+        empty_share = 1.0 - float(inhabited_m2) / float(box.area)
+        guesses += guessed(GuessKind.WITHOUT_CENSUS, empty_share, least=EMPTY_SHARE)
     return guesses
 
 
@@ -171,7 +141,7 @@ def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesse
       region: grid of the maps.
     """
     if not isinstance(band, Raster):
-        return {}
+        return ()
 
     # The raster's outline in the region's CRS, with points along its sides, which a projection bends.
     num_rows, num_cols = band.values.shape
@@ -180,19 +150,9 @@ def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesse
     xy_m = pixel_xy(band, row_share * num_rows, col_share * num_cols, region.crs)
     area = shapely.make_valid(shapely.Polygon(np.stack(xy_m, -1)))
 
-    beyond = share_guess(
-        outside_share(region, area),
-        f"the region beyond layer {name}",
-        f"the region lies beyond the raster of layer {name} and is closed to every path: give a raster that covers it, "
-        "or a smaller region",
-    )
-    return beyond | share_guess(
-        float(np.isnan(band.values).mean()),
-        f"layer {name} without a value",
-        f"the pixels of layer {name} hold no value and are closed to every path: fill them, unless they are meant to "
-        'be closed, or set nan = "error"',
-        EMPTY_SHARE,
-    )
+    beyond = guessed(GuessKind.BEYOND_LAYER, outside_share(region, area), layer=name)
+    empty_share = np.isnan(band.values).mean()
+    return beyond + guessed(GuessKind.EMPTY_LAYER, empty_share, least=EMPTY_SHARE, layer=name)
 
 
 def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tuple[float, float]:
@@ -222,7 +182,7 @@ def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tup
 def _scale_guesses(
     blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: Population
 ) -> Guesses:
-    """Return the guess that one block alone sets the population's scale, or an empty dictionary where none does.
+    """Return the guess that one block alone sets the population's scale, or nothing where none does.
 
     One block does so where hardly any other inhabited block has an m above `SCALE_M`. The guess names the block and
     proposes another scale, for the first time of day at which this is so.
@@ -234,7 +194,7 @@ def _scale_guesses(
       params: settings of the population; only with ``normalise`` ``"max"`` can one block set the scale.
     """
     if params.normalise != "max":
-        return {}
+        return ()
     in_region = region_blocks(blocks, bounds_m)
     unit = "people" if params.quantity == "count" else "people per km2"
     layers = np.asarray(population_layers.m, float)[:, in_region]
@@ -247,12 +207,13 @@ def _scale_guesses(
             top = in_region[m.argmax()]
             # A number such as the user might set: the 99th percentile of people, rounded to one digit.
             usual = float(f"{float(norm) * np.percentile(inhabited, 99):.1g}")
-            return {
-                "one block sets the population scale": (
-                    f"census block {blocks.block_id[top]} ({blocks.area_m2[top]:,.0f} m2) with {float(norm):,.0f} "
-                    f"{unit} sets the population scale alone: the median inhabited block gets "
-                    f'{np.median(inhabited):.2f}; set [population] normalise to a percentile such as "p99" or to a '
-                    f"number of {unit} such as {usual:.0f}"
-                )
-            }
-    return {}
+            return guessed(
+                GuessKind.ONE_BLOCK,
+                block=str(blocks.block_id[top]),
+                area_m2=blocks.area_m2[top],
+                people=norm,
+                unit=unit,
+                median=np.median(inhabited),
+                usual=usual,
+            )
+    return ()

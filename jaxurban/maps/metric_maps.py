@@ -13,11 +13,12 @@ import xarray as xr
 
 from jaxurban.checks import finite, typed
 from jaxurban.errors import InputError
+from jaxurban.knowledge import Caution, Guesses, caution_of_guesses, guesses_from
 from jaxurban.maps.levels import around, index_of
 from jaxurban.metrics.base import TIME_OF_DAY, UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.progress import LOG
-from jaxurban.public import Caution, FactsRepr, caution_of_guesses, listed
+from jaxurban.public import FactsRepr, listed
 from jaxurban.settings import ObstacleRule, Planning, iso_utc
 from jaxurban.world.grid import Grid, crs_said, grid_of
 from jaxurban.world.surface import stands_at
@@ -211,9 +212,9 @@ class MetricMaps(FactsRepr):
         return {**values, "obstacles": self.obstacles}
 
     @property
-    def guesses(self) -> dict[str, str]:
-        """What the maps rest on that no file says, a sentence each by its short name (`jaxurban.io.read.guesses`)."""
-        return json.loads(self.ds.attrs.get("guesses", "{}"))
+    def guesses(self) -> Guesses:
+        """What the maps rest on that no file says: records, each with a short name and a sentence."""
+        return guesses_from(self.ds.attrs.get("guesses", "[]"))
 
     @property
     def grid(self) -> Grid:

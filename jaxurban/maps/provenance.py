@@ -49,7 +49,6 @@ Differing = dict[str, tuple[Any, Any]]  # old and new value by dotted key, None 
 Inputs = Mapping[str, Mapping[str, Any]]
 SYSTEM_FOLDERS = ("/proc", "/sys", "/dev")  # of files that may have no end
 MEMORY_FOLDER = "/dev/shm"  # holds usual files
-MOST_UNSIZED_BYTES = 16 * 2**30  # of a file whose size a record lacks, as up to jaxurban 1.1
 
 
 def run_record(
@@ -153,8 +152,8 @@ def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str,
 
     Args:
       scenario: the settings.
-      recorded: what somebody's run recorded: a file of another size, or of more than `MOST_UNSIZED_BYTES` if its size
-        is not on record, is not read and has the SHA-256 "". Files that are missing are left out then.
+      recorded: what somebody's run recorded: a file of another size is not read and has the SHA-256 "". Files that are
+        missing are left out then.
 
     Raises:
       InputError: a file that is missing (without a record) or cannot be read, or one of the system (`SYSTEM_FOLDERS`).
@@ -209,8 +208,7 @@ def _sum_and_size(path: Path, role: str, recorded: Mapping[str, Any] | None) -> 
         for part in parts:
             _check_usual(part)
         num_bytes = sum(part.stat().st_size for part in parts)
-        most_bytes = min(num_bytes, MOST_UNSIZED_BYTES)
-        if recorded is not None and num_bytes != recorded.get("bytes", most_bytes):
+        if recorded is not None and num_bytes != recorded.get("bytes"):
             return {"sha256": "", "bytes": num_bytes}
         home = path.parent
         sums = "".join(f"{part.relative_to(home).as_posix()} {digest_of(part)}\n" for part in parts)

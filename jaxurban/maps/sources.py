@@ -20,7 +20,7 @@ from jaxurban.world.kinds import ALL_KINDS, PLANTS, WIRES, Obstacles
 
 CityLike = City | MetricMaps | str | Path
 EXACT = "exact outlines"
-BY_CELLS = "by cells that roofs touch, because {}"
+BY_CELLS = "by cells that roofs touch"
 STANDING = (
     "buildings",
     "structures",
@@ -117,13 +117,18 @@ class Standing(NamedTuple):
 
     Attributes:
       city: of the maps; None if it is gone, or its files have changed.
-      outlines: how the buildings are known: `EXACT`, or by cells, with the reason.
+      reason: why the buildings are known by cells alone; empty where their exact outlines are.
       has_changed: its files are there, and not as they were.
     """
 
     city: City | None
-    outlines: str
+    reason: str = ""
     has_changed: bool = False
+
+    @property
+    def outlines(self) -> str:
+        """How the buildings are known."""
+        return f"{BY_CELLS}, because {self.reason}" if self.reason else EXACT
 
 
 def standing_on(maps: MetricMaps, sources: City | str | Path | None = None) -> Standing:
@@ -149,10 +154,10 @@ def standing_on(maps: MetricMaps, sources: City | str | Path | None = None) -> S
         # Files that the caller has named must be there; those of the record may be gone.
         if sources is not None:
             raise
-        return Standing(None, BY_CELLS.format(error), isinstance(error, ChangedSourcesError))
+        return Standing(None, str(error), isinstance(error, ChangedSourcesError))
     if city.buildings is None:
-        return Standing(city, BY_CELLS.format("the city is a raster of heights"))
-    return Standing(city, EXACT)
+        return Standing(city, "the city is a raster of heights")
+    return Standing(city)
 
 
 def left_out(maps: MetricMaps, city: City | None) -> str:

@@ -15,9 +15,15 @@ from xarray.indexes import PandasIndex
 
 from jaxurban.errors import InputError
 from jaxurban.io.city import City, joined_credits, seen_by
-from jaxurban.io.read.guesses import Guesses, guessed_share
-from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
+from jaxurban.io.read.guesses import guessed_share
+from jaxurban.io.read.rasterise import (
+    build_surface,
+    highest_top_m,
+    surface_grid,
+    unknown_plants_m,
+)
 from jaxurban.kernels.engine import uses_numba
+from jaxurban.knowledge import Guesses
 from jaxurban.maps.guesses import region_guesses
 from jaxurban.maps.params import MapParams
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
@@ -45,7 +51,7 @@ class MapTask:
       layers: cost layers that a user adds, by name.
       bands: values of the layers that are not functions, by name: one band, or one for each of the layer's
         ``altitudes_m``; rasters, or arrays on the region's cells (see `jaxurban.io.read.rasterise.bands_of`).
-      guesses: what the maps rest on that was guessed (see `jaxurban.io.read.guesses`), by short names.
+      guesses: what the maps rest on that was guessed (see `jaxurban.knowledge`).
 
     Raises:
       InputError: bounds of GPS under several clocks, or a layer with the name of a map of the spread.
@@ -57,7 +63,7 @@ class MapTask:
     params: MapParams
     layers: Mapping[str, Layer] = field(default_factory=dict)
     bands: Mapping[str, tuple[Raster | np.ndarray, ...]] = field(default_factory=dict)
-    guesses: Mapping[str, str] = field(default_factory=dict)
+    guesses: Guesses = ()
 
     def __post_init__(self) -> None:
         """Check what city, sky and layers do not allow together; errors as of the class."""
@@ -171,7 +177,9 @@ class MapTask:
     @cached_property
     def has_guessed_roofs(self) -> bool:
         """Whether the height of anything that stands in the region is guessed. If so, the maps mark such roofs."""
-        standing = self.city.standing
+        standing, plants = self.city.counted
+        if plants is not None and unknown_plants_m(plants, self.region).any():
+            return True
         return standing is not None and guessed_share(standing, self.region.bounds_m) > 0
 
     @cached_property

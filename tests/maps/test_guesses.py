@@ -12,8 +12,7 @@ from matplotlib.text import Text
 import jaxurban as ju
 from jaxurban.errors import GuessWarning
 from jaxurban.io.city import City
-from jaxurban.io.files import read_json, write_json
-from jaxurban.io.read.guesses import FLAT_GROUND, guessed_share
+from jaxurban.io.read.guesses import guessed_share
 from jaxurban.io.read.rasterise import build_surface, burn
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.guesses import leaving_shares
@@ -26,6 +25,7 @@ from jaxurban.report import figures as plotting
 from jaxurban.world.blocks import Blocks, Zoning
 from jaxurban.world.grid import Grid, transformer
 from tests.cli_runs import run
+from tests.guess_records import FLAT, by_name
 from tests.io.made_files import UTM, WGS84, X, Y, box, north_up, write_raster, write_vector
 from tests.io.test_orbits import walker_tle
 
@@ -70,9 +70,8 @@ def town(tmp_path, heights=("30",) * 4, **options):
 
 def guesses_of(city, region=None, **sections):
     region = region or Grid.from_bounds(BOUNDS, 10.0, UTM)
-    return MapTask(
-        city, region, view_sky(region, ju.Gps()), MapParams((20.0,), sections=sections)
-    ).all_guesses
+    params = MapParams((20.0,), sections=sections)
+    return by_name(MapTask(city, region, view_sky(region, ju.Gps()), params).all_guesses)
 
 
 def texts_of(maps):
@@ -100,7 +99,7 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     found = json.loads((tmp_path / "out/run.json").read_text())["warnings"]
     assert sum(sentence in warning for warning in found) == 1
     maps = ju.open_maps(tmp_path / "out")
-    assert "50 % of heights" in maps.guesses
+    assert "50 % of heights" in by_name(maps.guesses)
     guessed = burn(np.array(houses[1:3]), np.ones(2), maps.grid, 0, "uint8")[0].astype(bool)
     assert guessed.sum() == 32
     np.testing.assert_array_equal(maps.m("roof_guessed"), guessed)
@@ -108,20 +107,13 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     assert "(b) height guessed: 50 % of roofs" in texts
     assert any(text.startswith("Guessed: 50 % of heights") for text in texts)
 
-    # A folder of 1.1 says that it may lack what stands.
-    record = read_json(tmp_path / "out/run.json")
-    del record["buildings"]["kinds"]
-    write_json(tmp_path / "out/run.json", record)
-    with pytest.warns(ju.GuessWarning, match="1.1 or before.*make them again"):
-        ju.open_maps(tmp_path / "out")
-
 
 def test_of_known_heights_without_terrain_only_the_ground_is_guessed_and_over_terrain_nothing(
     tmp_path,
 ):
     city, told = town(tmp_path)
-    assert [*city.guesses] == ["flat ground"]
-    assert told == [*city.guesses.values()]
+    assert city.guesses == (FLAT,)
+    assert told == [FLAT.sentence]
     maps, _ = told_by(lambda: ju.build_maps(city, BOUNDS, resolution_m=10.0, altitudes_m=[20.0]))
     assert "roof_guessed" not in maps.ds
     texts = texts_of(maps)
@@ -131,7 +123,7 @@ def test_of_known_heights_without_terrain_only_the_ground_is_guessed_and_over_te
         tmp_path / "ground.tif", np.zeros((40, 40), np.float32), north_up(50, 40, X - 500, Y - 500)
     )
     city, told = town(tmp_path, terrain=tmp_path / "ground.tif")
-    assert (told, city.guesses) == ([], {})
+    assert (told, city.guesses) == ([], ())
 
 
 def test_one_guessed_roof_of_many_is_known_by_all_cells_that_it_touches(tmp_path):
@@ -150,7 +142,7 @@ def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path)
     maps, at_building = told_by(
         lambda: ju.build_maps(city, BOUNDS, resolution_m=10.0, altitudes_m=[20.0])
     )
-    assert [*at_reading, *at_building] == list(maps.guesses.values())
+    assert [*at_reading, *at_building] == list(by_name(maps.guesses).values())
     assert len(at_reading) == 2
     assert any(
         "nominal ones at 2020-04-27T16:00:00Z, the paper's time" in sentence
@@ -158,7 +150,7 @@ def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path)
     )
     assert any("rays that leave the data" in sentence for sentence in at_building)
     ran = run_scenario(Scenario.from_toml(write_scenario(tmp_path)), tmp_path / "out")
-    assert ran.record["warnings"] == list(ran.maps[10.0].guesses.values())
+    assert ran.record["warnings"] == list(by_name(ran.maps[10.0].guesses).values())
     assert ran.maps[10.0].guesses == maps.guesses
     np.testing.assert_array_equal(ran.maps[10.0].m("roof_guessed"), maps.m("roof_guessed"))
 
@@ -182,7 +174,7 @@ def test_elements_without_times_stand_at_their_own_time_and_nominal_ones_at_the_
     region = made.maps[10.0].grid
     assert view_sky(region, ju.Gps()).times == ("2020-04-27T16:00:00Z",)
     asked = view_sky(region, ju.Gps(orbits=orbits, times="2020-04-28T00:00:00Z"))
-    assert (asked.times, asked.guesses) == (("2020-04-28T00:00:00Z",), {})
+    assert (asked.times, asked.guesses) == (("2020-04-28T00:00:00Z",), ())
     maps, told = told_by(
         lambda: ju.build_maps(city, grid=region, altitudes_m=[20.0], gps=ju.Gps(orbits=orbits))
     )
@@ -267,7 +259,7 @@ def write_people(tmp_path, counts, labels=(101, 102), field="BoroCD"):
 
 def assert_told(told, words):
     """Besides the flat ground nothing was told but one sentence, or nothing at all."""
-    others = [sentence for sentence in told if sentence not in FLAT_GROUND.values()]
+    others = [sentence for sentence in told if sentence != FLAT.sentence]
     assert [words in sentence for sentence in others] == ([] if words is None else [True])
 
 
