@@ -21,7 +21,7 @@ from jaxurban.io.download import Source, cache_folder, download
 from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, only_writer, sweep_scraps
 from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.heights import is_given
-from jaxurban.io.read.kinds import GROWN, NOTHING
+from jaxurban.io.read.kinds import BY_VALUE, WATERS, Kind
 from jaxurban.io.read.orbits import WARN_AGE_DAYS, middle_epoch, read_orbits
 from jaxurban.io.read.osm import MAYBE, cut_buildings, format_of, header_box, read_osm
 from jaxurban.io.read.vector import OF_DAMAGED
@@ -95,13 +95,18 @@ NONE_HERE = {  # reported where a file holds nothing for the region or the day
     "orbits": f"element sets: these are more than {WARN_AGE_DAYS:.0f} days from --date, so the nominal constellation "
     "stands in; historical ones need a login at space-track.org (free): set [gps] orbits to a file of them",
 }
-# All that the reader knows: by keys, and what grows by values.
-ASKED = [f'"{key}"' for key in MAYBE]
-for key, by_value in GROWN.items():
-    ASKED += [f'"{key}"="{value}"' for value, kind in by_value.items() if kind is not NOTHING]
+# All that the reader knows: by keys, of some by values, and ways of water and of raised traffic. Of barriers, of which
+# there are many, the commonest that are nothing are left there.
+ASKED = [f'"{key}"' for key in MAYBE if key != "barrier"]
+ASKED += ['"barrier"]["barrier"!~"^(fence|hedge|kerb|bollard|gate)$"']
+for key, by_value in BY_VALUE.items():
+    ASKED += [f'"{key}"="{value}"' for value, kind in by_value.items() if isinstance(kind, Kind)]
+WAYS = [f'"{key}"~"^({"|".join(values)})$"' for key, values in WATERS.items()]
+WAYS += ['"highway"]["layer"~"^[1-9]"', '"railway"]["layer"~"^[1-9]"']
 OVERPASS = (
     "[out:xml][timeout:180][bbox:{south},{west},{north},{east}];("
     + "".join(f"nwr[{each}];" for each in ASKED)
+    + "".join(f"way[{each}];" for each in WAYS)
     + 'relation["type"="building"];);(._;>;);out body;'
 )
 Settings = dict[str, Any]

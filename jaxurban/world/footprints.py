@@ -53,6 +53,8 @@ class Footprints(Rows):
         extent is not known. None: all are buildings.
       limit_m: ``[B]`` float64 height that a roof of guessed height does not exceed, inf where nothing says; of no
         meaning where the height is known. None: inf for all.
+      label: ``[B]`` objects: what the file calls what is of kind ``"unknown"``, such as ``"attraction=big_wheel"``;
+        ``""`` where it says nothing or the kind is known. None: ``""`` for all.
     """
 
     polygons: np.ndarray
@@ -62,6 +64,17 @@ class Footprints(Rows):
     is_part: np.ndarray
     kind: np.ndarray | None = None
     limit_m: np.ndarray | None = None
+    label: np.ndarray | None = None
+
+    @property
+    def named(self) -> np.ndarray:
+        """``[B]`` objects: the kind of each, or what the file calls what is unknown."""
+        return np.where(self.labels == "", self.kinds, self.labels)
+
+    @property
+    def labels(self) -> np.ndarray:
+        """``[B]`` objects: ``label``."""
+        return np.full(len(self), "", object) if self.label is None else self.label
 
     @property
     def kinds(self) -> np.ndarray:
@@ -83,7 +96,8 @@ class Footprints(Rows):
         """Return these outlines and, after them, others."""
         if other is None or not len(other):
             return self
-        names = ("polygons", "height_m", "min_height_m", "origin", "is_part", "kinds", "upper_m")
+        names = ["polygons", "height_m", "min_height_m", "origin", "is_part"]
+        names += ["kinds", "upper_m", "labels"]
         columns = (np.concatenate([getattr(self, name), getattr(other, name)]) for name in names)
         return Footprints(*columns)
 

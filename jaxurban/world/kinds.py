@@ -63,7 +63,7 @@ GROUPS = {
     BUILDING: "buildings",
     **dict.fromkeys(PLANTS, "trees"),
     **dict.fromkeys(WIRES, "wires"),
-    UNKNOWN: "unknown extent",
+    UNKNOWN: "unknown",
 }
 
 

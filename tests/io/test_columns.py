@@ -82,6 +82,19 @@ def test_tables_of_publishers_are_known_by_their_columns(tmp_path, name):
     assert found == pytest.approx([height_m], abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    "lost", [(), ("is_underground",), ("min_floor",), ("is_underground", "min_floor", "min_height")]
+)
+def test_parts_of_overture_are_parts_whatever_columns_they_lack(tmp_path, lost):
+    whole = {"id": "b", "building_id": None, "height": None}
+    part = {"id": "p", "building_id": "b", "height": 80.0}
+    more = {"is_underground": False, "min_floor": None, "min_height": None}
+    kept = {name: value for name, value in more.items() if name not in lost}
+    found, issues = heights(tmp_path / "city.parquet", [whole | kept, part | kept])
+    assert found == [80.0]
+    assert issues == {"outlines_replaced_by_parts": 1}
+
+
 def test_the_feet_of_a_shapefile_of_los_angeles_are_no_metres(tmp_path):
     rows = [{"BLD_ID": "1", "ELEV": 290.1, "HEIGHT": feet} for feet in (310.5, 45.2, 1018.0, 22.0)]
     found, issues = heights(tmp_path / "lariac.shp", rows, NEW_YORK)

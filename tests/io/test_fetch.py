@@ -19,7 +19,7 @@ from jaxurban.io.fetch import SOURCES, FetchJob
 from jaxurban.io.files import only_writer
 from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.ephemerides import timescale
-from jaxurban.io.read.kinds import GROWN, KINDS, Kind
+from jaxurban.io.read.kinds import BY_VALUE, KINDS, WATERS, Kind
 from jaxurban.io.read.nominal import nominal_satellites
 from jaxurban.io.read.osm import cut_buildings, read_osm
 from jaxurban.maps.run import load_city, run_scenario
@@ -290,10 +290,16 @@ def test_trees_wires_and_all_that_the_reader_knows_are_asked_for_and_stand(
 ):
     url = FetchJob(BOUNDS).requests()[0].url
     keys, pairs = asked_of(url)
-    for key, by_value in (KINDS | GROWN).items():
+    assert keys >= KINDS.keys() - {"barrier"}
+    for key, by_value in BY_VALUE.items():
         for value, kind in by_value.items():
-            assert key in keys or ((key, value) in pairs) == isinstance(kind, Kind), (key, value)
-    assert len(url) < 4000  # servers take 8,000
+            assert ((key, value) in pairs) == isinstance(kind, Kind), (key, value)
+    asked = unquote(url)
+    assert 'nwr["barrier"]["barrier"!~"^(fence|hedge|kerb|bollard|gate)$"];' in asked
+    for key, values in WATERS.items():
+        assert f'way["{key}"~"^({"|".join(values)})$"];' in asked
+    assert 'way["highway"]["layer"~"^[1-9]"];way["railway"]["layer"~"^[1-9]"];' in asked
+    assert len(url) < 5000  # servers take 8,000
 
     # What such a query brings of a town.
     elements = []

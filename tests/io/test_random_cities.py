@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import shapely
 
+from jaxurban.io.read.kinds import KINDS
+from tests.io.cities.extracts import IN_NO_ROW
 from tests.io.cities.judge import invented, truth_of
 from tests.io.cities.plant import EDITS, Prism, Thing
 from tests.io.cities.trial import (
@@ -77,6 +79,13 @@ def test_cities_are_of_all_styles_formats_and_edits():
         (name, suffix) for name, style in STYLES.items() for suffix in style.formats
     }
     assert {thing.edit for city in cities for thing in city.things} == {*EDITS}
+
+
+def test_made_up_values_stand_in_no_row():
+    assert sum(map(len, IN_NO_ROW.values())) == 20
+    assert not [
+        key for key, values in IN_NO_ROW.items() if not KINDS[key].keys().isdisjoint(values)
+    ]
 
 
 @pytest.mark.slow

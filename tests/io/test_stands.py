@@ -8,6 +8,7 @@ from shapely.geometry import LineString, Point, box
 import jaxurban as ju
 from jaxurban.io.read.buildings import to_buildings
 from jaxurban.io.read.columns import tags_of
+from jaxurban.io.read.kinds import KINDS
 from jaxurban.io.read.outlines import Outlines
 from jaxurban.world.footprints import HeightOrigin
 
@@ -42,6 +43,7 @@ def stand(*features, **rules):
         (AREA, {"man_made": "storage_tank"}, "tank", 10, 30, 100),
         (PLACE, {"man_made": "crane", "height": "60"}, "crane", 60, 60, np.pi * 25),
         (PLACE, {"man_made": "silo", "diameter": "8"}, "tank", 20, np.inf, np.pi * 16),
+        (PLACE, {"man_made": "pipeline", "diameter": "400"}, "unknown", 0, 50, np.pi),
         (PLACE, {"man_made": "silo", "diameter": "0"}, "tank", 20, np.inf, np.pi * 100),
         (PLACE, {"power": "tower"}, "pylon", 30, 100, np.pi * 16),
         (
@@ -55,7 +57,57 @@ def stand(*features, **rules):
         (WAY, {"man_made": "gantry", "height": "8"}, "canopy", 8, 8, 60 + np.pi),
         # What no table knows stands with a height, and is unknown where it has an area alone.
         (AREA, {"man_made": "monument_of_a_kind", "height": "40"}, "structure", 40, 40, 100),
-        (AREA, {"man_made": "monument_of_a_kind"}, "unknown", 0, np.inf, 100),
+        (AREA, {"man_made": "monument_of_a_kind"}, "unknown", 0, 50, 100),
+        (PLACE, {"man_made": "thing"}, "unknown", 0, 50, np.pi),
+        (WAY, {"power": "thing"}, "unknown", 0, 50, 60 + np.pi),
+        (WAY, {"man_made": "beam"}, "canopy", 6, 15, 60 + np.pi),
+        # A wheel is half as wide as it is high, and as wide as others where its height is not known.
+        (
+            PLACE,
+            {"attraction": "big_wheel", "height": "135"},
+            "structure",
+            135,
+            135,
+            np.pi * 67.5**2,
+        ),
+        (PLACE, {"attraction": "drop_tower"}, "unknown", 0, 200, np.pi * 900),
+        (AREA, {"roller_coaster": "track"}, "unknown", 0, 200, 100),
+        (PLACE, {"historic": "monument"}, "unknown", 0, 60, np.pi * 25),
+        (PLACE, {"historic": "maritime", "height": "7 units"}, "unknown", 0, np.inf, np.pi),
+        (WAY, {"historic": "citywalls"}, "unknown", 0, 30, 120 + np.pi * 4),
+        (AREA, {"barrier": "wall"}, "unknown", 0, 10, 80 - 4 + np.pi),  # around a yard
+        (WAY, {"barrier": "retaining_wall", "height": "8"}, "structure", 8, 8, 60 + np.pi),
+        (WAY, {"barrier": "kerb;thing"}, "unknown", 0, 50, 60 + np.pi),
+        (WAY, {"telecom": "line"}, "wire", 10, 30, 60 + np.pi),
+        (PLACE, {"telecom": "antenna", "communication": "line"}, "wire", 10, 30, np.pi),
+        (WAY, {"man_made": "pipeline", "location": "overhead"}, "unknown", 0, 50, 60 + np.pi),
+        (WAY, {"location": "overhead"}, "unknown", 0, 30, 120 + np.pi * 4),
+        (PLACE, {"location": "overhead", "man_made": "surveillance"}, "unknown", 0, 15, np.pi),
+        (PLACE, {"highway": "street_lamp"}, "unknown", 0, 15, np.pi),
+        (PLACE, {"highway": "street_lamp", "height": "9"}, "structure", 9, 9, np.pi),
+        (PLACE, {"pipeline": "substation"}, "unknown", 0, 50, np.pi),
+        # What is not in use stands, whatever its key.
+        (PLACE, {"disused:attraction": "big_wheel"}, "unknown", 0, 200, np.pi * 900),
+        (WAY, {"abandoned:barrier": "city_wall"}, "unknown", 0, 30, 120 + np.pi * 4),
+        (PLACE, {"disused:bridge:support": "pylon"}, "unknown", 0, 350, np.pi * 25),
+        (AREA, {"abandoned:historic": "castle"}, "unknown", 0, 50, 100),
+        # Not a form of the land; a height in words; a generator, of wind perhaps; a shaft, and a booth.
+        (PLACE, {"natural": "arch", "height": "25"}, "structure", 25, 25, np.pi),
+        (PLACE, {"tourism": "artwork", "height": "tall"}, "unknown", 0, 50, np.pi),
+        (PLACE, {"power": "generator"}, "unknown", 0, np.inf, np.pi * 2500),
+        (PLACE, {"power": "generator", "height": "9"}, "structure", 9, 9, np.pi),
+        (
+            PLACE,
+            {"power": "generator", "generator:type": "horizontal_axis"},
+            "turbine",
+            100,
+            np.inf,
+            np.pi * 2500,
+        ),
+        (PLACE, {"man_made": "mineshaft"}, "unknown", 0, 50, np.pi),
+        (PLACE, {"barrier": "toll_booth"}, "unknown", 0, 50, np.pi),
+        (WAY, {"natural": "cliff"}, "unknown", 0, 50, 60 + np.pi),
+        (PLACE, {"bridge:support": "pylon"}, "unknown", 0, 350, np.pi * 25),
         (PLACE, {"historic": "memorial", "height": "25"}, "structure", 25, 25, np.pi),
         (PLACE, {"man_made": "cross", "height": "34"}, "structure", 34, 34, np.pi),
         (PLACE, {"man_made": "cross", "height": "34 units"}, "unknown", 0, np.inf, np.pi),
@@ -81,16 +133,15 @@ def stand(*features, **rules):
         (AREA, {"man_made": "gasometer", "height": "40", "barrier": "fence"}, "tank", 40, 40, 100),
         (AREA, {"man_made": "works", "height": "12"}, "structure", 12, 12, 100),
         # A fence around a yard stands on its border.
+        (WAY, {"barrier": "fence", "height": "30"}, "structure", 30, 30, 60 + np.pi),
         (AREA, {"barrier": "fence", "height": "30"}, "structure", 30, 30, 80 - 4 + np.pi),
-        # A bridge is known to stand, but not how high.
-        (AREA, {"man_made": "bridge"}, "unknown", 0, 100, 100),
-        (AREA, {"man_made": "bridge", "height": "20"}, "bridge", 20, 20, 100),
+        (AREA, {"man_made": "bridge"}, "bridge", 5.5, 100, 100),
         (
             LineString([(90, 0), (0, 0), (0, 10), (90, 10)]),  # the border of one that is cut off
-            {"man_made": "bridge", "height": "20"},
+            {"man_made": "bridge"},
             "bridge",
-            20,
-            20,
+            5.5,
+            100,
             900,
         ),
         # Crowns, octagons around a circle: as wide as they say, else 0.8 times as wide as the tree is
@@ -143,7 +194,7 @@ def test_structures_stand_with_a_height_or_an_upper_bound(
         ({"building": "yes", "building:levels": "0", "building:levels:underground": "2"},
          "underground"),
         ({"building": "parking", "parking": "underground"}, "underground"),
-        ({"man_made": "pipeline", "height": "8"}, "underground"),
+        ({"man_made": "pipeline", "height": "8", "location": "underground"}, "underground"),
         ({"demolished:building": "yes", "height": "40"}, "razed"),
         ({"demolished:man_made": "chimney", "height": "40"}, "razed"),
         ({"waterway": "waterfall", "height": "40"}, "not_standing"),
@@ -153,7 +204,16 @@ def test_structures_stand_with_a_height_or_an_upper_bound(
         ({"man_made": "surveillance", "height": "5"}, "not_standing"),
         ({"power": "substation"}, "not_standing"),
         ({"barrier": "wall", "height": "2"}, "not_standing"),
-        *(({"natural": kind, "height": "20", "building": ""}, "not_standing") for kind in ("peak", "cliff")),
+        *(({"natural": kind, "height": "20", "building": ""}, "not_standing") for kind in ("peak", "ridge")),
+        ({"barrier": "kerb", "height": "low", "building": ""}, "not_standing"),
+        ({"power": "generator", "generator:source": "solar"}, "not_standing"),
+        ({"removed:man_made": "tower"}, "razed"),
+        *(({"barrier": kind}, "not_standing") for kind in ("kerb", "fence", "door", "hedge")),
+        *(({"historic": kind}, "not_standing") for kind in ("memorial", "district")),
+        ({"attraction": "maze"}, "not_standing"),
+        ({"bridge": "no", "barrier": "kerb"}, "not_standing"),
+        ({"highway": "street_lamp", "height": "4"}, "not_standing"),
+        ({"indoor": "yes", "attraction": "dark_ride", "building": ""}, "not_buildings"),
         ({"natural": "scrub", "height": "4"}, "not_standing"),
         ({"power": "line", "location": "underground"}, "underground"),
     ],
@@ -164,9 +224,43 @@ def test_what_does_not_stand_is_counted_by_its_reason(tags, reason):
     assert issues == {reason: 1}
 
 
-def test_points_and_lines_that_no_table_knows_are_counted():
-    assert stand((PLACE, {"man_made": "thing"}))[2] == {"not_in_table": 1}
-    assert stand((WAY, {"man_made": "beam"}))[2] == {"not_in_table": 1}
+def test_what_no_table_knows_is_unknown_under_the_name_that_the_file_gives_it():
+    things = {"man_made": "thing"}, {"barrier": "city_wall"}, {"historic": "yes", "man_made": "no"}
+    _, structures, issues = stand(*((PLACE, tags) for tags in things))
+    names = ["man_made=thing", "barrier=city_wall", "historic=yes"]
+    assert structures.named.tolist() == structures.label.tolist() == names
+    assert issues == {"unknown_extent": 3}
+    assert structures.joined(structures).named.tolist() == 2 * names
+
+
+@pytest.mark.parametrize("key", KINDS)
+def test_a_value_of_a_key_that_is_in_no_row_is_never_nothing(key):
+    names = (key, key[:10], key, key, key[:10])  # also as Shapefiles cut it
+    for name, value in zip(names, ("yes", "yes", "never_heard_of", "1", "Yes;no"), strict=True):
+        _, structures, _ = stand((PLACE, {name: value}))
+        assert len(structures) == 1
+        assert structures.upper_m[0] >= 10
+
+
+def test_water_is_neither_counted_nor_does_it_stand():
+    for tags in ({"natural": "water"}, {"natural": "coastline"}, {"waterway": "river"}):
+        _, structures, issues = stand((AREA, {"building": "", **tags}))
+        assert (len(structures), issues) == (0, {})
+
+
+def test_what_a_building_is_beside_that_bounds_its_height():
+    tags = {"building": "yes", "man_made": "chimney"}, {"building": "yes", "bridge:support": "pier"}
+    buildings, *_ = stand(*((box(20 * i, 0, 20 * i + 9, 9), each) for i, each in enumerate(tags)))
+    assert buildings.upper_m.tolist() == [np.inf, 350]
+
+
+def test_around_a_mast_that_guys_hold_it_is_unknown_as_far_as_they_reach():
+    mast = {"man_made": "mast", "height": "120", "tower:construction": "guyed_tube"}
+    _, structures, _ = stand((PLACE, mast))
+    assert structures.named.tolist() == ["mast", "guys"]
+    assert structures.height_m.tolist() == [120, 0]
+    assert structures.upper_m.tolist() == [120, 120]
+    assert shapely.area(structures.polygons[1]) == pytest.approx(np.pi * 96**2, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -282,6 +376,9 @@ def test_a_wire_is_a_curtain_up_to_the_higher_of_its_two_supports():
     ):
         assert span.equals_exact(LineString(ends).buffer(15, quad_segs=8), 1e-6)
     assert issues == {"unknown_height": 5}
+    # What is unknown beside a vertex carries nothing.
+    _, structures, _ = stand((line, {"power": "line"}), (Point(0, 0), {"highway": "street_lamp"}))
+    assert structures.height_m[structures.kinds == "wire"].tolist() == [30] * 4
     # A line with a height of its own keeps it.
     _, structures, _ = stand((line, {"power": "line", "height": "50"}), *towers)
     assert structures.height_m[structures.kinds == "wire"].tolist() == [50] * 4
@@ -293,3 +390,25 @@ def test_a_point_within_a_building_names_it():
     assert len(structures) == 0
     _, structures, _ = stand(house, (Point(50, 50), {"building": "yes"}))
     assert structures.kinds.tolist() == ["unknown"]
+
+
+def test_water_that_is_said_to_be_historic_or_made_is_water():
+    lagoon = {"natural": "water", "historic": "yes", "man_made": "yes"}
+    assert not len(stand((AREA, lagoon))[1])
+    assert len(stand((AREA, lagoon | {"man_made": "never_heard_of"}))[1]) == 1
+    assert len(stand((PLACE, lagoon))[1]) == 1
+
+
+def test_a_level_below_the_ground_says_nothing_of_what_is_no_building_or_has_a_height():
+    mast, (building, *_) = (
+        stand((PLACE, {"man_made": "mast", "level": "-1"})),
+        stand((AREA, {"building": "yes", "height": "30", "level": "-1"})),
+    )
+    assert mast[1].kinds.tolist() == ["mast"]
+    assert building.height_m.tolist() == [30]
+
+
+def test_an_unknown_barrier_fills_its_area_and_its_border_is_as_thick_as_a_line():
+    _, structures, _ = stand((AREA, {"barrier": "never_heard_of"}))
+    reach = shapely.buffer(AREA, 1.0)
+    assert shapely.area(structures.polygons) == pytest.approx([reach.area], rel=0.01)

@@ -30,6 +30,7 @@ from jaxurban.world.kinds import ALL_KINDS
 from jaxurban.world.known import Rays
 from jaxurban.world.raster import Raster
 from tests import tiled_runs
+from tests.guess_records import by_name
 from tests.kernels.test_lidar import march_rays
 from tests.made_maps import city_of_boxes
 
@@ -143,11 +144,11 @@ def test_each_kind_closes_cells_and_hides_and_returns_as_it_says(more, settings)
 
 
 def pixels(resolution_m: float = 5.0) -> Raster:
-    """Return a canopy over a third of the pixels, in the lines of the map's cells; a fifth has no data."""
+    """Return a canopy over some of the pixels, in the lines of the map's cells."""
     num = int(SIDE_M / resolution_m)
     rng = np.random.default_rng(8)
     values = np.where(rng.random((num, num)) < 0.08, rng.uniform(5, 40, (num, num)), 0.0)
-    values[rng.random((num, num)) < 0.2] = np.nan
+    values[rng.random((num, num)) < 0.2] = 0.0
     place = (resolution_m, 0.0, EAST_M, 0.0, -resolution_m, NORTH_M + SIDE_M)
     return Raster(values.astype(np.float32), place, CRS)
 
@@ -489,6 +490,33 @@ def test_plants_beyond_the_maps_are_not_looked_at_so_that_nearby_is_not_judged(t
         assert result.state == state
 
 
+@pytest.mark.parametrize("has_outlines", [True, False])
+@pytest.mark.parametrize("is_beyond", [True, False])
+def test_where_plants_are_not_known_nothing_below_their_bound_is_judged(
+    tmp_path, has_outlines, is_beyond
+):
+    canopy = pixels()
+    canopy.values[:, :40] = 0.0
+    canopy.values[:, 40:] = np.nan
+    roofs = replace(canopy, values=np.zeros_like(canopy.values))
+    known = canopy.values[:, :40] if is_beyond else canopy.values
+    city = town() if has_outlines else City(CRS, town().extent_m, roofs=roofs)
+    city = replace(city, vegetation=replace(canopy, values=known))
+    maps = ju.build_maps(city, grid=REGION, altitudes_m=(30.0, 50.0), progress=False)
+    limit_m = np.zeros(REGION.shape)
+    limit_m[:, 28:] = 45.0
+    np.testing.assert_array_equal(maps.m("roof_limit"), limit_m)
+    x_m, y_m = REGION.x_min_m + np.array([100.0, 200.0]), [REGION.y_min_m + 20.0] * 2
+    lonlat = np.transpose(transformer(CRS, WGS84).transform(x_m, y_m))
+    line = tmp_path / "line.kml"
+    for height_m in (40.0, 50.0):
+        places = " ".join(f"{lon:.9f},{lat:.9f},{height_m}" for lon, lat in lonlat)
+        line.write_text(KML.format(places))
+        result = ju.check(maps, line, heights="ground", home=tuple(lonlat[0]), sources=city)
+        assert result.findings.empty
+        assert any("may reach 45 m" in text for text in result.not_judged) == (height_m < 45)
+
+
 @pytest.mark.data
 def test_a_raster_that_is_no_canopy_or_not_there_is_refused_and_a_part_is_a_guess(
     gothenburg, data_dir, tmp_path
@@ -515,7 +543,7 @@ def test_a_raster_that_is_no_canopy_or_not_there_is_refused_and_a_part_is_a_gues
         ({"name": "bilbao_dem.tif"}, "does not reach the region: it covers"),
         ({"name": "far.tif", "values": canopy_m, "transform": far}, "does not reach the region"),
         ({"name": "crs.tif", "values": canopy_m, "crs": "EPSG:3006"}, "does not reach the region"),
-        ({"name": "cm.tif", "values": 100 * canopy_m}, "cells outside -150 to 150 m"),
+        ({"name": "cm.tif", "values": 100 * canopy_m}, "does not hold heights of plants in metres"),
         ({"name": "none.tif"}, "does not exist: check the path"),
     ]:
         with pytest.raises(ju.InputError, match=sentence):
@@ -523,6 +551,6 @@ def test_a_raster_that_is_no_canopy_or_not_there_is_refused_and_a_part_is_a_gues
     in_feet = read("feet.tif", canopy_m / 0.3048, unit="ft").vegetation
     np.testing.assert_allclose(in_feet.values, canopy_m, atol=1e-5)
     assert any(
-        "without a raster of plants" in guess
-        for guess in read("half.tif", canopy_m[:, :100]).guesses
+        "without known plants" in guess
+        for guess in by_name(read("half.tif", canopy_m[:, :100]).guesses)
     )

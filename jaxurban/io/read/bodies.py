@@ -1,7 +1,7 @@
 """Bodies of city models: of the faces of a building and its parts one MultiPolygon, above its own ground."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,36 +10,40 @@ import numpy as np
 import pandas as pd
 import pyproj
 import shapely
-from pyproj.exceptions import CRSError
 
 from jaxurban.errors import InputError
+from jaxurban.io.read.heights import parse_height_m
 from jaxurban.io.read.outlines import Outlines
-from jaxurban.world.grid import WGS84, check_on_earth, transformer
+from jaxurban.world.grid import WGS84, area_of, check_on_earth, known_crs, transformer
 
 PIECE = re.compile(r"(Building|Bridge|Tunnel)[A-Z]\w+")  # of another object, whatever it is
-ROOFS = (None, "RoofSurface", "OuterFloorSurface")  # labels of faces above which is air, or may be
-# Kinds that are no obstacles, and groups of what stands elsewhere in the file.
-GROUND = re.compile(
-    "Road|Railway|Track|Square|TransportSquare|TransportationComplex|Waterway|WaterBody|LandUse|"
-    "ReliefFeature|TINRelief|CityObjectGroup"
+UNREAD = "unread"  # in place of the label of a shape that is no face
+ROOFS = (None, UNREAD, "RoofSurface", "OuterFloorSurface")  # above which is air, or may be
+GROUPS = ("CityModel", "CityObjectGroup")  # of what stands, without a shape as a rule
+# Kinds that are no obstacles.
+GROUND = (
+    "Road Railway Track Square TransportSquare TransportationComplex Waterway WaterBody LandUse "
+    "ReliefFeature TINRelief"
 )
-TAGS = {  # of OpenStreetMap, by kind
+TAGS: dict[str, dict[str, Any]] = {  # of OpenStreetMap, by kind
+    **{kind: {"height": 0.0, "building": None} for kind in GROUND.split()},
     "Building": {"building": "yes"},
     "Bridge": {"man_made": "bridge"},
     "Tunnel": {"man_made": "tunnel"},
     "SolitaryVegetationObject": {"natural": "tree"},
 }
+NO_LEVEL = -1.0  # of detail
 MARGIN_DEG = 1.0  # around the area of use of a CRS
 LOST_M = 1e9  # in place of what is no number: no reader takes it for a height
 CRS_NAMES = {  # of German and Swiss surveys, and those with a code of EPSG
-    r".*ETRS89_UTM(3[1-3]).*": r"EPSG:258\1",
-    r".*DE_DHDN_3GK2.*": "EPSG:31466",
-    r".*DE_DHDN_3GK3.*": "EPSG:31467",
-    r".*DE_DHDN_3GK4.*": "EPSG:31468",
-    r".*DE_DHDN_3GK5.*": "EPSG:31469",
+    r"^.*ETRS89_UTM(3[1-3]).*": r"EPSG:258\1",
+    r"^.*DE_DHDN_3GK2.*": "EPSG:31466",
+    r"^.*DE_DHDN_3GK3.*": "EPSG:31467",
+    r"^.*DE_DHDN_3GK4.*": "EPSG:31468",
+    r"^.*DE_DHDN_3GK5.*": "EPSG:31469",
     r"^CH1903(_LV03)?$": "EPSG:21781",
     r"^CH1903\+(_LV95)?$": "EPSG:2056",
-    r".*?EPSG\W+(?:[\d.]*[:/])?(\d{4,}).*": r"EPSG:\1",
+    r"^.*?EPSG\W{1,9}(?:[\d.]*[:/])?(\d{4,}).*": r"EPSG:\1",
 }
 
 
@@ -49,23 +53,24 @@ class Face(NamedTuple):
     Attributes:
       lod: level of detail.
       label: what the file says that it is, such as ``"RoofSurface"``; None where it says nothing.
-      polygon: with heights.
+      rings: its border, then its holes, ``[V, 3]`` x, y and z each; of `UNREAD` its vertices; none of a link, whose
+        label is the id of what it draws.
     """
 
     lod: float
     label: str | None
-    polygon: shapely.Polygon
+    rings: list[np.ndarray]
 
 
-@dataclass
+@dataclass(eq=False)
 class CityObject:
     """An object of a city model, or a piece of one.
 
     Attributes:
       kind: as both formats call it, such as ``"BuildingPart"``.
       height, levels: as the file has them: of the roof above the ground, and of storeys.
-      faces: in all levels of detail.
-      pieces: its parts, installations and what else belongs to it.
+      faces: in all levels of detail; those of `NO_LEVEL` always count.
+      pieces: its parts, installations and what else belongs to it or stands within it.
     """
 
     kind: str
@@ -79,62 +84,111 @@ class CityObject:
 
         Args:
           lod, label: as of `Face`.
-          rings: its border, then its holes, ``[V, 3]`` x, y and z; of fewer than three vertices there is no ring.
+          rings: as of `Face`; of fewer than three vertices there is no ring.
         """
-        whole = [
-            np.where(np.isnan(ring), LOST_M, ring)  # quicker than `np.nan_to_num`
-            for ring in rings
-            if len(ring) > 2
-        ]
-        if whole:
-            self.faces.append(Face(lod, label, shapely.Polygon(whole[0], whole[1:])))
-
-    def best_faces(self) -> list[Face]:
-        """Return the faces of the highest level of detail that has roofs or no labels, and the same of its pieces.
-
-        It gives way to parts of a higher level.
-        """
-        ranks = [(face.label in ROOFS, face.lod) for face in self.faces]
-        _, lod = max(ranks, default=(True, 0))
-        part_lods = [
-            face.lod
-            for piece in self.pieces
-            if piece.kind.endswith("Part")
-            for face in piece.best_faces()
-        ]
-        faces = [face for face in self.faces if face.lod == lod >= max(part_lods, default=0)]
-        for piece in self.pieces:
-            faces += piece.best_faces()
-        return faces
+        rings = [ring for ring in rings if len(ring) > 2]
+        if rings:
+            self.faces.append(Face(lod, label, rings))
 
 
-def body_of(whole: CityObject) -> dict[str, Any]:
-    """Return the body of an object and its pieces, whose ground is at the lowest vertex of all.
+def bodies_of(objects: Iterable[CityObject]) -> Iterator[dict[str, Any]]:
+    """Yield the bodies of objects, each with its pieces.
 
-    Returns:
-      ``polygon``, all faces, roofs first, as a MultiPolygon with heights, empty without a face; ``num_roofs``, how many
-      are roofs by their labels or have none, 0 where all are; and tags as of `Outlines`. The height of kinds that
-      `TAGS` lacks is how far they rise.
+    Yields:
+      Of each ``polygon``, all faces, roofs first, as a MultiPolygon with heights, empty without a face; ``num_roofs``,
+      how many are roofs by their labels or have none, 0 where all are; and tags as of `Outlines`. The height of kinds
+      that `TAGS` lacks is how far they rise. An object of which something is not read is a line through its vertices
+      as well, which is a building of unknown extent.
     """
-    faces = whole.best_faces()
+    seen = set()
+    for whole in objects:
+        if whole not in seen:
+            members = [whole]
+            for one in members:
+                seen.add(one)
+                members += [piece for piece in one.pieces if piece not in seen]
+            yield from _bodies(members)
+
+
+def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
+    """Yield the body of an object's faces, if it should have any, and that of what is not read of it.
+
+    Args:
+      members: the object, then its pieces, each after what it belongs to.
+    """
+    kind = PIECE.sub(r"\1", members[0].kind)
+    tags = TAGS.get(kind, {})
+    best = _best_faces(members)
+    faces = [face for face in best if face.label != UNREAD]
     faces.sort(key=lambda face: face.label not in ROOFS)
     num_roofs = sum(face.label in ROOFS for face in faces)
-    polygon = shapely.MultiPolygon([face.polygon for face in faces])
-    kind = PIECE.sub(r"\1", whole.kind)
-    height = whole.height
-    if GROUND.fullmatch(kind):
-        height = 0.0
-    elif kind not in TAGS:
-        z = shapely.get_coordinates(polygon, include_z=True)[:, 2]
-        height = np.ptp(z) if len(z) else 0.0
+
+    # The faces as one MultiPolygon, at once; of a coordinate that is no number the place or the height is lost.
+    polygon = shapely.MultiPolygon()
+    if faces:
+        rings = [_closed(ring) for face in faces for ring in face.rings]
+        vertices = np.concatenate(rings)
+        vertices = np.where(np.isfinite(vertices), vertices, LOST_M)
+        borders = shapely.linearrings(vertices, indices=_numbered(map(len, rings)))
+        numbers = _numbered(len(face.rings) for face in faces)
+        polygon = shapely.multipolygons(shapely.polygons(borders, indices=numbers))
+
     body = {
         "polygon": polygon,
         "num_roofs": num_roofs if num_roofs < len(faces) else 0,
         "building": None,
-        "height": height,
-        "levels": whole.levels,
+        "height": max(
+            (one.height for one in members if one.height),
+            key=lambda height: parse_height_m(str(height)),
+            default=None,
+        ),
+        "levels": members[0].levels,
     }
-    return body | TAGS.get(kind, {})
+    if len(faces) < len(best):
+        corners = np.concatenate([ring for face in best for ring in face.rings])
+        corners = np.where(np.isfinite(corners), corners, LOST_M)
+        line = shapely.LineString([*corners, corners[0]])
+        yield body | {"polygon": line, "building": "yes"} | tags
+    if not tags:
+        has_level = any(face.lod > 0 for face in faces)  # in plan alone nothing has a height
+        body["height"] = np.ptp(vertices[:, 2]) if has_level else LOST_M
+    if faces or not (best or kind in GROUPS):
+        yield body | tags
+
+
+def _closed(ring: np.ndarray) -> np.ndarray:
+    """Return a ring that ends where it begins, of four vertices at least."""
+    is_closed = len(ring) > 3 and np.array_equal(ring[0], ring[-1])
+    return ring if is_closed else np.vstack([ring, ring[:1]])
+
+
+def _numbered(sizes: Iterable[int]) -> np.ndarray:
+    """Return the number of the group for each member of groups, by their sizes."""
+    counts = [*sizes]
+    return np.repeat(np.arange(len(counts)), counts)
+
+
+def _best_faces(members: list[CityObject]) -> list[Face]:
+    """Return the faces of an object and its pieces that count, each once.
+
+    They are of the highest level of detail that has roofs or no labels; a whole gives way to parts of a higher level.
+
+    Args:
+      members: as of `_bodies`.
+    """
+    faces: dict[int, Face] = {}  # by what draws them
+    part_lod = NO_LEVEL
+    for one in reversed(members):
+        ranks = [(face.label in ROOFS, face.lod) for face in one.faces]
+        _, lod = max(ranks, default=(True, NO_LEVEL))
+        if one.kind.endswith("Part"):
+            part_lod = max(part_lod, lod)
+        if one is members[0] and lod < part_lod:
+            lod = NO_LEVEL
+        for face in reversed(one.faces):
+            if face.lod in (lod, NO_LEVEL):
+                faces[id(face.rings)] = face
+    return [*reversed(faces.values())]
 
 
 def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -> Outlines:
@@ -158,8 +212,8 @@ def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -
         )
     try:
         (code,) = codes
-        crs = pyproj.CRS(code)
-    except (ValueError, CRSError) as error:
+        crs = known_crs(code)
+    except ValueError as error:
         names = ", ".join(crs_names) or "none"
         raise InputError(
             f"{str(path)!r} does not say where it lies, as it declares the CRS {names}: set [buildings] crs = "
@@ -186,7 +240,7 @@ def _is_x_first(crs: pyproj.CRS, box: np.ndarray, is_code: bool) -> bool:
       box: that bounds them, in the order of the file; its middle counts.
       is_code: whether the file names the CRS by a code alone, as ``EPSG:25832``.
     """
-    area = crs.area_of_use
+    area = area_of(crs)
     south, north = (area.south, area.north) if area else (-90, 90)
     middle = box.reshape(2, 2).mean(axis=0)
     _, lat = transformer(crs.to_wkt(), WGS84).transform(middle, middle[::-1])

@@ -13,17 +13,18 @@ from jaxurban import settings
 from jaxurban.errors import InputError
 from jaxurban.io.read.heights import FOOT_M, is_given, parse_length_m, read_column
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.kinds import IN_WORDS, KINDS, NOT_BUILT, STANDING
+from jaxurban.io.read.kinds import IN_WORDS, KINDS, NOT_BUILT, NOT_IN_USE, OF_LIFE, STANDING
 from jaxurban.settings import MAX_HEIGHT_M, Unit
 
 Columns = Mapping[str, np.ndarray]
+CUT_LETTERS = 10  # of a column's name in a Shapefile
 
 # Tags and columns by what they hold: in any case, with ":", "." and "_" the same; names of ten letters are cut, as
 # Shapefiles cut them. Where several are there, the first that is filled counts, row by row. Column names in feet or of
 # roof shapes ("roof:height" is the height of the roof alone) are left out on purpose. Levels also as France (BD TOPO),
 # INSPIRE (bu-base), Germany (ALKIS, simplified), Korea (road name addresses) and Chicago publish them.
 COLUMNS = {
-    "part": "building_part building_p",
+    "part": "building_part building_p building_id building_i",
     "height": "height height_m building_height building_h measuredheight measured_height "
     "measuredhe measured_h est_height",
     "levels": "building_levels building_l levels num_floors storeysaboveground nb_etages nombre_d_etages "
@@ -35,32 +36,39 @@ COLUMNS = {
     "levels_below": "building_levels_underground levels_underground num_floors_underground",
     "location": "is_underground location",
     "diameter": "diameter width",
-    "rotor": "rotor_diameter",
+    "rotor": "rotor_diameter rotor_diam",
     "hub": "height_hub",
-    "wind": "generator_source generator_method",
+    "wind": "generator_source generator_method generator_type power_source generator_",
     "crown": "diameter_crown diameter_c crown_diameter",
     "leaf": "leaf_type",
+    "construction": "tower_construction tower_cons",
 }
 # Columns that are named as what they hold.
 OF_OTHERS = (
     "layer",
     "level",
     "parking",
-    "barrier",
     "natural",
     "landuse",
     "waterway",
-    "tower_type",
+    "highway",
+    "railway",
+    "lanes",
+    "indoor",
+    "bridge_structure",
+    "bridge_movable",
     *IN_WORDS,
 )
-COLUMNS |= {name: name for name in OF_OTHERS}
-for key in ("building", *KINDS):  # also of what stands no more, or not yet
-    COLUMNS[key] = " ".join([key, *(f"{life}_{key}" for life in STANDING)])
+for key in ("building", *OF_OTHERS, *KINDS):  # also of what is not in use, or not yet
+    name = key.replace(":", "_")
+    lives = STANDING if key in OF_LIFE else NOT_IN_USE if key in KINDS else ()
+    names = name, name[:CUT_LETTERS], *(f"{life}_{name}" for life in lives)
+    COLUMNS[key] = " ".join(dict.fromkeys(names))
+for key in OF_LIFE:
     for life, reason in NOT_BUILT.items():
         COLUMNS[reason] = f"{COLUMNS.get(reason, '')} {life}_{key}"
 UNDERGROUND_COLUMN = "is_underground"  # of Overture Maps: true or false
 BELOW = dict.fromkeys(("true", "1"), ReadIssue.UNDERGROUND.value)  # as OpenStreetMap writes it
-OF_OVERTURE = "building_id"  # beside it: a part names its building
 NESTED = ("tags", "other_tags", "all_tags")  # of query-overpass and GDAL: all tags in one text
 UNITS_M: dict[Unit, float] = {"m": 1.0, "ft": FOOT_M, "cm": 0.01, "mm": 0.001}
 HSTORE = re.compile(r'("(?:[^"\\]|\\.)*")\s*=>\s*("(?:[^"\\]|\\.)*")')  # of what is not NULL
@@ -104,8 +112,7 @@ SCHEMAS |= {f"height{mark}{unit}": unit for mark in ("", "_") for unit in UNITS_
 GROUNDS = {"b3_h_dak_max": "b3_h_maaiveld", "topheight": "baseheight"}
 # Overture Maps, Microsoft, GlobalBuildingAtlas and USA Structures call theirs ``height``, in metres; Google's outlines
 # have none.
-KNOWN = {OF_OVERTURE, *NESTED}
-KNOWN |= set(" ".join([*COLUMNS.values(), *SCHEMAS]).split())
+KNOWN = set(" ".join([*NESTED, *COLUMNS.values(), *SCHEMAS]).split())
 # Words for height in names of columns, and those by which it is not that of the roof.
 HEIGHT = re.compile(
     "^h$|^ht$|_ht$|^roof_?z$|^z_?max$|h_dak|heigh|hgt|hght|hoeh|höhe|hauteur|altura|altezza|hoogte|"
@@ -147,9 +154,6 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
         is_below = pd.Series(values[UNDERGROUND_COLUMN]).astype(str).str.lower()
         values[UNDERGROUND_COLUMN] = is_below.map(BELOW).to_numpy(object)
         values.pop("level", None)  # Overture's orders, as a layer does
-
-    if OF_OVERTURE in values and not values.keys().isdisjoint((UNDERGROUND_COLUMN, "min_floor")):
-        values["building_part"] = values[OF_OVERTURE]
 
     if "est_height" in values:  # a rough figure
         estimate = values["est_height"]

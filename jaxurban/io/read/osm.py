@@ -1,6 +1,6 @@
 """OpenStreetMap files: what may stand of them, assembled by pyosmium, and that of a box cut out of an extract."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -10,11 +10,21 @@ import numpy as np
 import osmium
 import shapely
 from osmium.filter import IdFilter, KeyFilter
+from osmium.geom import use_nodes
 
 from jaxurban.errors import readable
 from jaxurban.io.read.columns import tags_of
 from jaxurban.io.read.issues import ReadIssue, ReadIssues
-from jaxurban.io.read.kinds import GROWN, KINDS, NOT_BUILT, STANDING
+from jaxurban.io.read.kinds import (
+    BY_VALUE,
+    KINDS,
+    NOT_BUILT,
+    NOT_IN_USE,
+    OF_LIFE,
+    STANDING,
+    WATERS,
+    Nothing,
+)
 from jaxurban.io.read.osm_plain import plain_osm
 from jaxurban.io.read.outlines import Outlines
 from jaxurban.io.read.sniff import in_own_words, sniff, unpacked
@@ -23,30 +33,44 @@ from jaxurban.world.grid import WGS84, Bounds
 
 BUILDINGS = ("building", "building:part")  # keys
 MAYBE = (  # keys of what may stand
-    *(*BUILDINGS, "height", "tower:type", *KINDS),
-    *(f"{life}:{key}" for life in STANDING for key in ("building", *KINDS)),
+    *(*BUILDINGS, "height", "est_height", *KINDS),
+    *(f"{life}:{key}" for life in STANDING for key in OF_LIFE),
+    *(f"{life}:{key}" for life in NOT_IN_USE for key in KINDS if key not in OF_LIFE),
     *(f"{life}:building" for life in NOT_BUILT),
 )
+SURE = {*MAYBE} - {"barrier"}  # whatever their value is
+LOW_BARRIERS = {value for value, kind in KINDS["barrier"].items() if isinstance(kind, Nothing)}
+SOME = {  # values of keys of which others do not stand; what is water says which bridges cross it
+    key: {*BY_VALUE.get(key, ()), *WATERS.get(key, ())} for key in (*BY_VALUE, *WATERS)
+}
 OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
     *(*BUILDINGS, "height", "building:levels", "levels", "roof:levels", "min_height"),
     *("building:min_level", "building:levels:underground", "location", "layer", "level"),
-    *("parking", "man_made", "building:height", "est_height"),
+    *("parking", "man_made", "building:height", "est_height", "tower:type", "bridge:support"),
+    *("aerialway", "attraction", "roller_coaster"),
 )
+OF_LAMPS = ("highway", "height", "location", "level", "indoor")
 OF_TREES = ("natural", "height", "est_height", "diameter_crown", "leaf_type", "location", "level")
 TAGS = {
-    *(*OF_BUILDINGS, *OF_TREES, *MAYBE, *GROWN, "barrier", "waterway", "diameter", "width"),
-    *("rotor:diameter", "height:hub", "generator:source", "generator:method"),
-    *(f"{life}:{key}" for life in NOT_BUILT for key in KINDS),
+    *(*OF_BUILDINGS, *OF_TREES, *MAYBE, *SOME, "railway", "lanes", "indoor", "diameter", "width"),
+    *("bridge:structure", "bridge:movable", "tower:construction"),
+    *("rotor:diameter", "height:hub", "power_source"),
+    *(f"generator:{name}" for name in ("source", "method", "type")),
+    *(f"{life}:{key}" for life in NOT_BUILT for key in OF_LIFE),
 }
+TO_WKB = osmium.geom.WKBFactory()
 Key = tuple[str, int]  # "n", "w" or "r", and an id
 OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
-MAY_STAND = KeyFilter(*MAYBE, *GROWN)  # and what `_may_stand` leaves out
-MAY_STAND_OR_TYPE = KeyFilter(*MAYBE, *GROWN, "type")  # of relations
+# And what `_may_stand` leaves out. Lamps are apart, as streets have their key.
+KEYS = {*MAYBE, *SOME, "layer"} - {"highway"}
+MAY_STAND = KeyFilter(*KEYS)
+MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type")  # of relations
+LAMPS = KeyFilter("highway")  # of nodes
 
 
 def read_osm(path: str | Path) -> Outlines:
-    """Return what may stand of an OSM file: areas, lines and points with a key of `MAYBE`, with their tags.
+    """Return what may stand of an OSM file: areas, lines and points with their tags.
 
     Coordinates are longitude and latitude; the box is the file header's (of several the first). Areas that
     libosmium cannot assemble (rings that cross themselves) are rebuilt from their lines, each loop filled; where
@@ -79,8 +103,9 @@ class _Objects:
     Attributes:
       tags: those that say what stands.
       shapes: WKB in hexadecimal.
-      areas: what libosmium takes for areas, whether it could assemble them or not.
-      closed, open_ways, missing, degenerate: ways, of which the third lack nodes and the last enclose nothing.
+      areas: what libosmium takes for areas, whether it could assemble them or not, and sites.
+      closed, open_ways, missing, degenerate: ways; the first may be anything, the third lack nodes, and the last
+        enclose nothing.
       lines: of ways, by id.
       ways_of: the ids of the ways of what has no shape.
       of_members: what relations of the type building say of their outlines.
@@ -101,55 +126,68 @@ class _Objects:
         self._build_shapes()
 
     def _read_objects(self, path: str | Path) -> None:
-        """Read what has a key of `MAYBE`, and relations of buildings."""
-        to_wkb = osmium.geom.WKBFactory()
-        processor = open_osm(path).with_areas(MAY_STAND).with_filter(MAY_STAND_OR_TYPE)
+        """Read what may stand, and relations of buildings."""
+        processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(MAY_STAND_OR_TYPE)
         self.places: Any = processor.node_location_storage
         item: Any
         for item in processor:
-            if not (item.is_relation() or _may_stand(item.tags)):
-                continue
-            key = item.type_str(), item.id
             if item.is_area():
                 key = "w" if item.from_way() else "r", item.orig_id()
                 self.areas.add(key)
-                if item.num_rings()[0] > 0:
-                    self.shapes[key] = to_wkb.create_multipolygon(item)
-            elif item.is_node():
-                self.shapes[key] = to_wkb.create_point(item)
-            elif item.is_relation():
-                if not self._keep_relation(item):
-                    continue
-            elif item.is_closed():  # its area has its tags
-                self.closed.add(key)
-                continue
             else:
+                key = item.type_str(), item.id
+                if item.is_way() and item.is_closed():  # its area has its tags
+                    self.closed.add(key)
+                    continue
+            tags = _tags_of(item.tags)
+            if item.is_relation():
+                if not self._keep_relation(item, tags):
+                    continue
+            elif not _may_stand(tags):
+                continue
+            elif item.is_node():
+                self.shapes[key] = TO_WKB.create_point(item)
+            elif item.is_way():
                 self.open_ways.add(key)
                 self._keep_line(item)
-            self.tags[key] = _tags_of(item)
+            elif item.num_rings()[0] > 0:
+                self.shapes[key] = TO_WKB.create_multipolygon(item)
+            self.tags[key] = tags
 
-    def _keep_relation(self, item: Any) -> bool:
-        """Keep the members of a relation that may need them; return whether it may stand itself."""
+    def node(self, lamp: Any) -> None:
+        """Keep what may be a lamp, for which pyosmium calls this."""
+        if not _names_any(lamp.tags["highway"], SOME["highway"]):
+            return
+        self.tags["n", lamp.id] = _named(lamp.tags, OF_LAMPS)
+        self.shapes["n", lamp.id] = TO_WKB.create_point(lamp)
+
+    def _keep_relation(self, item: Any, tags: dict[str, str]) -> bool:
+        """Keep the members of a relation that may need them; return whether it may stand itself, by its tags."""
         of_type = item.tags.get("type")
         if of_type == BUILDING:
             outer = [each for each in item.members if each.role in ("outline", "outer")]
             members = [(each.type, each.ref) for each in outer or item.members]
-            self.of_members |= dict.fromkeys(members, _tags_of(item))
-        if of_type not in ("multipolygon", "boundary"):  # of which libosmium makes areas
+            self.of_members |= dict.fromkeys(members, tags)
             return False
-        may_stand = _may_stand(item.tags)
+        may_stand = _may_stand(tags)
         # A bare one may be the outline in a relation of a building.
         if may_stand or len(item.tags) == 1:
             self.ways_of["r", item.id] = _ways_of(item)
+        if of_type in ("site", "bridge"):
+            self.areas.add(("r", item.id))
         return may_stand
 
     def _keep_line(self, way: Any) -> None:
         """Keep the line of a way, and whether it lacks nodes."""
-        points = []
-        for node in way.nodes:
-            with suppress(KeyError):
-                place = self.places.get(node.ref)
-                points.append((place.lon, place.lat))
+        points: list[tuple[float, float]] = []
+        try:
+            line = shapely.from_wkb(bytes.fromhex(TO_WKB.create_linestring(way, use_nodes.ALL)))
+            points += map(tuple, shapely.get_coordinates(line).tolist())
+        except (RuntimeError, osmium.InvalidLocationError):  # without the places of its nodes
+            for node in way.nodes:
+                with suppress(KeyError):
+                    place = self.places.get(node.ref)
+                    points.append((place.lon, place.lat))
         self.lines[way.id] = _line_of(points)
         if len(points) < len(way.nodes):
             self.missing.add(("w", way.id))
@@ -164,11 +202,12 @@ class _Objects:
         for item in osmium.FileProcessor(_file(path), osmium.osm.WAY) if ids else ():
             if item.id in ids:
                 self._keep_line(item)
-                if ("w", item.id) in lost:
-                    self.tags["w", item.id] = _tags_of(item)
+                tags = _tags_of(item.tags)
+                if ("w", item.id) in lost and _may_stand(tags):
+                    self.tags["w", item.id] = tags
         self.degenerate = {
             key
-            for key in lost - self.missing - self.of_members.keys()
+            for key in (lost & self.tags.keys()) - self.missing - self.of_members.keys()
             if not self.tags[key].keys().isdisjoint(BUILDINGS)
             and shapely.build_area(self.lines[key[1]]).is_empty
         }
@@ -216,26 +255,33 @@ class _Objects:
         }
 
 
-def _tags_of(item: Any) -> dict[str, str]:
-    """Return the tags of an object that say what stands."""
-    tags = item.tags
-    get = tags.get
-    names: tuple[str, ...]
+def _tags_of(tags: Any) -> dict[str, str]:
+    """Return those tags of an object that say what stands."""
     if "building" in tags:  # with many others
-        names = OF_BUILDINGS
-    elif get("natural") == "tree":  # there are many
-        names = OF_TREES
-    else:
-        return {name: value for name, value in tags if name in TAGS}
+        return _named(tags, OF_BUILDINGS)
+    if tags.get("natural") == "tree":  # there are many
+        return _named(tags, OF_TREES)
+    return {name: value for name, value in tags if name in TAGS}
+
+
+def _named(tags: Any, names: Sequence[str]) -> dict[str, str]:
+    """Return those tags of an object that have some names."""
+    get = tags.get
     return {name: value for name in names if (value := get(name)) is not None}
 
 
-def _may_stand(tags: Any) -> bool:
-    """Return whether an object with these tags may stand."""
-    if "building" in tags:
+def _may_stand(tags: dict[str, str]) -> bool:
+    """Return whether an object with these tags (`_tags_of`) may stand, or is water."""
+    if not tags.keys().isdisjoint(SURE) or tags.get("barrier", "kerb") not in LOW_BARRIERS:
         return True
-    is_grown = any(tags.get(key) in by_value for key, by_value in GROWN.items())
-    return is_grown or any(key in tags for key in MAYBE)
+    if any(key in tags and _names_any(tags[key], values) for key, values in SOME.items()):
+        return True
+    return tags.get("layer", "0") > "0" and ("highway" in tags or "railway" in tags)
+
+
+def _names_any(text: str, values: Collection[str]) -> bool:
+    """Return whether a value, or one of a list with semicolons, is one of some, in any case."""
+    return text in values or any(word.strip().lower() in values for word in text.split(";"))
 
 
 def _line_of(points: list[tuple[float, float]]) -> shapely.Geometry:
@@ -264,18 +310,24 @@ def _file(path: str | Path) -> osmium.io.File:
     return osmium.io.File(str(path), format_of(path))
 
 
-def open_osm(path: str | Path) -> osmium.FileProcessor:
+def open_osm(path: str | Path, *handlers: Any) -> osmium.FileProcessor:
     """Return a processor that knows every node's place when a way comes by, even if the nodes follow the ways.
 
     In XML, as the Overpass API writes it, they may, in any order; its nodes are read before. PBF files are sorted.
+
+    Args:
+      path: of the file.
+      handlers: filters and what they hand nodes to, before the processor begins.
     """
     file = _file(path)
     is_sorted = format_of(path) == "pbf"
     # Any: the package's own annotation says str.
     locations: Any = osmium.index.create_map("flex_mem" if is_sorted else "sparse_mem_map")
     if not is_sorted:
+        handlers = osmium.NodeLocationsForWays(locations), *handlers
+    if handlers:
         with osmium.io.Reader(file, osmium.osm.NODE) as reader:
-            osmium.apply(reader, osmium.NodeLocationsForWays(locations))
+            osmium.apply(reader, *handlers)
     return osmium.FileProcessor(file).with_locations(locations)
 
 
@@ -320,7 +372,7 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
     ways_of = {
         relation.id: {*_ways_of(relation)}
         for relation in of_relations.with_filter(MAY_STAND_OR_TYPE)
-        if relation.tags.get("type") == BUILDING or _may_stand(relation.tags)
+        if relation.tags.get("type") == BUILDING or _may_stand(_tags_of(relation.tags))
     }
     members = set[int]().union(*ways_of.values())
     near = {item.id for item in _in_box(file, IdFilter(members), box) if item.is_way()}
@@ -328,8 +380,9 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
     with osmium.BackReferenceWriter(
         osmium.io.File(str(target), "pbf"), ref_src=file, overwrite=True, remove_tags=False
     ) as writer:
-        for item in _in_box(file, MAY_STAND, box):
-            writer.add(item)
+        for chosen in (MAY_STAND, LAMPS):
+            for item in _in_box(file, chosen, box):
+                writer.add(item)
         for relation in of_relations.with_filter(IdFilter(to_cut)):
             writer.add(relation)
 
@@ -343,10 +396,11 @@ def _in_box(file: osmium.io.File, chosen: IdFilter | KeyFilter, box: Bounds) -> 
       box: west, south, east, north in degrees.
     """
     west, south, east, north = box
-    processor = osmium.FileProcessor(file, osmium.osm.NODE | osmium.osm.WAY).with_locations()
+    kinds = osmium.osm.NODE if chosen is LAMPS else osmium.osm.NODE | osmium.osm.WAY
+    processor = osmium.FileProcessor(file, kinds).with_locations()
     item: Any
     for item in processor.with_filter(chosen):
-        if chosen is MAY_STAND and not _may_stand(item.tags):
+        if isinstance(chosen, KeyFilter) and not _may_stand(_tags_of(item.tags)):
             continue
         nodes = item.nodes if item.is_way() else [item]
         places = (node.location for node in nodes if node.location.valid())

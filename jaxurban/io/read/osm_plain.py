@@ -8,7 +8,6 @@ are marked.
 import json
 import mmap
 import re
-import tempfile
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -21,7 +20,7 @@ import osmium
 from osmium.osm.mutable import Node, Relation, Way
 
 from jaxurban.errors import InputError, readable
-from jaxurban.io.read.sniff import in_own_words, sniff, unpacked
+from jaxurban.io.read.sniff import in_own_words, scratch_folder, sniff, unpacked
 
 OF_DAMAGED = (LookupError, TypeError, AttributeError, ElementTree.ParseError)
 OBJECTS = ("node", "way", "relation")  # in the order of a file
@@ -51,10 +50,10 @@ def plain_osm(path: str | Path, remedy: str) -> Iterator[Path]:
         readable(path, "OpenStreetMap data", remedy),
         in_own_words(RuntimeError, osmium.InvalidLocationError),
         unpacked(path) as file,
-        tempfile.TemporaryDirectory(prefix="jaxurban-") as folder,
+        scratch_folder() as folder,
     ):
         kind = sniff(file)
-        plain = Path(folder, "plain.osm")
+        plain = folder / "plain.osm"
         with in_own_words(*OF_DAMAGED):
             if kind == ".osm.json":
                 if file.stat().st_size > MOST_JSON:

@@ -47,11 +47,10 @@ def with_supports(structures: Footprints, shapes: np.ndarray) -> Footprints:
     """
     dimension = shapely.get_dimensions(shapes)
     is_span = (dimension == 1) & np.isin(structures.kinds, WIRES) & structures.is_guessed
-    supports = structures.take(dimension == 0)
+    is_support = (dimension == 0) & (structures.height_m > 0)
+    supports = structures.take(is_support)
     ends = shapely.points(shapely.get_coordinates(shapes[is_span]))
-    end, support = shapely.STRtree(shapes[dimension == 0]).query_nearest(
-        ends, max_distance=SUPPORT_M
-    )
+    end, support = shapely.STRtree(shapes[is_support]).query_nearest(ends, max_distance=SUPPORT_M)
 
     # By end, then the higher of both ends of a span, which is unsure if either is.
     higher = {}

@@ -11,6 +11,7 @@ import numpy as np
 import pyproj
 import shapely
 
+from tests.io.cities.extracts import FROM_EXTRACTS
 from tests.io.cities.judge import Truth, confirmed, invented, seen_by_ogr, truth_of
 from tests.io.cities.plant import (
     EDITS,
@@ -36,7 +37,7 @@ TURNS = (
 INSET_M = 12.0  # of flights from the border
 CLEARANCES_M = (0.0, 5.0)
 VERTICAL_M = 3.0
-NUM_PLAIN, MOST_EDITED = 6, 4
+NUM_PLAIN, MOST_EDITED, NUM_EXTRACTS = 6, 4, 2
 TRIES = 80
 CORNERS_M = ((2, 2), (2, SIDE_M - 12), (SIDE_M - 12, 2), (SIDE_M - 12, SIDE_M - 12))
 NO_FREE = "no free flight"
@@ -100,6 +101,9 @@ def city_of(number: int, seed: int = 1, num_flights: int = 1) -> City:
     slots = list(product(centres, centres))
     rng.shuffle(slots)
     names = [draw.one_of(*offered(style)) for _ in range(rng.integers(1, MOST_EDITED + 1))]
+    from_extracts = [name for name in offered(style) if name in FROM_EXTRACTS]
+    if from_extracts:
+        names += [draw.one_of(*from_extracts) for _ in range(NUM_EXTRACTS)]
     things = []
     for name, place in zip(names + [about.plain] * NUM_PLAIN, slots, strict=False):
         draw.centre_m = tuple(place)
