@@ -14,7 +14,8 @@ from jaxurban import settings
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.issues import LEFT_OUT, ReadIssue, ReadIssues, listed_counts
-from jaxurban.public import Caution, FactsRepr, caution_of_guesses
+from jaxurban.knowledge import Caution, Guesses, caution_of_guesses
+from jaxurban.public import FactsRepr
 from jaxurban.settings import TO_GROUND, Hanging
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import MAIN_SHARE, main_bounds
@@ -60,7 +61,7 @@ class City(FactsRepr):
       buildings: outlines with heights, or None where ``roofs`` is given.
       structures: what else stands (chimneys, masts, tanks ...), and where something of unknown extent does; None or
         empty for nothing.
-      vegetation: raster of heights of plants above ground, or None.
+      vegetation: raster of heights of plants above ground, NaN where they are not known, or None.
       kinds: of `jaxurban.world.kinds`, those of buildings, structures and vegetation (a ``"wood"``) that count; what is
         of unknown extent always does.
       roofs: raster of roof heights above ground, or None.
@@ -68,7 +69,7 @@ class City(FactsRepr):
       terrain: raster of ground elevation, or None for flat ground.
       read_issues: what the readers repaired, guessed or left out, counted by `jaxurban.io.read.issues.ReadIssue`.
       sources: path by role, for provenance (empty for the synthetic city).
-      guesses: what was supposed where the sources are silent, see `jaxurban.io.read.guesses`.
+      guesses: what was supposed where the sources are silent, see `jaxurban.knowledge`.
       attribution: the credit that the licence of the sources asks for wherever pictures are shown.
       bounds: west, south, east, north in degrees that the city was read for; None for all that there is.
       area: where the building source knows what stands, within ``extent_m``; None for all of it.
@@ -99,7 +100,7 @@ class City(FactsRepr):
     attribution: str = ""
     bounds: Bounds | None = None
     area: shapely.Geometry | None = None
-    guesses: Mapping[str, str] = field(default_factory=dict)
+    guesses: Guesses = ()
     hanging: Hanging = TO_GROUND
     gps: "Gps | None" = None
     population: "Population | None" = None
@@ -190,7 +191,7 @@ class City(FactsRepr):
             "CRS": self.crs,
             "extent": f"{(x_max - x_min) / 1000:.3g} x {(y_max - y_min) / 1000:.3g} km",
             "buildings": buildings,
-            "structures": listed_counts(Counter(inside.kinds)) if inside else "",
+            "structures": listed_counts(Counter(inside.named)) if inside else "",
             "left out": listed_counts(left_out),
             MOST_IN: "" if main is None else str(list(main)),
             "census blocks": "" if self.blocks is None else f"{len(self.blocks):,}",

@@ -1,13 +1,14 @@
 """GeoParquet files of ours: features, and in the file's metadata the credit, the licence and what the file covers."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
 
 from jaxurban.io.files import whole_file
+from jaxurban.world.grid import known_crs
 
 FACTS = b"jaxurban"  # the key in a file's metadata
 ZSTD_LEVEL = 19
@@ -36,6 +37,24 @@ def write_geoparquet(path: Path, frame: gpd.GeoDataFrame, facts: Mapping[str, An
         pq.write_table(table, scratch, compression="zstd", compression_level=ZSTD_LEVEL)
 
 
-def facts_of(metadata: Mapping[bytes, bytes] | None) -> dict[str, Any]:
-    """Return the facts that `write_geoparquet` wrote into a file's metadata, empty for files of others."""
-    return json.loads((metadata or {}).get(FACTS, b"{}"))
+def read_geoparquet(path: str | Path, columns: Sequence[str] | None = None) -> gpd.GeoDataFrame:
+    """Return the features of a GeoParquet file; ``attrs`` are the facts of `write_geoparquet`, empty for other files.
+
+    Args:
+      path: the file.
+      columns: to read; None: all.
+
+    Raises:
+      InputError: a CRS that is not known or names another file.
+      ValueError: no GeoParquet, or a damaged one.
+    """
+    import pyarrow.parquet as pq  # imported here: it takes 0.1 s to load
+
+    metadata = pq.read_schema(path).metadata or {}
+    for shapes in json.loads(metadata.get(b"geo", b"{}")).get("columns", {}).values():
+        crs = shapes.get("crs")
+        if crs:
+            known_crs(crs if isinstance(crs, str) else json.dumps(crs), f" of {str(path)!r}")
+    frame = gpd.read_parquet(path, columns=columns)
+    frame.attrs = json.loads(metadata.get(FACTS, b"{}"))
+    return frame

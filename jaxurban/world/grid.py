@@ -1,6 +1,7 @@
 """Grid: a raster of square cells in one projected CRS, anchored to the CRS's own cell numbers."""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -13,6 +14,7 @@ import shapely
 from numpy.typing import ArrayLike
 from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
+from pyproj.exceptions import CRSError
 
 from jaxurban.checks import finite, positive, typed
 from jaxurban.errors import InputError, shortened
@@ -23,6 +25,15 @@ MAX_SCALE_ERROR = 0.01  # of a projection at the region: within a UTM zone it st
 MOST_BEYOND_DEG = 15.0
 MOST_CELLS = 1e12
 MOST_OF_CODE = 60  # characters of a CRS that is a code or short parameters, no definition
+MOST_OF_CRS = 20_000  # characters of a definition; the longest of EPSG has 7,000
+# By what of a CRS's text PROJ opens a file: but codes of EPSG, grids that are none (@null), and of heights grids that
+# are named without a folder, which are looked for among PROJ's own files alone.
+OPENS_FILE = re.compile(
+    r"""\b(?:init|\w*grids|file|model)\s*=\s*(?!["'@\s]*(?:epsg:\d+|null)(?:[\s"'<]|$))|proj\s*=\s*pipeline|"""
+    r"""PROJ4_GRIDS(?![^\])/\\~]{,300}[\])])|"""
+    r"""PARAMETERFILE\W++(?!(?:Geoid[^"]{,99}"\s*,\s*"[^"/\\~]{,300}|[^"]{,99}"\s*,\s*"@?null)")""",
+    re.IGNORECASE,
+)
 MAX_SNAP_CELLS = 1000  # of the coarsest resolution that the region may be snapped to
 MAX_SIDE = 1024  # cells of a tile's side at most: about 0.2 GiB of work at four altitudes
 # x_min, y_min, x_max, y_max in a projected CRS, metres; or west, south, east, north in degrees.
@@ -66,8 +77,8 @@ def utm_of(bounds: Sequence[float]) -> str:
 
 @lru_cache(maxsize=32)
 def transformer(source: str, target: str) -> pyproj.Transformer:
-    """Return the x, y-ordered transformer between two CRSs (cached)."""
-    return pyproj.Transformer.from_crs(source, target, always_xy=True)
+    """Return the x, y-ordered transformer between two CRSs (cached); errors as of `known_crs`."""
+    return pyproj.Transformer.from_crs(known_crs(source), known_crs(target), always_xy=True)
 
 
 def box_of(bounds: Bounds, crs: str) -> Bounds:
@@ -75,14 +86,36 @@ def box_of(bounds: Bounds, crs: str) -> Bounds:
     return transformer(WGS84, crs).transform_bounds(*bounds, densify_pts=101)
 
 
-def known_crs(crs: str) -> pyproj.CRS:
-    """Return the pyproj CRS of a name; InputError of one that is not known."""
+@lru_cache(maxsize=64)
+def known_crs(text: str, of: str = "") -> pyproj.CRS:
+    """Return the pyproj CRS of a text of a file or a setting, by which PROJ opens no other file (cached).
+
+    Args:
+      text: a code, a name, WKT, PROJJSON or parameters of PROJ.
+      of: which file it is of, in messages, as in ``" of 'town.laz'"``.
+
+    Raises:
+      InputError: the text is not known as a CRS, is longer than `MOST_OF_CRS`, or names a file or a server.
+    """
+    _check_crs_text(text, of)
     try:
-        return pyproj.CRS.from_user_input(crs)
-    except pyproj.exceptions.CRSError as error:
+        parsed = pyproj.CRS.from_user_input(text)
+        definition = parsed.to_wkt()
+    except (CRSError, ValueError, RecursionError) as error:
         raise InputError(
-            f"crs {crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'"
+            f"crs {shortened(text)!r}{of} is not a known CRS: use a projected one such as 'EPSG:32618'"
         ) from error
+    _check_crs_text(definition, of)  # JSON may have hidden it
+    return parsed
+
+
+def _check_crs_text(text: str, of: str) -> None:
+    """Raise InputError where a text of a CRS names a file or is too long; arguments as of `known_crs`."""
+    if len(text) > MOST_OF_CRS or OPENS_FILE.search(text):
+        raise InputError(
+            f"the CRS {shortened(text)!r}{of} names another file or a server, which is never opened, or is longer than "
+            f"{MOST_OF_CRS:,} characters: name it by its code, such as 'EPSG:32618'"
+        )
 
 
 @lru_cache(maxsize=32)
@@ -106,39 +139,52 @@ def projected_crs(crs: str) -> pyproj.CRS:
 
 def crs_said(crs: str) -> str:
     """Return a CRS as people read it: a code such as ``"EPSG:32618"`` as it is, of a definition its name alone."""
-    return crs if len(crs) <= MOST_OF_CODE else shortened(pyproj.CRS(crs).name)
+    return crs if len(crs) <= MOST_OF_CODE else shortened(known_crs(crs).name)
 
 
-def check_on_earth(name: str, crs: Any, box: Sequence[float]) -> None:
+def horizontal_of(crs: pyproj.CRS) -> pyproj.CRS:
+    """Return a CRS without its vertical axis, and without a shift to another datum."""
+    horizontal = crs.sub_crs_list[0] if crs.is_compound else crs
+    return (horizontal.source_crs or horizontal) if horizontal.is_bound else horizontal
+
+
+def area_of(crs: pyproj.CRS) -> Any:
+    """Return the area that a CRS is made for, by its horizontal part; None where nothing says it."""
+    horizontal = horizontal_of(crs)
+    code = horizontal.to_authority()  # WKT may leave the area to it
+    return (pyproj.CRS.from_authority(*code) if code else horizontal).area_of_use
+
+
+def check_on_earth(name: str, crs: pyproj.CRS, box: Sequence[float]) -> None:
     """Check that a file's CRS places it on the Earth, by longitude and latitude or by a map projection made for there.
 
     Args:
       name: of the file, for the message.
-      crs: whatever pyproj understands as a CRS.
+      crs: with heights or without, as `known_crs` has it.
       box: x_min, y_min, x_max, y_max of the file in it; its middle counts.
 
     Raises:
       InputError: the CRS is geocentric, or a local one that no map projection ties to the Earth, or the file lies far
         outside the area of use of its projection.
     """
-    parsed = pyproj.CRS.from_user_input(crs)
-    horizontal = parsed.sub_crs_list[0] if parsed.is_compound else parsed
-    if parsed.is_geocentric or not (horizontal.is_geographic or horizontal.is_projected):
+    horizontal = horizontal_of(crs)
+    if crs.is_geocentric or not (horizontal.is_geographic or horizontal.is_projected):
         raise InputError(
             f"the CRS of {name} is {horizontal.type_name} {horizontal.name!r}, which no map projection places on the "
             "Earth: declare the CRS that it is in, as with `ogr2ogr -a_srs EPSG:...` or `gdal_edit.py -a_srs EPSG:...`"
         )
-    area = parsed.area_of_use
+    area = area_of(crs)
     if horizontal.is_geographic or area is None or not np.isfinite(box).all():
         return
     middle = shapely.box(*box).centroid
-    lon, lat = transformer(parsed.to_wkt(), WGS84).transform(middle.x, middle.y)
+    lon, lat = transformer(crs.to_wkt(), WGS84).transform(middle.x, middle.y)
     # Across the antimeridian distances in degrees say nothing.
-    beyond_deg = shapely.box(*area.bounds).distance(shapely.Point(lon, lat))
+    with np.errstate(invalid="ignore"):  # of what the projection does not reach
+        beyond_deg = shapely.box(*area.bounds).distance(shapely.Point(lon, lat))
     is_across = 180 - MOST_BEYOND_DEG <= abs(lon) <= 180
     if not (beyond_deg <= MOST_BEYOND_DEG or is_across):
         raise InputError(
-            f"{name} declares the CRS {shortened(parsed.name)!r} and so lies at {lon:.2f}, {lat:.2f} (lon, lat), far "
+            f"{name} declares the CRS {shortened(crs.name)!r} and so lies at {lon:.2f}, {lat:.2f} (lon, lat), far "
             f"from the area for which that is made, {area.bounds} (west, south, east, north): declare "
             "the CRS that its coordinates are in, as with `ogr2ogr -a_srs EPSG:...` or `gdal_edit.py -a_srs EPSG:...`, "
             "or for buildings in [buildings] crs"
@@ -464,7 +510,7 @@ class Grid:
         """Return longitudes and latitudes (WGS 84, degrees) of CRS coordinates, easting and northing in metres.
 
         Returns:
-          Longitudes and latitudes, float64; inf where the projection has no value.
+          Longitudes and latitudes, float64, numbers of a point; inf where the projection has no value.
 
         Examples:
           >>> lon, lat = maps.grid.lonlat_of_xy(586_650.0, 4_514_550.0)
@@ -472,7 +518,7 @@ class Grid:
           (-73.97315, 40.77736)
         """
         lon, lat = transformer(self.crs, WGS84).transform(x_m, y_m)
-        return np.asarray(lon), np.asarray(lat)
+        return np.asarray(lon)[()], np.asarray(lat)[()]
 
     def xy_at(self, lonlat: np.ndarray) -> np.ndarray:
         """Return CRS coordinates of longitudes and latitudes (WGS 84, degrees), pairs in the last dimension.
@@ -527,7 +573,7 @@ class Grid:
         """Return longitudes and latitudes (WGS 84, degrees) of cell centres; cells may lie outside the grid.
 
         Returns:
-          Longitudes and latitudes, float64, each in the shape of the cells.
+          Longitudes and latitudes, float64, each in the shape of the cells, numbers of one cell.
 
         Examples:
           >>> lon, lat = maps.grid.lonlat_of_cell(2, 2)

@@ -26,6 +26,7 @@ from tests.io.made_files import (
     refused,
     relation,
     way,
+    write_features,
 )
 
 # Spellings from https://wiki.openstreetmap.org/wiki/Key:height; feet and inches by their definition (0.3048, 0.0254 m).
@@ -269,7 +270,7 @@ def test_a_bow_tie_is_repaired_and_a_line_is_unknown():
     assert shapely.is_valid(buildings.polygons).all()
     assert not shapely.has_z(buildings.polygons).any()
     assert shapely.area(buildings.polygons) == pytest.approx([50, 1])
-    assert issues == {"polygons_repaired": 1, "polygons_dropped": 3, "unknown_extent": 1}
+    assert issues == {"polygons_repaired": 1, "polygons_dropped": 2, "unknown_extent": 1}
 
 
 def test_outlines_that_the_crs_cannot_hold_are_left_out_and_counted():
@@ -317,6 +318,31 @@ def test_a_closed_way_is_an_area_with_its_tags_also_before_its_nodes(tmp_path):
         assert not any(outlines.issues.values())
 
 
+def test_what_may_stand_is_read_in_any_case_in_lists_and_of_a_site(tmp_path):
+    things = (
+        {"highway": "Street_Lamp"},
+        {"highway": "crossing;street_lamp"},
+        {"natural": "Cliff"},
+        {"location": "underground;overhead"},
+        {"est_height": "30"},
+    )
+    read_things = [node(10 + i, LON, LAT, **tags) for i, tags in enumerate(things)]
+    site = way(9, [1, 2, 3, 4, 1]), relation(8, [(9, "")], type="site", historic="castle")
+    others = node(20, LON, LAT, highway="crossing"), node(21, LON, LAT, natural="water_tap")
+    outlines = read(tmp_path, corners_of(1), *read_things, *others, *site)
+    assert len(outlines.polygons) == len(things) + 1
+    castle = outlines.polygons[outlines.texts("historic") == "castle"]
+    assert shapely.area(castle) == pytest.approx([SQUARE.area])
+
+
+def test_relations_of_any_type_stand_by_their_tags_as_their_members_lie(tmp_path):
+    deck = way(9, [1, 2, 3, 4, 1]), relation(20, [(9, "outline")], type="bridge", man_made="bridge")
+    wires = way(11, [1, 3]), relation(21, [(11, "")], type="power", power="line")
+    outlines = read(tmp_path, corners_of(1), *deck, *wires)
+    assert shapely.area(outlines.polygons).tolist() == pytest.approx([SQUARE.area, 0])
+    assert outlines.texts("power").tolist() == ["", "line"]
+
+
 def test_nodes_are_found_in_any_order_of_their_numbers_and_between_ways(tmp_path):
     numbers = [10_100, 7, 30, 102, 90_000, 5, 2_000]
     elements = []
@@ -358,6 +384,14 @@ AREAS = {
         [way(11, [1, 2, 3]), relation(20, [(11, "outer"), (12, "outer")], building="yes")],
         [0],
         {"relations_incomplete": 1},
+    ),
+    "a wood with a missing member": (
+        [
+            way(11, [1, 2, 3, 4, 1]),
+            relation(20, [(11, "outer"), (12, "outer")], natural="wood"),
+        ],
+        [0],
+        {},
     ),
     "a relation that only groups parts": (
         [
@@ -428,7 +462,7 @@ def test_the_header_gives_the_first_box(tmp_path):
 FILES = {  # CRS; buildings, those with a height, with levels only, parts, as far as said; and what was counted
     # Of Lower Manhattan's 9,938 buildings three are lines.
     "lower-manhattan": ("EPSG:32618", [9935, 9393, 145, 3135], (70, 0, 328)),
-    "boston-back-bay": ("EPSG:32619", [4028, 66, 558], (0, 0, 35)),
+    "boston-back-bay": ("EPSG:32619", [4028, 66, 558], (0, 0, 36)),
     "helsinki": ("EPSG:32635", [446, 16], (0, 54, 10)),
 }
 
@@ -489,3 +523,12 @@ def test_an_outline_with_a_vertex_that_is_no_number_is_of_unknown_extent():
     (whole,) = buildings.polygons
     (hull,) = unknown.polygons
     assert shapely.area(hull & whole) == pytest.approx(whole.area / 2, rel=0.2)
+
+
+def test_an_outline_with_a_place_that_is_no_number_is_counted_as_left_out(tmp_path):
+    ring = [[LON, LAT], [LON + 0.001, None], [LON + 0.001, LAT + 0.001], [LON, LAT]]
+    lost = {"type": "Polygon", "coordinates": [ring]}
+    near = shapely.box(LON, LAT, LON + 0.001, LAT + 0.001)
+    file = write_features(tmp_path / "town.geojson", (near, {"height": 9}), (lost, {"height": 80}))
+    city = ju.City.from_files(file, bounds=near.bounds)
+    assert (len(city.buildings), city.read_issues["polygons_dropped"]) == (1, 1)

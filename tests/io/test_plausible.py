@@ -3,6 +3,7 @@
 import re
 import warnings
 
+import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
@@ -12,12 +13,16 @@ import jaxurban as ju
 from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.rasterise import bands_of, rasterise
 from jaxurban.world.grid import Grid, transformer
+from tests.guess_records import by_name
 from tests.io.made_files import (
     UTM,
     WGS84,
     X,
     Y,
+    box,
+    line,
     north_up,
+    osm,
     write_features,
     write_raster,
     write_vector,
@@ -58,7 +63,7 @@ def city_of(source, **more):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         city = ju.City.from_files(source, **{"bounds": BOUNDS, "crs": UTM} | more)
-    return city, " | ".join(name for name in city.guesses if name != "flat ground")
+    return city, " | ".join(name for name in by_name(city.guesses) if name != "flat ground")
 
 
 @pytest.mark.slow
@@ -182,11 +187,13 @@ def test_a_few_towers_may_hold_more_people_per_km2_than_any_quarter(tmp_path):
     ],
 )
 def test_averages_and_decimetres_of_a_raster_are_cautioned(tmp_path, pixel_m, factor, expected):
-    heights = np.random.default_rng(0).choice([0.0, 9.0, 15.0, 24.0], (40, 40)) * factor
+    heights = np.random.default_rng(0).choice([0.0, 4.0, 9.0, 15.0, 24.0], (40, 40)) * factor
     path = write_raster(tmp_path / "a.tif", np.float32(heights), north_up(pixel_m, 40))
     city, guesses = city_of(path)
     assert guesses == expected
-    assert all(f" {pixel_m} m wide" in text for name, text in city.guesses.items() if "av" in name)
+    assert all(
+        f" {pixel_m} m wide" in text for name, text in by_name(city.guesses).items() if "av" in name
+    )
 
 
 def test_where_the_nodata_value_of_heights_is_0_nothing_stands(tmp_path):
@@ -210,7 +217,7 @@ def test_a_roof_above_the_highest_of_the_world_is_named_with_its_place(tmp_path,
     city, guesses = city_of(path)
     assert guesses == ("1 roofs above 828 m" if height_m > 828 else "")
     assert all(
-        f"{height_m:g} m at {lon:.5f}, {lat:.5f}" in city.guesses[name]
+        f"{height_m:g} m at {lon:.5f}, {lat:.5f}" in by_name(city.guesses)[name]
         for name in guesses.split(" | ")
         if name
     )
@@ -284,3 +291,171 @@ def test_houses_on_both_sides_of_the_antimeridian_are_named_and_read_from_one(tm
         city, _ = city_of(path, bounds=bounds, crs=None)
         assert len(city.buildings) == 3
         assert np.ptp(shapely.bounds(city.buildings.polygons)[:, 0]) < 250  # metres
+
+
+LOW = np.linspace(4, 40, 25)  # heights of houses
+
+
+def houses(path, heights, **columns):
+    shapes = [
+        box(60 * (i // 5), 60 * (i % 5), 60 * (i // 5) + 12, 60 * (i % 5) + 12) for i in range(25)
+    ]
+    return write_vector(path, shapes[: len(heights)], height=list(heights), **columns)
+
+
+def towns(folder, heights):
+    """Return houses of these heights by outlines, in OpenStreetMap, by solids and in a raster."""
+    outlines = houses(folder / "a.gpkg", heights)
+    lonlat = gpd.read_file(outlines).to_crs(WGS84).geometry
+    ways = [
+        line(number, list(shape.exterior.coords), building="yes", height=f"{height:.1f}")
+        for number, (shape, height) in enumerate(zip(lonlat, heights, strict=True), 1)
+    ]
+    (folder / "a.osm").write_text(osm(*ways))
+    values = np.zeros((30, 30), np.float32)
+    for i, height in enumerate(heights):
+        row, col = 27 - 6 * (i % 5), 6 * (i // 5)
+        values[row : row + 3, col : col + 3] = height
+    raster = write_raster(folder / "a.tif", values)
+    return outlines, folder / "a.osm", raster
+
+
+def ground(folder, level_m):
+    return write_raster(folder / "dtm.tif", np.full((60, 60), level_m, np.float32))
+
+
+@pytest.mark.parametrize("kind", range(3))
+@pytest.mark.parametrize(
+    ("base_m", "level_m", "is_refused"),
+    [
+        (0, None, False),
+        (0, 30, False),
+        (0, 1600, False),
+        (0, -3, False),
+        (500, None, True),
+        (500, 500, True),
+        (40, 40, True),
+        (20, 20, False),  # as houses may be
+    ],
+)
+def test_elevations_are_not_heights_in_any_format(tmp_path, kind, base_m, level_m, is_refused):
+    source = towns(tmp_path, base_m + LOW)[kind]
+    more = {"terrain": ground(tmp_path, level_m)} if level_m is not None else {}
+    bounds = transformer(UTM, WGS84).transform_bounds(X - 30, Y - 30, X + 330, Y + 330)
+    if not is_refused:
+        city_of(source, bounds=bounds, **more)
+        return
+    with pytest.raises(ju.InputError, match=r"elevations above the sea .*ground_column"):
+        city_of(source, bounds=bounds, **more)
+    city_of(ju.Buildings(source, allow_high=True), bounds=bounds, **more)
+
+
+@pytest.mark.parametrize(
+    ("heights", "is_refused"),
+    [
+        (np.linspace(62, 400, 25), True),  # towers alone: allow_high says so
+        ([*np.linspace(62, 400, 24), 8.0], False),
+        (1600 + LOW, True),  # above all buildings of the Earth, and so unreadable
+        (np.full(19, 510.0), False),
+        (np.full(20, 510.0), True),
+        ([f"{height:.1f} m" for height in 500 + LOW], True),
+        ([510.0] * 22 + [None] * 3, True),
+        ([90.0] * 2 + [None] * 23, False),  # of a town whose towers alone have heights
+    ],
+)
+def test_without_terrain_twenty_heights_of_which_none_is_below_60_m_are_refused(
+    tmp_path, heights, is_refused
+):
+    path = houses(tmp_path / "a.gpkg", heights)
+    if is_refused:
+        with pytest.raises(ju.InputError, match=f"of {len([*filter(None, heights)])} hardly one"):
+            city_of(path, bounds=None)
+    else:
+        city_of(path, bounds=None)
+
+
+def test_a_column_of_the_ground_makes_heights_of_elevations(tmp_path):
+    path = houses(tmp_path / "a.gpkg", 500 + LOW, ground=[500.0] * 25)
+    columns = {"height_column": "height", "ground_column": "ground", "unit": "m"}
+    city, _ = city_of(ju.Buildings(path, **columns), bounds=None)
+    np.testing.assert_allclose(city.buildings.height_m, LOW)
+
+
+BARE = np.random.default_rng(4).random((100, 100)) < 0.4
+FOREST = np.where(BARE, 0, np.random.default_rng(5).normal(20, 6, BARE.shape).clip(3, 40))
+REDWOODS = np.where(BARE, 0, np.random.default_rng(6).normal(65, 20, BARE.shape).clip(3, 116))
+EVENLY = np.where(BARE, 0, np.random.default_rng(7).integers(1, 101, BARE.shape))
+
+
+def coded(values, code, share=0.1):
+    return np.where(np.random.default_rng(8).random(values.shape) < share, code, values)
+
+
+def canopy(folder, values, **more):
+    path = write_raster(folder / "chm.tif", values, north_up(4, 100, X - 30, Y - 30), **more)
+    bounds = transformer(UTM, WGS84).transform_bounds(X, Y, X + 300, Y + 300)
+    return city_of(houses(folder / "a.gpkg", LOW), bounds=bounds, vegetation=path)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (coded(FOREST.round(), 101), "101 in"),  # of GLAD
+        (coded(FOREST.round(), 103, 0.001), "103 in"),
+        (coded(FOREST.round(), 255), "255 in"),
+        (coded(FOREST, -99), "-99 in"),
+        (EVENLY, "100 in"),  # per cent
+        (np.where(BARE, 0, 78), "78 in"),
+        (np.where(BARE, 0, (1.2 * EVENLY).clip(0, 100)), "100 in"),
+        (np.where(BARE, 0, (EVENLY / 80).clip(0, 1)), "1 in"),  # shares
+        (~BARE, "1 in"),  # a mask
+        ((10 * FOREST).round(), "400 in"),  # decimetres
+        (np.where(BARE, 0, EVENLY % 60 + 31), "90 in"),
+        (np.where(coded(BARE, False), 0, 110), "110 in"),
+    ],
+)
+def test_a_raster_of_plants_that_holds_no_metres_is_refused_with_its_value(tmp_path, values, said):
+    with pytest.raises(
+        ju.InputError, match=rf"heights of plants in metres, .* as {said} [\d,]+ cells"
+    ):
+        canopy(tmp_path, values.astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("values", "more"),
+    [
+        (FOREST, {}),
+        (FOREST.round(), {}),
+        (FOREST * 0, {}),
+        (FOREST + np.random.default_rng(9).normal(0, 0.3, BARE.shape), {}),
+        (REDWOODS, {}),
+        (REDWOODS * 0.8, {}),
+        (REDWOODS.round(), {}),
+        (REDWOODS.round().clip(0, 95), {"units": "m"}),
+        ((10 * FOREST).round(), {"scales": 0.1}),
+        (FOREST / 0.3048, {"units": "ft"}),
+        (FOREST + 5, {"units": "m"}),  # without a gap
+    ],
+)
+def test_a_canopy_model_of_metres_opens_whatever_grows_there(tmp_path, values, more):
+    city, guesses = canopy(tmp_path, values.astype(np.float32), **more)
+    assert not guesses
+    assert city.vegetation.values.shape == BARE.shape
+
+
+@pytest.mark.parametrize(
+    ("values", "nodata", "is_known"),
+    [
+        (FOREST, -1.0, True),
+        (np.where(BARE, -1, FOREST), -1.0, True),  # no data where nothing grows
+        (FOREST, 0.0, True),
+        (np.where(COL[:100, :100] < 100, FOREST, -1), -1.0, False),
+        (np.full(BARE.shape, -1), -1.0, False),
+    ],
+)
+def test_no_data_mean_that_nothing_grows_in_files_of_plants_alone(
+    tmp_path, values, nodata, is_known
+):
+    city, guesses = canopy(tmp_path, values.astype(np.float32), nodata=nodata)
+    assert np.isfinite(city.vegetation.values).all() == is_known
+    assert ("of the region without known plants" in guesses) == (not is_known)

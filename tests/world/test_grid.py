@@ -56,6 +56,15 @@ def test_cell_to_lonlat_and_back_is_the_same_cell():
     np.testing.assert_array_equal(grid.cell_of_lonlat(*grid.lonlat_of_cell(*cells)), cells)
 
 
+def test_the_centre_of_one_cell_is_two_numbers_and_of_several_two_arrays():
+    grid = Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), 20.0)
+    one = grid.lonlat_of_cell(2, np.int64(3))
+    assert all(isinstance(value, float) for value in one)
+    several = grid.lonlat_of_cell([2, 3], [3, 3])
+    assert [values.shape for values in several] == [(2,), (2,)]
+    assert [values[0] for values in several] == list(one)
+
+
 def test_west_border_belongs_to_the_grid_and_east_border_does_not():
     grid = Grid.from_bounds(LOWER_MANHATTAN, 5.0)
     assert grid.cell_of_xy(grid.x_min_m, grid.y_min_m) == (0, 0)

@@ -14,7 +14,7 @@ import shapely
 from osmium.filter import KeyFilter
 
 from jaxurban.errors import readable
-from jaxurban.io.geoparquet import facts_of, write_geoparquet
+from jaxurban.io.geoparquet import read_geoparquet, write_geoparquet
 from jaxurban.io.read.land_cover import areas_and_coast, projected, runs_of, sea
 from jaxurban.io.read.osm import OSM_CREDIT, is_osm, open_osm
 from jaxurban.io.read.osm_plain import plain_osm
@@ -93,11 +93,8 @@ def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFr
         frame = _from_osm(path, crs, bounds_m)
         frame.attrs = {"credit": OSM_CREDIT, "licence": LICENCE}
     else:
-        import pyarrow.parquet as pq
-
         with readable(path, "a base map", "make the maps again, which writes it"):
-            frame = gpd.read_parquet(path)[["kind", "name", "geometry"]].to_crs(crs)
-            frame.attrs = facts_of(pq.read_schema(path).metadata)
+            frame = read_geoparquet(path)[["kind", "name", "geometry"]].to_crs(crs)
     # Points outside would not be cut away.
     frame = frame[(frame["kind"] != "place") | frame.intersects(shapely.box(*bounds_m))]
     frame = frame.set_geometry(frame.clip_by_rect(*bounds_m))

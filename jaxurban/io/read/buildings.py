@@ -10,6 +10,7 @@ import shapely
 
 from jaxurban import settings
 from jaxurban.errors import InputError
+from jaxurban.io.read.bridges import DECK, bridges_of
 from jaxurban.io.read.heights import estimate_heights, parse_length_m, read_column, with_decks
 from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.kinds import (
@@ -17,18 +18,25 @@ from jaxurban.io.read.kinds import (
     BRIDGE,
     CROWN_SHARE,
     FENCE,
+    GUYS_SHARE,
+    HISTORIC,
     HULL,
     LEVEL_LIMIT_M,
     LIMIT_M,
     LOW_BUILDINGS,
     LOW_LIMIT_M,
+    MONUMENT,
+    RIDE,
+    RIDE_SHARE,
     ROUGH_LIMIT,
     TURBINE,
+    UNLISTED,
+    WALLS,
     WOOD,
 )
 from jaxurban.io.read.outlines import Outlines, polygonal
 from jaxurban.io.read.solids import prisms_of_solids
-from jaxurban.io.read.stands import what_stands
+from jaxurban.io.read.stands import is_water, what_stands
 from jaxurban.io.read.wires import in_spans, with_supports
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING, UNKNOWN, Footprints, HeightOrigin
@@ -69,10 +77,14 @@ def to_buildings(
     # What stands, the valid shapes of it, and the heights that solids have by their faces.
     issues = dict(outlines.issues)
     features = what_stands(outlines, file.hanging == SLABS, issues)
+    waters = outlines.polygons[is_water(outlines)]
     prisms = prisms_of_solids(features)
     shapes, is_sound, is_whole = _project(prisms["polygon"].to_numpy(), outlines.crs, crs, issues)
     prisms = prisms[is_sound]
     to_city = transformer(outlines.crs, crs)
+    waters = shapely.transform(
+        shapely.make_valid(shapely.force_2d(waters)), to_city.transform, interleaved=False
+    )
     boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
     if not (boxes_m or len(prisms) or outlines.is_part):
         raise InputError(
@@ -114,19 +126,20 @@ def to_buildings(
 
     # What else stands.
     others = in_spans(features.take(~is_building))
-    structures = _structures(others, file)
-    structures, is_same = _on_roofs(structures, others.polygons, buildings)
+    structures = _structures(others, file, waters)
+    structures, is_same = _on_roofs(structures, others, buildings)
     structures = with_supports(structures, others.polygons)
     is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
     issues[ReadIssue.NOT_STANDING] += int(np.sum(is_left_out))
-    structures = structures.take(~is_left_out & ~is_same)
+    guys = _guys(structures, others)
+    structures = structures.take(~is_left_out & ~is_same).joined(guys)
     is_unknown = structures.kinds == UNKNOWN
     issues[ReadIssue.UNKNOWN_EXTENT] = int(np.sum(is_unknown))
     issues[ReadIssue.UNKNOWN_HEIGHT] = int(np.sum(structures.is_guessed & ~is_unknown))
     return buildings, structures, boxes_m, issues
 
 
-def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
+def _structures(outlines: Outlines, rules: settings.Buildings, waters: np.ndarray) -> Footprints:
     """Return structures with their heights: points as discs, lines as strips, and hulls of what is not whole.
 
     Their height is 0 where it is unknown and their kind has none. Trees are as wide as their crowns, which have
@@ -135,6 +148,7 @@ def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
     Args:
       outlines: ``N`` from `what_stands`, in a projected CRS; a `BUILDING` is a polygon without area.
       rules: height of one level.
+      waters: what bridges may cross.
     """
     verdicts = outlines.tags["verdict"]
     kinds = np.array([HULL if kind == BUILDING else kind for kind in verdicts], object)
@@ -143,9 +157,14 @@ def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
         """Return ``[N]`` the lengths that a tag says, NaN where it says none."""
         return read_column(outlines.column(name), parse_length_m)
 
+    is_bridge = kinds == BRIDGE
+    bridges = bridges_of(outlines.take(is_bridge), waters)
+
     def of_kinds(field: str) -> np.ndarray:
         """Return ``[N]`` a number of each kind."""
-        return np.array([getattr(kind, field) for kind in kinds], float)
+        values = np.array([getattr(kind, field) for kind in kinds], float)
+        values[is_bridge] = getattr(bridges, field)
+        return values
 
     # Heights. The blades of a turbine reach above its hub.
     is_part = np.zeros(len(kinds), bool)
@@ -160,25 +179,31 @@ def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
     is_hull = kinds == HULL
     names = np.array([kind.name for kind in kinds], object)
     names[has_height & (names == UNKNOWN)] = "structure"
-    names[~has_height & (kinds == BRIDGE)] = UNKNOWN
+    origin[has_height & is_bridge] = HeightOrigin.ROUGH  # of the deck alone
     origin[names == UNKNOWN] = HeightOrigin.UNKNOWN
-    limit_m = np.where(is_hull, _limits_by_name_m(outlines.texts("building")), of_kinds("limit_m"))
+    of_hulls_m = _limits_by_name_m(outlines.texts("building")) + outlines.tags["rise_m"]
+    limit_m = np.where(is_hull, of_hulls_m, of_kinds("limit_m"))
     limit_m[is_lost] = np.inf
 
     # Shapes.
-    is_border = ((kinds == WOOD) | (kinds == BRIDGE)) & (
-        shapely.get_dimensions(outlines.polygons) == 1
-    )
+    is_border = (kinds == WOOD) | (is_bridge & (outlines.texts("man_made") == DECK))
+    is_border &= shapely.get_dimensions(outlines.polygons) == 1
     is_hulled = is_hull | is_border
     shapes = np.where(is_hulled, shapely.convex_hull(outlines.polygons), outlines.polygons)
-    is_fence = kinds == FENCE
+    is_fence = np.array([kind in (FENCE, *WALLS) for kind in kinds], bool)
+    is_fence &= shapely.get_dimensions(shapes) == 2
     shapes[is_fence] = shapely.boundary(shapes[is_fence])
     is_areal = shapely.get_dimensions(shapes) == 2
     is_tree = names == "tree"
     width_m = np.where(is_tree, lengths_m("crown"), np.fmax(lengths_m("diameter"), rotor_m))
+    width_m[outlines.texts("man_made") == "pipeline"] = np.nan  # theirs are in millimetres
     by_kind_m = np.where(is_tree, CROWN_SHARE * height_m, of_kinds("radius_m"))
+    is_wheel = (kinds == RIDE) & (shapely.get_dimensions(shapes) == 0)
+    by_kind_m = np.where(is_wheel, np.maximum(RIDE_SHARE * height_m, by_kind_m), by_kind_m)
     radius_m = np.where(width_m > 0, np.minimum(width_m / 2, MOST_RADIUS_M), by_kind_m)
-    is_wide = is_areal & ~is_hull
+    # What no table knows of barriers encloses its area or fills it, and its border is as thick as a line.
+    is_ring = (kinds == UNLISTED) & (outlines.texts("barrier") != "")
+    is_wide = is_areal & ~(is_hull | is_ring)
     polygons = shapes.copy()
     for is_of, num_sides, share in ((is_tree, 8, OCTAGON), (~is_tree, 32, 1.0)):
         thin = np.flatnonzero(is_of & ~is_wide)
@@ -195,22 +220,44 @@ def _structures(outlines: Outlines, rules: settings.Buildings) -> Footprints:
         origin=origin.astype(np.uint8),
         kind=names,
         limit_m=limit_m,
+        label=outlines.tags["label"],
+    )
+
+
+def _guys(structures: Footprints, outlines: Outlines) -> Footprints:
+    """Return the unknown around masts that guys hold, as far as `GUYS_SHARE` of their heights.
+
+    Args:
+      structures: ``N`` of them.
+      outlines: ``N`` that they were made of.
+    """
+    is_guyed = np.array(["guy" in text for text in outlines.texts("construction")], bool)
+    masts = structures.take(is_guyed)
+    return replace(
+        masts,
+        polygons=shapely.buffer(shapely.centroid(masts.polygons), GUYS_SHARE * masts.height_m),
+        height_m=np.zeros(len(masts)),
+        origin=np.full(len(masts), HeightOrigin.UNKNOWN, np.uint8),
+        kind=np.full(len(masts), UNKNOWN, object),
+        limit_m=masts.upper_m,
+        label=np.full(len(masts), "guys", object),
     )
 
 
 def _on_roofs(
-    structures: Footprints, shapes: np.ndarray, buildings: Footprints
+    structures: Footprints, outlines: Outlines, buildings: Footprints
 ) -> tuple[Footprints, np.ndarray]:
     """Return structures of which points within buildings may stand on roofs, and which merely name these.
 
     Whether a height counts from the roof or from the ground is not known unless there is an underside: the higher is a
-    bound; a tree stands in a yard. A point of unknown extent names its building, ``[N]`` bool.
+    bound; a tree stands in a yard. A point of a building, or of what is historic, names its building, ``[N]`` bool.
 
     Args:
       structures: ``N`` of them.
-      shapes: ``[N]`` what they were before they had an extent.
+      outlines: ``N`` that they were made of, before they had an extent.
       buildings: with their bounds.
     """
+    shapes = outlines.polygons
     roof_m = np.zeros(len(shapes))
     point, building = shapely.STRtree(buildings.polygons).query(shapes, predicate="within")
     np.maximum.at(roof_m, point, buildings.upper_m[building])
@@ -220,7 +267,9 @@ def _on_roofs(
     origin = structures.origin.copy()
     origin[is_on & ~structures.is_guessed] = HeightOrigin.ROUGH
     on_roofs = replace(structures, limit_m=limit_m, origin=origin)
-    return on_roofs, is_on & (structures.kinds == UNKNOWN)
+    verdicts = outlines.tags["verdict"]
+    names_it = np.array([each in (HULL, HISTORIC, MONUMENT) for each in verdicts], bool)
+    return on_roofs, is_on & names_it & (structures.kinds == UNKNOWN)
 
 
 def _limits_by_name_m(building: np.ndarray) -> np.ndarray:
@@ -239,7 +288,8 @@ def _limits_m(buildings: Footprints, found: Outlines, rules: settings.Buildings)
       rules: height of one level.
     """
     num_levels = (buildings.height_m - buildings.min_height_m) / rules.level_height_m
-    by_name_m = _limits_by_name_m(found.texts("building")) + found.tags["rise_m"]
+    by_name_m = np.maximum(_limits_by_name_m(found.texts("building")), found.tags["kind_limit_m"])
+    by_name_m += found.tags["rise_m"]
     limits_m = {
         HeightOrigin.LEVELS: LEVEL_LIMIT_M * num_levels + ABOVE_LEVELS_M,
         HeightOrigin.DEFAULT: by_name_m,
@@ -308,7 +358,7 @@ def _project(
       shapes: ``[N]`` of any kind, None where there is none.
       source: their CRS.
       crs: projected CRS of the result.
-      issues: gets how many were repaired, were beyond repair, or lie where ``crs`` does not reach.
+      issues: gets how many were repaired, are missing or empty, or lie where ``crs`` does not reach.
     """
     to_city = transformer(source, crs).transform
     shapes = shapely.transform(shapely.force_2d(shapes), to_city, interleaved=False)
@@ -332,7 +382,7 @@ def _project(
     issues[ReadIssue.OUTSIDE_CRS] = int(np.sum(is_there & ~is_sound))
     num_repaired = int(np.sum(~is_flat))
     issues[ReadIssue.POLYGONS_REPAIRED] = issues.get(ReadIssue.POLYGONS_REPAIRED, 0) + num_repaired
-    issues[ReadIssue.POLYGONS_DROPPED] = int(np.sum(~is_there)) + len(to_repair) - num_repaired
+    issues[ReadIssue.POLYGONS_DROPPED] = int(np.sum(~is_there))
     return shapes, is_sound, is_whole
 
 

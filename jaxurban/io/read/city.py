@@ -23,21 +23,20 @@ from jaxurban.io.read.buildings import to_buildings
 from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.columns import named_columns
 from jaxurban.io.read.guesses import (
-    FLAT_GROUND,
-    HIGHEST_M,
-    Guesses,
     census_guesses,
     height_guesses,
     structure_guesses,
-    warn_of,
 )
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.lidar import Points, heights_of_points, read_points
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, meets
 from jaxurban.io.read.plausible import (
+    TALLEST_PLANT_M,
+    check_are_heights,
     filled_terrain,
     pixel_guesses,
+    plants_guesses,
     read_plants,
     terrain_guesses,
 )
@@ -52,9 +51,11 @@ from jaxurban.io.read.raster import (
 )
 from jaxurban.io.read.sampling import heights_above, pixel_xy
 from jaxurban.io.read.sniff import LIDAR, sniff
+from jaxurban.io.read.stands import is_water
 from jaxurban.io.read.tiles import ARCHIVE, READERS, read_tiles
 from jaxurban.io.read.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
 from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
+from jaxurban.knowledge import HIGHEST_M, Guesses, GuessKind, guessed, warn_of
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES, Population, check_has_people
 from jaxurban.settings import SLABS
@@ -95,6 +96,7 @@ ROOF_RANGE_M = (
     HIGHEST_M,
 )  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
+PLANTS_REACH_M = 1000.0  # farther than a lidar of a drone sees
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
 
 
@@ -141,22 +143,24 @@ def read_city(
     check_has_people(people, people.has_blocks)
 
     # The region, and the wider box from which a shadow can reach it: satellites are in view down to the mask alone.
-    region = check_bounds(
-        lonlat_extent(buildings.source, buildings.crs) if bounds is None else bounds
-    )
+    outlines = None
+    if bounds is None:
+        covered, outlines = _extent(buildings.source, buildings.crs)
+    region = check_bounds(covered if bounds is None else bounds)
     if crs is None:
         crs = utm_of(region)
     projected_crs(crs)
     box_m = box_of(region, crs)
-    rise_m = TALLEST_M if terrain.source is None else TALLEST_M + RELIEF_M
-    lowest_deg = max((gps or Gps()).lowest_mask_deg, 0.5)
-    reach_m = rise_m / math.tan(math.radians(lowest_deg))
-    x_min, y_min, x_max, y_max = box_m
-    wide_m = x_min - reach_m, y_min - reach_m, x_max + reach_m, y_max + reach_m
+    sky = gps or Gps()
+    relief_m = 0.0 if terrain.source is None else RELIEF_M
+    rise_per_m = math.tan(math.radians(max(sky.lowest_mask_deg, 0.5)))
+    region_box = shapely.box(*box_m)
+    reach_m = (TALLEST_M + relief_m) / rise_per_m
+    wide_m = region_box.buffer(reach_m, join_style="mitre").bounds
 
     # The ground, and the buildings on it.
     ground = ground_extent_m = None
-    guesses: Guesses = {}
+    guesses: Guesses = ()
     if terrain.source is not None:
         if sniff(terrain.source) == LIDAR:
             ground = _points_of(terrain.source, buildings).ground
@@ -168,8 +172,11 @@ def read_city(
     plants = None
     if vegetation.source is not None:
         if sniff(vegetation.source) != LIDAR:
-            plants, plant_guesses = read_plants(vegetation.source, crs, wide_m, box_m)
-            guesses |= plant_guesses
+            # Plants count nearby; where they hide satellites, those on hills do too.
+            rise_m = TALLEST_PLANT_M + relief_m * (sky.plants == "hide")
+            reach_m = max(PLANTS_REACH_M, rise_m / rise_per_m)
+            near_m = region_box.buffer(reach_m, join_style="mitre").bounds
+            plants = read_plants(vegetation.source, crs, near_m, box_m)
         elif ground is None:
             raise InputError(
                 f"plants of the lidar points {str(vegetation.source)!r} stand on the ground: give its elevation as "
@@ -177,9 +184,18 @@ def read_city(
             )
         else:
             plants = heights_above(_points_of(vegetation.source, buildings).plants, ground)
+            plants = replace(plants, values=np.nan_to_num(plants.values))
+        guesses += plants_guesses(repr(str(vegetation.source)), plants, crs, box_m)
     source = read_buildings(
-        buildings, crs, bounds_m=wide_m, terrain=ground, beside=files["structures"]
+        buildings,
+        crs,
+        bounds_m=wide_m,
+        terrain=ground,
+        beside=files["structures"],
+        whole=outlines,
     )
+    if not buildings.allow_high:
+        check_are_heights(repr(str(buildings.source)), source, ground)
     source = replace(source, kinds=kinds)
     has_outline = source.buildings is not None and source.buildings.touches(box_m).any()
     has_roof = source.roofs is not None and (source.roofs.values > 0).any()
@@ -199,14 +215,20 @@ def read_city(
             warn(covers_too_much(buildings.source, region, main), GuessWarning)
 
     # People, and what was guessed of heights, of people and of the ground.
-    guesses |= dict(source.guesses) | height_guesses(source.buildings, box_m, buildings, crs)
-    guesses |= structure_guesses(source.others, source.read_issues, box_m)
+    guesses += source.guesses + height_guesses(source.buildings, box_m, buildings, crs)
+    guesses += structure_guesses(source.others, box_m)
+    num_lost = issues.get(ReadIssue.POLYGONS_DROPPED)
+    if num_lost:
+        guesses += guessed(GuessKind.WITHOUT_SHAPE, number=num_lost)
     blocks = None
     if people.has_blocks:
         blocks, block_issues = read_blocks(people, crs, wide_m, box_m)
         issues |= block_issues
-        guesses |= census_guesses(block_issues, blocks, people)
-    guesses |= FLAT_GROUND if ground is None else terrain_guesses(source, ground, box_m)
+        guesses += census_guesses(block_issues, blocks, people)
+    if ground is None:
+        guesses += guessed(GuessKind.FLAT_GROUND)
+    else:
+        guesses += terrain_guesses(source, ground, box_m)
     warn_of(guesses)
 
     return replace(
@@ -255,6 +277,7 @@ def read_buildings(
     bounds_m: Bounds | None = None,
     terrain: Raster | None = None,
     beside: str | Path | None = None,
+    whole: Outlines | None = None,
 ) -> City:
     """Return the buildings in a file as a city without anything else, with the area where the file knows what stands.
 
@@ -265,6 +288,7 @@ def read_buildings(
         replace which outlines does not depend on it. None keeps all buildings.
       terrain: elevation of the ground, which a raster of surface elevations needs.
       beside: the file of what else stands in a sample city.
+      whole: all outlines of the file, where they were read before.
 
     Raises:
       InputError: no such file, a format that is not read, a file that cannot be read or is in a wrong CRS, (raster)
@@ -291,7 +315,7 @@ def read_buildings(
     if beside is not None:
         read = partial(read_vector, beside=located(beside))
     if bounds_m is not None:
-        outlines = read(path, Near(bounds_m, crs), file)
+        outlines = whole or read(path, Near(bounds_m, crs), file)
         city = _city_of(file, outlines, crs, bounds_m)
         if not outlines.is_part or len(city.buildings or ()):
             return city
@@ -340,16 +364,23 @@ def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
     Raises:
       InputError: a file that cannot be read, or one without an outline.
     """
+    extent, _ = _extent(path, crs)
+    return extent
+
+
+def _extent(path: str | Path, crs: str | None) -> tuple[Bounds, Outlines | None]:
+    """Return the box of `lonlat_extent`, and all outlines of the file where a region's are read from no others."""
     file = Path(path)
     read = _reader_of(file, crs)
     if sniff(path) == LIDAR:
-        return area_of_raster(read_points(file, "height", crs).highest, WGS84).bounds
+        return area_of_raster(read_points(file, "height", crs).highest, WGS84).bounds, None
     if read is None:
-        return raster_extent_m(path, WGS84)
+        return raster_extent_m(path, WGS84), None
     box = header_box(path) if read is _read_osm else None
     if box is not None:
-        return box
-    outlines = read(file, None, None)
+        return box, None
+    whole = read(file, None, None)
+    outlines = whole.take(~is_water(whole))  # shores lead far away
     if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
         raise InputError(
             f"{str(path)!r} holds no outline that would say where it lies: give bounds"
@@ -361,7 +392,7 @@ def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
             f"{str(path)!r} covers half the Earth, or lies on both sides of the antimeridian, across which no region "
             "reaches: give bounds, there on one side, to 180 or from -180; what stands on the other counts too"
         )
-    return extent
+    return extent, whole if read is _read_osm else None
 
 
 def proposed_bounds(
@@ -460,7 +491,7 @@ def _read_roofs(
     """
     path = Path(file.source)
     name = repr(str(path))
-    guesses: Guesses = {}
+    guesses: Guesses = ()
     if sniff(path) == LIDAR:
         roofs, issues = heights_of_points(name, _points_of(path, file), terrain, crs)
     elif file.kind == "surface":
@@ -475,7 +506,7 @@ def _read_roofs(
         issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
     check_range(name, roofs.values, ROOF_RANGE_M)
     area = area_of_raster(roofs, crs)
-    guesses |= pixel_guesses(roofs, crs)
+    guesses += pixel_guesses(roofs, crs)
     return City(crs, area.bounds, roofs=roofs, area=area, read_issues=issues, guesses=guesses)
 
 

@@ -8,10 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.io.read.bodies import PIECE, CityObject, body_of
+from jaxurban.errors import InputError
+from jaxurban.io.read.bodies import NO_LEVEL, PIECE, UNREAD, CityObject, Face, bodies_of
 
-# How deep the faces of a geometry lie.
+# How deep the faces or lines of a geometry lie; points, and what a template draws, have no extent of their own.
 SHELLS = {
+    "MultiPoint": None,
+    "GeometryInstance": None,
+    "MultiLineString": 0,
     "MultiSurface": 0,
     "CompositeSurface": 0,
     "Solid": 1,
@@ -20,32 +24,42 @@ SHELLS = {
 }
 
 
-def read_cityjson(path: Path, crs_names: set[str]) -> list[dict[str, Any]]:
-    """Return the bodies of a file of CityJSON (see `body_of`).
+def read_cityjson(path: Path, crs_names: set[str]) -> Iterator[dict[str, Any]]:
+    """Yield the bodies of a file of CityJSON (see `bodies_of`).
 
     Args:
       path, crs_names: as of `read_citygml`.
 
     Raises:
+      InputError: features come before the header; the message lacks the file's name.
       ValueError, LookupError, TypeError, AttributeError: a file that cannot be read.
     """
-    bodies: list[dict[str, Any]] = []
-    transform: dict[str, Any] = {}
+    transform: Any = None
     for document in _documents(path):
+        if document.get("type") != "CityJSONFeature":
+            transform = {}
         transform = document.get("transform", transform)
-        crs_names.add(document.get("metadata", {}).get("referenceSystem", ""))
-        vertices = np.array(document["vertices"], float).reshape(-1, 3)
+        if transform is None:
+            raise InputError(
+                "has features before the line of CityJSON that says where they lie: begin with that line"
+            )
+        metadata = document.get("metadata") or {}
+        crs_names.add(str(metadata.get("referenceSystem") or ""))
+        corners = document["vertices"]
+        vertices = np.array(corners, float).reshape(len(corners), 3)
         vertices = vertices * transform.get("scale", 1.0) + transform.get("translate", 0.0)
         things = document["CityObjects"]
         objects = {name: _object(thing, vertices) for name, thing in things.items()}
         pieces = set()
         for name, thing in things.items():
-            if PIECE.fullmatch(thing["type"]):
-                for parent in thing.get("parents", ()):
+            is_piece = PIECE.fullmatch(thing["type"])
+            for parent in thing.get("parents") or ():
+                if is_piece and parent in things:
                     objects[parent].pieces.append(objects[name])
                     pieces.add(name)
-        bodies += [body_of(objects[name]) for name in objects if name not in pieces]
-    return bodies
+                    break
+        # Pieces come last: those whose parents are each other's, and so in no whole, stand by themselves.
+        yield from bodies_of(map(objects.__getitem__, sorted(objects, key=pieces.__contains__)))
 
 
 def _documents(path: Path) -> Iterator[dict[str, Any]]:
@@ -67,19 +81,34 @@ def _object(thing: dict[str, Any], vertices: np.ndarray) -> CityObject:
     """
     facts = thing.get("attributes") or {}
     one = CityObject(thing["type"], facts.get("measuredHeight"), facts.get("storeysAboveGround"))
-    for geometry in thing.get("geometry", ()):
-        depth = SHELLS.get(geometry["type"])
+    for geometry in thing.get("geometry") or ():
+        lod = float(geometry.get("lod", NO_LEVEL))
+        if not np.isfinite(lod):
+            raise ValueError(lod)
+        depth = SHELLS[geometry["type"]]
         if depth is None:
             continue
         meanings = geometry.get("semantics") or {}
-        labels = [each["type"] for each in meanings.get("surfaces", ())]
+        labels = dict(enumerate(each["type"] for each in meanings.get("surfaces", ())))
         values = _of_faces(meanings.get("values"), depth)
         for face, value in zip_longest(_of_faces(geometry["boundaries"], depth), values):
+            if geometry["type"] == "MultiLineString":
+                one.faces.append(Face(lod, UNREAD, [_corners(face, vertices)]))
+                continue
             label = None if value is None else labels[value]
-            # An index below 0, from the end to numpy, is refused as damage.
-            rings = [vertices[np.unravel_index(ring, len(vertices))] for ring in face if ring]
-            one.draw(float(geometry.get("lod", 0)), label, rings)
+            one.draw(lod, label, [_corners(ring, vertices) for ring in face if ring])
     return one
+
+
+def _corners(indices: list[Any], vertices: np.ndarray) -> np.ndarray:
+    """Return the vertices of indices, ``[V, 3]``; one below 0 is from the end to numpy, and true is 1.
+
+    Raises:
+      ValueError, IndexError: an index of no vertex.
+    """
+    if {*map(type, indices)} != {int} or min(indices) < 0:
+        raise ValueError("a face has a corner that is no vertex")
+    return vertices[indices]
 
 
 def _of_faces(nested: Any, depth: int) -> list[Any]:

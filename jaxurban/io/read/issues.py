@@ -14,14 +14,13 @@ class ReadIssue(StrEnum):
       RELATIONS_INCOMPLETE: members or their nodes missing.
       NON_POLYGONS: points and lines, left out.
       POLYGONS_REPAIRED: invalid, or not assembled by libosmium.
-      POLYGONS_DROPPED: empty, or beyond repair.
+      POLYGONS_DROPPED: missing or empty, so that it is not known where they are.
       OUTSIDE_CRS: where the city's CRS does not reach.
       NOT_BUILDINGS: building=no without building:part, left out.
       UNDERGROUND: location=underground, level below 0, no level above the ground, or parking below it, left out.
       RAZED, PLANNED: buildings that do not stand any more, or not yet, left out.
-      NOT_STANDING: piers, cameras, sites of plants, low things, left out.
-      NOT_IN_TABLE: of a kind that no table knows, without an area or a height, left out.
-      UNKNOWN_EXTENT: something stands there, but its extent or kind is not known.
+      NOT_STANDING: left out for the reasons of `jaxurban.io.read.kinds`: piers, cameras, sites of plants, low things.
+      UNKNOWN_EXTENT: something stands or may stand there, but its extent or kind is not known.
       UNKNOWN_HEIGHT: structures without a height.
       OUTLINES_REPLACED_BY_PARTS: covered by their own parts to 90 % or more.
       OUTLINES_KEPT_AS_PODIUMS: of these, under hanging parts where no part stands, up to the lowest floor.
@@ -58,7 +57,6 @@ class ReadIssue(StrEnum):
     RAZED = "razed"
     PLANNED = "planned"
     NOT_STANDING = "not_standing"
-    NOT_IN_TABLE = "not_in_table"
     UNKNOWN_EXTENT = "unknown_extent"
     UNKNOWN_HEIGHT = "unknown_height"
     OUTLINES_REPLACED_BY_PARTS = "outlines_replaced_by_parts"
@@ -90,7 +88,7 @@ LEFT_OUT = (  # why nothing stands where a file names something
     ReadIssue.RAZED,
     ReadIssue.PLANNED,
     ReadIssue.NOT_STANDING,
-    ReadIssue.NOT_IN_TABLE,
+    ReadIssue.POLYGONS_DROPPED,
 )
 
 

@@ -3,18 +3,18 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pyproj
+import pandas as pd
 import shapely
 from pyproj.exceptions import ProjError
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.issues import ReadIssues
-from jaxurban.world.grid import Bounds, transformer
+from jaxurban.world.grid import Bounds, known_crs, transformer
 
 MARGIN_M = 1000.0  # more than projections tilt boxes against each other, and than most outlines and their parts reach
 
@@ -54,11 +54,18 @@ class Outlines:
 
     def texts(self, name: str) -> np.ndarray:
         """Return a tag of every outline as text in small letters, ``[N]`` objects, empty where it is missing."""
-        column = self.column(name)
-        words = np.full(len(column), "", object)
-        is_filled = is_given(column)
-        words[is_filled] = [str(value).strip().lower() for value in column[is_filled]]
-        return words
+        if name not in self._words:
+            column = self.column(name)
+            words = np.full(len(column), "", object)
+            is_filled = ~pd.isna(column)
+            words[is_filled] = [str(value).strip().lower() for value in column[is_filled]]
+            self._words[name] = words
+        return self._words[name]
+
+    @cached_property
+    def _words(self) -> dict[str, np.ndarray]:
+        """The texts that were asked for, by name."""
+        return {}
 
 
 def joined(path: Path, several: Sequence[Outlines]) -> Outlines:
@@ -72,8 +79,8 @@ def joined(path: Path, several: Sequence[Outlines]) -> Outlines:
       InputError: they are in several CRSs.
     """
     first = several[0]
-    crs = pyproj.CRS(first.crs)
-    if not all(crs.equals(pyproj.CRS(each.crs), ignore_axis_order=True) for each in several):
+    crs = known_crs(first.crs)
+    if not all(crs.equals(known_crs(each.crs), ignore_axis_order=True) for each in several):
         raise InputError(
             f"{str(path)!r} holds files in several CRSs: convert them to one, as with `ogr2ogr -t_srs EPSG:... OUT IN`"
         )

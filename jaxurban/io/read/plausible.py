@@ -9,17 +9,16 @@ from rasterio.fill import fillnodata
 
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
-from jaxurban.io.read.guesses import Guesses, share_guess
+from jaxurban.io.read.kinds import WOOD
 from jaxurban.io.read.raster import (
     GROUND_M,
-    check_range,
     open_raster,
     pixel_m,
-    raster_extent_m,
     raster_window,
     read_raster,
 )
-from jaxurban.io.read.sampling import resample_raster
+from jaxurban.io.read.sampling import resample_raster, values_at
+from jaxurban.knowledge import Guesses, GuessKind, guessed
 from jaxurban.settings import TO_GROUND
 from jaxurban.world.grid import Bounds, covering_grid
 from jaxurban.world.raster import Raster
@@ -39,12 +38,20 @@ LEAST_CORRELATION = 0.2
 LEAST_CELLS = 2000  # 20 hectares: on less, slopes of bare ground pass for a rise
 
 # Plants, roofs and people.
-TALLEST_PLANT_M = 150.0  # the tallest tree stands at 116 m; birds and cables are above
+TALLEST_PLANT_M = 117.0  # the tallest tree stands at 116 m; birds and cables are above
+TALL_PLANT_M = 60.0  # few forests are higher: redwoods, firs and eucalypts of old growth
+FEW_PLANTS = 0.01  # of the pixels with plants
 LEAST_BARE = (
     0.1  # of the pixels around a city; Gothenburg 0.93, the same as elevations 0.06 and 0.07
 )
 WIDEST_PIXEL_M = 30.0  # wider ones hold more than one building and streets
 MOST_MEDIAN_M = 60.0  # of a raster's roofs
+LEAST_BUILDINGS = 20  # that say whether heights are elevations
+LEAST_STATED = 0.1  # of all buildings; in many towns of OpenStreetMap towers alone have heights
+HIGH_M = 60.0
+FEW_LOW, MOST_ABOVE = 0.01, 0.95  # but for slips; but for sheds, and ground that is off
+LEAST_LEVEL_M = 25.0  # of the ground; below it houses may all be higher
+HOUSE_M = 25.0  # so far apart roofs of a raster are looked at, about one for each building
 MOST_PER_KM2 = 300_000  # the densest quarters of Hong Kong and Manila have about 100,000
 QUARTER_M2 = 1e6  # on less ground a few towers may hold as many
 
@@ -65,13 +72,16 @@ def filled_terrain(name: str, terrain: Raster, crs: str, box_m: Bounds) -> tuple
       InputError: no elevation is known in the region.
     """
     values = terrain.values
-    side_m = pixel_m(terrain, crs).min()
-    step = max(1, int(FILL_M / side_m))
-    coarse = values[::step, ::step].copy()  # GDAL writes into it
-    reach = REACH_M / (step * side_m)  # in pixels
-    coarse = fillnodata(coarse, np.isfinite(coarse), reach, temp_file_driver="MEM")
-    fine = coarse.repeat(step, 0).repeat(step, 1)[: len(values), : values.shape[1]]
-    filled = replace(terrain, values=np.where(np.isnan(values), fine, values))
+    filled = terrain
+    is_void = np.isnan(values)
+    if is_void.any():
+        side_m = pixel_m(terrain, crs).min()
+        step = max(1, int(FILL_M / side_m))
+        coarse = values[::step, ::step].copy()  # GDAL writes into it
+        reach = REACH_M / (step * side_m)  # in pixels
+        coarse = fillnodata(coarse, np.isfinite(coarse), reach, temp_file_driver="MEM")
+        fine = coarse.repeat(step, 0).repeat(step, 1)[: len(values), : values.shape[1]]
+        filled = replace(terrain, values=np.where(is_void, fine, values))
 
     grid = covering_grid(box_m, (box_m[2] - box_m[0]) / PLACES_A_SIDE, crs)
     before, after = (
@@ -82,23 +92,19 @@ def filled_terrain(name: str, terrain: Raster, crs: str, box_m: Bounds) -> tuple
             f"the terrain {name} holds no elevation in the region: give one that covers it, or check its nodata "
             "value (of lidar points: that those of the ground have class 2)"
         )
-    return filled, share_guess(
-        after - before,
-        "the terrain filled",
-        f"the region has no elevation in the terrain {name} and takes that of the ground around, up to {REACH_M:g} m "
-        "away: give a terrain without voids where that is too rough",
-    )
+    return filled, guessed(GuessKind.FILLED_TERRAIN, after - before, file=name, reach_m=REACH_M)
 
 
-def read_plants(
-    path: str | Path, crs: str, wide_m: Bounds, box_m: Bounds
-) -> tuple[Raster, Guesses]:
-    """Return heights of plants, NaN where none grow, and the guess that none do where the raster ends.
+def read_plants(path: str | Path, crs: str, near_m: Bounds, box_m: Bounds) -> Raster:
+    """Return heights of plants, 0 where none grow, NaN where they are not known.
+
+    A file that writes 0 where nothing grows does not know what grows where it has no data, nor does one without any
+    plant. In a file of plants alone no data mean that nothing grows.
 
     Args:
       path: of the raster.
       crs: projected CRS of the boxes.
-      wide_m: x_min, y_min, x_max, y_max of what is read.
+      near_m: x_min, y_min, x_max, y_max of what is read.
       box_m: the same of the region.
 
     Raises:
@@ -107,38 +113,115 @@ def read_plants(
     name = repr(str(path))
     with open_raster(path) as source:
         raster_window(name, source, crs, box_m)
-    plants = read_raster(path, crs, wide_m)
-    check_range(name, plants.values, (-TALLEST_PLANT_M, TALLEST_PLANT_M))
-    if np.mean(np.abs(plants.values) > GROUND_M) > 1 - LEAST_BARE:
+        unit = source.units[0]
+    plants = read_raster(path, crs, near_m)
+    values = plants.values
+    if np.mean(np.abs(values) > GROUND_M) > 1 - LEAST_BARE and not unit:
         raise InputError(
             f"{name} looks like elevations and not heights of plants above the ground: less than {LEAST_BARE:.0%} of "
-            "it is near 0; give a canopy height model, as surface less terrain is one"
+            "it is near 0; give a canopy height model, as surface less terrain is one, and say of a forest without a "
+            "gap with `gdal_edit.py -units m` that it is one"
         )
-    region = shapely.box(*box_m)
-    beyond = shapely.difference(region, shapely.box(*raster_extent_m(path, crs)))
-    return plants, share_guess(
-        beyond.area / region.area,
-        "the region without a raster of plants",
-        f"the region lies beyond {name} and is taken to hold no plants: give a raster that covers it",
-    )
+    if not _are_heights(values, unit):
+        farthest = values.flat[np.nanargmax(np.abs(values))]
+        raise InputError(
+            f"{name} does not hold heights of plants in metres, of which the tallest tree has 116, as {farthest:g} in "
+            f"{np.sum(values == farthest):,} cells: replace codes, those of GLAD with `gdal_calc.py -A IN --calc "
+            "'A*(A<61)+255*(A>102)' --NoDataValue 255 --outfile OUT`, or declare one as nodata with `gdal_edit.py "
+            "-a_nodata VALUE`; name the unit with `gdal_edit.py -scale 0.1` of decimetres, with `-units m` of metres; "
+            "a cover in per cent or a mask holds no heights"
+        )
+    if 0 < np.nanmin(values, initial=np.inf) < np.inf:
+        plants = replace(plants, values=np.nan_to_num(values))
+    return plants
+
+
+def _are_heights(values: np.ndarray, unit: str) -> bool:
+    """Return whether values ``[R, C]`` of a raster of plants may be heights in metres; its unit is empty if not said.
+
+    Masks and shares end at 1, and whole numbers of per cent at 100; what is piled up at the highest value is a code or
+    a full cover. GLAD's heights end at 60 m, and 101 to 103 are water, snow and no data. A forest above
+    `TALL_PLANT_M` is so rare that a file of whole metres of one must name its unit, unless it reaches above 100 m.
+    """
+    plants = values[values > GROUND_M]
+    tall = values[np.abs(values) > TALL_PLANT_M]
+    highest = np.nanmax(values, initial=0.0)
+    if not len(tall):
+        return highest != 1
+    few = FEW_PLANTS * len(plants)
+    is_full = highest <= 100 and not np.any(plants % 1)
+    is_full |= np.sum(plants == highest) > few
+    is_unclear = is_full and not unit and len(tall) > few
+    # Where trees are above 100 m, others are between.
+    return highest <= TALLEST_PLANT_M and 0 < tall.min() <= 100 and not is_unclear
+
+
+def plants_guesses(name: str, plants: Raster, crs: str, box_m: Bounds) -> Guesses:
+    """Return the guess of how much of a region has plants that are not known.
+
+    Args:
+      name: of their file, for messages.
+      plants: heights, NaN where they are not known, as beyond the raster.
+      crs: projected CRS of the box.
+      box_m: x_min, y_min, x_max, y_max of the region.
+    """
+    grid = covering_grid(box_m, (box_m[2] - box_m[0]) / PLACES_A_SIDE, crs)
+    share = np.isnan(resample_raster(plants, grid)).mean()
+    return guessed(GuessKind.WITHOUT_PLANTS, share, file=name, limit_m=WOOD.limit_m)
+
+
+def check_are_heights(name: str, city: City, terrain: Raster | None) -> None:
+    """Raise InputError if the heights of buildings, of which there are `LEAST_BUILDINGS`, look like elevations.
+
+    Nearly all are higher than the ground lies above the sea there, and that is more than `LEAST_LEVEL_M`; or none is
+    below `HIGH_M`. What is above all buildings of the Earth, and so counts as unreadable, does too. Heights of few
+    buildings alone, as mappers give them to towers, say nothing.
+
+    Args:
+      name: of the file of buildings, for messages.
+      city: its buildings near a region, by outlines or a raster.
+      terrain: elevation of the ground; None where it is not known.
+    """
+    if city.buildings is not None:
+        upper_m = city.buildings.upper_m  # inf of those that cannot be read
+        is_stated = ~city.buildings.is_guessed | np.isinf(upper_m)
+        height_m = upper_m[is_stated]
+        if len(height_m) < LEAST_STATED * len(upper_m):
+            return
+        x_m, y_m = shapely.get_coordinates(shapely.centroid(city.buildings.polygons[is_stated])).T
+    else:
+        assert city.roofs is not None
+        grid = covering_grid(city.extent_m, HOUSE_M, city.crs)
+        roof_m = resample_raster(city.roofs, grid)
+        row, col = np.nonzero(roof_m > GROUND_M)
+        height_m = roof_m[row, col]
+        x_m, y_m = grid.xy_of_cell(row, col)
+    if len(height_m) < LEAST_BUILDINGS:
+        return
+    is_high = np.mean(height_m < HIGH_M) < FEW_LOW
+    if terrain is not None:
+        ground_m = values_at(terrain, x_m, y_m, city.crs, "nearest")
+        is_known = np.isfinite(ground_m)
+        if is_known.sum() >= LEAST_BUILDINGS and np.median(ground_m[is_known]) > LEAST_LEVEL_M:
+            is_high |= np.mean(height_m[is_known] > ground_m[is_known]) > MOST_ABOVE
+    if is_high:
+        raise InputError(
+            f"{name} seems to hold elevations above the sea in place of heights above the ground: of {len(height_m):,} "
+            f"hardly one is below {HIGH_M:g} m, or below the elevation of its ground; set [buildings] ground_column "
+            '(with height_column and unit), name a column of heights, or of a raster set kind = "surface" or its unit '
+            "(`gdal_edit.py -scale 0.1` of decimetres); if they are heights in metres, set allow_high = true"
+        )
 
 
 def pixel_guesses(roofs: Raster, crs: str) -> Guesses:
     """Return the guesses that a raster holds single roofs, and that it is in metres, where these are doubtful."""
-    guesses = {}
+    guesses: Guesses = ()
     side_m = pixel_m(roofs, crs).max()
     if side_m > WIDEST_PIXEL_M:
-        guesses["heights averaged over pixels"] = (
-            f"the pixels of the raster of buildings are {side_m:.0f} m wide, wider than most buildings, so their "
-            "heights are averages: streets are built over, and towers are higher than it says; give outlines, or a "
-            "raster of 10 m or finer"
-        )
+        guesses += guessed(GuessKind.WIDE_PIXELS, side_m=side_m)
     median_m = np.median(np.append(roofs.values[roofs.values > GROUND_M], 0.0))
     if median_m > MOST_MEDIAN_M:
-        guesses["the unit of heights"] = (
-            f"half of the built pixels of the raster of buildings are above {median_m:.0f} m, as in no city, read in "
-            "metres: if it holds decimetres, say so with `gdal_edit.py -scale 0.1`"
-        )
+        guesses += guessed(GuessKind.UNIT_OF_HEIGHTS, height_m=median_m)
     return guesses
 
 
@@ -162,20 +245,15 @@ def terrain_guesses(city: City, terrain: Raster, box_m: Bounds) -> Guesses:
     # Terrain and roofs above their mean around, where all around is known.
     is_known = binary_erosion(has_data, np.ones((NEAR_CELLS, NEAR_CELLS)))
     if is_known.sum() < LEAST_CELLS:
-        return {}
+        return ()
     rise_m, height_m = (
         (values - uniform_filter(values, NEAR_CELLS))[is_known]
         for values in (surface.terrain_m, surface.roof_m)
     )
     (of_rise, both), (_, of_height) = np.cov(rise_m, height_m)
     is_related = both > LEAST_CORRELATION * np.sqrt(of_rise * of_height)
-    return share_guess(
-        both / of_height if is_related else 0.0,
-        "heights in the terrain",
-        "the heights of buildings are in the terrain already, as in a surface model (SRTM, Copernicus GLO-30), so "
-        "roofs stand at wrong elevations by as much: give a terrain model of the bare ground",
-        LEAST_RISE,
-    )
+    share = both / of_height if is_related else 0.0
+    return guessed(GuessKind.RISING_TERRAIN, share, least=LEAST_RISE)
 
 
 def check_people(people: np.ndarray, area_m2: np.ndarray) -> None:

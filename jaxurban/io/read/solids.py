@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pyogrio
-import pyproj
 import shapely
 from pyogrio.errors import GeometryError
 
 from jaxurban.io.read.outlines import Outlines
+from jaxurban.world.grid import known_crs
 
 RELIEF_M = 0.5  # a body is higher; what of it is not is its ground
 STEP_M = 0.1  # roofs of one body between two multiples of it are one prism
@@ -69,7 +69,7 @@ def prisms_of_solids(features: Outlines) -> pd.DataFrame:
     """
     outlines = features.polygons
     num_roofs = features.tags.get("num_roofs")
-    axis = pyproj.CRS(features.crs).axis_info[-1]
+    axis = known_crs(features.crs).axis_info[-1]
     unit_m = 1.0 if axis.unit_name == "degree" else axis.unit_conversion_factor
     vertices, index = shapely.get_coordinates(outlines, include_z=True, return_index=True)
     height_m = np.nan_to_num(vertices[:, 2]) * unit_m

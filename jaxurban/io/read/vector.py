@@ -2,7 +2,11 @@
 
 import json
 import re
+import sqlite3
+from codecs import getincrementaldecoder
 from collections.abc import Collection, Mapping
+from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +18,17 @@ import shapely
 
 from jaxurban import settings
 from jaxurban.errors import GuessWarning, InputError, readable, warn
-from jaxurban.io.geoparquet import facts_of
+from jaxurban.io.geoparquet import read_geoparquet
+from jaxurban.io.read.bridges import is_raised
 from jaxurban.io.read.columns import is_of_buildings, named_columns, tags_of, tags_of_table
+from jaxurban.io.read.companions import REFERS, check_companions
 from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.kinds import GROWN, IN_WORDS, KINDS
+from jaxurban.io.read.kinds import BY_VALUE, IN_WORDS, KINDS, WATERS
 from jaxurban.io.read.outlines import Near, Outlines, extent_of, meets
 from jaxurban.io.read.sniff import DATABASE, HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
 from jaxurban.io.read.solids import openable, streamed
-from jaxurban.world.grid import WGS84, check_on_earth
+from jaxurban.world.grid import MOST_OF_CRS, OPENS_FILE, WGS84, check_on_earth, known_crs
 
 INDEXED_SUFFIXES = (
     ".gpkg",
@@ -43,16 +49,22 @@ SAYS_CRS = "says_crs"  # of the format
 BUILDINGS = "buildings"  # the role, and the layer of several
 WHOLE = "give a whole one, with its companions"
 # Raised by readers.
-OF_DAMAGED = (RuntimeError, LookupError, TypeError, AttributeError, shapely.errors.ShapelyError)
-# Files that refer to others are refused before GDAL sees them.
-REFERRING = (
-    b"<OGRVRTDataSource",
-    b"gdal_streamed_alg",
-    b"<OGRWFSDataSource",
-    b"<OGRElasticDataSource",
+OF_DAMAGED = (
+    *(RuntimeError, LookupError, TypeError, AttributeError, NameError),
+    shapely.errors.ShapelyError,
 )
-ESCAPE = re.compile(rb"\\u00([2-7][0-9a-fA-F])")  # a plain letter of JSON in digits
-LINK = re.compile(rb'"type"\s*:\s*"(link|url)"')  # of a CRS, by the GeoJSON of 2008
+# Options of GDAL while it reads: with these parts a table of a database may be any other file, and PROJ's own files are
+# looked for in the current folder too.
+ALONE = {"SPATIALITE_LOAD": False, "OGR_SQLITE_STATIC_VIRTUAL_OGR": False}
+# Files that refer to others are refused before GDAL sees them.
+REFERRING = re.compile(  # the last two name files in WKT of a CRS, which GDAL opens as it reads
+    "<ogr(vrt|wfs|elastic)datasource|gdal_streamed_alg|proj4_grids|parameterfile"
+)
+ESCAPE = re.compile(r"\\u00([2-7][0-9a-fA-F])")  # a plain letter of JSON in digits
+BLANKS = re.compile(r"\s+")
+MEMBER = re.compile(r'"crs"\s*:\s*(?=\{)')  # of the GeoJSON of 2008
+LINK = re.compile(r'"type"\s*:\s*"(link|url)"')
+MOST_OF_WORD = 50  # letters of each of these words
 POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
@@ -110,7 +122,10 @@ def _read(
     name = f"the {role} file {str(path)!r}"
     with readable(path, "a vector file", WHOLE, what=name), unpacked(path) as plain:
         kind = _checked_format(Path(path), plain)
-        with in_own_words(*OF_DAMAGED):
+        with in_own_words(*OF_DAMAGED), ExitStack() as after:
+            before = {name: pyogrio.get_gdal_config_option(name) for name in ALONE}
+            after.callback(pyogrio.set_gdal_config_options, before)
+            pyogrio.set_gdal_config_options(ALONE)
             if kind == ".parquet":
                 frames = [_read_parquet(plain, named)]
             else:
@@ -209,8 +224,7 @@ def _read_parquet(path: Path, named: Collection[str] | None) -> gpd.GeoDataFrame
             frame = gpd.GeoDataFrame(frame, geometry=gpd.GeoSeries.from_wkb(frame[name]))
         frame.attrs[SAYS_CRS] = False
         return frame
-    frame = gpd.read_parquet(path, columns=columns)
-    frame.attrs = facts_of(schema.metadata)
+    frame = read_geoparquet(path, columns)
     index = [name for name in frame.index.names if name is not None and name not in frame.columns]
     return frame.reset_index(level=index)  # pandas wrote it as an index
 
@@ -243,21 +257,68 @@ def _checked_format(path: Path, plain: Path) -> str:
         raise InputError(
             f"{str(path)!r} is of a format that is not read: unpack it, or make a GeoPackage of it with `ogr2ogr`"
         )
+    if kind in JSON_SUFFIXES:
+        _check_json(plain)
     with plain.open("rb") as file:
-        head = file.read(HEAD_BYTES)
-    text = plain.read_bytes() if kind in JSON_SUFFIXES else b""
-    # GDAL would follow a link of a CRS to a server.
-    letters = ESCAPE.sub(lambda match: bytes.fromhex(match[1].decode()), text).lower()
-    is_linked = b'"crs"' in letters and LINK.search(letters)
-    if is_linked or any(word in head for word in REFERRING):
-        raise ValueError("it refers to other files or servers, which are never opened")
-    try:
-        text.decode()
-    except UnicodeDecodeError:
-        raise ValueError(
-            "it is not in UTF-8: convert it, as with `iconv -f LATIN1 -t UTF-8`"
-        ) from None
+        _check_refers(REFERRING, file.read(HEAD_BYTES).decode("latin-1").lower())
+    if kind in (".shp", ".csv"):
+        check_companions(plain)
+    if kind in (".gpkg", ".sqlite"):
+        _check_views(plain)
     return kind
+
+
+def _check_views(path: Path) -> None:
+    """Raise ValueError where a view of a database may never end."""
+    address = f"{path.absolute().as_uri()}?immutable=1"  # so that nothing is written beside it
+    of_itself = "SELECT 1 FROM sqlite_master WHERE type = 'view' AND sql LIKE '%with%'"
+    with in_own_words(sqlite3.Error), closing(sqlite3.connect(address, uri=True)) as base:
+        is_endless = base.execute(of_itself).fetchone()
+    if is_endless:
+        raise ValueError(
+            "it has a view that may never end: write its rows to a file with `ogr2ogr`"
+        )
+
+
+def _check_json(path: Path) -> None:
+    """Raise ValueError where JSON is not in UTF-8, or refers to what GDAL would open: by a CRS, to servers too.
+
+    It is read in pieces; the end of each is looked at with the next, from a CRS on that has no end yet.
+    """
+    decoder = getincrementaldecoder("utf-8")()
+    rest = ""
+    with path.open("rb") as file:
+        while piece := file.read(HEAD_BYTES):
+            try:
+                text = rest + decoder.decode(piece)
+            except UnicodeDecodeError:
+                raise ValueError(
+                    "it is not in UTF-8: convert it, as with `iconv -f LATIN1 -t UTF-8`"
+                ) from None
+            text = ESCAPE.sub(lambda match: chr(int(match[1], 16)), text).lower()
+            if '"crs"' in text:
+                text = BLANKS.sub(" ", text)
+            begin = max(len(text) - MOST_OF_WORD, 0)
+            for member in MEMBER.finditer(text):
+                try:
+                    crs, end = json.JSONDecoder().raw_decode(text, member.end())
+                except (json.JSONDecodeError, RecursionError):
+                    begin = min(begin, member.start())
+                    break
+                _check_refers(LINK, text[member.end() : end])
+                _check_refers(OPENS_FILE, str(crs))
+            _check_refers(REFERRING, text)
+            rest = text[begin:]
+            if len(rest) > MOST_OF_CRS:
+                break
+    if len(rest) > MOST_OF_WORD:
+        raise ValueError(f"it has a CRS without an end, or of more than {MOST_OF_CRS:,} characters")
+
+
+def _check_refers(pattern: re.Pattern[str], text: str) -> None:
+    """Raise ValueError where a text refers to other files or servers, by a pattern."""
+    if pattern.search(text):
+        raise ValueError(REFERS)
 
 
 def _check(name: str, frame: gpd.GeoDataFrame) -> None:
@@ -278,7 +339,7 @@ def _check(name: str, frame: gpd.GeoDataFrame) -> None:
             f"{name} declares no CRS: write it into the file, as with `ogr2ogr -a_srs EPSG:... OUT IN` "
             "(a Shapefile has it in its .prj), or set [buildings] crs if it is that of buildings"
         )
-    check_on_earth(name, frame.crs.to_wkt(), frame.total_bounds)
+    check_on_earth(name, known_crs(frame.crs.srs, f" of {name}"), frame.total_bounds)
     x_min, y_min, x_max, y_max = frame.total_bounds
     if frame.crs.is_geographic and (max(-x_min, x_max) > 360 or max(-y_min, y_max) > 90):
         raise InputError(
@@ -383,7 +444,8 @@ def read_vector(
         # every part with its outline, however large they are.
         boxes = frame.bounds.to_numpy()
         is_near = meets(boxes, box)
-        frame = frame[meets(boxes, extent_of(boxes[is_near]))]
+        is_lost = frame.geometry.isna().to_numpy()  # what has no shape may stand anywhere
+        frame = frame[meets(boxes, extent_of(boxes[is_near])) | is_lost]
 
     # Polygons, also those in collections, and places where a geometry is missing.
     shapes = without_collections(np.array(frame.geometry, object))
@@ -396,23 +458,25 @@ def read_vector(
     for key in ("building", "part", "height", *KINDS):
         if key in tags:
             is_kept |= is_given(tags[key])
-    for key, by_value in (GROWN | IN_WORDS).items():
+    some: tuple[Mapping[str, Collection[str]], ...] = (BY_VALUE, IN_WORDS, WATERS)
+    for key, values in (item for by_key in some for item in by_key.items()):
         if key in tags:
             words = pd.Series(tags[key]).astype(str).str.lower()
-            is_kept |= words.isin(by_value).to_numpy()
-    is_ring = is_kept & shapely.is_ring(shapes)
-    shapes[is_ring] = [shapely.Polygon(ring) for ring in shapes[is_ring]]
-    issues = {ReadIssue(name): count for name, count in facts.get("issues", {}).items()}
-    issues[ReadIssue.NON_POLYGONS] = int(np.sum(~is_kept))
-    return Outlines(
-        polygons=shapes[is_kept],
-        tags={name: column[is_kept] for name, column in tags.items()},
+            is_kept |= words.isin([*values]).to_numpy()
+    outlines = Outlines(
+        polygons=shapes,
+        tags=tags,
         crs=frame.crs.to_wkt(),
         boxes=tuple(tuple(box) for box in facts.get("boxes", ())),
-        issues=issues,
+        issues={ReadIssue(name): count for name, count in facts.get("issues", {}).items()},
         attribution=facts.get("credit", ""),
         is_part=box is not None,
     )
+    is_kept |= is_raised(outlines)
+    is_ring = is_kept & shapely.is_ring(shapes)
+    shapes[is_ring] = [shapely.Polygon(ring) for ring in shapes[is_ring]]
+    issues = {**outlines.issues, ReadIssue.NON_POLYGONS: int(np.sum(~is_kept))}
+    return replace(outlines.take(is_kept), issues=issues)
 
 
 def without_collections(shapes: np.ndarray) -> np.ndarray:
@@ -428,8 +492,8 @@ def without_collections(shapes: np.ndarray) -> np.ndarray:
 
 
 def _scalar(value: Any) -> Any:
-    """Return the value of a property; a list, a table or an array as its JSON text, so that no number is read of it."""
-    if not isinstance(value, list | dict | tuple | np.ndarray):
+    """Return the value of a property; a list, a table, an array or bytes as JSON text: no number is read of it."""
+    if not isinstance(value, list | dict | tuple | bytes | np.ndarray):
         return value
     # What JSON cannot hold becomes a list or a text.
     return json.dumps(

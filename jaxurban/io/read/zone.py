@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 import numpy as np
-import pyproj
 import shapely
 from shapely import affinity
 
 from jaxurban.errors import InputError
-from jaxurban.world.grid import Grid, transformer
+from jaxurban.world.grid import Grid, known_crs, transformer
 
 MAX_EDGE_M = 100.0  # longer edges are cut before they are projected: at latitude 60 they then bend less than 1 mm
 METRES_PER_DEGREE = 111_320.0
@@ -98,7 +97,7 @@ class Zone:
         from jaxurban.io.read.outlines import polygonal  # here: it brings pandas
 
         # Where the outline or the box reaches across the antimeridian, it is seen a turn on and back too.
-        crs = pyproj.CRS(self.crs)
+        crs = known_crs(self.crs)
         seen = [self.polygon]
         lons = (self.polygon.bounds[0], self.polygon.bounds[2], box.bounds[0], box.bounds[2])
         if crs.is_geographic and max(map(abs, lons)) > TURN / 2:
