@@ -3,11 +3,13 @@
 import errno
 import hashlib
 import json
+import lzma
 import os
 import re
 import shutil
 import tempfile
 import uuid
+import zipfile
 import zlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -25,6 +27,8 @@ SCRATCH_SUFFIX = ".jaxurban-part"  # of what is being written: ours to sweep, an
 # As `scratch_for` gives it.
 SCRATCH_NAME = re.compile(rf"\..*\.[0-9a-z_]{{8}}{re.escape(SCRATCH_SUFFIX)}", re.DOTALL)
 ELSEWHERE = "choose another folder with -o"
+# Raised of packed files that are damaged, or of a format that this Python lacks.
+UNPACKING = (EOFError, ImportError, lzma.LZMAError, zipfile.BadZipFile, zlib.error)
 
 
 # Of what is written now, if anything.

@@ -13,12 +13,13 @@ from jaxurban.checks import one_of, positive, typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.orbits import rinex_name
 from jaxurban.io.read.tracks import ALTITUDE, CN0, LAT, LON, SATELLITE, UTC, track_of
+from jaxurban.knowledge import Caution
 from jaxurban.maps.sources import CityLike
 from jaxurban.metrics.gps import FIX, Gps, has_no_fix
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, Point
-from jaxurban.public import Caution, FactsRepr, listed
+from jaxurban.public import FactsRepr, listed
 from jaxurban.satellites.rule import STATES
 from jaxurban.satellites.sight import By, Sight, cautions_of, xy_of
 from jaxurban.settings import as_tuple, parse_time
@@ -211,14 +212,14 @@ class SkyAlong(FactsRepr):
 
     @property
     def facts(self) -> dict[str, str]:
-        """Places, times, how they were computed, how many satellites are seen, and where there is no fix."""
+        """Places, times, how they were computed, how many satellites are seen, and where no fix is known."""
         table = self.table
         return {
             "places": f"{len(table):,}",
             "times": listed(list(dict.fromkeys(table["time"]))),
             "by": self.by,
             "satellites seen": f"{table['num_visible'].mean():.1f} in the mean",
-            "without a fix": f"{(~table['has_fix']).mean():.0%} of places",
+            "no fix, or none known": f"{(~table['has_fix']).mean():.0%} of places",
             "credit": self.attribution,
         }
 

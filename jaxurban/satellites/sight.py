@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from jaxurban.errors import InputError
 from jaxurban.io.city import City, seen_by
-from jaxurban.io.read.guesses import NOMINAL_SKY
+from jaxurban.knowledge import Caution, GuessKind, caution_of_guesses, guessed
 from jaxurban.maps.build import region_of, view_sky
 from jaxurban.maps.levels import listed_m
 from jaxurban.maps.metric_maps import MetricMaps
@@ -27,7 +27,7 @@ from jaxurban.metrics.gps import DOPS, FIX, Gps, has_no_fix
 from jaxurban.metrics.population import Population
 from jaxurban.paths.places import XY, Point, one_place
 from jaxurban.progress import Report
-from jaxurban.public import Caution, caution_of_guesses, listed
+from jaxurban.public import listed
 from jaxurban.satellites.outlines import Hiding
 from jaxurban.satellites.rule import HIDDEN, SEEN, UNKNOWN
 from jaxurban.satellites.track import NUM_VISIBLE, Track, quality_along, seen_along
@@ -49,6 +49,7 @@ class Look(NamedTuple):
       rows: a row for each place and each satellite above the mask, with the columns of `SkyAt.table`.
       dops: a row for each place, with the columns of `SkyAt.dops`.
       is_outdoors: ``[N]`` bool: the place lies in no building.
+      may_have_fix: ``[N]`` bool: no position fix from what is seen, but one if all unknown satellites were seen too.
     """
 
     sky: Sky
@@ -56,6 +57,7 @@ class Look(NamedTuple):
     rows: pd.DataFrame
     dops: pd.DataFrame
     is_outdoors: np.ndarray
+    may_have_fix: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,8 +238,15 @@ class Sight:
         for name in (HIDDEN, UNKNOWN):
             dops[f"num_{name}"] = np.bincount(epoch[state == name], minlength=num)
         dops |= {name: quality[name] for name in DOPS}
+
+        # Where satellites that are unknown decide on the fix.
+        lost = np.flatnonzero(has_no_fix(quality[FIX]))
+        is_seen[epoch, satellite] |= state == UNKNOWN
+        hdop_at_best = quality_along(task, sky[lost], is_seen[lost])[FIX]
+        may_have_fix = np.zeros(num, bool)
+        may_have_fix[lost] = ~has_no_fix(hdop_at_best)
         ray_rows = pd.DataFrame(rows).join(behind)
-        return Look(task.sky, epoch, ray_rows, pd.DataFrame(dops), is_outdoors)
+        return Look(task.sky, epoch, ray_rows, pd.DataFrame(dops), is_outdoors, may_have_fix)
 
 
 def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
@@ -276,12 +285,12 @@ def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caut
     num = len(look.dops)
 
     # What is guessed: of the city, of its satellites, and heights of the roofs that hide some.
-    guesses = {**sight.city.guesses, **look.sky.guesses}
+    guesses = sight.city.guesses + look.sky.guesses
     if not sight.city.sources:  # the synthetic city has no real sky
-        guesses.pop(NOMINAL_SKY, None)
+        guesses = tuple(each for each in guesses if each.kind is not GuessKind.NOMINAL_SKY)
     num_guessed = rows["roof_is_guessed"].sum() if "roof_is_guessed" in rows else 0
     if num_guessed:
-        guesses[f"heights of the roofs that hide {num_guessed} of {len(rows)} satellites"] = ""
+        guesses += guessed(GuessKind.HIDING_ROOFS, number=int(num_guessed), of=len(rows))
     cautions = caution_of_guesses(guesses)
 
     # Satellites that are unknown.
@@ -300,10 +309,15 @@ def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caut
     faults = {
         "outside what is known of the city": np.broadcast_to(is_outside, num),
         "in a building, where all that is known is hidden": ~look.is_outdoors,
-        "without a position fix": has_no_fix(look.dops[FIX].to_numpy()),
+        "without a position fix": has_no_fix(look.dops[FIX].to_numpy()) & ~look.may_have_fix,
     }
     for fault, has_fault in faults.items():
         if has_fault.any():
             which = "The place is" if num == 1 else f"{has_fault.sum()} of {num} rows are"
             cautions.append(Caution(f"{which} {fault}.", "limit"))
+    num_open = look.may_have_fix.sum()
+    if num_open:
+        which = "the place has" if num == 1 else f"{num_open} of {num} rows have"
+        reason = "satellites that are unknown decide on it"
+        cautions.append(Caution(f"It is not known whether {which} a position fix: {reason}."))
     return cautions

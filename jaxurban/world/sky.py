@@ -1,13 +1,13 @@
 """Sky: where the satellites stand, seen from one reference point, and which of them are above the elevation mask."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxurban.kernels.dop import Clocks
+from jaxurban.knowledge import Guesses
 
 
 class InView(NamedTuple):
@@ -44,7 +44,7 @@ class Sky:
       elevation_rad: ``[T, S]`` float64 above the horizon, negative below it, no refraction.
       systems: ``[S]`` constellation of each satellite: "gps", "galileo", "glonass", "beidou" ... or "unknown".
       element_age_days: ``[T, S]`` float64 age of each element set at each time (0 for nominal orbits).
-      guesses: what was supposed of time and satellites, see `jaxurban.io.read.guesses`.
+      guesses: what was supposed of time and satellites, see `jaxurban.knowledge`.
       mask_deg: elevation mask; lower satellites are not in view.
     """
 
@@ -54,7 +54,7 @@ class Sky:
     elevation_rad: np.ndarray
     systems: tuple[str, ...]
     element_age_days: np.ndarray
-    guesses: Mapping[str, str] = field(default_factory=dict)
+    guesses: Guesses = ()
     mask_deg: float = 0.0
 
     @cached_property

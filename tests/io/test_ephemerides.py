@@ -14,6 +14,7 @@ from jaxurban.errors import InputError, StaleElementsWarning
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.maps.build import view_sky
 from jaxurban.world.grid import Grid
+from tests.guess_records import by_name
 from tests.io.made_files import refused
 from tests.io.test_orbits import TLE
 from tests.io.test_rinex import (
@@ -198,7 +199,7 @@ def test_orbits_of_every_kind_give_the_sky_of_maps(tmp_path, kind):
     sky = view_sky(grid, gps)
     assert (sky.names[0], sky.systems[0]) == ("G05", "gps")
     assert np.degrees(sky.elevation_rad[0, 0]) > 89.0
-    lost = sky.guesses.get("satellites without a place", "")
+    lost = by_name(sky.guesses).get("satellites without a place", "")
     assert ("call the satellite unhealthy: G07" in lost) == (kind == "broadcast")
 
 

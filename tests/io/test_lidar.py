@@ -11,7 +11,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io.read import plausible
+from jaxurban.io.read import lidar, plausible
 from jaxurban.io.read.lidar import read_points
 from jaxurban.io.read.sampling import values_at
 from tests.cli_runs import assert_one_sentence, run
@@ -141,7 +141,7 @@ def test_a_tile_without_classes_of_buildings_is_a_surface_over_its_own_ground(tm
     city = city_of(write_points(tmp_path / "a.laz", classes=unsorted))
     assert at(city.roofs, 30, 30) == pytest.approx(ROOF_M, abs=0.01)
     assert at(city.roofs, 65, 25) == pytest.approx(TREE_M, abs=0.01)
-    assert not np.isfinite(city.vegetation.values).any()
+    assert not city.vegetation.values.any()
 
 
 def test_unclassified_points_beside_buildings_stand_as_plants(tmp_path):
@@ -231,6 +231,88 @@ def test_points_outside_the_box_of_the_header_are_not_lost_in_silence(tmp_path):
     path = write_points(tmp_path / "a.las")
     data = bytearray(path.read_bytes())
     data[179:187] = np.float64(X + 50).tobytes()  # the header's highest x
+    refused(city_of, path, bytes(data), "damaged or cut short")
+
+
+def changed(path, **numbers):
+    """Write other numbers of points into a header: the one of 32 bits, or the one of 64 bits."""
+    data = bytearray(path.read_bytes())
+    for name, (at, num_bytes) in {"short": (107, 4), "long": (247, 8)}.items():
+        if name in numbers:
+            data[at : at + num_bytes] = numbers[name].to_bytes(num_bytes, "little")
+    path.write_bytes(data)
+    return path
+
+
+NUM = len(EAST)
+
+
+@pytest.mark.parametrize("crs", [UTM, CRS])  # LAS 1.2 and 1.4
+@pytest.mark.parametrize("number", [0, 1, NUM - 1000, NUM - 1, NUM + 1, NUM + 10**6, 2**32 - 1])
+def test_a_header_that_names_another_number_of_points_is_refused_at_once(tmp_path, crs, number):
+    path = write_points(tmp_path / "a.las", crs=crs)
+    changed(path, **{"long" if "+" in crs else "short": number})
+    refused(city_of, path, None, f"its header names {number:,} points and it holds {NUM:,}")
+
+
+@pytest.mark.parametrize("crs", [UTM, CRS])
+@pytest.mark.parametrize("number", [1, NUM - 1000, NUM + 10**6])
+def test_packed_points_are_as_many_as_the_header_names(tmp_path, crs, number):
+    path = write_points(tmp_path / "a.laz", crs=crs)
+    changed(path, **{"long" if "+" in crs else "short": number})
+    refused(city_of, path, None, "names .* points and it holds more|damaged or cut short")
+
+
+def test_no_number_of_points_makes_reading_endless(tmp_path, monkeypatch):
+    monkeypatch.setattr(lidar, "MOST_CELLS", 2**16)
+    for name in ("a.las", "a.laz"):
+        path = changed(write_points(tmp_path / name), long=2**63)
+        refused(city_of, path, None, "names 9,223,372,036,854,775,808 points|damaged or cut short")
+
+
+def test_no_length_of_packed_points_makes_room_for_more_than_the_file_holds(tmp_path, monkeypatch):
+    def unpack(*_):
+        raise AssertionError("lazrs makes room for what is unpacked")
+
+    monkeypatch.setattr(laspy.LasReader, "chunk_iterator", unpack)
+    path = write_points(tmp_path / "a.laz")
+    with laspy.open(path) as reader:
+        begin, size = reader.header.offset_to_point_data, reader.header.point_format.size
+    whole = path.read_bytes()
+    for layer in range(9):  # of format 6; their lengths follow the number of points
+        data = bytearray(whole)
+        at = begin + 8 + size + 4 + 4 * layer
+        data[at : at + 4] = (2**32 - 1).to_bytes(4, "little")
+        refused(city_of, path, bytes(data), "damaged or cut short")
+
+
+@pytest.mark.parametrize("num_bytes", [0, 1, 29])
+def test_a_file_that_broke_off_is_refused(tmp_path, num_bytes):
+    path = write_points(tmp_path / "a.las")
+    with laspy.open(path) as reader:
+        begin, size = reader.header.offset_to_point_data, reader.header.point_format.size
+    data = path.read_bytes()
+    cut = data[: begin + NUM // 2 * size + num_bytes]
+    refused(city_of, path, cut, f"names {NUM:,} points and it holds {NUM // 2:,}")
+    path.write_bytes(data + bytes(num_bytes))
+    assert_scene(city_of(path))
+
+
+def test_records_behind_the_points_are_no_points(tmp_path):
+    path = write_points(tmp_path / "a.las")
+    points = laspy.read(path)
+    points.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("us", 1, "a note", bytes(1000))])
+    points.write(path)
+    assert_scene(city_of(path))
+
+
+def test_more_chunks_than_bytes_are_damage_and_end_no_process(tmp_path):
+    path = write_points(tmp_path / "a.laz")
+    with laspy.open(path) as reader:
+        begin = reader.header.offset_to_point_data
+    data = bytearray(path.read_bytes())
+    table = int.from_bytes(data[begin : begin + 8], "little")
+    data[table + 4 : table + 8] = b"\xff" * 4
     refused(city_of, path, bytes(data), "damaged or cut short")
 
 

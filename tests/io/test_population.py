@@ -386,3 +386,28 @@ def test_a_raster_by_night_that_says_nothing_of_the_region_is_refused(tmp_path, 
     with pytest.raises(ju.InputError, match=sentence) as caught:
         read_blocks(files, UTM, box(-500, -500, 1000, 1000).bounds, box(100, 100, 300, 300).bounds)
     assert "night.tif" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("counts", "expected"),
+    [
+        (["12,5", "8,25", "101,75"], [12.5, 8.25, 101.75]),
+        (["1,234", "12,345,678", "5"], [1234, 12345678, 5]),
+        (["1 234", "1 234,5", "0,1234"], [1234, 1234.5, 0.1234]),
+        (["12 5", "1,2,3", "+7,5 (r1,234)"], [0, 0, 7.5]),
+        (["1.5", "1,2E+2", "12,"], [1.5, 120, 12]),
+        (["12.345", "0,500", "0,125"], [12.345, 0.5, 0.125]),
+    ],
+)
+def test_a_comma_parts_thousands_before_three_digits_alone(tmp_path, counts, expected):
+    blocks_in(tmp_path / "b.gpkg", POP10=counts)
+    np.testing.assert_array_equal(read(tmp_path)[0].night_count, expected)
+
+
+@pytest.mark.parametrize(
+    "counts", [["12,5", "1,234", "5"], ["1,234,567", "8,25", "1"], ["12,345", "0,500", "1"]]
+)
+def test_a_column_whose_commas_part_both_is_refused(tmp_path, counts):
+    blocks_in(tmp_path / "b.gpkg", POP10=counts)
+    with pytest.raises(ju.InputError, match="a comma parts either thousands or decimals"):
+        read(tmp_path)

@@ -1,5 +1,6 @@
 """Rasters: what is read, how values come onto a Grid, and surface models, known from heights and made into them."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from rasterio.errors import NotGeoreferencedWarning
 
 import jaxurban as ju
 from jaxurban.io.city import City
+from jaxurban.io.read import raster as raster_module
 from jaxurban.io.read.raster import (
     check_is_no_surface,
     heights_of_surface,
@@ -19,8 +21,9 @@ from jaxurban.io.read.raster import (
     read_raster,
 )
 from jaxurban.io.read.sampling import heights_above, resample_raster
+from jaxurban.world.grid import transformer
 from jaxurban.world.raster import Raster
-from tests.io.made_files import FEET, UTM, X, Y, north_up, write_raster
+from tests.io.made_files import FEET, UTM, WGS84, X, Y, box, north_up, write_raster, write_vector
 
 ELSEWHERE = "EPSG:32617"
 
@@ -299,3 +302,44 @@ def test_gothenburgs_surface_is_refused_and_less_its_terrain_gives_a_city(data_d
         city = City.from_files(ju.Buildings(surface, kind="surface"), terrain=terrain, **options)
     assert 0.4 < np.mean(city.roofs.values == 0) < 0.6
     assert city.roofs.values.max() == pytest.approx(52.4, abs=0.1)
+
+
+def test_a_raster_read_in_strips_is_what_rasterio_reads_at_once(tmp_path, monkeypatch):
+    values = np.random.default_rng(1).integers(-99, 900, (37, 23)).astype(np.int16)
+    how = {"nodata": -99, "scales": 0.1, "offsets": 2.0}
+    write_raster(tmp_path / "a.tif", values, **how)
+    with rasterio.open(tmp_path / "a.tif") as file:
+        expected = file.read(1, masked=True) * 0.1 + 2.0
+    for pixels_at_once in (1, 50, 10**6):
+        monkeypatch.setattr(raster_module, "STRIP_PIXELS", pixels_at_once)
+        found = read_raster(tmp_path / "a.tif", UTM).values
+        np.testing.assert_array_equal(found, expected.filled(np.nan).astype(np.float32))
+
+
+def wide(path, num=40_000):
+    """Write a raster of 40 x 40 km on pixels of a metre around the place, with a tree of 30 m there."""
+    corner = Affine(1, 0, X - num / 2, 0, -1, Y + num / 2)
+    profile = {"driver": "GTiff", "count": 1, "dtype": "uint8", "crs": UTM, "transform": corner}
+    with rasterio.open(
+        path, "w", height=num, width=num, sparse_ok=True, tiled=True, **profile
+    ) as file:
+        tree = np.full((1, 4, 4), 30, np.uint8)
+        file.write(tree, window=rasterio.windows.Window(num // 2, num // 2 - 4, 4, 4))
+    return path
+
+
+def test_a_raster_that_memory_cannot_hold_is_refused_with_its_size_before_it_is_read(tmp_path):
+    with pytest.raises(ju.InputError, match=r"40,000 x 40,000 pixels .* 1,073,741,824 .*gdalwarp"):
+        read_raster(wide(tmp_path / "a.tif"), UTM)
+
+
+def test_of_a_wide_canopy_model_only_what_is_near_the_region_is_read(tmp_path):
+    houses = write_vector(tmp_path / "a.gpkg", [box(20, 20, 30, 30)], height=[9.0])
+    bounds = transformer(UTM, WGS84).transform_bounds(X, Y, X + 250, Y + 220)
+    canopy = wide(tmp_path / "a.tif")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        city = ju.City.from_files(houses, bounds=bounds, crs=UTM, vegetation=canopy)
+    assert city.vegetation.values.size < 3000**2
+    assert np.nanmax(city.vegetation.values) == 30
+    assert np.sum(city.vegetation.values > 0) == 16

@@ -163,6 +163,105 @@ def test_what_is_heard_without_a_fix_is_not_put_at_the_last_place(tmp_path):
         check_rows(read_log(written(tmp_path, nmea_of(TABLE) + more)), TABLE)
 
 
+def android_nmea_of(table: pd.DataFrame) -> str:
+    """Return a table as GnssLogger's own .nmea: a prefix, and the phone's milliseconds behind each sentence."""
+    return "".join(
+        f"NMEA,{line},{1_687_478_398_500 + number}\n"
+        for number, line in enumerate(nmea_of(table).splitlines())
+    )
+
+
+@pytest.mark.parametrize("head", ["", "# \n# Header Description:\n# \n# Version: v3.1.0.4\n# \n"])
+def test_nmea_of_gnss_logger_has_the_rows_of_the_plain_one(tmp_path, head):
+    check_rows(read_log(written(tmp_path, head + android_nmea_of(TABLE), "pixel.nmea")), TABLE)
+
+
+def test_sentences_beside_raw_measurements_do_not_make_a_log_nmea(tmp_path):
+    text = android_nmea_of(TABLE) + gnss_logger_of(TABLE)
+    assert "azimuth_deg" not in read_log(written(tmp_path, text))
+
+
+def rmc(clock: str, place="3315.0,S,07030.0,W", status="A", date="220623", mode=",A") -> str:
+    return sentence(f"GNRMC,{clock},{status},{place},0.1,65.1,{date},,{mode}")
+
+
+def quality(clock: str, kind: str, word: str) -> str:
+    """Return a sentence that says with one word how good the place is."""
+    place = "3315.0,S,07030.0,W"
+    return {
+        "GGA": sentence(f"GNGGA,{clock},{place},{word},12,0.76,4.4,M,-30.0,M,,"),
+        "GNS": sentence(f"GNGNS,{clock},{place},{word},12,0.76,4.4,-30.0,,"),
+        "GLL": sentence(f"GNGLL,{place},{clock},{word}"),
+    }[kind]
+
+
+CLOCKS = ["235958.50", "235959.50"]
+GSV = sentence("GPGSV,1,1,01,05,05,010,45,1")
+
+
+@pytest.mark.parametrize(
+    ("kind", "word", "is_fix"),
+    [
+        *(("RMC", f",{mode}", mode in "ADFRP") for mode in "ADFRPNEMS"),
+        *(("GGA", word, word in "123459") for word in "0123456789"),
+        ("GGA", "", False),
+        *(("GNS", word, is_fix) for word, is_fix in (("AN", True), ("NN", False), ("EE", False))),
+        *(("GNS", word, is_fix) for word, is_fix in (("NAN", True), ("M", False), ("S", False))),
+        *(
+            ("GLL", word, is_fix)
+            for word, is_fix in (("A,A", True), ("V,N", False), ("A,E", False))
+        ),
+        ("GLL", "V", False),
+    ],
+)
+@pytest.mark.parametrize("is_before", [True, False])
+@pytest.mark.filterwarnings("ignore:.*measurements without a time")
+def test_a_place_that_the_receiver_calls_no_fix_is_left_out_and_counted(
+    tmp_path, kind, word, is_fix, is_before
+):
+    good, doubtful = CLOCKS
+    lines = [rmc(doubtful, mode=word)]
+    if kind != "RMC":
+        lines = [rmc(doubtful), quality(doubtful, kind, word)]
+    if is_before:
+        lines.reverse()
+    path = written(tmp_path, rmc(good) + GSV + "".join(lines) + GSV)
+    if is_fix:
+        assert read_log(path).utc.nunique() == 2
+        return
+    with pytest.warns(UserWarning, match="has 1 of 2 places without a fix"):
+        assert read_log(path).utc.dt.second.tolist() == [58]
+
+
+@pytest.mark.parametrize(
+    "lost", [{"place": "0000.0000,N,00000.0000,E"}, {"status": "V"}, {"status": "V", "mode": ",N"}]
+)
+@pytest.mark.filterwarnings("ignore:.*measurements without a time")
+def test_a_place_at_0_0_and_one_of_status_v_are_no_places(tmp_path, lost):
+    with pytest.warns(UserWarning, match="has 1 of 2 places without a fix, at 0, 0 or by"):
+        read = read_log(written(tmp_path, rmc(CLOCKS[0]) + GSV + rmc(CLOCKS[1], **lost) + GSV))
+    assert read.lon_deg.tolist() == [-70.5]
+    with pytest.raises(InputError, match="has 2 of 2 places without a fix"):
+        read_log(written(tmp_path, "".join(rmc(clock, **lost) + GSV for clock in CLOCKS)))
+
+
+def test_a_place_on_the_equator_or_on_the_meridian_of_greenwich_is_one(tmp_path):
+    for place in ("0000.0,N,07030.0,W", "3315.0,S,00000.0,E"):
+        assert len(read_log(written(tmp_path, rmc(CLOCKS[0], place) + GSV))) == 1
+
+
+def test_a_date_of_1024_weeks_ago_is_said_with_the_day_that_may_be_meant(tmp_path):
+    text = rmc(CLOCKS[0], date="061103") + GSV  # 2023-06-22 less 1,024 weeks
+    with pytest.warns(UserWarning, match=r"begins on 2003-11-06.*it was 2023-06-22; then give"):
+        read_log(written(tmp_path, text))
+
+
+@pytest.mark.filterwarnings("ignore:.*without a fix", "error:.*begins on")
+def test_a_clock_that_starts_in_1980_before_the_first_fix_says_nothing_of_the_log(tmp_path):
+    text = rmc(CLOCKS[0], status="V", date="060180") + rmc(CLOCKS[1]) + GSV
+    assert read_log(written(tmp_path, text)).utc.dt.year.tolist() == [2023]
+
+
 def test_of_several_signals_the_strongest_counts(tmp_path):
     more = sentence("GPGSV,1,1,01,05,05,010,51,6")
     read = read_log(written(tmp_path, nmea_of(TABLE) + more)).set_index(KEYS).cn0_dbhz

@@ -9,6 +9,7 @@ import re
 import shutil
 import sqlite3
 import tarfile
+import tempfile
 import zipfile
 
 import geopandas as gpd
@@ -312,6 +313,47 @@ def plain_sqlite(path):
     pd.DataFrame({"height": [1]}).to_sql("town", sqlite3.connect(path))
 
 
+def with_table(path, statement):
+    """Write both squares, in a database whose layer is a table or a view of a statement in place of theirs."""
+    FRAME.to_file(path, driver="SQLite", layer="town")
+    kind = "view" if "VIEW" in statement else "table"
+    with sqlite3.connect(path) as base:
+        base.execute("PRAGMA writable_schema = 1")
+        base.execute(
+            "INSERT INTO sqlite_master VALUES (?, 'other', 'other', 0, ?)", (kind, statement)
+        )
+        base.execute("UPDATE geometry_columns SET f_table_name = 'other'")
+    base.close()
+
+
+def table_of(module, options=""):
+    def write(path):
+        FRAME.to_file(path.with_name("elsewhere.geojson"))
+        other = path.with_name("elsewhere.geojson")
+        with_table(path, f"CREATE VIRTUAL TABLE other USING {module}('{other}'{options})")
+
+    return write
+
+
+def endless(path):
+    rows = "SELECT 1 UNION ALL SELECT i + 1 FROM r"
+    with_table(path, f"CREATE VIEW other AS WITH RECURSIVE r(i) AS ({rows}) SELECT i FROM r")
+
+
+def bad_lzma(path):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as file:
+        file.writestr("a.geojson", LINES)
+    data = bytearray(path.read_bytes())
+    data[60:90] = bytes(30)
+    path.write_bytes(data)
+
+
+def not_utf8(path):
+    FRAME.to_file(path)
+    crs = path.with_suffix(".prj")
+    crs.write_bytes(crs.read_bytes().replace(b"WGS_1984", b"\xc9\x9f\xff", 1))
+
+
 def bare_parquet(path, frame=FRAME, **columns):
     table = pd.DataFrame({"id": range(len(frame)), "geometry": frame.geometry.to_wkb()})
     table.assign(height=frame["height"], **columns).to_parquet(path)
@@ -320,8 +362,8 @@ def bare_parquet(path, frame=FRAME, **columns):
 @pytest.mark.parametrize(
     ("name", "content", "sentence"),
     [
-        ("a.json", b'{"type":"CityJSON","version":"1.1"}', "as a city model .*vertices"),
-        ("a.jsonl", b'{"CityObjects": {}, "type": "CityJSONFeature"}', "as a city model"),
+        ("a.json", b'{"type":"CityJSON","version":"1.1"}', "as a city model .*damaged"),
+        ("a.jsonl", b'{"CityObjects": {}, "type": "CityJSONFeature"}', "begin with that line"),
         (
             "a.gml",
             b'<?xml version="1.0"?><!-- of <osm --><core:CityModel xmlns:core="x">',
@@ -350,6 +392,11 @@ def bare_parquet(path, frame=FRAME, **columns):
         ("a.osm.gz", gzip.compress(edited().encode(), mtime=0)[:-30], "damaged or cut short"),
         ("a.osm.bz2", bz2.compress(edited().encode())[:-30], "damaged or cut short"),
         ("a.gz", b"\x1f\x8b" + bytes(20), "damaged or cut short"),
+        ("a.zip", bad_lzma, "as an archive"),
+        ("a.shp", not_utf8, "damaged or cut short"),
+        ("a.sqlite", table_of("VirtualOGR"), "damaged or cut short"),
+        ("a.sqlite", table_of("VirtualGeoJSON", ", 4326"), "damaged or cut short"),
+        ("a.sqlite", endless, "a view that may never end"),
     ],
 )
 def test_what_is_not_read_is_named_by_info_with_what_helps(
@@ -365,6 +412,13 @@ def test_parquet_of_wkb_is_read_in_degrees_and_says_so(tmp_path):
     bare_parquet(tmp_path / "duckdb.parquet", bbox=[{"xmin": LON}] * 2)
     with pytest.warns(GuessWarning, match="cannot say its CRS.*EPSG:4326"):
         assert_both_squares(tmp_path / "duckdb.parquet")
+
+
+def test_bytes_in_place_of_heights_of_parquet_are_heights_that_nobody_can_read(tmp_path):
+    bare_parquet(tmp_path / "a.parquet", FRAME.assign(height=[b"\x9a12", b"60"]))
+    with pytest.warns(GuessWarning):
+        read = read_buildings(ju.Buildings(tmp_path / "a.parquet"), UTM)
+    assert read.read_issues[ReadIssue.HEIGHTS_UNUSABLE] == 2
 
 
 @pytest.mark.parametrize("name", ["a.sqlite", "b.gdb", "c.gdb.zip"])
@@ -425,6 +479,40 @@ def test_a_bomb_is_refused_before_it_fills_the_disk(tmp_path, monkeypatch):
     (tmp_path / "held").mkdir()
     refused(read_osm, tmp_path / "a.osm.gz", bomb, "unpacks to more than")
     assert not os.listdir(tmp_path / "held")
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, bz2.compress])
+def test_what_unpacks_to_more_than_a_hundred_times_its_size_is_refused(tmp_path, monkeypatch, pack):
+    monkeypatch.setattr(sniffing, "ALWAYS_UNPACKED", 2**16)
+    for name, start in {"a.geojson": LINES, "a.csv": TABLE, "a.osm": WAYS_ALONE}.items():
+        packed = pack(start.encode() + b" " * 2**20)
+        refused(
+            city_of,
+            tmp_path / f"{name}.gz",
+            packed,
+            "unpacks to more than 100 times its size or 20 GiB",
+        )
+
+
+def test_an_archive_of_empty_files_is_refused_before_they_are_made(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        for number in range(3000):
+            archive.writestr(f"{number}.txt", "")
+    refused(city_of, tmp_path / "a.zip", None, "unpacks to more than 100 times its size")
+
+
+def test_only_what_runs_unpacked_long_ago_is_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    folders = [tmp_path / f"jaxurban-unpacked-{name}" for name in ("old", "new")]
+    mine = tmp_path / "jaxurban-maps"
+    for folder in (*folders, mine):
+        folder.mkdir()
+        (folder / "a.osm").write_text("")
+    for folder in (folders[0], mine):
+        os.utime(folder, (0, 0))
+    (tmp_path / "a.geojson.gz").write_bytes(gzip.compress(LINES.encode()))
+    read_vector(tmp_path / "a.geojson.gz")
+    assert sorted(os.listdir(tmp_path)) == ["a.geojson.gz", mine.name, folders[1].name]
 
 
 def test_a_packed_file_that_names_a_server_is_not_opened(tmp_path):

@@ -124,6 +124,21 @@ def test_what_is_unknown_follows_from_place_and_direction_alone():
     assert np.isinf(outside.dops["hdop"]).all()
 
 
+def test_a_fix_that_unknown_satellites_decide_on_is_not_known():
+    rng = np.random.default_rng(8)
+    places = [ju.XY(*xy) for xy in np.add(rng.uniform(0, SIDE_M, (60, 2)), [X_M, Y_M])]
+    inside = [ju.XY(X_M + 1000, Y_M + 910)] * 3
+    along = ju.sky_along(city(), [*places, *inside], 2.0, TIMES[0], gps=GPS)
+    table = along.table
+    is_lost = table["num_visible"] < 4  # of one system
+    is_open = is_lost & (table["num_visible"] + table["num_unknown"] >= 4)
+    assert is_open.sum() > 0
+    assert (is_lost & ~is_open).sum() >= 3
+    said = " ".join(along.cautions)
+    assert f"It is not known whether {is_open.sum()} of 63 rows have a position fix" in said
+    assert f"{(is_lost & ~is_open).sum()} of 63 rows are without a position fix." in said
+
+
 @pytest.mark.parametrize("by", ["outlines", "map"])
 def test_in_a_building_all_is_hidden_and_that_is_said(by):
     inside = ju.sky(city(), ju.XY(X_M + 1000, Y_M + 910), 20.0, by=by, gps=GPS)
@@ -211,6 +226,35 @@ def test_a_table_of_a_track_gives_places_heights_and_times():
         ju.sky_along(city(), track.drop(columns="utc"), gps=GPS)
     with pytest.raises(ju.InputError, match="altitude_m is missing"):
         ju.sky_along(city(), track.drop(columns="altitude_m"), gps=GPS)
+
+
+@pytest.mark.parametrize("kind", [np.asarray, np.float64, str, float])
+def test_a_table_takes_numbers_of_any_kind_such_as_those_of_a_cell(kind):
+    lon, lat = ju.Grid.from_bounds((-74.02, 40.71, -74.0, 40.72), 20.0, CRS).lonlat_of_cell(3, 4)
+    numbers = {"lon_deg": lon, "lat_deg": lat, "altitude_m": 20.0}
+    expected, along = (
+        ju.sky_along(city(), pd.DataFrame([{"utc": TIMES[0], **row}] * 2, dtype=object), gps=GPS)
+        for row in (numbers, {name: kind(value) for name, value in numbers.items()})
+    )
+    pd.testing.assert_frame_equal(along.table, expected.table)
+    assert along.table[["lon", "lat"]].to_numpy() == pytest.approx(np.array([[lon, lat]] * 2))
+
+
+@pytest.mark.parametrize("value", [True, "x", None, [1.0], np.array([1.0, 2.0]), np.asarray(True)])
+def test_a_table_of_other_things_than_numbers_is_refused(value):
+    row = {"utc": TIMES[0], "lon_deg": value, "lat_deg": 40.7, "altitude_m": 20.0}
+    with pytest.raises(ju.InputError, match=r"in lon_deg of 2 row\(s\), where a number from -180"):
+        ju.sky_along(city(), pd.DataFrame([row] * 2, dtype=object), gps=GPS)
+
+
+def test_rows_at_0_0_are_left_out_of_a_track_and_counted():
+    table = pd.DataFrame({"utc": TIMES[0], "lon_deg": [0, -74.0, 0.0], "lat_deg": [0, 40.71, 0.0]})
+    with pytest.warns(
+        UserWarning, match="table of places has 2 of 3 places without a fix, at 0, 0"
+    ):
+        assert len(ju.sky_along(city(), table, 20.0, gps=GPS).table) == 1
+    with pytest.raises(ju.InputError, match="has 2 of 2 places without a fix"):
+        ju.sky_along(city(), table[::2], 20.0, gps=GPS)
 
 
 def test_a_row_a_satellite_is_the_sky_of_its_place_with_what_the_log_heard(tmp_path):

@@ -29,9 +29,12 @@ COUNT_COLUMN = re.compile(
 )
 # Summary level, variant and component, before the digits of the id.
 GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")
-# A number as spreadsheets write it (1,200 or 1 200 or +5 or 1.2E+03), with a note such as (r45678) or none.
+# A number as spreadsheets write it (1,200 or 1 200 or +5 or 1.2E+03 or 12,5), with a note such as (r45678) or none: its
+# whole part, in which three digits follow what parts thousands, and its decimals with a power of ten.
 MOST_PEOPLE = 1e10  # of a block: more is no count
-COUNT = re.compile(r"\s*(\+?\d[\d,\s]*(?:\.\d*)?(?:[eE]\+?\d{1,2})?)\s*(?:\(.*\))?\s*")
+COUNT = re.compile(
+    r"\s*(\+?(?:[1-9]\d{,2}(?:[,\s]\d{3})+(?!\d)|\d+))((?:[.,]\d*)?(?:[eE]\+?\d{1,2})?)\s*(?:\(.*\))?\s*"
+)
 
 SLIVER = 1e-6  # of a pixel's area: what rounding leaves where the borders of two grids coincide
 PAPER_DISTRICTS = tuple(range(101, 113))  # Manhattan's twelve; 164 is Central Park
@@ -211,7 +214,8 @@ def _polygons(
     num_unreadable = int((frame["_count"].isna() & frame["_has_row"]).sum())
     if num_unreadable == len(frame) > 0:
         raise InputError(
-            f"not one count of people of the blocks {path!r} can be read as a number: check the column of population"
+            f"not one count of people of the blocks {path!r} can be read as a number: check the column of population, "
+            "in which a comma parts either thousands or decimals"
         )
     issues[ReadIssue.COUNTS_UNREADABLE] = num_unreadable
     issues[ReadIssue.BLOCKS_WITHOUT_POLYGON] = num_lost
@@ -289,14 +293,18 @@ def _keys(column: pd.Series) -> pd.Series:
 def _parse_counts(column: pd.Series, key: pd.Series | pd.Index) -> pd.Series:
     """Return counts of people, float64 by key, NaN for what is no number as in `COUNT` or above `MOST_PEOPLE`.
 
+    All are NaN where a comma parts thousands in some, and comes before other than three digits in others.
+
     Args:
       column: ``[N]`` counts as they stand.
       key: ``[N]`` of their rows, from `_keys`.
     """
-    written = column.astype(str).str.extract(f"^{COUNT.pattern}$")[0]
-    digits = written.str.replace(r"[,\s]", "", regex=True)
+    parts = column.astype(str).str.extract(f"^{COUNT.pattern}$").fillna("")
+    whole, decimals = parts[0], parts[1]
+    is_clear = not (whole.str.contains(",").any() and decimals.str.startswith(",").any())
+    digits = whole.str.replace(r"[,\s]", "", regex=True) + decimals.str.replace(",", ".")
     people = pd.to_numeric(digits, errors="coerce").to_numpy(np.float64)
-    people = np.where(people <= MOST_PEOPLE, people, np.nan)
+    people = np.where(is_clear & (people <= MOST_PEOPLE), people, np.nan)
     return pd.Series(people, index=pd.Index(key, name="key"))
 
 

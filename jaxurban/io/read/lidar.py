@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pyproj
 from pyproj.exceptions import CRSError
 from rasterio.fill import fillnodata
 
@@ -16,10 +15,13 @@ from jaxurban.errors import InputError, readable
 from jaxurban.io.read.issues import ReadIssues
 from jaxurban.io.read.raster import heights_of_surface, unit_of_heights_m
 from jaxurban.io.read.sniff import in_own_words
-from jaxurban.world.grid import check_on_earth
+from jaxurban.world.grid import check_on_earth, known_crs
 from jaxurban.world.raster import Raster
 
 CHUNK = 1_000_000  # points at once
+USED = 15  # layers of points, of laspy: place, class and flags
+FEW = 500  # what remains of the last packed byte may pass for points, 70 of a lattice
+NOT_WHOLE = "{} is not whole, as its header names {:,} points and it holds {}: fetch it again"
 POINTS_A_CELL = 4  # on average: of cells under evenly scattered points 2 % hold none
 MOST_CELLS = 2**24
 VOID_CELLS = 2  # so far from points are cells without any filled
@@ -33,6 +35,11 @@ LAYER_OF[[0, 1, 12]] = UNCLASSIFIED
 LAYER_OF[[3, 4, 5]] = PLANTS
 LAYER_OF[[2, 8, 9, 10, 11, 20, 21, *range(40, 46)]] = GROUND
 LAYER_OF[[NOISE_CLASS, 18]] = NOISE
+LAYERED, POINT_LAYERS = (
+    6,
+    9,
+)  # the first format of points that are packed by layers, and of how many before colours
+TABLE_BYTES = 8  # before the first chunk: where the table of chunks is
 # Keys of GeoTIFF for heights, their unit and their CRS, and what EPSG's codes of both mean.
 UNIT_KEY, CRS_KEY = 4099, 4096
 UNITS = {None: "", 9001: "m", 9002: "ft", 9003: "us-ft", 5703: "m", 6360: "us-ft", 8228: "ft"}
@@ -93,22 +100,54 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
         raise InputError(
             f"{name} holds lidar points: install what reads them with `pip install 'jaxurban[lidar]'`"
         ) from error
+    used = laspy.DecompressionSelection(USED)
     damage = laspy.LaspyException, lazrs.LazrsError, ArithmeticError, LookupError, TypeError
     counts = np.zeros(256, int)
     with (
         readable(path, "lidar points", "fetch it again"),
         in_own_words(*damage),
-        laspy.open(path, read_evlrs=False) as reader,
+        laspy.open(path, read_evlrs=False, decompression_selection=used) as reader,
     ):
         header = reader.header
-        crs = None
+        # Points that are not packed end where other records begin, or with the file; a rest shorter than one is none.
+        begin = header.offset_to_point_data
+        size = Path(path).stat().st_size
+        ends = header.start_of_first_evlr, header.start_of_waveform_data_packet_record, size
+        num_bytes = min(end for end in ends if end > begin) - begin
+        num_held = num_bytes // header.point_format.size
+        if header.are_points_compressed:
+            # Of more chunks than bytes lazrs would end the process.
+            (table,) = np.fromfile(path, "<i8", 1, offset=begin)
+            _, num_chunks = np.fromfile(path, "<u4", 2, offset=max(table, 0))
+            if num_chunks > size:
+                raise ValueError
+            # For longer chunks than the file, or longer layers than a chunk, it would make room. A chunk is its first
+            # point and, of later formats, how many points it has, how long its layers are, and these.
+            (record,) = header.vlrs.get("LasZipVlr")
+            num_layers = POINT_LAYERS * (header.point_format.id >= LAYERED)
+            with Path(path).open("rb") as file:
+                file.seek(begin)
+                chunks = lazrs.read_chunk_table(file, lazrs.LazVlr(record.record_data_bytes()))
+                begin += TABLE_BYTES
+                for _, num_bytes in chunks:
+                    file.seek(begin + header.point_format.size + 4)
+                    begin += num_bytes
+                    lengths = np.fromfile(file, "<u4", num_layers)
+                    if begin > size or lengths.sum() > num_bytes:
+                        raise ValueError
+        elif num_held != header.point_count:
+            raise InputError(NOT_WHOLE.format(name, header.point_count, f"{num_held:,}"))
+
+        parsed = None
         with suppress(CRSError):
-            crs = pyproj.CRS(declared) if declared else header.parse_crs()
-        if crs is None:
+            parsed = header.parse_crs()
+        text = declared or (parsed and parsed.srs)
+        if text is None:
             raise InputError(
                 f"{name} declares no CRS that is known: set [buildings] crs to that of the plan and of the heights, as "
                 'in "EPSG:28992+5709", or write it into the header with `pdal translate IN OUT --writers.las.a_srs=...`'
             )
+        crs = known_crs(text, f" of {name}")
         records = header.vlrs.get("GeoKeyDirectoryVlr")
         keys = {key.id: key.value_offset for record in records for key in record.geo_keys}
         unit = UNITS.get(keys.get(UNIT_KEY, keys.get(CRS_KEY)), "an unknown one")
@@ -132,6 +171,14 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
             # The lowest of the ground is the highest upside down.
             height_m = points.z * unit_m * np.where(layer == GROUND, -1, 1)
             np.fmax.at(layers.reshape(-1), cell, np.float32(height_m))
+
+        # Behind the last of packed points no more can be unpacked.
+        header.point_count += FEW * header.are_points_compressed
+        more = False
+        with suppress(ValueError), in_own_words(lazrs.LazrsError):
+            more = bool(reader.read_points(FEW))
+        if more:
+            raise InputError(NOT_WHOLE.format(name, counts.sum(), "more"))
 
     ground = -layers[GROUND]
     num_built = 3 if kind == "surface" else 2 - bool(counts[LAYER_OF == BUILT].any())

@@ -126,6 +126,17 @@ def middle_epoch(orbits: Orbits) -> str | None:
     return iso_utc((middle + timedelta(seconds=30)).replace(second=0, microsecond=0))
 
 
+def span_of(satellites: Iterable[EarthSatellite | Ephemeris]) -> str:
+    """Return in words from when to when the elements, messages or nodes of satellites are, one at least."""
+    moments = []
+    for satellite in satellites:
+        if isinstance(satellite, Ephemeris):
+            moments += utc_of(np.array(satellite.span_s)).tolist()
+        else:
+            moments.append(satellite.epoch.utc_datetime())
+    return f"{iso_utc(min(moments))} to {iso_utc(max(moments))}"
+
+
 def _check_twice(orbits: Orbits) -> None:
     """Raise InputError where a satellite comes twice, or beside a constellation that another source holds whole."""
     whole = {  # sources by constellation
@@ -338,9 +349,8 @@ def _check_places(orbits: Orbits, iso: Sequence[str], is_lost: np.ndarray) -> No
             raise InputError(
                 f"SGP4 cannot carry {satellite.name} of {source} to {time}: remove it from the file"
             )
-        first, last = utc_of(np.array(satellite.span_s)).strftime("%Y-%m-%dT%H:%M:%SZ")
         raise InputError(
-            f"{source} says nothing of {time}, only of {first} to {last}: use orbits of that time"
+            f"{source} says nothing of {time}, only of {span_of([satellite])}: use orbits of that time"
         )
 
 

@@ -1,15 +1,13 @@
 """Rasters from files: building heights, terrain and surface models (roofs, trees and ground above sea level)."""
 
 import math
-import os
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyproj
 import rasterio
 import shapely
 from affine import Affine
@@ -17,10 +15,11 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from jaxurban.errors import InputError, readable, warn
-from jaxurban.io.read.guesses import Guesses, share_guess
+from jaxurban.io.read.companions import check_companions, companions
 from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.sampling import heights_above, pixel_xy, transformed
-from jaxurban.world.grid import WGS84, Bounds, check_on_earth, transformer, where_it_lies
+from jaxurban.knowledge import Guesses, GuessKind, guessed
+from jaxurban.world.grid import WGS84, Bounds, check_on_earth, known_crs, transformer, where_it_lies
 from jaxurban.world.raster import Raster
 
 # By the end of their names, the drivers of GDAL that may open them: others (as of .vrt) read what a file names.
@@ -45,6 +44,8 @@ HEIGHTS = "heights in metres"
 TERRAIN_RANGE_M = (-500.0, 9000.0)
 # Bilinear sampling reaches half a pixel beyond the bounds, a curved border a little more.
 _MARGIN_PIXELS = 2
+MOST_PIXELS = 2**30  # 4 GiB; some steps take twice as much again
+STRIP_PIXELS = 2**22  # at once
 MOST_PIXEL = 1e16  # area of a pixel, in its CRS's units: of a millionth of a metre to the Earth's
 
 # What a file may call its vertical unit (lower case), in metres.
@@ -117,27 +118,42 @@ def read_bands(
         if are_heights:
             unit_m = unit_of_heights_m(name, source.crs.to_wkt(), source.units[0])
         window = raster_window(name, source, crs, bounds_m)
-        stored = source.read(window=window)  # [band, row, column]
-        is_empty = source.read_masks(window=window) == 0
-        # Heights stay in float32 where the file has that: twice the precision would take twice the memory.
-        kind = np.result_type(stored, 0.0) if are_heights else np.float64
-        scale = np.array(source.scales, kind)[:, None, None]
-        offset = np.array(source.offsets, kind)[:, None, None]
-        values = (stored * scale + offset) * unit_m
+        height, width = int(window.height), int(window.width)
+        shape = source.count, height, width
+        if math.prod(shape) > MOST_PIXELS:
+            raise InputError(
+                f"{name} has {width:,} x {height:,} pixels in and around the region, more than the "
+                f"{MOST_PIXELS:,} that memory is to hold: make a coarser one, as with `gdalwarp -r max -tr 5 5 IN OUT` "
+                "(terrain: `-r average`), or cut it with `gdal_translate -projwin`"
+            )
+
+        # Strips of rows, so that memory holds only the result as a whole.
+        bands = np.empty(shape, dtype)
+        most = max(1, STRIP_PIXELS // width)
+        num_bad = 0
+        for row in range(0, height, most):
+            strip = Window(window.col_off, window.row_off + row, width, min(most, height - row))
+            stored = source.read(window=strip)  # [band, row, column]
+            is_empty = source.read_masks(window=strip) == 0
+            # Heights stay in float32 where the file has that: twice the precision would take twice the time.
+            kind = np.result_type(stored, 0.0) if are_heights else np.float64
+            scale, offset = np.array([source.scales, source.offsets], kind)[..., None, None]
+            values = (stored * scale + offset) * unit_m
+            is_bad = ~np.isfinite(values) & ~is_empty
+            num_bad += is_bad.sum()
+            bands[:, row : row + most] = np.where(is_empty | is_bad, np.nan, values)
         transform = tuple(source.transform)[:6]
         raster_crs = _horizontal_crs(source)
 
     # Heights that are not finite are refused; other such values count as empty.
-    is_bad = ~np.isfinite(values) & ~is_empty
-    if are_heights and is_bad.any():
+    if are_heights and num_bad:
         raise InputError(
-            f"{name} holds {is_bad.sum()} cells that are NaN or infinite and not declared as nodata: fill them, or "
+            f"{name} holds {num_bad} cells that are NaN or infinite and not declared as nodata: fill them, or "
             "declare NaN with `gdal_edit.py -a_nodata nan`"
         )
-    values = np.where(is_empty | is_bad, np.nan, values).astype(dtype)
     return [
         Raster(band, transform, raster_crs, int(window.row_off), int(window.col_off))
-        for band in values
+        for band in bands
     ]
 
 
@@ -193,6 +209,7 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
                 f"of rasters {', '.join(DRIVERS)} are read: convert it with `gdal_translate`"
             )
         _check_mask(Path(path))
+        check_companions(Path(path))
 
         offline = rasterio.Env(CPL_VSIL_CURL_ALLOWED_FILENAME="none")  # asks servers for no file
         with offline, rasterio.open(path, driver=DRIVERS[suffix]) as source:
@@ -217,7 +234,7 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
                     f"{name} has pixels without area, or out of range, by its geotransform "
                     f"{source.transform[:6]}: set its position with `gdal_edit.py -a_ullr ...`"
                 )
-            check_on_earth(name, source.crs.to_string(), source.bounds)
+            check_on_earth(name, known_crs(source.crs.to_string(), f" of {name}"), source.bounds)
             yield source
 
 
@@ -226,13 +243,9 @@ def _check_mask(path: Path) -> None:
 
     GDAL opens a file of the raster's name with .msk behind it in any format, and some formats name any other file.
     """
-    # In a folder that it cannot list GDAL tries these two; otherwise the name counts in small and capital letters.
-    names = [f"{path.name}.msk", f"{path.name}.MSK"]
-    with suppress(PermissionError):
-        names = [name for name in os.listdir(path.parent) if name.lower() == names[0].lower()]
-    for mask in map(path.with_name, names):
+    for mask in companions(path, f"{path.name}.msk"):
         is_tiff = mask.is_file() and np.fromfile(mask, np.uint8, 4).tobytes() in TIFF_MARKS
-        if os.path.lexists(mask) and not is_tiff:
+        if not is_tiff:
             raise InputError(
                 f"{str(mask)!r}, the mask of {str(path)!r}, is no GeoTIFF and may name other files: remove it, or "
                 "convert it with `gdal_translate`"
@@ -242,7 +255,7 @@ def _check_mask(path: Path) -> None:
 def _horizontal_crs(source: rasterio.DatasetReader) -> str:
     """Return a file's CRS without its vertical axis."""
     name = source.crs.to_string()
-    crs = pyproj.CRS(name)
+    crs = known_crs(name)
     return crs.sub_crs_list[0].to_wkt() if crs.is_compound else name
 
 
@@ -260,7 +273,7 @@ def unit_of_heights_m(name: str, crs: str, written: str | None) -> float:
     Raises:
       InputError: the unit is not known: an unknown name, two that differ, or none beside a CRS in another unit.
     """
-    parsed = pyproj.CRS(crs)
+    parsed = known_crs(crs)
     axes = parsed.axis_info
     units_m = [UNITS_M.get(written.strip().lower(), math.nan)] if written else []
     units_m += [axis.unit_conversion_factor for axis in axes[2:] if axis.direction == "up"]
@@ -370,13 +383,9 @@ def zero_is_ground(path: str | Path, heights: Raster) -> tuple[Raster, Guesses]:
     """
     with open_raster(path) as source:
         if source.nodata != 0:
-            return heights, {}
-    guesses = share_guess(
-        np.isnan(heights.values).mean(),
-        "heights by the nodata value 0",
-        f"the cells of {str(path)!r} hold its nodata value 0 and are taken as ground on which nothing stands: give "
-        "those another nodata value where heights are not known",
-    )
+            return heights, ()
+    share = np.isnan(heights.values).mean()
+    guesses = guessed(GuessKind.NODATA_ZERO, share, file=repr(str(path)))
     return replace(heights, values=np.nan_to_num(heights.values)), guesses
 
 

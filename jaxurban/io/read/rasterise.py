@@ -11,6 +11,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.city import WOOD, City, Counted
+from jaxurban.io.read import kinds
 from jaxurban.io.read.outlines import meets
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.kernels.blocks import part_of, rounded_up
@@ -84,8 +85,8 @@ def rasterise(
       city: with outlines or a height raster.
       grid: where to burn; the surface's region too.
       all_touched: ``roof_m`` is ``roof_touched_m`` too.
-      has_guessed: for a city with outlines, also return ``roof_guessed`` and ``roof_limit_m``: whether the height of a
-        cell's roof is guessed, and how high guessed ones there may be.
+      has_guessed: for a city with outlines or plants, also return ``roof_guessed`` and ``roof_limit_m``: whether the
+        height of what stands in a cell is guessed, and how high what is guessed there may be.
       has_kinds: also return ``roof_kind``.
     """
     # `has_data` stays None where all cells have data.
@@ -110,6 +111,10 @@ def rasterise(
         plants_m = _resampled(city.plants, grid)
         if kind is not None:
             kind = np.where(plants_m[1] > roofs_m[1], CODES[WOOD], kind)
+        if has_guessed:
+            unsure_m = unknown_plants_m(city.plants, grid)
+            guessed = unsure_m > 0 if guessed is None else guessed | (unsure_m > 0)
+            limit_m = unsure_m if limit_m is None else np.maximum(limit_m, unsure_m)
         roofs_m = list(map(np.fmax, roofs_m, plants_m))
     roof_m, touched_m = roofs_m[all_touched], roofs_m[1]
 
@@ -152,6 +157,11 @@ def rasterise(
         hiding_m=hiding_m,
         returning_m=returning_m,
     )
+
+
+def unknown_plants_m(plants: Raster, grid: Grid) -> np.ndarray:
+    """Return how high plants may be where a raster does not know them, ``[Y, X]`` float32 metres, 0 where it does."""
+    return np.isnan(resample_raster(plants, grid)) * np.float32(kinds.WOOD.limit_m)
 
 
 def _roofs_of(city: City, counted: Counted, grid: Grid, all_touched: bool) -> np.ndarray:

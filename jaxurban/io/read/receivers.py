@@ -29,6 +29,7 @@ from jaxurban.io.read.tracks import (
     UTC,
     Rule,
     checked,
+    fixes_of,
     renamed,
 )
 from jaxurban.io.samples import located
@@ -58,7 +59,12 @@ OTHER_NAMES = {  # of a reference's columns, in small letters with _ for what is
 }
 TABLES = re.compile(r"\.(csv|parquet)\b", re.IGNORECASE)
 EVENTS = 2  # an epoch with this flag or a higher one marks an event and holds no observation
-SENTENCE = re.compile(r"\$([A-Z]{2})(RMC|GGA|GSV),([^*$\r\n]*)\*?(\w{0,2})", re.ASCII)
+SENTENCE = re.compile(r"\$([A-Z]{2})(RMC|GGA|GNS|GLL|GSV),([^*$\r\n]*)\*?(\w{0,2})", re.ASCII)
+# Sentences that say that there is no fix: status V, and the modes none, estimated, by hand and simulated.
+NO_FIX_SAID = re.compile(
+    "RMC,(?:[^,]*,V|(?:[^,]*,){11}[NEMS])|GGA,(?:[^,]*,){5}[0678]?,|GNS,(?:[^,]*,){5}[NEMS]*,|"
+    "GLL,(?:[^,]*,){5}(?:V|A,[NEMS])"
+)
 # Of each system by its letter in RINEX: talkers of NMEA and ConstellationType of Android, what their numbers exceed
 # RINEX's by where they are larger, and the largest number in RINEX.
 SYSTEMS = {
@@ -133,7 +139,7 @@ def read_log(
         warn(
             f"{what} is placed at its APPROX POSITION XYZ throughout: give the reference of an antenna that moved"
         )
-    return _placed(rows, track, FIX_S, what)
+    return _placed(rows, fixes_of(track, what), FIX_S, what)
 
 
 def _placed(rows: pd.DataFrame, track: pd.DataFrame, within_s: float, what: str) -> pd.DataFrame:
@@ -200,7 +206,7 @@ def read_track(reference: str | Path | pd.DataFrame) -> pd.DataFrame:
     table = checked(table, [*times, *TRACK], what, OF_REFERENCE)
     if UTC not in table:
         table[UTC] = utc_of((table[WEEK] * WEEK_S + table[TOW]).to_numpy())
-    return table[[UTC, *TRACK]]
+    return fixes_of(table[[UTC, *TRACK]], what)
 
 
 def _rinex(text: str, what: str) -> Heard:
@@ -253,6 +259,7 @@ def _nmea(text: str, what: str) -> Heard:
     seen = []
     fix = NO_FIX
     num_bad = 0
+    voided = set()
     for talker, kind, body, checksum in SENTENCE.findall(text):
         if kind == "RMC":
             fix = NO_FIX  # so that no satellite is heard at the time of the one before
@@ -260,10 +267,13 @@ def _nmea(text: str, what: str) -> Heard:
             num_bad += 1
             continue
         fields = body.split(",")
-        if kind == "RMC" and len(fields) > 8 and fields[1] == "A" and fields[2] and fields[8]:
+        if NO_FIX_SAID.match(f"{kind},{body}"):
+            voided.add(fields[4 if kind == "GLL" else 0])
+        if kind == "RMC" and len(fields) > 8 and fields[0] and fields[2] and fields[8]:
             fix = len(fixes)
             clock = f"{fields[8]}{float(fields[0]):013.6f}"
-            fixes.append((clock, _degrees(*fields[4:6]), _degrees(*fields[2:4])))
+            place = _degrees(*fields[4:6]), _degrees(*fields[2:4])
+            fixes.append((clock, *place, fields[0]))
         elif kind == "GSV":
             groups = zip(*[iter(fields[3:])] * 4, strict=False)  # a signal's number may remain
             seen += [(fix, talker, *group) for group in groups]
@@ -273,8 +283,9 @@ def _nmea(text: str, what: str) -> Heard:
         raise InputError(
             f"{what} has no RMC sentence with a date and a place, and GGA has no date: switch RMC on in the receiver"
         )
-    track = pd.DataFrame(fixes, columns=[UTC, LON, LAT])
+    track = pd.DataFrame(fixes, columns=[UTC, LON, LAT, "clock"])
     track[UTC] = pd.to_datetime(track[UTC], format="%d%m%y%H%M%S.%f", utc=True)
+    track.loc[track.pop("clock").isin(voided)] = np.nan
 
     columns = ["fix", "talker", SATELLITE, ELEVATION, AZIMUTH, CN0]
     gsv = pd.DataFrame(seen, columns=columns)
@@ -348,6 +359,6 @@ def _whole(rows: pd.DataFrame, what: str) -> pd.DataFrame:
 
 READERS = {  # by what is in the first bytes of a file
     rb"\A *[234]\.\d+ +O|\A[\d.]+ +COMPACT RINEX": _rinex,
-    rb"(?m)^\$[A-Z]{2}(RMC|GGA|GSV),": _nmea,
     rb"(?m)^(# *)?Raw,": _gnss_logger,
+    rb"(?m)^(NMEA,)?\$[A-Z]{2}(RMC|GGA|GSV),": _nmea,  # Raw lines may stand beside them
 }

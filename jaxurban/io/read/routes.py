@@ -57,10 +57,14 @@ def read_routes(file: str | Path) -> list[Route]:
     routes = []
     num_others = 0
     layers = (frame.to_crs("EPSG:4326") for frame in open_layers(file, "routes"))
-    features = (row for frame in layers for _, row in frame.iterrows())
-    for number, row in enumerate(features, start=1):  # through all layers
-        is_finite = np.isfinite(shapely.get_coordinates(row.geometry)).all()
-        if shapely.get_type_id(row.geometry) not in LINES or not is_finite:
+    features = (
+        feature
+        for frame in layers
+        for feature in zip(frame.geometry, frame.to_dict("records"), strict=True)
+    )
+    for number, (shape, row) in enumerate(features, start=1):  # through all layers
+        is_finite = np.isfinite(shapely.get_coordinates(shape)).all()
+        if shapely.get_type_id(shape) not in LINES or not is_finite:
             num_others += 1
             continue
         if not pd.isna(row.get(SEGMENT_PROPERTY)):
@@ -75,7 +79,7 @@ def read_routes(file: str | Path) -> list[Route]:
         facts = settings | {key: row[key] for key in PROPERTIES if not pd.isna(row.get(key))}
         facts.setdefault("name", row.get("Name"))  # of KML
 
-        parts = [part for part in shapely.get_parts(row.geometry) if part.length > 0]
+        parts = [part for part in shapely.get_parts(shape) if part.length > 0]
         for part_number, part in enumerate(parts, start=1):
             name = str(facts.get("name") or number)
             if len(parts) > 1:

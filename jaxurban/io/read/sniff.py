@@ -5,20 +5,24 @@ import gzip
 import re
 import shlex
 import tempfile
+import time
 import warnings
-import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from jaxurban.errors import InputError, readable
+from jaxurban.io.files import UNPACKING, remove
 
 DATABASE = ".gdb"  # of Esri: a folder, or packed as .gdb.zip
 PANIC = "PanicException"  # of libraries in Rust, under a module of its own each
 LIDAR = ".laz"  # of LAS and COPC too
 HEAD_BYTES = 1 << 16  # that are looked at; GDAL looks at fewer
-MOST_UNPACKED = 20 * 2**30  # bytes
+MOST_UNPACKED = 20 * 2**30  # bytes in a packed file
+MOST_TIMES = 100  # its size; text of cities takes up to some 40
+ALWAYS_UNPACKED = 2**24  # bytes, whatever the size
+OLD_S = 7 * 86_400.0  # no run is as long: such a folder is of one that was killed
 PACKED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open}
 BEFORE = b"\xef\xbb\xbf \t\r\n\x1e"  # may come before a text, the mark of UTF-8 too
 # Of XML, before its first element, but for a DOCTYPE with declarations of its own.
@@ -110,7 +114,7 @@ def sniff(path: str | Path) -> str:
         return ""
     with (
         readable(path, "a file", "fetch it again"),
-        in_own_words(EOFError, zlib.error),
+        in_own_words(*UNPACKING),
         (_opener(path) or open)(path, "rb") as file,
     ):
         head = file.read(HEAD_BYTES)
@@ -131,11 +135,27 @@ def _opener(path: Path) -> Callable[..., Any] | None:
 
 
 @contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Yield a folder for temporary files that ends with the block; those of runs that were killed long ago end too."""
+    for old in Path(tempfile.gettempdir()).glob("jaxurban-unpacked-*"):
+        with suppress(OSError):  # another run may remove it now
+            if time.time() - old.lstat().st_mtime > OLD_S:
+                remove(old)
+    with tempfile.TemporaryDirectory(prefix="jaxurban-unpacked-") as folder:
+        yield Path(folder)
+
+
+def most_unpacked(path: Path) -> int:
+    """Return how many bytes a packed file may hold: `MOST_TIMES` its size, and never more than `MOST_UNPACKED`."""
+    return min(MOST_UNPACKED, ALWAYS_UNPACKED + MOST_TIMES * path.stat().st_size)
+
+
+@contextmanager
 def unpacked(path: str | Path) -> Iterator[Path]:
     """Yield the path of a file with the content of another: itself, or a temporary one if it is packed.
 
     Raises:
-      InputError: as `sniff`, or a packed file with more in it than `MOST_UNPACKED`.
+      InputError: as `sniff`, or a packed file with more in it than `most_unpacked`.
       ValueError: a packed file that is damaged.
     """
     path = Path(path)
@@ -143,18 +163,18 @@ def unpacked(path: str | Path) -> Iterator[Path]:
     if opener is None:
         yield path
         return
-    with tempfile.TemporaryDirectory(prefix="jaxurban-") as folder:
-        plain = Path(folder, f"unpacked{sniff(path)}")
+    with scratch_folder() as folder:
+        plain = folder / f"unpacked{sniff(path)}"
         with (
-            in_own_words(EOFError, zlib.error),
+            in_own_words(*UNPACKING),
             opener(path) as source,
             plain.open("wb") as target,
         ):
             while block := source.read(HEAD_BYTES):
                 target.write(block)
-                if target.tell() > MOST_UNPACKED:
+                if target.tell() > most_unpacked(path):
                     raise InputError(
-                        f"{str(path)!r} unpacks to more than {MOST_UNPACKED / 2**30:g} GiB: unpack it yourself if you "
-                        "trust it"
+                        f"{str(path)!r} unpacks to more than {MOST_TIMES} times its size or "
+                        f"{MOST_UNPACKED / 2**30:g} GiB: unpack it yourself if you trust it"
                     )
         yield plain

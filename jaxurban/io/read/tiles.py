@@ -1,25 +1,33 @@
 """City models, and folders and archives of these and of vector files, which are joined."""
 
 import zipfile
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 from xml.parsers.expat import ExpatError
 
 from jaxurban import settings
 from jaxurban.errors import GuessWarning, InputError, readable, warn
-from jaxurban.io.files import visible_files
+from jaxurban.io.files import UNPACKING, visible_files
 from jaxurban.io.read.bodies import outlines_of
 from jaxurban.io.read.citygml import read_citygml
 from jaxurban.io.read.cityjson import read_cityjson
 from jaxurban.io.read.outlines import Near, Outlines, joined
-from jaxurban.io.read.sniff import DATABASE, MOST_UNPACKED, sniff, unpacked
+from jaxurban.io.read.sniff import (
+    DATABASE,
+    MOST_TIMES,
+    MOST_UNPACKED,
+    in_own_words,
+    most_unpacked,
+    scratch_folder,
+    sniff,
+    unpacked,
+)
 from jaxurban.io.read.vector import OF_DAMAGED, VECTOR_SUFFIXES, read_vector
 
 READERS = {".gml": read_citygml, ".city.json": read_cityjson}
 ARCHIVE = ".zip"
+MEMBER_BYTES = 2**14  # that each counts more, for the time that a file takes
 # Pages, and indexes of Shapefiles, which begin as these do.
 BESIDE = (".htm", ".html", ".shx", ".sbn", ".sbx")
 
@@ -30,7 +38,7 @@ def read_tiles(
     file: settings.Buildings | None = None,
     crs: str | None = None,
 ) -> Outlines:
-    """Return the objects of city models (see `body_of`) and the features of vector files as outlines.
+    """Return the objects of city models (see `bodies_of`) and the features of vector files as outlines.
 
     Args:
       path: a file of CityGML or CityJSON, packed or not, or a folder or an archive of such files, of vector files (see
@@ -40,7 +48,7 @@ def read_tiles(
 
     Raises:
       InputError: no such file among others, of which a warning says how many they are, one that cannot be read or has
-        a format that is known and not read, an archive with more in it than `MOST_UNPACKED`, or files in several
+        a format that is known and not read, an archive with more in it than `most_unpacked`, or files in several
         CRSs; as of `outlines_of` and `read_vector`.
     """
     bodies: list[dict[str, Any]] = []
@@ -57,12 +65,14 @@ def read_tiles(
         kinds[name] = kind
         if kind in READERS:
             with (
-                readable(
-                    tile, "a city model", "fetch it again", *OF_DAMAGED, ExpatError, what=repr(name)
-                ),
+                readable(tile, "a city model", "fetch it again", ExpatError, what=repr(name)),
                 unpacked(tile) as plain,
             ):
-                bodies += READERS[kind](plain, crs_names)
+                try:
+                    with in_own_words(*OF_DAMAGED):
+                        bodies += READERS[kind](plain, crs_names)
+                except InputError as error:
+                    raise InputError(f"{name!r} {error}") from error
         elif kind in VECTOR_SUFFIXES:
             tables.append(read_vector(tile, near, file, crs))
     if bodies:
@@ -111,18 +121,19 @@ def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[s
                 "an archive",
                 "unpack it yourself if you trust it, and name the folder",
                 *OF_DAMAGED,
-                EOFError,
-                zlib.error,
-                zipfile.BadZipFile,
+                *UNPACKING,
                 what=repr(name),
             ),
-            TemporaryDirectory(prefix="jaxurban-") as folder,
+            scratch_folder() as folder,
             zipfile.ZipFile(path) as archive,
         ):
-            room -= sum(each.file_size for each in archive.infolist())
+            room = min(room, most_unpacked(path))
+            room -= sum(each.file_size + MEMBER_BYTES for each in archive.infolist())
             if room < 0:
-                raise ValueError(f"it holds more than {MOST_UNPACKED / 2**30:g} GiB")
+                raise ValueError(
+                    f"it unpacks to more than {MOST_TIMES} times its size or {MOST_UNPACKED / 2**30:g} GiB"
+                )
             archive.extractall(folder)
-            yield from _files(Path(folder), name, room)
+            yield from _files(folder, name, room)
     else:
         yield name, path

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, warn
 from jaxurban.io.tables import read_table
 
 UTC = "utc"
@@ -55,6 +55,10 @@ OTHER_UNITS: OtherUnits = (
 )
 # The zone of a time, behind its minutes or seconds; pandas reads all but the names.
 ZONE = re.compile(r"(?:Z|UTC|GMT|:\d\d(?:\.\d+)?\s*[+-]\d\d(?::?\d\d)?)$", re.IGNORECASE)
+ROLLOVER = pd.Timedelta(weeks=1024)
+ROLLED_OVER = pd.Timestamp(
+    "2010-01-01", tz="UTC"
+)  # a receiver that has rolled over dates all until 2029 before it
 LIKE_THIS = "2018-12-19T06:07:37Z"
 TIME_REMEDY = (
     f"write UTC with a Z, as {LIKE_THIS} (GPS time is 18 s ahead of it since 2017), or local times with their offset, "
@@ -83,7 +87,36 @@ def track_of(table: pd.DataFrame, what: str) -> pd.DataFrame:
         raise InputError(
             f"{what} must have rows of the columns {UTC}, {LON} and {LAT}, in a file separated by commas"
         )
-    return checked(table, columns, what)
+    return fixes_of(checked(table, columns, what), what)
+
+
+def fixes_of(track: pd.DataFrame, what: str) -> pd.DataFrame:
+    """Return the rows of a track that have a place; at 0, 0 receivers are that have no fix.
+
+    Args:
+      track: with the columns ``utc``, ``lon_deg`` and ``lat_deg``, NaN where there is no fix.
+      what: names the track, and begins messages.
+
+    Warns:
+      UserWarning: how many rows are left out; times that look as if weeks were counted modulo 1024.
+
+    Raises:
+      InputError: no row has a place.
+    """
+    is_fix = track[[LON, LAT]].fillna(0.0).any(axis=1)
+    fixes = track[is_fix].reset_index(drop=True)
+    lost = f"{len(track) - len(fixes):,} of {len(track):,} places without a fix, at 0, 0 or by their own words"
+    if fixes.empty:
+        raise InputError(f"{what} has {lost}: record it again under the open sky")
+    if len(fixes) < len(track):
+        warn(f"{what} has {lost}, which are left out")
+    first = fixes[UTC].min()
+    if first < ROLLED_OVER:
+        warn(
+            f"{what} begins on {first:%Y-%m-%d}, whose sky is taken: if the receiver counts weeks modulo 1024, it was "
+            f"{first + ROLLOVER:%Y-%m-%d}; then give a table in which {UTC} is 1,024 weeks later"
+        )
+    return fixes
 
 
 def renamed(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
@@ -178,6 +211,8 @@ def _numbers(column: pd.Series, rule: Rule, what: str) -> pd.Series:
     Raises:
       InputError: a value that is no number or against the rule; ``what`` begins the message.
     """
+    if column.dtype == object:  # arrays without a dimension become numbers
+        column = column.map(lambda value: value if np.ndim(value) else np.asarray(value).item())
     values = pd.to_numeric(column, errors="coerce").astype(float)
     may_lack = rule.may_lack and bool(column.notna().any())
     is_right = np.isfinite(values) & values.between(rule.low, rule.high)

@@ -19,8 +19,9 @@ from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.tracks import LAT, LON, UTC
+from jaxurban.knowledge import Caution
 from jaxurban.progress import Report
-from jaxurban.public import Caution, FactsRepr
+from jaxurban.public import FactsRepr
 from jaxurban.satellites.outlines import Hiding
 from jaxurban.satellites.rule import FARTHEST_MARGIN_M, is_seen
 from jaxurban.satellites.track import Track

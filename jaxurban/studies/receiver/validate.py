@@ -25,10 +25,10 @@ from jaxurban.io.read.receivers import read_log
 from jaxurban.io.read.tracks import AZIMUTH, CN0, UTC
 from jaxurban.io.results import Result
 from jaxurban.io.samples import log_of
+from jaxurban.knowledge import Caution, Guesses
 from jaxurban.maps.run import grid_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, reporting
-from jaxurban.public import Caution
 from jaxurban.satellites.sight import Sight
 from jaxurban.satellites.track import NUM_VISIBLE
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
@@ -68,7 +68,7 @@ class ReceiverValidation(Result):
       shifts: a row per witness, length of pieces and ``shift`` of the maps along the track, in pieces, with the
         coefficients.
       attribution: whom to credit for the city.
-      guesses: what city and sky rest on that no file says, a sentence each.
+      guesses: what city and sky rest on that no file says.
       satellites: of a log with a row per satellite, how the maps agree with it, satellite by satellite; else None. Then
         ``num_visible`` and, where the log has none, ``num_tracked`` count the satellites that are judged.
 
@@ -94,13 +94,13 @@ class ReceiverValidation(Result):
     scores: pd.DataFrame
     shifts: pd.DataFrame
     attribution: str = ""
-    guesses: tuple[str, ...] = ()
+    guesses: Guesses = ()
     satellites: SatelliteAgreement | None = None
 
     @property
     def known_cautions(self) -> list[Caution]:
         """The guesses that the result rests on, and which rows of satellites were not judged."""
-        cautions = [Caution(guess, "guess") for guess in self.guesses]
+        cautions = [Caution(guess.sentence, "guess", "guess") for guess in self.guesses]
         if self.satellites is not None:
             cautions += self.satellites.known_cautions
         return cautions
@@ -187,7 +187,7 @@ def validate(
             f"{FEWEST_PIECES} pieces of {settings.piece_m:g} m: give a longer log, or shorter pieces"
         )
     satellites = None
-    guesses = dict[str, str]()
+    guesses: Guesses = ()
     with reporting("validate", progress) as report:
         # The city. The task of its maps, which holds the sky too, is made only if it is needed: where counts are
         # predicted, or where the log lacks the directions of its satellites.
@@ -198,7 +198,7 @@ def validate(
         needs_counts = logged.satellites is None or bool(logged.witnesses)
         if needs_counts or lacks_angles:
             task = sight.task(track.sky_times, float(settings.antenna_height_m), None)
-            guesses = dict(task.sky.guesses)
+            guesses = task.sky.guesses
 
         # How the city agrees with each satellite, if the log has a row for each.
         if logged.satellites is not None:
@@ -232,7 +232,7 @@ def validate(
         scores=scores,
         shifts=shifts,
         attribution=city.attribution,
-        guesses=(*city.guesses.values(), *guesses.values()),
+        guesses=city.guesses + guesses,
         satellites=satellites,
     )
 
