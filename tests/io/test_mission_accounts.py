@@ -2,6 +2,7 @@
 
 import json
 import time
+from itertools import product
 
 import numpy as np
 import pytest
@@ -190,11 +191,15 @@ def test_heights_of_two_notations_agree_or_are_refused(read):
         return {"type": "Feature", "properties": properties, "geometry": line}
 
     assert read(own([60.004]), "m.geojson").legs[0].end[2:4] == (60.0, "ground")
-    with pytest.raises(ju.InputError, match="30 m, and its feature 60 m"):
+    with pytest.raises(
+        ju.InputError, match=r"two values of the height of a position, 60\.0 and 30"
+    ):
         read(own([30]), "m.geojson")
     foreign = own([30], altitude_m=60.0)
     del foreign["properties"]["settings"]
-    with pytest.raises(ju.InputError, match="30 m, and its feature 60 m"):
+    with pytest.raises(
+        ju.InputError, match=r"two values of the height of a position, 60\.0 and 30"
+    ):
         read(foreign, "m.geojson", heights="ground")
     with pytest.raises(ju.InputError, match="z_m has 2 heights for 3 positions"):
         read(
@@ -230,7 +235,7 @@ def test_elevations_of_a_gpx_of_jaxurban_count_as_other_programs_fly_them(read):
 )
 def test_two_columns_of_one_quantity_agree_or_are_refused(read, header, row):
     rows = [row.format(50, lon) for lon in (0, 0.01)]
-    with pytest.raises(ju.InputError, match=r"has the columns '.*' and '.*' of .*, which differ"):
+    with pytest.raises(ju.InputError, match=r"columns '.*' and '.*', .* and .*: keep one"):
         read("\n".join([header, *rows]), "m.csv", heights="ground")
     same = "lat,lon,alt,Height\n50,0,40,40.004\n50,0.01,40,40\n"
     assert read(same, "m.csv", heights="ground").legs[0].end.height_m == 40
@@ -248,10 +253,10 @@ def test_tables_that_do_not_fit_their_header_are_refused_at_once(read):
 
 def test_keys_that_json_has_twice_are_refused(read):
     line = '{"type": "LineString", "coordinates": [[0,50,1],[1,50,1]], "coordinates": [[0,50,9],[1,50,9]]}'
-    with pytest.raises(ju.InputError, match="two values of 'coordinates': keep one"):
+    with pytest.raises(ju.InputError, match="two values of 'coordinates'"):
         read(line, "m.geojson", heights="ground")
     twice = json.dumps(plan()).replace('"mission"', '"mission": {}, "mission"')
-    with pytest.raises(ju.InputError, match="two values of 'mission': keep one"):
+    with pytest.raises(ju.InputError, match="two values of 'mission'"):
         read(twice, "m.plan")
 
 
@@ -358,17 +363,123 @@ def test_parts_of_a_plan_that_are_not_known_are_named(read):
     assert read(whole, "m.plan").not_judged == said
 
 
-def test_numbers_that_two_items_have_are_refused(read):
-    with pytest.raises(ju.InputError, match="item 2 and item 3 have the same number 2"):
-        read(plan([*TWO, item(2)]), "m.plan")
-    with pytest.raises(ju.InputError, match="line 3 and line 4 have the same number 1"):
-        read(waypoints(0, 30), "m.waypoints")
+def test_numbers_that_two_items_have_are_refused_where_a_jump_names_them(read):
+    jump = {"type": "SimpleItem", "command": 177, "frame": 2, "doJumpId": 9}
+    named, other = (jump | {"params": [number, 1, 0, 0, 0, 0, 0]} for number in (2, 1))
+    unnamed = [each | {"doJumpId": None} for each in TWO]
+    for items in ([*TWO, item(2)], [*TWO, item(2), other], unnamed):
+        assert read(plan(items), "m.plan").not_judged == ()
+    with pytest.raises(ju.InputError, match="item 4 jumps to the number 2, which 2 of them have"):
+        read(plan([*TWO, item(2), named]), "m.plan")
+    twice = waypoints(0, 30)
+    assert "its rows are not numbered in their order" in read(twice, "m.waypoints").not_judged[0]
+    with pytest.raises(ju.InputError, match="line 5 jumps to the number 1, which 2 of them have"):
+        read(twice + "9\t0\t0\t177\t1\t1\t0\t0\t0\t0\t0\t1\n", "m.waypoints")
     survey = {"type": "ComplexItem", "complexItemType": "survey"}
     mission = read(plan([*TWO, survey, survey, item(3)]), "m.plan")
     assert (
         "item 3 is a survey without its waypoints (open and save it in QGroundControl), which is not read"
         in mission.not_judged
     )
+
+
+FRAMES = {0: "geoid", 5: "geoid", 3: "home", 6: "home", 10: "ground", 11: "ground"}
+# By QGroundControlQmlGlobal::AltMode; 0 and 5 are of no item, and 3 makes metres above the geoid.
+MODES = {0: None, 1: "home", 2: "geoid", 3: "geoid", 4: "ground", 5: None, None: None}
+STRANGE_MODES = {7: "?", "home": "?"}
+
+
+@pytest.mark.parametrize(("frame", "mode"), [*product(FRAMES, MODES | STRANGE_MODES)])
+def test_the_frame_and_the_altitude_mode_of_an_item_say_the_same_or_are_refused(read, frame, mode):
+    said = (MODES | STRANGE_MODES)[mode]
+    shown = item(2, frame=frame) | {"AltitudeMode": mode, "Altitude": 40}
+    survey = {"CameraCalc": {"DistanceMode": mode}, "Items": [item(2, frame=frame)]}
+    for each in (shown, {"complexItemType": "survey", "TransectStyleComplexItem": survey}):
+        if said in (None, FRAMES[frame]):
+            assert read(plan([TWO[0], each]), "m.plan").legs[-1].end.datum == FRAMES[frame]
+        else:
+            with pytest.raises(ju.InputError, match=r"what item 2 is above, by its frame and by"):
+                read(plan([TWO[0], each]), "m.plan")
+
+
+@pytest.mark.parametrize(
+    ("frame", "is_relative", "follows_ground"), [*product((0, 3), (True, False), (True, False))]
+)
+def test_a_survey_of_an_older_version_says_what_its_items_say(
+    read, frame, is_relative, follows_ground
+):
+    camera = {"DistanceToSurfaceRelative": is_relative, "DistanceToSurface": 40}
+    survey = {"CameraCalc": camera, "FollowTerrain": follows_ground}
+    survey["Items"] = [item(2, frame=frame)]
+    whole = {"complexItemType": "survey", "TransectStyleComplexItem": survey}
+    if (frame == 3) == (is_relative and not follows_ground):
+        assert read(plan([TWO[0], whole]), "m.plan").legs[-1].end.height_m == 40
+    else:
+        with pytest.raises(ju.InputError, match="what item 2 is above"):
+            read(plan([TWO[0], whole]), "m.plan")
+
+
+@pytest.mark.parametrize(
+    ("frame", "facts"),
+    [
+        (3, {"Altitude": 30}),
+        (3, {"Altitude": 30, "params": [0, 0, 0, 0, 50, 0.02, None]}),
+        (3, {"Altitude": "thirty"}),
+        (0, {"AltitudeMode": 3, "AMSLAltAboveTerrain": 30}),
+    ],
+)
+def test_two_heights_of_an_item_are_refused(read, frame, facts):
+    with pytest.raises(ju.InputError, match="two values of the height of item 2, "):
+        read(plan([TWO[0], item(2, frame=frame) | facts]), "m.plan")
+
+
+def test_a_survey_names_the_height_of_its_items(read):
+    survey = {"CameraCalc": {"DistanceToSurface": 30}, "Items": [item(2)]}
+    whole = {"complexItemType": "survey", "TransectStyleComplexItem": survey}
+    with pytest.raises(ju.InputError, match=r"two values of the height of item 2, 40\.0 and 30"):
+        read(plan([TWO[0], whole]), "m.plan")
+
+
+@pytest.mark.parametrize("other", ["Height", "alt_m", "ELE"])
+def test_two_properties_of_one_height_agree_or_are_refused(read, other):
+    feature = {"type": "Feature", "geometry": {"type": "LineString", "coordinates": FLAT}}
+    for height_m, is_same in ((40.004, True), (30, False), (None, True)):
+        properties = {"properties": {"altitude_m": 40, other: height_m}}
+        if is_same:
+            mission = read(feature | properties, "m.geojson", heights="ground")
+            assert mission.legs[0].end.height_m == 40
+        else:
+            with pytest.raises(ju.InputError, match="the height of a feature, 40 and 30"):
+                read(feature | properties, "m.geojson", heights="ground")
+
+
+def test_values_that_are_the_same_in_two_places_are_one(read):
+    twice = json.dumps(plan()).replace('"frame": 3', '"frame": 3, "frame": 3.0')
+    assert read(twice, "m.plan").not_judged == ()
+    point = "<ele>40</ele><ele>40.0</ele><desc><p>a note</p></desc>"
+    gpx = read(GPX.format("a watch", point, point, ""), "m.gpx", heights="geoid")
+    assert gpx.legs[0].end.height_m == 40
+    line = f"<coordinates>{LINE}</coordinates>"
+    again = placemark(f"<LineString>{MODE}{MODE}{line}{line}</LineString>")
+    assert len(read(kml(again), "m.kml").legs) == 2
+
+
+@pytest.mark.parametrize("frame", [0, 3])
+def test_parrots_rows_are_those_of_ardupilot_but_row_0_may_be_flown(read, frame):
+    rows = waypoints(1, 30).replace("110", "120").replace("\t0\t0\t16", f"\t0\t{frame}\t16", 1)
+    for name in ("m.mavlink", "m.waypoints"):
+        mission = read(rows, name)
+        assert (mission.home is not None) == (frame == 0)
+        assert mission.autopilot == "unknown"
+        assert (mission.not_judged == ()) == (frame == 0)
+    assert [leg.end.height_m for leg in mission.legs][-1] == 30
+
+
+def test_missions_of_inav_are_named_with_their_converter(read):
+    step = {"no": 1, "action": "WAYPOINT", "lat": 50.0, "lon": 8.0, "alt": 40}
+    for content, name in (("<MISSION/>", "m.mission"), ({"mission": [step]}, "m.json")):
+        with pytest.raises(ju.InputError, match=r"of INAV: make KML of it with `mission2kml -home"):
+            read(content, name)
 
 
 @pytest.mark.parametrize("height_m", [29_064.96, 9_000.5, -500.5])
@@ -427,6 +538,14 @@ def test_lines_say_whether_they_follow_the_ground(read, report_of_route, tmp_pat
         route.save(tmp_path / f"own{suffix}")
         legs = read_mission(tmp_path / f"own{suffix}").legs
         assert {(leg.end.datum, leg.profile) for leg in legs} == {("ground", "frame")}
+
+
+def test_a_long_track_is_read_in_linear_time(read):
+    points = "".join(f'<trkpt lat="{50 + n / 1e5}" lon="8">{ELE}</trkpt>' for n in range(10_000))
+    began = time.process_time()
+    mission = read(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>", "m.gpx", heights="geoid")
+    assert len(mission.legs) == 9_999
+    assert time.process_time() - began < 1.1  # 1.4 s and more in the square of it
 
 
 def test_many_lines_and_many_things_are_read_in_seconds(read):

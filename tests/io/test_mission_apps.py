@@ -5,7 +5,9 @@ import json
 import random
 import struct
 import sys
-from zipfile import ZIP_DEFLATED, ZipFile
+import time
+from contextlib import suppress
+from zipfile import ZIP_BZIP2, ZIP_DEFLATED, ZIP_LZMA, ZipFile
 
 import numpy as np
 import pytest
@@ -51,10 +53,10 @@ def wpml(*folders, **config):
     return f"{HEAD}{elements(missionConfig=elements(**known))}{''.join(folders)}</Document></kml>"
 
 
-def kmz(**files):
+def kmz(packing=ZIP_DEFLATED, **files):
     """Return an archive of texts by their names, with _ for the dot."""
     buffer = io.BytesIO()
-    with ZipFile(buffer, "w", ZIP_DEFLATED) as archive:
+    with ZipFile(buffer, "w", packing) as archive:
         for name, text in files.items():
             archive.writestr(f"wpmz/{name.replace('_', '.')}", text)
     return buffer.getvalue()
@@ -171,6 +173,14 @@ def test_a_kmz_holds_waylines_beside_their_template_or_a_kml(read):
     for name, content in (("m.kmz", kmz(template_kml=template)), ("m.kml", template)):
         with pytest.raises(ju.InputError, match=r"DJI's template.*: name a waylines.wpml"):
             read(content, name)
+
+
+@pytest.mark.parametrize("packing", [ZIP_DEFLATED, ZIP_BZIP2, ZIP_LZMA])
+def test_a_kmz_of_damaged_bytes_is_refused_however_they_are_packed(read, packing):
+    content = bytearray(kmz(packing, waylines_wpml="damaged" * 99))
+    content[60:80] = bytes(20)
+    with pytest.raises(ju.InputError, match="cannot be read as a mission"):
+        read(bytes(content), "m.kmz")
 
 
 def test_bombs_and_archives_of_others_are_refused(read):
@@ -409,6 +419,141 @@ def test_damaged_files_of_apps_are_refused_in_one_sentence_or_read(read):
                 said.append(str(error))
         assert len(said) > 20, name
         assert not any("\n" in sentence for sentence in said)
+
+
+def with_waypoint(inner, old="</Placemark>"):
+    """Return waylines, each waypoint with more in it."""
+    return wpml(wayline(30, 40)).replace(old, inner + old)
+
+
+@pytest.mark.parametrize("inner", ["executeHeight", "coordinates", "waypointTurnMode"])
+def test_what_stands_in_a_group_of_actions_is_not_of_the_waypoint(read, inner):
+    text = with_waypoint(elements(actionGroup=elements(**{inner: 7})))
+    assert ways(read(text)) == ways(read(wpml(wayline(30, 40))))
+
+
+TURN = "waypointTurnParam"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("executeHeight", with_waypoint(elements(executeHeight=80))),
+        ("coordinates", with_waypoint("<Point><coordinates>8,47</coordinates></Point>")),
+        ("coordinates", with_waypoint("<coordinates>8,47</coordinates>", "</Point>")),
+        ("index", with_waypoint(elements(index=0) + elements(index=1))),
+        ("waypointTurnMode", with_waypoint(elements(**{TURN: elements(waypointTurnMode=CUT)}))),
+        (
+            "waypointTurnDampingDist",
+            with_waypoint(elements(waypointTurnDampingDist=9), f"</wpml:{TURN}>"),
+        ),
+        ("executeHeightMode", with_waypoint(elements(executeHeightMode="WGS84"), "</Folder>")),
+    ],
+)
+def test_two_values_of_one_quantity_of_a_waypoint_are_refused(read, name, text):
+    with pytest.raises(ju.InputError, match=f"two values of {name}, "):
+        read(text)
+
+
+CONFIG = {
+    "flyToWaylineMode": "pointToPoint",
+    "finishAction": "autoLand",
+    "takeOffSecurityHeight": 30,
+    "globalRTHHeight": 30,
+    "takeOffRefPoint": "47,8,0",
+}
+
+
+@pytest.mark.parametrize(("name", "value"), CONFIG.items())
+def test_two_values_of_one_quantity_of_the_mission_are_refused(read, name, value):
+    whole = wpml(wayline(30, 40))
+    end = "</wpml:missionConfig>"
+    same = whole[whole.index(f"<wpml:{name}>") :].partition("</")[0] + f"</wpml:{name}>"
+    assert ways(read(whole.replace(end, same + end))) == ways(read(whole))
+    template = wpml("<Folder><templateType>waypoint</templateType></Folder>", **{name: value})
+    for content, file in (
+        (whole.replace(end, elements(**{name: value}) + end), "m.wpml"),
+        (whole.replace(end, end + elements(missionConfig=elements(**{name: value}))), "m.wpml"),
+        (kmz(template_kml=template, waylines_wpml=whole), "m.kmz"),
+    ):
+        with pytest.raises(ju.InputError, match=f"two values of {name}, "):
+            read(content, file)
+
+
+@pytest.mark.parametrize(
+    ("third", "is_read"), [("0", True), ("30", True), ("30.004", True), ("60", False), ("", False)]
+)
+def test_a_third_coordinate_of_a_waypoint_is_its_height_or_none(read, third, is_read):
+    text = wpml(wayline(30, 30)).replace("\n</coordinates>", f",{third}</coordinates>")
+    if is_read:
+        assert ways(read(text)) == ways(read(wpml(wayline(30, 30))))
+    else:
+        with pytest.raises(ju.InputError, match="two values of the height of item 1, 30 and "):
+            read(text)
+
+
+@pytest.mark.parametrize(
+    ("indices", "is_read"),
+    [
+        ((0, 1, 2), True),
+        ((1, 2, 3), True),
+        ((0, 2, 1), False),
+        ((0, 1, 3), False),
+        ((0, 0, 1), False),
+        ((2, 1, 0), False),
+        ((0, "", 1), False),
+    ],
+)
+def test_indices_of_waypoints_rise_by_one(read, indices, is_read):
+    first, *marks = wayline(30, 40, 50).split("</Placemark>")
+    parts = [first, *marks]
+    numbered = [part + elements(index=n) for part, n in zip(parts[:3], indices, strict=True)]
+    text = wpml("</Placemark>".join([*numbered, parts[3]]))
+    if is_read:
+        assert ways(read(text)) == ways(read(wpml(wayline(30, 40, 50))))
+    else:
+        with pytest.raises(ju.InputError, match="index of its waypoints does not rise by one"):
+            read(text)
+
+
+def test_a_waypoint_outside_of_a_wayline_is_not_lost(read):
+    first, mark, end = wayline(30, 40).partition("</Placemark>")
+    alone = mark.join([end.partition("</Placemark>")[0], ""])
+    assert read(wpml(wayline(30, 40), alone)).num_lost == 1
+    assert first.startswith("<Folder>")
+
+
+@pytest.mark.parametrize("name", ["a", "Folder", "Placemark", "actionGroup", "executeHeight"])
+def test_waylines_in_waylines_are_read_in_linear_time(read, name):
+    began = time.process_time()
+    num = 20_000  # 7 s in the square of it
+    deep = f"<{name}>" * num + f"</{name}>" * num
+    with suppress(ju.InputError):
+        read(wpml(wayline(30, 40), deep))
+    assert time.process_time() - began < 1.5
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        "latitude,51",
+        "lon,9",
+        "altitude(m),90",
+        "altitudemode,1",
+        "altitudemode.1,1",
+        "curvesize(m),9",
+    ],
+)
+def test_columns_that_a_table_of_litchi_has_twice_agree_or_are_refused(read, more):
+    name, value = more.split(",")
+    rows = ["47.0,8.0,30,0,0", "47.001,8.0,30,0,0"]
+    head = "latitude,longitude,altitude(m),curvesize(m),altitudemode"
+    for table in (
+        [f"{head},{name}", *(f"{row},{value}" for row in rows)],
+        [f"{name},{head}", *(f"{value},{row}" for row in rows)],
+    ):
+        with pytest.raises(ju.InputError, match="two values of "):
+            read("\n".join(table), "m.csv", home=(8.0, 47.0))
 
 
 @pytest.mark.parametrize("missing", ["coordinates", "executeHeight>", "Placemark"])

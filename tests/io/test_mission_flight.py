@@ -93,7 +93,7 @@ def test_a_height_left_open_in_another_frame_is_not_judged(read, frame, is_known
 
 
 def test_jumps_within_jumps_end_and_each_leg_is_flown_once(read):
-    jumps = [item(JUMP, frame=2, params=(2, -1, 0, 0)), item(JUMP, frame=2, params=(3, -1, 0, 0))]
+    jumps = [item(JUMP, frame=2, params=(2, 3, 0, 0)), item(JUMP, frame=2, params=(3, -1, 0, 0))]
     legs = read([*BOX[:3], jumps[0], item(at=5, z_m=None), jumps[1], item(at=6)]).legs
     assert len(legs) == len(set(map(str, legs)))
     assert {leg.item for leg in legs if leg.kind == "jump"} == {2, 3}
@@ -142,8 +142,54 @@ def test_a_jump_without_end_is_flown_until_the_jumps_within_it_are_spent(read):
     mission = read(items)
     ways = [(leg.kind, leg.item) for leg in mission.legs[1:]]
     assert ways[:4] == [("leg", 2), ("leg", 3), ("jump", 6), ("jump", 2)]
-    assert ways[4:] == [("leg", 5), ("leg", 6), ("leg", 8)]
-    assert (mission.not_judged, mission.num_lost) == ((), 0)
+    assert ways[4:] == [("leg", 5), ("leg", 6)]
+    assert mission.not_judged == (NO_END.format(7, "jumps without end"),)
+    assert (mission.accounts[7].why, mission.num_lost) == (mission.not_judged[0], 0)
+
+
+NO_END = "item {} {}, so the flight has no end: what follows is not flown, and not judged"
+
+
+def jump(target, times=-1):
+    return item(JUMP, frame=2, params=(target, times, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("items", "last"),
+    [
+        ([jump(4)], 4),  # to itself
+        ([jump(5), jump(4)], 4),  # in a ring
+        ([jump(3), jump(4)], 4),
+        ([jump(2)], 4),
+        ([jump(1)], 4),  # to the take-off
+        ([jump(2, None)], 4),
+        ([jump(2, 1), jump(3, 2), jump(4)], 6),
+        ([item(17, at=4)], 4),
+        ([item(17)], 4),
+        ([item(17, at=4), jump(2, 1)], 4),
+    ],
+)
+@pytest.mark.parametrize("firmware", [ARDUPILOT, PX4, GENERIC])
+def test_a_flight_without_an_end_says_so_and_what_follows_is_not_flown(read, items, last, firmware):
+    does = "circles without end" if items[0]["command"] == 17 else "jumps without end"
+    for tail in ([], [item(at=7), item(21, at=7)]):
+        mission = read([*BOX[:3], *items, *tail], firmware)
+        assert mission.not_judged == (NO_END.format(last, does),)
+        assert all(leg.item <= 3 + len(items) for leg in mission.legs)
+        assert mission.num_lost == 0
+
+
+@pytest.mark.parametrize(("firmware", "is_flown"), [(ARDUPILOT, True), (PX4, False), (0, False)])
+def test_an_item_that_does_not_go_on_by_itself_is_the_end_but_for_ardupilot(
+    read, firmware, is_flown
+):
+    mission = read([*BOX[:2], item(at=2, autoContinue=False), item(at=3)], firmware)
+    assert [leg.item for leg in mission.legs][-1] == (4 if is_flown else 3)
+    assert (mission.not_judged == ()) == is_flown
+
+
+def test_a_pause_is_not_known_to_end(read):
+    assert "item 3 is command 193, which is not read" in read([*BOX[:2], item(193)]).not_judged
 
 
 def test_a_landing_of_an_unknown_autopilot_comes_down_from_either_height(read):

@@ -62,7 +62,7 @@ def test_missions_are_of_all_kinds_and_formats():
     cases = [case_of(worlds, number) for number in range(NUM_QUICK)]
     assert {case.kind for case in cases} >= {*KINDS} - {"damaged"}
     assert {case.suffix for case in cases} == {*FORMATS}
-    assert len({case.kind for case in cases if case.is_damaged}) > 20
+    assert len({case.kind for case in cases if case.is_damaged}) >= 20
     assert {case.datum for case in cases} >= {"home", "ground", "geoid", "ellipsoid", "mixed"}
 
 

@@ -4,6 +4,7 @@
 |---|---|---|
 | ``.plan`` of QGroundControl, version 1 | items, surveys'; home | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
 | ``.waypoints``, ``.txt``: ``QGC WPL 110`` | rows; row 0 is home where it is a waypoint | as in a ``.plan`` |
+| ``.mavlink``, Parrot's ``QGC WPL 120`` | the same; row 0 is home where it is above the sea | as in a ``.plan`` |
 | ``.kml`` | LineString, Track | relativeToGround: ground; absolute: geoid (EGM96); else they are asked for |
 | ``.gpx`` | routes, tracks | asked for; in jaxurban's own geoid (``ele``), or ground where it has none |
 | ``.geojson``, ``.json`` | LineString, MultiLineString | asked for; ground in jaxurban's own |
@@ -13,7 +14,7 @@
 
 The geofence of a ``.plan`` is read too, as zones. Whatever else has a position is counted and not judged. Places are in
 WGS 84; a file that names another CRS or datum is refused, and so is one that gives a quantity twice with different
-values.
+values (`one_value`).
 
 | command of MAVLink | how it is flown |
 |---|---|
@@ -23,6 +24,7 @@ values.
 | land 21, 85 | level to its place, then down to the ground |
 | return 20 | straight home at the return altitude, if one is given, and down; else at an open height |
 | jump 177 | straight to its target, once |
+| loiter 17, a jump for ever, and what does not go on by itself (but ArduPilot) | no end: what follows is not judged |
 | set home 179 | heights above home are open after it, and a return is not judged |
 | delays, conditions, speeds, cameras, servos, regions of interest | nothing |
 | splines 82, surveys without items, other complex items, all others | not judged, nor is the way to the next item |
@@ -34,25 +36,35 @@ https://mavlink.io/en/file_formats/#mission_plain_text_file.
 
 import csv
 import math
-import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from zipfile import BadZipFile
 
 import pandas as pd
 
 from jaxurban.checks import finite, one_of, positive
 from jaxurban.errors import InputError, readable
+from jaxurban.io.files import UNPACKING
 from jaxurban.io.read.mission_dji import read_wpml, unzipped
 from jaxurban.io.read.mission_items import read_plan, read_waypoints
-from jaxurban.io.read.mission_lines import csv_lines, geojson_lines, mission_of_lines, xml_lines
+from jaxurban.io.read.mission_lines import (
+    INAV,
+    csv_lines,
+    geojson_lines,
+    mission_of_lines,
+    xml_lines,
+)
 from jaxurban.io.read.mission_parts import DATUMS, DamagedError, Datum, LonLat, Mission, check_place
 from jaxurban.io.read.tracks import LAT, LON, UTC, track_of
 from jaxurban.io.read.ulog import ulog_lines
 
-ITEM_READERS = {".plan": read_plan, ".waypoints": read_waypoints, ".txt": read_waypoints}
+ITEM_READERS = {
+    ".plan": read_plan,
+    ".waypoints": read_waypoints,
+    ".txt": read_waypoints,
+    ".mavlink": read_waypoints,
+}
 LINE_READERS = {
     ".kml": xml_lines,
     ".gpx": xml_lines,
@@ -62,20 +74,23 @@ LINE_READERS = {
     ".ulg": ulog_lines,
 }
 SUFFIXES = (*ITEM_READERS, ".kmz", ".wpml", *LINE_READERS)
-ARDUPILOT_LOGS = (".bin", ".log", ".tlog")
+# Files that are not read, and what makes one of them that is.
+OTHERS = dict.fromkeys(
+    (".bin", ".log", ".tlog"),
+    "a log of ArduPilot: make GPX of it with `TZ=UTC mavtogpx.py FILE` of pymavlink",
+)
+OTHERS[".mission"] = INAV
 MOST_BYTES = 2**24  # some 20,000 items of a .plan
 # What Python and libraries raise for what is missing, or of another kind than it should be.
 BROKEN = (
     AttributeError,
-    BadZipFile,
-    EOFError,
     LookupError,
     OverflowError,
     RuntimeError,
     TypeError,
     ValueError,
     csv.Error,
-    zlib.error,
+    *UNPACKING,
 )
 
 
@@ -156,10 +171,8 @@ def read_flight(path: str | Path) -> pd.DataFrame:
 def _opened(path: Path, suffixes: Iterable[str]) -> Iterator[tuple[str, bytes]]:
     """Yield the suffix of a mission's file, one of ``suffixes``, and its bytes, and name it in errors."""
     suffix = path.suffix.lower()
-    if suffix in ARDUPILOT_LOGS:
-        raise InputError(
-            f"{path.name!r} is a log of ArduPilot: make GPX of it with `TZ=UTC mavtogpx.py FILE` of pymavlink"
-        )
+    if suffix in OTHERS:
+        raise InputError(f"{path.name!r} is {OTHERS[suffix]}")
     if suffix not in suffixes:
         raise InputError(
             f"cannot determine the format of {str(path)!r}: end its name in one of {', '.join(suffixes)}"

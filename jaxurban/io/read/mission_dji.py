@@ -18,7 +18,7 @@ https://developer.dji.com/doc/cloud-api-tutorial/en/api-reference/dji-wpml/wayli
 import io
 import math
 import re
-from collections.abc import Mapping
+from itertools import pairwise
 from xml.etree.ElementTree import Element
 from zipfile import ZipFile
 
@@ -26,16 +26,20 @@ from jaxurban.io.read.mission_flight import LAND, RETURN, TAKEOFF, WAYPOINT, Flo
 from jaxurban.io.read.mission_items import home_of, mission_of
 from jaxurban.io.read.mission_lines import point_of, tag_of, text_of, words_of, xml_root
 from jaxurban.io.read.mission_parts import (
+    SAME_M,
     DamagedError,
     Datum,
     LonLat,
     Mission,
     check_place,
     decimal_of,
+    one_value,
 )
 
 MOST_UNPACKED = 2**26  # bytes in a KMZ, with its pictures
 HEIGHT_MODES: dict[str, Datum] = {"relativeToStartPoint": "home", "WGS84": "ellipsoid"}
+TURN_MODE = "waypointTurnParam", "waypointTurnMode"
+TURN_CUT = "waypointTurnParam", "waypointTurnDampingDist"
 STOP = "toPointAndStopWithDiscontinuityCurvature"
 MATRICE_300 = "60"  # droneEnumValue
 ENDS = {"goHome": RETURN, "autoLand": LAND}
@@ -50,7 +54,7 @@ def unzipped(data: bytes) -> tuple[str, bytes, bytes]:
 
     Raises:
       DamagedError: it holds no mission or several, or more than `MOST_UNPACKED`.
-      BadZipFile, RuntimeError, zlib.error, EOFError: it is damaged or encrypted.
+      errors of `UNPACKING`, RuntimeError: it is damaged or encrypted.
     """
     with ZipFile(io.BytesIO(data)) as archive:
         if sum(file.file_size for file in archive.infolist()) > MOST_UNPACKED:
@@ -81,76 +85,84 @@ def read_wpml(
       InputError: it holds no waypoint.
       DamagedError: it cannot be read.
     """
-    root = xml_root(data)
-    words = _words(xml_root(template or data)) | _words(root)
+    files = Element("files")
+    files.extend([xml_root(text) for text in ([data, template] if template else [data])])
+
+    def said(*names: str) -> str:
+        """Return what the files say of the whole mission."""
+        return text_of(files, "kml", "Document", "missionConfig", *names)
 
     # Waypoints in the order of the file, and what is not as it seems.
     items: list[Item] = []
     notes = []
-    mode = ""
     num_things = 0
-    for element in root.iter():
-        tag, text = tag_of(element), words_of(element)
+    for element in files[0].iter():
+        tag = tag_of(element)
         if tag == "Folder":
             mode = text_of(element, "executeHeightMode")
+            waypoints = [child for child in element if tag_of(child) == "Placemark"]
+            indices = [decimal_of("an index", text_of(each, "index")) for each in waypoints]
+            rises = {after - before for before, after in pairwise(indices)}
+            if rises - {1.0} and not all(map(math.isnan, indices)):
+                raise DamagedError(
+                    "the index of its waypoints does not rise by one: put them in order"
+                )
             if items:
                 notes.append("the ways between its waylines are judged as if straight")
+            for waypoint in waypoints:
+                items.append(_waypoint(waypoint, len(items) + 1, mode))
+                if text_of(waypoint, *TURN_MODE) not in (STOP, "coordinateTurn"):
+                    notes.append("curves at its waypoints are judged as if straight")
         elif tag == "Placemark":
-            point = _words(element)
-            items.append(_waypoint(point, len(items) + 1, mode))
-            if point.get("waypointTurnMode") not in (STOP, "coordinateTurn"):
-                notes.append("curves at its waypoints are judged as if straight")
-        elif tag == "Point":
             num_things += 1
-        elif tag == "actionActuatorFunc" and not STILL_ACTION.fullmatch(text):
-            notes.append(f"the action {text[:40]!r} is not judged")
+        elif tag == "actionActuatorFunc" and not STILL_ACTION.fullmatch(words_of(element)):
+            notes.append(f"the action {words_of(element)[:40]!r} is not judged")
 
     # What follows the last waypoint, and how the first one is reached, where the file says it.
     first = items[0]
-    end = words.get("finishAction", "")
+    end = said("finishAction")
     if end != "noAction":
         last = Item(0, None, ENDS.get(end, -1), what=f"the finish action {end[:40]!r}")
         last = first if end == "gotoFirstWaypoint" else last
         items.append(last._replace(number=len(items) + 1))
         num_things += 1
-    security_m = decimal_of("a height", words.get("takeOffSecurityHeight"))
-    is_safe = words.get("flyToWaylineMode") == "safely" and security_m >= 0
-    if first.datum and is_safe and words.get("droneEnumValue") != MATRICE_300:
+    security_m = decimal_of("a height", said("takeOffSecurityHeight"))
+    is_safe = said("flyToWaylineMode") == "safely" and security_m >= 0
+    if first.datum and is_safe and said("droneInfo", "droneEnumValue") != MATRICE_300:
         items.insert(0, first._replace(command=TAKEOFF, params=(security_m,)))
         num_things += 1
 
-    lat, lon, _ = point_of(words.get("takeOffRefPoint", "").split(","))
+    lat, lon, _ = point_of(said("takeOffRefPoint").split(","))
     start = home_of(home, lon, lat, math.nan)
     if math.isnan(return_altitude_m):
-        return_altitude_m = decimal_of("a height", words.get("globalRTHHeight"))
+        return_altitude_m = decimal_of("a height", said("globalRTHHeight"))
     flown = FlownItems(items, start[0], return_altitude_m, "dji")
     return mission_of(name, flown, num_things, start, notes, math.nan)
 
 
-def _words(root: Element) -> dict[str, str]:
-    """Return the text within each element by its name, of several the last one."""
-    return {tag_of(element): words_of(element) for element in root.iter()}
-
-
-def _waypoint(words: Mapping[str, str], number: int, mode: str) -> Item:
+def _waypoint(element: Element, number: int, mode: str) -> Item:
     """Return a waypoint, whose parameters are whether it is a stop, and how far from it the corner may be cut.
 
     Args:
-      words: of its elements, by their names.
+      element: its Placemark. What stands deeper in it, in a group of actions, does not count.
       number: of the item.
       mode: what its height is above, a key of `HEIGHT_MODES`; others are not read.
 
     Raises:
-      DamagedError: a value is missing, or the place is not on the Earth.
+      DamagedError: a value is missing, two differ, or the place is not on the Earth.
     """
     what = f"item {number}"
     if mode not in HEIGHT_MODES:
         return Item(number, None, -1, what=f"a waypoint of the height mode {mode[:40]!r}")
-    lon, lat, _ = point_of(words.get("coordinates", "").split(","))
-    height_m = decimal_of("an executeHeight", words.get("executeHeight"))
+    values = text_of(element, "Point", "coordinates").split(",")
+    lon, lat, _ = point_of(values)
+    # Programs that write a third coordinate of 0 say no height by it.
+    others = [value for value in values[2:] if decimal_of("a coordinate", value) != 0]
+    heights = (text_of(element, "executeHeight"), *others)
+    height_m = decimal_of("an executeHeight", one_value(f"the height of {what}", heights, SAME_M))
     if math.isnan(lon + lat + height_m):
         raise DamagedError(f"{what} lacks its longitude, latitude or executeHeight")
     check_place(what, lon, lat, height_m)
-    cut_m = decimal_of("a waypointTurnDampingDist", words.get("waypointTurnDampingDist"))
-    turn = (words.get("waypointTurnMode") == STOP, cut_m)
+    cut_m = decimal_of("a waypointTurnDampingDist", text_of(element, *TURN_CUT))
+    turn = (text_of(element, *TURN_MODE) == STOP, cut_m)
     return Item(number, None, WAYPOINT, turn, lon, lat, height_m, HEIGHT_MODES[mode])

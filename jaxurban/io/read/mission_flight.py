@@ -35,9 +35,11 @@ SET_HOME = 179
 TAKEOFFS = (TAKEOFF, 24, 84)
 LANDINGS = (LAND, 85)
 OF_AEROPLANES = (84, 85, 3000)  # take-off, landing and transition of VTOL
+LOITER_UNLIM = 17
 LOITER_TURNS = 18
 LOITER_TO_ALT = 31
-LOITERS = {17: 2, LOITER_TURNS: 2, 19: 2, LOITER_TO_ALT: 1}  # and which parameter is the radius
+# And which parameter is the radius.
+LOITERS = {LOITER_UNLIM: 2, LOITER_TURNS: 2, 19: 2, LOITER_TO_ALT: 1}
 # Fences and rally points.
 BESIDE = dict.fromkeys(range(5000, 5100), "its geofence is not judged")
 BESIDE[5100] = "its rally points are not judged"
@@ -47,7 +49,7 @@ STILL = frozenset(
 ).union(
     [3000, 3001, 4501, 42600],
     range(180, 185),
-    range(193, 199),
+    range(194, 199),
     range(200, 208),
     range(209, 213),
     range(214, 218),
@@ -97,6 +99,7 @@ class Item(NamedTuple):
       datum: what ``height_m`` is above; None in frames that are not of the Earth.
       what: names an item without a command in messages.
       is_straight: whether the way to the item is straight although its height is above the ground.
+      goes_on: whether the next item follows by itself; ArduPilot does not look at it, and PX4 waits where it does not.
     """
 
     number: int
@@ -109,6 +112,7 @@ class Item(NamedTuple):
     datum: Datum | None = None
     what: str = ""
     is_straight: bool = False
+    goes_on: bool = True
 
     @property
     def has_place(self) -> bool:
@@ -155,8 +159,9 @@ class FlownItems:
     A return rises to the return altitude, or keeps its own height where that is more. Near home the autopilots rise
     less by their defaults: that is a variant.
 
-    Jumps are flown as often as they say, straight from the item before to their target; what follows after one without
-    end, too. A height that an item leaves open is that with which the vehicle comes to it, each time it does.
+    Jumps are flown as often as they say, straight from the item before to their target. What follows where the flight
+    stays, or comes round without end, is not flown. A height that an item leaves open is that with which the vehicle
+    comes to it, each time it does.
 
     Attributes:
       legs: the legs in the order flown, each once.
@@ -192,6 +197,7 @@ class FlownItems:
             tuple[int, State], State
         ] = {}  # by the index of an item and the state before it
         self._why: dict[int, str] = {}  # the first sentence on an item, by its number
+        self._why_ended = ""  # the sentence on what is never flown
         self._number = 0  # of the item that is flown
         self._is_jump = False  # it is flown to from a jump
         self._run()
@@ -200,7 +206,8 @@ class FlownItems:
     def _run(self) -> None:
         """Fly all items and their jumps, until the last one.
 
-        A jump without end is not flown again where the vehicle comes to it as before: all that follows was flown then.
+        A jump without end is not flown again where the vehicle comes to it as before: all that follows was flown then,
+        and the flight has no end.
         """
         index_of: dict[float | None, int] = {
             item.key: index for index, item in enumerate(self._items)
@@ -220,12 +227,18 @@ class FlownItems:
                 else:
                     self._fly(item)
                     self._after[key] = self._state
+                if self._stays_at(item):
+                    return
                 index += 1
                 continue
             target_key, times, *_ = item.params
             target = index_of.get(target_key)
             way = index, self._state, num_counted
-            is_left = flown[index] < times if times >= 0 else way not in rounds
+            is_endless = not times >= 0  # NaN, too
+            if is_endless and way in rounds:
+                self._end(item, "jumps without end")
+                return
+            is_left = is_endless or flown[index] < times
             if is_left and target is not None:
                 flown[index] += 1
                 num_counted += times > 0
@@ -239,6 +252,21 @@ class FlownItems:
         if num_flown == MOST_FLOWN:
             self._say("its jumps are flown more often than is followed")
 
+    def _stays_at(self, item: Item) -> bool:
+        """Return whether the vehicle stays at an item for good, by any autopilot that may fly it, and say so."""
+        if item.command == LOITER_UNLIM:
+            self._end(item, "circles without end")
+        elif not item.goes_on and self.autopilot != "ardupilot":
+            self._end(item, "does not go on by itself (autoContinue)")
+        return bool(self._why_ended)
+
+    def _end(self, item: Item, does: str) -> None:
+        """Say that what follows an item is never flown, for what it does."""
+        self._say(
+            f"item {item.number} {does}, so the flight has no end: what follows is not flown, and not judged"
+        )
+        self._why_ended = self.not_judged[-1]
+
     def _accounts(self) -> list[Account]:
         """Return what became of each item: its legs, or the sentence on it, or that it moves nothing."""
         legs_of: defaultdict[int, list[int]] = defaultdict(list)
@@ -248,7 +276,8 @@ class FlownItems:
         accounts = []
         for item in self._items:
             legs = tuple(legs_of[item.number])
-            still = "it moves nothing" if item.number in reached else "jumps pass over it"
+            passed = self._why_ended or "jumps pass over it"
+            still = "it moves nothing" if item.number in reached else passed
             why = "" if legs else self._why.get(item.number, still)
             accounts.append(Account(f"item {item.number}", 1, legs, why))
         return accounts

@@ -1,6 +1,7 @@
-"""Missions of MAVLink's items from files: QGroundControl's ``.plan``, and the rows of ``QGC WPL 110``."""
+"""Missions of MAVLink's items from files: QGroundControl's ``.plan``, and rows of ``QGC WPL 110`` and ``120``."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,6 +11,8 @@ from jaxurban.io.read.mission_fence import read_geofence
 from jaxurban.io.read.mission_flight import (
     FRAMES,
     HAS_HEIGHT,
+    JUMP,
+    PLACED,
     WAYPOINT,
     FlownItems,
     Item,
@@ -17,23 +20,36 @@ from jaxurban.io.read.mission_flight import (
 from jaxurban.io.read.mission_parts import (
     Autopilot,
     DamagedError,
+    Datum,
     LonLat,
     Mission,
     check_place,
     decimal_of,
     json_of,
     number_of,
+    one_value,
     shortened,
     whole_of,
 )
 
 HEADER = "QGC WPL 110"
+OF_PARROT = "QGC WPL 120"  # with the same columns
 NUM_COLUMNS = 12
 AUTOPILOTS: dict[Any, Autopilot] = {3: "ardupilot", 12: "px4"}  # by the number of MAV_AUTOPILOT
 SURVEYS = ("survey", "CorridorScan")  # complex items that hold the simple ones that are flown
 PLANES = (1, *range(19, 26))  # MAV_TYPE: fixed wing, and VTOL of every kind
-# QGroundControl's AltitudeMode: it makes metres above the geoid of metres above ground.
-CALCULATED = 3
+# QGroundControl's AltitudeMode, and what heights are above by it; None where it does not say it. The last of these
+# makes metres above the geoid of metres above ground.
+RELATIVE, ABSOLUTE, CALCULATED = 1, 2, 3
+ALTITUDE_MODES: dict[Any, Datum | None] = {
+    None: None,
+    0: None,
+    RELATIVE: "home",
+    ABSOLUTE: "geoid",
+    CALCULATED: "geoid",
+    4: "ground",
+    5: None,
+}
 HOME_HEIGHT = "home_above_ground_m"  # among the settings of jaxurban's own plans
 SAME_M = 0.1
 LOWEST_M, HIGHEST_M = -500.0, 9000.0  # that ground lies at, above the geoid
@@ -73,7 +89,7 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
         raise DamagedError("its items are no list")
     rows = [item for row in rows for item in _unfolded(row)]
     items = [_item_of_plan(row, number) for number, row in enumerate(rows, 1)]
-    _check_keys(items, "item")
+    _check_jumps(items, "item")
     autopilot = AUTOPILOTS.get(mission.get("firmwareType"), "unknown")
 
     # The plan's home is a list of latitude, longitude and elevation, of which some or all may be missing.
@@ -113,10 +129,10 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
 def read_waypoints(
     data: bytes, name: str, home: LonLat | None, return_altitude_m: float
 ) -> Mission:
-    """Return the mission of a file of ``QGC WPL 110``.
+    """Return the mission of a file of ``QGC WPL 110``, or of Parrot's ``QGC WPL 120``, which has the same columns.
 
     Row 0 is home if it is a waypoint, as ArduPilot's ground stations write it: then take-offs have no place. Otherwise
-    it is the first item, and the file names no home.
+    it is the first item, and the file names no home. Parrot's drones fly to row 0, unless it is above the sea.
 
     Args:
       data: the bytes of the file, text.
@@ -130,25 +146,27 @@ def read_waypoints(
     """
     texts = [text.strip() for text in data.decode("utf-8-sig", "replace").splitlines()]
     lines = {number: text for number, text in enumerate(texts, 1) if text[:1] not in ("", "#")}
-    if next(iter(lines.values()), "") != HEADER:
+    header = next(iter(lines.values()), "")
+    if header not in (HEADER, OF_PARROT):
         raise InputError(
             f"{name!r} does not begin with {HEADER!r}: save the mission again, as .waypoints or .plan"
         )
     items = [_item_of_row(text.split(), number) for number, text in list(lines.items())[1:]]
-    _check_keys(items, "line")
+    _check_jumps(items, "line")
     rows = [line.strip()[:1] for line in data.splitlines()]
     num_rows = sum(row not in (b"", b"#") for row in rows) - 1  # but the header
 
     start: Home = (home, None)
     autopilot: Autopilot = "unknown"
     first_key = items[0].key or 0 if items else 0
-    if items and items[0].key == 0 and items[0].command in (0, WAYPOINT):
+    is_first_home = items and items[0].key == 0 and items[0].command in (0, WAYPOINT)
+    if is_first_home and (header == HEADER or items[0].datum == "geoid"):
         first = items.pop(0)
         first_key = 1
         num_rows -= 1
         elevation_m = first.height_m if first.datum == "geoid" else math.nan
         start = home_of(home, first.lon, first.lat, elevation_m)
-        autopilot = "ardupilot"
+        autopilot = "ardupilot" if header == HEADER else "unknown"
     is_ordered = [item.key for item in items] == list(range(first_key, first_key + len(items)))
     notes = [] if is_ordered else ["its rows are not numbered in their order, so jumps may differ"]
     numbered = [item._replace(number=number) for number, item in enumerate(items, 1)]
@@ -196,14 +214,14 @@ def mission_of(
     )
 
 
-def _check_keys(items: Sequence[Item], what: str) -> None:
-    """Raise DamagedError where two items, by messages called ``what``, have one key: where do jumps lead then?"""
-    numbers = {item.key: item.number for item in reversed(items)}
+def _check_jumps(items: Sequence[Item], what: str) -> None:
+    """Raise DamagedError where a jump names the key of two items, which messages call by ``what``."""
+    num_of: Counter[float | None] = Counter(item.key for item in items)
     for item in items:
-        other = numbers[item.key]
-        if item.key is not None and other != item.number:
+        if item.command == JUMP and num_of[item.params[0]] > 1:
             raise DamagedError(
-                f"{what} {other} and {what} {item.number} have the same number {item.key}, which jumps name: change one"
+                f"{what} {item.number} jumps to the number {item.params[0]:g}, which {num_of[item.params[0]]} of them "
+                "have: give each its own"
             )
 
 
@@ -237,19 +255,29 @@ def home_of(home: LonLat | None, lon: float, lat: float, elevation_m: float) -> 
 
 
 def _unfolded(row: Any) -> list[Any]:
-    """Return the items that a survey or a corridor scan holds, by which it is flown; of any other item itself."""
+    """Return the items that a survey or a corridor scan holds, by which it is flown; of any other item itself.
+
+    They get the height and the altitude mode that the survey names for all of them.
+    """
     if not isinstance(row, dict) or row.get("complexItemType") not in SURVEYS:
         return [row]
-    return row.get("TransectStyleComplexItem", {}).get("Items") or [row]
+    survey = row.get("TransectStyleComplexItem", {})
+    camera = survey.get("CameraCalc", {})
+    mode = camera.get("DistanceMode")
+    if "DistanceToSurfaceRelative" in camera:  # before QGroundControl 4.2
+        mode = RELATIVE if camera["DistanceToSurfaceRelative"] else ABSOLUTE
+        mode = CALCULATED if survey.get("FollowTerrain") else mode
+    said = {"AltitudeMode": mode, "Altitude": camera.get("DistanceToSurface")}
+    return [said | item for item in survey.get("Items") or []] or [row]
 
 
 def _item_of_plan(value: Any, number: int) -> Item:
     """Return an item of a plan from its JSON value.
 
-    QGroundControl flies at the item's ``Altitude``, and other programs at its seventh parameter, so both must be the
-    same. Only where QGroundControl calculates heights above the geoid from heights above ground do they differ: then
-    the seventh parameter counts, or, where it is null because the terrain is not known, the ``Altitude`` above
-    ground, to which the way is straight all the same.
+    QGroundControl flies at the item's ``Altitude`` in its ``AltitudeMode``, and other programs at its seventh parameter
+    in its frame, so both must be the same. Only where QGroundControl calculates heights above the geoid from heights
+    above ground do they differ: then the seventh parameter counts, or, where it is null because the terrain is not
+    known, the ``Altitude`` above ground, to which the way is straight all the same.
 
     Args:
       value: the JSON value.
@@ -259,12 +287,12 @@ def _item_of_plan(value: Any, number: int) -> Item:
       The item; a ``ComplexItem`` becomes one of command -1, which says what it is.
 
     Raises:
-      DamagedError: it is no item, or its two heights differ by more than `SAME_M`.
+      DamagedError: it is no item, or its two heights differ by more than `SAME_M`, or in what they are above.
     """
     what = f"item {number}"
     row = _object(value, what)
     key = None
-    if "doJumpId" in row:
+    if row.get("doJumpId") is not None:
         key = whole_of(f"doJumpId of {what}", row["doJumpId"])
     if row.get("type") != "SimpleItem":
         kind = str(row.get("complexItemType"))[:40]
@@ -280,18 +308,23 @@ def _item_of_plan(value: Any, number: int) -> Item:
         raise DamagedError(f"{what} has no list of seven params")
     values = [number_of(f"a parameter of {what}", param) for param in params]
     command, frame = (whole_of(f"{part} of {what}", row.get(part)) for part in ("command", "frame"))
-    item = _item(what, number, key, command, frame, values)
+    goes_on = row.get("autoContinue") != 0
+    item = _item(what, number, key, command, frame, values, goes_on)
 
-    # Its two heights: the parameter's in the item, and the one that QGroundControl shows.
-    shown_m = number_of(f"Altitude of {what}", row.get("Altitude"))
-    if row.get("AltitudeMode") == CALCULATED and item.datum == "geoid":
+    # Its two heights: the parameter's in the frame, and the one that QGroundControl shows.
+    mode = row.get("AltitudeMode")
+    if command in PLACED:
+        shown = ALTITUDE_MODES.get(mode, f"AltitudeMode {mode}")
+        zeros = f"what {what} is above, by its frame and by its AltitudeMode"
+        one_value(zeros, (item.datum, shown))
+    height = f"the height of {what}"
+    if mode == CALCULATED and item.datum == "geoid":
+        one_value(height, (params[6], row.get("AMSLAltAboveTerrain")), SAME_M)
         if math.isnan(item.height_m):
+            shown_m = number_of(f"Altitude of {what}", row.get("Altitude"))
             return item._replace(height_m=shown_m, datum="ground", is_straight=True)
-        return item
-    if command in HAS_HEIGHT and abs(item.height_m - shown_m) > SAME_M:
-        raise DamagedError(
-            f"{what} has params of {item.height_m:g} m and an Altitude of {shown_m:g} m"
-        )
+    elif command in HAS_HEIGHT:
+        one_value(height, (item.height_m, row.get("Altitude")), SAME_M)
     return item
 
 
@@ -312,17 +345,24 @@ def _item_of_row(cells: Sequence[str], line: int) -> Item:
     numbers = [decimal_of(f"a value of {what}", text) for text in texts]
     # Column 1, whether it is the current item, is not looked at.
     key, frame, command = (whole_of(f"a value of {what}", numbers[column]) for column in (0, 2, 3))
-    return _item(what, line, key, command, frame, numbers[4:11])
+    goes_on = numbers[-1] != 0
+    return _item(what, line, key, command, frame, numbers[4:11], goes_on)
 
 
 def _item(
-    what: str, number: int, key: int | None, command: int, frame: int, values: Sequence[float]
+    what: str,
+    number: int,
+    key: int | None,
+    command: int,
+    frame: int,
+    values: Sequence[float],
+    goes_on: bool,
 ) -> Item:
     """Return an item of MAVLink.
 
     Args:
       what: begins the message of an error.
-      number, key, command: as of `Item`.
+      number, key, command, goes_on: as of `Item`.
       frame: number of MAVLink's frame; in frames that `FRAMES` lacks the place is not checked, and ``datum`` is None.
       values: four parameters, latitude and longitude in degrees, and height in metres.
 
@@ -333,4 +373,4 @@ def _item(
     datum = FRAMES.get(frame)
     if datum:
         check_place(what, lon, lat, height_m)
-    return Item(number, key, command, tuple(params), lon, lat, height_m, datum)
+    return Item(number, key, command, tuple(params), lon, lat, height_m, datum, goes_on=goes_on)

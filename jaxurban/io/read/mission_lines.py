@@ -35,6 +35,7 @@ from jaxurban.io.read.mission_parts import (
     decimal_of,
     json_of,
     number_of,
+    one_value,
     shortened,
 )
 from jaxurban.io.read.routes import ALTITUDE_PROPERTY, SEGMENT_PROPERTY
@@ -42,6 +43,7 @@ from jaxurban.io.read.routes import ALTITUDE_PROPERTY, SEGMENT_PROPERTY
 OWN = "jaxurban"  # what it calls itself as the creator of GPX
 OWN_HEIGHT = re.compile(r"(-?[\d.]+) m above ground")  # of its points there
 OWN_DATA = "height_reference"  # that its lines in KML have
+INAV = "a mission of INAV: make KML of it with `mission2kml -home LAT,LON,ALT FILE > mission.kml` of bbl2kml"
 DJI_TEMPLATE = "templateType"  # element of the KML from which DJI's programs make waylines
 XML_OTHERS = ("Point", "Polygon", "LinearRing", "Model", "GroundOverlay", "NetworkLink", "Tour")
 KML_MODES: dict[str, Datum] = {"relativeToGround": "ground", "absolute": "geoid"}
@@ -281,16 +283,22 @@ def tag_of(element: Element) -> str:
 
 
 def words_of(element: Element) -> str:
-    """Return the text within an element."""
-    return " ".join(element.itertext()).strip()
+    """Return the text of an element; DamagedError where it holds elements beside it."""
+    if len(element):
+        raise DamagedError(f"a {tag_of(element)[:40]} holds elements, and not only text")
+    return (element.text or "").strip()
 
 
-def text_of(element: Element, name: str) -> str:
-    """Return the text of the children of this name, else an empty text; DamagedError where they differ."""
-    texts = {words_of(child) for child in element if tag_of(child) == name}
-    if len(texts) > 1:
-        raise DamagedError(f"a {tag_of(element)} has two values of {name}: keep one")
-    return next(iter(texts), "")
+def text_of(element: Element, *names: str) -> str:
+    """Return the text of the children of a name, or of their children by more names, else an empty text.
+
+    Raises:
+      DamagedError: two of them differ, or hold elements.
+    """
+    elements = [element]
+    for name in names:
+        elements = [child for each in elements for child in each if tag_of(child) == name]
+    return one_value(names[-1], map(words_of, elements)) or ""
 
 
 def point_of(
@@ -315,8 +323,6 @@ def _num_at(element: Element) -> int:
       DamagedError: there are elements among the positions.
     """
     if tag_of(element) == "coordinates":
-        if len(element):
-            raise DamagedError("its coordinates hold elements, and not only text")
         return len(words_of(element).split())
     return tag_of(element) == "coord" or "lat" in element.attrib or "lon" in element.attrib
 
@@ -404,8 +410,10 @@ def _gpx_line(element: Element, is_own: bool) -> Line:
     """
     nodes = [child for child in element if tag_of(child) in ("rtept", "trkpt")]
     heights = [text_of(node, "ele") for node in nodes]
-    matches = [OWN_HEIGHT.fullmatch(text_of(node, "desc")) for node in nodes]
-    described = [match[1] if match and is_own else "" for match in matches]
+    described = [""] * len(nodes)
+    if is_own:
+        matches = [OWN_HEIGHT.fullmatch(text_of(node, "desc")) for node in nodes]
+        described = [match[1] if match else "" for match in matches]
     datum: Datum | None = "geoid" if is_own else None
     if is_own and not any(heights):
         heights, described, datum = described, [], "ground"
@@ -413,7 +421,9 @@ def _gpx_line(element: Element, is_own: bool) -> Line:
         point_of((node.get("lon"), node.get("lat"), height))
         for node, height in zip(nodes, heights, strict=True)
     ]
-    beside_m = [decimal_of("a height", text) for text in described if any(described)]
+    if not any(described):
+        described = []
+    beside_m = [decimal_of("a height", text) for text in described]
     times = [text_of(node, "time") for node in nodes]
     return Line(tag_of(element), points, datum, is_own, beside_m=beside_m, times=times)
 
@@ -440,11 +450,13 @@ def geojson_lines(path: Path, data: bytes) -> Shapes:
     property ``z_m``; the segments of their reports repeat them.
 
     Raises:
-      InputError: the file names another coordinate reference system than WGS 84.
+      InputError: the file names another coordinate reference system than WGS 84, or is a mission of INAV.
       ValueError: the file cannot be read, a coordinate is not a number, a point has two heights, or ``z_m`` has another
         length than its line.
     """
     whole = json_of(data)
+    if isinstance(whole, dict) and isinstance(whole.get("mission"), list):
+        raise InputError(f"{path.name!r} is {INAV}")
     lines: list[Line] = []
     segments: list[Line] = []
     stack: list[tuple[Any, dict[str, Any]]] = [(whole, {})]  # with the properties of its feature
@@ -502,7 +514,8 @@ def _geojson_lines(geometry: dict[str, Any], properties: dict[str, Any]) -> list
 
     # The points of each part, with the heights of a route of jaxurban's, if it is one.
     above_ground_m = properties.get("z_m") if "settings" in properties else None
-    height_m = next((properties[name] for name in COLUMNS["height"] if name in properties), None)
+    stated = [value for name, value in properties.items() if name.lower() in COLUMNS["height"]]
+    height_m = one_value("the height of a feature", stated, SAME_M)
     lines = []
     for part in parts:
         heights_m = above_ground_m or [height_m] * len(part)
@@ -510,13 +523,9 @@ def _geojson_lines(geometry: dict[str, Any], properties: dict[str, Any]) -> list
             raise DamagedError(f"z_m has {len(heights_m)} heights for {len(part)} positions")
         points = []
         for values, height_m in zip(part, heights_m, strict=True):
-            lon, lat, third_m = point_of(values, number_of)
-            beside_m = number_of("a height", height_m)
-            if abs(third_m - beside_m) > SAME_M:
-                raise DamagedError(
-                    f"a position has the height {third_m:g} m, and its feature {beside_m:g} m for it: keep one"
-                )
-            points.append((lon, lat, third_m if math.isnan(beside_m) else beside_m))
+            lon, lat, _ = point_of(values, number_of)
+            said = one_value("the height of a position", (height_m, *values[2:]), SAME_M)
+            points.append((lon, lat, number_of("a height", said)))
         is_own = bool(above_ground_m)
         lines.append(Line(what, points, "ground" if is_own else None, is_own))
     return lines
@@ -554,13 +563,19 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
     columns = [*zip_longest(header, *rows, fillvalue="")]
     names = [re.sub(r"\.\d+$", "", UNIT.sub("", name.strip().lower())) for name in header]
     column_of = dict(zip(names, columns, strict=True))
+
+    def named(*known: str) -> list[Sequence[str]]:
+        """Return the columns of some names."""
+        return [column for name, column in zip(names, columns, strict=True) if name in known]
+
+    curves, modes = named(CURVE), named(MODE)
     if ABOVE_TAKEOFF in names or CURVE in names:
         height = ABOVE_TAKEOFF if ABOVE_TAKEOFF in names else "altitude"
         if height in column_of and not UNIT.search(column_of[height][0].lower()):
             raise InputError(
                 f"{path.name!r} does not say the unit of {height}: call that column '{height}(m)' or '{height}(feet)'"
             )
-        flown = ("longitude", "latitude", height)
+        flown = (*COLUMNS["longitude"], *COLUMNS["latitude"], height)
         names = [name if name in flown else "" for name in names]
     for name, (title, *cells) in zip(names, columns, strict=True):
         for cell in set(cells):
@@ -578,26 +593,19 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
             raise InputError(f"{path.name!r} has no column of {quantity}: call it {first}")
         if quantity == "height":
             known.update(name for name in names if any(word in name for word in HEIGHTS))
-        chosen = [column for name, column in zip(names, columns, strict=True) if name in known]
-        numbers = [*map(_metres, chosen)]
         most = SAME_M if quantity == "height" else NEAR_DEG / 100
-        if not np.allclose(numbers, numbers[0], rtol=0.0, atol=most, equal_nan=True):
-            titles = " and ".join(repr(title) for title, *_ in chosen)
-            raise InputError(
-                f"{path.name!r} has the columns {titles} of {quantity}, which differ: keep the one that is flown"
-            )
-        values.append(numbers[0])
+        values.append(_one_column(named(*known), most))
     line = Line("table", list(zip(*values, strict=True)))
     if ABOVE_TAKEOFF in names:
         line = line._replace(datum="home")
-    elif CURVE in column_of:
-        _, *modes = column_of.get(MODE, [MODE])
-        if not set(map(str.strip, modes)) <= LITCHI_MODES.keys():
+    elif curves:
+        cells = one_value(MODE, [[cell.strip() for cell in column[1:]] for column in modes]) or []
+        if not set(cells) <= LITCHI_MODES.keys():
             raise DamagedError(
                 f"a value of {MODE} is neither 0, above the take-off, nor 1, above the ground"
             )
-        datums = [LITCHI_MODES[mode.strip()] for mode in modes]
-        line = line._replace(datums=datums, cuts_m=_metres(column_of[CURVE]))
+        datums = [LITCHI_MODES[cell] for cell in cells]
+        line = line._replace(datums=datums, cuts_m=one_value(CURVE, map(_metres, curves)))
     return [line], len(rows)
 
 
@@ -606,3 +614,13 @@ def _metres(column: Sequence[str]) -> list[float]:
     title, *cells = column
     unit_m = FOOT_M if "(f" in title.lower() else 1.0
     return [decimal_of(f"a {title}", cell) * unit_m for cell in cells]
+
+
+def _one_column(columns: Sequence[Sequence[str]], most: float) -> list[float]:
+    """Return the numbers of columns of one quantity, as of `_metres`; errors as of `one_value`."""
+    numbers, *others = map(_metres, columns)
+    if others:
+        titles = " and ".join(repr(title) for title, *_ in columns)
+        what = f"one quantity, in its columns {titles}"
+        numbers = [one_value(what, row, most) for row in zip(numbers, *others, strict=True)]
+    return numbers

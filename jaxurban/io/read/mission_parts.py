@@ -3,7 +3,7 @@
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -149,13 +149,44 @@ def json_of(data: bytes) -> Any:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return an object of JSON; DamagedError where it has a key twice, of which readers take one or the other."""
-    values = {}
+    """Return an object of JSON; DamagedError where a key has two values, of which readers take one or the other."""
+    values: dict[str, Any] = {}
     for key, value in pairs:
         if key in values:
-            raise DamagedError(f"an object in it has two values of {key[:40]!r}: keep one")
+            one_value(f"{key[:40]!r} in an object", ([values[key]], [value]))
         values[key] = value
     return values
+
+
+def one_value(what: str, values: Iterable[Any], most: float = 0.0) -> Any:
+    """Return the value of a quantity that a file may give in several places, None where it gives none.
+
+    Programs take one or the other place, so that values that differ are not judged: every reader asks here.
+
+    Args:
+      what: names the quantity in the message of an error.
+      values: numbers, or texts, of which those of one number are the same. None is left out; NaN is like no other.
+      most: by how much two numbers may differ.
+
+    Raises:
+      DamagedError: two values differ.
+    """
+    first = None
+    for value in values:
+        if first is None:
+            first = value
+        elif value is not None and not _is_same(first, value, most):
+            one, other = (str(each)[:40] for each in (first, value))
+            raise DamagedError(f"it has two values of {what}, {one} and {other}: keep one")
+    return first
+
+
+def _is_same(one: Any, other: Any, most: float) -> bool:
+    """Return whether two values are equal, or numbers or texts of numbers that differ by no more than ``most``."""
+    try:
+        return one == other or abs(float(one) - float(other)) <= most
+    except (TypeError, ValueError):
+        return False
 
 
 def decimal_of(what: str, text: str | None) -> float:

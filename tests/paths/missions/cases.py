@@ -118,6 +118,17 @@ def skims(draw: Draw, kind: str) -> Case:
     return items_case(draw, kind, [*items, Item(LAND)], ends_m[0], options=options)
 
 
+def through(draw: Draw, kind: str) -> Case:
+    """Return a mission level through a thing that stands, between a take-off and a landing."""
+    ends_m, above_m = draw.through_thing()
+    datum = draw.datum()
+    items = [
+        draw.item(command, xy_m, datum, ends_m[0], above_m)
+        for command, xy_m in zip((TAKEOFF, WAYPOINT), ends_m, strict=True)
+    ]
+    return items_case(draw, kind, [*items, Item(LAND)], ends_m[0])
+
+
 def corners(draw: Draw, kind: str) -> Case:
     """Return a mission round the corner of a house, which it clears by a metre only if it does not cut it."""
     house = draw.house()
@@ -202,6 +213,7 @@ MAKERS = {
     "return": returns,
     "skim": skims,
     "corner": corners,
+    "thing": through,
     "open": open_heights,
 }
 

@@ -20,9 +20,8 @@ from tests.paths.missions.flights import (
     Item,
     height_in,
 )
-from tests.paths.missions.worlds import BLOCK_M, MARGIN_M, SIDE_M, World
+from tests.paths.missions.worlds import SIDE_M, STREETS_M, World
 
-STREETS_M = np.arange(BLOCK_M / 2 - MARGIN_M / 4, SIDE_M, BLOCK_M)[1:]  # between houses
 OFF_STREET_M = 5.0
 HEIGHTS_M = (5.0, 15.0, 30.0, 60.0, 110.0)  # above the ground
 HIGH_M, LOW_M = 150.0, (10.0, 20.0)  # above everything, and between houses
@@ -32,6 +31,7 @@ FIRMWARES: tuple[Firmware, ...] = ("ardupilot", "px4", "other")
 HOLD_S = 3.0
 ASIDE_M, WALL_ASIDE_M = 33.0, 4.5  # of the centre of a house or a wall, and so outside all of them
 LARGEST_WALL_M2 = 20.0
+SURE_M = 0.5  # below a top
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +123,7 @@ class Draw:
         inside = ((centres_m > 60) & (centres_m < SIDE_M - 60)).all(axis=1)
         fits = inside & np.isinf(self.world.floor_m) & (self.world.top_m >= 12)
         fits &= (shapely.area(self.world.outlines) < LARGEST_WALL_M2) == is_wall
+        fits[self.world.num_houses :] = False
         return int(self.rng.choice(np.flatnonzero(fits)))
 
     def around(self) -> list[XY]:
@@ -143,10 +144,22 @@ class Draw:
         """Return two places on either side of a house, and half its height."""
         house = self.house()
         centre_m = np.array(self.world.outlines[house].centroid.coords[0])
+        return self._across(centre_m), float(self.world.top_m[house] / 2)
+
+    def through_thing(self) -> tuple[list[XY], float]:
+        """Return two places on either side of a thing that stands, and a height at which it stands."""
+        thing = int(self.rng.integers(self.world.num_houses, len(self.world.outlines)))
+        inside_m = self.world.outlines[thing].representative_point().coords[0]
+        low_m = max(1.0, self.world.floor_m[thing] + SURE_M)
+        z_m = self.rng.uniform(low_m, max(low_m, self.world.top_m[thing] - SURE_M))
+        return self._across(np.array(inside_m)), float(z_m)
+
+    def _across(self, centre_m: np.ndarray) -> list[XY]:
+        """Return two places on either side of one, in any direction."""
         angle = self.rng.uniform(0, 2 * math.pi)
         away_m = ASIDE_M * np.array([math.cos(angle), math.sin(angle)])
         starts_m, ends_m = np.round([centre_m + away_m, centre_m - away_m], 2).tolist()
-        return [tuple(starts_m), tuple(ends_m)], float(self.world.top_m[house] / 2)
+        return [tuple(starts_m), tuple(ends_m)]
 
 
 def items_case(draw: Draw, kind: str, items: list[Item], home_m: XY, **more: Any) -> Case:

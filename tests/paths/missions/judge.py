@@ -133,7 +133,8 @@ class Ruling(NamedTuple):
 def ruling(world: World, truth: Truth, verdict: Verdict, is_damaged: bool = False) -> Ruling:
     """Return the law over a verdict.
 
-    Findings of buildings that are cells, and of damaged files, whose places nobody knows, are not looked at.
+    Findings of buildings that are cells, of things that are guessed, and of damaged files, whose places nobody knows,
+    are not looked at.
     """
     why = ""
     if verdict.state == "clean":
@@ -144,7 +145,7 @@ def ruling(world: World, truth: Truth, verdict: Verdict, is_damaged: bool = Fals
             why = "a corner that is cut"
         elif truth.unknown:
             why = truth.unknown[0]
-    if is_damaged or not world.has_files:
+    if is_damaged or not world.has_files or world.things:
         return Ruling(why, ())
 
     invented = []

@@ -16,16 +16,18 @@ from tests.paths.missions.damage import DAMAGES
 from tests.paths.missions.draw import Case, Draw
 from tests.paths.missions.judge import Ruling, Truth, ruling, truth_of
 from tests.paths.missions.verdicts import Verdict, verdict_of
-from tests.paths.missions.worlds import World, make_worlds, worlds_in
+from tests.paths.missions.worlds import BY_CELLS, THINGS, World, make_worlds, worlds_in
 
 PLAIN, DAMAGED = "plain", "damaged"
-# Of each twenty missions so many are of a kind. What earlier versions say of plain ones still holds.
+# Of each twenty-three missions so many are of a kind. What earlier versions say of plain ones still holds.
 KINDS = (
     *("mixed", "lines", PLAIN, DAMAGED, "jump") * 2,
     *("loiter", "loiter", "return", "corner", "open", "skim", DAMAGED, DAMAGED, "return", DAMAGED),
+    *("thing",) * 3,
 )
 APPS = "apps"  # missions of DJI, Litchi, AirData and surveys, which are numbered apart
-WORLDS = ("hills", "coarse", "flat", "hills", "gone")
+WORLDS = ("hills", "coarse", "flat", "hills", "gone", "things 1", "things 2 by cells")
+WITH_THINGS = tuple(f"{name}{how}" for name in THINGS for how in ("", BY_CELLS))
 
 
 class Trial(NamedTuple):
@@ -65,7 +67,8 @@ def case_of(worlds: Mapping[str, World], number: int, seed: int = 1, kinds: str 
         num_before = turn * KINDS.count(kind) + KINDS[:place].count(kind)
         world = worlds[str(rng.choice(["hills", "flat"]))]
         return DAMAGES[num_before % len(DAMAGES)](Draw(world, rng))
-    world = worlds["hills" if kind == "corner" else str(rng.choice(WORLDS))]
+    names = {"corner": ("hills",), "thing": WITH_THINGS}.get(kind, WORLDS)
+    world = worlds[str(rng.choice(names))]
     return MAKERS[kind](Draw(world, rng), kind)
 
 
@@ -83,7 +86,7 @@ def write(case: Case, folder: Path, number: int) -> Path:
 class Court:
     """Tries missions over the worlds in a folder, whose maps are opened once.
 
-    The cities of ``flat`` and ``hills`` are read once; for ``coarse`` each check reads that of its maps from the files.
+    Cities are read once; for ``coarse`` each check reads that of its maps from the files.
     """
 
     def __init__(self, folder: Path, seed: int = 1, kinds: str = "") -> None:
@@ -96,8 +99,9 @@ class Court:
         for maps in self.maps.values():
             maps.ds.load()
         self.sources = {
-            name: {"sources": load_city(Scenario.from_toml(folder / name / "scenario.toml"))}
-            for name in ("flat", "hills")
+            name: {"sources": load_city(Scenario.from_toml(world.folder.parent / "scenario.toml"))}
+            for name, world in self.worlds.items()
+            if world.has_files and name != "coarse"
         }
 
     def case(self, number: int) -> Case:

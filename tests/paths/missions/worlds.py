@@ -6,7 +6,7 @@ Of jaxurban nothing is imported here: the truth of a world is its outlines and i
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,9 @@ import pyproj
 import rasterio
 import shapely
 from scipy.interpolate import RegularGridInterpolator
+
+from tests.io.cities import plant
+from tests.io.cities.extracts import FROM_EXTRACTS
 
 CRS, CORNER_M = "EPSG:32618", (583_000.0, 4_506_000.0)  # in Lower Manhattan
 SIDE_M, MARGIN_M = 500.0, 160.0  # of the maps, and by how much files reach beyond them
@@ -23,6 +26,9 @@ GEOID_M = 37.0  # above the ellipsoid
 LEVEL_M = 12.0  # elevation above the geoid of level ground
 BLOCK_M = 62.0  # between the centres of houses
 ROOFS_M = (8.0, 12.0, 25.0, 40.0, 90.0)
+STREETS_M = np.arange(BLOCK_M / 2 - MARGIN_M / 4, SIDE_M, BLOCK_M)[1:]  # between houses
+NUM_THINGS, BY_CELLS = 20, " by cells"
+THINGS = ("things 1", "things 2", "things 3")  # names of worlds
 TO_LONLAT = pyproj.Transformer.from_crs(CRS, "EPSG:4326", always_xy=True)
 SCENARIO = """
 [region]
@@ -58,6 +64,7 @@ class World:
       floor_m, top_m: ``[B]`` heights above the ground that they reach from and to; -inf for what stands.
       terrain_m: ``[Y, X]`` elevation of the pixels' centres from the southwest; None on level ground.
       has_files: the files are still there, so that exact outlines count.
+      things: what stands at crossings, the last of the ``B``.
     """
 
     name: str
@@ -68,6 +75,12 @@ class World:
     top_m: np.ndarray
     terrain_m: np.ndarray | None = None
     has_files: bool = True
+    things: tuple[plant.Thing, ...] = ()
+
+    @property
+    def num_houses(self) -> int:
+        """The number of buildings, which come first."""
+        return len(self.outlines) - sum(len(thing.core) for thing in self.things)
 
     def ground_m(self, x_m, y_m) -> np.ndarray:
         """Return the elevation of the ground above the geoid, bilinear between the centres of the file's pixels."""
@@ -121,11 +134,16 @@ def buildings(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndar
 def write_buildings(file: Path, world: World) -> None:
     """Write the buildings of a world as GeoJSON."""
     features = []
-    for outline, floor_m, top_m in zip(world.outlines, world.floor_m, world.top_m, strict=True):
-        ring = [world.lonlat(*xy_m) for xy_m in outline.exterior.coords]
-        about = {"height": top_m} | ({"min_height": floor_m} if floor_m > 0 else {})
-        shape = {"type": "Polygon", "coordinates": [ring]}
-        features.append({"type": "Feature", "properties": about, "geometry": shape})
+    records = [record for thing in world.things for record in thing.records]
+    kind = {"building": "yes"} if records else {}  # which else all are
+    for index in range(world.num_houses):
+        floor_m, top_m = world.floor_m[index], world.top_m[index]
+        about = {"height": top_m} | ({"min_height": floor_m} if floor_m > 0 else {}) | kind
+        records.append(plant.Record(world.outlines[index], about))
+    for record in records:
+        placed = shapely.transform(record.shape, world.lonlat, interleaved=False)
+        shape = shapely.geometry.mapping(placed)
+        features.append({"type": "Feature", "properties": record.tags, "geometry": shape})
     file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
 
 
@@ -139,11 +157,35 @@ def write_terrain(file: Path, world: World) -> None:
         raster.write(world.terrain_m[::-1].astype(np.float32), 1)
 
 
+def with_things(name: str, folder: Path) -> World:
+    """Return a world of a name of `THINGS` with things at crossings, as OpenStreetMap's extracts have them."""
+    draw = plant.Draw(np.random.default_rng([*name.encode()]))
+    crossings = np.stack(np.meshgrid(STREETS_M, STREETS_M), axis=-1).reshape(-1, 2)
+    things = []
+    for centre_m in draw.rng.permutation(crossings):
+        draw.centre_m = tuple(centre_m)
+        thing = plant.plant(draw, draw.one_of(*FROM_EXTRACTS[:3]))
+        if thing.core or draw.one_of(True, False, False):
+            things.append(thing)
+    things = tuple(things[:NUM_THINGS])
+    outlines, floor_m, top_m = buildings(draw.rng)
+    prisms = [prism for thing in things for prism in thing.core]
+    return World(
+        name,
+        folder,
+        5.0,
+        np.append(outlines, [prism.outline for prism in prisms]),
+        np.append(floor_m, [prism.floor_m for prism in prisms]),
+        np.append(top_m, [prism.top_m for prism in prisms]),
+        things=things,
+    )
+
+
 def worlds_in(folder: Path) -> dict[str, World]:
-    """Return worlds by name, whose files and maps are in a folder: ``flat``, ``gone``, ``hills`` and ``coarse``.
+    """Return worlds by name, whose files and maps are in a folder: ``flat``, ``gone``, ``hills``, ``coarse`` and more.
 
     ``gone`` is the flat one after its files were lost, so that its buildings are cells; ``coarse`` is the hills by
-    maps of 20 m.
+    maps of 20 m. Those of `THINGS` are flat and have things beside houses; by cells their files are lost as well.
     """
     parts = buildings(np.random.default_rng(46))
     centres_m = _centres_m(int((SIDE_M + 2 * MARGIN_M) / PIXEL_M))
@@ -155,13 +197,20 @@ def worlds_in(folder: Path) -> dict[str, World]:
         World("hills", hills, 5.0, *parts, terrain_m),
         World("coarse", hills, 20.0, *parts, terrain_m),
     )
-    return {world.name: world for world in worlds}
+    named = {world.name: world for world in worlds}
+    for name in THINGS:
+        home = folder / name.replace(" ", "_")
+        named[name] = world = with_things(name, home / "maps")
+        by_cells = {"name": name + BY_CELLS, "folder": home / "lost" / "maps", "has_files": False}
+        named[name + BY_CELLS] = replace(world, **by_cells)
+    return named
 
 
 def make_worlds(folder: Path, run_maps: RunMaps) -> dict[str, World]:
     """Make the files and the maps of `worlds_in` a folder, and return the worlds."""
     worlds = worlds_in(folder)
-    for name, resolutions_m in (("flat", [5.0]), ("hills", [5.0, 20.0])):
+    resolutions_m = {"hills": [5.0, 20.0]}
+    for name in ("flat", "hills", *THINGS):
         world = worlds[name]
         home = world.folder.parent
         home.mkdir(parents=True)
@@ -173,7 +222,7 @@ def make_worlds(folder: Path, run_maps: RunMaps) -> dict[str, World]:
         text = SCENARIO.format(
             bounds=[*world.lonlat(0.0, 0.0), *world.lonlat(SIDE_M, SIDE_M)],
             crs=CRS,
-            resolutions_m=resolutions_m,
+            resolutions_m=resolutions_m.get(name, [5.0]),
             lowest_m=LOWEST_M,
             highest_m=HIGHEST_M,
             terrain=terrain,
@@ -181,4 +230,6 @@ def make_worlds(folder: Path, run_maps: RunMaps) -> dict[str, World]:
         (home / "scenario.toml").write_text(text)
         run_maps(home / "scenario.toml", world.folder)
     shutil.copytree(worlds["flat"].folder, worlds["gone"].folder)
+    for name in THINGS:
+        shutil.copytree(worlds[name].folder, worlds[name + BY_CELLS].folder)
     return worlds
