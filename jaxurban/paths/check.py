@@ -14,12 +14,12 @@ import shapely
 from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
-from jaxurban.io.read.guesses import WITHOUT_DATA
 from jaxurban.io.read.mission import read_mission
 from jaxurban.io.read.mission_parts import Datum, Leg, LonLat, Mission, Place
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
+from jaxurban.knowledge import GuessKind
 from jaxurban.maps.metric_maps import MapsLike, as_maps
-from jaxurban.maps.sources import EXACT, left_out, standing_on
+from jaxurban.maps.sources import left_out, standing_on
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.check_result import MissionCheck
 from jaxurban.paths.constraints import Bound, Constraints
@@ -156,8 +156,9 @@ def check(
     figures = {"num_zones": len(zones), "num_zones_in_force": len(limits.zones)}
 
     # What is found along the mission, which parts of it are unknown, and the figures; limits are on figures.
-    city, outlines, has_changed = standing_on(maps, sources)
-    is_outlined = outlines == EXACT
+    standing = standing_on(maps, sources)
+    city = standing.city
+    is_outlined = not standing.reason
     known = shapely.box(*maps.grid.bounds_m)
     if city and is_outlined:  # a raster of plants is looked at in the maps' cells alone
         known = shapely.intersection(known, city.known_ground) if city.plants else city.known_ground
@@ -172,9 +173,11 @@ def check(
     findings = pd.concat(tables or [findings])
 
     departures = departures_of(flight, buildings, known, limits)
-    lost = [] if is_outlined else [text for text in maps.guesses if text.endswith(WITHOUT_DATA)]
+    guesses = () if is_outlined else maps.guesses
+    lost = [guess.name for guess in guesses if guess.kind is GuessKind.WITHOUT_DATA]
     not_judged = [
-        *[CHANGED] * has_changed,
+        *[CHANGED] * standing.has_changed,
+        *(f"{each.name}." for each in maps.guesses if each.kind is GuessKind.WITHOUT_SHAPE),
         *_above_roof(flight, buildings),
         *_not_judged(flight, unknown),
         *open_limits,
@@ -187,7 +190,7 @@ def check(
         findings=findings.reset_index(drop=True),
         not_judged=not_judged,
         figures=figures,
-        outlines=outlines + flight.ground_note,
+        outlines=standing.outlines + flight.ground_note,
         limits=limits.to_dict(),
         flight=flight,
         maps=maps,

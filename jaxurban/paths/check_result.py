@@ -15,9 +15,9 @@ from jaxurban.io.files import write_whole
 from jaxurban.io.read.zone import Zone
 from jaxurban.io.results import Result
 from jaxurban.io.tables import SUFFIXES, records_of, write_table
+from jaxurban.knowledge import Caution, caution_of_guesses
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.legs import Flight
-from jaxurban.public import Caution, caution_of_guesses
 from jaxurban.settings import time_said
 
 State = Literal["clean", "findings", "not-judged"]
@@ -141,7 +141,7 @@ class MissionCheck(Result):
         parts = {
             "finding": self.sentences,
             "not judged": self.not_judged,
-            "guessed": list(self.maps.guesses),
+            "guessed": [guess.name for guess in self.maps.guesses],
             "return": self.return_lines,
         }
         listed = [f"  {name}: {text}" for name, texts in parts.items() for text in texts]
@@ -151,8 +151,8 @@ class MissionCheck(Result):
     def known_cautions(self) -> list[Caution]:
         """The findings, what was not judged, and what the maps guess."""
         return [
-            *(Caution(sentence, "limit") for sentence in self.sentences),
-            *(Caution(sentence, "guess") for sentence in self.not_judged),
+            *(Caution(sentence, "limit", "finding") for sentence in self.sentences),
+            *(Caution(sentence, "guess", "not judged") for sentence in self.not_judged),
             *caution_of_guesses(self.maps.guesses),
         ]
 
@@ -178,7 +178,7 @@ class MissionCheck(Result):
             "figures": dict(self.figures),
             "outlines": self.outlines,
             "limits": dict(self.limits),
-            "guesses": list(self.maps.guesses),
+            "guesses": [guess.name for guess in self.maps.guesses],
             "return_altitudes": records_of(self.return_altitudes),
             "return_lines": list(self.return_lines),
         }

@@ -8,6 +8,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.city import WOOD, City
+from jaxurban.io.read.rasterise import unknown_plants_m
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.io.read.zone import cell_boxes
 from jaxurban.maps.metric_maps import MetricMaps
@@ -34,7 +35,7 @@ class Prisms(NamedTuple):
       floor_m, top_m: ``[B]`` heights above the ground that they reach from and to, both included.
       limit_m: ``[B]`` height that what is of guessed height does not exceed, inf where nothing bounds it; -inf where
         nothing is guessed.
-      kind: ``[B]`` of `Footprints`.
+      kind: ``[B]`` the `Footprints.named` of each.
     """
 
     polygons: np.ndarray
@@ -73,12 +74,15 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
         floor_m = np.where(is_slab, standing.min_height_m, -np.inf)
         top_m = np.where(standing.height_m > 0, standing.height_m, -np.inf)
         limit_m = np.where(standing.is_guessed, standing.upper_m, -np.inf)
-        outlines = Prisms(standing.polygons, floor_m, top_m, limit_m, standing.kinds)
+        outlines = Prisms(standing.polygons, floor_m, top_m, limit_m, standing.named)
         if city.plants is None:
             return outlines
         plants_m = resample_raster(city.plants, grid, "max")
-        cells = np.argwhere(plants_m > 0)
-        plants = _of_cells(grid, cells, plants_m[tuple(cells.T)], np.full(len(cells), WOOD, object))
+        unsure_m = unknown_plants_m(city.plants, grid)
+        cells = np.argwhere((plants_m > 0) | (unsure_m > 0))
+        place = tuple(cells.T)
+        kind = np.full(len(cells), WOOD, object)
+        plants = _of_cells(grid, cells, plants_m[place], kind, unsure_m[place])
         return Prisms(*(np.concatenate(values) for values in zip(outlines, plants, strict=True)))
     if TOUCHED not in maps.ds:
         raise InputError(

@@ -29,7 +29,6 @@ from jaxurban.paths.route_report import (
     CLEARANCE,
     COST_OF,
     DENSITY,
-    NO_FIX_IN_1_0,
     OUTSIDE,
     OVER_ROOF,
     VISIBLE,
@@ -180,9 +179,7 @@ def _amounts(parts: Steps, profile: pd.DataFrame, vehicle: Vehicle, swath_m: flo
     if DENSITY in profile:
         amounts["people_overflown"] = people_below(profile[DENSITY], parts, swath_m)
     if FIX in profile:
-        amounts["no_fix_m"] = amounts[NO_FIX_IN_1_0] = length_m * has_no_fix(
-            profile[FIX].to_numpy()
-        )
+        amounts["no_fix_m"] = length_m * has_no_fix(profile[FIX].to_numpy())
     if vehicle.speed_m_s is not None:
         rise_m = parts.z_m[:, 1] - parts.z_m[:, 0]
         amounts["time_s"] = vehicle.flight_s(length_m, rise_m, vehicle.speed_m_s)

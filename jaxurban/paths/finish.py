@@ -22,7 +22,6 @@ from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import pocket_note, snap_note, what_would_join
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.simplify import simplify as simplify_path
-from jaxurban.public import renamed_arguments
 
 if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
@@ -240,7 +239,6 @@ def _between_m(cost_map: "CostMap") -> list[float]:
     return around_m if len(around_m) == 2 else []
 
 
-@renamed_arguments(on="cost_map")
 @typed
 def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> PlannedPath:
     """Return the path with the fewest straight legs that keep within a tolerance of it and to free cells.

@@ -163,7 +163,7 @@ def costs_of(
             XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps.planning, snap=True)
         )
     except InputError as error:
-        return figures | {"cost_note": f"No route to compare with: {str(error).partition(';')[0]}."}
+        return figures | {"cost_note": f"No route to compare with: {error}."}
     reason = ""
     if cheapest.cost > mission["cost"] * (1 + SAME_SHARE):
         reason = DEARER

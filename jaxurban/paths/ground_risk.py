@@ -10,13 +10,12 @@ from shapely.ops import substring
 
 from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
-from jaxurban.io.read.guesses import is_of_people, percent
+from jaxurban.knowledge import OF_PEOPLE, Caution, caution_of_guesses, percent
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.paths.corridor import Cells, cell_means, cells_within
 from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.route_report import DENSITY, GRIDS_M, OverflownDensity
-from jaxurban.public import Caution, caution_of_guesses
 from jaxurban.settings import not_negative
 
 # A cell of which at least this share is known counts as wholly known, whatever rounding does.
@@ -218,7 +217,7 @@ def _cautions(maps: MetricMaps, rows: pd.DataFrame) -> Iterator[Caution]:
       maps: the maps that hold the densities.
       rows: of `OverflownDensity.largest`, one for each time of day, on one grid.
     """
-    guesses = {name: guess for name, guess in maps.guesses.items() if is_of_people(name)}
+    guesses = (guess for guess in maps.guesses if guess.kind in OF_PEOPLE)
     yield from caution_of_guesses(guesses)
     num_beyond = rows["num_unknown"] + rows["num_partly_known"]
     worst = rows.iloc[num_beyond.argmax()]

@@ -17,6 +17,7 @@ from jaxurban.paths.corners_cut import corners_of
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.legs import Flight, Steps, spans
 from jaxurban.paths.profile import nearest_level_m
+from jaxurban.world.kinds import WIRES
 
 # So near an altitude of the maps a step is at it: files round heights up to centimetres.
 LEVEL_M = 0.02
@@ -40,7 +41,7 @@ def judged(
     """Return two tables of a mission: what it meets, and what of it cannot be judged.
 
     The first has a row for each finding, with the columns `COLUMNS`, in the order of travel. The second has a row for
-    each stretch, with the columns of ``flight.unknown``: ``reason``, and ``from_m`` and ``to_m`` along the mission.
+    each stretch, with the columns of ``flight.unknown``: ``kind``, ``reason``, and ``from_m`` and ``to_m`` along it.
 
     Args:
       flight: the mission over the maps.
@@ -60,7 +61,7 @@ def judged(
         steps = way.take(is_known)
         near = contacts(steps, buildings, ground, limits.horizontal_m)
         near = near[~_is_on_own_roof(flight, steps, near, buildings)].reset_index(drop=True)
-        unknown.append(spans(way.along_m[~is_known], NO_DATA))
+        unknown.append(spans(way.along_m[~is_known], "data", NO_DATA))
         unknown += _unsure(flight, steps, near, limits)
         unknown += _beyond(flight, steps, known, limits.horizontal_m)
         unknown += _guessed(near, buildings, limits)
@@ -125,7 +126,7 @@ def _unsure(
         f"lie nearer to roofs or the ground than the ground is known, by up to {most_m:.1f} m: "
         "name the files of the maps (sources, --sources)"
     )
-    yield spans(steps.along_m[is_low], reason)
+    yield spans(steps.along_m[is_low], "ground", reason)
 
 
 def _may_meet(near: pd.DataFrame, limits: Constraints) -> pd.Series:
@@ -144,7 +145,8 @@ def _guessed(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> Iter
     rows = near[_may_meet(near, limits)]
     for kind, of_kind in rows.groupby(buildings.kind[rows["prism"]]):
         reach = reach_said(buildings.limit_m[of_kind["prism"]].max())
-        yield of_kind[SPAN].assign(reason=GUESSED_ROOFS.format(kind=kind, reach=reach))
+        reason = GUESSED_ROOFS.format(kind=kind, reach=reach)
+        yield of_kind[SPAN].assign(kind="roof", reason=reason)
 
 
 def _is_on_own_roof(
@@ -181,7 +183,7 @@ def _at_corners(flight: Flight, buildings: Prisms, limits: Constraints) -> Itera
     near = contacts(corners, buildings, ground, limits.horizontal_m)
     is_close = (near["gap_m"] < limits.vertical_m - FILE_MARGIN_M) | _may_meet(near, limits)
     for rows in (near[is_close], _in_zones(corners, ground, limits.zones)):
-        yield rows[SPAN].assign(reason=CUT)
+        yield rows[SPAN].assign(kind="corner", reason=CUT)
 
 
 def _beyond(
@@ -201,7 +203,7 @@ def _beyond(
     judged_area = shapely.buffer(known, -horizontal_m) if horizontal_m else known
     shapely.prepare(judged_area)
     is_off = ~shapely.intersects_xy(judged_area, *steps.ends_m.mean(axis=1).T)
-    yield spans(steps.along_m[is_off], NO_CITY)
+    yield spans(steps.along_m[is_off], "city", NO_CITY)
 
     is_on_site = flight.is_on_site(steps)
     z_m = steps.z_m.mean(axis=1)
@@ -210,8 +212,10 @@ def _beyond(
     high_m = max(altitudes_m)
     is_below = (z_m < low_m - GROUND_TOLERANCE_M) & ~is_on_site
     is_above = z_m > high_m + GROUND_TOLERANCE_M
-    yield spans(steps.along_m[is_below], f"lie below the maps, which begin at {low_m:g} m")
-    yield spans(steps.along_m[is_above], f"lie above the maps, which reach to {high_m:g} m")
+    below = f"lie below the maps, which begin at {low_m:g} m"
+    above = f"lie above the maps, which reach to {high_m:g} m"
+    yield spans(steps.along_m[is_below], "altitude", below)
+    yield spans(steps.along_m[is_above], "altitude", above)
 
 
 def _buried(steps: Steps) -> pd.DataFrame:
@@ -299,7 +303,7 @@ def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> li
     over_text = "passes {:.1f} m over or under a {}"
     beside_text = "passes {:.1f} m beside a {}"
     return [
-        _described(hits, buildings, "flies up to {:.1f} m into a {}", -hits["gap_m"]),
+        _described(hits, buildings, "flies up to {:.1f} m {into} a {}", -hits["gap_m"]),
         _described(over, buildings, over_text, over["gap_m"], limits.vertical_m),
         _described(beside, buildings, beside_text, beside["apart_m"], limits.horizontal_m),
     ]
@@ -319,17 +323,23 @@ def _described(
     """
     prism = rows["prism"].to_numpy(int)
     is_guessed = buildings.is_guessed[prism]
-    endings = np.where(is_guessed, " of guessed height", "")
     kinds = buildings.kind[prism]
-    what = [
-        text.format(*facts) + ending for *facts, ending in zip(metres, kinds, endings, strict=True)
-    ]
+    top_m = buildings.top_m[prism]
+    endings = np.where(is_guessed, " of guessed height", "")
+    what = []
+    for apart_m, kind, height_m, ending in zip(metres, kinds, top_m, endings, strict=True):
+        is_wire = kind in WIRES  # a curtain from the ground up
+        into = "below or beside" if is_wire else "into"
+        sentence = text.format(apart_m, kind, into=into) + ending
+        if is_wire:
+            sentence += f", whose height is taken as {height_m:.1f} m"
+        what.append(sentence)
     return rows.assign(
         what=what,
         is_guessed=is_guessed,
         kind="building",
         by_m=(asked_m - metres).abs(),
-        building_m=buildings.top_m[prism],
+        building_m=top_m,
     )
 
 

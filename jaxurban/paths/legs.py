@@ -16,6 +16,7 @@ import pandas as pd
 from jaxurban.errors import InputError
 from jaxurban.io.read.mission_parts import GEOD, Leg, Mission, Place
 from jaxurban.kernels.line.traversal import crossed_cells
+from jaxurban.knowledge import Unjudged
 from jaxurban.paths.elevation import Elevation
 from jaxurban.world.grid import Bounds
 
@@ -28,7 +29,10 @@ CIRCLE_SAG_M = 0.05  # by which the chords of a loiter leave its circle
 FEWEST_CHORDS, MOST_CHORDS = 16, 720
 
 OUTSIDE = "lie outside the maps"
-NO_HEIGHT = "have a height that the file leaves open: name that of a return (return_altitude_m, --return-altitude)"
+NO_HEIGHT = "have a height that the file leaves open"
+NO_RETURN = (
+    "return at a height that the file leaves open: name it (return_altitude_m, --return-altitude)"
+)
 NO_ZERO = {  # where the zero of a datum is not known
     "home": "have heights above home, whose place or elevation is not known: name it (home, --home)",
     "geoid": "have heights above the geoid, and neither the maps nor the file say how high the ground is above it",
@@ -84,7 +88,7 @@ class Flight:
       mission: the mission.
       steps: what of it has a height and lies within the maps.
       variants: the same of the ways that another autopilot, or another reading of the file, flies beside it.
-      unknown: what has none or lies outside: its ``reason``, ``from_m`` and ``to_m`` along the mission.
+      unknown: what has none or lies outside: its ``kind``, ``reason``, ``from_m`` and ``to_m`` along the mission.
       length_m: of the whole mission, in the air, without variants.
       ground: over which it is judged.
       lines_m: ``[N, 2, 2]`` x, y of begin and end of each straight part over the maps, whatever its height.
@@ -143,18 +147,20 @@ class Flight:
         sentences = []
         if over_m.get(OUTSIDE, 0.0) > 0:
             sentences.append(f"{over_m[OUTSIDE]:,.0f} m of the mission lie outside the maps.")
-        if over_m.get(NO_HEIGHT, 0.0) > 0:
+        open_m = over_m.reindex([NO_HEIGHT, NO_RETURN]).sum()
+        if open_m > 0:
             sentences.append(
-                f"The height is open on {over_m[NO_HEIGHT]:,.0f} m: the flight is as high as the rest of it."
+                f"The height is open on {open_m:,.0f} m: the flight is as high as the rest of it."
             )
         if self.mission.not_judged:
             sentences.append("What of the mission's file is not judged may lead elsewhere.")
         return sentences
 
 
-def spans(along_m: np.ndarray, reason: str) -> pd.DataFrame:
-    """Return begins and ends along a mission ``[N, 2]`` as a table, with a reason."""
-    return pd.DataFrame({"reason": reason, "from_m": along_m[:, 0], "to_m": along_m[:, 1]})
+def spans(along_m: np.ndarray, kind: Unjudged, reason: str) -> pd.DataFrame:
+    """Return begins and ends along a mission ``[N, 2]`` as a table, with what is not known there and a reason."""
+    from_m, to_m = along_m.T
+    return pd.DataFrame({"kind": kind, "reason": reason, "from_m": from_m, "to_m": to_m})
 
 
 class Segments(NamedTuple):
@@ -251,11 +257,21 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
 
     # Segments without a height over the ground, by the reason: the first of their ends that has none counts.
     is_known = np.isfinite(z_m).all(axis=1)
-    is_open = (np.isnan(segments.height_m) & ~is_level).any(axis=1)
-    unknown = [spans(along_m[is_open], NO_HEIGHT)]
+    is_open = np.zeros(len(z_m), bool)
+    for number in np.flatnonzero(~is_known):
+        is_open[number] = any(map(_is_open, segments.place[number]))
+    # Returns from a known height: a return altitude answers for these alone.
+    legs = mission.legs
+    returns = {leg.item for leg in legs if leg.kind == "return" and not _is_open(leg.start)}
+    answers = is_open & np.array([leg.item in returns for leg in legs], bool)[segments.leg]
+    unknown = [
+        spans(along_m[answers], "height", NO_RETURN),
+        spans(along_m[is_open & ~answers], "height", NO_HEIGHT),
+    ]
     lacks = np.where(np.isnan(z_m[:, 0]), lacks[:, 0], lacks[:, 1])
     for datum, reason in NO_ZERO.items():
-        unknown.append(spans(along_m[~is_known & ~is_open & (lacks == datum)], reason))
+        is_without = ~is_known & ~is_open & (lacks == datum)
+        unknown.append(spans(along_m[is_without], "height", reason))
 
     # What lies outside the maps: of a segment what comes before it enters them and after it leaves them. A segment that
     # does not meet them is taken to enter and leave them at its end, so that all of it comes before.
@@ -265,7 +281,7 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     after_m = np.column_stack([leave_m, along_m[:, 1]])
     for outside_m in (before_m, after_m):
         is_stretch = (outside_m[:, 0] < outside_m[:, 1]) | ~enters
-        unknown.append(spans(outside_m[is_stretch], OUTSIDE))
+        unknown.append(spans(outside_m[is_stretch], "outside", OUTSIDE))
 
     # The rest, cut into steps: of the mission, and of its variants.
     states = np.dstack([ends_m, z_m, along_m])
@@ -436,6 +452,11 @@ def _elevation_m(place: Place, ground: Elevation, zeros_m: dict[str, float]) -> 
     if place.datum == "ground":
         other_m += zero_m - ground.at_lonlat(other.lon, other.lat)
     return other_m if math.isnan(place.height_m) else np.maximum(place.height_m + zero_m, other_m)
+
+
+def _is_open(place: Place) -> bool:
+    """Return whether a file leaves the height of a place open: its own, or that of the place that it is level with."""
+    return _is_open(place.level_with) if place.level_with else math.isnan(place.height_m)
 
 
 def _shares_within(ends_m: np.ndarray, bounds_m: Bounds) -> np.ndarray:

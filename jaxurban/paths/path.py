@@ -13,11 +13,12 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
 from jaxurban.io.tables import number_or_none, numbers_or_none
+from jaxurban.knowledge import Caution, sentences_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.ground import Ground
 from jaxurban.paths.route_report import RouteReport
 from jaxurban.planners.base import Path, Status
-from jaxurban.public import Caution, FactsRepr, sentences_of
+from jaxurban.public import FactsRepr
 from jaxurban.settings import MissionEnd
 
 OF_SEARCH = ("graph", "num_expanded", "elapsed_s", "setup_s", "planner", "heuristic", "backend")

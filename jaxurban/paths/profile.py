@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import AT_LIMIT, GROUND_TOLERANCE_M
+from jaxurban.knowledge import Caution, Level, caution_of_guesses, sentences_of
 from jaxurban.maps.levels import values_at
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX, has_no_fix
@@ -32,7 +33,6 @@ from jaxurban.paths.route_report import (
     guessed_clearances,
 )
 from jaxurban.planners.cost import path_states
-from jaxurban.public import Caution, Level, caution_of_guesses, sentences_of
 from jaxurban.settings import Vehicle
 from jaxurban.world.kinds import EFFECTS
 from jaxurban.world.surface import stands_at
@@ -304,8 +304,8 @@ def cautions(
 ) -> list[Caution]:
     """Return what the maps guess, where GPS has no fix, how near buildings and roofs are, and what else to know.
 
-    Also reported: an end over a roof; climbs, descents and turns beyond the limits of the vehicle that it was planned
-    for; and what the path's message notes. A sentence each, what is guessed first.
+    Also reported: an end in a cell that a roof touches; climbs, descents and turns beyond the limits of the vehicle
+    that it was planned for; and what the path's message notes. A sentence each, what is guessed first.
 
     Distances are measured from the route to the edges of cells, so that 0 is contact; obstacles outside the region are
     not known.
@@ -326,7 +326,7 @@ def cautions(
       ...     print(caution.level, caution)
       note Buildings: the nearest that reaches the flight height is 14.1 m away, 239 m along the route.
       note Roofs: the lowest pass leaves 23.7 m above a roof of 36.3 m, 267 m along the route.
-      note The goal is over a roof of 8.9 m, not over the ground.
+      note The goal is in a cell that a roof of 8.9 m touches, over it or beside it.
     """
     maps = as_maps(maps)
     profile = cautious_profile(planned, maps) if profile is None else profile
@@ -339,8 +339,8 @@ def cautions(
         _clearance(profile, horizontal_m),
         *_roofs(profile, vertical_m),
         *_ends(profile),
-        *(Caution(sentence, "limit") for sentence in _manoeuvres(planned)),
-        *map(Caution, sentences_of(planned.search.note)),
+        *(Caution(sentence, "limit", "manoeuvre") for sentence in _manoeuvres(planned)),
+        *(Caution(sentence, kind="search") for sentence in sentences_of(planned.search.note)),
     ]
 
 
@@ -360,7 +360,7 @@ def guess_cautions(maps: MetricMaps | None, profile: pd.DataFrame | None = None)
             f"{near_m:.0f} of {length_m.sum():.0f} m of the route pass within {NEAR_GUESSED_M:g} m of guessed roofs, "
             f"{over_m:.0f} m over them"
         )
-    guesses = {} if maps is None else maps.guesses
+    guesses = () if maps is None else maps.guesses
     return caution_of_guesses(guesses, of_route)
 
 
@@ -370,7 +370,9 @@ def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
     Nothing is yielded where the route has a fix everywhere; without an HDOP in the maps, a note says so.
     """
     if FIX not in profile:
-        yield Caution(f"GPS: these maps hold no {FIX}, so where there is no fix is not known.")
+        yield Caution(
+            f"GPS: these maps hold no {FIX}, so where there is no fix is not known.", kind="fix"
+        )
         return
     stretches = without_fix(profile)
     if not stretches:
@@ -384,7 +386,7 @@ def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
         where += f" and {len(stretches) - len(longest)} shorter"
     no_fix_m = sum(to_m - from_m for from_m, to_m in stretches)
     route_m = profile["to_m"].iloc[-1]
-    yield Caution(f"GPS: no fix on {no_fix_m:.0f} of {route_m:.0f} m: {where}.", "limit")
+    yield Caution(f"GPS: no fix on {no_fix_m:.0f} of {route_m:.0f} m: {where}.", "limit", "fix")
 
 
 def _clearance(profile: pd.DataFrame, least_m: float) -> Caution:
@@ -424,7 +426,7 @@ def _clearance(profile: pd.DataFrame, least_m: float) -> Caution:
         sentence += f". This holds only if guessed roofs are right: {where}"
     if nearest_m < least_m - AT_LIMIT or nearest_m <= 0:
         level = "limit"
-    return Caution(f"{sentence}.", level)
+    return Caution(f"{sentence}.", level, "clearance")
 
 
 def _roofs(profile: pd.DataFrame, limit_m: float) -> Iterator[Caution]:
@@ -444,6 +446,7 @@ def _roofs(profile: pd.DataFrame, limit_m: float) -> Iterator[Caution]:
             f"Buildings: {length_m[is_beside].sum():.1f} m of the route lie in cells that a building "
             "as high as the route touches, perhaps inside its outline.",
             "limit",
+            "roof",
         )
     over_m = over_m.mask(is_beside)
     if not over_m.notna().any():
@@ -454,21 +457,27 @@ def _roofs(profile: pd.DataFrame, limit_m: float) -> Iterator[Caution]:
     yield Caution(
         f"Roofs: the lowest pass leaves {least_m:.1f} m above {roof}, {_at(profile, lowest)}.",
         "limit" if least_m < limit_m - AT_LIMIT else roof.level,
+        "roof",
     )
 
 
 def _ends(profile: pd.DataFrame) -> Iterator[Caution]:
-    """Yield a caution for each end of a route that is over a roof, or in a cell that a roof as high touches."""
+    """Yield a caution for each end of a route that is in a cell that a roof touches: cells do not know of outlines."""
     for name, place in (("start", 0), ("goal", -1)):
         row = profile.iloc[place]
         if row["roof_m"] >= row["z_m"]:
             yield Caution(
                 f"The {name} is in a cell that a building of {row['roof_m']:.1f} m touches.",
                 "limit",
+                "end",
             )
         elif row["roof_m"] > 0:
             roof = _roof(profile, place)
-            yield Caution(f"The {name} is over {roof}, not over the ground.", roof.level)
+            yield Caution(
+                f"The {name} is in a cell that {roof} touches, over it or beside it.",
+                roof.level,
+                "end",
+            )
 
 
 def _roof(profile: pd.DataFrame, place: int) -> Caution:

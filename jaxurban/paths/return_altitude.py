@@ -9,8 +9,8 @@ import numpy as np
 from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.io.geotiff import write_bands
-from jaxurban.io.read.guesses import percent
 from jaxurban.kernels.line.homeward import highest_homeward
+from jaxurban.knowledge import Caution, caution_of_guesses, percent
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.paths.autopilots import parameter_lines, typed_m
 from jaxurban.paths.clearance import highest_within, reaches_m
@@ -18,7 +18,7 @@ from jaxurban.paths.constraints import Constraints, describe_constraints
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.places import XY, Point, one_place
 from jaxurban.paths.plan import rules_on
-from jaxurban.public import Caution, FactsRepr, caution_of_guesses
+from jaxurban.public import FactsRepr
 
 NAME = "return_altitude"  # of the variable
 LONG_NAME = "least altitude of a straight flight home, above the ground at home"

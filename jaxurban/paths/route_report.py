@@ -12,14 +12,14 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.io.tables import numbers_or_none, records_of
-from jaxurban.public import Caution, FactsRepr, caution_lines
+from jaxurban.knowledge import Caution, caution_lines
+from jaxurban.public import FactsRepr
 
 TOUCHED, VISIBLE, GUESSED = "roof_touched", "num_visible", "roof_guessed"
 CLEARANCE, OUTSIDE, OVER_ROOF = "nearest_wall_m", "walls_outside_m", "least_over_roofs_m"
 TO_GUESSED = "guessed_roof_away_m"
 DENSITY = "density_per_km2"
 COST_OF = "cost_of_"  # before the name of a layer, of its part of the cost
-NO_FIX_IN_1_0 = "under_4_satellites_m"  # the name of ``no_fix_m`` in 1.0, which stays
 GRIDS_M = (100.0, 200.0, 500.0)  # printed always: they disagree where towers stand
 SEGMENT_HEADS = {  # what a terminal has room for beside the costs; `RouteReport.segments` has more
     "min_gps": "min gps",
@@ -44,7 +44,6 @@ class OverflownDensity(FactsRepr):
       settings: ``half_width_m``, ``contingency_m``, ``buffer_m`` and ``cell_m``.
       source: whom to credit for the people, and all else in the maps.
       cautions: what to know of the numbers.
-      detours: of `density_detours`, where they were planned.
 
     Examples:
       >>> density = ju.overflown_density(maps, path, half_width_m=20.0, contingency_m=30.0)
@@ -59,7 +58,6 @@ class OverflownDensity(FactsRepr):
     settings: Mapping[str, float]
     source: str
     cautions: list[Caution]
-    detours: pd.DataFrame | None = None
 
     @property
     def reach_m(self) -> float:
@@ -93,17 +91,8 @@ class OverflownDensity(FactsRepr):
             "other grids": ", ".join(other_densities),
             "corridor": f"{self.reach_m:g} m to each side: half-width {settings['half_width_m']:g} m, contingency "
             f"{settings['contingency_m']:g} m, ground risk buffer {settings['buffer_m']:g} m",
-            "detours": self._detours(),
             "source": self.source,
         }
-
-    def _detours(self) -> str:
-        """Return density and extra length of each detour in words; empty where none were planned."""
-        if self.detours is None:
-            return ""
-        rows = self.detours.to_dict("records")
-        detours = [f"{row[DENSITY]:,.0f} on {row['extra_m']:+,.0f} m" for row in rows]
-        return ", or ".join(detours) or "no route between these ends is less dense"
 
     def to_dict(self) -> dict[str, Any]:
         """Return all of it as plain, JSON-ready values.
@@ -124,7 +113,6 @@ class OverflownDensity(FactsRepr):
             "cautions": self.cautions,
             "largest": records_of(self.largest),
             "segments": records_of(self.segments.reset_index()),
-            "detours": None if self.detours is None else records_of(self.detours),
         }
 
     def table(self) -> str:
@@ -154,8 +142,7 @@ class RouteReport(FactsRepr):
     Attributes:
       totals: of the whole route: ``length_m``, ``cost`` and ``cost_of_*`` (distance and each metric),
         ``mean_*`` of each metric m (over the length), ``people_overflown`` (see `explain`),
-        ``no_fix_m`` (length without a position fix: HDOP is infinite), the same as ``under_4_satellites_m`` (its name
-        in 1.0), ``nearest_wall_m``, ``walls_outside_m`` (see
+        ``no_fix_m`` (length without a position fix: HDOP is infinite), ``nearest_wall_m``, ``walls_outside_m`` (see
         `explain`), ``least_over_roofs_m`` (above the roofs beneath; NaN over none), ``time_s``, ``energy_wh``,
         ``return_altitude_m`` (in the reports of the command and the viewer; NaN where none is known).
         What the maps or the arguments do not say is left out.
@@ -191,8 +178,7 @@ class RouteReport(FactsRepr):
         notes["people_overflown"] = f" (strip of {self.settings['swath_m']:g} m)"
         facts = {"why": self.why}
         for name, value in self.totals.items():
-            if name != NO_FIX_IN_1_0:  # the same value stands under its new name
-                facts[name.replace("_", " ")] = short(value) + notes.get(name, "")
+            facts[name.replace("_", " ")] = short(value) + notes.get(name, "")
         return facts
 
     @property

@@ -11,6 +11,7 @@ import pandas as pd
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import SAME_ROUTE_COST
+from jaxurban.knowledge import Caution
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import WeightsLike
@@ -23,7 +24,7 @@ from jaxurban.paths.profile import cautious_profile, guess_cautions, without_fix
 from jaxurban.paths.queries import PlannedPaths, QueriesLike, table_of
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress
-from jaxurban.public import Caution, FactsRepr, listed
+from jaxurban.public import FactsRepr, listed
 from jaxurban.settings import Backend, CostKind, HeuristicName, Objective, PlannerName, Preset
 
 TIMES = ["time", "time_of_day"]

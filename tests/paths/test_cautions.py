@@ -11,6 +11,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.paths.export.write import FORMATS
 from tests.cli_runs import run
+from tests.guess_records import NOMINAL, attribute, heights
 from tests.made_maps import made_maps
 from tests.paths.volumes import ends_at, options_of, plan_volume, with_roofs
 
@@ -55,9 +56,10 @@ def with_guesses(maps, part) -> ju.MetricMaps:
     is_guessed[part] = True
     limit_m = (maps.m("roof_touched") + 3) * is_guessed
     ds = maps.ds.assign(roof_guessed=(("y", "x"), is_guessed), roof_limit=(("y", "x"), limit_m))
-    return ju.MetricMaps(
-        ds.assign_attrs(guesses=json.dumps({"40 % of heights": "", "nominal satellites": ""}))
-    )
+    return ju.MetricMaps(ds.assign_attrs(attribute(*GUESSES)))
+
+
+GUESSES = heights(0.4), NOMINAL
 
 
 LOW_ROOF, TOWER = np.s_[ROW, 30:40], np.s_[ROW + 4 : ROW + 9, 60:70]
@@ -90,7 +92,7 @@ def test_only_what_rests_on_a_guessed_roof_is_called_guessed(maps):
         line for line in ju.cautions(straight(over, first=33), over) if line.startswith("The start")
     )
     assert (start, start.level) == (
-        "The start is over a guessed roof of 12.0 m, not over the ground.",
+        "The start is in a cell that a guessed roof of 12.0 m touches, over it or beside it.",
         "guess",
     )
 
@@ -164,7 +166,8 @@ def test_the_nearest_building_the_least_height_over_a_roof_and_an_end_over_one_a
         told = ju.cautions(straight(maps, **options), maps)
         at_ends = [line for line in told if line.startswith(("The start", "The goal"))]
         assert at_ends == [
-            f"The {end} is over a roof of 12.0 m, not over the ground." for end in ends
+            f"The {end} is in a cell that a roof of 12.0 m touches, over it or beside it."
+            for end in ends
         ]
 
 
@@ -234,7 +237,7 @@ def test_the_command_line_tells_it_on_stderr_and_in_json(maps, tmp_path, capsys)
         "GPS: no fix",
         "Buildings: the nearest that reaches the flight height",
         "Roofs: the lowest pass",
-        "The start is over",
+        "The start is in a cell",
     ):
         assert (words in err, words in out) == (True, False)
     _, out, err = run(capsys, *arguments, "--json")
@@ -262,9 +265,7 @@ def test_what_a_result_knows_stands_in_its_text_and_in_its_table(maps):
     path = straight(guessed)
     said = [(each.level, each) for each in path.cautions]
     assert [level for level, _ in said[:2]] == ["guess", "limit"]
-    city = replace(
-        ju.demo_city(400, 400), guesses={"40 % of heights": "", "nominal satellites": ""}
-    )
+    city = replace(ju.demo_city(400, 400), guesses=GUESSES)
     short = [("guess", "Guessed: 40 % of heights, nominal satellites.")]
     for shown, cautions in (
         (path, said),

@@ -17,11 +17,13 @@ import jaxurban as ju
 from jaxurban.io.city import City
 from jaxurban.io.read.mission_parts import GEOD, Leg, Mission, Place
 from jaxurban.io.read.zone import Zone
+from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.planners.base import Status
 from jaxurban.report.check import check_markdown, plot_flown_heights, plot_mission
 from jaxurban.settings import parse_time
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.raster import Raster
+from tests.guess_records import attribute
 from tests.made_maps import made_maps, maps_of_kinds
 from tests.paths.volumes import ends_at
 
@@ -368,12 +370,23 @@ def test_where_the_source_of_buildings_ends_nothing_is_clean(open_scene):
     result = checked(open_scene._replace(city=half), mission, 0.0, OFF)
     reason = "350 m lie where the source of the buildings does not know what stands."
     assert (result.state, result.not_judged) == ("not-judged", [reason])
-    guesses = json.dumps({"50 % of the region without data": "as nobody knows"})
+    guesses = attribute(Guess(GuessKind.WITHOUT_DATA, 0.5))
     maps = open_scene.maps
     bare = maps.ds.assign(roof_touched=0 * maps.ds["roof_touched"])
     assert ju.check(replace(maps, ds=bare), mission).state == "clean"
-    unsure = replace(maps, ds=bare.assign_attrs(guesses=guesses))
+    unsure = replace(maps, ds=bare.assign_attrs(guesses))
     assert ju.check(unsure, mission).state == "not-judged"
+
+
+def test_what_stands_nobody_knows_where_leaves_no_flight_clean(open_scene):
+    street = [open_scene.place(20.0, y_m, 150.0) for y_m in (20.0, 500.0)]
+    mission = mission_of(*street, home=street[0])
+    assert checked(open_scene, mission, 0.0, OFF).state == "clean"
+    guesses = attribute(Guess(GuessKind.WITHOUT_SHAPE, number=2))
+    maps = open_scene.maps
+    unsure = replace(maps, ds=maps.ds.assign_attrs(guesses))
+    result = checked(open_scene._replace(maps=unsure), mission, 0.0, OFF)
+    assert (result.state, result.not_judged) == ("not-judged", ["2 objects without a shape."])
 
 
 def test_a_guessed_roof_is_not_judged_from_any_height(open_scene):
@@ -866,4 +879,5 @@ def test_what_is_flown_into_is_named_by_its_kind_by_outlines_and_by_cells():
             "into a tree of guessed height",
             "into a wood",
         ]
-        assert told(9.0, (100, 190), (100, 170), sources=sources) == ["into a wire"]
+        wire = "below or beside a wire, whose height is taken as 10.0 m"
+        assert told(9.0, (100, 190), (100, 170), sources=sources) == [wire]

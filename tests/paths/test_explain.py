@@ -124,10 +124,8 @@ def test_what_is_along_the_route_is_what_shapely_finds_in_its_cells(maps, planne
     length_m = shapely.length(shapely.intersection(cell_boxes(maps.grid, cells.T, 1), line))
     without_m = length_m[np.isinf(maps.m("hdop", ALTITUDE_M)[tuple(cells)])].sum()
     assert without_m > 0
-    for name in ("no_fix_m", "under_4_satellites_m"):
-        assert (report.totals[name], report.segments[name].sum()) == pytest.approx(
-            (without_m, without_m)
-        )
+    without = report.totals["no_fix_m"], report.segments["no_fix_m"].sum()
+    assert without == pytest.approx((without_m, without_m))
     density = maps.m("density", time_of_day="night").astype(float)
     assert report.totals["people_overflown"] == pytest.approx(
         density[tuple(cells)] / 1e6 @ length_m * 8.0
@@ -211,7 +209,7 @@ def test_what_the_maps_do_not_hold_is_left_out(maps, planned):
     without_walls = {name: maps.ds[name] * 0 for name in ("obstacle", "roof", "roof_touched")}
     bare = ju.MetricMaps(maps.ds.drop_vars(["density", "hdop"]).assign(without_walls))
     report = ju.explain(planned, bare)
-    assert not {"people_overflown", "no_fix_m", "under_4_satellites_m"} & set(report.totals)
+    assert not {"people_overflown", "no_fix_m"} & set(report.totals)
     assert math.isinf(report.totals["nearest_wall_m"])
     assert report.to_dict()["nearest_wall_m"] is None
     assert "none" in report.table()

@@ -10,9 +10,11 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.paths.ground_risk import GATHERINGS, RESIDENTS
 from jaxurban.paths.route_report import GRIDS_M
 from tests.cli_runs import run
+from tests.guess_records import FLAT, attribute
 from tests.made_maps import made_maps
 from tests.paths.volumes import made_path, options_of
 
@@ -144,9 +146,12 @@ def test_what_is_unknown_is_never_empty_and_is_said(holed):
 
 
 def test_by_day_alone_nobody_is_called_a_resident_and_guesses_are_passed_on():
-    guesses = json.dumps({"people by factors": "...", "flat ground": "..."})
+    factors = {"commercial": 3.0, "residential": 0.5}
+    by_factors = Guess(GuessKind.PEOPLE_BY_FACTORS, facts=factors)
+    of_layer = Guess(GuessKind.BEYOND_LAYER, 0.5, facts={"layer": "nobody"})
+    guesses = attribute(by_factors, FLAT, of_layer)
     maps = made_maps()
-    maps = ju.MetricMaps(maps.ds.assign_attrs(guesses=guesses))
+    maps = ju.MetricMaps(maps.ds.assign_attrs(guesses))
     density = ju.overflown_density(maps, random_line(maps, 1), **WIDTHS, time_of_day="day")
     assert density.cautions == ["Guessed: people by factors.", GATHERINGS]
     assert density.cautions[0].level == "guess"
@@ -188,38 +193,6 @@ def test_maps_without_people_are_refused():
     maps = ju.MetricMaps(maps.ds.drop_vars(["density", "population"]))
     with pytest.raises(ju.InputError, match=r"hold no density.*\[population\]"):
         ju.overflown_density(maps, np.zeros((2, 3)), half_width_m=5.0)
-
-
-def test_detours_are_less_dense_and_the_first_is_the_least_dense_that_joins_the_ends():
-    maps = made_maps(120, 120)
-    on = ju.cost_map(maps, 60.0, cost_model="line")
-    num_lower = 0
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        start, goal = rng.choice(np.argwhere(on.is_free), 2)
-        ends = [maps.grid.lonlat_of_cell(*cell) for cell in (start, goal)]
-        path = on.plan(*ends)
-        density = ju.overflown_density(
-            maps, path, half_width_m=5.0, contingency_m=5.0, buffer_m=10.0, cell_m=100.0
-        )
-        detours = ju.density_detours(path, on, density)
-        assert (detours["density_per_km2"] <= density.density_per_km2 * (1 + 1e-12)).all()
-        assert (detours["cost"] >= path.cost - 1e-6).all()
-        if len(detours):
-            num_lower += 1
-            assert detours["density_per_km2"].is_monotonic_increasing
-            others = [on.with_weights({"population": weight}) for weight in (5.0, 50.0, 500.0)]
-            for other in others:  # no weight finds a route that is less dense
-                of_other = ju.overflown_density(
-                    maps,
-                    other.plan(*ends),
-                    half_width_m=5.0,
-                    contingency_m=5.0,
-                    buffer_m=10.0,
-                    cell_m=100.0,
-                )
-                assert of_other.density_per_km2 >= detours["density_per_km2"].min() * (1 - 1e-9)
-    assert num_lower >= 3
 
 
 def test_the_command_reports_density_in_words_in_json_and_in_files(

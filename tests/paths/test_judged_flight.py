@@ -318,3 +318,33 @@ def test_a_return_comes_down_from_the_height_at_which_it_flies(tmp_path):
     items = [(WAYPOINT, 3, (500.0, 300.0), 30.0, ()), (RETURN, 2, None, 0.0, ())]
     result = checked(scene, tmp_path, scene.plan(*items), return_altitude_m=50.0)
     assert result.flight.steps.z_m.max() == pytest.approx(50.0, abs=0.1)
+
+
+def test_only_a_return_from_a_known_height_is_answered_by_a_return_altitude(tmp_path):
+    scene = world((10.0, 10.0, 5.0, 5.0))
+    level = (WAYPOINT, 3, (500.0, 300.0), 30.0, ())
+    open_climb = (22, 3, HOME, None, ())
+    moved = (179, 0, (300.0, 300.0), 0.0, ())
+    home = (RETURN, 2, None, 0.0, ())
+    for items, is_asked in (
+        ([level, home], True),
+        ([moved, level, home], False),
+        ([(21, 3, None, 0.0, ()), open_climb], False),
+        ([(21, 3, None, 0.0, ()), open_climb, home], False),
+    ):
+        for altitude_m in (None, 60.0):
+            result = checked(scene, tmp_path, scene.plan(*items), return_altitude_m=altitude_m)
+            said = " ".join(result.not_judged)
+            assert ("--return-altitude" in said) == (is_asked and altitude_m is None)
+            assert ("that the file leaves open" in said) == (not is_asked or altitude_m is None)
+            assert "--home)" not in said
+
+
+@pytest.mark.parametrize("end", [(17, 3, (300.0, 300.0), 30.0, ()), (JUMP, 2, None, 0, (2, -1))])
+def test_no_finding_is_made_in_what_is_never_flown(tmp_path, end):
+    scene = world((500.0, 300.0, 20.0, 60.0))
+    way = (WAYPOINT, 3, (300.0, 300.0), 30.0, ())
+    into = (WAYPOINT, 3, (550.0, 300.0), 30.0, ())
+    assert checked(scene, tmp_path, scene.plan(way, into)).state == "findings"
+    result = checked(scene, tmp_path, scene.plan(way, end, into))
+    assert (result.state, len(result.not_judged)) == ("not-judged", 1)

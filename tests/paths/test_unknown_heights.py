@@ -214,3 +214,28 @@ def test_over_falling_ground_the_bound_is_measured_from_where_a_path_may_pass_it
     for altitude_m, is_free in ((LIMIT_M + 11.0, False), (LIMIT_M + 13.0, True)):
         assert limits.is_free(hilly, altitude_m)[beside] == is_free
     assert limits.is_free(scene.maps, LIMIT_M + 11.0)[beside]
+
+
+@pytest.mark.parametrize("origin", [HeightOrigin.HEIGHT, HeightOrigin.DEFAULT])
+@pytest.mark.parametrize("kind", ["wire", "cableway", "mast"])
+def test_a_finding_about_a_wire_says_the_height_that_was_taken(tmp_path, kind, origin):
+    along = Footprints(
+        np.array([shapely.box(395, 100, 405, 500)]),
+        np.array([50.0]),
+        np.zeros(1),
+        np.array([origin], np.uint8),
+        np.zeros(1, bool),
+        np.array([kind], object),
+        np.array([60.0]),
+    )
+    scene = town([HOUSE], [10.0], [False], LIMIT_M, along)
+    guess = "" if origin == HeightOrigin.HEIGHT else " of guessed height"
+    for height_m, wire, other in (
+        (40.0, f"flies up to 10.0 m below or beside a {kind}", "flies up to 10.0 m into a mast"),
+        (52.0, f"passes 2.0 m over or under a {kind}", "passes 2.0 m over or under a mast"),
+    ):
+        result = checked(scene, tmp_path, across(scene, MAST, height_m))
+        said = f"{wire}{guess}, whose height is taken as 50.0 m"
+        assert result.findings["what"].tolist() == [
+            f"{other}{guess}" if kind == "mast" else said,
+        ]

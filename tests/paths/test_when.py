@@ -11,6 +11,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.report.figures import plot_when
 from tests.cli_runs import run
+from tests.guess_records import FLAT, attribute
 
 ALTITUDE_M = 20.0
 
@@ -108,9 +109,7 @@ def test_of_times_that_cost_the_same_but_for_rounding_the_first_is_the_best(maps
 
 def test_the_cautions_are_of_the_routes_at_the_best_time(maps, pairs):
     nowhere = ju.MetricMaps(
-        maps.ds.assign(hdop=maps.ds["hdop"] * 0 + np.inf).assign_attrs(
-            guesses='{"flat ground": ""}'
-        )
+        maps.ds.assign(hdop=maps.ds["hdop"] * 0 + np.inf).assign_attrs(attribute(FLAT))
     )
     departures = ju.when(nowhere, pairs, altitude_m=ALTITUDE_M, time_of_day="day", progress=False)
     paths = departures.paths[departures.best * len(pairs) : (departures.best + 1) * len(pairs)]

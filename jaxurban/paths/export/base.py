@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M, MOST_BULGE_M
+from jaxurban.knowledge import sentences_of
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import guess_cautions
 from jaxurban.paths.route_report import RouteReport
-from jaxurban.public import sentences_of
 from jaxurban.settings import Vehicle
 
 DECIMALS = 7  # of a degree: about a centimetre

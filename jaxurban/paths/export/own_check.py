@@ -15,7 +15,7 @@ from jaxurban.maps.sources import left_out, standing_on
 from jaxurban.paths.check import constraints_of
 from jaxurban.paths.contacts import buildings_of
 from jaxurban.paths.elevation import Elevation
-from jaxurban.paths.judge import GUESSED_ROOFS, judged
+from jaxurban.paths.judge import judged
 from jaxurban.paths.legs import flight_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.route_report import TOUCHED
@@ -50,10 +50,11 @@ def check_own(route: PlannedPath, data: bytes) -> str:
     if TOUCHED in maps.ds:
         findings = _findings(route, maps, data, None)
     if findings is None or len(findings) or not Elevation(maps, None).is_exact:
-        city, outlines, _ = standing_on(maps)
+        standing = standing_on(maps)
+        city = standing.city
         if city is not None or findings is None:
             findings = _findings(route, maps, data, city)
-            way = outlines
+            way = standing.outlines
     if not len(findings):
         verdict = f"Checked by {way} before it was written: it meets no obstacle, ground or zone."
         return f"{verdict} {left_out(maps, city)}".rstrip()
@@ -77,7 +78,7 @@ def _findings(route: PlannedPath, maps: MetricMaps, data: bytes, city: City | No
     limits = constraints_of(route)
     limits = replace(limits, zones=(*limits.zones, *mission.zones))
     findings, unknown = judged(flight, buildings, known, limits, times, time_of_day)
-    is_guess = unknown["reason"].str.startswith(GUESSED_ROOFS.partition("(")[0])
+    is_guess = unknown["kind"] == "roof"
     site_m = flight.steps.along_m[flight.is_on_site(flight.steps)]
     rows = unknown[is_guess].rename(columns={"from_m": "along_m"}).assign(what=UNSURE)
     is_met = [

@@ -69,7 +69,8 @@ def roof_fences(route: PlannedPath, near_m: float) -> RoofFences:
     legs = shapely.linestrings(xy_m[ends])
     vertical_m = route.settings.get("limits", {}).get("vertical_clearance_m", 0.0)
     floor_m = route.z_m[ends].min(axis=1) - vertical_m
-    city, outlines, _ = standing_on(route.maps)
+    standing = standing_on(route.maps)
+    city = standing.city
     roofs = buildings_of(route.maps, city)
     leg, roof = shapely.STRtree(roofs.polygons).query(legs, predicate="dwithin", distance=near_m)
     reaching = np.unique(roof[stands_at(roofs.top_m[roof], floor_m[leg])])
@@ -91,7 +92,7 @@ def roof_fences(route: PlannedPath, near_m: float) -> RoofFences:
     # The sentence.
     note = (
         f"The geofence keeps out of the roofs within {near_m:g} m that reach the flight: "
-        f"{len(reaching) - num_met} ({outlines.partition(':')[0]})"
+        f"{len(reaching) - num_met} ({standing.outlines})"
     )
     num_guessed = roofs.is_guessed[reaching].sum()
     if num_guessed:
