@@ -217,8 +217,9 @@ class Buildings(Heights):
       default_height_m: height of a building without a usable height or levels.
       level_height_m: height of one level.
       allow_none: accept a region without a single building.
+      allow_high: accept heights that look like elevations: of towers alone, or above that of the ground.
       hanging: ``"slabs"``: parts above an underside and areas of bridges hang over the ground (see the page on the
-        model); ``"to_ground"``: parts reach it, and bridges are not read.
+        model); ``"to_ground"``: they reach it.
       credit: what the licence of the file asks for; OSM's is known.
       height_column: of a table of outlines: the column of roofs above the ground, or, with ``ground_column``, above the
         sea; left out, known by its name or its publisher (`jaxurban.io.read.columns`), else asked for.
@@ -243,6 +244,7 @@ class Buildings(Heights):
     default_height_m: float = 10.0
     level_height_m: float = 3.0
     allow_none: bool = False
+    allow_high: bool = False
     hanging: Hanging = TO_GROUND
     credit: str = ""
     height_column: str | None = None
@@ -290,8 +292,8 @@ class Vegetation:
     """Plants as a raster, beside those of the file of buildings.
 
     Attributes:
-      source: a raster of heights above the ground in metres (a canopy model, CHM); left out, none. Where it has no
-        data nothing grows.
+      source: a raster of heights above the ground in metres (a canopy model, CHM); left out, none. Beyond it, and
+        where it has no data though it writes 0 where nothing grows, plants are unknown.
       credit: what its licence asks for.
 
     Examples:

@@ -38,19 +38,18 @@ from jaxurban.io.stored import (
     zarr_path,
 )
 from jaxurban.io.workspace import Workspace, recorded
+from jaxurban.knowledge import guesses_from
 from jaxurban.metrics.variables import NEEDED, no_value
 from jaxurban.world.grid import tile_shape
 
 COMPRESSOR = Zstd(level=1, checksum=True)
-# Attributes that are no map's: the CRS for GDAL, as 1.0.0 wrote it, and no value.
-FOREIGN = ("_CRS", "_FillValue")
 NO_BYTE = np.iinfo(np.int8).max  # what stands for no value in bytes: NetCDF 3 has signed ones only
 PLAIN_KINDS = "biufcmMSU"  # of NumPy's types: numbers, times, and text of one length
 TEXT_KINDS = "OU"  # of text of any length
 TEXT_FILTERS = [{"id": "vlen-utf8"}]  # of it; Zarr 3.0 has the filter for all text
 OPENED = "opened"  # encoding of an opened dataset: what checks that its files are unchanged
 LAYOUT_KEY = "jaxurban_layout"
-LAYOUT = 1  # of maps in a folder; those without the entry have the first
+LAYOUT = 2  # of maps in a folder; those without the entry have the first
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 
 
@@ -413,8 +412,7 @@ class _Maps(BackendEntrypoint):
         # Undo what belongs to the file: its attributes, and rows from the north.
         missing = {name: array.attrs.get("_FillValue") for name, array in ds.data_vars.items()}
         for variable in ds.variables.values():
-            for key in FOREIGN:
-                variable.attrs.pop(key, None)
+            variable.attrs.pop("_FillValue", None)
         ds = ds.isel({"y": slice(None, None, -1)}, missing_dims="ignore")
 
         # Maps become lazy; coordinates are read at once.
@@ -459,16 +457,19 @@ def open_whole(path: Path) -> xr.Dataset:
         # The codes of the arrays are checked before anything is decoded, as a code may run a program.
         _check_arrays(path / METADATA, json.loads((path / METADATA).read_bytes())["metadata"])
         ds = xr.open_dataset(path, engine=_Maps)
-        layout = ds.attrs.pop(LAYOUT_KEY, LAYOUT)
+        layout = ds.attrs.pop(LAYOUT_KEY, 1)
         if layout != LAYOUT:
             raise InputError(
                 f"the maps in {str(path)!r} have layout {layout!r}, and this version of jaxurban reads {LAYOUT}: "
                 "update jaxurban, or make the maps again in a new folder"
             )
-        guesses = json.loads(ds.attrs.get("guesses", "{}"))
         resolution_m = ds.attrs["resolution_m"]
         is_length = isinstance(resolution_m, int | float) and 0 < resolution_m < math.inf
-        if not is_length or not isinstance(guesses, dict):
+        try:
+            guesses_from(ds.attrs.get("guesses", "[]"))
+        except (KeyError, TypeError, ValueError):
+            is_length = False
+        if not is_length:
             raise InputError(
                 f"the attributes of {str(path)!r} are not those of maps: make the maps again in a new folder"
             )

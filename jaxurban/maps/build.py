@@ -6,7 +6,6 @@ them layer by layer and on a CPU in threads, gives the same bits outside obstacl
 bit). Supersampled maps, spreads, statistics over time and own layers are the recipe's alone.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -21,10 +20,10 @@ from jaxtyping import Array, Float
 from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
-from jaxurban.io.read.guesses import Guesses, nominal_guess, time_guess, warn_of
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.io.read.rasterise import bands_of
 from jaxurban.kernels.engine import Engine, on_device_of, warn_of_jax
+from jaxurban.knowledge import Guesses, GuessKind, guessed, guesses_to, warn_of
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.params import PAPER_ALTITUDES_M, MapParams
@@ -200,9 +199,14 @@ def view_sky(region: Grid, gps: Gps) -> Sky:
     own_time = middle_epoch(satellites) if times is None else None
     is_papers = times is None and own_time is None
     times = times or (own_time or PAPER_TIME,)
-    guesses: Guesses = {} if own_time is None else time_guess(own_time)
+    guesses: Guesses = ()
+    if own_time is not None:
+        guesses += guessed(GuessKind.ELEMENTS_TIME, time=own_time)
     if satellites.nominal_systems:
-        guesses |= nominal_guess(satellites.nominal_systems, times, is_papers)
+        more = " and later" if len(times) > 1 else ""
+        systems = " and ".join(system.upper() for system in satellites.nominal_systems)
+        time = times[0] + (", the paper's time" if is_papers else more)
+        guesses += guessed(GuessKind.NOMINAL_SKY, systems=systems, time=time)
 
     lon_deg, lat_deg = gps.reference or region.centre_lonlat
     sky = look_angles(
@@ -215,10 +219,7 @@ def view_sky(region: Grid, gps: Gps) -> Sky:
     )
     lost = np.array(sky.names)[np.isnan(sky.elevation_rad).any(axis=0)]
     if lost.size:
-        guesses["satellites without a place"] = (
-            "left out where the orbits say nothing of a time or call the satellite unhealthy: "
-            + ", ".join(lost)
-        )
+        guesses += guessed(GuessKind.WITHOUT_PLACE, satellites=", ".join(lost))
     sky = sky.under(gps.mask_deg)
 
     num_in_view = sky.is_in_view.sum(axis=1)
@@ -245,7 +246,7 @@ def compute_maps(
     guesses = task.all_guesses
     warn_of(guesses, known=task.city.guesses)
     warn_of_jax(task.params.engine)
-    ds = empty_dataset(task).assign_attrs(guesses=json.dumps(guesses))
+    ds = empty_dataset(task).assign_attrs(guesses=guesses_to(guesses))
     with on_device_of(task.params.engine):
         for name, place, values in tile_maps(tile, stage):
             ds[name].values[place] = values

@@ -1,6 +1,5 @@
 """A scenario carried out: files in, metric maps and run.json out, resumable."""
 
-import json
 import time
 import warnings
 from collections import defaultdict
@@ -20,12 +19,12 @@ from jaxurban.io.city import City
 from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, sweep_scraps
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
-from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import bands_of, check_has_data, rasterise
 from jaxurban.io.samples import BASE_MAP_FILE
 from jaxurban.io.store import stored_key
 from jaxurban.io.workspace import Workspace
 from jaxurban.kernels.engine import num_cores, warn_of_jax
+from jaxurban.knowledge import guesses_to, warn_of
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.executors import cluster_client, work_in_threads, work_on_cluster
 from jaxurban.maps.memory import check_disk, plan_run, shape_of_tiles
@@ -211,7 +210,7 @@ def run_scenario(
             ]
             made = [_complete_maps(run, workspace, watch, report) for run in runs]
             all_maps, are_kept = zip(*made, strict=True)
-            store.put_root(folder)  # jaxurban 1.0.0, whose maps may be kept here, did not write it
+            store.put_root(folder)  # an earlier run may have ended before it wrote the root
 
             # The base map and the record. Where all maps were kept they stay, but for a base map that is damaged.
             is_kept = all(are_kept)
@@ -412,7 +411,7 @@ def make_zarr(
     for path in work.begin(f"{run.key} {shape}", run.map):
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
     job = TileJob(task, work, tiling)
-    attrs = {RUN_KEY: run.key, "guesses": json.dumps(task.guesses)}
+    attrs = {RUN_KEY: run.key, "guesses": guesses_to(task.guesses)}
     empty = empty_dataset(task, _no_values).assign_attrs(attrs)
     if work.done(ZARR) is None:
         store.create_zarr(empty, work.zarr, shape)

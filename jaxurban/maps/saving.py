@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxurban.checks import typed
-from jaxurban.errors import GuessWarning, InputError, warn
-from jaxurban.io.files import read_json, sweep_scraps
+from jaxurban.errors import InputError, warn
+from jaxurban.io.files import sweep_scraps
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, missing_geotiffs, write_geotiffs
 from jaxurban.io.samples import BASE_MAP_FILE
 from jaxurban.io.store import OPENED, open_zarr, write_zarr
@@ -81,9 +81,6 @@ def open_maps(
     Returns:
       The maps; each is read when it is first needed.
 
-    Warns:
-      GuessWarning: a run of jaxurban 1.1 or before made them, which left out what stands beside buildings.
-
     Raises:
       InputError: no maps there, or several and none chosen, or an unknown rule of obstacles; damaged ones (later too,
         when values are read), or a run's without its settings (``run.json``).
@@ -105,13 +102,4 @@ def open_maps(
     base = folder.resolve() / BASE_MAP_FILE
     maps = MetricMaps(ds, obstacles, base if base.is_file() else None)
     settings = settings_of(folder)
-    if not settings:
-        return maps
-    buildings = read_json(folder / RUN_FILE).get("buildings", {})
-    if "in_region" in buildings and "kinds" not in buildings:
-        warn(
-            f"the maps in {str(folder)!r} are of jaxurban 1.1 or before, whose readers left out chimneys, masts and "
-            "other structures, so paths may meet what stands: make them again",
-            GuessWarning,
-        )
-    return maps.with_recorded(settings)
+    return maps.with_recorded(settings) if settings else maps

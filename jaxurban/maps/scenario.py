@@ -36,7 +36,6 @@ from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
-from jaxurban.public import present_name
 from jaxurban.settings import (
     Backend,
     Buildings,
@@ -64,7 +63,7 @@ PAPER_PLANNERS: tuple[PlannerName, ...] = (
     "bitstar-dist",
     "bitstar-plus",
 )
-RENAMED_KEYS: dict[str, str] = {}  # present ones of a section by former ones, as "section.key"
+REMEDY = 'give sections and their keys, and write "/" or \'...\' for "\\" in double quotes'
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 MUST_BE = {
     **dict.fromkeys(("tuple_type", "list_type"), "must be a list in brackets"),
@@ -345,8 +344,8 @@ class Scenario(BaseModel):
             return cls.from_dict(settings, name=str(path))
         path = Path(path)
         # Everything is within the block, as tables nested without end fail only where their settings are used.
-        with readable(path, "a scenario in TOML", "give sections and their keys"):
-            settings = changed(tomllib.loads(path.read_text(encoding="utf-8")), changes)
+        with readable(path, "a scenario in TOML", REMEDY):
+            settings = changed(tomllib.loads(path.read_text(encoding="utf-8-sig")), changes)
             options = [f"--set {change}" for change in changes]
             name = " ".join([str(path), *options])
             return cls.from_dict(settings, name=name, folder=path.resolve().parent)
@@ -375,7 +374,6 @@ class Scenario(BaseModel):
           >>> scenario.planning.planner
           'astar-plus'
         """
-        settings = _with_present_keys(settings)
         folder = Path(folder or "")
         with_bounds, extent = _with_bounds(filled(settings), folder)
         try:
@@ -459,22 +457,6 @@ def _with_times_as_text(settings: Any) -> Any:
     return iso_utc(settings) if isinstance(settings, datetime) else settings
 
 
-def _with_present_keys(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return settings by section whose former keys (`RENAMED_KEYS`) have their present names, with a warning for each.
-
-    A former key beside its present one is left, and is refused later as unknown.
-    """
-    for former, present in RENAMED_KEYS.items():
-        section, _, old_key = former.partition(".")
-        _, _, new_key = present.partition(".")
-        table = settings.get(section)
-        if isinstance(table, Mapping) and old_key in table and new_key not in table:
-            present_name("key", former, RENAMED_KEYS)  # called for its warning
-            others = {name: value for name, value in table.items() if name != old_key}
-            settings = {**settings, section: {**others, new_key: table[old_key]}}
-    return settings
-
-
 def _with_bounds(
     settings: Mapping[str, Any], folder: Path
 ) -> tuple[Mapping[str, Any], Bounds | None]:
@@ -539,7 +521,6 @@ def changed(settings: dict[str, Any], changes: Iterable[str]) -> dict[str, Any]:
     Raises:
       InputError: no ``=``, or a value that is not TOML.
     """
-    settings = _with_present_keys(settings)
     for change in changes:
         key, equals, value = change.partition("=")
         if not equals:
@@ -551,7 +532,7 @@ def changed(settings: dict[str, Any], changes: Iterable[str]) -> dict[str, Any]:
                 f"--set {change!r} is not TOML ({error}): write texts in quotes, as in "
                 "buildings.source='\"town.osm\"', and lists in brackets, as in region.altitudes_m=[20,60]"
             ) from error
-        settings = _merged(settings, _with_present_keys(change_alone))
+        settings = _merged(settings, change_alone)
     return settings
 
 

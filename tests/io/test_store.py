@@ -234,15 +234,13 @@ def test_a_file_in_the_place_of_the_group_above_is_the_users(ds, path, tmp_path)
     assert group.read_text() == "mine"
 
 
-def test_maps_of_another_layout_are_refused_and_those_that_name_none_are_read(
-    few, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(store, "LAYOUT", 2)
+def test_maps_of_another_layout_are_refused_as_are_those_that_name_none(few, tmp_path, monkeypatch):
+    monkeypatch.setattr(store, "LAYOUT", 3)
     store.write_zarr(few, tmp_path / "newer")
     monkeypatch.undo()
     before = sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*"))
     with pytest.raises(
-        InputError, match="have layout 2, and this version of jaxurban reads 1: update jaxurban, or"
+        InputError, match="have layout 3, and this version of jaxurban reads 2: update jaxurban, or"
     ):
         store.open_zarr(tmp_path / "newer", None)
     assert sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*")) == before
@@ -250,8 +248,9 @@ def test_maps_of_another_layout_are_refused_and_those_that_name_none_are_read(
     written = store.write_zarr(few, tmp_path / "older")
     monkeypatch.undo()
     assert store.LAYOUT_KEY not in xr.open_zarr(written).attrs
-    assert store.open_zarr(tmp_path / "older", None).sizes == few.sizes
-    assert xr.open_zarr(store.write_zarr(few, tmp_path / "today")).attrs[store.LAYOUT_KEY] == 1
+    with pytest.raises(InputError, match="have layout 1, and this version of jaxurban reads 2"):
+        store.open_zarr(tmp_path / "older", None)
+    assert xr.open_zarr(store.write_zarr(few, tmp_path / "today")).attrs[store.LAYOUT_KEY] == 2
     assert store.LAYOUT_KEY not in store.open_zarr(tmp_path / "today", None).attrs
 
 
@@ -498,6 +497,9 @@ def seal(folder: Path) -> None:
         *({"resolution_m": length_m} for length_m in ("5", 0, -5.0, np.nan, np.inf)),
         {"guesses": "[" * 10_000},
         {"guesses": "[1]"},
+        {"guesses": '[{"kind": "none"}]'},
+        {"guesses": '[{"kind": "heights", "facts": {}}]'},
+        {"guesses": '[{"kind": "heights", "share": "all", "facts": {"kinds": ""}}]'},
     ],
 )
 def test_maps_whose_attributes_are_of_another_kind_are_refused(path, tmp_path, facts):

@@ -1,7 +1,5 @@
 """What the maps of a whole city obey, and what sections of a scenario ask for."""
 
-import json
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -9,6 +7,7 @@ import xarray as xr
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.files import read_json
+from jaxurban.knowledge import guesses_to
 from jaxurban.maps.provenance import run_key
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
@@ -70,7 +69,7 @@ def test_maps_with_an_own_layer_are_written_as_netcdf_by_xarray_alone(tmp_path):
     made.ds.to_netcdf(tmp_path / "maps.nc", engine="scipy")
     with xr.open_dataset(tmp_path / "maps.nc", engine="scipy") as read:
         np.testing.assert_array_equal(read["gps"], made.ds["gps"])
-        assert json.loads(read.attrs["guesses"]) == made.guesses
+        assert read.attrs["guesses"] == guesses_to(made.guesses)
 
 
 def test_a_lone_tower_shadows_the_north_more_than_the_south_and_endangers_what_stands_near():

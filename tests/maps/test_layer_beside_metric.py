@@ -175,7 +175,7 @@ def test_it_goes_through_routes_files_and_workers(registry, city, tmp_path):
     assert table[f"cost_{LONG}"].item() == pytest.approx(table.cost_noise.item())
     folder = maps.save(tmp_path / "saved", layers=("all",))
     check_both(ju.open_maps(folder))
-    assert xr.open_zarr(folder / "maps.zarr", group="20m").attrs["jaxurban_layout"] == 1
+    assert xr.open_zarr(folder / "maps.zarr", group="20m").attrs["jaxurban_layout"] == 2
     for file, m in (("noise_20m.tif", OF_LAYER), (f"{LONG}_60m_20m.tif", OF_METRIC)):
         with rasterio.open(folder / "geotiff" / file) as tif:
             assert np.nanmax(tif.read(1)) == m

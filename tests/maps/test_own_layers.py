@@ -22,6 +22,7 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.world.grid import Grid
 from tests import tiled_runs
 from tests.cli_runs import TOWN
+from tests.guess_records import by_name
 from tests.io.made_files import write_raster
 
 REACH_M = 60.0
@@ -144,7 +145,9 @@ def test_a_raster_that_ends_inside_the_region_is_told_with_the_share_that_it_clo
     at = Affine(right, 0.0, edges[0] - 0.1 * width, 0.0, -up, edges[3] + width)
     write_raster(tmp_path / "part.tif", np.zeros((50, 50), np.float32), at, crs)
     task = with_raster(city, grid, tmp_path / "part.tif")
-    ((name, told),) = ((name, told) for name, told in task.all_guesses.items() if "layer" in name)
+    ((name, told),) = (
+        (name, told) for name, told in by_name(task.all_guesses).items() if "layer" in name
+    )
     closed = np.isnan(layer_values(task.bands["noise"], grid, grid)).mean()
     assert told.startswith(
         f"{100 * closed:.0f} % of the region lies beyond the raster of layer noise and is closed"
@@ -158,7 +161,7 @@ def test_large_holes_of_a_raster_are_told(tmp_path):
     values = np.zeros((40, 40))
     values[:, :10] = -1
     write_layer(tmp_path / "noise.tif", grid, values, nodata=-1)
-    told = with_raster(city, grid, tmp_path / "noise.tif").all_guesses
+    told = by_name(with_raster(city, grid, tmp_path / "noise.tif").all_guesses)
     (sentence,) = (sentence for name, sentence in told.items() if "layer noise without" in name)
     assert "% of the pixels of layer noise hold no value and are closed to every path" in sentence
 

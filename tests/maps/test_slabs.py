@@ -14,6 +14,7 @@ from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.settings import TO_GROUND, Heights
 from jaxurban.world.surface import Surface
+from tests.guess_records import by_name
 from tests.hanging_city import DECK_FLOOR_M, DECK_TOP_M, PARAMS, RESOLUTION_M, city, task
 
 ON_DECK = (20, 50)  # a cell of the region in the middle of the deck
@@ -142,11 +143,11 @@ def test_own_layers_see_what_their_altitude_meets():
 
 
 def test_maps_tell_how_metrics_take_what_hangs(maps, grounded):
-    assert "5 hanging parts" in maps.guesses
-    assert not any("hanging" in name for name in grounded.guesses)
+    assert "5 hanging parts" in by_name(maps.guesses)
+    assert not any("hanging" in name for name in by_name(grounded.guesses))
     assert (
         "lidar meets those with their floor at or below"
-        in task(city()).all_guesses["5 hanging parts"]
+        in by_name(task(city()).all_guesses)["5 hanging parts"]
     )
 
 

@@ -140,6 +140,22 @@ def test_missing_and_broken_files_are_one_sentence(tmp_path, content):
         Scenario.from_toml(tmp_path / "file.toml")
 
 
+def test_a_mark_of_utf_8_before_a_scenario_is_passed_over(tmp_path):
+    (tmp_path / "town.toml").write_bytes(b"\xef\xbb\xbf" + TOWN.encode())
+    assert Scenario.from_toml(tmp_path / "town.toml").buildings.source == "synthetic"
+
+
+@pytest.mark.parametrize("path", [r"C:\data\b.gpkg", r"C:\Users\me\b.gpkg", r"\\server\x"])
+def test_a_path_with_backslashes_in_double_quotes_is_refused_with_how_to_write_it(tmp_path, path):
+    file = tmp_path / "town.toml"
+    file.write_text(TOWN.replace('"synthetic"', f'"{path}"'))
+    with pytest.raises(InputError, match="in TOML") as caught:
+        Scenario.from_toml(file)
+    assert """write "/" or '...' for "\\" in double quotes""" in str(caught.value)
+    file.write_text(TOWN.replace('"synthetic"', f"'{path}'"))
+    assert Scenario.from_toml(file).buildings.source == path
+
+
 @pytest.fixture
 def file(tmp_path) -> Path:
     (tmp_path / "town.toml").write_text(TOWN, encoding="utf-8")
