@@ -382,6 +382,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "default_height_m": 50.0,
         "level_height_m": 9.0,
         "allow_none": Case(True, {"bounds": (-73.9, 40.7, -73.899, 40.701)}),
+        "allow_high": Same("of fewer than 20 buildings no heights are refused as elevations"),
         "hanging": "slabs",
         "credit": "a surveyor",
         "height_column": Case("height", refused="height_column and unit go together"),

@@ -28,8 +28,8 @@ from jaxurban.cli.common import (
     print_json,
 )
 from jaxurban.exit_codes import ExitCode
+from jaxurban.knowledge import Caution
 from jaxurban.progress import LOG
-from jaxurban.public import Caution
 
 if TYPE_CHECKING:
     from jaxurban.io.read.mission_parts import Datum

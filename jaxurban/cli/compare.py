@@ -209,7 +209,7 @@ def validate(
         facts = {
             "summary": summary,
             "scores": records_of(result.scores),
-            "guesses": list(result.guesses),
+            "guesses": [guess.sentence for guess in result.guesses],
         }
         if result.satellites is not None:
             facts["satellites"] = _satellite_facts(result.satellites)

@@ -3,14 +3,20 @@
 import warnings
 from collections import Counter
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 import click
 
 from jaxurban.cli.common import GIVEN, JSON_FLAG, Settings, print_json
+from jaxurban.errors import InputError
 from jaxurban.io.read.sniff import LIDAR, sniff
 from jaxurban.io.samples import located
 from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number, stored_maps
+from jaxurban.knowledge import names_of
+
+MOST_BYTES = 2**30  # of any other file than of buildings or a raster: most are read whole
+MISSIONS = (".plan", ".waypoints", ".kmz", ".wpml", ".ulg", ".bin", ".tlog")  # and nothing else
 
 
 @click.command()
@@ -19,12 +25,17 @@ from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number, stored_maps
 def info(path: Path, as_json: bool) -> None:
     """Say what a file or a folder of maps holds.
 
-    FILE is of buildings, or a raster. Printed are extent, CRS, counts and guessed heights.
+    FILE is of buildings, or a raster: printed are extent, CRS, counts and guessed heights. Of a mission, a receiver's
+    log, a track, orbits or a scenario it says in a line what it holds, and what reads it.
     """
     if any((path / name).exists() for name in (ZARR_FOLDER, RUN_FILE)):
         facts, numbers = _facts_of_maps(path)
     else:
-        facts, file_numbers = _facts_of_file(located(path))
+        file = located(path)
+        try:
+            facts, file_numbers = _facts_of_file(file)
+        except InputError as error:
+            facts, file_numbers = {"holds": _line_of_other(file, error)}, {}
         numbers = [file_numbers]
     if as_json:
         print_json(facts | {"numbers": numbers})
@@ -49,7 +60,7 @@ def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
         maps = open_maps(folder, resolution_m)
         grid = maps.grid
         bounds = transformer(grid.crs, WGS84).transform_bounds(*grid.bounds_m)
-        guesses = ", ".join(maps.guesses) or "none"
+        guesses = names_of(maps.guesses) or "none"
         prefix = f"{short_number(resolution_m)} m: " if len(resolutions_m) > 1 else ""
         of_maps = {"bounds": _rounded(bounds), **maps.facts, "guesses": guesses}
         facts |= {prefix + name: value for name, value in of_maps.items() if value}
@@ -122,9 +133,54 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     num_by_origin = city.buildings.origin_counts()
     for name, num in num_by_origin.items():
         facts[f"heights by {name}"] = f"{num:,} ({num / len(city.buildings):.1%})"
-    num_by_kind = Counter(() if city.structures is None else city.structures.kinds.tolist())
+    num_by_name = Counter(() if city.structures is None else city.structures.named.tolist())
     return facts, {
         "num_buildings": len(city.buildings),
         "num_by_height_origin": num_by_origin,
-        "num_structures_by_kind": dict(num_by_kind),
+        "num_structures_by_kind": dict(num_by_name),
     }
+
+
+def _line_of_other(file: Path, error: InputError) -> str:
+    """Return what a file holds that is neither of buildings nor a raster, and what reads it.
+
+    Raises:
+      InputError: a scenario or a mission that cannot be read; ``error``, why it is none of buildings, if it is no other
+        file either.
+    """
+    from jaxurban.io.read.mission import read_mission
+    from jaxurban.io.read.orbits import read_orbits, span_of
+    from jaxurban.io.read.receivers import read_log
+    from jaxurban.io.read.tracks import UTC, read_track
+    from jaxurban.maps.scenario import Scenario
+
+    if file.stat().st_size > MOST_BYTES:
+        raise error
+    suffix = file.suffix.lower()
+    reason = error
+    with warnings.catch_warnings(action="ignore", category=UserWarning):
+        if suffix == ".toml":
+            region = Scenario.from_toml(file).region
+            return f"a scenario of {len(region.altitudes_m)} altitudes: jaxurban maps {str(file)!r} -o OUTPUT"
+        with suppress(InputError):
+            log = read_log(file)
+            times = (read_track(file) if log is None else log)[UTC].dt.floor("s")
+            span = f"{times.min():%Y-%m-%dT%H:%M:%SZ} to {times.max():%Y-%m-%dT%H:%M:%SZ}"
+            what = f"a log or a track of {times.nunique():,} s, from {span}"
+            return f"{what}: jaxurban sky DIR --track {str(file)!r}"
+        try:
+            satellites = read_orbits(file).satellites
+            what = f"orbits of {len(satellites)} satellites from {span_of(satellites)}"
+            return f"{what}: orbits = {str(file)!r} in [gps] of a scenario"
+        except InputError as refusal:
+            if isinstance(refusal.__cause__, ImportError):  # of their reader
+                raise
+        for heights in (None, "ground"):  # which the file says itself, or not
+            try:
+                mission = read_mission(file, heights=heights)
+                return (
+                    f"a mission of {mission.num_things:,} items: jaxurban check DIR {str(file)!r}"
+                )
+            except InputError as refusal:
+                reason = reason if heights else refusal
+    raise reason if suffix in MISSIONS else error

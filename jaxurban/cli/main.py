@@ -33,10 +33,8 @@ from jaxurban.cli.view import view
 from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG, interrupted
-from jaxurban.public import FORMER, present_name
 
 JSON = "--json"
-RENAMED_OPTIONS: dict[str | None, dict[str, str]] = {}  # by command: present ones by former ones
 NO_MEMORY = (
     "memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes"
 )
@@ -95,21 +93,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     warnings.showwarning = lambda message, *_, **__: LOG.info(f"warning: {message}")
-    warnings.filterwarnings("always", f".*{FORMER}", DeprecationWarning)
     signal.signal(signal.SIGINT, _interrupt)
     sys.unraisablehook = _show_unraisable
     with logged_on_stderr():
         sys.exit(_run(arguments))
-
-
-def _with_present_options(arguments: Sequence[str]) -> list[str]:
-    """Return arguments in which former names of options are the present ones (``--x`` and ``--x=1``); each warns."""
-    renamed = RENAMED_OPTIONS.get(_command_in(arguments).name, {})
-    present = []
-    for argument in arguments:
-        option, *value = argument.split("=", 1)
-        present.append("=".join([present_name("option", option, renamed), *value]))
-    return present
 
 
 def _run(arguments: Sequence[str]) -> int:
@@ -124,7 +111,6 @@ def _run(arguments: Sequence[str]) -> int:
       Exception: a fault of jaxurban, as it came.
     """
     stdout = sys.stdout
-    arguments = _with_present_options(arguments)
     fail = partial(_fail, arguments)
     try:
         _set_up_libraries()

@@ -1,7 +1,6 @@
 """jaxurban plan."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
@@ -319,10 +318,7 @@ def plan(
     if planned.status.has_path and (with_report or profile is not None):
         density = None
         if corridor is not None:
-            from jaxurban.paths.detours import density_detours
-
             density = corridor(costs.maps, planned, time_of_day=time_of_day)
-            density = replace(density, detours=density_detours(planned, costs, density))
         report = explain(planned, costs.maps, density=density, **flight)
         report = with_return_altitude(report, planned, costs.maps)
     refused = []
