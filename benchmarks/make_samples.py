@@ -8,6 +8,7 @@ import math
 import os
 import shutil
 import sys
+from collections.abc import Iterable
 from datetime import date
 from pathlib import Path
 
@@ -24,7 +25,8 @@ from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.land_cover import projected
 from jaxurban.io.read.nominal import GPS, MARK, Constellation, nominal_satellites
 from jaxurban.io.read.osm import OSM_CREDIT, header_box, read_osm
-from jaxurban.io.read.stands import what_stands
+from jaxurban.io.read.outlines import Outlines, joined
+from jaxurban.io.read.stands import is_water, what_stands
 from jaxurban.io.samples import (
     BASE_MAP_FILE,
     BUILDINGS_FILE,
@@ -51,20 +53,21 @@ PUBLIC_DOMAIN = "public domain"
 PLATEAU_CREDIT = "Project PLATEAU (MLIT), CC BY 4.0"
 CENSUS_CREDIT = "US Census Bureau"
 DISTRICTS_CREDIT = "NYC Open Data (Department of City Planning)"
-SAMPLE_TAGS = (
-    *("building", "building:part", "height", "building:levels", "roof:levels", "min_height"),
-    *("building:min_level", "location", "layer", "man_made"),
-)
 TAG_OF = {  # of the names of `Outlines` that differ from OpenStreetMap's
     "part": "building:part",
     "levels": "building:levels",
     "roof_levels": "roof:levels",
     "min_level": "building:min_level",
+    "levels_below": "building:levels:underground",
+    "razed": "razed:building",
     "crown": "diameter_crown",
     "leaf": "leaf_type",
     "wind": "generator:source",
     "rotor": "rotor:diameter",
     "hub": "height:hub",
+    "construction": "tower:construction",
+    "bridge_structure": "bridge:structure",
+    "bridge_movable": "bridge:movable",
 }
 
 # Source: European GNSS Service Centre, Orbital and technical parameters (www.gsc-europa.eu), reference constellation:
@@ -91,6 +94,13 @@ GALILEO = Constellation(
 )
 
 
+def _frame(outlines: Outlines, names: Iterable[str]) -> gpd.GeoDataFrame:
+    """Return outlines with those of the tags ``names`` that any of them has."""
+    columns = {TAG_OF.get(name, name): outlines.column(name) for name in names}
+    filled = {name: values for name, values in columns.items() if pd.notna(values).any()}
+    return gpd.GeoDataFrame(filled, geometry=outlines.polygons, crs=WGS84)
+
+
 def make_lower_manhattan(data: Path, home: Path) -> None:
     """Write the files of Lower Manhattan: what stands, base map, census blocks, districts and satellites.
 
@@ -101,25 +111,20 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     # Outlines and their tags.
     osm = data / "osm/lower-manhattan.osm.pbf"
     outlines = read_osm(osm)
-    columns = {TAG_OF.get(name, name): values for name, values in outlines.tags.items()}
-    frame = gpd.GeoDataFrame(columns, geometry=outlines.polygons, crs=WGS84)
     # Areas of buildings and bridges, with the tags that these have.
-    is_kept = frame["building"].notna() | frame["building:part"].notna()
-    is_kept |= frame["man_made"] == "bridge"
-    is_kept &= frame.geom_type.isin(["Polygon", "MultiPolygon"])
-    frame = frame.loc[is_kept, [*SAMPLE_TAGS, "geometry"]].reset_index(drop=True)
+    is_kept = pd.notna(outlines.column("building")) | pd.notna(outlines.column("part"))
+    is_kept |= outlines.texts("man_made") == "bridge"
+    is_kept &= shapely.get_dimensions(outlines.polygons) == 2
     issues = {issue.value: count for issue, count in outlines.issues.items() if count}
     facts = {"credit": OSM_CREDIT, "licence": ODBL, "boxes": outlines.boxes, "issues": issues}
     # Not rounded: its maps are those of the extract itself.
-    write_geoparquet(home / BUILDINGS_FILE, frame, facts)
+    write_geoparquet(home / BUILDINGS_FILE, _frame(outlines.take(is_kept), outlines.tags), facts)
 
-    # What else stands, with all tags that say so.
-    others = what_stands(outlines.take(~is_kept.to_numpy()), False, {})
-    columns = {TAG_OF.get(name, name): others.column(name) for name in outlines.tags}
-    filled = {name: values for name, values in columns.items() if pd.notna(values).any()}
-    frame = gpd.GeoDataFrame(filled, geometry=others.polygons, crs=WGS84)
+    # What else stands, with all tags that say so, and the water that bridges cross.
+    rest = outlines.take(~is_kept)
+    others = joined(osm, [what_stands(rest, False, {}), _crossed(rest)])
     facts = {"credit": OSM_CREDIT, "licence": ODBL}
-    write_geoparquet(home / STRUCTURES_FILE, frame, facts)
+    write_geoparquet(home / STRUCTURES_FILE, _frame(others, outlines.tags), facts)
 
     # Base map and census blocks in the extract's box.
     box = header_box(osm)
@@ -145,6 +150,14 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     facts = {"credit": DISTRICTS_CREDIT, "licence": "NYC Open Data terms of use"}
     write_geoparquet(home / "districts.parquet", rounded(frame[~frame.is_empty]), facts)
     write_nominal(home / "gps.tle", date(2020, 4, 27), GPS)
+
+
+def _crossed(outlines: Outlines) -> Outlines:
+    """Return the water that bridges cross."""
+    water = outlines.take(is_water(outlines))
+    bridges = outlines.polygons[outlines.texts("bridge") != ""]
+    _, crossed = shapely.STRtree(water.polygons).query(bridges, predicate="intersects")
+    return water.take(np.unique(crossed))
 
 
 def make_shinjuku(data: Path, home: Path) -> None:

@@ -19,7 +19,6 @@ import jaxurban as ju
 from benchmarks import make_samples as make
 from benchmarks.make_samples import GALILEO
 from jaxurban.io.files import digest_of, read_json, write_json
-from jaxurban.io.read.guesses import NOMINAL_SKY
 from jaxurban.io.read.nominal import GPS
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.io.samples import SAMPLES, located, log_of, structures_of
@@ -30,6 +29,7 @@ from jaxurban.samples import cities
 from jaxurban.studies.receiver.logs import ReceiverLog, read_receiver_log
 from jaxurban.world.grid import WGS84, transformer
 from jaxurban.world.kinds import ALL_KINDS
+from tests.guess_records import by_name
 from tests.io.test_orbits import places_of, separation_deg
 
 CITIES = sorted(SAMPLES)
@@ -54,7 +54,7 @@ def test_a_sample_is_small_credited_and_comes_with_its_satellites(name):
     assert CREDITS[name] in city.attribution
     maps = ju.build_maps(city, SMALL[name], resolution_m=10.0, altitudes_m=[60.0])
     assert maps.times == city.gps.times
-    assert SATELLITES[name] in maps.guesses[NOMINAL_SKY]
+    assert SATELLITES[name] in by_name(maps.guesses)["nominal satellites"]
     assert maps.ds.num_visible.max() > 4
     assert CREDITS[name] in maps.attribution
 
@@ -118,7 +118,7 @@ def test_lower_manhattan_brings_trees_and_wires_unless_buildings_alone_count():
     assert few.items() <= num_by_kind.items()
     assert num_by_kind["tree"] == 11_270  # of which 19 are rows
     assert "OpenStreetMap" in city.attribution
-    assert set(alone.structures.kinds) == {"bridge", "unknown"}  # of the file of buildings
+    assert set(alone.structures.kinds) == {"bridge"}  # of the file of buildings
     assert bits_of(city.buildings) == bits_of(alone.buildings)
     assert "structures" in city.sources
     assert "structures" not in alone.sources
