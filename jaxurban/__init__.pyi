@@ -24,7 +24,6 @@ from jaxurban.paths.check import check as check
 from jaxurban.paths.check_result import MissionCheck as MissionCheck
 from jaxurban.paths.constraints import Constraints as Constraints
 from jaxurban.paths.cost_map import CostMap as CostMap
-from jaxurban.paths.detours import density_detours as density_detours
 from jaxurban.paths.explain import explain as explain
 from jaxurban.paths.finish import simplify as simplify
 from jaxurban.paths.ground_risk import overflown_density as overflown_density

@@ -6,33 +6,28 @@ that. A stub beside a module says to type checkers, and here, where each of its 
 
 import ast
 import difflib
-import functools
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, TypeVar
 
-from jaxurban.errors import warn
+from jaxurban.knowledge import Caution, caution_lines
 
 # Modules of the package whose names are public too.
 NAMESPACES = ("fit", "grad", "metrics", "studies")
-Level = Literal["guess", "note", "limit"]
 Function = TypeVar("Function", bound=Callable)
 LEAST_ALIKE = 0.66  # as two letters of three are
-FORMER = "the former name goes in jaxurban 2.0"  # by which commands know these warnings
 
 
 def public_names(
-    package: str, file: str, renamed: Mapping[str, str] | None = None
+    package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return a module's ``__getattr__``, ``__dir__`` and ``__all__``, as its stub names them.
 
     Args:
       package: full name of the module.
       file: its file; the stub lies beside it.
-      renamed: public names by their former ones, which still work, and warn (docs/reference/stability.md).
     """
     # The home of each public name: the module that it is imported from. The stub has lines ``from x import y as y``.
     stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
@@ -42,16 +37,11 @@ def public_names(
             homes |= {alias.name: line.module for alias in line.names}
 
     def fetch(name: str) -> Any:
-        """Return what the package calls by a name, imported now; former names warn.
+        """Return what the package calls by a name, imported now.
 
         Raises:
           AttributeError: the module has no such name.
         """
-        # A former name.
-        if renamed and name in renamed:
-            present = renamed[name]
-            _warn_renamed(f"{package}.{name}", f"{_public_homes()[present]}.{present}")
-            return find_public(present)
         home = homes.get(name)
         if name == "__version__" and "." not in package:
             return import_module("importlib.metadata").version(package)
@@ -62,49 +52,6 @@ def public_names(
         return getattr(import_module(home), name)
 
     return fetch, lambda: sorted(homes), sorted(homes)
-
-
-def renamed_arguments(**renamed: str) -> Callable[[Function], Function]:
-    """Return a decorator under which a function takes arguments by their former names too, and warns of them.
-
-    Args:
-      renamed: the names of arguments by their former ones.
-    """
-
-    def decorate(function: Function) -> Function:
-        """Return the function with its former keywords, each with a warning."""
-
-        @functools.wraps(function)
-        def call(*args: Any, **kwargs: Any) -> Any:
-            """Call the function with present names in place of former ones."""
-            for old, new in renamed.items():
-                # With both, the function refuses the former one as unknown.
-                if old in kwargs and new not in kwargs:
-                    _warn_renamed(f"the argument {old} of {function.__name__}", new)
-                    kwargs[new] = kwargs.pop(old)
-            return function(*args, **kwargs)
-
-        return cast(Function, call)
-
-    return decorate
-
-
-def present_name(kind: str, name: str, renamed: Mapping[str, str]) -> str:
-    """Return the present name of an option or a key, and warn where the user wrote a former one.
-
-    Args:
-      kind: what has the name, for the warning, such as ``"option"``.
-      name: as the user wrote it.
-      renamed: present names by former ones.
-    """
-    if name in renamed:
-        _warn_renamed(f"the {kind} {name}", renamed[name])
-    return renamed.get(name, name)
-
-
-def _warn_renamed(old: str, new: str) -> None:
-    """Warn, on the line of the user, that something has another name."""
-    warn(f"{old} is now {new}: {FORMER}", DeprecationWarning)
 
 
 def _elsewhere(name: str) -> str:
@@ -159,41 +106,6 @@ def alike(name: str, valid: Iterable[str], least: float = LEAST_ALIKE) -> list[s
     names = {each.lower(): each for each in valid if each[:1].lower() == wrong[:1]}
     matches = difflib.get_close_matches(wrong, names, n=1, cutoff=least)
     return [names[match] for match in matches]
-
-
-class Caution(str):
-    """A sentence to a pilot, a `str` that also has a level.
-
-    Attributes:
-      level: ``"guess"``: it rests on what no file says. ``"limit"``: something lies beyond limits: a stretch without a
-        fix, cells that a building as high touches, a height over a roof below the vertical clearance (1 m where none
-        was asked), a building nearer than the clearance and the vehicle's radius, or a manoeuvre beyond the vehicle.
-        ``"note"``: all else.
-    """
-
-    level: Level
-
-    def __new__(cls, text: str, level: Level = "note") -> "Caution":
-        """Return a sentence with a level."""
-        caution = super().__new__(cls, text)
-        caution.level = level
-        return caution
-
-
-def sentences_of(text: str) -> list[str]:
-    """Return the sentences of a text; each ends with a full stop, before a capital letter."""
-    return re.split(r"(?<=\.) (?=[A-Z])", text) if text else []
-
-
-def caution_of_guesses(guesses: Iterable[str], *more: str) -> list[Caution]:
-    """Return what no file says in one sentence: guesses by their short names, and more on them; nothing of none."""
-    facts = [", ".join(guesses), *more]
-    return [Caution(f"Guessed: {'; '.join(filter(None, facts))}.", "guess")] if any(facts) else []
-
-
-def caution_lines(cautions: Iterable[Caution]) -> list[str]:
-    """Return a line of text for each caution, its level first."""
-    return [f"  {each.level}: {each}" for each in cautions]
 
 
 LEVEL_STYLES = {

@@ -5,7 +5,6 @@ A function of `PICTURES` is named as the package's own, ``module.plot_name``, an
 
 import importlib
 import inspect
-import json
 import pkgutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,8 +19,10 @@ from matplotlib.figure import Figure
 
 import jaxurban as ju
 from jaxurban import report
+from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.report.figures.style import Width
 from jaxurban.studies.weights.breakpoints import Partition
+from tests.guess_records import FLAT, NOMINAL, attribute, heights
 from tests.made_agreement import made
 from tests.made_maps import city_of_boxes, made_maps, maps_of_kinds
 from tests.receiver_logs import found
@@ -29,7 +30,12 @@ from tests.report.test_figures import at_epochs, make_maps, make_path, make_path
 from tests.report.test_legible import agreement, crowded
 
 CREDIT = "Data: OpenStreetMap contributors (ODbL 1.0); U.S. Geological Survey; WorldPop (CC BY 4.0); own survey"
-GUESSES = ("97 % of heights", "the terrain", "nominal orbits", "5 % of the population")
+GUESSES = (
+    heights(0.97),
+    FLAT,
+    NOMINAL,
+    Guess(GuessKind.UNCOUNTED_BLOCKS, number=5, facts={"of": 9, "unreadable": 1, "missing": 4}),
+)
 METRICS = ("gps", "lidar", "population", "risk")
 LAYERS = (*METRICS, "noise_of_neighbours", "wind_at_roofs", "x1")
 PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus", "theta-star")
@@ -79,7 +85,7 @@ def maps_for(is_hard: bool) -> ju.MetricMaps:
     maps = make_maps(has_all_data=not is_hard)
     maps.ds["roof_touched"] = maps.ds["roof"]
     if is_hard:
-        maps.ds.attrs |= {"guesses": json.dumps(dict.fromkeys(GUESSES, "")), "attribution": CREDIT}
+        maps.ds.attrs |= attribute(*GUESSES) | {"attribution": CREDIT}
         maps.ds["roof_guessed"] = maps.ds["roof"] > 20
     return maps
 

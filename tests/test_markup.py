@@ -13,6 +13,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.files import write_json
+from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.metrics.custom import Layer
 from jaxurban.public import Caution
 from jaxurban.report.check import check_markdown
@@ -26,6 +27,7 @@ from jaxurban.viewer.sky import sky_html
 from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to
 from jaxurban.world.grid import Grid, crs_said
+from tests.guess_records import attribute, heights
 from tests.made_maps import city_of_boxes, made_maps
 
 HTML = "<img src=x onerror=alert(1)>\"'`tick`</script>"
@@ -46,7 +48,7 @@ def hostile_maps() -> ju.MetricMaps:
     attrs = {
         "crs": crs_named(HOSTILE),
         "attribution": HOSTILE,
-        "guesses": json.dumps({HOSTILE: HOSTILE, f"satellites {HTML}": HOSTILE}),
+        **attribute(heights(0.5, HOSTILE), Guess(GuessKind.EMPTY_LAYER, facts={"layer": HOSTILE})),
         "constellations": [HOSTILE],
         "settings": json.dumps({"gps": {"orbits": [HOSTILE]}, "planning": {}}),
     }
@@ -192,4 +194,4 @@ def test_a_definition_of_a_crs_is_named_in_short_and_no_message_repeats_a_text_o
     with pytest.raises(InputError) as caught:
         Grid("X" * 10**6, 10.0, 0, 0, 4, 4)
     assert len(str(caught.value)) < 2100
-    assert str(caught.value).endswith("use a projected one such as 'EPSG:32618'")
+    assert str(caught.value).endswith("such as 'EPSG:32618'")

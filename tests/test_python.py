@@ -17,9 +17,8 @@ import pytest
 from matplotlib.text import Text
 
 import jaxurban as ju
-from jaxurban.maps import scenario
 from jaxurban.paths.export.write import write_path
-from jaxurban.public import NAMESPACES, public_names, renamed_arguments
+from jaxurban.public import NAMESPACES
 from jaxurban.report.figures import bare, plot_metric, plot_overview, plot_paths
 from tests.made_maps import made_maps
 
@@ -270,65 +269,6 @@ def test_places_in_metres_folders_generators_and_single_paths_are_taken_where_ma
     assert ju.studies.Study(planners="ptp").planners == ("ptp",)
     assert "weights: distance 0.1" in repr(shown.query.cost_map)
     assert "array" not in repr(shown.query.cost_map)
-
-
-def test_a_former_name_works_warns_on_the_user_s_line_and_is_not_listed():
-    fetch, names, listed = public_names(
-        "jaxurban", ju.__file__, renamed={"plan_all": "plan_many", "fit": "fit_weights"}
-    )
-    with pytest.warns(
-        DeprecationWarning,
-        match=r"jaxurban.plan_all is now jaxurban.plan_many: .* goes in jaxurban 2.0",
-    ):
-        assert fetch("plan_all") is ju.plan_many
-    with pytest.warns(DeprecationWarning, match="is now jaxurban.fit.fit_weights") as warned:
-        assert fetch("fit") is ju.fit.fit_weights
-    assert warned[0].filename == __file__
-    assert {"plan_all"}.isdisjoint([*names(), *listed])
-
-
-def test_a_former_argument_works_and_warns_and_with_both_the_former_one_is_unknown():
-    @renamed_arguments(height_m="altitude_m")
-    def plan(*, altitude_m: float) -> float:
-        return altitude_m
-
-    with pytest.warns(
-        DeprecationWarning, match="height_m of plan is now altitude_m: .* goes in jaxurban 2.0"
-    ) as warned:
-        assert plan(height_m=20.0) == plan(altitude_m=20.0) == 20.0
-    assert [each.filename for each in warned] == [__file__]
-    with pytest.raises(TypeError, match="height_m"):
-        plan(altitude_m=20.0, height_m=30.0)
-
-
-def test_a_former_option_works_and_a_command_says_what_it_is_called_now():
-    renamed = "main.RENAMED_OPTIONS['info'] = {'--as-json': '--json'}"
-    script = f"from jaxurban.cli import main; {renamed}; main.main(['info', '--as-json', 'none'])"
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONWARNINGS"}
-    ran = subprocess.run(
-        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False
-    )
-    assert json.loads(ran.stdout)["exit_code"] == ran.returncode == 2
-    assert "warning: the option --as-json is now --json: the former name goes in" in ran.stderr
-
-
-def test_a_former_key_of_a_scenario_works_and_beside_its_successor_is_unknown(monkeypatch):
-    monkeypatch.setitem(scenario.RENAMED_KEYS, "gps.mask", "gps.mask_deg")
-    settings = {
-        "region": {"bounds": [-74.02, 40.70, -73.98, 40.73]},
-        "buildings": {"source": "synthetic"},
-    }
-    with pytest.warns(DeprecationWarning, match=r"key gps.mask is now gps.mask_deg") as warned:
-        former = ju.Scenario.from_dict(settings | {"gps": {"mask": 7.0}})
-    assert former.gps.mask_deg == 7.0
-    assert warned[0].filename == __file__
-    monkeypatch.setitem(scenario.RENAMED_KEYS, "region.cell_m", "region.resolution_m")
-    with pytest.warns(DeprecationWarning, match=r"key region\.cell_m is now region\.resolution_m"):
-        assert scenario.changed({"region": {"resolution_m": 5}}, ["region.cell_m=10"]) == {
-            "region": {"resolution_m": 10}
-        }
-    with pytest.raises(ju.InputError, match=r"unknown key 'gps\.mask'"):
-        ju.Scenario.from_dict(settings | {"gps": {"mask": 7.0, "mask_deg": 7.0}})
 
 
 @pytest.mark.slow

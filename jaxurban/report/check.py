@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from jaxurban.knowledge import names_of
 from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.check_result import MissionCheck
 from jaxurban.paths.constraints import describe_constraints
@@ -87,7 +88,7 @@ def check_markdown(result: MissionCheck, figures: list[str]) -> str:
         note=result.figures.get("cost_note", ""),
         returns=bullets(result.return_lines) or "No item, or no home, to return from.",
         limits=describe_constraints(result.limits) or "none",
-        guesses=", ".join(result.maps.guesses) or "nothing",
+        guesses=names_of(result.maps.guesses) or "nothing",
     )
 
 

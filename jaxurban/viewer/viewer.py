@@ -278,7 +278,7 @@ class Viewer:
         return {
             "title": escape(" against ".join(self.names)),
             "guesses": escape(guessed and f"Guessed: {guessed}"),
-            "guesses-text": escape("\n".join(maps.guesses.values())),
+            "guesses-text": escape("\n".join(guess.sentence for guess in maps.guesses)),
             "place": "<br>".join([place_said(grid), cells, north]),
             "credit": escape(maps.attribution),
             "groups": markup.group_boxes(groups if any(groups) else ()),
@@ -636,7 +636,7 @@ class Viewer:
 
         # The caution that says how near buildings are; every route past buildings has one.
         said = cautions(mission, self.maps, profile)
-        level = next(caution.level for caution in said if caution.startswith("Buildings"))
+        level = next(caution.level for caution in said if caution.kind == "clearance")
         return [f'<b class="jv-{level}">{text}</b>']
 
     def _on_page(self, lonlat: np.ndarray) -> np.ndarray:

@@ -1,6 +1,5 @@
 """Pictures show the right colour in the right place, to scale, with every label whole."""
 
-import json
 import re
 import subprocess
 import sys
@@ -19,7 +18,7 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from PIL import Image
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.guesses import BEYOND_DATA, NOMINAL_SKY
+from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.variables import FREE_COLOUR, GROUP_COLOURS
@@ -32,6 +31,7 @@ from jaxurban.report.figures.paths import LINE_PT, PLANNER_COLOURS, lanes_of, ma
 from jaxurban.report.figures.style import chart, wrapped
 from jaxurban.report.write import DPI, write_picture
 from jaxurban.world.kinds import EFFECTS, GROUPS
+from tests.guess_records import NOMINAL, attribute, heights
 from tests.made_maps import made_maps, maps_of_kinds
 from tests.paths.volumes import made_path
 from tests.pictures import assert_legible, drawn_texts
@@ -361,12 +361,12 @@ def test_a_long_series_is_drawn_by_its_statistics(maps):
 
 def test_notes_tell_the_place_and_only_the_guesses_that_concern_the_picture():
     maps = make_maps()
-    guesses = dict.fromkeys(("3 % of heights", NOMINAL_SKY, f"5 % of {BEYOND_DATA}"), "")
-    maps.ds.attrs["guesses"] = json.dumps(guesses)
+    beyond = Guess(GuessKind.BEYOND_DATA, 0.05, facts={"altitude_m": 20.0})
+    maps.ds.attrs |= attribute(heights(0.03), NOMINAL, beyond)
     lon, lat = maps.grid.centre_lonlat
     place = f"around {lat:.3f}°N {-lon:.3f}°W"
     told = texts_of(plotting.plot_metric(maps, "gps", altitude_m=60.0))
-    assert f"Guessed: 3 % of heights, {NOMINAL_SKY}, 5 % of {BEYOND_DATA}" in told
+    assert f"Guessed: 3 % of heights, {NOMINAL.name}, {beyond.name}" in told
     for figure in (
         plotting.plot_metric(maps, "lidar", altitude_m=60.0),
         plotting.plot_obstacles(maps, altitude_m=60.0),
@@ -440,15 +440,11 @@ def test_a_width_that_is_none_is_refused(maps, width):
         plotting.plot_obstacles(maps, width=width)
 
 
-def test_every_function_takes_altitude_m_and_those_of_1_0_the_former_name(maps):
+def test_every_function_takes_altitude_m(maps):
     for name, draw in (("risk", plotting.plot_metric), ((), plotting.plot_paths)):
         assert len(panels_of(draw(maps, name, altitude_m=60.0))) == 1
-        with pytest.warns(DeprecationWarning, match="altitudes_m .* is now altitude_m"):
-            assert len(panels_of(draw(maps, name, altitudes_m=[20.0, 60.0]))) == 2
     for draw in (plotting.plot_obstacles, plotting.plot_gps_rating, plotting.plot_sensor_choice):
         assert len(panels_of(draw(maps, altitude_m=[20.0, 60.0]))) == 2
-        with pytest.warns(DeprecationWarning, match="altitudes_m .* is now altitude_m"):
-            assert len(panels_of(draw(maps, altitudes_m=[20.0]))) == 1
 
 
 @pytest.mark.parametrize("width", ["page", "column"])

@@ -1,11 +1,14 @@
 """Demonstrations from files and from planned paths: taken as they are where possible, drawn on the grid else."""
 
+import json
+
 import numpy as np
 import pytest
 import shapely
 
 import jaxurban as ju
 from jaxurban.errors import SkippedRouteWarning
+from jaxurban.io.read.routes import read_routes
 from jaxurban.paths.export.write import write_path
 from jaxurban.paths.queries import IN_METRES
 from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
@@ -92,6 +95,19 @@ def test_a_drawn_line_is_followed_on_the_grid_around_obstacles_in_the_narrowest_
         <= 30.0
     )
     assert drawn.note.startswith("followed within 30 m")  # corridors are of 15, 30 and 60 m
+
+
+def test_features_without_a_shape_are_no_routes_whatever_their_properties(tmp_path):
+    line = {"type": "LineString", "coordinates": [[-74.0, 40.7], [-74.0, 40.71]]}
+    features = [
+        {"type": "Feature", "properties": properties, "geometry": shape}
+        for shape in (line, None)
+        for properties in ({}, {"note": {"a": 0}}, {"number": 1.5})
+    ]
+    file = tmp_path / "routes.geojson"
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    with pytest.warns(SkippedRouteWarning, match="3 of the features of .* are not lines"):
+        assert [route.name for route in read_routes(file)] == ["1", "2", "3"]
 
 
 def test_drawn_lines_start_in_free_cells_near_their_ends_and_those_of_no_use_are_listed(

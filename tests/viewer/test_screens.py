@@ -6,17 +6,20 @@ import math
 import numpy as np
 import pytest
 
+from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.viewer.viewer import Viewer
+from tests.guess_records import FLAT, attribute, heights
 from tests.made_maps import made_maps
 from tests.viewer.browser import opened, served
 from tests.viewer.test_page import middle_of, pixel_of, route_of, saved, settle, text_of, until
 
 pytestmark = pytest.mark.slow
 CREDIT = "© OpenStreetMap contributors; US Census Bureau; NYC Open Data"
-GUESSES = {"3 % of heights, flat ground, 17 % of lines of sight": "The heights of 3 % are guessed."}
+BEYOND = Guess(GuessKind.BEYOND_DATA, 0.17, facts={"altitude_m": 20.0})
+GUESSES = attribute(heights(0.03), FLAT, BEYOND)
 MADE = made_maps(160, 200)
-MAPS = MetricMaps(MADE.ds.assign_attrs(guesses=json.dumps(GUESSES), attribution=CREDIT))
+MAPS = MetricMaps(MADE.ds.assign_attrs(GUESSES, attribution=CREDIT))
 GRID, FREE = MAPS.grid, np.argwhere(MAPS.is_free(20.0))
 START, GOAL = FREE[[3000, -3000]].tolist()
 PHONE = {"viewport": {"width": 375, "height": 812}, "has_touch": True, "is_mobile": True}

@@ -19,7 +19,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
-from jaxurban.io.read.guesses import is_of_sky
+from jaxurban.knowledge import OF_SKY, names_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.variables import CAVEAT, names_in
@@ -519,7 +519,7 @@ def caveats_said(maps: MetricMaps, of: str | None) -> list[str]:
 
 def guesses_said(maps: MetricMaps, has_sky: bool) -> str:
     """Return the names of what maps rest on that no file says; those of satellites where the figure shows GPS."""
-    return ", ".join(name for name in maps.guesses if has_sky or not is_of_sky(name))
+    return names_of(each for each in maps.guesses if has_sky or each.kind not in OF_SKY)
 
 
 def ground_said(grid: Grid, credit: str) -> tuple[str, ...]:

@@ -24,7 +24,6 @@ from jaxurban.metrics.variables import (
     ROOF_KIND,
     derived,
 )
-from jaxurban.public import renamed_arguments
 from jaxurban.report.figures.frame import (
     GUESSED_ROOF_COLOUR,
     NO_DATA_PATCH,
@@ -49,7 +48,6 @@ DISTANCE_COLOUR = "#555555"
 UNITS = {"": "", "1": "", "km-2": "", "m": " in metres"}
 EMPTY_COLOUR = "#ffffff"
 Altitudes = float | Sequence[float] | None
-renamed = renamed_arguments(altitudes_m="altitude_m")
 
 
 def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tuple[str, str]]:
@@ -214,7 +212,6 @@ def altitudes_of(maps: MetricMaps, altitude_m: Altitudes) -> Sequence[float]:
     return np.atleast_1d(np.asarray(altitude_m, float)).tolist() or maps.altitudes_m
 
 
-@renamed
 def plot_metric(
     maps: MapsLike,
     name: str,
@@ -352,7 +349,6 @@ def _middle_of(values: np.ndarray, variable: Variable) -> str:
     return f"mean {values.mean(dtype=np.float64):.{num_decimals}f}{unit}"
 
 
-@renamed
 def plot_obstacles(
     maps: MapsLike, *, altitude_m: Altitudes = None, width: Width = "page"
 ) -> Figure:
@@ -447,7 +443,6 @@ def _class_figure(
     return draw_maps(maps.grid, panels, heading, note, legend=legend, width=width)[0]
 
 
-@renamed
 def plot_gps_rating(
     maps: MapsLike, *, altitude_m: Altitudes = None, time: str | None = None, width: Width = "page"
 ) -> Figure:
@@ -482,7 +477,6 @@ def plot_gps_rating(
     return _class_figure(maps, ratings, classes, Rating.GOOD, title, "GPS rating", time, width)
 
 
-@renamed
 def plot_sensor_choice(
     maps: MapsLike, *, altitude_m: Altitudes = None, time: str | None = None, width: Width = "page"
 ) -> Figure:

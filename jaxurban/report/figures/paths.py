@@ -55,7 +55,6 @@ from jaxurban.report.figures.metrics import (
     plot_obstacles,
     plot_population,
     plot_sensor_choice,
-    renamed,
     roof_layers,
 )
 from jaxurban.report.figures.style import Colours, Width
@@ -124,7 +123,6 @@ def planner_colours(planners: Iterable[str]) -> dict[str, str]:
     return {name: PLANNER_COLOURS.get(name) or next(others) for name in dict.fromkeys(planners)}
 
 
-@renamed
 def plot_paths(
     maps: MapsLike,
     paths: Paths,
