@@ -276,6 +276,7 @@ CautionKind = Literal[
     "end",
     "manoeuvre",
     "search",  # what the planner says
+    "unknown heights",
     "finding",  # of a check
     "not judged",
     "other",

@@ -4,6 +4,7 @@ The same objects are arguments of the functions of Python. A metric's section is
 planned under where the caller leaves it out is here too; docs/model/departures.md lists every departure from the paper.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
@@ -20,6 +21,7 @@ Diagonal = Literal["both-free", "always"]
 Objective = Literal["weighted", "distance"]
 ObstacleRule = Literal["touched", "centre"]
 Preset = Literal["", "paper"]
+UnknownHeights = Literal["guess", "likely", "highest"]
 PlannerName = Literal[
     "ptp",
     "astar-dist",
@@ -215,6 +217,8 @@ class Buildings(Heights):
       kind: of a raster: ``"height"`` above ground, or ``"surface"`` (a DSM), elevations from which the terrain is
         taken; trees are in it too.
       default_height_m: height of a building without a usable height or levels.
+      highest_m: what no building of unknown height exceeds there, as far as you know, or by kind, such as
+        ``{"building": 40.0, "tree": 25.0}``; paths and checks rest on it. Left out, the bounds of the table of kinds.
       level_height_m: height of one level.
       allow_none: accept a region without a single building.
       allow_high: accept heights that look like elevations: of towers alone, or above that of the ground.
@@ -252,6 +256,7 @@ class Buildings(Heights):
     levels_column: str | None = None
     unit: Unit | None = None
     crs: str | None = None
+    highest_m: float | Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -260,12 +265,25 @@ class Buildings(Heights):
             raise InputError(
                 "height_column and unit go together, and ground_column only with them: give both, or none of the three"
             )
+        highest_m = self.highest_m
+        if not isinstance(highest_m, Mapping):
+            highest_m = values_given({"building": highest_m})
+        heights_m = {f"highest_m of {kind!r}": height_m for kind, height_m in highest_m.items()}
         for name in ("default_height_m", "level_height_m"):
-            height_m = getattr(self, name)
+            heights_m[name] = getattr(self, name)
+        for name, height_m in values_given(heights_m).items():
             if not 0 < height_m <= MAX_HEIGHT_M:
                 raise InputError(
                     f"{name} must be above 0 and at most {MAX_HEIGHT_M:g} metres, got {height_m}"
                 )
+
+
+def highest_of(heights: Heights | None, kind: str) -> float:
+    """Return what the user says that nothing of a kind exceeds, metres above the ground; inf where he says nothing."""
+    highest_m = getattr(heights, "highest_m", None)
+    if not isinstance(highest_m, Mapping):
+        highest_m = values_given({"building": highest_m})
+    return highest_m.get(kind, math.inf)
 
 
 @typed
@@ -310,18 +328,22 @@ class Rules:
     """What a preset decides where nothing else does.
 
     Attributes:
-      cost_model, obstacles, clearance_m, vertical_clearance_m: as in `Planning`, none of them left out.
+      cost_model, obstacles, clearance_m, vertical_clearance_m, unknown_heights: as in `Planning`, none of them left
+        out.
     """
 
     cost_model: CostKind = "line"
     obstacles: ObstacleRule = "touched"
     clearance_m: float = 0.0
     vertical_clearance_m: float = 3.0
+    unknown_heights: UnknownHeights = "likely"
 
 
 PRESETS = {
     "": Rules(),
-    "paper": Rules(cost_model="cell", obstacles="centre", vertical_clearance_m=0.0),
+    "paper": Rules(
+        cost_model="cell", obstacles="centre", vertical_clearance_m=0.0, unknown_heights="guess"
+    ),
 }
 
 
@@ -337,6 +359,9 @@ class Planning:
       obstacles: where planners may fly (`jaxurban.maps.metric_maps.MetricMaps`); left out: ``"touched"``.
       clearance_m: horizontal distance from buildings as high as the path; left out: 0 m.
       vertical_clearance_m: height over roofs; left out: 3 m.
+      unknown_heights: how high roofs of unknown height count: ``"highest"``, their bound; ``"likely"``, what 99 % of
+        their kind keep below; ``"guess"``, no more than the guess that the maps show. Left out: ``"likely"``, and
+        ``"highest"`` in what the command ``plan`` writes to be flown.
       objective: ``"weighted"``, or ``"distance"`` for the shortest path.
       connectivity, diagonal, reference_length_m: of the cost model.
       budget_s: seconds that a search may take.
@@ -357,6 +382,7 @@ class Planning:
     obstacles: ObstacleRule | None = None
     clearance_m: float | None = None
     vertical_clearance_m: float | None = None
+    unknown_heights: UnknownHeights | None = None
     objective: Objective = "weighted"
     connectivity: Literal[4, 8] = 8
     diagonal: Diagonal = "both-free"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.route_report import OverflownDensity
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.settings import CostKind, ObstacleRule, Preset
+    from jaxurban.settings import CostKind, ObstacleRule, Preset, UnknownHeights
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]
@@ -306,6 +306,7 @@ def constraints_of(
     require: tuple[str, ...],
     clearance_m: float | None,
     vertical_clearance_m: float | None,
+    unknown_heights: "UnknownHeights | None" = None,
 ) -> "Constraints":
     """Return the constraints that the options of `CONSTRAINTS` ask for.
 
@@ -314,6 +315,7 @@ def constraints_of(
       require: bounds such as ``"gps>=0.3"``.
       clearance_m: least distance from buildings; None: that of the scenario.
       vertical_clearance_m: least height over roofs; None: that of the scenario.
+      unknown_heights: how high roofs of unknown height count; None: as the scenario says.
 
     Raises:
       InputError: a file or a bound that cannot be read, or an invalid clearance.
@@ -321,7 +323,11 @@ def constraints_of(
     from jaxurban.paths.constraints import Constraints
 
     return Constraints.read(
-        no_fly, require, clearance_m=clearance_m, vertical_clearance_m=vertical_clearance_m
+        no_fly,
+        require,
+        clearance_m=clearance_m,
+        vertical_clearance_m=vertical_clearance_m,
+        unknown_heights=unknown_heights,
     )
 
 
@@ -420,9 +426,7 @@ CLEARANCES = together(
         help="Least height over roofs; a path goes around higher ones.  [default: the scenario's, else 3]",
     ),
 )
-CONSTRAINTS = grouped(
-    "constraints",
-    constraints_of,
+LIMITS = together(
     click.option(
         "--no-fly",
         type=GIVEN,
@@ -435,6 +439,17 @@ CONSTRAINTS = grouped(
         help="Bound that every cell of a path must keep, such as gps>=0.3; repeatable.",
     ),
     CLEARANCES,
+)
+CONSTRAINTS = grouped(
+    "constraints",
+    constraints_of,
+    LIMITS,
+    click.option(
+        "--unknown-heights",
+        type=click.Choice(["guess", "likely", "highest"]),
+        help="How high roofs of unknown height count: their bound, what 99 % of their kind keep below, or the maps' "
+        "guess.  [default: the scenario's, else likely, but highest for files to be flown]",
+    ),
 )
 COST_MODEL = click.option(
     "--cost-model",

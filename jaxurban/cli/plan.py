@@ -29,7 +29,7 @@ from jaxurban.cli.common import (
 )
 from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
-from jaxurban.paths.export.suffixes import MISSION, check_picture, check_route_file
+from jaxurban.paths.export.suffixes import FLOWN, MISSION, check_picture, check_route_file
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
@@ -287,6 +287,10 @@ def plan(
     route_m = altitude_m if levels is None else None
     check_route(folder, route_m, time, rules["weights"], search)
     maps = maps_of(folder).open()
+    if any(file.suffix.lower() in FLOWN for file in outputs.files):
+        rules = rules | {
+            "constraints": rules["constraints"].for_flight(maps.planning, rules["preset"])
+        }
     which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
 
     # Imported here: it takes a second or two.

@@ -14,6 +14,7 @@ from jaxurban import settings
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.issues import LEFT_OUT, ReadIssue, ReadIssues, listed_counts
+from jaxurban.io.read.learned import Learned
 from jaxurban.knowledge import Caution, Guesses, caution_of_guesses
 from jaxurban.public import FactsRepr
 from jaxurban.settings import TO_GROUND, Hanging
@@ -77,6 +78,7 @@ class City(FactsRepr):
         hang from floor to roof.
       gps, population, heights: settings that the city was read with; maps are made with them where `build_maps` is
         given no others. None: the defaults.
+      learned: what is guessed and likely where no height is given, by class of footprint and by kind.
 
     Raises:
       InputError: neither buildings nor roofs, both, or an unknown way of hanging.
@@ -108,6 +110,7 @@ class City(FactsRepr):
     structures: Footprints | None = None
     vegetation: Raster | None = None
     kinds: tuple[KindName, ...] = ALL_KINDS
+    learned: Mapping[str, Learned] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check that there is one kind of roofs; errors as of the class."""

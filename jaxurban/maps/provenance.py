@@ -8,6 +8,7 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -405,6 +406,8 @@ def _building_record(city: City, region: Grid) -> dict[str, Any]:
     how many hang count structures too.
     """
     record: dict[str, Any] = {"faults": dict(city.read_issues)}
+    if city.learned:
+        record["learned"] = {name: asdict(each) for name, each in city.learned.items()}
     if city.buildings is None or city.standing is None:
         assert city.roofs is not None
         highest_m = float(np.nanmax(city.roofs.values, initial=0.0))

@@ -255,6 +255,7 @@ def _rasters(tile: TileScene) -> Iterator[MapLayer]:
     if surface.roof_guessed is not None:
         yield MapLayer("roof_guessed", (), surface.roof_guessed)
         yield MapLayer("roof_limit", (), surface.roof_limit_m)
+        yield MapLayer("roof_likely", (), surface.roof_likely_m)
     if surface.roof_kind is not None:
         yield MapLayer("roof_kind", (), surface.roof_kind)
     if surface.terrain_m is not None:

@@ -4,17 +4,31 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxurban.settings import UnknownHeights
+
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
 
 
-def roof_limits_m(maps: "MetricMaps") -> np.ndarray:
+LIMITS: dict[UnknownHeights, tuple[str, ...]] = {
+    "guess": (),
+    "likely": ("roof_likely", "roof_limit"),
+    "highest": ("roof_limit",),
+}
+
+
+def roof_limits_m(maps: "MetricMaps", unknown_heights: UnknownHeights) -> np.ndarray:
     """Return ``[y, x]`` the height up to which a roof of guessed height in each cell may reach, 0 where there is none.
 
-    It is inf where nothing bounds it, as of maps up to jaxurban 1.1, which hold no bounds.
+    Args:
+      maps: of which the first raster that they hold counts; without one, no height marked as guessed is bounded.
+      unknown_heights: ``"highest"``: their bound, inf where nothing bounds it; ``"likely"``: what 99 % of their kind
+        keep below; ``"guess"``: nothing beside the guess itself.
     """
-    if "roof_limit" in maps.ds:
-        return maps.m("roof_limit")
-    if "roof_guessed" in maps.ds:
+    names = LIMITS[unknown_heights]
+    for name in names:
+        if name in maps.ds:
+            return maps.m(name)
+    if names and "roof_guessed" in maps.ds:
         return np.where(maps.m("roof_guessed") == 1, np.float32(np.inf), np.float32(0))
     return np.zeros(maps.grid.shape, np.float32)

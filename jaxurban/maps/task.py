@@ -178,7 +178,7 @@ class MapTask:
     def has_guessed_roofs(self) -> bool:
         """Whether the height of anything that stands in the region is guessed. If so, the maps mark such roofs."""
         standing, plants = self.city.counted
-        if plants is not None and unknown_plants_m(plants, self.region).any():
+        if plants is not None and unknown_plants_m(self.city, self.region).any():
             return True
         return standing is not None and guessed_share(standing, self.region.bounds_m) > 0
 
@@ -252,6 +252,7 @@ def variables(task: MapTask) -> dict[str, Variable]:
         "obstacle_share": task.params.heights.height_samples,
         "roof_guessed": task.has_guessed_roofs,
         "roof_limit": task.has_guessed_roofs,
+        "roof_likely": task.has_guessed_roofs,
         "roof_kind": task.has_kinds,
         UNDERSIDE: task.city.hanging == SLABS and task.city.buildings is not None,
         "terrain": task.has_terrain,

@@ -26,7 +26,7 @@ from jaxurban.metrics.visibility import ringed_lines
 from jaxurban.progress import Stopwatch
 from jaxurban.settings import SLABS
 from jaxurban.world.grid import Grid
-from jaxurban.world.surface import ROOFS, Slabs, Surface
+from jaxurban.world.surface import OF_REGION, ROOFS, Slabs, Surface
 
 Tile = tuple[int, int]  # row and column of a tile in its tiling, the southwest one first
 # 1 or -1 each: the source stands in the north (1) or south, in the east (1) or west.
@@ -259,12 +259,6 @@ def _name(kind: str, *parts: int | str) -> str:
     return "_".join(map(str, (kind, *parts)))
 
 
-OF_REGION = (
-    "roof_touched_m",
-    "roof_guessed",
-    "roof_limit_m",
-    "roof_kind",
-)  # rasters of a `Surface`
 RASTERS = (*ROOFS, "terrain_m", "has_data")
 
 

@@ -71,6 +71,14 @@ AUXILIARY_VARIABLES = {
             is_averaged=False,
         ),
         Variable(
+            "roof_likely",
+            "height above the ground that 99 % of the roofs of guessed height as those that touch the cell keep below",
+            unit="m",
+            scale=Scale(high=None, stretch="sqrt", zero="height known, or no roof"),
+            title="Likely most of guessed heights",
+            is_averaged=False,
+        ),
+        Variable(
             ROOF_KIND,
             "what has the highest roof that touches the cell",
             "",

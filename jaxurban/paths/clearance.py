@@ -14,6 +14,7 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import FILE_MARGIN_M, SAME_LENGTH
 from jaxurban.maps.rules import roof_limits_m
+from jaxurban.settings import UnknownHeights
 
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
@@ -25,11 +26,16 @@ MOST_STEPS = 10**5  # sides, more than maps have: their border is an obstacle, s
 
 
 def obstacles_within(
-    maps: "MetricMaps", altitude_m: float, horizontal_m: float, vertical_m: float
+    maps: "MetricMaps",
+    altitude_m: float,
+    horizontal_m: float,
+    vertical_m: float,
+    unknown_heights: UnknownHeights,
 ) -> np.ndarray:
     """Return ``[Y, X]`` bool: whether a roof in the cell reaches an altitude, or ends less than ``vertical_m`` below.
 
-    Roofs are those of `reaches_m`, and bare ground is no obstacle. Over terrain the height of a roof is measured from
+    Roofs are those of `reaches_m`, and bare ground is no obstacle; over the bounds of unknown heights no more is kept.
+    Over terrain the height of a roof is measured from
     the lowest ground within ``horizontal_m``, since a path may pass it there. No margin is added to ``vertical_m`` for
     what a file may change, as files round heights up.
 
@@ -38,32 +44,40 @@ def obstacles_within(
       altitude_m: of flight, above the ground.
       horizontal_m: the distance that is kept from obstacles; 0 for none.
       vertical_m: the height that is kept over roofs; 0 for none.
+      unknown_heights: how high roofs of unknown height count.
 
     Raises:
       InputError: maps that hold no touched roofs.
     """
     from jaxurban.world.surface import stands_at  # imported here: it brings JAX
 
-    roof_m = reaches_m(maps, horizontal_m)
+    roof_m, limit_m = reaches_m(maps, horizontal_m, unknown_heights)
     if "terrain" in maps.ds:  # above the ground from which a path may pass it
-        roof_m = roof_m + (roof_m > 0) * _over_lowest_ground_m(maps, horizontal_m)
+        rise_m = _over_lowest_ground_m(maps, horizontal_m)
+        roof_m = roof_m + (roof_m > 0) * rise_m
+        limit_m = limit_m + (limit_m > 0) * rise_m
     is_obstacle = stands_at(roof_m, np.float32(altitude_m - vertical_m))
+    is_obstacle |= stands_at(limit_m, np.float32(altitude_m))
     # The maps' own obstacles count too, which are known at the altitudes of the maps alone.
     if altitude_m in maps.altitudes_m:
         is_obstacle |= maps.m("obstacle", altitude_m) != 0
     return is_obstacle
 
 
-def reaches_m(maps: "MetricMaps", horizontal_m: float) -> np.ndarray:
-    """Return ``[Y, X]`` up to which height above its ground what stands in each cell may reach, 0 where nothing does.
+def reaches_m(
+    maps: "MetricMaps", horizontal_m: float, unknown_heights: UnknownHeights
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return up to which height above its ground what stands in each cell reaches, and may reach, ``[Y, X]`` each.
 
-    Where a horizontal distance is kept, a roof counts in every cell that it touches; otherwise where the maps' rule of
-    obstacles counts it. One of guessed height counts in every cell that it touches, up to its bound. Cells without data
-    and roofs of unknown height reach to inf.
+    The first is of known and guessed heights, the second the bound of the guessed ones (`roof_limits_m`), 0 where there
+    is nothing. Where a horizontal distance is kept, a roof counts in every cell that it touches; otherwise where the
+    maps' rule of obstacles counts it. One of guessed height counts in every cell that it touches, up to its bound.
+    Cells without data reach to inf.
 
     Args:
       maps: the metric maps.
       horizontal_m: the distance that is kept from obstacles; 0 for none.
+      unknown_heights: how high roofs of unknown height count.
 
     Raises:
       InputError: maps that hold no touched roofs.
@@ -74,9 +88,9 @@ def reaches_m(maps: "MetricMaps", horizontal_m: float) -> np.ndarray:
             "these maps hold no 'roof_touched', from which a clearance is measured: make them again, or keep none "
             "(clearance_m and vertical_clearance_m 0, no radius of the vehicle)"
         )
-    roof_m = np.maximum(maps.m(name), roof_limits_m(maps))  # NaN where either is
-    is_known = maps.ds["has_data"].values & ~np.isnan(roof_m)
-    return np.where(is_known, roof_m, np.float32(np.inf))
+    roof_m, limit_m = maps.m(name), roof_limits_m(maps, unknown_heights)
+    is_known = maps.ds["has_data"].values & ~np.isnan(roof_m) & ~np.isnan(limit_m)
+    return np.where(is_known, roof_m, np.float32(np.inf)), limit_m
 
 
 def _over_lowest_ground_m(maps: "MetricMaps", reach_m: float) -> np.ndarray:
@@ -95,7 +109,9 @@ def _over_lowest_ground_m(maps: "MetricMaps", reach_m: float) -> np.ndarray:
     return np.subtract(ground_m, lowest_m, out=np.zeros_like(ground_m), where=np.isfinite(ground_m))
 
 
-def limit_near_m(maps: "MetricMaps", cell: "Cell", horizontal_m: float) -> float:
+def limit_near_m(
+    maps: "MetricMaps", cell: "Cell", horizontal_m: float, unknown_heights: UnknownHeights
+) -> float:
     """Return up to which height roofs of guessed height may reach that stand in a cell or nearer than a clearance.
 
     The highest counts; 0 without such a roof, inf where nothing bounds one.
@@ -104,8 +120,9 @@ def limit_near_m(maps: "MetricMaps", cell: "Cell", horizontal_m: float) -> float
       maps: the metric maps.
       cell: row and column.
       horizontal_m: the clearance.
+      unknown_heights: how high roofs of unknown height count.
     """
-    limit_m = roof_limits_m(maps)
+    limit_m = roof_limits_m(maps, unknown_heights)
     away = np.indices(limit_m.shape) - np.reshape(cell, (2, 1, 1))
     is_near = _closes(away, horizontal_m, maps.grid.resolution_m)
     return float(np.nanmax(limit_m[is_near], initial=0.0))
@@ -199,7 +216,11 @@ def kept_m(horizontal_m: float, resolution_m: float) -> float:
 
 
 def closed_by_clearance(
-    maps: "MetricMaps", altitude_m: float, horizontal_m: float, vertical_m: float
+    maps: "MetricMaps",
+    altitude_m: float,
+    horizontal_m: float,
+    vertical_m: float,
+    unknown_heights: UnknownHeights,
 ) -> np.ndarray:
     """Return ``[Y, X]`` bool: cells that a horizontal and a vertical clearance close at an altitude above the ground.
 
@@ -211,7 +232,7 @@ def closed_by_clearance(
       InputError: maps that hold no touched roofs.
     """
     resolution_m = maps.grid.resolution_m
-    is_obstacle = obstacles_within(maps, altitude_m, horizontal_m, vertical_m)
+    is_obstacle = obstacles_within(maps, altitude_m, horizontal_m, vertical_m, unknown_heights)
     step_m, _ = closing_step_m(horizontal_m, resolution_m)
     if step_m == 0:
         return is_obstacle

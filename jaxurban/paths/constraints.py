@@ -26,6 +26,8 @@ from jaxurban.settings import (
     CLEARANCES,
     DEFAULTS,
     Planning,
+    Preset,
+    UnknownHeights,
     Vehicle,
     as_tuple,
     not_negative,
@@ -150,8 +152,8 @@ class Constraints:
 
     Closed are cells that a zone touches, where a bound is not kept, or that lie nearer to an obstacle than the
     clearance (`closed_by_clearance`). A horizontal one is measured from the roofs that touch a cell under every rule of
-    obstacles, a vertical one alone from those that the maps' rule counts. A roof of guessed height counts up to its
-    bound in every cell that it touches, also where no clearance is kept.
+    obstacles, a vertical one alone from those that the maps' rule counts. A roof of guessed height counts in every cell
+    that it touches, up to what it may reach (``unknown_heights``), over which no more is kept.
 
     Attributes:
       zones: from `jaxurban.io.read.airspace`; with times of their own they are closed until `at` knows better.
@@ -159,9 +161,11 @@ class Constraints:
       clearance_m: horizontal distance that paths keep from buildings as high as they fly, and from the maps' border.
       vertical_clearance_m: height that paths keep over roofs; a roof nearer below counts as one as high as they fly.
       vehicle: what flies; its radius is kept beside ``clearance_m``.
+      unknown_heights: how high roofs of unknown height count: ``"highest"``, their bound; ``"likely"``, what 99 % of
+        their kind keep below; ``"guess"``, no more than the maps show.
 
-    What of the last three is left out is as the maps' scenario has it, or else the preset (`under`): 0 m, 3 m over
-    roofs (0 under ``"paper"``), and a point that any route suits.
+    What of the last four is left out is as the maps' scenario has it, or else the preset (`under`): 0 m, 3 m over
+    roofs (0 under ``"paper"``), a point that any route suits, and ``"likely"`` (``"guess"`` under ``"paper"``).
 
     Raises:
       InputError: a clearance that is not a number of metres from 0 up.
@@ -180,6 +184,7 @@ class Constraints:
     clearance_m: float | None = None
     vertical_clearance_m: float | None = None
     vehicle: Vehicle | None = None
+    unknown_heights: UnknownHeights | None = None
 
     def __post_init__(self) -> None:
         """Refuse a clearance below 0; one that is None comes from the scenario or the preset."""
@@ -198,13 +203,14 @@ class Constraints:
         clearance_m: float | None = None,
         vertical_clearance_m: float | None = None,
         vehicle: Vehicle | None = None,
+        unknown_heights: UnknownHeights | None = None,
     ) -> "Constraints":
         """Return the constraints in files, texts and numbers.
 
         Args:
           no_fly: a file of polygons or several (GeoJSON, KML ...; `read_zones` says what is read).
           require: ``"gps>=0.3"``, or a list of such.
-          clearance_m, vertical_clearance_m, vehicle: the attributes.
+          clearance_m, vertical_clearance_m, vehicle, unknown_heights: the attributes.
 
         Returns:
           `Constraints` with every zone of the files and every bound, in their order.
@@ -226,7 +232,8 @@ class Constraints:
 
             zones.extend(read_zones(file))
         bounds = map(Bound.parse, as_tuple(require))
-        return cls(tuple(zones), tuple(bounds), clearance_m, vertical_clearance_m, vehicle)
+        kept = clearance_m, vertical_clearance_m, vehicle, unknown_heights
+        return cls(tuple(zones), tuple(bounds), *kept)
 
     def __str__(self) -> str:
         return describe_constraints(self.to_dict())
@@ -249,18 +256,29 @@ class Constraints:
     @property
     def _clearances_m(self) -> dict[str, float]:
         """Both clearances by name; what is left out is as without any scenario."""
-        whole = self.under(DEFAULTS, Vehicle())
-        return {name: getattr(whole, name) for name in CLEARANCES}
+        return {name: getattr(self._whole, name) for name in CLEARANCES}
+
+    @property
+    def of_unknown(self) -> UnknownHeights:
+        """``unknown_heights``, as without any scenario where it is left out."""
+        rule = self._whole.unknown_heights
+        assert rule is not None
+        return rule
+
+    @property
+    def _whole(self) -> "Constraints":
+        """The constraints with what is left out as without any scenario."""
+        return self.under(DEFAULTS, Vehicle())
 
     def under(self, planning: Planning, vehicle: Vehicle) -> "Constraints":
         """Return the constraints with what they leave out taken from a ``[planning]`` and a vehicle.
 
         Args:
-          planning: whose preset and settings give the clearances that are None here.
+          planning: whose preset and settings give the clearances and the rule that are None here.
           vehicle: what flies, if that is None here.
 
         Returns:
-          `Constraints` whose clearances, in metres, and vehicle are all there; this one stays as it is.
+          `Constraints` whose clearances, in metres, vehicle and rule are all there; this one stays as it is.
 
         Examples:
           >>> limits = ju.Constraints(clearance_m=5.0).under(maps.planning, ju.Vehicle(radius_m=0.5))
@@ -268,8 +286,26 @@ class Constraints:
           (5.0, 3.0, 0.5)
         """
         defaults = {**vars(planning.rules), "vehicle": vehicle}
-        left_out = [name for name in (*CLEARANCES, "vehicle") if getattr(self, name) is None]
+        names = *CLEARANCES, "vehicle", "unknown_heights"
+        left_out = [name for name in names if getattr(self, name) is None]
         return replace(self, **{name: defaults[name] for name in left_out})
+
+    def for_flight(self, planning: Planning, preset: Preset) -> "Constraints":
+        """Return the constraints of a route to be flown: above all that roofs of unknown height may reach.
+
+        Args:
+          planning: of the maps; where it, or these constraints, or a preset say how high such roofs count, that holds.
+          preset: of the call.
+
+        Returns:
+          `Constraints`, themselves where they are the same.
+
+        Examples:
+          >>> ju.Constraints().for_flight(maps.planning, "").unknown_heights
+          'highest'
+        """
+        is_said = self.unknown_heights or planning.unknown_heights or preset or planning.preset
+        return self if is_said else replace(self, unknown_heights="highest")
 
     def leg_margin_m(self, resolution_m: float) -> float:
         """Return how far straight legs stay from closed cells, beside which cells are closed (`closing_step_m`).
@@ -293,11 +329,13 @@ class Constraints:
 
         Returns:
           ``no_fly`` (a dictionary for each zone, its floor and ceiling in metres or None where it has none) and
-          ``require`` (bounds as texts). Clearances in metres and what the vehicle is follow where they are not 0.
+          ``require`` (bounds as texts). Clearances in metres and what the vehicle is follow where they are not 0, and
+          ``unknown_heights``.
 
         Examples:
-          >>> ju.Constraints.read(require="gps>=0.5", clearance_m=5.0).to_dict()
-          {'no_fly': [], 'require': ['gps>=0.5'], 'clearance_m': 5.0, 'vertical_clearance_m': 3.0}
+          >>> record = ju.Constraints.read(require="gps>=0.5", clearance_m=5.0).to_dict()
+          >>> record["require"], record["clearance_m"], record["vertical_clearance_m"], record["unknown_heights"]
+          (['gps>=0.5'], 5.0, 3.0, 'likely')
         """
         from jaxurban.io.tables import number_or_none  # here: it brings pandas
 
@@ -316,6 +354,7 @@ class Constraints:
             "require": [str(bound) for bound in self.bounds],
             **{name: float(metres) for name, metres in self._clearances_m.items() if metres},
             **(self.vehicle or Vehicle()).to_dict(),
+            "unknown_heights": self.of_unknown,
         }
 
     def at(self, time: str | None) -> "Constraints":
@@ -407,7 +446,7 @@ class Constraints:
             for bound in self.bounds:
                 level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
             if self.keeps_clear or "roof_guessed" in maps.ds:
-                level_closed |= closed_by_clearance(maps, z_m, self.horizontal_m, self.vertical_m)
+                level_closed |= self._closed_by_roofs(maps, z_m)
         return closed if np.ndim(altitude_m) else closed[0]
 
     def is_free_to_ground(
@@ -440,12 +479,18 @@ class Constraints:
         levels_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m < altitude_m]
         is_free = self.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
         touched = maps.with_obstacles("touched")
-        is_free &= ~closed_by_clearance(touched, 0.0, self.horizontal_m, self.vertical_m)
+        is_free &= ~self._closed_by_roofs(touched, 0.0)
         is_free &= ~self._closed_by_zones(maps.grid, np.array([0.0, altitude_m])).any(axis=0)
         for bound in self.bounds:
             for z_m in levels_m:
                 is_free &= bound.is_kept(maps, z_m, time, time_of_day)
         return is_free
+
+    def _closed_by_roofs(self, maps: "MetricMaps", altitude_m: float) -> np.ndarray:
+        """Return ``[Y, X]`` bool: the cells that the clearances and roofs of unknown height close at an altitude."""
+        return closed_by_clearance(
+            maps, altitude_m, self.horizontal_m, self.vertical_m, self.of_unknown
+        )
 
     def _closed_by_zones(self, grid: Grid, levels_m: np.ndarray) -> np.ndarray:
         """Return ``[K, Y, X]`` bool: the cells that zones close on each of ``[K]`` ascending levels (see `closed`).
@@ -509,14 +554,12 @@ class Constraints:
             if not is_kept[cell]:
                 reasons.append(f"the bound {bound}")
 
-        limit_m = limit_near_m(maps, cell, self.horizontal_m)
-        if limit_m > 0 and limit_m >= altitude_m - self.vertical_m:
+        limit_m = limit_near_m(maps, cell, self.horizontal_m, self.of_unknown)
+        if limit_m > 0 and limit_m >= altitude_m:
             reasons.append(f"a roof of guessed height that {reach_said(limit_m)}")
-        elif self.keeps_clear:
-            is_near = closed_by_clearance(maps, altitude_m, self.horizontal_m, self.vertical_m)
-            if is_near[cell]:
-                clearances = " and the ".join(describe_clearances(self.to_dict()))
-                reasons.append(f"the {clearances} that is kept from obstacles and the border")
+        elif self.keeps_clear and self._closed_by_roofs(maps, altitude_m)[cell]:
+            clearances = " and the ".join(describe_clearances(self.to_dict()))
+            reasons.append(f"the {clearances} that is kept from obstacles and the border")
         return reasons
 
 

@@ -35,6 +35,7 @@ class Prisms(NamedTuple):
       floor_m, top_m: ``[B]`` heights above the ground that they reach from and to, both included.
       limit_m: ``[B]`` height that what is of guessed height does not exceed, inf where nothing bounds it; -inf where
         nothing is guessed.
+      likely_m: ``[B]`` the same of what it likely does not exceed.
       kind: ``[B]`` the `Footprints.named` of each.
     """
 
@@ -42,6 +43,7 @@ class Prisms(NamedTuple):
     floor_m: np.ndarray
     top_m: np.ndarray
     limit_m: np.ndarray
+    likely_m: np.ndarray
     kind: np.ndarray
 
     @property
@@ -73,29 +75,35 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
         is_slab = (standing.min_height_m > 0) & (city.hanging == SLABS)
         floor_m = np.where(is_slab, standing.min_height_m, -np.inf)
         top_m = np.where(standing.height_m > 0, standing.height_m, -np.inf)
-        limit_m = np.where(standing.is_guessed, standing.upper_m, -np.inf)
-        outlines = Prisms(standing.polygons, floor_m, top_m, limit_m, standing.named)
+        limit_m, likely_m = (
+            np.where(standing.is_guessed, reach_m, -np.inf)
+            for reach_m in (standing.upper_m, standing.likely_upper_m)
+        )
+        outlines = Prisms(standing.polygons, floor_m, top_m, limit_m, likely_m, standing.named)
         if city.plants is None:
             return outlines
         plants_m = resample_raster(city.plants, grid, "max")
-        unsure_m = unknown_plants_m(city.plants, grid)
+        unsure_m = unknown_plants_m(city, grid)
         cells = np.argwhere((plants_m > 0) | (unsure_m > 0))
         place = tuple(cells.T)
         kind = np.full(len(cells), WOOD, object)
-        plants = _of_cells(grid, cells, plants_m[place], kind, unsure_m[place])
+        unsure_m = unsure_m[place]
+        plants = _of_cells(grid, cells, plants_m[place], kind, unsure_m, unsure_m)
         return Prisms(*(np.concatenate(values) for values in zip(outlines, plants, strict=True)))
     if TOUCHED not in maps.ds:
         raise InputError(
             f"maps hold no {TOUCHED!r}, and no City that they are of is there: make them again, or name it (sources)"
         )
-    roofs_m, limits_m = maps.m(TOUCHED), roof_limits_m(maps)
+    roofs_m, limits_m = maps.m(TOUCHED), roof_limits_m(maps, "highest")
+    likely_m = roof_limits_m(maps, "likely")
     cells = np.argwhere((roofs_m > 0) | (limits_m > 0))
     rows, cols = cells.T
     kind = np.full(len(cells), BUILDING, object)
     if ROOF_KIND in maps.ds:
         names = np.array([BUILDING, *EFFECTS], object)  # 0: nothing is known of the kind
         kind = names[maps.m(ROOF_KIND)[rows, cols].astype(int)]
-    return _of_cells(grid, cells, roofs_m[rows, cols], kind, limits_m[rows, cols])
+    of_cells = (values[rows, cols] for values in (limits_m, likely_m))
+    return _of_cells(grid, cells, roofs_m[rows, cols], kind, *of_cells)
 
 
 def _of_cells(
@@ -103,13 +111,15 @@ def _of_cells(
     cells: np.ndarray,
     top_m: np.ndarray,
     kind: np.ndarray,
-    limit_m: np.ndarray | float = 0.0,
+    limit_m: np.ndarray,
+    likely_m: np.ndarray,
 ) -> Prisms:
     """Return cells, ``[N, 2]``, as prisms from far below the ground; tops and limits of 0 are none."""
     floor_m = np.full(len(cells), -np.inf)
-    limit_m = np.broadcast_to(limit_m, len(cells))
-    top_m, limit_m = (np.where(values > 0, values, -np.inf) for values in (top_m, limit_m))
-    return Prisms(cell_boxes(grid, cells, 1), floor_m, top_m, limit_m, kind)
+    top_m, limit_m, likely_m = (
+        np.where(values > 0, values, -np.inf) for values in (top_m, limit_m, likely_m)
+    )
+    return Prisms(cell_boxes(grid, cells, 1), floor_m, top_m, limit_m, likely_m, kind)
 
 
 def contacts(
@@ -125,8 +135,9 @@ def contacts(
 
     Returns:
       ``step`` and ``prism`` (numbers), ``from_m`` and ``to_m`` along the mission, ``gap_m`` (least height over the top,
-      or below the floor; negative inside), ``spare_m`` (least height over the limit, inf where nothing is guessed) and
-      ``apart_m`` (distance to the outline in plan), in the order of travel.
+      or below the floor; negative inside), ``spare_m`` and ``likely_spare_m`` (least height over what a guessed one may
+      reach, and likely does; inf where nothing is guessed) and ``apart_m`` (distance to the outline in plan), in the
+      order of travel.
 
     Raises:
       InputError: more than about `MOST_PAIRS` pairs that are no farther apart.
@@ -161,8 +172,17 @@ def contacts(
     gap_m = np.maximum(
         z_m.min(axis=1) - prisms.top_m[prism], prisms.floor_m[prism] - z_m.max(axis=1)
     )
-    spare_m = z_m.min(axis=1) - prisms.limit_m[prism]
-    table = steps.table(step, prism=prism, gap_m=gap_m, spare_m=spare_m, apart_m=apart_m)
+    spare_m, likely_spare_m = (
+        z_m.min(axis=1) - reach_m[prism] for reach_m in (prisms.limit_m, prisms.likely_m)
+    )
+    table = steps.table(
+        step,
+        prism=prism,
+        gap_m=gap_m,
+        spare_m=spare_m,
+        likely_spare_m=likely_spare_m,
+        apart_m=apart_m,
+    )
     return table.sort_values("from_m", kind="stable", ignore_index=True)
 
 

@@ -26,6 +26,10 @@ from jaxurban.planners.simplify import simplify as simplify_path
 if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
 
+ABOVE_HIGHEST = (
+    "Roofs of unknown height count up to their bound: with --unknown-heights likely (Python: unknown_heights) they "
+    "count up to what 99 % of their kind keep below."
+)
 NOT_THE_PAPER = (
     "The paper's preset knows buildings alone, and these maps hold other kinds of obstacles too: to compare, make them "
     'with [obstacles] kinds = ["building"].'
@@ -176,6 +180,8 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
             f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."
         )
     if path.status is Status.NO_PATH:
+        if constraints.of_unknown == "highest" and "roof_limit" in cost_map.maps.ds:
+            notes.append(ABOVE_HIGHEST)
         notes.append(pocket_note(cost_map, start, goal))
         notes.append(what_would_join(cost_map, start.cell, goal.cell))
     return " ".join(filter(None, [*notes, standing.metrics]))

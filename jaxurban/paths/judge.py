@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,7 +25,11 @@ LEVEL_M = 0.02
 CUT = "lie at corners that autopilots cut, with an obstacle or a zone there, or nearer than the clearance"
 NO_DATA = "lie over cells without data"
 NO_CITY = "lie where the source of the buildings does not know what stands"
-GUESSED_ROOFS = "lie over roofs of guessed height, or nearer to them than the clearance: what is there ({kind}) {reach}"
+UNKNOWN_ROOFS = "lie over roofs of guessed height, or nearer to them than the clearance: what is there ({kind}) {reach}"
+LIKELY_ROOFS = (
+    "lie over roofs of guessed height, or nearer to them than the clearance, above what 99 % of their kind keep below, "
+    "and not above the highest: what is there ({kind}) {reach}"
+)
 SPAN = ["from_m", "to_m"]
 PLACE = ["lon", "lat", "along_m", "to_m", "height_m"]
 COLUMNS = ["kind", "what", "item", *PLACE, "building_m", "by_m", "is_guessed"]
@@ -64,7 +69,7 @@ def judged(
         unknown.append(spans(way.along_m[~is_known], "data", NO_DATA))
         unknown += _unsure(flight, steps, near, limits)
         unknown += _beyond(flight, steps, known, limits.horizontal_m)
-        unknown += _guessed(near, buildings, limits)
+        unknown += _guessed(near, buildings)
 
         # What the other steps meet.
         findings = [
@@ -117,7 +122,7 @@ def _unsure(
         return
     off_m = flight.ground.off_m[tuple(steps.cell.T)]
     least_m = limits.vertical_m - FILE_MARGIN_M
-    spare_m = near[["gap_m", "spare_m"]].min(axis=1) - least_m
+    spare_m = np.minimum(near["gap_m"] - least_m, near["spare_m"])
     is_open = (spare_m >= 0) & (spare_m < off_m[near["step"]])
     is_low = (steps.z_m.min(axis=1) < off_m) & ~flight.is_on_site(steps)
     is_low[near.loc[is_open, "step"].to_numpy(int)] = True
@@ -129,24 +134,20 @@ def _unsure(
     yield spans(steps.along_m[is_low], "ground", reason)
 
 
-def _may_meet(near: pd.DataFrame, limits: Constraints) -> pd.Series:
-    """Return whether each step near a building may be in what is of guessed height there, or too near above it."""
-    return near["spare_m"] <= max(limits.vertical_m - FILE_MARGIN_M, 0.0)
-
-
-def _guessed(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> Iterator[pd.DataFrame]:
-    """Yield, for each kind of what is of guessed height, a table of the stretches that may meet it.
+def _guessed(near: pd.DataFrame, buildings: Prisms) -> Iterator[pd.DataFrame]:
+    """Yield, for each kind of what is of guessed height, tables of the stretches that may meet it, likely or not.
 
     Args:
       near: the steps in and near buildings (`contacts`).
       buildings: that they are near.
-      limits: the clearances.
     """
-    rows = near[_may_meet(near, limits)]
-    for kind, of_kind in rows.groupby(buildings.kind[rows["prism"]]):
-        reach = reach_said(buildings.limit_m[of_kind["prism"]].max())
-        reason = GUESSED_ROOFS.format(kind=kind, reach=reach)
-        yield of_kind[SPAN].assign(kind="roof", reason=reason)
+    rows = near[near["spare_m"] <= 0]
+    is_above_likely = (rows["likely_spare_m"] > 0).to_numpy()
+    parts: Any = rows.groupby([buildings.kind[rows["prism"]], is_above_likely])
+    for (kind, is_above), part in parts:
+        reach = reach_said(buildings.limit_m[part["prism"]].max())
+        words = LIKELY_ROOFS if is_above else UNKNOWN_ROOFS
+        yield part[SPAN].assign(kind="roof", reason=words.format(kind=kind, reach=reach))
 
 
 def _is_on_own_roof(
@@ -181,7 +182,7 @@ def _at_corners(flight: Flight, buildings: Prisms, limits: Constraints) -> Itera
     corners = corners_of(flight)
     ground = flight.ground
     near = contacts(corners, buildings, ground, limits.horizontal_m)
-    is_close = (near["gap_m"] < limits.vertical_m - FILE_MARGIN_M) | _may_meet(near, limits)
+    is_close = (near["gap_m"] < limits.vertical_m - FILE_MARGIN_M) | (near["spare_m"] <= 0)
     for rows in (near[is_close], _in_zones(corners, ground, limits.zones)):
         yield rows[SPAN].assign(kind="corner", reason=CUT)
 
@@ -350,6 +351,7 @@ def _in_zones(steps: Steps, ground: Elevation, zones: Sequence[Zone]) -> pd.Data
         floor_m=np.array([zone.floor_m for zone in zones], float),
         top_m=np.array([zone.ceiling_m for zone in zones], float),
         limit_m=np.full(len(zones), -np.inf),
+        likely_m=np.full(len(zones), -np.inf),
         kind=np.full(len(zones), "zone", object),
     )
     rows = contacts(steps, prisms, ground)

@@ -15,6 +15,7 @@ from jaxurban.kernels.tolerances import AT_LIMIT, GROUND_TOLERANCE_M
 from jaxurban.knowledge import Caution, Level, caution_of_guesses, sentences_of
 from jaxurban.maps.levels import values_at
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
+from jaxurban.maps.rules import roof_limits_m
 from jaxurban.metrics.gps import FIX, has_no_fix
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.variables import ROOF_KIND
@@ -27,6 +28,7 @@ from jaxurban.paths.route_report import (
     GUESSED,
     OUTSIDE,
     OVER_ROOF,
+    REACH,
     TO_GUESSED,
     TOUCHED,
     VISIBLE,
@@ -34,6 +36,7 @@ from jaxurban.paths.route_report import (
 )
 from jaxurban.planners.cost import path_states
 from jaxurban.settings import Vehicle
+from jaxurban.world.footprints import BUILDING
 from jaxurban.world.kinds import EFFECTS
 from jaxurban.world.surface import stands_at
 
@@ -175,6 +178,7 @@ def profile_of(
         away_m = clearance_m(parts.ends_m - grid.bounds_m[:2], is_guessed, grid.resolution_m)
         columns[GUESSED] = is_guessed[tuple(parts.cell.T)]
         columns[TO_GUESSED] = np.where(columns[GUESSED], 0.0, away_m)
+        columns[REACH] = roof_limits_m(maps, "highest")[tuple(parts.cell.T)]
     if ROOF_KIND in maps.ds:
         names = np.array(["", *EFFECTS], object)
         columns[ROOF_KIND] = names[maps.m(ROOF_KIND)[tuple(parts.cell.T)]]
@@ -334,6 +338,7 @@ def cautions(
     horizontal_m = limits.get("clearance_m", 0.0) + limits.get("vehicle_radius_m", 0.0)
     vertical_m = limits.get("vertical_clearance_m") or LEAST_OVER_ROOFS_M
     return [
+        *_unknown_heights(profile),
         *guess_cautions(maps, profile),
         *_fix(profile),
         _clearance(profile, horizontal_m),
@@ -362,6 +367,27 @@ def guess_cautions(maps: MetricMaps | None, profile: pd.DataFrame | None = None)
         )
     guesses = () if maps is None else maps.guesses
     return caution_of_guesses(guesses, of_route)
+
+
+def _unknown_heights(profile: pd.DataFrame) -> Iterator[Caution]:
+    """Yield the caution of metres at which what has no known height may reach the route, by kind."""
+    if REACH not in profile:
+        return
+    rows = profile[(profile[REACH] > 0) & (profile[REACH] >= profile["z_m"])]
+    if rows.empty:
+        return
+    length_m = rows["to_m"] - rows["from_m"]
+    kinds = np.full(len(rows), BUILDING, object)
+    if ROOF_KIND in rows:
+        kinds = rows[ROOF_KIND].replace("", BUILDING).to_numpy()
+    of_kind = ", ".join(f"{kind} {m:.0f} m" for kind, m in length_m.groupby(kinds).sum().items())
+    yield Caution(
+        f"Unknown heights: on {length_m.sum():.0f} of {profile['to_m'].iloc[-1]:.0f} m of the route what stands below "
+        f'may reach the flight ({of_kind}); with unknown_heights = "highest" (--unknown-heights highest) a route '
+        "stays above all that it may reach.",
+        "limit",
+        "unknown heights",
+    )
 
 
 def _fix(profile: pd.DataFrame) -> Iterator[Caution]:

@@ -179,12 +179,14 @@ def return_altitude(
     # The highest that must be cleared in each cell, above home's ground.
     ground = Elevation(maps, None)
     ground_m = float(ground.at(home_m))
-    top_m = reaches_m(maps, limits.horizontal_m) + (ground.highest_m - np.float32(ground_m))
+    vertical_m = np.float32(limits.vertical_m)
+    roof_m, limit_m = reaches_m(maps, limits.horizontal_m, "highest")
+    top_m = np.maximum(roof_m + vertical_m, limit_m) + (ground.highest_m - np.float32(ground_m))
     top_m = highest_within(top_m, limits.horizontal_m, grid.resolution_m)
 
     # A cell is closed at the very height of its roof.
     col, row = (home_m - grid.bounds_m[:2]) / grid.resolution_m
-    altitude_m = highest_homeward(top_m, (row, col)) + np.float32(limits.vertical_m)
+    altitude_m = highest_homeward(top_m, (row, col))
     altitude_m = np.nextafter(altitude_m, np.float32(np.inf))
     altitude_m[np.isinf(altitude_m)] = np.nan
     if np.isnan(altitude_m[home_cell]):

@@ -18,6 +18,7 @@ from jaxurban.public import FactsRepr
 TOUCHED, VISIBLE, GUESSED = "roof_touched", "num_visible", "roof_guessed"
 CLEARANCE, OUTSIDE, OVER_ROOF = "nearest_wall_m", "walls_outside_m", "least_over_roofs_m"
 TO_GUESSED = "guessed_roof_away_m"
+REACH = "roof_limit_m"  # up to which a roof of guessed height may reach, 0 where there is none
 DENSITY = "density_per_km2"
 COST_OF = "cost_of_"  # before the name of a layer, of its part of the cost
 GRIDS_M = (100.0, 200.0, 500.0)  # printed always: they disagree where towers stand

@@ -55,6 +55,8 @@ class Footprints(Rows):
         meaning where the height is known. None: inf for all.
       label: ``[B]`` objects: what the file calls what is of kind ``"unknown"``, such as ``"attraction=big_wheel"``;
         ``""`` where it says nothing or the kind is known. None: ``""`` for all.
+      likely_m: ``[B]`` float64 height that 99 % of what is as large or of its kind keep below, inf where nothing says
+        more than ``limit_m``; of no meaning where the height is known. None: inf for all.
     """
 
     polygons: np.ndarray
@@ -65,6 +67,7 @@ class Footprints(Rows):
     kind: np.ndarray | None = None
     limit_m: np.ndarray | None = None
     label: np.ndarray | None = None
+    likely_m: np.ndarray | None = None
 
     @property
     def named(self) -> np.ndarray:
@@ -92,12 +95,22 @@ class Footprints(Rows):
         limit_m = np.inf if self.limit_m is None else self.limit_m
         return np.where(self.is_guessed, np.maximum(limit_m, self.height_m), self.height_m)
 
+    @property
+    def likelies_m(self) -> np.ndarray:
+        """``[B]`` float64: ``likely_m``."""
+        return np.full(len(self), np.inf) if self.likely_m is None else self.likely_m
+
+    @property
+    def likely_upper_m(self) -> np.ndarray:
+        """``[B]`` float64 height above ground that is likely not exceeded there: ``height_m`` where it is known."""
+        return np.maximum(self.height_m, np.minimum(self.upper_m, self.likelies_m))
+
     def joined(self, other: "Footprints | None") -> "Footprints":
         """Return these outlines and, after them, others."""
         if other is None or not len(other):
             return self
         names = ["polygons", "height_m", "min_height_m", "origin", "is_part"]
-        names += ["kinds", "upper_m", "labels"]
+        names += ["kinds", "upper_m", "labels", "likely_upper_m"]
         columns = (np.concatenate([getattr(self, name), getattr(other, name)]) for name in names)
         return Footprints(*columns)
 

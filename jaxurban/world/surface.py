@@ -30,12 +30,14 @@ RASTERS = (
     "roof_touched_m",
     "roof_guessed",
     "roof_limit_m",
+    "roof_likely_m",
     "slabs",
     "roof_kind",
     "hiding_m",
     "returning_m",
 )
 
+OF_REGION = ("roof_touched_m", "roof_guessed", "roof_limit_m", "roof_likely_m", "roof_kind")
 ROOFS = ("roof_m", "hiding_m", "returning_m")  # of all that stands, and of what counts for rays
 
 
@@ -171,6 +173,7 @@ class Surface:
       roof_limit_m: height above the ground up to which a roof of guessed height that touches a cell of the region may
         reach, the highest of these bounds, inf where one has none, 0 without such a roof; None where ``roof_guessed``
         is.
+      roof_likely_m: as ``roof_limit_m``, what it likely does not exceed.
       most_halo: cells beyond the region that `crop_with_halo` gives at most; None for any number.
       slabs: what hangs over the grid, and beyond it whatever can shadow the region; None where everything reaches the
         ground, as ``roof_m`` then says.
@@ -189,6 +192,7 @@ class Surface:
     roof_touched_m: Float[Array, "y x"] | None = None
     roof_guessed: Bool[Array, "y x"] | None = None
     roof_limit_m: Float[Array, "y x"] | None = None
+    roof_likely_m: Float[Array, "y x"] | None = None
     most_halo: int | None = None
     slabs: Slabs | None = None
     roof_kind: UInt8[Array, "y x"] | None = None
@@ -265,9 +269,7 @@ class Surface:
                 name: jnp.where(before_m >= roof_m.astype(np.float32), new_m, roof_m)
                 for name, roof_m in self.roofs.items()
             }
-        unknown: dict[str, Any] = dict.fromkeys(
-            ("roof_touched_m", "roof_guessed", "roof_limit_m", "roof_kind", "slabs")
-        )
+        unknown: dict[str, Any] = dict.fromkeys((*OF_REGION, "slabs"))
         return replace(self, **roofs, **unknown)
 
     def at_altitude(self, altitude_m: float) -> "Surface":

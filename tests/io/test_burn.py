@@ -325,7 +325,7 @@ def test_an_osm_file_gives_bridges_only_where_slabs_are_asked(tmp_path):
     path.write_text(osm(*(line(1 + i, squares[i], **kinds[i]) for i in range(3))))
     for hanging, floors_m, kinds in ((SLABS, [0, 5], []), (TO_GROUND, [0], ["bridge"])):
         file = ju.Buildings(path, hanging=hanging)
-        buildings, structures, _, _ = to_buildings(file, read_osm(path), "EPSG:32618")
+        buildings, structures, *_ = to_buildings(file, read_osm(path), "EPSG:32618")
         assert sorted(buildings.min_height_m.tolist()) == floors_m
         assert structures.kinds.tolist() == kinds
 

@@ -140,7 +140,7 @@ TOWER = block(20, 0, 40, 20, 0, 12) + block(25, 5, 35, 15, 12, 60)
 def stand(path, crs=None):
     """Return the buildings of a source in UTM, the other structures, and what was counted."""
     outlines = read_tiles(path, crs=crs)
-    buildings, others, _, issues = to_buildings(ju.Buildings(path), outlines, UTM32)
+    buildings, others, _, issues, _ = to_buildings(ju.Buildings(path), outlines, UTM32)
     return buildings, others, {str(name): num for name, num in issues.items() if num}
 
 

@@ -91,7 +91,7 @@ def stand(polygons, boxes=(), crs=UTM, **columns):
     """Return the buildings of outlines, the declared boxes, and what was counted beside the reader's own count."""
     tags = {name: np.array(values, object) for name, values in columns.items()}
     outlines = Outlines(np.array(polygons, object), tags, crs, boxes, {"open_ways": 7})
-    buildings, _, boxes_m, issues = to_buildings(ju.Buildings("city.osm"), outlines, UTM)
+    buildings, _, boxes_m, issues, _ = to_buildings(ju.Buildings("city.osm"), outlines, UTM)
     assert issues.pop("open_ways") == 7
     return buildings, boxes_m, {name: count for name, count in issues.items() if count}
 
@@ -474,7 +474,7 @@ def test_counts_of_a_real_file_agree_with_its_readme(data_dir, name):
     crs, known, issues = FILES[name]
     path = data_dir / "osm" / f"{name}.osm.pbf"
     outlines = read_osm(path)
-    buildings, _, _, found = to_buildings(ju.Buildings(path), outlines, crs)
+    buildings, _, _, found, _ = to_buildings(ju.Buildings(path), outlines, crs)
     areas = outlines.take(shapely.get_dimensions(outlines.polygons) == 2)
     building, part, height, levels = (
         is_given(areas.column(n)) for n in ("building", "part", "height", "levels")

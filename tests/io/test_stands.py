@@ -30,7 +30,7 @@ def stand(*features, **rules):
     shapes = np.array([shape for shape, _ in features], object)
     outlines = Outlines(shapes, tags_of(columns), UTM, ((0.0, 0.0, 1.0, 1.0),), {})
     file = ju.Buildings("city.osm", **rules)
-    buildings, structures, _, issues = to_buildings(file, outlines, UTM)
+    buildings, structures, _, issues, _ = to_buildings(file, outlines, UTM)
     return buildings, structures, {name: count for name, count in issues.items() if count}
 
 

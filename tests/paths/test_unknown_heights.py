@@ -77,11 +77,11 @@ def across(scene: World, box, height_m: float) -> str:
     [
         (HOUSE, 8.0, "findings"),
         (HOUSE, 14.0, "not-judged"),
-        (HOUSE, LIMIT_M + 2.9, "not-judged"),
-        (HOUSE, LIMIT_M + 3.1, "clean"),
+        (HOUSE, LIMIT_M - 0.1, "not-judged"),
+        (HOUSE, LIMIT_M + 0.1, "clean"),
         (UNKNOWN, 14.0, "not-judged"),
-        (UNKNOWN, LIMIT_M + 2.9, "not-judged"),
-        (UNKNOWN, LIMIT_M + 3.1, "clean"),
+        (UNKNOWN, LIMIT_M - 0.1, "not-judged"),
+        (UNKNOWN, LIMIT_M + 0.1, "clean"),
         (MAST, 48.0, "findings"),
         (MAST, 54.0, "clean"),
     ],
@@ -116,7 +116,7 @@ def test_beside_a_guessed_house_the_clearance_counts_up_to_its_bound(tmp_path):
         (10.5, 20.0, "clean"),
         (9.5, 20.0, "not-judged"),
         (9.5, 9.0, "findings"),
-        (9.5, LIMIT_M + 3.1, "clean"),
+        (9.5, LIMIT_M + 0.1, "clean"),
     ):
         y_m = HOUSE[3] + beside_m
         items = [(WAYPOINT, 3, (x_m, y_m), height_m, ()) for x_m in (100.0, 350.0)]
@@ -139,9 +139,7 @@ def test_planned_routes_never_enter_between_the_heights_and_pass_their_own_check
     limits_m = np.append(rng.choice([12.0, 25.0, 38.0, np.inf], 64), np.inf)
     scene = town(boxes, heights_m, is_guessed, limits_m)
     constraints = ju.Constraints(**limits)
-    is_free = constraints.is_free(scene.maps, altitude_m)
-    on_ground = (scene.maps.m("roof_touched") == 0) & (scene.maps.m("roof_limit") == 0)
-    cells = np.argwhere(is_free & on_ground)
+    cells = np.argwhere(constraints.is_free_to_ground(scene.maps, altitude_m))
     far = [cells[np.argmin(np.abs(cells - place).sum(axis=1))] for place in ([9, 9], [110, 105])]
     path = ju.plan(
         scene.maps,
@@ -154,7 +152,8 @@ def test_planned_routes_never_enter_between_the_heights_and_pass_their_own_check
 
     # The witness: the distance of the line to every outline that may reach it.
     standing = scene.city.standing
-    may_reach = standing.upper_m >= altitude_m - constraints.vertical_m
+    may_reach = standing.upper_m >= altitude_m  # over a bound no more is kept
+    may_reach |= standing.height_m >= altitude_m - constraints.vertical_m
     line = shapely.LineString(path.xy_m)
     away_m = shapely.distance(standing.polygons[may_reach], line).min()
     assert away_m >= constraints.horizontal_m
@@ -239,3 +238,61 @@ def test_a_finding_about_a_wire_says_the_height_that_was_taken(tmp_path, kind, o
         assert result.findings["what"].tolist() == [
             f"{other}{guess}" if kind == "mast" else said,
         ]
+
+
+def with_likely(scene: World, likely_m: float) -> World:
+    """Return a scene in which what is of guessed height likely ends at a height, and its maps."""
+    buildings = replace(scene.city.buildings, likely_m=np.array([likely_m]))
+    others = scene.city.structures
+    others = replace(others, likely_m=np.full(len(others), likely_m))
+    city = replace(scene.city, buildings=buildings, structures=others)
+    grid = scene.maps.grid
+    surface = build_surface(city, grid, grid, has_guessed=True)
+    likely = ("y", "x"), surface.roof_likely_m
+    return World(replace(scene.maps, ds=scene.maps.ds.assign(roof_likely=likely)), city)
+
+
+@pytest.mark.parametrize(
+    ("rule", "lowest_m"), [("guess", 13.0), ("likely", 20.0), ("highest", LIMIT_M), (None, 20.0)]
+)
+def test_rule_says_from_which_height_on_a_cell_of_guessed_height_is_open(rule, lowest_m):
+    maps = with_likely(street(), 20.0).maps
+    limits = ju.Constraints(unknown_heights=rule)
+    for above_m in (-0.1, 0.0, 0.1):
+        assert limits.is_free(maps, lowest_m + above_m)[60, 60] == (above_m > 0)
+    assert limits.to_dict()["unknown_heights"] == (rule or "likely")
+    closed = ju.Constraints(unknown_heights=rule).reasons(maps, 12.0, (60, 60))
+    assert len(closed) == 1
+
+
+def test_paper_takes_guesses_alone_and_the_scenario_may_say_another_rule():
+    maps = with_likely(street(), 20.0).maps
+    assert ju.cost_map(maps, 12.0, preset="paper").is_free[60, 60]
+    assert not ju.cost_map(maps, 18.0).is_free[60, 60]
+    bold = maps.with_recorded({"planning": {"unknown_heights": "guess"}})
+    assert ju.cost_map(bold, 18.0).is_free[60, 60]
+    assert bold.planning.rules.unknown_heights == "guess"
+    limits = ju.Constraints()
+    assert limits.for_flight(bold.planning, "") is limits
+    assert limits.for_flight(maps.planning, "").unknown_heights == "highest"
+
+
+def test_between_likely_and_highest_nothing_is_clean_and_the_route_says_so(tmp_path):
+    scene = with_likely(street(), 20.0)
+    result = checked(scene, tmp_path, across(scene, HOUSE, 25.0))
+    (sentence,) = result.not_judged
+    assert "above what 99 % of their kind keep below" in sentence
+    (sentence,) = checked(scene, tmp_path, across(scene, HOUSE, 19.0)).not_judged
+    assert "99 %" not in sentence
+
+    ends = ends_at(scene.maps, (60, 50), (60, 70))  # over the house, 40 m wide
+    path = ju.plan(scene.maps, altitude_m=25.0, objective="distance", **ends)
+    first = ju.cautions(path, scene.maps)[0]
+    assert (first.kind, first.level) == ("unknown heights", "limit")
+    assert first.startswith("Unknown heights: on 40 of 100 m of the route")
+    with pytest.warns(ju.GuessWarning, match="Unknown heights: on 40 of 100 m"):
+        path.save(tmp_path / "over.kml")
+    high = ju.Constraints(unknown_heights="highest")
+    around = ju.plan(scene.maps, altitude_m=25.0, objective="distance", constraints=high, **ends)
+    assert around.length_m > path.length_m
+    assert ju.cautions(around, scene.maps)[0].kind != "unknown heights"

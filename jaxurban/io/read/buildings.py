@@ -34,6 +34,7 @@ from jaxurban.io.read.kinds import (
     WALLS,
     WOOD,
 )
+from jaxurban.io.read.learned import LARGE, Learned, classes_of, learned_from, of_classes
 from jaxurban.io.read.outlines import Outlines, polygonal
 from jaxurban.io.read.solids import prisms_of_solids
 from jaxurban.io.read.stands import is_water, what_stands
@@ -52,12 +53,14 @@ SAME_HEIGHT_M = 0.5  # an outline and its highest part
 MOST_RADIUS_M = 100.0  # of what is a point: more is a slip of the unit
 OCTAGON = 1 / math.cos(math.pi / 8)  # its circle outside to that inside: crowns are octagons
 RESHAPED = ("polygons", "height_m", "origin", "limit_m")
+# Kinds whose names say how high they are; others are learned of no heights.
+LEARNED_KINDS = ("chimney", "tank", "tower", "mast", "pole", "pylon", "crane", "turbine", *PLANTS)
 
 
 def to_buildings(
     file: settings.Buildings, outlines: Outlines, crs: str
-) -> tuple[Footprints, Footprints, list[Bounds], ReadIssues]:
-    """Return buildings, other structures, the boxes in ``crs`` that the file declares to cover, and read issues.
+) -> tuple[Footprints, Footprints, list[Bounds], ReadIssues, dict[str, Learned]]:
+    """Return buildings, other structures, the boxes in ``crs`` that a file covers, read issues, and learned heights.
 
     What stands is decided by `what_stands`. An outline that its own parts cover to at least 90 % gives way to them; one
     that is tagged ``building:part`` as well is a part itself and stands. A part without usable height takes that of its
@@ -111,6 +114,7 @@ def to_buildings(
 
     # Outlines and their parts: heights of one for the other, and which outlines the parts replace.
     outline, part, share = _own_parts(polygons, ~is_part & ~is_deck, is_part)
+    learned, classes = _learned(buildings, outline, part, is_deck, outlines.is_part)
     buildings = _with_outline_heights(buildings, outline, part, issues)
     is_replaced = share >= REPLACED_SHARE
     issues[ReadIssue.OUTLINES_REPLACED_BY_PARTS] = int(np.sum(is_replaced))
@@ -118,15 +122,20 @@ def to_buildings(
         buildings, is_podium = _podiums(buildings, outline, part, is_replaced)
         issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = int(np.sum(is_podium))
         is_replaced &= ~is_podium
-    buildings = replace(buildings, limit_m=_limits_m(buildings, found, file))
+    limit_m = _limits_m(buildings, found, file, classes, learned)
+    buildings = replace(buildings, limit_m=limit_m)
+    likely_m = of_classes(learned, classes, "likely_m") + buildings.min_height_m
+    is_of_class = np.isin(buildings.origin, (HeightOrigin.DEFAULT, HeightOrigin.UNREADABLE))
+    likely_m = np.where(is_of_class, likely_m + found.tags["rise_m"], np.inf)
+    buildings = replace(buildings, likely_m=likely_m)
     is_bare = is_replaced & ((1 - share) * shapely.area(polygons) > STRIP_M)
     buildings, is_replaced = _beside_parts(buildings, outline, part, is_replaced, is_bare)
-    buildings = buildings.take(~is_replaced)
+    buildings = _within(buildings.take(~is_replaced), file)
     issues[ReadIssue.PARTS_HANGING] = int(np.sum(buildings.min_height_m > 0))
 
     # What else stands.
     others = in_spans(features.take(~is_building))
-    structures = _structures(others, file, waters)
+    structures, learned_kinds = _structures(others, file, waters, outlines.is_part)
     structures, is_same = _on_roofs(structures, others, buildings)
     structures = with_supports(structures, others.polygons)
     is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
@@ -136,11 +145,15 @@ def to_buildings(
     is_unknown = structures.kinds == UNKNOWN
     issues[ReadIssue.UNKNOWN_EXTENT] = int(np.sum(is_unknown))
     issues[ReadIssue.UNKNOWN_HEIGHT] = int(np.sum(structures.is_guessed & ~is_unknown))
-    return buildings, structures, boxes_m, issues
+    return buildings, _within(structures, file), boxes_m, issues, learned | learned_kinds
 
 
-def _structures(outlines: Outlines, rules: settings.Buildings, waters: np.ndarray) -> Footprints:
-    """Return structures with their heights: points as discs, lines as strips, and hulls of what is not whole.
+def _structures(
+    outlines: Outlines, rules: settings.Buildings, waters: np.ndarray, is_part: bool
+) -> tuple[Footprints, dict[str, Learned]]:
+    """Return structures with their heights, and what is learned of these by kind.
+
+    Points are discs, lines are strips, and what is not whole is a hull.
 
     Their height is 0 where it is unknown and their kind has none. Trees are as wide as their crowns, which have
     `CROWN_SHARE` of their height where no width is known. Towers without an area are masts.
@@ -149,6 +162,7 @@ def _structures(outlines: Outlines, rules: settings.Buildings, waters: np.ndarra
       outlines: ``N`` from `what_stands`, in a projected CRS; a `BUILDING` is a polygon without area.
       rules: height of one level.
       waters: what bridges may cross.
+      is_part: whether these are the outlines near a region only.
     """
     verdicts = outlines.tags["verdict"]
     kinds = np.array([HULL if kind == BUILDING else kind for kind in verdicts], object)
@@ -167,8 +181,9 @@ def _structures(outlines: Outlines, rules: settings.Buildings, waters: np.ndarra
         return values
 
     # Heights. The blades of a turbine reach above its hub.
-    is_part = np.zeros(len(kinds), bool)
-    whole = estimate_heights(outlines.tags, outlines.polygons, is_part, rules, {})
+    whole = estimate_heights(
+        outlines.tags, outlines.polygons, np.zeros(len(kinds), bool), rules, {}
+    )
     rotor_m = lengths_m("rotor")
     tip_m = lengths_m("hub") + np.nan_to_num(rotor_m) / 2
     has_tip = np.isfinite(tip_m) & (kinds == TURBINE)
@@ -178,12 +193,17 @@ def _structures(outlines: Outlines, rules: settings.Buildings, waters: np.ndarra
     height_m = np.where(has_height, np.fmax(whole.height_m, tip_m), of_kinds("height_m"))
     is_hull = kinds == HULL
     names = np.array([kind.name for kind in kinds], object)
+
+    # What is learned of kinds that a name alone tells apart.
+    is_stated = (origin == HeightOrigin.HEIGHT) & np.isin(names, LEARNED_KINDS) & (not is_part)
+    learned = learned_from(names, np.where(is_stated, height_m, 0.0))
+    likely_m = np.where(has_height, np.inf, of_classes(learned, names, "likely_m"))
     names[has_height & (names == UNKNOWN)] = "structure"
     origin[has_height & is_bridge] = HeightOrigin.ROUGH  # of the deck alone
     origin[names == UNKNOWN] = HeightOrigin.UNKNOWN
     of_hulls_m = _limits_by_name_m(outlines.texts("building")) + outlines.tags["rise_m"]
     limit_m = np.where(is_hull, of_hulls_m, of_kinds("limit_m"))
-    limit_m[is_lost] = np.inf
+    limit_m[is_lost | ((limit_m < likely_m) & (likely_m < np.inf))] = np.inf
 
     # Shapes.
     is_border = (kinds == WOOD) | (is_bridge & (outlines.texts("man_made") == DECK))
@@ -212,7 +232,7 @@ def _structures(outlines: Outlines, rules: settings.Buildings, waters: np.ndarra
         )
     names[(names == "tower") & ~is_areal] = "mast"
     is_grounded = np.isin(names, (*PLANTS, *WIRES))
-    return replace(
+    structures = replace(
         whole,
         polygons=polygons,
         height_m=height_m,
@@ -221,7 +241,9 @@ def _structures(outlines: Outlines, rules: settings.Buildings, waters: np.ndarra
         kind=names,
         limit_m=limit_m,
         label=outlines.tags["label"],
+        likely_m=likely_m,
     )
+    return structures, learned
 
 
 def _guys(structures: Footprints, outlines: Outlines) -> Footprints:
@@ -241,6 +263,7 @@ def _guys(structures: Footprints, outlines: Outlines) -> Footprints:
         kind=np.full(len(masts), UNKNOWN, object),
         limit_m=masts.upper_m,
         label=np.full(len(masts), "guys", object),
+        likely_m=masts.likely_upper_m,
     )
 
 
@@ -266,7 +289,8 @@ def _on_roofs(
     limit_m = structures.upper_m + np.where(is_on, roof_m, 0.0)
     origin = structures.origin.copy()
     origin[is_on & ~structures.is_guessed] = HeightOrigin.ROUGH
-    on_roofs = replace(structures, limit_m=limit_m, origin=origin)
+    likely_m = np.where(is_on, np.inf, structures.likelies_m)
+    on_roofs = replace(structures, limit_m=limit_m, origin=origin, likely_m=likely_m)
     verdicts = outlines.tags["verdict"]
     names_it = np.array([each in (HULL, HISTORIC, MONUMENT) for each in verdicts], bool)
     return on_roofs, is_on & names_it & (structures.kinds == UNKNOWN)
@@ -277,7 +301,46 @@ def _limits_by_name_m(building: np.ndarray) -> np.ndarray:
     return np.where(np.isin(building, LOW_BUILDINGS), LOW_LIMIT_M, LIMIT_M)
 
 
-def _limits_m(buildings: Footprints, found: Outlines, rules: settings.Buildings) -> np.ndarray:
+def _learned(
+    buildings: Footprints, outline: np.ndarray, part: np.ndarray, is_deck: np.ndarray, is_part: bool
+) -> tuple[dict[str, Learned], np.ndarray]:
+    """Return what whole outlines say of unknown heights, and the class of each building, ``[N]``, by its outline.
+
+    An outline is as high as its highest part.
+
+    Args:
+      buildings: ``N`` outlines and parts, as the file has them.
+      outline, part: ``[P]`` indices of outlines and their own parts.
+      is_deck: ``[N]`` bool, which are no buildings.
+      is_part: whether these are the outlines near a region only, of which nothing is learned.
+    """
+    area_m2 = shapely.area(buildings.polygons)
+    np.maximum.at(area_m2, part, area_m2[outline])
+    classes = classes_of(area_m2)
+    is_whole = ~(buildings.is_part | is_deck | is_part)
+    known_m = np.where(buildings.origin == HeightOrigin.HEIGHT, buildings.height_m, 0.0)
+    np.maximum.at(known_m, outline, known_m[part])
+    return learned_from(classes, np.where(is_whole, known_m, 0.0)), classes
+
+
+def _within(footprints: Footprints, rules: settings.Buildings) -> Footprints:
+    """Return outlines whose guessed heights and bounds end at what the user says of their kinds."""
+    highest_m = np.array([settings.highest_of(rules, kind) for kind in footprints.kinds], float)
+    highest_m[~footprints.is_guessed] = np.inf
+    return replace(
+        footprints,
+        height_m=np.minimum(footprints.height_m, highest_m),
+        limit_m=np.minimum(footprints.upper_m, highest_m),
+    )
+
+
+def _limits_m(
+    buildings: Footprints,
+    found: Outlines,
+    rules: settings.Buildings,
+    classes: np.ndarray,
+    learned: dict[str, Learned],
+) -> np.ndarray:
     """Return ``[B]`` the height that buildings of guessed height do not exceed; of decks it is not known.
 
     Vertices of outlines may lie on the ground or on roofs: how far they rise counts in full.
@@ -286,9 +349,14 @@ def _limits_m(buildings: Footprints, found: Outlines, rules: settings.Buildings)
       buildings: with their heights.
       found: ``B`` outlines with what their tag calls them and how far they rise.
       rules: height of one level.
+      classes: ``[B]`` of footprints.
+      learned: of these; where higher ones are likely or known, buildings whose names say nothing have no bound.
     """
     num_levels = (buildings.height_m - buildings.min_height_m) / rules.level_height_m
     by_name_m = np.maximum(_limits_by_name_m(found.texts("building")), found.tags["kind_limit_m"])
+    highest_m = np.where(np.isin(classes, LARGE), of_classes(learned, classes, "highest_m"), 0.0)
+    higher_m = np.maximum(highest_m, of_classes(learned, classes, "likely_m"))
+    by_name_m[(higher_m > by_name_m) & (by_name_m >= LIMIT_M)] = np.inf
     by_name_m += found.tags["rise_m"]
     limits_m = {
         HeightOrigin.LEVELS: LEVEL_LIMIT_M * num_levels + ABOVE_LEVELS_M,

@@ -95,6 +95,7 @@ ROOF_RANGE_M = (
     -100.0,
     HIGHEST_M,
 )  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
+SMALL_BYTES = 16 * 2**20  # of a file of outlines
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
 PLANTS_REACH_M = 1000.0  # farther than a lidar of a drone sees
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
@@ -315,7 +316,10 @@ def read_buildings(
     if beside is not None:
         read = partial(read_vector, beside=located(beside))
     if bounds_m is not None:
-        outlines = whole or read(path, Near(bounds_m, crs), file)
+        # A small file is read whole, so that unknown heights are the same for each of its regions.
+        is_small = read is not read_tiles and path.stat().st_size <= SMALL_BYTES
+        near = None if is_small else Near(bounds_m, crs)
+        outlines = whole or read(path, near, file)
         city = _city_of(file, outlines, crs, bounds_m)
         if not outlines.is_part or len(city.buildings or ()):
             return city
@@ -452,7 +456,7 @@ def _city_of(
         part of the area near it. None keeps everything. If neither a building nor a declared box is there, the area is
         that of the whole file, or empty if only a part of the file was read.
     """
-    buildings, structures, boxes_m, issues = to_buildings(file, outlines, crs)
+    buildings, structures, boxes_m, issues, learned = to_buildings(file, outlines, crs)
     area = shapely.Polygon() if outlines.is_part else area_of_outlines(buildings.polygons, boxes_m)
     if bounds_m is not None:
         buildings, structures = (
@@ -470,6 +474,7 @@ def _city_of(
         attribution=outlines.attribution,
         hanging=file.hanging,
         structures=structures,
+        learned=learned,
     )
 
 

@@ -20,6 +20,7 @@ from jaxurban.io.read.raster import (
 from jaxurban.io.read.sampling import resample_raster, values_at
 from jaxurban.knowledge import Guesses, GuessKind, guessed
 from jaxurban.settings import TO_GROUND
+from jaxurban.world.footprints import HeightOrigin
 from jaxurban.world.grid import Bounds, covering_grid
 from jaxurban.world.raster import Raster
 
@@ -183,10 +184,10 @@ def check_are_heights(name: str, city: City, terrain: Raster | None) -> None:
       terrain: elevation of the ground; None where it is not known.
     """
     if city.buildings is not None:
-        upper_m = city.buildings.upper_m  # inf of those that cannot be read
-        is_stated = ~city.buildings.is_guessed | np.isinf(upper_m)
-        height_m = upper_m[is_stated]
-        if len(height_m) < LEAST_STATED * len(upper_m):
+        is_lost = city.buildings.origin == HeightOrigin.UNREADABLE
+        is_stated = ~city.buildings.is_guessed | is_lost
+        height_m = np.where(is_lost, np.inf, city.buildings.height_m)[is_stated]
+        if len(height_m) < LEAST_STATED * len(is_stated):
             return
         x_m, y_m = shapely.get_coordinates(shapely.centroid(city.buildings.polygons[is_stated])).T
     else:

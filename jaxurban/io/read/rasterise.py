@@ -16,12 +16,12 @@ from jaxurban.io.read.outlines import meets
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.kernels.blocks import part_of, rounded_up
 from jaxurban.metrics.custom import Layer, check_values
-from jaxurban.settings import SLABS
+from jaxurban.settings import SLABS, highest_of
 from jaxurban.world.footprints import BUILDING, Footprints
 from jaxurban.world.grid import WGS84, Grid, transformer
 from jaxurban.world.kinds import CODES
 from jaxurban.world.raster import Raster
-from jaxurban.world.surface import NO_BUILDING, PER_CELL, Slabs, Surface
+from jaxurban.world.surface import NO_BUILDING, OF_REGION, PER_CELL, Slabs, Surface
 
 NO_BLOCK = -1
 PEOPLE_SAMPLES = 4  # a side of a cell
@@ -85,12 +85,13 @@ def rasterise(
       city: with outlines or a height raster.
       grid: where to burn; the surface's region too.
       all_touched: ``roof_m`` is ``roof_touched_m`` too.
-      has_guessed: for a city with outlines or plants, also return ``roof_guessed`` and ``roof_limit_m``: whether the
-        height of what stands in a cell is guessed, and how high what is guessed there may be.
+      has_guessed: for a city with outlines or plants, also return ``roof_guessed``, ``roof_limit_m`` and
+        ``roof_likely_m``: whether the height of what stands in a cell is guessed, and how high it may and likely does
+        reach.
       has_kinds: also return ``roof_kind``.
     """
     # `has_data` stays None where all cells have data.
-    has_data = terrain_m = guessed = limit_m = slabs = kind = None
+    has_data = terrain_m = guessed = limit_m = likely_m = slabs = kind = None
 
     # Roofs, by centres and by touch.
     standing = city.standing
@@ -100,6 +101,7 @@ def rasterise(
         if has_guessed:
             unsure = standing.take(standing.is_guessed)
             _, limit_m = _burn_heights(replace(unsure, height_m=unsure.upper_m), grid)
+            _, likely_m = _burn_heights(replace(unsure, height_m=unsure.likely_upper_m), grid)
     else:
         assert city.roofs is not None
         roofs_m = _resampled(city.roofs, grid)
@@ -112,9 +114,12 @@ def rasterise(
         if kind is not None:
             kind = np.where(plants_m[1] > roofs_m[1], CODES[WOOD], kind)
         if has_guessed:
-            unsure_m = unknown_plants_m(city.plants, grid)
+            unsure_m = unknown_plants_m(city, grid)
             guessed = unsure_m > 0 if guessed is None else guessed | (unsure_m > 0)
-            limit_m = unsure_m if limit_m is None else np.maximum(limit_m, unsure_m)
+            limit_m, likely_m = (
+                unsure_m if reach_m is None else np.maximum(reach_m, unsure_m)
+                for reach_m in (limit_m, likely_m)
+            )
         roofs_m = list(map(np.fmax, roofs_m, plants_m))
     roof_m, touched_m = roofs_m[all_touched], roofs_m[1]
 
@@ -152,6 +157,7 @@ def rasterise(
         roof_touched_m=touched_m,
         roof_guessed=guessed,
         roof_limit_m=limit_m,
+        roof_likely_m=likely_m,
         slabs=slabs,
         roof_kind=None if kind is None else kind.astype(np.uint8),
         hiding_m=hiding_m,
@@ -159,9 +165,11 @@ def rasterise(
     )
 
 
-def unknown_plants_m(plants: Raster, grid: Grid) -> np.ndarray:
-    """Return how high plants may be where a raster does not know them, ``[Y, X]`` float32 metres, 0 where it does."""
-    return np.isnan(resample_raster(plants, grid)) * np.float32(kinds.WOOD.limit_m)
+def unknown_plants_m(city: City, grid: Grid) -> np.ndarray:
+    """Return how high plants may be where a city's raster has no data, ``[Y, X]`` float32 metres, 0 elsewhere."""
+    assert city.plants is not None
+    highest_m = min(kinds.WOOD.limit_m, highest_of(city.heights, WOOD))
+    return np.isnan(resample_raster(city.plants, grid)) * np.float32(highest_m)
 
 
 def _roofs_of(city: City, counted: Counted, grid: Grid, all_touched: bool) -> np.ndarray:
@@ -333,7 +341,7 @@ def build_surface(
     surface = replace(rasterise(city, grid, all_touched, has_guessed, has_kinds), region=region)
     check_has_data([surface.crop(surface.has_data)], city)
     of_region: dict[str, Any] = {"block": rasterise_blocks(city, region)}
-    for name in ("roof_touched_m", "roof_guessed", "roof_limit_m", "roof_kind"):
+    for name in OF_REGION:
         of_region[name] = surface.crop(getattr(surface, name))
     return replace(surface, **of_region)
 

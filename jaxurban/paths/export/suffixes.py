@@ -6,6 +6,7 @@ from jaxurban.errors import InputError
 
 MISSION = ".plan"  # the format that can say how a flight ends
 ROUTES = (".geojson", ".kml", ".gpx", MISSION)  # `jaxurban.paths.export.write.FORMATS` writes them
+FLOWN = (".kml", ".gpx", MISSION)  # files that autopilots and their ground stations read
 PICTURES = (".png", ".pdf", ".svg")
 
 

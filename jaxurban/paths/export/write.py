@@ -31,7 +31,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from jaxurban.checks import one_of
-from jaxurban.errors import InputError
+from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.files import write_whole
 from jaxurban.paths.export.base import (
     DECIMALS,
@@ -193,6 +193,9 @@ def write_files(
         check_is_mission(files[0])  # raises InputError, as no file is a mission
     for file in files:
         encoder_of(file)  # raises InputError, before any is written
+    for caution in route.cautions:
+        if caution.kind == "unknown heights":
+            warn(caution, GuessWarning)
     for file in files:
         if file not in missions:
             write_path(route, file, report)
