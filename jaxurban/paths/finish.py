@@ -11,8 +11,9 @@ import shapely
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.kernels.tolerances import SAME_EXPOSURE, SAME_PLACE_M
+from jaxurban.kernels.tolerances import BESIDE_M, SAME_EXPOSURE, SAME_PLACE_M
 from jaxurban.metrics.variables import ROOF_KIND
+from jaxurban.paths.clearance import closing_step_m
 from jaxurban.paths.constraints import describe_kept
 from jaxurban.paths.ground import ground_along
 from jaxurban.paths.lines import line_of
@@ -245,9 +246,10 @@ def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> P
 
     A mission of hundreds of waypoints becomes one of tens. Every leg keeps 2 cm from every cell that is closed by
     an obstacle or a constraint, so that no rounding of coordinates takes it into one (`jaxurban.planners.simplify`
-    says what is done where the path itself passes nearer). The altitudes above ground stay, and so do the ends. Cost,
-    metrics and length are those of the new path; its message says the tolerance, the waypoints before and after, how
-    far the path was moved at most, and how its cost changed.
+    says what is done where the path itself passes nearer). Legs that leave the path stay 3 m from cells that obstacles
+    touch, so that none is nearer to an outline than 3 m or, where that is less, than the path itself. The altitudes
+    above ground stay, and so do the ends. Cost, metrics and length are those of the new path; its message says the
+    tolerance, the waypoints before and after, how far the path was moved at most, and how its cost changed.
 
     Args:
       planned: from `plan`, or from a batch; without a path it comes back as it is.
@@ -272,7 +274,9 @@ def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> P
         return planned
     _check_same_map(planned, cost_map)
     points_m = planned.search.points_m
-    simpler = simplify_path(cost_map.problem, planned.search, tolerance_m)
+    resolution_m = cost_map.grid.resolution_m
+    step_m, _ = closing_step_m(cost_map.constraints.horizontal_m, resolution_m)  # closed beside
+    simpler = simplify_path(cost_map.problem, planned.search, tolerance_m, BESIDE_M - step_m)
     after = measured(cost_map, simpler.points_m)
 
     # The path stays as it is where a simpler one exceeds a budget.
