@@ -20,7 +20,7 @@ from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import End
 from jaxurban.paths.search import PathSearch
-from jaxurban.paths.snapping import pocket_note, snap_note, what_would_join
+from jaxurban.paths.snapping import apart_note, snap_note
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.simplify import simplify as simplify_path
 
@@ -163,7 +163,10 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
     start, goal = ends
     has_path = path.status.has_path
     standing = cost_map.notes
-    notes = [path.note, standing.objective, snap_note(start, goal), standing.clearance]
+    notes = [path.note]
+    if path.status is Status.NO_PATH:
+        notes.append(apart_note(cost_map, start, goal))
+    notes += [standing.objective, snap_note(start, goal), standing.clearance]
     if cost_map.is_weighed and cost_map.weights.distance == 0 and not path.note and has_path:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
     notes.append(standing.maps)
@@ -176,9 +179,6 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
         notes.append(
             f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."
         )
-    if path.status is Status.NO_PATH:
-        notes.append(pocket_note(cost_map, start, goal))
-        notes.append(what_would_join(cost_map, start.cell, goal.cell))
     return " ".join(filter(None, [*notes, standing.metrics]))
 
 
