@@ -15,6 +15,7 @@ SAME_EXPOSURE = 1e-9  # relative: an exposure so little above its budget keeps i
 # What a file may take from a clearance: 8 mm by the seventh decimal of a degree, and up to 35 mm where a program draws
 # a leg of 1 km straight in degrees instead of in the maps' CRS (length^2 / 8 R x tan of a latitude up to 60 degrees).
 FILE_MARGIN_M = 0.05
+BESIDE_M = 3.0  # nearer to a wall a route says so first, and legs of its mission that leave it come no nearer
 MOST_BULGE_M = 0.05  # between two places below a path, by which the ground leaves the straight line
 GROUND_TOLERANCE_M = (
     1.0  # by which a file's straight lines may exceed the planned height above ground

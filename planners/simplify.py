@@ -19,13 +19,14 @@ NUDGES = (1.5, 3.0)
 DIRECTIONS = 8
 SPACING = 1.0  # cell sides between the points along a path at which it may turn
 PART = 0.3  # cell sides: five parts make a diagonal step, whose corner then lies within one of them
+STRAIGHT = 1e-9  # cell sides: points so near a leg lie on it
 STUCK = 1e9  # what a leg that is not clear counts among nudges, so that there are as few as can be
 REACH = 256  # points that a leg may span, lest a way over open land of thousands takes seconds
 AHEAD = 1e-12  # relative: sums this much smaller are smaller
 
 
 @compiled_first()
-def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
+def simplify(problem: Problem, path: Path, tolerance_m: float, beside_m: float = 0.0, /) -> Path:
     """Return the path with as few waypoints as keep it within a tolerance of where it was, clear of closed cells.
 
     Waypoints are chosen from places along the path, at most a cell apart. Every leg that skips some of these keeps
@@ -44,6 +45,7 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
       problem: the query that the path was planned for.
       path: from a planner; where there is no path it comes back as it is.
       tolerance_m: how far the path may be from where it was, in plan (its altitudes stay), above 0.
+      beside_m: how far legs that leave the path stay from cells that are not free.
 
     Raises:
       InputError: a tolerance that is not a positive number of metres, or a path that is blocked or off the map.
@@ -69,6 +71,7 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
                 tolerance_m,
                 problem.resolution_m,
                 margin,
+                beside_m / problem.resolution_m,
             )
             num_near += int(np.sum(~are_clear(is_free, xy, CLEAR_M / problem.resolution_m)))
             xy_m = xy * problem.resolution_m
@@ -95,7 +98,12 @@ def simplify(problem: Problem, path: Path, tolerance_m: float, /) -> Path:
 
 
 def _fewest(
-    is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: float, margin: float
+    is_free: np.ndarray,
+    xy: np.ndarray,
+    tolerance_m: float,
+    side_m: float,
+    margin: float,
+    beside: float,
 ) -> np.ndarray:
     """Return the waypoints ``[W, 2]`` of a simplified path on one level, in cell sides.
 
@@ -105,6 +113,7 @@ def _fewest(
       tolerance_m: how far the path may be from where it was, in metres.
       side_m: side of a cell, in metres.
       margin: that legs keep from closed cells, in cell sides.
+      beside: that legs which leave the path keep from them, in cell sides; the margin where that is more.
     """
     if len(xy) < 2:
         return xy
@@ -133,7 +142,7 @@ def _fewest(
         xy = moved
 
     xy, _ = subdivided(xy, SPACING)
-    return np.asarray(xy[fewest_legs(is_free, xy, tolerance, margin)])
+    return np.asarray(xy[fewest_legs(is_free, xy, tolerance, margin, beside)])
 
 
 def _divided(xy: np.ndarray, is_far: np.ndarray) -> np.ndarray:
@@ -234,39 +243,41 @@ def is_within(xy, first, last, tolerance):
     return True
 
 
-def fewest_legs(is_free: np.ndarray, xy: np.ndarray, tolerance: float, margin: float) -> np.ndarray:
+def fewest_legs(
+    is_free: np.ndarray, xy: np.ndarray, tolerance: float, margin: float, beside: float = 0.0
+) -> np.ndarray:
     """Return ``[K]`` the numbers of the points to keep, ends included: the fewest legs, as even as possible.
 
     Of all ways with the fewest legs it is the one with the least sum of squared lengths, so that no leg is shorter than
     necessary.
 
-    A leg may skip up to `REACH` points if it is clear (`is_clear`) and they lie within the tolerance of it. From one
-    point to the next a leg is always allowed, as the path leads there. Every two points that an allowed leg joins are
-    an edge of a graph, and the shortest way through the graph is the answer (Imai & Iri 1988, "Polygonal approximations
-    of a curve"). From each point the cone of directions that pass all points since within the tolerance says when to
-    stop looking farther (Chan & Chin 1996, "Approximation of polygonal curves with minimum number of line segments or
-    minimum error").
+    A leg may skip up to `REACH` points if it is clear (`is_clear`) and they lie within the tolerance of it; where it is
+    nearer to closed cells than ``beside``, they must lie on it. From one point to the next a leg is always allowed, as
+    the path leads there. Every two points that an allowed leg joins are an edge of a graph, and the shortest way
+    through the graph is the answer (Imai & Iri 1988, "Polygonal approximations of a curve"). From each point the cone
+    of directions that pass all points since within the tolerance says when to stop looking farther (Chan & Chin 1996,
+    "Approximation of polygonal curves with minimum number of line segments or minimum error").
 
     Args:
       is_free: ``[Y, X]`` bool.
       xy: ``[N, 2]`` points of the path, in cell sides.
-      tolerance, margin: in cell sides.
+      tolerance, margin, beside: in cell sides, as in `_fewest`.
     """
     num = len(xy)
     legs = np.full(num, num)
     squares = np.full(num, np.inf)
     parent = np.full(num, NO_PARENT)
     legs[0], squares[0] = 0, 0.0
-    _weigh_legs(is_free, xy, tolerance, margin, legs, squares, parent)
+    _weigh_legs(is_free, xy, tolerance, margin, beside, legs, squares, parent)
     return np.array(way_to(num - 1, parent))
 
 
 @compiled()
-def _weigh_legs(is_free, xy, tolerance, margin, legs, squares, parent):
+def _weigh_legs(is_free, xy, tolerance, margin, beside, legs, squares, parent):
     """Find the way of fewest legs from the first point to each point, and of these the most even one.
 
     Args:
-      is_free, xy, tolerance, margin: as in `fewest_legs`.
+      is_free, xy, tolerance, margin, beside: as in `fewest_legs`.
       legs: ``[N]`` number of legs on that way; 0 for the first point, N for all others; filled in place.
       squares: ``[N]`` sum of their squared lengths; 0 for the first point, inf for all others; filled in place.
       parent: ``[N]`` the point before on that way; filled in place.
@@ -293,6 +304,9 @@ def _weigh_legs(is_free, xy, tolerance, margin, legs, squares, parent):
                 # In the cone all points since lie near the ray; if none is farther away than j, also near the segment.
                 is_near = low <= turn <= high and (
                     away >= farthest or is_within(xy, i, j, tolerance)
+                )
+                is_near = is_near and (
+                    is_clear(is_free, x0, y0, x1, y1, beside) or is_within(xy, i, j, STRAIGHT)
                 )
                 if j == i + 1 or (is_near and is_clear(is_free, x0, y0, x1, y1, margin)):
                     legs[j], squares[j], parent[j] = number, total, i

@@ -25,7 +25,7 @@ from jaxurban.paths.snapping import (
     why_closed,
 )
 from jaxurban.planners.astar import AUTO, make_landmarks
-from jaxurban.planners.base import Cell, Problem, islands_of
+from jaxurban.planners.base import Cell, Path, Problem, Status, islands_of
 from jaxurban.planners.corners import with_corner_bound
 from jaxurban.planners.cost import CostModel, PathFeatures
 from jaxurban.planners.exposure import within_budgets
@@ -372,8 +372,9 @@ class CostMap(FactsRepr):
 
         With ``on_ground`` only cells are free above which the air is, from the ground up (`free_to_ground`).
 
-        Where one of them is in a closed cell, snapping takes the free cells nearest to both that a way through free
-        cells joins. Where no two within reach are joined, it takes the nearest free ones.
+        Snapping takes the free cells nearest to both that a way through free cells joins. An end leaves a free cell
+        only where nothing within reach of the other end is joined to it. Where no two within reach are joined, the
+        nearest free ones are taken.
 
         Returns:
           `End` of the start and of the goal.
@@ -382,13 +383,10 @@ class CostMap(FactsRepr):
           >>> [end.cell for end in ju.cost_map(maps, 60.0).ends(start, goal)]
           [(2, 2), (27, 27)]
         """
-        # The possible ends of each place, the nearest first. An end that is not snapped is the only one of its place.
+        # The possible ends of each place, the nearest first.
         starts = self._places_near("start", start, snap, on_ground is True)
         goals = self._places_near("goal", goal, snap, bool(on_ground))
-        start_end, goal_end = starts[0], goals[0]
-        if start_end.is_snapped or goal_end.is_snapped:
-            return joined_ends(self, starts, goals)
-        return start_end, goal_end
+        return joined_ends(self, starts, goals) if snap else (starts[0], goals[0])
 
     def _places_near(
         self, name: str, place: Point | XY, snap: bool | float, on_ground: bool = False
@@ -552,6 +550,12 @@ class CostMap(FactsRepr):
             find_path = partial(
                 within_budgets, planner=find_path, budgets=search.exposure, names=self.names
             )
+
+        # Without a way between ends that could be moved there is nothing to search.
+        if search.snap and self.islands[problem.start] != self.islands[problem.goal]:
+            nowhere_m = np.empty((0, problem.is_free.ndim))
+            apart = Path(Status.NO_PATH, nowhere_m, np.inf, np.inf, 0, 0.0, search.planner)
+            return finish(self, apart, ends, search)
 
         # The search. An anytime planner would leave nothing of the budget to refine with.
         share = 1 - REFINING_SHARE if search.refine else 1.0

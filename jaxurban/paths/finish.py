@@ -11,15 +11,16 @@ import shapely
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.kernels.tolerances import SAME_EXPOSURE, SAME_PLACE_M
+from jaxurban.kernels.tolerances import BESIDE_M, SAME_EXPOSURE, SAME_PLACE_M
 from jaxurban.metrics.variables import ROOF_KIND
+from jaxurban.paths.clearance import closing_step_m
 from jaxurban.paths.constraints import describe_kept
 from jaxurban.paths.ground import ground_along
 from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import End
 from jaxurban.paths.search import PathSearch
-from jaxurban.paths.snapping import pocket_note, snap_note, what_would_join
+from jaxurban.paths.snapping import apart_note, snap_note
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.simplify import simplify as simplify_path
 
@@ -166,7 +167,12 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
     start, goal = ends
     has_path = path.status.has_path
     standing = cost_map.notes
-    notes = [path.note, standing.objective, snap_note(start, goal), standing.clearance]
+    notes = [path.note]
+    if path.status is Status.NO_PATH:
+        notes.append(apart_note(cost_map, start, goal))
+        if cost_map.constraints.of_unknown == "highest" and "roof_limit" in cost_map.maps.ds:
+            notes.append(ABOVE_HIGHEST)
+    notes += [standing.objective, snap_note(start, goal), standing.clearance]
     if cost_map.is_weighed and cost_map.weights.distance == 0 and not path.note and has_path:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
     notes.append(standing.maps)
@@ -179,11 +185,6 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
         notes.append(
             f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."
         )
-    if path.status is Status.NO_PATH:
-        if constraints.of_unknown == "highest" and "roof_limit" in cost_map.maps.ds:
-            notes.append(ABOVE_HIGHEST)
-        notes.append(pocket_note(cost_map, start, goal))
-        notes.append(what_would_join(cost_map, start.cell, goal.cell))
     return " ".join(filter(None, [*notes, standing.metrics]))
 
 
@@ -251,9 +252,10 @@ def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> P
 
     A mission of hundreds of waypoints becomes one of tens. Every leg keeps 2 cm from every cell that is closed by
     an obstacle or a constraint, so that no rounding of coordinates takes it into one (`jaxurban.planners.simplify`
-    says what is done where the path itself passes nearer). The altitudes above ground stay, and so do the ends. Cost,
-    metrics and length are those of the new path; its message says the tolerance, the waypoints before and after, how
-    far the path was moved at most, and how its cost changed.
+    says what is done where the path itself passes nearer). Legs that leave the path stay 3 m from cells that obstacles
+    touch, so that none is nearer to an outline than 3 m or, where that is less, than the path itself. The altitudes
+    above ground stay, and so do the ends. Cost, metrics and length are those of the new path; its message says the
+    tolerance, the waypoints before and after, how far the path was moved at most, and how its cost changed.
 
     Args:
       planned: from `plan`, or from a batch; without a path it comes back as it is.
@@ -278,7 +280,9 @@ def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> P
         return planned
     _check_same_map(planned, cost_map)
     points_m = planned.search.points_m
-    simpler = simplify_path(cost_map.problem, planned.search, tolerance_m)
+    resolution_m = cost_map.grid.resolution_m
+    step_m, _ = closing_step_m(cost_map.constraints.horizontal_m, resolution_m)  # closed beside
+    simpler = simplify_path(cost_map.problem, planned.search, tolerance_m, BESIDE_M - step_m)
     after = measured(cost_map, simpler.points_m)
 
     # The path stays as it is where a simpler one exceeds a budget.

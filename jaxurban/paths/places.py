@@ -64,14 +64,16 @@ class End:
     Attributes:
       cell: row and column; in a volume level, row and column.
       snap_distance_m: from the place that was given to the centre of the cell.
-      is_snapped: the cell of the given place was closed, so this is another one.
+      is_snapped: this is another cell than that of the given place, which was closed or not joined to the other end.
       on_ground: it was moved to where the air is free down to the ground.
+      was_free: it was moved although the cell of the given place is free.
     """
 
     cell: Cell
     snap_distance_m: float
     is_snapped: bool = False
     on_ground: bool = False
+    was_free: bool = False
 
 
 def snap_limit_m(snap: Any) -> float | None:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.kernels.tolerances import AT_LIMIT, GROUND_TOLERANCE_M
+from jaxurban.kernels.tolerances import AT_LIMIT, BESIDE_M, GROUND_TOLERANCE_M
 from jaxurban.knowledge import Caution, Level, caution_of_guesses, sentences_of
 from jaxurban.maps.levels import values_at
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
@@ -308,6 +308,8 @@ def cautions(
 ) -> list[Caution]:
     """Return what the maps guess, where GPS has no fix, how near buildings and roofs are, and what else to know.
 
+    A route that passes nearer than 3 m to a building as high says so first, with the place.
+
     Also reported: an end in a cell that a roof touches; climbs, descents and turns beyond the limits of the vehicle
     that it was planned for; and what the path's message notes. A sentence each, what is guessed first.
 
@@ -337,11 +339,14 @@ def cautions(
     limits = planned.settings.get("limits", {})
     horizontal_m = limits.get("clearance_m", 0.0) + limits.get("vehicle_radius_m", 0.0)
     vertical_m = limits.get("vertical_clearance_m") or LEAST_OVER_ROOFS_M
+    clearance = _clearance(profile, horizontal_m)
+    is_beside = bool(profile[CLEARANCE].min() < BESIDE_M - AT_LIMIT)
     return [
         *_unknown_heights(profile),
+        *[clearance] * is_beside,
         *guess_cautions(maps, profile),
         *_fix(profile),
-        _clearance(profile, horizontal_m),
+        *[clearance] * (not is_beside),
         *_roofs(profile, vertical_m),
         *_ends(profile),
         *(Caution(sentence, "limit", "manoeuvre") for sentence in _manoeuvres(planned)),
@@ -430,8 +435,12 @@ def _clearance(profile: pd.DataFrame, least_m: float) -> Caution:
     nearest_m = profile[CLEARANCE].iloc[nearest]
     border_m = profile[OUTSIDE].iloc[border]
     if nearest_m <= border_m:
+        place = ""
+        if nearest_m < BESIDE_M - AT_LIMIT:
+            lon, lat = profile[["lon", "lat"]].iloc[nearest]
+            place = f" from {lon:.6f},{lat:.6f}"
         sentence = (
-            f"Buildings: the nearest that reaches the flight height is {nearest_m:.1f} m away, "
+            f"Buildings: the nearest that reaches the flight height is {nearest_m:.1f} m away{place}, "
             f"{_at(profile, nearest)}"
         )
     else:

@@ -1,7 +1,6 @@
 """The ends of a query: why a cell is closed, the nearest free one, never in silence, and what joins two of them."""
 
 import math
-from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,8 +28,8 @@ def places_near(
 ) -> list[End]:
     """Return the possible ends of a query at a place: its own cell, or free cells near to it.
 
-    A free cell is the only end. For a closed one, if ``snap`` allows it, there is an end on each island of joined free
-    cells within reach, in the island's cell nearest to the place; the nearest of all comes first.
+    A free cell comes first, and is the only end where ``snap`` is off. Else there is an end on each island of joined
+    free cells within reach, in the island's cell nearest to the place; the nearest of all comes first.
 
     Args:
       cost_map: whose cells they are.
@@ -49,15 +48,18 @@ def places_near(
     limit_m = snap_limit_m(snap)
     is_free = cost_map.free_to_ground(level) if on_ground else cost_map.levels_free[level]
     level_index = () if cost_map.levels is None else (level,)  # before row and column
+    own = []
     if is_free[cell]:
         offset_m = np.subtract(cost_map.grid.xy_of_cell(*cell), xy_m)
-        return [End((*level_index, *cell), float(np.hypot(*offset_m)))]
+        own = [End((*level_index, *cell), float(np.hypot(*offset_m)))]
+        if limit_m is None:
+            return own
 
     # The free cells within reach, the nearest first. No cell is within -1 m: the place may not move.
     everywhere_m = cost_map.grid.resolution_m * sum(is_free.shape)
     reach_m = -1.0 if limit_m is None else min(limit_m, everywhere_m)
     cells, away_m = _free_within(cost_map, is_free, xy_m, cell, reach_m)
-    if away_m.size == 0:
+    if away_m.size == 0 and not own:
         cells, away_m = _free_within(cost_map, is_free, xy_m, cell, everywhere_m)
         why = OVER_ROOF
         if not cost_map.levels_free[level][cell]:
@@ -72,10 +74,10 @@ def places_near(
     # The nearest cell of each island. Cells are sorted by distance, and `unique` gives the first of each island.
     islands = cost_map.islands[level_index]
     _, first = np.unique(islands[tuple(cells.T)], return_index=True)
-    ends = []
+    ends = list(own)
     for index in np.sort(first):
         free_cell = *level_index, *cells[index].tolist()
-        ends.append(End(free_cell, float(away_m[index]), is_snapped=True, on_ground=on_ground))
+        ends.append(End(free_cell, float(away_m[index]), True, on_ground, was_free=bool(own)))
     return ends
 
 
@@ -126,39 +128,48 @@ def _way_out(
 
 
 def joined_ends(cost_map: "CostMap", starts: list[End], goals: list[End]) -> tuple[End, End]:
-    """Return the start and the goal that free cells join and that are together moved the least.
+    """Return the start and the goal that free cells join: fewest leave a free cell, and then they move the least.
 
-    Where no start is joined with any goal, the pair that is moved the least is returned.
+    Where no start is joined with any goal, the first of each is returned.
 
     Args:
       cost_map: whose cells they are.
       starts, goals: the possible ends, as `places_near` returns them.
     """
     islands = cost_map.islands
+    goal_on = {islands[goal.cell]: goal for goal in reversed(goals)}  # the first of each island
+    pairs = [
+        (start, goal_on[islands[start.cell]]) for start in starts if islands[start.cell] in goal_on
+    ]
 
-    def rank(ends: tuple[End, End]) -> tuple[bool, float]:
-        """Return what makes a pair worse: first that nothing joins it, then how far it is moved."""
+    def rank(ends: tuple[End, End]) -> tuple[int, float]:
+        """Return what makes a pair worse: first how many ends were free where they lay, then how far they move."""
         start, goal = ends
-        is_apart = islands[start.cell] != islands[goal.cell]  # False comes before True
-        return is_apart, start.snap_distance_m + goal.snap_distance_m
+        return start.was_free + goal.was_free, start.snap_distance_m + goal.snap_distance_m
 
-    return min(product(starts, goals), key=rank)
+    return min(pairs, key=rank, default=(starts[0], goals[0]))
 
 
 def snap_note(start: End, goal: End) -> str:
-    """Return a sentence for each end that was moved out of a closed cell, empty where none was."""
+    """Return a sentence for each end that was moved to another cell, empty where none was."""
     sentences = []
     for name, end in (("start", start), ("goal", goal)):
         if end.is_snapped:
             down, where = (" down to the ground", " over the ground") if end.on_ground else ("", "")
+            why = "lay in a pocket" if end.was_free else f"was not free{down}"
             sentences.append(
-                f"The {name} was not free{down}: it was moved {end.snap_distance_m:.1f} m, to a free cell{where}."
+                f"The {name} {why}: it was moved {end.snap_distance_m:.1f} m, to a free cell{where}."
             )
     return " ".join(sentences)
 
 
-def pocket_note(cost_map: "CostMap", start: End, goal: End) -> str:
-    """Return a sentence on which of two ends lies in the smaller island of free cells; ``""`` where they are joined."""
+def apart_note(cost_map: "CostMap", start: End, goal: End) -> str:
+    """Return sentences on what closes the way between two ends, and what would open it; ``""`` where they are joined.
+
+    Args:
+      cost_map: on which they lie.
+      start, goal: the ends.
+    """
     islands = cost_map.islands
     if islands[start.cell] == islands[goal.cell]:
         return ""
@@ -167,13 +178,29 @@ def pocket_note(cost_map: "CostMap", start: End, goal: End) -> str:
     inner, outer = sorted(cells, key=lambda name: sizes[name])
 
     # From the inner end to the nearest cell of the outer island, in plan: rows and columns come last.
-    outer_cells = np.argwhere(islands == islands[cells[outer]])[:, -2:]
-    offsets = outer_cells - cells[inner][-2:]
-    away_m = np.hypot(*offsets.T).min() * cost_map.grid.resolution_m
-    return (
+    outer_cells = np.argwhere(islands == islands[cells[outer]])
+    away = np.hypot(*(outer_cells - cells[inner])[:, -2:].T)
+    nearest = int(np.argmin(away))
+    pocket = (
         f"The {inner} lies in a pocket of {sizes[inner]:,} free cells, and the nearest cell that is joined to the "
-        f"{outer} is {away_m:.0f} m from it."
+        f"{outer} is {away[nearest] * cost_map.grid.resolution_m:.0f} m from it"
     )
+    between = _closed_between(cost_map, cells[inner], outer_cells[nearest])
+    for *level, row, col in between[:1].tolist():
+        lon, lat = cost_map.grid.lonlat_of_cell(row, col)
+        why = cost_map.why_closed((row, col), *level)
+        pocket += f": the way there ends at {lon:.6f},{lat:.6f}, which is {why}"
+    return f"{pocket}. {what_would_join(cost_map, start.cell, goal.cell)}"
+
+
+def _closed_between(cost_map: "CostMap", cell: Cell, to_cell: np.ndarray) -> np.ndarray:
+    """Return ``[N, D]`` the closed cells on the straight line from one free cell to another, in their order."""
+    num_halves = 2 * int(np.abs(to_cell - cell).max())
+    points = np.linspace(cell, to_cell, num_halves + 1)
+    cells = np.ceil(points - 0.5).astype(int)
+    # Rounded the other way, so that half a diagonal step is a cell beside it.
+    cells[:, -1] = np.floor(points[:, -1] + 0.5)
+    return cells[~cost_map.is_free[tuple(cells.T)]]
 
 
 def free_to_ground(cost_map: "CostMap", level: int) -> np.ndarray:

@@ -152,6 +152,21 @@ def test_segments_without_a_fix_are_told_with_their_places(maps):
     assert unknown in ju.cautions(straight(maps), series)
 
 
+def test_a_route_nearer_than_3_m_to_a_wall_says_so_first_with_the_place(maps):
+    beside = straight(maps)
+    tall = np.argwhere(maps.m("roof_touched") > beside.z_m[0])
+    x_m, y_m = maps.grid.xy_of_cell(*tall[0])
+    half_m = maps.grid.resolution_m / 2
+    for away_m, is_first in ((2.0, True), (2.99, True), (3.0, False)):
+        xy_m = np.array([[x_m - half_m - away_m, y_m], [x_m - half_m - away_m, y_m + 0.1]])
+        there = replace(beside, xy_m=xy_m, z_m=beside.z_m[:1].repeat(2))
+        said = ju.cautions(there, maps)
+        lon, lat = maps.grid.lonlat_of_xy(*xy_m.mean(axis=0))
+        near = f"height is {away_m:.1f} m away from {lon:.6f},{lat:.6f}, 0 m along the route"
+        assert (near in said[0]) == is_first
+        assert sum("reaches the flight height" in sentence for sentence in said) == 1
+
+
 def test_the_nearest_building_the_least_height_over_a_roof_and_an_end_over_one_are_told(maps):
     told = ju.cautions(straight(maps), maps)
     assert re.match(

@@ -12,6 +12,7 @@ import jaxurban as ju
 from jaxurban.errors import IgnoredZoneWarning
 from jaxurban.io.read.zone import Zone, cell_boxes
 from jaxurban.paths.constraints import Bound
+from jaxurban.planners.base import Status
 from jaxurban.studies.queries import make_queries
 from tests.cli_runs import run
 from tests.made_maps import made_maps, missing_inside
@@ -369,6 +370,46 @@ def test_no_path_names_the_pocket_and_the_nearest_cell_that_is_joined(with_court
     message = ju.plan(with_court, **inside, altitude_m=ALTITUDE_M, snap=25.0).to_dict()["message"]
     pocket = "The start lies in a pocket of 6 free cells, and the nearest cell that is joined to the goal is 50 m"
     assert pocket in message
+
+
+@pytest.mark.parametrize("turn", [False, True])
+def test_a_free_place_in_a_pocket_is_moved_out_of_it_only_where_snapping_is_on(with_court, turn):
+    ends = ends_at(with_court, (15, 9), GOAL_CELL)
+    if turn:
+        ends = dict(zip(ends, reversed(ends.values()), strict=True))
+    stays = ju.plan(with_court, **ends, altitude_m=ALTITUDE_M)
+    assert stays.status is Status.NO_PATH
+    assert stays.snap_distance_m == pytest.approx((0.0, 0.0), abs=0.01)
+    path = ju.plan(with_court, **ends, altitude_m=ALTITUDE_M, snap=True)
+    assert path.status.has_path
+    assert path.snap_distance_m[turn] == pytest.approx(40.0)
+    assert path.snap_distance_m[not turn] == pytest.approx(0.0, abs=0.01)
+    name = "goal" if turn else "start"
+    assert f"The {name} lay in a pocket: it was moved 40.0 m, to a free cell." in path.message
+
+
+def test_what_closes_the_way_comes_first_and_nothing_is_searched(with_court, inside):
+    path = ju.plan(with_court, **inside, altitude_m=ALTITUDE_M, snap=25.0)
+    lon, lat = with_court.grid.lonlat_of_cell(15, 10)  # the wall east of the court
+    ends_there = f"ends at {lon:.6f},{lat:.6f}, which is inside an obstacle (or where there are no data) at 20 m"
+    assert path.message.startswith(
+        f"{path.search.sentence} The start lies in a pocket of 6 free cells"
+    )
+    assert f"{ends_there}. Start and goal are joined at 60 m." in path.message
+    assert (path.status, path.search.num_expanded) == (Status.NO_PATH, 0)
+
+
+def test_a_corner_between_two_closed_cells_ends_the_way_too(block):
+    roof_m = np.zeros((SIDE, SIDE))
+    roof_m[5, :6] = roof_m[:6, 5] = 30.0
+    roof_m[5, 5] = 0.0
+    maps = with_roofs(block, roof_m)
+    path = ju.plan(maps, **ends_at(maps, (4, 4), (20, 20)), altitude_m=ALTITUDE_M)
+    lon, lat = maps.grid.lonlat_of_cell(5, 4)
+    beside = maps.grid.lonlat_of_cell(4, 5)
+    assert any(
+        f"the way there ends at {x:.6f},{y:.6f}" in path.message for x, y in ((lon, lat), beside)
+    )
 
 
 def test_a_free_place_says_nothing_of_snapping(block, tmp_path):
