@@ -24,6 +24,7 @@ from jaxurban.metrics.variables import (
     ROOF_KIND,
     derived,
 )
+from jaxurban.paths.closed import obstacles_at
 from jaxurban.report.figures.frame import (
     GUESSED_ROOF_COLOUR,
     NO_DATA_PATCH,
@@ -60,11 +61,7 @@ def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tu
 
 def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> MapLayer:
     """Return a layer of the obstacle cells at an altitude, which may lie between two altitudes of the maps."""
-    if altitude_m in maps.altitudes_m:
-        is_blocked = maps.m("obstacle", altitude_m) != 0
-    else:
-        is_blocked = ~maps.is_free(altitude_m, "centre")
-    return flat_layer(is_blocked & maps.ds["has_data"].values, colour)
+    return flat_layer(obstacles_at(maps, altitude_m), colour)
 
 
 def class_patches(maps: MetricMaps, variable: Variable) -> list[tuple[str, str]]:
