@@ -64,12 +64,17 @@ def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_C
     return flat_layer(obstacles_at(maps, altitude_m), colour)
 
 
-def class_patches(maps: MetricMaps, variable: Variable) -> list[tuple[str, str]]:
-    """Return the legend entries of a variable's classes; of more than two, those that occur, by their colours."""
+def class_patches(variable: Variable, numbers: np.ndarray) -> list[tuple[str, str]]:
+    """Return the legend entries of a variable's classes; of more than two, those that occur, by their colours.
+
+    Args:
+      variable: whose classes they are.
+      numbers: ``[Y, X]`` the class of each cell; NaN is none.
+    """
     if len(variable.classes) <= 2:
         return list(variable.classes)
     by_colour: dict[str, str] = {}
-    for number in np.unique(maps.m(variable.name)):
+    for number in np.unique(numbers[np.isfinite(numbers)]).astype(int):
         name, colour = variable.classes[number]
         by_colour[colour] = joined(by_colour.get(colour), name, by=", ")
     return [(names, colour) for colour, names in by_colour.items()]
@@ -269,7 +274,8 @@ def plot_metric(
         patches = patches[1:]  # all but obstacles
 
     # The legend of classes, whose second one means a value of one, or a colour bar.
-    classes = class_patches(maps, variable)
+    numbers = maps.m(name) if len(variable.classes) > 2 else np.empty(0)
+    classes = class_patches(variable, numbers)
     meaning = meaning_of(maps, name, variable.one_means)
     if classes and meaning:
         positive, colour = classes[1]
