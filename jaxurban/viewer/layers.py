@@ -140,10 +140,10 @@ class DrawnLayer:
             return COST_COLOURS
         if self.name == POSITION_ERROR:
             return ERROR_COLOURS
-        if self.name in (NAME, CLOSED.name):
-            return colours_of(
-                self.variable, lambda: values, f"{self.variable.long_name}, in metres"
-            )
+        if self.name == CLOSED.name:
+            return colours_of(self.variable, lambda: values, "closed to routes, by the first cause")
+        if self.name == NAME:
+            return colours_of(self.variable, lambda: values, f"{LONG_NAME}, in metres")
         metric = self.cost_of
         if metric is None:
             return metric_colours(self.maps, self.name, None if self.dims else values)
@@ -243,7 +243,8 @@ def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "")
         patches.append((zero, EMPTY_COLOUR))
     if layer.is_hidden:
         patches.append(("obstacle", layer.blocked))
-    patches.append(CLOSED_PATCH)
+    if layer.name != CLOSED.name:
+        patches.append(CLOSED_PATCH)
     if FIX in maps.ds:
         patches.append(NO_FIX_PATCH)
     if np.isnan(values).any() or not maps.ds["has_data"].values.all():

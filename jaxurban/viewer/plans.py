@@ -149,7 +149,8 @@ class Plans:
     def causes(self, query: Plan, at: OneMap) -> np.ndarray:
         """Return ``[Y, X]`` what closes each cell under the rules of a query (`jaxurban.paths.closed.causes_at`)."""
         maps = self.maps.with_obstacles(query.obstacles)
-        return causes_at(maps, self._constraints(query), *at)
+        constraints = self._constraints(query)
+        return causes_at(maps, constraints, _altitude_m(at), at.time, at.time_of_day)
 
     def why(self, query: Plan, at: OneMap) -> str:
         """Return whether the start of a query is free, or what closes it, and which share of the cells each cause does.
@@ -233,11 +234,9 @@ class Plans:
           InputError: the maps hold no altitudes, or as for `jaxurban.plan`.
         """
         settings = self.cost_model.settings | {"cost_model": query.cost_model}
-        if at.altitude_m is None:
-            raise InputError("these maps hold no altitude to plan at")
         return cost_map(
             self.maps.with_obstacles(query.obstacles),
-            at.altitude_m,
+            _altitude_m(at),
             cost_model=CostModel.from_settings(settings),
             time=at.time,
             time_of_day=at.time_of_day,
@@ -274,6 +273,17 @@ class Plans:
             file = FilePath(folder) / ZONES_FILE
             file.write_text(query.zones, encoding="utf-8")
             return replace(limits, zones=Constraints.read(file).zones)
+
+
+def _altitude_m(at: OneMap) -> float:
+    """Return the altitude of a flight.
+
+    Raises:
+      InputError: the maps hold no altitudes.
+    """
+    if at.altitude_m is None:
+        raise InputError("these maps hold no altitude to plan at")
+    return at.altitude_m
 
 
 def _count_one(_: object) -> int:
