@@ -83,7 +83,6 @@ def draw(name: str, case: Case) -> Figure:
 def maps_for(is_hard: bool) -> ju.MetricMaps:
     """Return maps of four altitudes, with guesses and a long credit where it is hard."""
     maps = make_maps(has_all_data=not is_hard)
-    maps.ds["roof_touched"] = maps.ds["roof"]
     if is_hard:
         maps.ds.attrs |= attribute(*GUESSES) | {"attribution": CREDIT}
         maps.ds["roof_guessed"] = maps.ds["roof"] > 20

@@ -26,14 +26,17 @@ from jaxurban.report.figures.frame import (
     MapLayer,
     MapPanel,
     draw_maps,
+    flat_layer,
     joined,
     rules_said,
 )
 from jaxurban.report.figures.metrics import obstacle_patches
 from jaxurban.report.figures.paths import (
     BLOCKED_COLOUR,
+    CLOSED,
     COST_COLOURS,
     cost_layers,
+    draw_closed,
     outcome_of,
     path_entries,
     planner_colours,
@@ -176,7 +179,7 @@ def draw(
     found = [path.search.planner for paths in results for path in paths if path.status.has_path]
     drawn = {planner: colour for planner, colour in colours.items() if planner in found}
     entries = path_entries(drawn, *results)
-    look = {"legend": [*legend, *entries], "colours": COST_COLOURS, "has_ticks": False}
+    look = {"legend": [*legend, CLOSED, *entries], "colours": COST_COLOURS, "has_ticks": False}
     figure, axes = draw_maps(
         parts[0],
         panels,
@@ -184,7 +187,10 @@ def draw(
         f"{note}\npreset paper  ·  {rules_said(map_settings(shared))}",
         **look,
     )
-    for panel, paths in zip(axes, results, strict=True):
+    is_closed = ~shared.is_free & (layers[1].values < 0) & maps.ds["has_data"].values
+    closed = flat_layer(is_closed, BLOCKED_COLOUR)
+    for panel, part, paths in zip(axes, parts, results, strict=True):
+        draw_closed(panel, crop(closed, maps.grid, part).values == 0)
         add_paths(panel, paths, [colours[path.search.planner] for path in paths])
     return figure
 

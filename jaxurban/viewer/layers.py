@@ -12,6 +12,9 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Scale, Variable, high_is_bad
 from jaxurban.metrics.gps import FIX
+from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR
+from jaxurban.paths.closed import CAUSES, causes_at
+from jaxurban.paths.plan import rules_on
 from jaxurban.paths.return_altitude import LONG_NAME, NAME
 from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import (
@@ -26,11 +29,29 @@ from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
 from jaxurban.report.figures.style import Colours, bar_ticks, difference_colours, tick_label
 from jaxurban.viewer.markup import legend
 
+# Of the causes that close cells without an obstacle.
+CAUSE_COLOURS = "#8da0cb", "#66c2a5", "#a6d854", "#fc8d62", "#e78ac3"
 H_NORM, COST_OF, POSITION_ERROR = "h_norm", "cost:", "position_error"
 BAR_COLOURS = 256  # steps of the bar of a layer without classes
 RANGE_ERROR_M = 5.0  # of a satellite's range, standard deviation, a round figure: the position's is HDOP times it
 ERROR_LABEL = f"Horizontal position error in metres, low is good: HDOP x {RANGE_ERROR_M:g} m"
 ERROR_COLOURS = Colours("viridis_r", Normalize(0, 50), ERROR_LABEL, extend="max")
+CLOSED = Variable(
+    "closed",
+    "closed to routes",
+    dims=(ALTITUDE,),
+    classes=tuple(
+        zip(
+            CAUSES,
+            (FREE_COLOUR, BUILT_COLOUR, NO_DATA_PATCH[1], *CAUSE_COLOURS),
+            strict=True,
+        )
+    ),
+)
+CLOSED_PATCH = (
+    "closed to routes",
+    "repeating-linear-gradient(45deg,#3a3f45 0 1px,transparent 1px 4px)",
+)
 RETURN = Variable(
     NAME, LONG_NAME, "m", title="Return altitude: click home", scale=Scale(low=None, high=None)
 )
@@ -65,7 +86,7 @@ class DrawnLayer:
     @property
     def is_hidden(self) -> bool:
         """Whether it has no values inside obstacles."""
-        return ALTITUDE in self.dims and self.name != "obstacle"
+        return ALTITUDE in self.dims and self.name not in ("obstacle", CLOSED.name)
 
     @property
     def blocked(self) -> str:
@@ -97,8 +118,10 @@ class DrawnLayer:
             name = self.cost_of.name
         if name == POSITION_ERROR:
             return RANGE_ERROR_M * maps.m("hdop", at.altitude_m, time=at.time)
+        altitude_m = maps.altitudes_m[0] if at.altitude_m is None else at.altitude_m
+        if name == CLOSED.name:
+            return causes_at(maps, rules_on(maps, None, None, "")[2], altitude_m)
         if name == H_NORM:
-            altitude_m = maps.altitudes_m[0] if at.altitude_m is None else at.altitude_m
             return maps.normalised(altitude_m, time=at.time, time_of_day=at.time_of_day)
 
         # A map, or what is computed from several maps at an altitude.
@@ -117,6 +140,8 @@ class DrawnLayer:
             return COST_COLOURS
         if self.name == POSITION_ERROR:
             return ERROR_COLOURS
+        if self.name == CLOSED.name:
+            return colours_of(self.variable, lambda: values, "closed to routes, by the first cause")
         if self.name == NAME:
             return colours_of(self.variable, lambda: values, f"{LONG_NAME}, in metres")
         metric = self.cost_of
@@ -155,6 +180,8 @@ def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
     for name, metric in maps.metrics.items():
         cost = Variable(f"{COST_OF}{name}", f"cost: {metric.cost_label}", dims=variables[name].dims)
         add(cost.name, cost, "Costs", metric)
+
+    add(CLOSED.name, CLOSED, "Costs")
 
     # What the page computes from HDOP, then the variables that are no metric.
     if "hdop" in variables:
@@ -216,6 +243,8 @@ def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "")
         patches.append((zero, EMPTY_COLOUR))
     if layer.is_hidden:
         patches.append(("obstacle", layer.blocked))
+    if layer.name != CLOSED.name:
+        patches.append(CLOSED_PATCH)
     if FIX in maps.ds:
         patches.append(NO_FIX_PATCH)
     if np.isnan(values).any() or not maps.ds["has_data"].values.all():
@@ -226,7 +255,7 @@ def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "")
     if isinstance(scale.norm, BoundaryNorm):
         edges = scale.norm.boundaries
         colours = scale.cmap(np.arange(len(edges) - 1), bytes=True)  # type: ignore[operator]
-        patches = [*class_patches(maps, layer.variable), *patches]
+        patches = [*class_patches(layer.variable, values), *patches]
     else:
         steps = np.linspace(0, 1, BAR_COLOURS + 1)
         edges = scale.norm.inverse(steps)

@@ -7,11 +7,14 @@ from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import cast
 
+import numpy as np
+
 from jaxurban.checks import one_of
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
+from jaxurban.paths.closed import causes_at, shares_of
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.explain import explain, with_return_altitude
@@ -23,6 +26,7 @@ from jaxurban.paths.route_report import RouteReport
 from jaxurban.paths.snapping import OVER_ROOF
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
+from jaxurban.report.figures.metrics import percent
 from jaxurban.settings import DEFAULTS, PlannerName, Preset
 from jaxurban.viewer.requests import Plan
 from jaxurban.viewer.tiles import Kept
@@ -142,6 +146,25 @@ class Plans:
                 sentences.append(f"{name} moved {moved_m:.0f} m: it was {OVER_ROOF}")
         return sentences
 
+    def causes(self, query: Plan, at: OneMap) -> np.ndarray:
+        """Return ``[Y, X]`` what closes each cell under the rules of a query (`jaxurban.paths.closed.causes_at`)."""
+        maps = self.maps.with_obstacles(query.obstacles)
+        constraints = self._constraints(query)
+        return causes_at(maps, constraints, _altitude_m(at), at.time, at.time_of_day)
+
+    def why(self, query: Plan, at: OneMap) -> str:
+        """Return whether the start of a query is free, or what closes it, and which share of the cells each cause does.
+
+        Raises:
+          InputError: as for `jaxurban.plan`.
+        """
+        costs = self._cost_map(query, at)
+        _, cell = costs.cell_of("the place", query.start)
+        said = "free to routes" if costs.is_free[cell] else costs.why_closed(cell)
+        shares = shares_of(self.causes(query, at)).items()
+        listed = ", ".join(f"{name} {percent(share)}" for name, share in shares if share)
+        return f"This cell is {said}. Of all cells: {listed}."
+
     def command(self, query: Plan, at: OneMap) -> str:
         """Return the command that gives the same route, coordinate for coordinate; "" for maps in memory.
 
@@ -211,11 +234,9 @@ class Plans:
           InputError: the maps hold no altitudes, or as for `jaxurban.plan`.
         """
         settings = self.cost_model.settings | {"cost_model": query.cost_model}
-        if at.altitude_m is None:
-            raise InputError("these maps hold no altitude to plan at")
         return cost_map(
             self.maps.with_obstacles(query.obstacles),
-            at.altitude_m,
+            _altitude_m(at),
             cost_model=CostModel.from_settings(settings),
             time=at.time,
             time_of_day=at.time_of_day,
@@ -252,6 +273,17 @@ class Plans:
             file = FilePath(folder) / ZONES_FILE
             file.write_text(query.zones, encoding="utf-8")
             return replace(limits, zones=Constraints.read(file).zones)
+
+
+def _altitude_m(at: OneMap) -> float:
+    """Return the altitude of a flight.
+
+    Raises:
+      InputError: the maps hold no altitudes.
+    """
+    if at.altitude_m is None:
+        raise InputError("these maps hold no altitude to plan at")
+    return at.altitude_m
 
 
 def _count_one(_: object) -> int:

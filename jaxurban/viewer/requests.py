@@ -23,15 +23,41 @@ class Request(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class Plan(Request):
+    """A route that is wanted; `jaxurban.plan` names the same.
+
+    ``zones`` is GeoJSON of the no-fly zones drawn, as text. Left out, ``vertical_clearance_m`` is that of the maps'
+    scenario, ``flight_m``, the altitude of flight, the level of ``at``, and speed and power those of the vehicle.
+    """
+
+    start: Place
+    goal: Place
+    at: MapIndex
+    weights: dict[Name, Weight]
+    planner: Name = DEFAULTS.planner
+    cost_model: CostKind = Rules.cost_model
+    obstacles: ObstacleRule = Rules.obstacles
+    clearance_m: Metres = Rules.clearance_m
+    vertical_clearance_m: Metres | None = None
+    flight_m: Metres | None = None
+    speed_m_s: Metres | None = None
+    power_w: Metres | None = None
+    snap: Annotated[bool, Field(strict=True)] = True
+    on_ground: Annotated[bool, Field(strict=True)] = False
+    zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
+
+
 class OneView(Request):
     """A map: its layer, and the numbers of its altitude, time and time of day in the lists of the scene.
 
-    ``home`` is that of the layer of returns, which has no values without it.
+    ``home`` is that of the layer of returns, which has no values without it. ``plan`` is a route whose rules close the
+    cells of the layer of these; left out, the scenario's do.
     """
 
     layer: Name
     at: MapIndex
     home: Place | None = None
+    plan: Plan | None = None
 
 
 class Subtrahend(OneView):
@@ -68,30 +94,6 @@ class Sky(Request):
 
     at: MapIndex
     place: Place
-
-
-class Plan(Request):
-    """A route that is wanted; `jaxurban.plan` names the same.
-
-    ``zones`` is GeoJSON of the no-fly zones drawn, as text. Left out, ``vertical_clearance_m`` is that of the maps'
-    scenario, ``flight_m``, the altitude of flight, the level of ``at``, and speed and power those of the vehicle.
-    """
-
-    start: Place
-    goal: Place
-    at: MapIndex
-    weights: dict[Name, Weight]
-    planner: Name = DEFAULTS.planner
-    cost_model: CostKind = Rules.cost_model
-    obstacles: ObstacleRule = Rules.obstacles
-    clearance_m: Metres = Rules.clearance_m
-    vertical_clearance_m: Metres | None = None
-    flight_m: Metres | None = None
-    speed_m_s: Metres | None = None
-    power_w: Metres | None = None
-    snap: Annotated[bool, Field(strict=True)] = True
-    on_ground: Annotated[bool, Field(strict=True)] = False
-    zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
 
 
 class Save(Plan):

@@ -41,7 +41,15 @@ from jaxurban.satellites.sight import Sight
 from jaxurban.settings import CLEARANCES, Preset, Vehicle
 from jaxurban.viewer import markup
 from jaxurban.viewer.base import base_of
-from jaxurban.viewer.layers import H_NORM, NOTHING, DrawnLayer, difference, layers_of, legend_of
+from jaxurban.viewer.layers import (
+    CLOSED,
+    H_NORM,
+    NOTHING,
+    DrawnLayer,
+    difference,
+    layers_of,
+    legend_of,
+)
 from jaxurban.viewer.markup import number, options, sentences
 from jaxurban.viewer.outlines import STEP_M, outlines_of
 from jaxurban.viewer.plans import Plans
@@ -153,6 +161,7 @@ class Viewer:
             "values": (Cell, self.values_at),
             "sky": (Sky, self.sky),
             "plan": (Plan, self.plan),
+            "why": (Plan, self.why),
             "report": (Plan, self.report),
             "save": (Save, self.save),
         }
@@ -378,6 +387,10 @@ class Viewer:
     def _values(self, view: OneView) -> np.ndarray:
         """Return the values ``[Y, X]`` of a map of these maps, without a difference."""
         layer, at = self._layer(view)
+        plan = view.plan
+        if plan and view.layer == CLOSED.name:
+            key = CLOSED.name, plan.model_dump_json()
+            return self.kept.get(key, lambda: self.plans.causes(plan, self.flight(plan)))
         if view.layer != NAME:
             return self.kept.get((view.layer, at), lambda: layer.values(at))
         if view.home is None:
@@ -385,6 +398,10 @@ class Viewer:
         kept = {name: getattr(self.plans.limits, name) for name in CLEARANCES}
         returns = partial(return_altitude, self.maps, view.home, **kept)
         return self.kept.get((view.layer, view.home), lambda: returns().altitude_m)
+
+    def why(self, query: Plan) -> str:
+        """Return why the start of a query is closed to routes, or that it is free (`Plans.why`)."""
+        return self.plans.why(query, self.flight(query))
 
     def _layer(self, view: OneView) -> tuple[DrawnLayer, OneMap]:
         """Return a layer of these maps, and the altitude, time and time of day at which it is looked at.

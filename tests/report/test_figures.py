@@ -4,11 +4,13 @@ import re
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 from functools import partial
 
 import matplotlib
 import numpy as np
 import pytest
+import shapely
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.legend import Legend
@@ -17,6 +19,7 @@ from matplotlib.text import Text
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from PIL import Image
 
+import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.maps.metric_maps import MetricMaps
@@ -27,7 +30,14 @@ from jaxurban.planners.base import Status
 from jaxurban.report import figures as plotting
 from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps, flat_layer
 from jaxurban.report.figures.metrics import percent
-from jaxurban.report.figures.paths import LINE_PT, PLANNER_COLOURS, lanes_of, maps_figures
+from jaxurban.report.figures.paths import (
+    LINE_PT,
+    PLANNER_COLOURS,
+    Place,
+    closed_at,
+    maps_figures,
+    side_by_side,
+)
 from jaxurban.report.figures.style import chart, wrapped
 from jaxurban.report.write import DPI, write_picture
 from jaxurban.world.kinds import EFFECTS, GROUPS
@@ -47,6 +57,7 @@ def make_maps(rows=34, cols=40, resolution_m=100.0, has_all_data=True) -> Metric
     made = made_maps(rows, cols, ALTITUDES_M, resolution_m).ds
     names = ("obstacle", "gps", "lidar", "risk", "num_visible", "population", "density", "roof")
     ds = made[[*names]].drop_vars(["x", "y", "spatial_ref"])
+    ds["roof_touched"] = ds["roof"]
     ds["terrain"] = ds["roof"] * 0 + np.arange(rows)[:, None]
     ds["num_visible"][:] = 7
     ds["gps"][:] = np.random.default_rng(0).random(ds["gps"].shape) * (ds["obstacle"].values == 0)
@@ -278,7 +289,6 @@ def test_paths_have_the_papers_colours_and_coinciding_ones_both_show(maps):
 @pytest.mark.usefixtures("laid_out")
 def test_routes_that_coincide_are_drawn_side_by_side_and_one_apart_at_its_place(maps):
     paths = [make_path(maps, name) for name in PLANNER_COLOURS]
-    assert lanes_of([path.xy_m for path in paths], 5.0) == [-2.0, -1.0, 0.0, 1.0, 2.0]
     canvas = FigureCanvasAgg(plotting.plot_paths(maps, paths))
     canvas.draw()
     shown = np.asarray(canvas.buffer_rgba())[..., :3]
@@ -287,8 +297,71 @@ def test_routes_that_coincide_are_drawn_side_by_side_and_one_apart_at_its_place(
         assert (
             is_drawn.sum() > 300
         )  # but 90 of them are the legend's: one above another would hide four
-    away = paths[0].xy_m + np.array([0.0, 500.0])
-    assert lanes_of([paths[0].xy_m, away, paths[1].xy_m], 5.0) == [-0.5, 0.0, 0.5]
+
+
+def test_lines_are_beside_each_other_where_they_share_cells_and_elsewhere_at_their_place():
+    side_m, apart_m = 5.0, 20.0
+    east = np.array([[2.5, 502.5], [1002.5, 502.5], [2002.5, 502.5]])
+    parting = np.array([[2.5, 502.5], [1002.5, 502.5], [1502.5, 1002.5], [2002.5, 1002.5]])
+    crossing = np.array([[502.5, 2.5], [502.5, 1002.5]])
+    lines = side_by_side([east, parting, crossing], side_m, apart_m)
+    for line_m, (x_m, y_m) in zip((east, parting, crossing), lines, strict=True):
+        off_m = shapely.distance(shapely.LineString(line_m), shapely.points(x_m, y_m))
+        shares = (x_m < 1000) & (y_m < 600) & (line_m is not crossing)
+        within_m = 0.02 * shapely.LineString(line_m).length  # of where it parts or begins
+        is_far = np.hypot(x_m - 1002.5, y_m - 502.5) > within_m + apart_m
+        assert off_m[~shares & is_far] == pytest.approx(0, abs=1e-6)
+        assert off_m[shares & is_far & (x_m > within_m + apart_m)] == pytest.approx(apart_m / 2)
+    (_, south), (_, north), _ = lines
+    assert np.median(south) < 502.5  # the first one goes to the right
+    assert north[len(north) // 4] > 502.5
+
+
+@pytest.mark.usefixtures("laid_out")
+def test_cells_that_are_closed_and_no_obstacle_are_hatched_and_the_legend_says_so():
+    maps = made_maps(30, 40, (20.0,))
+    grid = maps.grid
+    ends = grid.lonlat_of_cell(4, 6), grid.lonlat_of_cell(28, 38)
+    limits = ju.Constraints(clearance_m=5.0)
+    route = ju.plan(maps, *ends, altitude_m=20.0, snap=True, constraints=limits)
+    assert route.status.has_path
+    expected = ~ju.cost_map(maps, 20.0, constraints=limits).is_free & (
+        maps.m("obstacle", 20.0) == 0
+    )
+    assert 0.05 < expected.mean() < 0.9
+    assert np.array_equal(closed_at(maps, Place(20.0, maps.times[0], "day"), [route]), expected)
+
+    # The colours of a cell's middle, drawn without and with its hatch.
+    for plot in (plotting.plot_paths, plotting.plot_overview):
+        figure = plot(maps, [route])
+        assert "closed to routes" in texts_of(figure)
+        panel = panels_of(figure)[-1]
+        shown = []
+        for is_hatched in (False, True):
+            panel.collections[0].set_visible(is_hatched)
+            for line in panel.lines:
+                line.set_visible(False)
+            canvas = FigureCanvasAgg(figure)
+            canvas.draw()
+            shown.append(np.asarray(canvas.buffer_rgba())[..., :3].astype(int))
+        x, y = panel.transData.transform(
+            np.stack(grid.xy_of_cell(*np.indices(grid.shape).reshape(2, -1)), axis=-1)
+        ).T
+        changed = np.abs(shown[0] - shown[1]).sum(axis=-1) > 0
+        is_hatched = changed[changed.shape[0] - 1 - y.astype(int), x.astype(int)]
+        assert (is_hatched.reshape(grid.shape) == expected).mean() > 0.97  # corners are cut
+
+
+def test_routes_under_other_rules_hatch_what_is_closed_to_all_of_them(maps):
+    paths = [make_path(maps, name) for name in ("a", "b")]
+    wide = replace(paths[1], settings=paths[1].settings | {"limits": {"clearance_m": 150.0}})
+    place = Place(20.0, maps.times[0], "day")
+    narrow, both, alone = (
+        closed_at(maps, place, chosen) for chosen in (paths, [paths[0], wide], [wide])
+    )
+    assert (narrow <= alone).all()
+    assert (narrow < alone).any()
+    assert np.array_equal(both, narrow)
 
 
 def test_paths_and_their_rules_are_named_only_where_there_are_some(maps):

@@ -100,6 +100,7 @@ def fade(page, percent: int) -> None:
 @pytest.mark.slow
 def test_opacity_blends_the_maps_true_colour_with_the_ground_and_water_lies_below(page):
     page.uncheck('[name="hatch"]')
+    page.uncheck('[name="closed"]')
     land, lake, island = ([60, 150], [15, 75], [40, 50])  # rows and columns
     free = [FREE[np.hypot(*(FREE - place).T).argmin()].tolist() for place in (land, lake)]
     fade(page, 0)
@@ -120,6 +121,7 @@ def test_opacity_blends_the_maps_true_colour_with_the_ground_and_water_lies_belo
 @pytest.mark.slow
 def test_colours_over_water_and_land_are_the_legends_until_the_map_is_faded(page):
     page.uncheck('[name="hatch"]')
+    page.uncheck('[name="closed"]')
     page.wait_for_timeout(400)
     for place in ([60, 150], [15, 75]):  # on land and in the lake
         row, col = FREE[np.hypot(*(FREE - place).T).argmin()].tolist()
@@ -134,6 +136,7 @@ def test_an_exported_page_draws_the_base_map_without_any_server(browser, with_ba
     write_page(Viewer(with_base, name="city"), file := tmp_path / "page.html", 10 * 2**20)
     with opened(browser, file.as_uri()) as page:
         page.uncheck('[name="hatch"]')
+        page.uncheck('[name="closed"]')
         fade(page, 0)
         red, _, blue = ink_at(page, pixel_of(page, 15, 75))
         assert blue > red + 30

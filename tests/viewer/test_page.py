@@ -366,6 +366,7 @@ def test_outlines_of_buildings_below_the_flight_are_pale_and_guessed_ones_dashed
 
     with shown(browser, Viewer(maps)) as page:
         page.uncheck('[name="hatch"]')
+        page.uncheck('[name="closed"]')
         page.wait_for_timeout(1000)
         low, tall, dashed = (inks(page, *place) for place in heights_m)
         assert max(low.max(), tall.max()) < 150

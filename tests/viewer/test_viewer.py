@@ -21,8 +21,9 @@ from jaxurban.io.files import write_json
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.variables import GROUP_COLOURS
+from jaxurban.paths.closed import CAUSES, causes_at
 from jaxurban.paths.export.write import FORMATS
-from jaxurban.report.figures.metrics import metric_colours
+from jaxurban.report.figures.metrics import metric_colours, percent
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
 from jaxurban.viewer.html import part, write_page
 from jaxurban.viewer.layers import layers_of, legend_of
@@ -102,6 +103,43 @@ def test_tiles_hold_the_maps_values_and_mark_obstacles_and_every_layer_can_be_as
         assert "html" in answer(viewer, "legend", layer=name, at=[0, 0, 0])
         assert tile_of(viewer, name, [0, 0, 0]).shape == MAPS.grid.shape
     assert np.array_equal(tile_of(viewer, "obstacle", [0, 0, 0]), MAPS.m("obstacle", 20.0))
+
+
+def test_the_closed_cells_are_those_of_the_cost_map_under_the_rules_of_the_page(viewer):
+    free = ju.cost_map(MAPS, 20.0).is_free
+    assert np.array_equal(tile_of(viewer, "closed", [0, 0, 0]) == 0, free)
+    limits = ju.Constraints(clearance_m=12.0, vertical_clearance_m=5.0)
+    rules = {"clearance_m": 12.0, "vertical_clearance_m": 5.0, "flight_m": 40.0}
+    plan = QUERY | {"zones": square(30, 40, 8), "weights": {}} | rules
+    on = ju.cost_map(MAPS, 40.0, constraints=limits)
+    got = unpacked(
+        answer(viewer, "tile", layer="closed", at=[0, 0, 0], plan=plan, stride=1, row=0, col=0)
+    ).reshape(free.shape)
+    in_zone = got == CAUSES.index("zone or bound")
+    assert in_zone[31:37, 41:47].any()
+    assert np.array_equal(got == 0, on.is_free & ~in_zone)
+    assert not in_zone[:28].any()
+    html = answer(viewer, "legend", layer="closed", at=[0, 0, 0], plan=plan)["html"]
+    assert "clearance beside" in html
+    assert "closed to routes" in answer(viewer, "legend", layer="gps", at=[0, 0, 0])["html"]
+
+
+def test_a_place_says_why_it_is_closed_and_what_share_each_cause_closes(viewer):
+    query = QUERY | {"at": [0, 0, 0], "clearance_m": 12.0}
+    on = ju.cost_map(MAPS, 20.0, constraints=ju.Constraints(clearance_m=12.0))
+    causes = causes_at(MAPS, on.constraints, 20.0)
+    for name, words in {
+        "free": "This cell is free to routes.",
+        "obstacle": "This cell is inside an obstacle",
+        "clearance beside": "This cell is closed by the clearance of 12 m",
+    }.items():
+        is_named = causes == CAUSES.index(name)
+        place = MAPS.grid.lonlat_of_cell(*np.argwhere(is_named)[3])
+        said = answer(viewer, "why", **query | {"start": place})
+        assert said.startswith(words)
+        assert f"{name} {percent(is_named.mean())}" in said
+    with pytest.raises(InputError, match="outside the region"):
+        answer(viewer, "why", **query | {"start": [0.0, 0.0]})
 
 
 def test_colours_are_those_of_the_figures(viewer):

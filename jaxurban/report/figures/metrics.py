@@ -24,6 +24,7 @@ from jaxurban.metrics.variables import (
     ROOF_KIND,
     derived,
 )
+from jaxurban.paths.closed import obstacles_at
 from jaxurban.report.figures.frame import (
     GUESSED_ROOF_COLOUR,
     NO_DATA_PATCH,
@@ -60,19 +61,20 @@ def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tu
 
 def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> MapLayer:
     """Return a layer of the obstacle cells at an altitude, which may lie between two altitudes of the maps."""
-    if altitude_m in maps.altitudes_m:
-        is_blocked = maps.m("obstacle", altitude_m) != 0
-    else:
-        is_blocked = ~maps.is_free(altitude_m, "centre")
-    return flat_layer(is_blocked & maps.ds["has_data"].values, colour)
+    return flat_layer(obstacles_at(maps, altitude_m), colour)
 
 
-def class_patches(maps: MetricMaps, variable: Variable) -> list[tuple[str, str]]:
-    """Return the legend entries of a variable's classes; of more than two, those that occur, by their colours."""
+def class_patches(variable: Variable, numbers: np.ndarray) -> list[tuple[str, str]]:
+    """Return the legend entries of a variable's classes; of more than two, those that occur, by their colours.
+
+    Args:
+      variable: whose classes they are.
+      numbers: ``[Y, X]`` the class of each cell; NaN is none.
+    """
     if len(variable.classes) <= 2:
         return list(variable.classes)
     by_colour: dict[str, str] = {}
-    for number in np.unique(maps.m(variable.name)):
+    for number in np.unique(numbers[np.isfinite(numbers)]).astype(int):
         name, colour = variable.classes[number]
         by_colour[colour] = joined(by_colour.get(colour), name, by=", ")
     return [(names, colour) for colour, names in by_colour.items()]
@@ -272,7 +274,8 @@ def plot_metric(
         patches = patches[1:]  # all but obstacles
 
     # The legend of classes, whose second one means a value of one, or a colour bar.
-    classes = class_patches(maps, variable)
+    numbers = maps.m(name) if len(variable.classes) > 2 else np.empty(0)
+    classes = class_patches(variable, numbers)
     meaning = meaning_of(maps, name, variable.one_means)
     if classes and meaning:
         positive, colour = classes[1]

@@ -9,11 +9,12 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.patheffects import Stroke
 from matplotlib.ticker import MaxNLocator
 
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.report.figures.frame import symbol_of
-from jaxurban.report.figures.paths import Beside, planner_colours
+from jaxurban.report.figures.paths import planner_colours
 from jaxurban.report.figures.style import (
     FAINT_INK,
     Colours,
@@ -95,14 +96,14 @@ def plot_costs(table: pd.DataFrame) -> Figure:
     end = np.clip(table.ratio.quantile(0.98), *RATIO_AXIS)
     for panel, rank, planner, rows in _curves(table, axes, colours):
         # Curves are drawn side by side around their place, so that all are seen where they coincide.
-        lane = (len(colours) - 1) / 2 - rank
+        apart_pt = ((len(colours) - 1) / 2 - rank) * CURVES_APART_PT
         step_up(
             panel,
             rows.ratio.to_numpy(),
             end,
             color=colours[planner],
             label=planner,
-            path_effects=[Beside(lane * CURVES_APART_PT)],
+            path_effects=[Stroke(offset=(-apart_pt, apart_pt))],
             linewidth=1.4,
         )
         left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1

@@ -1,5 +1,6 @@
 """Pictures of paths over the normalised cost, the overview of one region, and all pictures of a region as PNG."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import chain, cycle
@@ -9,14 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import shapely
 from matplotlib.axes import Axes
-from matplotlib.backend_bases import GraphicsContextBase, RendererBase
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.path import Path as Outline
-from matplotlib.patheffects import AbstractPathEffect
-from matplotlib.transforms import IdentityTransform, Transform
-from scipy.sparse.csgraph import connected_components
+from matplotlib.patches import Patch
+from matplotlib.patheffects import Stroke, withStroke
 
 from jaxurban.errors import InputError
 from jaxurban.io.workspace import Workspace
@@ -24,9 +22,12 @@ from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.base import TIME, TIME_OF_DAY
 from jaxurban.metrics.registry import ON_REQUEST
 from jaxurban.metrics.variables import AUXILIARY_VARIABLES
+from jaxurban.paths.closed import OBSTACLE, causes_at, constraints_of
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.plan import rules_on
 from jaxurban.report.figures.frame import (
     ENDS,
+    MAX_CELLS,
     MapLayer,
     MapPanel,
     draw_maps,
@@ -57,7 +58,7 @@ from jaxurban.report.figures.metrics import (
     plot_sensor_choice,
     roof_layers,
 )
-from jaxurban.report.figures.style import Colours, Width
+from jaxurban.report.figures.style import Colours, Width, styled
 from jaxurban.report.write import Figures, save
 
 # A family of planners has a hue, its members a dark and a light tone: the colour-blind see both.
@@ -71,12 +72,14 @@ PLANNER_COLOURS = {
 OTHER_COLOURS = ("#00857a", "#7b3fb5", "#7fc241", "#8c510a", "#59d8c8", "#d9a3ff", "#404040")
 COST_COLOURS = Colours("gray", Normalize(0, 1), "normalised cost\n(0: best free cell, 1: worst)")
 BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
+HATCH, VEIL_COLOUR = "///////", f"{BLOCKED_COLOUR}40"  # of cells that are closed and no obstacle
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
 LINE_PT = 1.6  # of a path
 EDGE_PT = 0.4  # of its white edge, which parts it from the map and from the next one
 APART_PT = 2.3  # from the middle of a path to that of the next one where both coincide
-SMOOTH_PX = 0.3  # by which the corners of a grid path may be cut
-COINCIDE = 0.05  # share of a path's length on which it runs within a cell of another one
+# Lines are side by side where more than `SHARED` of a stretch lies in the other's cells, which is `SHORT` of the line.
+SHORT, SHARED = 0.02, 0.5
+POINTS_PER_IN = 72
 
 Paths = PlannedPath | Sequence[PlannedPath | None]
 
@@ -137,8 +140,9 @@ def plot_paths(
     """Return the normalised cost by altitude (black best, white worst) with the paths of all planners.
 
     A panel shows the GPS time and the time of day that its paths were planned for, in its title where they differ from
-    panel to panel. Under it stands each planner's cost and length, or its status. Paths that coincide somewhere are
-    drawn side by side (`lanes_of`), so that all are seen.
+    panel to panel. Under it stands each planner's cost and length, or its status. Where paths share cells they are
+    drawn side by side (`lanes_of`), so that all are seen. Cells that are closed to all of them and no obstacle are
+    hatched (`closed_at`).
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
@@ -147,7 +151,7 @@ def plot_paths(
       names: what the paths are called, one after the other; left out, by their planners.
       time: UTC time of the GPS maps of a panel without paths; the first if left out.
       time_of_day: of the population map of a panel without paths; the first if left out.
-      lanes: whether paths that coincide are drawn side by side; else each is where it is, the last on top.
+      lanes: whether paths are drawn side by side where they share cells; else each is where it is, the last on top.
       width: see `plot_metric`.
 
     Raises:
@@ -178,9 +182,10 @@ def plot_paths(
     facts = frame_note(maps, None if has_times else times.pop())
     note = joined(facts, rules_said(*(each.path.settings for each in drawn)), by="\n")
 
-    # The legend: obstacles, and each path that is drawn in its colour.
+    # The legend: obstacles, closed cells, and each path that is drawn in its colour.
     colours = planner_colours(each.name for each in named)
     paths_at = [[each.path for each in shown] for shown in named_at.values()]
+    closed = [closed_at(maps, place, here) for place, here in zip(named_at, paths_at, strict=True)]
     names_drawn = {each.name: colours[each.name] for each in drawn}
     entries = path_entries(names_drawn, *paths_at, lanes=lanes)
     figure, axes = draw_maps(
@@ -188,11 +193,14 @@ def plot_paths(
         panels,
         heading,
         note,
-        legend=[*obstacle_patches(maps, BLOCKED_COLOUR), *entries],
+        legend=[*obstacle_patches(maps, BLOCKED_COLOUR), CLOSED, *entries],
         colours=COST_COLOURS,
         width=width,
     )
-    for panel, shown, here in zip(axes, named_at.values(), paths_at, strict=True):
+    for panel, shown, here, is_closed in zip(
+        axes, named_at.values(), paths_at, closed, strict=True
+    ):
+        draw_closed(panel, is_closed)
         draw_paths(panel, here, [colours[each.name] for each in shown], APART_PT * lanes)
     return figure
 
@@ -271,6 +279,37 @@ def cost_layers(
     return [MapLayer(norm, COST_COLOURS), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
 
 
+def closed_at(maps: MetricMaps, place: Place, paths: Sequence[PlannedPath]) -> np.ndarray:
+    """Return ``[Y, X]`` bool: cells with data that are closed to each path of a panel, and no obstacle.
+
+    Paths record no outlines of no-fly zones, so that these are not among them.
+
+    Args:
+      maps: of the panel.
+      place: which map of the cost it shows.
+      paths: that were planned on it, whose rules close cells; without any, the rules of the maps' scenario do.
+    """
+    rules = {(constraints_of(path.settings), path.settings["obstacles"]) for path in paths}
+    rules = rules or {(rules_on(maps, None, None, "")[2], maps.obstacles)}
+    causes = [causes_at(maps.with_obstacles(rule), limits, *place) for limits, rule in rules]
+    return (np.min(causes, axis=0) > OBSTACLE) & maps.ds["has_data"].values
+
+
+@styled
+def draw_closed(panel: Axes, is_closed: np.ndarray) -> None:
+    """Hatch cells of a map, ``[Y, X]`` bool; of more than `MAX_CELLS` a side every second, third ... is looked at."""
+    step = math.ceil(max(is_closed.shape) / MAX_CELLS)
+    hatched = panel.contourf(
+        is_closed[::step, ::step],
+        [0.5, 1.5],
+        colors=[VEIL_COLOUR],
+        hatches=[HATCH],
+        origin="lower",
+        extent=panel.images[0].get_extent(),
+    )
+    hatched.set(edgecolor=BLOCKED_COLOUR, linewidth=0)
+
+
 def draw_paths(
     panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str], apart_pt: float = APART_PT
 ) -> None:
@@ -282,114 +321,96 @@ def draw_paths(
       colours: one for each path.
       apart_pt: from one lane to the next; 0: every path is where it is.
     """
-    # Lanes are of the paths with a route only. Each path is drawn twice: as a white edge, and over that in its colour.
-    lanes = iter(lanes_in(paths))
-    for path, colour in zip(paths, colours, strict=True):
-        if path.status.has_path:
-            offset_pt = next(lanes) * apart_pt
-            edge = Beside(offset_pt, LINE_PT + 2 * EDGE_PT, "white")
-            panel.plot(
-                *path.xy_m.T,
-                zorder=4,
-                path_effects=[edge, Beside(offset_pt)],
-                color=colour,
-                linewidth=LINE_PT,
-                solid_joinstyle="round",
-            )
+    shown = zip(paths, colours, strict=True)
+    found = [(path, colour) for path, colour in shown if path.status.has_path]
+    side_m = max((path.settings["resolution_m"] for path, _ in found), default=0.0)
+    lines_m = [path.xy_m for path, _ in found]
+    draw_lines(panel, lines_m, side_m, [colour for _, colour in found], apart_pt)
     draw_ends(panel, paths)
 
 
-def lanes_in(paths: Sequence[PlannedPath]) -> list[float]:
-    """Return the lanes (`lanes_of`) of those paths of one panel that were found."""
-    drawn = [path for path in paths if path.status.has_path]
-    near_m = max((path.settings["resolution_m"] for path in drawn), default=0.0)
-    return lanes_of([path.xy_m for path in drawn], near_m)
+def draw_lines(
+    panel: Axes,
+    lines_m: Sequence[np.ndarray],
+    side_m: float,
+    colours: Sequence[str],
+    apart_pt: float = APART_PT,
+) -> None:
+    """Draw lines with white edges, side by side where they share cells.
+
+    Args:
+      panel: a map whose place in the figure is settled.
+      lines_m: ``[N, 2]`` easting and northing of the points of each line, in metres.
+      side_m: of a cell.
+      colours: one for each line.
+      apart_pt: from one lane to the next; 0: every line is where it is.
+    """
+    figure: Any = panel.figure
+    m_per_pt = np.ptp(panel.get_xlim()) / panel.bbox.width * figure.dpi / POINTS_PER_IN
+    places_m = side_by_side(lines_m, side_m, apart_pt * m_per_pt)
+    edge = withStroke(linewidth=LINE_PT + 2 * EDGE_PT, foreground="white")
+    for line_m, colour in zip(places_m, colours, strict=True):
+        panel.plot(
+            *line_m,
+            zorder=4,
+            path_effects=[edge],
+            color=colour,
+            linewidth=LINE_PT,
+            solid_joinstyle="round",
+        )
 
 
-def lanes_of(lines_m: Sequence[np.ndarray], near_m: float) -> list[float]:
-    """Return how many lanes to the left of its true place each line is drawn: a line that runs alone is not moved.
+def side_by_side(
+    lines_m: Sequence[np.ndarray], side_m: float, apart_m: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return where lines are drawn: spread evenly around their place where they share cells, elsewhere where they are.
 
-    Two lines belong to one group if they run near each other for more than the share `COINCIDE` of the length of one
-    of them, or are joined by other lines that do. The lines of a group are spread evenly around their true place.
+    Lines that only cross each other stay (`SHARED`), and those that part do so gently.
 
     Args:
       lines_m: ``[N, 2]`` easting and northing of the points of each line, in metres.
-      near_m: how far from each other lines run that count as near.
+      side_m: of a cell.
+      apart_m: from one line to the next in a cell that they share.
 
     Returns:
-      The lane of each line: a whole number, or half of an odd one where a group is even; below 0 to the right.
+      ``[V]`` eastings and ``[V]`` northings of each line, which has more points than before.
     """
-    if not lines_m:
-        return []
-
-    # [N, N] the share of the length of each line, by row, that lies in the strip around each line, by column.
-    lines = np.array([shapely.LineString(line_m) for line_m in lines_m])
-    strips = [line.buffer(near_m) for line in lines]
-    inside = shapely.intersection(lines[:, None], strips)
-    shared = shapely.length(inside) / shapely.length(lines)[:, None]
-
-    # The lanes of each group: their mean is 0.
-    _, groups = connected_components(shared > COINCIDE)
-    lanes = np.zeros(len(lines))
-    for group in np.unique(groups):
-        (members,) = np.nonzero(groups == group)
-        lanes[members] = np.arange(len(members)) - (len(members) - 1) / 2
-    return lanes.tolist()
-
-
-class Beside(AbstractPathEffect):
-    """Draws a line to the left of where it runs, with another width and colour if these are given.
-
-    Args:
-      offset_pt: how far to the left, in points (1/72 inch); below 0 to the right.
-      width_pt: width of the line; 0: as it is.
-      colour: of the line; ``""``: as it is.
-    """
-
-    def __init__(self, offset_pt: float, width_pt: float = 0.0, colour: str = "") -> None:
-        super().__init__()
-        self.offset_pt, self.width_pt, self.colour = offset_pt, width_pt, colour
-
-    def draw_path(
-        self,
-        renderer: RendererBase,
-        gc: GraphicsContextBase,
-        tpath: Outline,
-        affine: Transform,
-        rgbFace: Any = None,
-    ) -> None:
-        """Draw the line of a path, beside its place: Matplotlib calls it, and names its arguments.
-
-        Args:
-          renderer: draws on the page.
-          gc: look of the line, which is not changed.
-          tpath: the line, in coordinates of its own.
-          affine: turns these into pixels.
-          rgbFace: not used, as a line has no face.
-        """
-        look = renderer.new_gc()
-        look.copy_properties(gc)
-        if self.width_pt:
-            look.set_linewidth(self.width_pt)
-        if self.colour:
-            look.set_foreground(self.colour)
-
-        # The line in pixels, without small corners, which would become large ones beside their place.
-        (points,) = affine.transform_path(tpath).to_polygons(closed_only=False)
-        line = shapely.LineString(points).simplify(SMOOTH_PX)
-        offset_px = renderer.points_to_pixels(self.offset_pt)
-        moved = line.offset_curve(offset_px, join_style="mitre", mitre_limit=2.0)
-        for part in shapely.get_parts(moved):
-            renderer.draw_path(look, Outline(shapely.get_coordinates(part)), IdentityTransform())
-        look.restore()
+    points_m = [
+        shapely.get_coordinates(shapely.segmentize(shapely.LineString(line_m), side_m / 2))
+        for line_m in lines_m
+    ]
+    cells = [np.floor(each_m / side_m) @ (1, 1j) for each_m in points_m]
+    places_m = []
+    for number, each_m in enumerate(points_m):
+        num = 1 + int(SHORT * len(each_m))
+        window = np.ones(num) / num
+        # Half a lane to the left for each line before this one in the same cells, and to the right for each after it.
+        lanes = np.zeros(len(each_m))
+        for other, other_cells in enumerate(cells):
+            share = np.convolve(np.isin(cells[number], other_cells), window, "same")
+            lanes += np.sign(number - other) * (share > SHARED) / 2
+        # Places as complex numbers, so that the unit step to the left is i times that along the line.
+        xy_m = each_m @ (1, 1j)
+        along_m = np.convolve(np.gradient(xy_m), window, "same")
+        left = 1j * along_m / np.maximum(abs(along_m), 1e-9)
+        xy_m += apart_m * np.convolve(lanes, window, "same") * left
+        places_m.append((xy_m.real, xy_m.imag))
+    return places_m
 
 
+CLOSED = Patch(
+    facecolor=VEIL_COLOUR,
+    edgecolor=BLOCKED_COLOUR,
+    hatch=HATCH,
+    linewidth=0.4,
+    label="closed to routes by\nclearance, unknown\nheight or zone",
+)
 BESIDE = Line2D(
     [],
     [],
     linewidth=LINE_PT,
     color="#555555",
-    path_effects=[Beside(-APART_PT / 2), Beside(APART_PT / 2)],
+    path_effects=[Stroke(offset=(0, -APART_PT / 2)), Stroke(offset=(0, APART_PT / 2))],
     label="shared stretches:\nside by side",
 )
 
@@ -404,15 +425,16 @@ def path_entries(
     Args:
       colours: of the paths, by their names.
       paths_at: the paths of each panel.
-      lanes: whether paths that coincide are drawn side by side.
+      lanes: whether paths are drawn side by side where they share cells.
     """
     lines = [
         Line2D([], [], color=colour, linewidth=2.5, label=shortened(name))
         for name, colour in colours.items()
     ]
-    if any(path.status.has_path for paths in paths_at for path in paths):
+    num_found = [sum(path.status.has_path for path in paths) for paths in paths_at]
+    if any(num_found):
         lines += ENDS
-    if lanes and any(lane for paths in paths_at for lane in lanes_in(paths)):
+    if lanes and max(num_found, default=0) > 1:
         lines.append(BESIDE)
     return lines
 
@@ -472,6 +494,7 @@ def plot_overview(
     _, time, time_of_day = place
     named = [each for each in named if each.place == place and each.path.status.has_path]
     drawn = [each.path for each in named]
+    is_closed = closed_at(maps, place, drawn)
 
     # A panel for each metric: of metrics such as population the variable whose zero is drawn in white, of others m in
     # the free cells.
@@ -506,11 +529,13 @@ def plot_overview(
         legend=[
             (",\n".join(blank), EMPTY_COLOUR),
             *obstacle_patches(maps, BLOCKED_COLOUR),
+            CLOSED,
             *path_entries(colours, drawn),
         ],
         has_ticks=False,
         width=width,
     )
+    draw_closed(axes[-1], is_closed)
     draw_paths(axes[-1], drawn, [colours[each.name] for each in named])
     return figure
 

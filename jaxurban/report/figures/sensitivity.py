@@ -19,7 +19,16 @@ from jaxurban.report.figures.frame import (
     rules_said,
 )
 from jaxurban.report.figures.metrics import line_colour, obstacle_patches
-from jaxurban.report.figures.paths import BLOCKED_COLOUR, EDGE_PT, cost_layers, draw_ends
+from jaxurban.report.figures.paths import (
+    BLOCKED_COLOUR,
+    CLOSED,
+    EDGE_PT,
+    Place,
+    closed_at,
+    cost_layers,
+    draw_closed,
+    draw_ends,
+)
 from jaxurban.report.figures.style import (
     INK,
     Colours,
@@ -115,7 +124,9 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     settings = result.route.settings
     z = result.route.altitude_m
     day = settings["time_of_day"]
-    layers = cost_layers(result.maps, z, settings["time"], day)
+    place = Place(z, settings["time"], day)
+    layers = cost_layers(result.maps, *place)
+    is_closed = closed_at(result.maps, place, [result.route])
     panels_of = [
         MapPanel(f"{name}, {len(_shown(len(line.cells)))} of {len(line.cells)} routes", layers)
         for name, line in result.lines.items()
@@ -130,6 +141,7 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
         note,
         legend=[
             *obstacle_patches(result.maps, BLOCKED_COLOUR),
+            CLOSED,
             Line2D([], [], label="given weights", **GIVEN_ROUTE),
             *ENDS,
         ],
@@ -137,6 +149,7 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     )
 
     for panel, name in zip(axes, result.lines, strict=True):
+        draw_closed(panel, is_closed)
         draw_ends(panel, [result.route])
 
         # A row for each route along the range, with the weights between which it is the cheapest.

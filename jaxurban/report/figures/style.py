@@ -66,6 +66,7 @@ styled = rc_context(
         "legend.fontsize": SMALL_PT,
         "legend.frameon": False,
         "figure.facecolor": "white",
+        "hatch.linewidth": 0.7,
     }
 )
 printed = rc_context(

@@ -12,14 +12,19 @@ from jaxurban.report.figures.frame import (
     MapLayer,
     MapPanel,
     draw_maps,
-    flat_layer,
     frame_note,
     joined,
     mark_ends,
     rules_said,
 )
-from jaxurban.report.figures.metrics import line_colour, obstacle_patches
-from jaxurban.report.figures.paths import APART_PT, BESIDE, BLOCKED_COLOUR, Beside, lanes_of
+from jaxurban.report.figures.metrics import line_colour, obstacle_layer, obstacle_patches
+from jaxurban.report.figures.paths import (
+    BESIDE,
+    BLOCKED_COLOUR,
+    CLOSED,
+    draw_closed,
+    draw_lines,
+)
 from jaxurban.report.figures.style import Colours, dots, name_rows, panels, show_plain_log, styled
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.weight_fit import WeightFit
@@ -85,9 +90,11 @@ def plot_routes(
     most = float(np.percentile(free, 99))
     norm = Normalize(least, least + max(PALE * (most - least), 1e-12))
     colours = Colours("gray_r", norm, "cost of a cell\nunder the weights", extend="max")
-    closed = flat_layer(~cost_map.is_free & maps.ds["has_data"].values, BLOCKED_COLOUR)
-    shown = MapLayer(np.where(cost_map.is_free, cost, np.nan), colours)
-    panels_of = [MapPanel(title, [shown, closed])]
+    obstacles = obstacle_layer(maps, cost_map.altitude_m, BLOCKED_COLOUR)
+    has_data = maps.ds["has_data"].values
+    is_closed = ~cost_map.is_free & (obstacles.values < 0) & has_data
+    shown = MapLayer(np.where(has_data, cost, np.nan), colours)
+    panels_of = [MapPanel(title, [shown, obstacles])]
     heading = f"{given.capitalize()}s and routes under the fitted weights"
     figure, (panel,) = draw_maps(
         grid,
@@ -97,27 +104,24 @@ def plot_routes(
         legend=[
             (given, DEMONSTRATION_COLOUR),
             ("fitted weights", PLANNED_COLOUR),
-            ("closed to paths", BLOCKED_COLOUR),
-            *obstacle_patches(maps)[1:],
+            *obstacle_patches(maps, BLOCKED_COLOUR),
+            CLOSED,
             *ENDS,
             BESIDE,
         ],
         colours=colours,
     )
+    draw_closed(panel, is_closed)
 
     # A demonstration and the route between its ends, side by side where both coincide. Their points are in metres from
     # the southwest corner of the map.
     southwest_m = grid.bounds_m[:2]
-    colours_of = (DEMONSTRATION_COLOUR, PLANNED_COLOUR)
     for demonstration, route in zip(demonstrations, planned, strict=True):
         query = demonstration.query
         if query.cost_map is not cost_map:
             continue
         lines_m = demonstration.points_m + southwest_m, route.points_m + southwest_m
-        lanes = lanes_of(lines_m, grid.resolution_m)
-        for line_m, lane, colour in zip(lines_m, lanes, colours_of, strict=True):
-            beside = [Beside(lane * APART_PT)]
-            panel.plot(*line_m.T, color=colour, linewidth=1.6, zorder=4, path_effects=beside)
+        draw_lines(panel, lines_m, grid.resolution_m, (DEMONSTRATION_COLOUR, PLANNED_COLOUR))
         ends_m = grid.xy_of_cell(*query.start), grid.xy_of_cell(*query.goal)
         mark_ends(panel, *ends_m, size=0.68)
     return figure

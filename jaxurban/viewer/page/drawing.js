@@ -117,10 +117,11 @@ const colouring = (edges, colours, [blocked, nothing, zero]) => value => {
   }
   return colours[low];
 };
+const whereClosed = value => value > 1 ? 0xffffffff : 0; // free is 0, an obstacle 1
 const whereNoFix = value => value === Infinity ? 0xffffffff : 0; // of a dilution of precision
-function striped(pen, fillStyle, scale, slope = 0) { // lines of a colour, level ones or rising ones
+function striped(pen, fillStyle, scale, slope = 0) { // lines of a colour: level, rising or falling
   const tile = new OffscreenCanvas(6, 6), ink = Object.assign(tile.getContext('2d'), { fillStyle });
-  for (let k = -1; k < 6; k++) ink.fillRect(k, 5 - slope * k, 2, 1);
+  for (let k = -1; k < 6; k++) ink.fillRect(k, slope < 0 ? k : 5 - slope * k, 2, 1);
   const pattern = pen.createPattern(tile, 'repeat');
   pattern.setTransform(new DOMMatrix([scale, 0, 0, scale, 0, 0]));
   return pattern;
@@ -158,7 +159,7 @@ function tilesOf(ask, { tile, rows, cols, resolution_m: side, strides }, view, g
     if (held.delete(key)) held.set(key, picture); // those that were looked at last come last
     return picture;
   };
-  return (pen, shown, { alpha = 1, isHatched = false }) => { // coarse tiles lie below those still on their way
+  return (pen, shown, { alpha = 1, hatch = null }) => { // coarse tiles lie below those still on their way
     const { canvas: { width, height, clientWidth, clientHeight } } = pen, ratio = width / clientWidth;
     const [west, north] = view.toMetres(0, 0), [east, south] = view.toMetres(clientWidth, clientHeight);
     const finest = strides.findLast(stride => stride * side <= view.scale / ratio * 1.01) ?? strides[0];
@@ -185,8 +186,8 @@ function tilesOf(ask, { tile, rows, cols, resolution_m: side, strides }, view, g
         }
     }
     for (const key of held.keys()) if (held.size > Math.max(200, 3 * num)) held.delete(key); // never those in view
-    if (isHatched) {
-      Object.assign(over, { globalCompositeOperation: 'source-in', fillStyle: striped(over, '#d01824', 1, 1) });
+    if (hatch) {
+      Object.assign(over, { globalCompositeOperation: 'source-in', fillStyle: striped(over, ...hatch) });
       over.fillRect(0, 0, clientWidth, clientHeight);
     }
     pen.globalAlpha = alpha;
@@ -202,10 +203,27 @@ function paint(values, width, colourOf) {
   picture.getContext('2d').putImageData(image, 0, 0);
   return picture;
 }
-function beside(points, off) { // the line so many pixels to the right of its course
-  return !off ? points : points.map(([x, y], k) => {
-    const [[a, b], [c, d]] = [points[Math.max(k - 1, 0)], points[Math.min(k + 1, points.length - 1)]];
-    const size = Math.hypot(c - a, d - b) || 1;
+// Where lines share cells, `lanes` to the right at each of their points, as in `side_by_side` of our figures.
+function sideBySide(lines, side) {
+  const dense = lines.map(places => places.flatMap((place, k) => {
+    const from = places[k - 1] ?? place, num = Math.ceil(2 * Math.hypot(place[0] - from[0], place[1] - from[1]) / side) || 1;
+    return Array.from({ length: num }, (_, i) => [0, 1].map(axis => from[axis] + (place[axis] - from[axis]) * (i + 1) / num));
+  }));
+  const cells = dense.map(places => places.map(place => String(place.map(metres => Math.floor(metres / side)))));
+  const others = cells.map(each => new Set(each));
+  return dense.map((places, k) => {
+    const reach = Math.ceil(places.length / 100), lanes = places.map(() => 0), mean = values => values.map((_, i) =>
+      values.slice(Math.max(i - reach, 0), i + reach + 1).reduce((sum, value) => sum + value, 0) / (2 * reach + 1));
+    others.forEach((other, j) => j !== k && mean(cells[k].map(cell => +other.has(cell))).forEach((share, i) => {
+      if (share > 0.5) lanes[i] += Math.sign(k - j) / 2;
+    }));
+    return { places, reach, lanes: mean(lanes) };
+  });
+}
+function beside(points, { lanes, reach }, apart) { // the line, in pixels, in its lanes
+  return points.map(([x, y], k) => {
+    const [[a, b], [c, d]] = [points[Math.max(k - reach, 0)], points[Math.min(k + reach, points.length - 1)]];
+    const size = Math.hypot(c - a, d - b) || 1, off = apart * lanes[k];
     return [x - off * (d - b) / size, y + off * (c - a) / size];
   });
 }

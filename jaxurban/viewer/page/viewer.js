@@ -8,7 +8,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const scene = await ask('scene', {}), side = scene.resolution_m, wide = scene.cols * side, high = scene.rows * side;
   const layers = Object.fromEntries(scene.layers.map(layer => [layer.name, layer]));
   const map = is('map'), pen = map.getContext('2d');
-  const state = { tab: 'look', ends: {}, marks: {}, zones: [], routes: [], plans: 0, weights: { ...scene.weights } };
+  const state = { tab: 'look', ends: {}, marks: {}, zones: [], routes: [], lines: [], plans: 0, weights: { ...scene.weights } };
   const draw = () => { state.frame ??= requestAnimationFrame(drawMap); };
   const view = viewOf(map, wide, high, side, draw), { toPixel, toMetres } = view, [west0, south0] = scene.corner_m;
   const base = scene.has_base ? baseMap(await ask('base', {})) : null;
@@ -41,6 +41,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const layer = layers[field('layer').value], less = layers[field('minus-layer').value];
     const request = { layer: layer.name, at: ofLayer(layer, places()) };
     if (isOfHome() && state.home) request.home = toLonLat(state.home);
+    if (layer.name === 'closed') Object.assign(request, ruled());
     if (less) request.minus = { layer: less.name, at: ofLayer(less, places('minus-')),
       is_other: field('minus-is_other').value === '1' };
     is('minus-box').hidden = !less;
@@ -71,7 +72,11 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     if (alpha < 1) base?.fill(pen, toPixel, view.scale);
     is('legend').style.setProperty('--opacity', alpha);
     if (state.shown) drawTiles(pen, state.shown, { alpha });
-    if (state.noFix && field('hatch').checked) drawTiles(pen, state.noFix, { isHatched: true });
+    if (state.shown && state.shown.request.layer !== 'closed' && field('closed').checked) {
+      const request = { layer: 'closed', at: ofLayer(layers.closed, places()), ...ruled() };
+      drawTiles(pen, { request, colourOf: whereClosed, over: 'closed' }, { hatch: ['#3a3f45', 1, -1] });
+    }
+    if (state.noFix && field('hatch').checked) drawTiles(pen, state.noFix, { hatch: ['#d01824', 1, 1] });
     const { x, y, scale } = view;
     const isShown = scene.group_colours.map((_, k) => field(`group-${k}`)?.checked ?? true);
     drawLines(pen, [x, y, scale, flight(), Boolean(state.outlines), isShown], ink => {
@@ -81,9 +86,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     base?.write(pen, toPixel, view.scale, width, height, Object.keys(state.ends).map(markOf));
     for (const zone of state.zones) line(zone, '#a01830', 1.5, { fill: '#a0183033' });
     if (state.drawing) line(state.drawing, '#a01830', 1.5);
-    const routes = state.routes.map((route, k) => ({ ...route, off: 4 * (k - (state.routes.length - 1) / 2) }));
-    for (const { xy_m, off } of routes) line(xy_m, '#fff', 5.4, { off }); // beside each other where they coincide
-    for (const { xy_m, planner, off } of routes) line(xy_m, scene.planner_colours[planner], 3, { off });
+    for (const lane of state.lines) line(lane.places, '#fff', 5.4, { lane });
+    state.lines.forEach((lane, k) => line(lane.places, scene.planner_colours[state.routes[k].planner], 3, { lane }));
     if (state.report) { // what files of waypoints hold
       line(state.report.mission, '#1f2429', 1.4, { dash: [5, 4] });
       if (view.scale < 5) for (const place of state.report.mission) spot(place, 2.5, '#fff', '#1f2429');
@@ -101,9 +105,10 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     is('scale').style.width = `${length / view.scale}px`;
     is('scale-text').textContent = length < 1000 ? `${length} m` : `${length / 1000} km`;
   };
-  const line = (places, strokeStyle, lineWidth, { fill, dash, off } = {}) => {
+  const line = (places, strokeStyle, lineWidth, { fill, dash, lane } = {}) => {
+    const points = places.map(toPixel);
     pen.beginPath();
-    for (const at of beside(places.map(toPixel), off)) pen.lineTo(...at);
+    for (const at of lane ? beside(points, lane, 4) : points) pen.lineTo(...at);
     Object.assign(pen, { strokeStyle, lineWidth, lineJoin: 'round', lineCap: 'round', fillStyle: fill });
     if (fill) { pen.closePath(); pen.fill(); }
     pen.setLineDash(dash || []);
@@ -158,8 +163,13 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const least = offs.reduce((best, off, k) => off < offs[best] ? k : best, 0);
     if (offs.length) link(offs[least] < 25 * view.scale ? least : -1);
   };
+  const showWhy = latest(async () => {
+    const place = state.sky && toLonLat(state.sky);
+    is('why').textContent = place ? await ask('why', { start: place, goal: place, weights: {}, ...rules() }) : '';
+  });
   const showSky = latest(async () => { // over the place that was clicked; the first one waits for the city
     const follows = 'Looking at the sky …';
+    showWhy();
     if (state.sky) tell(follows);
     const sky = state.sky && ask('sky', { at: places(), place: toLonLat(state.sky) });
     is('sky').innerHTML = await Promise.resolve(sky).catch(error => {
@@ -243,12 +253,13 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const zones = () => !state.zones.length ? '' : JSON.stringify({ type: 'FeatureCollection', features: state.zones.map(
     (zone, k) => ({ type: 'Feature', properties: { name: `zone ${k + 1}` },
       geometry: { type: 'Polygon', coordinates: [[...zone, zone[0]].map(toLonLat)] } })) });
+  const given = names => Object.fromEntries(names.map(name => [name, field(name).value ? +field(name).value : null]));
+  const rules = () => ({ at: places(), cost_model: field('cost_model').value, obstacles: field('obstacles').value,
+    clearance_m: field('clearance_m').valueAsNumber, zones: zones(), ...given(['vertical_clearance_m', 'flight_m']) });
+  const ruled = () => scene.can_plan && { plan: { start: [0, 0], goal: [0, 0], weights: {}, ...rules() } };
   const query = planner => ({ start: toLonLat(state.ends.start), goal: toLonLat(state.ends.goal ?? state.ends.start),
-    cost_model: field('cost_model').value, obstacles: field('obstacles').value, zones: zones(), planner,
-    at: places(), weights: state.weights, clearance_m: field('clearance_m').valueAsNumber, snap: field('snap').checked,
-    on_ground: field('on_ground').checked,
-    ...Object.fromEntries(['vertical_clearance_m', 'flight_m', 'speed_m_s', 'power_w'].map(
-      name => [name, field(name).value ? +field(name).value : null])) });
+    planner, weights: state.weights, snap: field('snap').checked, on_ground: field('on_ground').checked, ...rules(),
+    ...given(['speed_m_s', 'power_w']) });
   const placed = route => ({ ...route, xy_m: route.xy_m.map(([x, y]) => [x - west0, y - south0]) });
   const isReady = () => state.ends.start && state.ends.goal;
   const chosen = () => [...is('planners').querySelectorAll(':checked')].map(box => box.value);
@@ -265,7 +276,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const plan = () => { state.plans++; hint(); keep(); if (isReady()) planAll(); };
   const showRoutes = (routes, route = routes.find(each => each.has_path) ?? routes[0]) => {
     const marks = route?.has_path ? { start: route.xy_m[0], goal: route.xy_m.at(-1) } : {};
-    Object.assign(state, { routes, route, marks, report: null, linked: null, at: -1 });
+    Object.assign(state, { routes, route, marks, lines: sideBySide(routes.map(each => each.xy_m), side), report: null, linked: null, at: -1 });
     is('routes').innerHTML = routes.map(each => each.button).join('');
     [...is('routes').children].forEach((button, k) =>
       Object.assign(button, { onclick: () => showRoutes(routes, routes[k]), ariaPressed: routes[k] === route }));
@@ -334,7 +345,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const corners = state.drawing?.filter((place, k, { [k - 1]: before }) => String(place) !== String(before)) ?? [];
     state.drawing = null;
     if (corners.length > 2) { state.zones.push(corners); plan(); }
-    for (const settle of [hint, draw]) settle();
+    for (const settle of [hint, show, draw]) settle();
   };
   Object.assign(map, { ondblclick: closeZone, onfocus: draw, onblur: draw });
   const hint = () => {
@@ -361,7 +372,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     sheet: () => open(sheet.ariaExpanded === 'false'),
     reload: () => window.location.reload(),
     'save-zones': () => download(zones(), 'zones.geojson'),
-    clear: () => { Object.assign(state, { ends: {}, zones: [], drawing: null }); tell(''); showRoutes([]); plan(); },
+    clear: () => { Object.assign(state, { ends: {}, zones: [], drawing: null }); tell(''); showRoutes([]); show(); plan(); },
     closer: () => view.zoom(0.7),
     farther: () => view.zoom(1 / 0.7),
     fit: () => view.fit(),
@@ -425,7 +436,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     if (each.name === 'altitude' || each.name === 'flight_m') between();
     for (const settle of [fitModel, show, showSky, plan]) settle();
   };
-  for (const each of all('[name="opacity"], [name="hatch"], [name^="group-"]'))
+  for (const each of all('[name="opacity"], [name="hatch"], [name="closed"], [name^="group-"]'))
     Object.assign(each, { oninput: draw, onchange: keep });
   root.querySelector('nav').hidden = is('sky-box').hidden = is('minus').hidden = !scene.can_plan;
   const choose = tab => {

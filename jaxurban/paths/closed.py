@@ -1,0 +1,108 @@
+"""Which cells are closed to routes at an altitude, and the first cause that closes each of them."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.constraints import Constraints
+from jaxurban.settings import CLEARANCES, Vehicle
+
+# By number, 0 for free cells: a cell has the first of the others that closes it. So what is closed by an unknown height
+# would be free if that height were its guess, and what is closed by a clearance would be free without any.
+CAUSES = (
+    "free",
+    "obstacle",
+    "no data",
+    "touched by an obstacle",
+    "vertical clearance",
+    "clearance beside",
+    "unknown height",
+    "zone or bound",
+)
+OBSTACLE = 1
+UNKNOWN_HEIGHTS = ("roof_guessed", "roof_limit")  # of the maps: without them guesses count as known
+
+
+def obstacles_at(maps: MetricMaps, altitude_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` bool: cells with an obstacle over their centre at any altitude, by its known or guessed height.
+
+    Examples:
+      >>> from jaxurban.paths.closed import obstacles_at
+      >>> round(float(obstacles_at(maps, 20.0).mean()), 3)
+      0.063
+    """
+    if altitude_m in maps.altitudes_m:
+        is_obstacle = maps.m("obstacle", altitude_m) != 0
+    else:
+        is_obstacle = ~maps.is_free(altitude_m, "centre")
+    return is_obstacle & maps.ds["has_data"].values
+
+
+def causes_at(
+    maps: MetricMaps,
+    constraints: Constraints,
+    altitude_m: float,
+    time: str | None = None,
+    time_of_day: str | None = None,
+) -> np.ndarray:
+    """Return ``[Y, X]`` the cause that closes each cell to routes, as its number in `CAUSES`; 0 where it is free.
+
+    Args:
+      maps: the metric maps, under the rule of obstacles of the routes.
+      constraints: of the routes; clearances that are left out are as without a scenario.
+      altitude_m: of flight, above the ground; with bounds, within the range of the maps.
+      time, time_of_day: of the GPS and the population map, for bounds; the first if left out.
+
+    Raises:
+      InputError: as for `Constraints.is_free`.
+
+    Examples:
+      >>> from jaxurban.paths.closed import CAUSES, causes_at
+      >>> CAUSES[causes_at(maps, ju.Constraints(), 20.0)[1, 6]]
+      'touched by an obstacle'
+    """
+    at_guess = replace(maps, ds=maps.ds.drop_vars(UNKNOWN_HEIGHTS, errors="ignore"))
+    over = Constraints(clearance_m=0.0, vertical_clearance_m=constraints.vertical_m)
+    beside = replace(over, clearance_m=constraints.horizontal_m)
+    is_free = [  # in the order of `CAUSES`
+        np.ones(maps.grid.shape, bool),
+        ~obstacles_at(maps, altitude_m),
+        maps.is_free(altitude_m, "centre"),
+        maps.is_free(altitude_m),
+        over.is_free(at_guess, altitude_m),
+        beside.is_free(at_guess, altitude_m),
+        beside.is_free(maps, altitude_m),
+        constraints.is_free(maps, altitude_m, time=time, time_of_day=time_of_day),
+    ]
+    return np.argmin(is_free, axis=0)
+
+
+def constraints_of(settings: Mapping[str, Any]) -> Constraints:
+    """Return the constraints that `PlannedPath.settings` hold; zones are not among them, as no outline is kept.
+
+    Examples:
+      >>> from jaxurban.paths.closed import constraints_of
+      >>> print(constraints_of(path.settings))
+      vertical clearance of 3 m
+    """
+    limits = settings.get("limits", {})
+    clearances = {name: limits.get(name, 0.0) for name in CLEARANCES}
+    return Constraints.read(
+        require=limits.get("require", ()), vehicle=Vehicle.of(settings), **clearances
+    )
+
+
+def shares_of(causes: np.ndarray) -> dict[str, float]:
+    """Return the share of the cells that are free, and that each cause of `causes_at` closes, by name.
+
+    Examples:
+      >>> from jaxurban.paths.closed import causes_at, shares_of
+      >>> shares = shares_of(causes_at(maps, ju.Constraints(clearance_m=5.0), 20.0))
+      >>> {name: round(share, 3) for name, share in shares.items() if share}
+      {'free': 0.812, 'obstacle': 0.063, 'touched by an obstacle': 0.099, 'vertical clearance': 0.026}
+    """
+    shares = np.bincount(causes.ravel(), minlength=len(CAUSES)) / causes.size
+    return dict(zip(CAUSES, shares.tolist(), strict=True))
