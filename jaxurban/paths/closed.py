@@ -23,7 +23,6 @@ CAUSES = (
     "zone or bound",
 )
 OBSTACLE = 1
-UNKNOWN_HEIGHTS = ("roof_guessed", "roof_limit")  # of the maps: without them guesses count as known
 
 
 def obstacles_at(maps: MetricMaps, altitude_m: float) -> np.ndarray:
@@ -64,17 +63,18 @@ def causes_at(
       >>> CAUSES[causes_at(maps, ju.Constraints(), 20.0)[1, 6]]
       'touched by an obstacle'
     """
-    at_guess = replace(maps, ds=maps.ds.drop_vars(UNKNOWN_HEIGHTS, errors="ignore"))
-    over = Constraints(clearance_m=0.0, vertical_clearance_m=constraints.vertical_m)
+    over = Constraints(
+        clearance_m=0.0, vertical_clearance_m=constraints.vertical_m, unknown_heights="guess"
+    )
     beside = replace(over, clearance_m=constraints.horizontal_m)
     is_free = [  # in the order of `CAUSES`
         np.ones(maps.grid.shape, bool),
         ~obstacles_at(maps, altitude_m),
         maps.is_free(altitude_m, "centre"),
         maps.is_free(altitude_m),
-        over.is_free(at_guess, altitude_m),
-        beside.is_free(at_guess, altitude_m),
+        over.is_free(maps, altitude_m),
         beside.is_free(maps, altitude_m),
+        replace(beside, unknown_heights=constraints.of_unknown).is_free(maps, altitude_m),
         constraints.is_free(maps, altitude_m, time=time, time_of_day=time_of_day),
     ]
     return np.argmin(is_free, axis=0)
@@ -91,7 +91,10 @@ def constraints_of(settings: Mapping[str, Any]) -> Constraints:
     limits = settings.get("limits", {})
     clearances = {name: limits.get(name, 0.0) for name in CLEARANCES}
     return Constraints.read(
-        require=limits.get("require", ()), vehicle=Vehicle.of(settings), **clearances
+        require=limits.get("require", ()),
+        vehicle=Vehicle.of(settings),
+        unknown_heights=limits.get("unknown_heights"),
+        **clearances,
     )
 
 
