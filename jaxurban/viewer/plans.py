@@ -27,7 +27,7 @@ from jaxurban.paths.snapping import OVER_ROOF
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.report.figures.metrics import percent
-from jaxurban.settings import DEFAULTS, PlannerName, Preset
+from jaxurban.settings import DEFAULTS, PlannerName, Preset, UnknownHeights
 from jaxurban.viewer.requests import Plan
 from jaxurban.viewer.tiles import Kept
 
@@ -54,7 +54,9 @@ class Plans:
     def __init__(
         self, maps: MetricMaps, folder: str = "", weights: WeightsLike = None, preset: Preset = ""
     ) -> None:
-        self.maps, self.cost_model, self.limits = rules_on(maps, None, None, preset)
+        # Its routes are saved to be flown.
+        limits = Constraints().for_flight(maps.planning, preset)
+        self.maps, self.cost_model, self.limits = rules_on(maps, None, limits, preset)
         self.weights, self.folder = weights_on(maps, weights), folder
         self._cost_maps = Kept(2, _count_one)
         self._routes = Kept(NUM_ROUTES, _count_one)
@@ -190,6 +192,7 @@ class Plans:
             "--obstacles": query.obstacles,
             "--clearance": query.clearance_m,
             "--vertical-clearance": self._over_roofs_m(query),
+            "--unknown-heights": self._unknown_heights(query),
             "--no-fly": ZONES_FILE if query.zones else None,
             "--speed": query.speed_m_s,
             "--power": query.power_w,
@@ -223,6 +226,7 @@ class Plans:
             query.obstacles,
             query.clearance_m,
             query.vertical_clearance_m,
+            query.unknown_heights,
             query.zones,
         )
         return self._cost_maps.get(key, lambda: self._new_cost_map(query, at)).with_weights(weights)
@@ -250,6 +254,10 @@ class Plans:
             return self.limits.vertical_clearance_m
         return query.vertical_clearance_m
 
+    def _unknown_heights(self, query: Plan) -> UnknownHeights:
+        """Return how high roofs of unknown height count to a query; without its word, as for flights."""
+        return query.unknown_heights or self.limits.of_unknown
+
     def _constraints(self, query: Plan) -> Constraints:
         """Return what closes cells to a query: the scenario's limits with the query's clearances and drawn zones.
 
@@ -260,6 +268,7 @@ class Plans:
             self.limits,
             clearance_m=query.clearance_m,
             vertical_clearance_m=self._over_roofs_m(query),
+            unknown_heights=self._unknown_heights(query),
         )
         if not query.zones:
             return limits

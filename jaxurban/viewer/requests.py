@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from jaxurban.errors import InputError
-from jaxurban.settings import DEFAULTS, CostKind, ObstacleRule, Rules
+from jaxurban.settings import DEFAULTS, CostKind, ObstacleRule, Rules, UnknownHeights
 
 MOST_LETTERS = 64 * 1024  # of zones
 Index = Annotated[int, Field(strict=True, ge=0, le=10**6)]
@@ -27,7 +27,8 @@ class Plan(Request):
     """A route that is wanted; `jaxurban.plan` names the same.
 
     ``zones`` is GeoJSON of the no-fly zones drawn, as text. Left out, ``vertical_clearance_m`` is that of the maps'
-    scenario, ``flight_m``, the altitude of flight, the level of ``at``, and speed and power those of the vehicle.
+    scenario, ``unknown_heights`` that of flights (`Constraints.for_flight`), ``flight_m``, the altitude of flight, the
+    level of ``at``, and speed and power those of the vehicle.
     """
 
     start: Place
@@ -39,6 +40,7 @@ class Plan(Request):
     obstacles: ObstacleRule = Rules.obstacles
     clearance_m: Metres = Rules.clearance_m
     vertical_clearance_m: Metres | None = None
+    unknown_heights: UnknownHeights | None = None
     flight_m: Metres | None = None
     speed_m_s: Metres | None = None
     power_w: Metres | None = None

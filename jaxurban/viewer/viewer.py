@@ -235,6 +235,7 @@ class Viewer:
                 "obstacles": self.maps.obstacles,
                 "clearance_m": self.plans.limits.clearance_m,
                 "vertical_clearance_m": self.plans.limits.vertical_clearance_m,
+                "unknown_heights": self.plans.limits.of_unknown,
                 "flight_m": next(iter(self.maps.altitudes_m), 0.0),
                 "opacity": 100,
                 "speed_m_s": vehicle.speed_m_s or "",

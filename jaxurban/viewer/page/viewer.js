@@ -255,6 +255,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
       geometry: { type: 'Polygon', coordinates: [[...zone, zone[0]].map(toLonLat)] } })) });
   const given = names => Object.fromEntries(names.map(name => [name, field(name).value ? +field(name).value : null]));
   const rules = () => ({ at: places(), cost_model: field('cost_model').value, obstacles: field('obstacles').value,
+    unknown_heights: field('unknown_heights').value,
     clearance_m: field('clearance_m').valueAsNumber, zones: zones(), ...given(['vertical_clearance_m', 'flight_m']) });
   const ruled = () => scene.can_plan && { plan: { start: [0, 0], goal: [0, 0], weights: {}, ...rules() } };
   const query = planner => ({ start: toLonLat(state.ends.start), goal: toLonLat(state.ends.goal ?? state.ends.start),
