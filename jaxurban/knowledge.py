@@ -46,6 +46,11 @@ class GuessKind(Enum):
         "{share} of the heights of the {number:,} buildings in the region are guessed ({kinds}): give a source with "
         "heights, or set [buildings] level_height_m and default_height_m",
     )
+    HIGHEST_SAID = (
+        "unknown heights up to highest_m = {highest_m}",
+        "what has no known height is taken to end at highest_m = {highest_m} of [buildings], and routes and checks "
+        "rest on that: leave it out where you are not sure",
+    )
     HIGH_ROOFS = (
         f"{{number:,}} roofs above {HIGHEST_M:g} m",
         f"{{number:,}} buildings are above {HIGHEST_M:g} m, the highest of the world, such as that of {{height_m:g}} m "

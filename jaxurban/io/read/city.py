@@ -5,7 +5,7 @@ a region, a line in `OUTLINE_READERS`, and one in `jaxurban.io.read.sniff`.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ import pyproj
 import shapely
 
 from jaxurban import settings
+from jaxurban.checks import one_of
 from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.city import City, joined_credits
 from jaxurban.io.read.buildings import to_buildings
@@ -71,7 +72,7 @@ from jaxurban.world.grid import (
     utm_of,
     where_it_lies,
 )
-from jaxurban.world.kinds import KindName
+from jaxurban.world.kinds import ALL_KINDS, KindName
 from jaxurban.world.raster import Raster
 
 OutlineReader = Callable[..., Outlines]  # of a path, a `Near` or None, and settings or None
@@ -296,6 +297,8 @@ def read_buildings(
         cells that are not heights or look like elevations, or a surface without terrain or that is not a raster.
     """
     projected_crs(crs)
+    for kind in file.highest_m if isinstance(file.highest_m, Mapping) else ():
+        one_of("a kind of highest_m", kind, ALL_KINDS)
     path = Path(file.source)
     read = _reader_of(path, file.crs)
 

@@ -46,6 +46,8 @@ def height_guesses(
     kinds = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
     share = guessed_share(buildings, bounds_m)
     guesses = guessed(GuessKind.HEIGHTS, share, number=len(inside), kinds=kinds)
+    if file.highest_m is not None:
+        guesses += guessed(GuessKind.HIGHEST_SAID, highest_m=str(file.highest_m))
     high = inside.take(inside.height_m > HIGHEST_M)
     if len(high):
         lon, lat = lonlat_boxes(high.polygons, crs)[0, :2].tolist()

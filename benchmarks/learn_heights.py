@@ -1,0 +1,162 @@
+"""What known heights of several cities say of unknown ones, and how well: ``python -m benchmarks.learn_heights``.
+
+The first table is `jaxurban.io.read.learned.PACKAGED`. The second leaves one city out: how many of its known heights
+keep below what the others say, with the interval of Clopper and Pearson (95 %), and the median of likely less true. The
+last is of objects whose height OpenStreetMap does not know and an official table does. Files are those of
+``JAXURBAN_DATA`` (else ``../shared/data``) and of ``formats/given`` beside it.
+"""
+
+import os
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import shapely
+from scipy.stats import beta
+
+import jaxurban as ju
+from benchmarks.common import table
+from jaxurban.io.city import City
+from jaxurban.io.read import buildings as reader
+from jaxurban.io.read.city import lonlat_extent, read_buildings
+from jaxurban.io.read.learned import CLASSES, LIKELY_SHARE, classes_of, likely_of
+from jaxurban.world.footprints import Footprints, HeightOrigin
+from jaxurban.world.grid import utm_of
+
+DATA = Path(os.environ.get("JAXURBAN_DATA", "../shared/data"))
+GIVEN = DATA.parent / "formats/given"
+MURRAY_HILL = "Murray Hill, official"
+FILES = {  # of cities of which each known outline is a whole building
+    "Lower Manhattan": ju.Buildings(DATA / "osm/lower-manhattan.osm.pbf"),
+    MURRAY_HILL: ju.Buildings(
+        GIVEN / "footprints/nyc_murrayhill_building_footprints.geojson",
+        height_column="height_roof",
+        unit="ft",
+    ),
+    "Boston": ju.Buildings(DATA / "osm/boston-back-bay.osm.pbf"),
+    "Helsinki": ju.Buildings(DATA / "osm/helsinki.osm.pbf"),
+    "BD TOPO 12174": ju.Buildings(GIVEN / "footprints/BDTOPO_v3_12174_BATIMENT.shp"),
+    "Delft": ju.Buildings(GIVEN / "cityjson/delft.json"),
+    "Alexandria": ju.Buildings(
+        GIVEN / "footprints/opengeos_buildings.geojson", height_column="HEIGHT", unit="m"
+    ),
+    "Zurich, solids of parts": ju.Buildings(GIVEN / "cityjson/zurich_subset_lod2.json"),
+}
+NOT_LEARNED = ("Zurich, solids of parts",)  # whose outlines are parts of roofs
+OSM = ju.Buildings(DATA / "osm/murray-hill.osm.pbf")
+LEAST_KNOWN = 20  # of a class of a city that counts
+SAME_SHARE = 0.5  # of an outline that another one of the same building covers
+
+
+def _read(file: ju.Buildings) -> City:
+    """Return the buildings of a file, in the UTM zone of its middle."""
+    return read_buildings(file, utm_of(lonlat_extent(file.source, file.crs)))
+
+
+def known_of(file: ju.Buildings) -> pd.DataFrame:
+    """Return the class and the known height of each whole outline of a file, as the reader learns from them."""
+    seen: list[tuple[np.ndarray, np.ndarray]] = []
+    learn = reader.learned_from
+
+    def spy(classes: np.ndarray, known_m: np.ndarray) -> Mapping:
+        """Note what is learned from."""
+        seen.append((classes, known_m))
+        return learn(classes, known_m)
+
+    reader.learned_from = spy
+    try:
+        _read(file)
+    finally:
+        reader.learned_from = learn
+    rows = pd.concat(
+        [
+            pd.DataFrame({"class": classes, "height_m": known_m})[known_m > 0]
+            for classes, known_m in seen
+        ]
+    )
+    return rows
+
+
+def likely_by_class(known: pd.DataFrame) -> pd.Series:
+    """Return the highest of what the known heights of several cities say, by class."""
+    by_city = known.groupby(["class", "city"])["height_m"]
+    likely = by_city.agg(lambda values: likely_of(values.to_numpy()))
+    return likely[by_city.size() >= LEAST_KNOWN].groupby("class").max()
+
+
+def covered(true_m: np.ndarray, likely_m: float) -> dict[str, object]:
+    """Return how many heights keep below, with the interval of Clopper and Pearson, and the median of the rest."""
+    num, below = len(true_m), int((true_m <= likely_m).sum())
+    low = beta.ppf(0.025, below, num - below + 1) if below else 0.0
+    high = beta.ppf(0.975, below + 1, num - below) if below < num else 1.0
+    return {
+        "n": num,
+        "likely_m": round(likely_m, 1),
+        "covered": f"{below / num:.1%}",
+        "interval": f"{low:.1%} to {high:.1%}",
+        "passed": "yes" if high >= LIKELY_SHARE else "no",
+        "median of likely less true": f"{np.median(likely_m - true_m):.1f}",
+    }
+
+
+def unknown_in_osm(packaged: Mapping[str, float]) -> list[dict[str, object]]:
+    """Return how the likely heights of what OpenStreetMap does not know hold against the official table."""
+    official, osm = _read(FILES[MURRAY_HILL]).buildings, _read(OSM).buildings
+    assert official is not None
+    assert osm is not None
+    unknown = osm.take(osm.origin == HeightOrigin.DEFAULT)
+    rows = []
+    for which, likely_m in (
+        ("learned of the extract", unknown.likely_upper_m),
+        ("packaged", np.array([packaged[each] for each in _classes(unknown)])),
+    ):
+        true_m = _true_heights(unknown, official)
+        is_known = true_m > 0
+        spare_m = (likely_m - true_m)[is_known]
+        rows.append({"likely": which, **covered(-spare_m, 0.0)} | {"likely_m": ""})
+    return rows
+
+
+def _classes(footprints: Footprints) -> np.ndarray:
+    """Return the class of each outline."""
+    return classes_of(shapely.area(footprints.polygons))
+
+
+def _true_heights(unknown: Footprints, official: Footprints) -> np.ndarray:
+    """Return the official height of each outline, 0 where no official one covers it."""
+    true_m = np.zeros(len(unknown))
+    own, other = shapely.STRtree(official.polygons).query(unknown.polygons, "intersects")
+    shared = shapely.area(shapely.intersection(unknown.polygons[own], official.polygons[other]))
+    is_same = shared >= SAME_SHARE * shapely.area(unknown.polygons[own])
+    np.maximum.at(true_m, own[is_same], official.height_m[other[is_same]])
+    return true_m
+
+
+def _print(rows: list[dict[str, object]]) -> None:
+    """Print rows of equal columns."""
+    print(table(list(rows[0]), [[str(value) for value in row.values()] for row in rows]), "\n")
+
+
+def main() -> None:
+    """Print the tables."""
+    warnings.simplefilter("ignore")
+    known = pd.concat([known_of(file).assign(city=name) for name, file in FILES.items()])
+    learned = known[~known["city"].isin(NOT_LEARNED)]
+    packaged = likely_by_class(learned)
+    trees = learned[learned["class"] == "tree"]["height_m"]
+    packaged["tree"] = likely_of(trees.to_numpy())
+    _print([{"class": name, "likely_m": round(m, 1)} for name, m in packaged.items()])
+    rows = []
+    for (city, name), own in known.groupby(["city", "class"]):
+        others = likely_by_class(learned[learned["city"] != city])
+        if name in CLASSES and len(own) >= LEAST_KNOWN and name in others:
+            row = {"city left out": city, "class": name}
+            rows.append(row | covered(own["height_m"].to_numpy(), float(others[name])))
+    _print(rows)
+    _print(unknown_in_osm(packaged))
+
+
+if __name__ == "__main__":
+    main()
