@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,6 +15,9 @@ from jaxurban.io.read.sniff import LIDAR, sniff
 from jaxurban.io.samples import located
 from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number, stored_maps
 from jaxurban.knowledge import names_of
+
+if TYPE_CHECKING:
+    from jaxurban.maps.metric_maps import MetricMaps
 
 MOST_BYTES = 2**30  # of any other file than of buildings or a raster: most are read whole
 MISSIONS = (".plan", ".waypoints", ".kmz", ".wpml", ".ulg", ".bin", ".tlog")  # and nothing else
@@ -62,7 +66,7 @@ def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
         bounds = transformer(grid.crs, WGS84).transform_bounds(*grid.bounds_m)
         guesses = names_of(maps.guesses) or "none"
         prefix = f"{short_number(resolution_m)} m: " if len(resolutions_m) > 1 else ""
-        of_maps = {"bounds": _rounded(bounds), **maps.facts, "guesses": guesses}
+        of_maps = {**_closed(maps), "bounds": _rounded(bounds), **maps.facts, "guesses": guesses}
         facts |= {prefix + name: value for name, value in of_maps.items() if value}
         numbers.append(
             {
@@ -76,6 +80,22 @@ def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
             }
         )
     return facts, numbers
+
+
+def _closed(maps: "MetricMaps") -> dict[str, str]:
+    """Return what is closed to routes under the maps' own rules: first a note of the lowest altitude, then shares."""
+    from jaxurban.paths.closed import causes_at, closed_facts, closed_note
+    from jaxurban.paths.plan import rules_on
+    from jaxurban.paths.route_report import TOUCHED
+
+    if TOUCHED not in maps.ds or not maps.altitudes_m:
+        return {}
+    maps, _, limits = rules_on(maps, None, None, "")
+    note = closed_note(maps, limits, min(maps.altitudes_m))
+    return {"routes": note} | {
+        f"closed at {z_m:g} m": closed_facts(causes_at(maps, limits, z_m))["closed"]
+        for z_m in maps.altitudes_m
+    }
 
 
 def _rounded(bounds: Iterable[float]) -> list[float]:

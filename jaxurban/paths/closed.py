@@ -23,6 +23,7 @@ CAUSES = (
     "zone or bound",
 )
 OBSTACLE = 1
+MUCH = 0.2  # of the cells, closed: routes make detours or find no way
 
 
 def obstacles_at(maps: MetricMaps, altitude_m: float) -> np.ndarray:
@@ -109,3 +110,56 @@ def shares_of(causes: np.ndarray) -> dict[str, float]:
     """
     shares = np.bincount(causes.ravel(), minlength=len(CAUSES)) / causes.size
     return dict(zip(CAUSES, shares.tolist(), strict=True))
+
+
+def closed_facts(causes: np.ndarray) -> dict[str, str]:
+    """Return which shares of the cells hold an obstacle, are closed, by cause, and are free, in words.
+
+    Examples:
+      >>> from jaxurban.paths.closed import causes_at, closed_facts
+      >>> closed_facts(causes_at(maps, ju.Constraints(), 20.0))["closed"]
+      '18.8% of the cells (obstacle 6.3%, touched by an obstacle 9.9%, vertical clearance 2.6%)'
+    """
+    shares = shares_of(causes)
+    free = shares.pop("free")
+    listed = ", ".join(f"{name} {share:.1%}" for name, share in shares.items() if share)
+    return {
+        "obstacle": f"{shares['obstacle']:.1%} of the cells",
+        "closed": f"{1 - free:.1%} of the cells" + f" ({listed})" * bool(listed),
+        "free": f"{free:.1%} of the cells",
+    }
+
+
+def closed_note(
+    maps: MetricMaps, constraints: Constraints, altitude_m: float, **when: str | None
+) -> str:
+    """Return which share of the cells is closed to routes and why, if it is more than `MUCH`, and what opens them.
+
+    Args:
+      maps, constraints, altitude_m: as for `causes_at`.
+      **when: its time and time of day.
+
+    Returns:
+      Sentences, ``""`` where less is closed.
+
+    Examples:
+      >>> from jaxurban.paths.closed import closed_note
+      >>> closed_note(maps, ju.Constraints(), 60.0)
+      ''
+    """
+    causes = causes_at(maps, constraints, altitude_m, **when)
+    if np.mean(causes > 0) <= MUCH:
+        return ""
+    note = f"At {altitude_m:g} m {closed_facts(causes)['closed']} are closed to routes"
+    for higher_m in sorted(maps.altitudes_m):
+        if higher_m > altitude_m:
+            share = 1 - constraints.is_free(maps, higher_m, **when).mean()
+            note += f"; at {higher_m:g} m {share:.1%}"
+            if share <= MUCH:
+                break
+    if (causes == CAUSES.index("unknown height")).any():
+        note += (
+            ". Known heights would open cells: give a table of heights, a surface model or lidar, or set [buildings] "
+            "highest_m"
+        )
+    return f"{note}."

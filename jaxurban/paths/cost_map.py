@@ -12,6 +12,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps.levels import SAME_M, Levels, listed_m
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
+from jaxurban.paths.closed import causes_at, closed_facts
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.finish import MapNotes, finish, map_notes, map_settings
 from jaxurban.paths.path import PlannedPath
@@ -103,9 +104,13 @@ class CostMap(FactsRepr):
 
     @property
     def facts(self) -> dict[str, str]:
-        """Grid, altitude or levels, weights and cost model, constraints, and the share of free cells."""
+        """Grid, altitude or levels, weights and cost model, constraints, and the shares of closed and free cells."""
         weights = zip(self.weight_names, self.weight_vector, strict=True)
         heights_name = "altitude" if self.levels is None else "levels"
+        shares = {"free": f"{self.is_free.mean():.1%} of the cells"}
+        if self.levels is None:
+            when = self.time, self.time_of_day
+            shares = closed_facts(causes_at(self.maps, self.constraints, self.altitude_m, *when))
         return {
             "grid": self.maps.facts["grid"],
             heights_name: f"{listed_m(self.altitudes_m)} m",
@@ -113,7 +118,7 @@ class CostMap(FactsRepr):
             "objective": self.objective,
             "cost model": str(self.cost_model),
             "constraints": str(self.constraints),
-            "free": f"{self.is_free.mean():.1%} of the cells",
+            **shares,
         }
 
     @property
