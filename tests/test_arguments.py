@@ -378,6 +378,7 @@ USES: dict[str, Callable[..., Any]] = {
 TABLE: dict[str, dict[str, Any]] = {
     "Buildings": HEIGHTS
     | {
+        "highest_m": 5.0,
         "kind": Case("surface", refused="surface"),
         "default_height_m": 50.0,
         "level_height_m": 9.0,
@@ -410,6 +411,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "clearance_m": 25.0,
         "vertical_clearance_m": 15.0,
         "vehicle": ju.Vehicle(radius_m=20.0),
+        "unknown_heights": "highest",
     },
     "Constraints.read": {
         "no_fly": lambda: home() / "zone.geojson",
@@ -417,6 +419,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "clearance_m": 25.0,
         "vertical_clearance_m": 15.0,
         "vehicle": ju.Vehicle(radius_m=20.0),
+        "unknown_heights": "highest",
     },
     "CostMap.plan": ENDS | SEARCH,
     "CostModel": {
@@ -489,6 +492,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "obstacles": "centre",
         "clearance_m": 15.0,
         "vertical_clearance_m": 15.0,
+        "unknown_heights": "highest",
         "objective": "distance",
         "connectivity": 4,
         "diagonal": "always",
@@ -942,6 +946,7 @@ OF_ROUTE = {
     "--require": "lidar>=0.1",
     "--clearance": "25",
     "--vertical-clearance": "15",
+    "--unknown-heights": "highest",
     "--snap": "1",
 }
 OF_CORRIDOR = {
@@ -952,7 +957,14 @@ OF_CORRIDOR = {
 }
 RULES_OF_ROUTES = {
     each: OF_ROUTE[each]
-    for each in ("--preset", "--no-fly", "--require", "--clearance", "--vertical-clearance")
+    for each in (
+        "--preset",
+        "--no-fly",
+        "--require",
+        "--clearance",
+        "--vertical-clearance",
+        "--unknown-heights",
+    )
 }
 DEVICE = Same("any device makes the same result, to rounding")
 JSON = Same("it is how a result is printed")

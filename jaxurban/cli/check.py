@@ -9,12 +9,12 @@ import click
 
 import jaxurban
 from jaxurban.cli.common import (
-    CONSTRAINTS,
     CORRIDOR,
     FILES,
     FOLDER,
     GIVEN,
     JSON_FLAG,
+    LIMITS,
     LONLAT,
     METRES,
     NUMBER,
@@ -58,7 +58,7 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
     "return_altitude_m",
     help="Height above home at which the autopilot returns.",
 )
-@CONSTRAINTS
+@LIMITS
 @click.option(
     "--time",
     "times",

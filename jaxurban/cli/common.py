@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
@@ -301,21 +302,19 @@ def folders_of(resolution_m: float | None, obstacles: "ObstacleRule | None") -> 
     return maps_of
 
 
-def constraints_of(
+def limits_of(
     no_fly: tuple[Path, ...],
     require: tuple[str, ...],
     clearance_m: float | None,
     vertical_clearance_m: float | None,
-    unknown_heights: "UnknownHeights | None" = None,
 ) -> "Constraints":
-    """Return the constraints that the options of `CONSTRAINTS` ask for.
+    """Return the constraints that the options of `LIMITS` ask for.
 
     Args:
       no_fly: files of zones that no path enters.
       require: bounds such as ``"gps>=0.3"``.
       clearance_m: least distance from buildings; None: that of the scenario.
       vertical_clearance_m: least height over roofs; None: that of the scenario.
-      unknown_heights: how high roofs of unknown height count; None: as the scenario says.
 
     Raises:
       InputError: a file or a bound that cannot be read, or an invalid clearance.
@@ -323,12 +322,15 @@ def constraints_of(
     from jaxurban.paths.constraints import Constraints
 
     return Constraints.read(
-        no_fly,
-        require,
-        clearance_m=clearance_m,
-        vertical_clearance_m=vertical_clearance_m,
-        unknown_heights=unknown_heights,
+        no_fly, require, clearance_m=clearance_m, vertical_clearance_m=vertical_clearance_m
     )
+
+
+def constraints_of(
+    constraints: "Constraints", unknown_heights: "UnknownHeights | None"
+) -> "Constraints":
+    """Return the constraints that the options of `CONSTRAINTS` ask for, which are `LIMITS` and the rule of heights."""
+    return replace(constraints, unknown_heights=unknown_heights)
 
 
 def density_beneath(
@@ -426,7 +428,9 @@ CLEARANCES = together(
         help="Least height over roofs; a path goes around higher ones.  [default: the scenario's, else 3]",
     ),
 )
-LIMITS = together(
+LIMITS = grouped(
+    "constraints",
+    limits_of,
     click.option(
         "--no-fly",
         type=GIVEN,

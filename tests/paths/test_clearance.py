@@ -327,10 +327,16 @@ def test_no_path_names_constraints_among_what_may_join():
 def test_without_a_clearance_nothing_is_kept_or_closed_and_paths_come_nearer():
     maps = scattered(4)
     none = ju.Constraints(vertical_clearance_m=0.0)
-    assert none.to_dict() == {"no_fly": [], "require": []}
+    assert none.to_dict() == {"no_fly": [], "require": [], "unknown_heights": "likely"}
     assert np.array_equal(none.is_free(maps, 20.0), maps.is_free(20.0))
     kept = ju.Constraints.read(**KEPT, vehicle=ju.Vehicle(radius_m=0.5))
-    assert kept.to_dict() == {"no_fly": [], "require": [], **KEPT, "vehicle_radius_m": 0.5}
+    assert kept.to_dict() == {
+        "no_fly": [],
+        "require": [],
+        **KEPT,
+        "vehicle_radius_m": 0.5,
+        "unknown_heights": "likely",
+    }
     path = ju.plan(maps, **ends_in(maps, kept.is_free(maps, ALTITUDE_M))[0], altitude_m=ALTITUDE_M)
     with pytest.raises(AssertionError):
         assert_keeps_clear(maps, np.column_stack([path.xy_m, path.z_m]), **KEPT)

@@ -92,6 +92,7 @@ def test_a_path_says_under_which_constraints_it_was_planned(maps):
         clearance_m=2.0,
         vertical_clearance_m=0.0,
         vehicle=ju.Vehicle(radius_m=0.5),
+        unknown_heights="highest",
     )
     ends = maps.grid.lonlat_of_cell(10, 2), maps.grid.lonlat_of_cell(10, 18)
     path = ju.plan(maps, *ends, altitude_m=20.0, constraints=limits, snap=True)

@@ -249,6 +249,7 @@ def test_a_preset_sets_only_what_is_left_out(low_roofs):
         "obstacles": "centre",
         "clearance_m": 2.0,
         "vertical_clearance_m": 0.0,
+        "unknown_heights": "guess",
     }
 
 

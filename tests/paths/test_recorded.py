@@ -120,6 +120,7 @@ def test_what_is_named_wins_over_the_scenario(tmp_path):
         constraints=ju.Constraints(clearance_m=0.0, vehicle=ju.Vehicle(radius_m=1.0)),
     )
     limits = {"no_fly": [], "require": [], "vertical_clearance_m": 5.0}
+    limits |= {"unknown_heights": "likely"}
     assert on.constraints.to_dict() == limits | {"vehicle_radius_m": 1.0}
     assert (maps.obstacles, maps.with_obstacles("touched").obstacles) == ("centre", "touched")
     for rule, preset in (("touched", "paper"), ("centre", "")):
