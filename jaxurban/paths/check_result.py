@@ -37,7 +37,8 @@ NUMBERS = {  # of `MissionCheck.figures`, in words; one that is missing leaves i
     "lowest over roofs": "{least_over_roofs_m:,.1f} m, by cells",
     "cost": "{cost:,.1f} at {compared_at_m:g} m above the ground: {cost_by_layer}",
     "exposure": "{exposure_by_layer}",
-    "cheapest route": "{cheapest_cost:,.1f} over {cheapest_length_m:,.0f} m, {saved_share:.1%} less",
+    "cheapest route": "{cheapest_cost:,.1f} over {cheapest_length_m:,.0f} m, {saved_share:.1%} less than the mission "
+    "by cells ({cost_by_cells:,.1f})",
 }
 
 

@@ -2,27 +2,28 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt, maximum_filter
 
 from jaxurban.errors import InputError
+from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.kernels.tolerances import AT_LIMIT
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.weights import WeightsLike
+from jaxurban.paths.clearance import reaches_m
 from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.finish import measured
 from jaxurban.paths.legs import Flight, Steps
-from jaxurban.paths.places import XY
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.profile import clearances_on, people_below, values_on
 from jaxurban.paths.route_report import CLEARANCE, OVER_ROOF
-from jaxurban.paths.search import PathSearch
 
 WINDOW_M = 1000.0  # of the densest stretch
-SAME_SHARE = 1e-3  # costs of one route, whose places a file rounds, differ by less
-DEARER = "the cheapest one between free cells costs more than the mission, which need not keep to cells or clearances"
 FEW = 16  # of so many steps one is in a first look
 
 
@@ -119,10 +120,11 @@ def costs_of(
     time: str | None,
     time_of_day: str | None,
 ) -> dict[str, Any]:
-    """Return what a mission costs, by layer too, and what the cheapest route between its ends would cost.
+    """Return what the way out of a mission costs, by layer too, and what the cheapest route in its place would cost.
 
-    Both are costed at the mission's median height, within the maps' altitudes; climbs and landings are left out. Where
-    the mission or the route has no cost, or the route costs more, its figures are missing, and ``cost_note`` says why.
+    The way out ends where the mission first returns home; what a jump repeats, climbs and landings are left out too.
+    All is costed at its median height, within the maps' altitudes. Where it has no cost, or no route can be compared
+    with it, figures are missing, and ``cost_note`` says why.
 
     Args:
       flight: the mission over the maps.
@@ -131,53 +133,97 @@ def costs_of(
       constraints: that the cheapest route keeps. The mission is costed as it is, wherever it leads.
       time, time_of_day: of the maps; the first if None.
     """
-    # The height, and the corners of the mission as the cost map takes them.
+    # The height, and the corners of the way out as the cost map takes them.
     grid = maps.grid
-    moves = flight.steps.over_m > 0  # and not only straight up or down
+    way_out = list(takewhile(lambda leg: leg.kind != "return", flight.mission.legs))
+    is_out = flight.steps.leg < len(way_out)
+    moves = is_out & (flight.steps.over_m > 0)  # and not only straight up or down
     if not moves.any():
         return {"cost_note": "No leg leads over the maps, so there is no cost."}
     median_m = np.nanmedian(flight.steps.z_m[moves]).round(2)
     at_m = float(np.clip(median_m, min(maps.altitudes_m), max(maps.altitudes_m)))
-    legs = [leg for leg in flight.mission.legs if not leg.is_variant]
-    ends = [place[:2] for leg in legs for place in (leg.start, leg.end)]
-    xy_m = grid.xy_at(np.array(ends))
-    points_m = xy_m - grid.bounds_m[:2]
+    ends = [
+        place[:2]
+        for leg in way_out
+        if not leg.is_variant and leg.kind != "jump"
+        for place in (leg.start, leg.end)
+    ]
+    points_m = grid.xy_at(np.array(ends)) - grid.bounds_m[:2]
     figures: dict[str, Any] = {"compared_at_m": at_m}
     side_m = np.array(grid.shape[::-1]) * grid.resolution_m
-    if not ((points_m >= 0) & (points_m <= side_m)).all():
+    if not ((points_m >= 0) & (points_m < side_m)).all():
         return figures | {"cost_note": "The mission leaves the maps, so it has no cost."}
 
-    # What the mission costs: on a map without a closed cell, as it may lead through some.
+    # What it costs: on a map without a closed cell, as it may lead through some.
     limited_map = cost_map(
         maps, at_m, weights=weights, time=time, time_of_day=time_of_day, constraints=constraints
     )
-    no_limits = Constraints(clearance_m=0.0, vertical_clearance_m=0.0)
     is_free = np.ones_like(limited_map.is_free)
-    open_map = replace(limited_map, is_free=is_free, constraints=no_limits)
-    mission = measured(open_map, points_m)
-    figures |= {name: mission[name] for name in ("cost", "cost_by_layer", "exposure_by_layer")}
-
-    # What the cheapest route costs.
+    open_map = replace(limited_map, is_free=is_free, constraints=Constraints(clearance_m=0.0))
+    way = measured(open_map, points_m)
+    figures |= {name: way[name] for name in ("cost", "cost_by_layer", "exposure_by_layer")}
     try:
-        cheapest = limited_map.planned(
-            XY(*xy_m[0]), XY(*xy_m[-1]), PathSearch.of(maps.planning, snap=True)
-        )
+        return figures | savings_of(limited_map, points_m)
     except InputError as error:
         return figures | {"cost_note": f"No route to compare with: {error}."}
-    reason = ""
-    if cheapest.cost > mission["cost"] * (1 + SAME_SHARE):
-        reason = DEARER
-    if cheapest.length_m == 0:
-        reason = "the mission ends where it starts"
-    if not cheapest.status.has_path:
-        reason = cheapest.message
-    if reason:
-        return figures | {"cost_note": f"No route to compare with: {reason}."}
-    cheapest_cost = min(cheapest.cost, mission["cost"])
-    saved = mission["cost"] - cheapest_cost
-    return figures | {
-        "cheapest_cost": cheapest_cost,
+
+
+def savings_of(limited_map: CostMap, points_m: np.ndarray) -> dict[str, float]:
+    """Return what the cheapest route in the place of a way out costs, and by how much less than the way.
+
+    Both lead from cell to cell between the same ends: the way through the cells that it crosses and those beside them,
+    the route through these and all that are as clear (`cells_as_clear`). So a planned route costs here what it was
+    planned at, also where it was simplified within half a cell.
+
+    Args:
+      limited_map: at the height of the way, with its limits.
+      points_m: ``[N, 2]`` the corners of the way, x, y in metres from the map's southwest corner.
+
+    Raises:
+      InputError: no route can be compared with the way; a clause says why.
+    """
+    # The way by cells.
+    grid, is_free = limited_map.grid, limited_map.is_free
+    start_m, goal_m = points_m[[0, -1]] + grid.bounds_m[:2]
+    crossed = crossed_cells(points_m, grid.resolution_m)
+    is_own = np.zeros_like(is_free)
+    is_own[crossed.row, crossed.col] = True
+    is_own &= is_free
+    is_open = maximum_filter(is_own, 3) & is_free
+    way = replace(limited_map, is_free=is_open).plan(start_xy_m=start_m, goal_xy_m=goal_m)
+    if not way.status.has_path:
+        raise InputError("the mission passes where no route at its height may")
+    if way.cost == 0:
+        raise InputError("the mission ends where it starts, or costs nothing")
+
+    # The cheapest route.
+    is_open = is_open | (cells_as_clear(limited_map, is_own) & is_free)
+    cheapest = replace(limited_map, is_free=is_open).plan(start_xy_m=start_m, goal_xy_m=goal_m)
+    saved = max(0.0, way.cost - cheapest.cost)  # and not rounding
+    return {
+        "cost_by_cells": way.cost,
+        "cheapest_cost": cheapest.cost,
         "cheapest_length_m": cheapest.length_m,
         "saved_cost": saved,
-        "saved_share": saved / mission["cost"],
+        "saved_share": saved / way.cost,
     }
+
+
+def cells_as_clear(limited_map: CostMap, is_own: np.ndarray) -> np.ndarray:
+    """Return ``[Y, X]`` bool: cells that keep the clearances, horizontal and vertical, that all of a mission's keep.
+
+    No roof in them is higher than the highest below the mission. What is higher than that, and what reaches the height
+    of the mission, is nowhere nearer to them than to the nearest cell of the mission. Distances are those between
+    squares, by which clearances close cells; heights are above the ground of each cell.
+
+    Args:
+      limited_map: at the height of the mission, with its limits.
+      is_own: ``[Y, X]`` the cells of the mission.
+    """
+    roof_m = reaches_m(limited_map.maps, limited_map.constraints.horizontal_m)
+    is_as_clear = roof_m <= roof_m[is_own].max()
+    for is_obstacle in (~is_as_clear, roof_m >= limited_map.altitude_m):
+        if is_obstacle.any():  # otherwise there is nothing to keep a distance from
+            away = distance_transform_edt(~maximum_filter(is_obstacle, 3))
+            is_as_clear &= away >= away[is_own].min()
+    return is_as_clear

@@ -723,16 +723,19 @@ def test_a_limit_on_people_is_shown_where_the_densest_kilometre_begins(open_scen
     assert "above all from" in result.sentences[0]
 
 
-def test_a_cheapest_route_that_costs_more_than_the_mission_is_explained(open_scene):
+def test_a_straight_mission_saves_nothing_as_both_are_costed_from_cell_to_cell(open_scene):
     ends = [open_scene.place(*xy_m, 390.0) for xy_m in ((21.0, 33.0), (577.0, 288.0))]
     weights = ju.Weights(gps=0, lidar=0, population=0, risk=0)
     result = checked(open_scene, mission_of(*ends, home=ends[0]), time=OFF, weights=weights)
     figures = result.figures
     length_m = np.linalg.norm(open_scene.xy_m(ends[0]) - open_scene.xy_m(ends[1]))
     assert figures["cost"] * 10 == pytest.approx(length_m, rel=1e-3)
-    assert "costs more than the mission" in figures["cost_note"]
-    assert not {"cheapest_cost", "cheapest_length_m", "saved_cost", "saved_share"} & figures.keys()
-    assert "cheapest route" not in result.facts
+    assert figures["saved_cost"] == pytest.approx(0, abs=1e-9)
+    by_cells = figures["cost_by_cells"]
+    assert figures["cost"] < by_cells < figures["cost"] * 1.1
+    assert (
+        f"0.0% less than the mission by cells ({by_cells:,.1f})" in result.facts["cheapest route"]
+    )
     along = [
         open_scene.place(*xy_m, 390.0) for xy_m in ((25.0, 15.0), (555.0, 15.0), (555.0, 585.0))
     ]
@@ -776,7 +779,7 @@ def test_a_planned_mission_is_clean_without_guesses(town, tmp_path):
     path.save(tmp_path / "x.plan")
     result = ju.check(town, tmp_path / "x.plan", sources=city)
     assert result.state == "clean", result
-    assert result.figures["saved_cost"] == pytest.approx(0.0, abs=0.5)
+    assert result.figures["saved_cost"] == pytest.approx(0.0, abs=1e-6)
     assert json.loads(json.dumps(result.to_dict()))["state"] == "clean"
     origin = np.full(len(city.buildings), HeightOrigin.DEFAULT, np.uint8)
     buildings = replace(city.buildings, origin=origin, limit_m=None)
