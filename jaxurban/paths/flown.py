@@ -220,7 +220,8 @@ def cells_as_clear(limited_map: CostMap, is_own: np.ndarray) -> np.ndarray:
       limited_map: at the height of the mission, with its limits.
       is_own: ``[Y, X]`` the cells of the mission.
     """
-    roof_m = reaches_m(limited_map.maps, limited_map.constraints.horizontal_m)
+    limits = limited_map.constraints
+    roof_m = np.maximum(*reaches_m(limited_map.maps, limits.horizontal_m, limits.of_unknown))
     is_as_clear = roof_m <= roof_m[is_own].max()
     for is_obstacle in (~is_as_clear, roof_m >= limited_map.altitude_m):
         if is_obstacle.any():  # otherwise there is nothing to keep a distance from

@@ -206,8 +206,9 @@ function paint(values, width, colourOf) {
 // Where lines share cells, `lanes` to the right at each of their points, as in `side_by_side` of our figures.
 function sideBySide(lines, side) {
   const dense = lines.map(places => places.flatMap((place, k) => {
-    const from = places[k - 1] ?? place, num = Math.ceil(2 * Math.hypot(place[0] - from[0], place[1] - from[1]) / side) || 1;
-    return Array.from({ length: num }, (_, i) => [0, 1].map(axis => from[axis] + (place[axis] - from[axis]) * (i + 1) / num));
+    const from = places[k - 1] ?? place, step = [0, 1].map(axis => place[axis] - from[axis]);
+    const num = Math.ceil(2 * Math.hypot(...step) / side) || 1;
+    return Array.from({ length: num }, (_, i) => [0, 1].map(axis => from[axis] + step[axis] * (i + 1) / num));
   }));
   const cells = dense.map(places => places.map(place => String(place.map(metres => Math.floor(metres / side)))));
   const others = cells.map(each => new Set(each));

@@ -8,7 +8,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const scene = await ask('scene', {}), side = scene.resolution_m, wide = scene.cols * side, high = scene.rows * side;
   const layers = Object.fromEntries(scene.layers.map(layer => [layer.name, layer]));
   const map = is('map'), pen = map.getContext('2d');
-  const state = { tab: 'look', ends: {}, marks: {}, zones: [], routes: [], lines: [], plans: 0, weights: { ...scene.weights } };
+  const state = { tab: 'look', ends: {}, marks: {}, zones: [], routes: [], lines: [], plans: 0,
+    weights: { ...scene.weights } };
   const draw = () => { state.frame ??= requestAnimationFrame(drawMap); };
   const view = viewOf(map, wide, high, side, draw), { toPixel, toMetres } = view, [west0, south0] = scene.corner_m;
   const base = scene.has_base ? baseMap(await ask('base', {})) : null;
@@ -277,7 +278,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const plan = () => { state.plans++; hint(); keep(); if (isReady()) planAll(); };
   const showRoutes = (routes, route = routes.find(each => each.has_path) ?? routes[0]) => {
     const marks = route?.has_path ? { start: route.xy_m[0], goal: route.xy_m.at(-1) } : {};
-    Object.assign(state, { routes, route, marks, lines: sideBySide(routes.map(each => each.xy_m), side), report: null, linked: null, at: -1 });
+    const lines = sideBySide(routes.map(each => each.xy_m), side);
+    Object.assign(state, { routes, route, marks, lines, report: null, linked: null, at: -1 });
     is('routes').innerHTML = routes.map(each => each.button).join('');
     [...is('routes').children].forEach((button, k) =>
       Object.assign(button, { onclick: () => showRoutes(routes, routes[k]), ariaPressed: routes[k] === route }));
@@ -373,7 +375,13 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     sheet: () => open(sheet.ariaExpanded === 'false'),
     reload: () => window.location.reload(),
     'save-zones': () => download(zones(), 'zones.geojson'),
-    clear: () => { Object.assign(state, { ends: {}, zones: [], drawing: null }); tell(''); showRoutes([]); show(); plan(); },
+    clear: () => {
+      Object.assign(state, { ends: {}, zones: [], drawing: null });
+      tell('');
+      showRoutes([]);
+      show();
+      plan();
+    },
     closer: () => view.zoom(0.7),
     farther: () => view.zoom(1 / 0.7),
     fit: () => view.fit(),
