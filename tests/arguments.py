@@ -303,7 +303,13 @@ def ranges(**given: Any) -> Any:
 
 def checked(mission: Path | None = None, **given: Any) -> Any:
     result = ju.check(given.pop("maps", maps()), mission or a_mission(".plan"), **given)
-    return result.findings, result.not_judged, result.figures, result.limits
+    said = result.not_judged, result.return_lines
+    return result.findings, said, result.figures, result.limits
+
+
+def returned(**given: Any) -> Any:
+    home = ju.return_altitude(maps(), **given)
+    return home.altitude_m, home.figures
 
 
 @functools.cache

@@ -301,9 +301,7 @@ USES: dict[str, Callable[..., Any]] = {
     ),
     "plan": on.planned,
     "plan_many": on.many,
-    "return_altitude": lambda **given: (
-        ju.return_altitude(on.maps(), **{"home": GOAL} | given).altitude_m
-    ),
+    "return_altitude": lambda **given: on.returned(**{"home": GOAL} | given),
     "sample_city": lambda **given: ju.sample_city("nihonbashi", **given).kinds,
     "sky": lambda **given: ju.sky(given.pop("where", home() / "maps"), START, 20.0, **given),
     "sky_along": lambda **given: ju.sky_along(
@@ -596,6 +594,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "max_no_fix_m": 0.5,
         "max_people": 0.001,
         "swath_m": 90.0,
+        "ceiling_m": 2,
         "weights": {"risk": 50.0},
         "sources": Case(
             "no/such/folder", {"mission": lambda: over_few(), "maps": lambda: few_maps()}
@@ -647,6 +646,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "home_xy_m": Case((585_000.0, 4_512_000.0), refused="home must be given in one way"),
         "clearance_m": 30.0,
         "vertical_clearance_m": 9.0,
+        "ceiling_m": 2,
     },
     "sky": SKY | {"time": LATER},
     "sky_along": SKY | {"altitude_m": 60.0, "times": LATER, "speed_m_s": 10.0},
@@ -1025,6 +1025,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--time-of-day": "night",
             "--max-no-fix": "0.5",
             "--max-people": "0.001",
+            "--ceiling": "2",
             "--weights": "risk=50",
             "--sources": Case("no/such/folder", refused="no/such"),
             "--resolution": "40",
@@ -1054,6 +1055,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--home": "-73.993819,40.758629",
             "--clearance": "30",
             "--vertical-clearance": "9",
+            "--ceiling": "2",
             "--resolution": "40",
             "-o": Case("home.txt", refused=".tif"),
             "--json": JSON,

@@ -9,6 +9,7 @@ import click
 
 import jaxurban
 from jaxurban.cli.common import (
+    CEILING,
     CORRIDOR,
     FILES,
     FOLDER,
@@ -68,6 +69,7 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
 @TIME_OF_DAY
 @METRES("--max-no-fix", "max_no_fix_m", help="Most metres without a position fix.")
 @NUMBER("--max-people", help="Most people overflown, in a strip of 10 m.")
+@CEILING
 @CORRIDOR
 @WEIGHTS
 @SOURCES

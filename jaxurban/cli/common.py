@@ -17,6 +17,7 @@ from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
 from jaxurban.io.stored import stored_maps
+from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.programs import keep_programs as keep_programs
 from jaxurban.progress import LOG, reporting
 
@@ -427,6 +428,13 @@ CLEARANCES = together(
         "vertical_clearance_m",
         help="Least height over roofs; a path goes around higher ones.  [default: the scenario's, else 3]",
     ),
+)
+CEILING = SHOWN(
+    "--ceiling",
+    "ceiling_m",
+    default=CEILING_M,
+    metavar="METRES",
+    help="Greatest height above the ground that may be flown.",
 )
 LIMITS = grouped(
     "constraints",

@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import (
+    CEILING,
     CLEARANCES,
     FILES,
     FOLDER,
@@ -23,6 +24,7 @@ from jaxurban.progress import LOG
 @FOLDER
 @click.option("--home", type=LONLAT, required=True, help="Home: longitude,latitude in degrees.")
 @CLEARANCES
+@CEILING
 @RESOLUTION
 @FILES(
     help="File to write: .tif, or a picture (.png, .pdf, .svg); or a folder for Zarr and GeoTIFF; repeatable."

@@ -21,6 +21,7 @@ from jaxurban.knowledge import GuessKind
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.maps.sources import left_out, standing_on
 from jaxurban.metrics.weights import WeightsLike
+from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.paths.check_result import MissionCheck
 from jaxurban.paths.constraints import Bound, Constraints
 from jaxurban.paths.contacts import Prisms, buildings_of, union_m
@@ -56,6 +57,7 @@ def check(
     time_of_day: str | None = None,
     max_no_fix_m: float | None = None,
     max_people: float | None = None,
+    ceiling_m: int = CEILING_M,
     swath_m: float = 10.0,
     weights: WeightsLike = None,
     sources: City | str | Path | None = None,
@@ -93,6 +95,8 @@ def check(
       time_of_day: of the map of people; the first if left out.
       max_no_fix_m: most metres without a position fix that are allowed, at the worst of the times.
       max_people: most people overflown that are allowed.
+      ceiling_m: whole metres above the ground, which no height that clears a finding exceeds, and no return altitude
+        to type.
       swath_m: width of the strip in which people are counted.
       weights: weights of the cost; left out, those of the maps' scenario.
       sources: the City, or the folder at which the recorded files' paths begin.
@@ -119,7 +123,7 @@ def check(
     # The arguments, the mission as it was read, and the times of the flight: None stands for the maps' first time.
     maps = as_maps(maps)
     for name, most in values_given(
-        {"max_no_fix_m": max_no_fix_m, "max_people": max_people}
+        {"max_no_fix_m": max_no_fix_m, "max_people": max_people, "ceiling_m": ceiling_m}
     ).items():
         not_negative(name, most)
     positive("swath_m", swath_m)
@@ -164,7 +168,7 @@ def check(
         known = shapely.intersection(known, city.known_ground) if city.plants else city.known_ground
     flight = flight_of(mission, Elevation(maps, city), geoid_m)
     buildings = buildings_of(maps, city)
-    findings, unknown = judged(flight, buildings, known, limits, times, time_of_day)
+    findings, unknown = judged(flight, buildings, known, limits, times, time_of_day, ceiling_m)
     figures |= figures_of(flight, maps, times, time_of_day, swath_m)
     figures |= costs_of(flight, maps, weights, limits, times[0], time_of_day)
     exceeded, open_limits = _against_maxima(flight, figures, max_no_fix_m, max_people)
@@ -197,7 +201,7 @@ def check(
         zones=limits.zones,
         left_out=left_out(maps, city),
         return_altitudes=by_item(departures),
-        return_lines=return_lines(departures, flight),
+        return_lines=return_lines(departures, flight, ceiling_m),
     )
 
 

@@ -51,7 +51,9 @@ class MissionCheck(Result):
         ``what``, ``item`` (in the file, flown toward), ``lon`` and ``lat`` of the first contact, ``along_m`` and
         ``to_m`` along the mission, ``height_m`` above the ground there, ``building_m``
         (the roof's height), ``by_m`` (metres inside, below the ground or short of the clearance; of a limit, beyond it)
-        and ``is_guessed``. A limit is placed where the fix is first and last lost, or at the densest kilometre.
+        ``is_guessed``; ``clear_m`` (the height above the ground that clears it, up to the ceiling) and ``aside_m`` (how
+        far to go to the right, or to the left where it is negative), NaN where none is known. A limit, for which none
+        is looked for, is placed where the fix is first and last lost, or at the densest kilometre.
       not_judged: sentences.
       figures: lengths, metres without a fix, people, clearances by cells as in the report of a route, cost and
         exposure; ``cost_note`` says what is missing.
@@ -240,4 +242,10 @@ def _sentence_of(row: Mapping[Any, Any]) -> str:
     place = f"{row['lon']:.6f}, {row['lat']:.6f}"
     if not math.isnan(row["height_m"]):
         place += f", {row['height_m']:.1f} m above the ground"
-    return f"{sentence}: {where}, at {place}."
+    side = "left" if row["aside_m"] < 0 else "right"
+    ways = {
+        f"at {row['clear_m']:.0f} m above the ground": row["clear_m"],
+        f"{abs(row['aside_m']):.0f} m to the {side}": row["aside_m"],
+    }
+    clear = " or ".join(way for way, metres in ways.items() if not math.isnan(metres))
+    return f"{sentence}: {where}, at {place}.{clear and f' It is clear {clear}.'}"

@@ -11,6 +11,7 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.contacts import Prisms
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.legs import NOWHERE_M, Flight, Steps
+from jaxurban.public import listed
 
 OF_STRETCH = {  # of its steps
     "leg": "first",
@@ -21,6 +22,10 @@ OF_STRETCH = {  # of its steps
 }
 MOST_STRETCHES = 1_000  # that a mission is cut into: those of long ones are longer than a cell
 FANS_AT_ONCE = 500  # so that few pairs of them and outlines are held
+BEYOND = (
+    "No return up to the ceiling, {} m above the ground at home, clears all from the ways to items {}, which need up "
+    "to {:.0f} m: set a rally point there, or return along the way flown."
+)
 UNKNOWN = (
     "No return altitude is known from item {} on: a line home leaves what is known, comes nearer to its border than "
     "the clearance, or meets a roof that nothing bounds."
@@ -83,14 +88,10 @@ def departures_of(
     table = rows.groupby(stretch).agg(OF_STRETCH)
 
     # The least altitude that clears what is there.
-    tops_m = _highest_tops(fans, buildings, ground, limits.horizontal_m) - zero_m
-    clearance_m = max(limits.vertical_m, FILE_MARGIN_M)
-    least_m = (table.pop("ground_m") + limits.vertical_m).clip(lower=tops_m + clearance_m)
-    known = shapely.buffer(known, -limits.horizontal_m)
-    shapely.prepare(known)
-    is_known = shapely.covers(known, fans) & np.isfinite(least_m)
+    clear_m = least_clear(fans, buildings, ground, known, limits) - zero_m
+    least_m = (table.pop("ground_m") + limits.vertical_m).clip(lower=clear_m)
     items = [mission.legs[leg].item for leg in table["leg"]]
-    table = table.assign(item=items, least_m=least_m.where(is_known))
+    table = table.assign(item=items, least_m=least_m.where(np.isfinite(least_m)))
     return table.sort_values("leg", kind="stable").drop(columns="leg")
 
 
@@ -104,16 +105,23 @@ def _highest_ground_on_way(ground: Elevation, home_m: np.ndarray) -> np.ndarray:
     return highest_homeward(high_m, (row, col))
 
 
-def _highest_tops(
-    areas: np.ndarray, buildings: Prisms, ground: Elevation, beside_m: float
+def least_clear(
+    areas: np.ndarray,
+    buildings: Prisms,
+    ground: Elevation,
+    known: shapely.Geometry,
+    limits: Constraints,
 ) -> np.ndarray:
-    """Return the highest elevation of what stands in areas or near them, ``[A]``; -inf where nothing does.
+    """Return the least elevation in areas that clears what stands there, ``[A]``; -inf where nothing does.
+
+    It is inf where an area is missing, or leaves what is known or comes nearer to its border than the clearance.
 
     Args:
-      areas: polygons, lines or points.
+      areas: polygons or lines.
       buildings: what stands, up to the bound of what is of guessed height.
       ground: on which it stands; the highest in the cells of its bounding box counts.
-      beside_m: how far from an area it may be.
+      known: the area in which all buildings are known.
+      limits: the clearances.
     """
     top_m = np.maximum(buildings.top_m, buildings.limit_m)
     if not ground.is_flat:
@@ -127,9 +135,12 @@ def _highest_tops(
     tree = shapely.STRtree(buildings.polygons)
     highest_m = np.full(len(areas), -np.inf)
     for part in np.array_split(np.arange(len(areas)), len(areas) // FANS_AT_ONCE + 1):
-        area, prism = tree.query(areas[part], "dwithin", distance=beside_m)
+        area, prism = tree.query(areas[part], "dwithin", distance=limits.horizontal_m)
         np.maximum.at(highest_m, part[area], top_m[prism])
-    return highest_m
+    known = shapely.buffer(known, -limits.horizontal_m)
+    shapely.prepare(known)
+    highest_m[~shapely.covers(known, areas)] = np.inf
+    return highest_m + max(limits.vertical_m, FILE_MARGIN_M)
 
 
 def by_item(departures: pd.DataFrame) -> pd.DataFrame:
@@ -143,12 +154,14 @@ def by_item(departures: pd.DataFrame) -> pd.DataFrame:
     return last.reset_index(drop=True)
 
 
-def return_lines(departures: pd.DataFrame, flight: Flight) -> list[str]:
+def return_lines(departures: pd.DataFrame, flight: Flight, ceiling_m: int) -> list[str]:
     """Return what to say of the altitudes at which a mission may return: of its own, the least, and what to type.
 
     Args:
       departures: the least altitudes (`departures_of`).
       flight: the mission, whose autopilot and return altitude count, over the maps.
+      ceiling_m: above the ground at home. Places from which it takes more are named, with what else is possible, and
+        what to type is for the others.
     """
     lines = []
     mission = flight.mission
@@ -156,6 +169,13 @@ def return_lines(departures: pd.DataFrame, flight: Flight) -> list[str]:
     has_gaps = mission.not_judged or len(flight.unknown) or len(unknown)
     cleared = "all that is judged" if has_gaps else "all"
     low = low_returns(departures, mission.autopilot, 0.0)
+    beyond = low[low["least_m"].map(typed_m) > ceiling_m - mission.home_above_ground_m]
+    if len(beyond):
+        items = listed([*map(str, beyond["item"].unique())])
+        lines.append(BEYOND.format(ceiling_m, items, beyond["least_m"].max()))
+        departures = departures.drop(beyond.index)
+        low = low.drop(beyond.index)
+        cleared += " from elsewhere"
     if len(low):
         altitude_m = mission.return_altitude_m
         failing = low_returns(departures, mission.autopilot, altitude_m)["item"]

@@ -1,4 +1,4 @@
-"""What a mission meets: buildings, the ground, no-fly zones and closed cells; and what of it cannot be judged."""
+"""What a mission meets: buildings, the ground, no-fly zones and closed cells; what clears it; what cannot be judged."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise, product
@@ -16,6 +16,7 @@ from jaxurban.paths.constraints import Bound, Constraints
 from jaxurban.paths.contacts import TOUCH_M, Prisms, contacts, merged
 from jaxurban.paths.corners_cut import corners_of
 from jaxurban.paths.elevation import Elevation
+from jaxurban.paths.item_returns import least_clear
 from jaxurban.paths.legs import Flight, Steps, spans
 from jaxurban.paths.profile import nearest_level_m
 from jaxurban.world.kinds import WIRES
@@ -31,8 +32,10 @@ LIKELY_ROOFS = (
     "and not above the highest: what is there ({kind}) {reach}"
 )
 SPAN = ["from_m", "to_m"]
+ASIDE_M = np.array(sorted(range(-100, 101), key=abs))  # to the right; to the left below 0
+REMEDY = ["clear_m", "aside_m"]
 PLACE = ["lon", "lat", "along_m", "to_m", "height_m"]
-COLUMNS = ["kind", "what", "item", *PLACE, "building_m", "by_m", "is_guessed"]
+COLUMNS = ["kind", "what", "item", *PLACE, "building_m", "by_m", "is_guessed", *REMEDY]
 
 
 def judged(
@@ -42,11 +45,13 @@ def judged(
     limits: Constraints,
     times: Sequence[str | None],
     time_of_day: str | None,
+    ceiling_m: int = 0,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return two tables of a mission: what it meets, and what of it cannot be judged.
 
-    The first has a row for each finding, with the columns `COLUMNS`, in the order of travel. The second has a row for
-    each stretch, with the columns of ``flight.unknown``: ``kind``, ``reason``, and ``from_m`` and ``to_m`` along it.
+    The first has a row for each finding, with the columns `COLUMNS`, in the order of travel. The
+    second has a row for each stretch, with the columns of ``flight.unknown``: ``kind``, ``reason``, and ``from_m`` and
+    ``to_m`` along it.
 
     Args:
       flight: the mission over the maps.
@@ -54,6 +59,7 @@ def judged(
       known: the area in which all buildings are known, in the maps' CRS.
       limits: the zones in force, the bounds and the clearances, none of which is left out.
       times, time_of_day: of the maps that the bounds must hold on; None for a map that has no times.
+      ceiling_m: above the ground; no height that clears a finding is higher, so that 0 names none.
     """
     ground = flight.ground
     maps = ground.maps
@@ -78,7 +84,8 @@ def judged(
             _zones(steps, ground, limits.zones),
             *_closed(steps, maps, limits, times, time_of_day),
         ]
-        tables.append(placed(pd.concat(findings, ignore_index=True), flight, steps))
+        found = placed(pd.concat(findings, ignore_index=True), flight, steps)
+        tables.append(_cleared(found, flight, steps, buildings, known, limits, ceiling_m))
     return _with_variants(*tables), pd.concat(unknown, ignore_index=True)
 
 
@@ -90,6 +97,54 @@ def placed(table: pd.DataFrame, flight: Flight, steps: Steps) -> pd.DataFrame:
     table = table.assign(item=items, lon=lon, lat=lat, height_m=begins.z_m[:, 0])
     table = table.rename(columns={"from_m": "along_m"}).sort_values("along_m", ignore_index=True)
     return table.reindex(columns=COLUMNS)
+
+
+def _cleared(
+    findings: pd.DataFrame,
+    flight: Flight,
+    steps: Steps,
+    buildings: Prisms,
+    known: shapely.Geometry,
+    limits: Constraints,
+    ceiling_m: int,
+) -> pd.DataFrame:
+    """Return findings with what clears each of buildings, the ground and zones by the clearances (`least_clear`).
+
+    Zones count at all heights. Cells that bounds close do not count.
+
+    Args:
+      findings: of some steps of the mission.
+      flight: the mission over the maps.
+      steps: the steps.
+      buildings: what stands there.
+      known: the area in which all buildings are known, in the maps' CRS.
+      limits: the clearances, and the zones in force.
+      ceiling_m: above the ground; no height is higher.
+
+    Returns:
+      The findings with ``clear_m``, the least height above the ground that clears the part of the flight that has the
+      finding, in whole metres; and ``aside_m``, how far that part must go to the right, parallel and at the elevation
+      that it has (to the left where it is negative). NaN where none is sure (beside, below the highest ground of the
+      maps), on a take-off or landing, and of closed cells.
+    """
+    ground = flight.ground
+    zones = shapely.union_all([zone.on(ground.maps.grid) for zone in limits.zones])
+    known = shapely.difference(known, zones)
+    remedies = []
+    for row in findings.to_dict("records"):
+        is_there = (steps.along_m >= row["along_m"]) & (steps.along_m <= row["to_m"])
+        part = steps.take(is_there.all(axis=1))
+        line = shapely.simplify(shapely.linestrings(part.ends_m.reshape(-1, 2)), TOUCH_M)
+        if row["kind"] == "closed" or flight.is_on_site(part).any():
+            line = None
+        ways = shapely.offset_curve(line, -ASIDE_M)
+        least_m = least_clear(ways, buildings, ground, known, limits)
+        clear_m = np.ceil(max(least_m[0] - part.ground_m.min(), limits.vertical_m))
+        own_m = (part.ground_m + part.z_m).min()
+        aside_m = ASIDE_M[np.maximum(least_m, ground.highest_m.max()) <= own_m]
+        clear_m = clear_m if clear_m <= ceiling_m else np.nan
+        remedies.append([clear_m, *aside_m[:1], np.nan][:2])
+    return findings.assign(**pd.DataFrame(remedies, findings.index, REMEDY))
 
 
 def _with_variants(main: pd.DataFrame, beside: pd.DataFrame) -> pd.DataFrame:

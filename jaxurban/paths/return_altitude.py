@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.checks import one_of, typed
+from jaxurban.checks import at_least, one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.io.geotiff import write_bands
 from jaxurban.kernels.line.homeward import highest_homeward
 from jaxurban.knowledge import Caution, caution_of_guesses, percent
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
-from jaxurban.paths.autopilots import parameter_lines, typed_m
+from jaxurban.paths.autopilots import ENOUGH_M, parameter_lines, typed_m
+from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.paths.clearance import highest_within, reaches_m
 from jaxurban.paths.constraints import Constraints, describe_constraints
 from jaxurban.paths.elevation import Elevation
@@ -22,7 +23,10 @@ from jaxurban.public import FactsRepr
 
 NAME = "return_altitude"  # of the variable
 LONG_NAME = "least altitude of a straight flight home, above the ground at home"
-REACHES_M = {"highest_m": np.inf, "within_500_m": 500.0, "within_1000_m": 1000.0}  # of `figures`
+CLEARS = (
+    "A return at {typed_m} m above the ground at home clears all that stands from {clear_share:.1%} of the area, at "
+    "{highest_m:.1f} m from every cell with a value; elsewhere set a rally point, or return along the way flown."
+)
 NO_VALUE = (
     "{} of the cells have no value, as no altitude is known to clear them: their line home meets cells without data or "
     "a roof that nothing bounds, or comes nearer to the maps' border than the clearance."
@@ -38,6 +42,7 @@ class ReturnAltitude(FactsRepr):
       home_xy_m: easting and northing of home in the maps' CRS.
       ground_m: elevation of the ground there, above the zero of the terrain; 0 over level ground.
       limits: the clearances and the vehicle.
+      ceiling_m: above the ground at home; what to type does not exceed it.
 
     Examples:
       >>> home = ju.return_altitude(maps, start)
@@ -49,6 +54,7 @@ class ReturnAltitude(FactsRepr):
     home_xy_m: tuple[float, float]
     ground_m: float
     limits: Constraints
+    ceiling_m: int
 
     @property
     def altitude_m(self) -> np.ndarray:
@@ -72,36 +78,30 @@ class ReturnAltitude(FactsRepr):
 
     @property
     def figures(self) -> dict[str, float]:
-        """What clears the cells with a value, in metres above the ground at home, by name.
+        """What clears the cells, by name.
 
-        ``highest_m`` clears them all; ``within_500_m`` and ``within_1000_m`` clear those as near to home, ``median_m``
-        half of them.
+        ``highest_m`` is the altitude that clears all cells with a value. ``typed_m`` is that which is to be typed, in
+        whole metres, the ceiling at most, and ``clear_share`` the share of all cells from which it clears all.
         """
-        grid = self.maps.grid
-        east_m, north_m = self.home_xy_m
-        apart_m = np.hypot(grid.x_m - east_m, grid.y_m[:, None] - north_m)
-        highest_m = {
-            name: float(np.nanmax(self.altitude_m[apart_m <= reach_m]))
-            for name, reach_m in REACHES_M.items()
+        highest_m = float(np.nanmax(self.altitude_m))
+        typed = min(typed_m(highest_m), self.ceiling_m)
+        return {
+            "highest_m": highest_m,
+            "typed_m": typed,
+            "clear_share": float((self.altitude_m <= typed + ENOUGH_M).mean()),
         }
-        return {"median_m": float(np.nanmedian(self.altitude_m)), **highest_m}
 
     @property
     def sentence(self) -> str:
-        """What one altitude clears, in whole metres, rounded up as they are typed."""
-        whole = {name: typed_m(figure_m) for name, figure_m in self.figures.items()}
-        return (
-            "A return at {highest_m} m above the ground at home clears all that stands from every cell with a "
-            "value, at {within_500_m} m from those within 500 m of home, at {within_1000_m} m within 1 km."
-        ).format_map(whole)
+        """What a return clears at the altitude that clears all, or else at the ceiling, and what else is possible."""
+        return CLEARS.format_map(self.figures)
 
     @property
     def facts(self) -> dict[str, str]:
-        """What one altitude clears, what is kept, and what to type into autopilots to clear all cells."""
-        typed = [line.split(": ", 1) for line in parameter_lines(self.figures["highest_m"])]
+        """What one altitude clears, what is kept, and what to type into autopilots."""
+        typed = [line.split(": ", 1) for line in parameter_lines(self.figures["typed_m"])]
         kept = describe_constraints(self.limits.to_dict())
-        median = "{median_m:.0f} m".format_map(self.figures)
-        return {"clears": self.sentence, "median of cells": median, "kept": kept, **dict(typed)}
+        return {"clears": self.sentence, "kept": kept, **dict(typed)}
 
     @property
     def cautions(self) -> list[Caution]:
@@ -141,6 +141,7 @@ def return_altitude(
     home_xy_m: Point | None = None,
     clearance_m: float | None = None,
     vertical_clearance_m: float | None = None,
+    ceiling_m: int = CEILING_M,
 ) -> ReturnAltitude:
     """Return how high a flight must be, from every cell, to fly straight home over all that stands on the way.
 
@@ -157,6 +158,7 @@ def return_altitude(
       home_xy_m: easting, northing in the maps' CRS, instead of ``home``.
       clearance_m, vertical_clearance_m: kept from all that stands, and over it; left out, as in the maps' scenario, or
         0 and 3 m.
+      ceiling_m: whole metres above the ground at home, which the result's sentence and what to type do not exceed.
 
     Returns:
       `ReturnAltitude`.
@@ -167,8 +169,9 @@ def return_altitude(
     Examples:
       >>> home = ju.return_altitude(maps, start, vertical_clearance_m=10.0)
       >>> print(home.sentence)
-      A return at ... m above the ground at home clears all that stands from every cell with a value, at ...
+      A return at ... m above the ground at home clears all that stands from ... of the area, ...
     """
+    at_least("ceiling_m", ceiling_m, 2)  # no autopilot climbs less
     kept = Constraints(clearance_m=clearance_m, vertical_clearance_m=vertical_clearance_m)
     maps, _, limits = rules_on(as_maps(maps), None, kept, "")
     grid = maps.grid
@@ -196,4 +199,4 @@ def return_altitude(
         )
     variable = ("y", "x"), altitude_m, {"long_name": LONG_NAME, "units": "m"}
     maps = replace(maps, ds=maps.ds.assign({NAME: variable}))
-    return ReturnAltitude(maps, tuple(home_m.tolist()), ground_m, limits)
+    return ReturnAltitude(maps, tuple(home_m.tolist()), ground_m, limits, ceiling_m)

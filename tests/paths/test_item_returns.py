@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import jaxurban as ju
 from jaxurban.io.city import City
 from jaxurban.io.read.mission_parts import Leg, Mission, Place
 from jaxurban.paths.item_returns import return_lines
+from jaxurban.public import listed
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.raster import Raster
 from tests.made_maps import made_maps
@@ -294,7 +296,7 @@ def test_a_flight_above_all_may_return_at_its_own_height(tmp_path):
     home, *places = places_of(maps, 15, 5)
     high = [place._replace(height_m=150.0) for place in places]
     result = ju.check(maps, plan_of(tmp_path, home, high, 12), sources=city)
-    lines = return_lines(result.return_altitudes[1:], result.flight)
+    lines = return_lines(result.return_altitudes[1:], result.flight, 120)
     assert lines == ["A return clears all at the height that the flight has, wherever it begins."]
 
 
@@ -347,6 +349,42 @@ def test_where_the_cone_alone_fails_the_altitude_is_said_to_be_one_of_a_level_fl
     lines = ju.check(maps, file, sources=city, return_altitude_m=300.0).return_lines
     assert lines[0] == "A return at 300 m fails from item 2 on; flown level, 93 m clears all."
     assert lines[1].endswith("below the 93.0 m needed: set RTL_CONE_SLOPE = 0.")
+
+
+def test_no_return_above_the_ceiling_is_typed_and_the_ways_that_need_it_are_named(tmp_path):
+    """A way needs more than the ceiling by brute force: the highest roof near points along the ways home."""
+    maps, city = scene_of(hills=False)
+    home, *places = places_of(maps, 15, 12)
+    file = plan_of(tmp_path, home, places, 12)
+    ceiling_m = 50
+    result = ju.check(maps, file, sources=city, return_altitude_m=10.0, ceiling_m=ceiling_m)
+    home_m = np.array(maps.grid.xy_of_lonlat(*home[:2]))
+    beyond = []
+    for item, pair in enumerate(pairwise(places), start=3):
+        ends_m = [np.array(maps.grid.xy_of_lonlat(*each[:2])) for each in pair]
+        fan = shapely.Polygon([home_m, *ends_m])
+        roofs_m = city.buildings.height_m[shapely.intersects(fan, city.buildings.polygons)]
+        if roofs_m.max(initial=0.0) + 3.0 > ceiling_m:
+            beyond.append(item)
+    first, second, typed = result.return_lines
+    assert first.startswith(
+        "No return up to the ceiling, 50 m above the ground at home, clears all"
+    )
+    named = first.split(" to items ")[1].split(", which need up to 93 m")[0]
+    numbers = set(result.return_altitudes.query("way_m > 50")["item"])
+    assert numbers - {2} == set(beyond)
+    assert named == listed([str(item) for item in sorted(numbers)])
+    assert first.endswith("set a rally point there, or return along the way flown.")
+    assert second.endswith("; 43 m clears all from elsewhere.")
+    assert typed.startswith("PX4: RTL_RETURN_ALT = 43 (m)")
+
+    # From a roof the ceiling is as much nearer.
+    on_roof = ju.check(
+        maps, file, sources=city, return_altitude_m=10.0, ceiling_m=50, home_above_ground_m=10.0
+    )
+    assert "RTL_RETURN_ALT = 33 " in on_roof.return_lines[-1]
+    too_low = ju.check(maps, file, sources=city, ceiling_m=14)
+    assert not any("RTL_RETURN_ALT" in line for line in too_low.return_lines)
 
 
 def test_a_mission_without_home_has_no_row():

@@ -69,9 +69,37 @@ def test_value_is_just_above_what_is_highest_on_the_way():
     assert home.altitude_m[15, 27] == pytest.approx(45.0)
     assert home.altitude_m[15, 27] > 45.0  # where planners fly; at 45 m the cell is closed
     assert home.altitude_m[3, 10] == pytest.approx(5.0)
-    assert home.figures["within_500_m"] == pytest.approx(45.0)
+    assert home.figures["highest_m"] == pytest.approx(45.0)
+    assert home.figures["clear_share"] == 1.0
+    assert home.sentence.startswith(
+        "A return at 45 m above the ground at home clears all that stands from 100.0% of the area"
+    )
+    assert "PX4: RTL_RETURN_ALT = 45 (m)" in [": ".join(fact)[:28] for fact in home.facts.items()]
     lon, lat = maps.grid.lonlat_of_cell(15, 27)
     assert home.at_lonlat(lon, lat) == home.altitude_m[15, 27]
+
+
+def test_at_the_ceiling_a_return_clears_the_cells_that_need_no_more_and_no_more_is_typed():
+    maps = scattered()
+    home = ju.return_altitude(maps, home_xy_m=maps.grid.xy_of_cell(20, 25), ceiling_m=40)
+    share = np.mean(home.altitude_m <= 40.0)  # roofs of 12, 18, 30 and 80 m, and 3 m over them
+    assert home.figures == {
+        "highest_m": pytest.approx(83.0),
+        "typed_m": 40,
+        "clear_share": share,
+    }
+    assert 0.1 < share < 0.9
+    assert home.sentence == (
+        f"A return at 40 m above the ground at home clears all that stands from {share:.1%} of the "
+        "area, at 83.0 m from every cell with a value; elsewhere set a rally point, or return along "
+        "the way flown."
+    )
+    assert home.facts["PX4"].startswith("RTL_RETURN_ALT = 40 (m)")
+    exact = ju.return_altitude(maps, home_xy_m=maps.grid.xy_of_cell(20, 25), ceiling_m=83)
+    assert exact.figures["clear_share"] == np.isfinite(exact.altitude_m).mean()
+    assert exact.sentence.startswith("A return at 83 m")
+    with pytest.raises(ju.InputError, match="whole number from 2 up"):
+        ju.return_altitude(maps, home_xy_m=maps.grid.xy_of_cell(20, 25), ceiling_m=0)
 
 
 def test_no_value_where_the_line_meets_what_is_unknown():
