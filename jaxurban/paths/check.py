@@ -23,7 +23,8 @@ from jaxurban.maps.sources import left_out, standing_on
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.paths.check_result import MissionCheck
-from jaxurban.paths.constraints import Bound, Constraints
+from jaxurban.paths.closed import constraints_of
+from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.contacts import Prisms, buildings_of, union_m
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.flown import costs_of, figures_of
@@ -32,7 +33,7 @@ from jaxurban.paths.judge import SPAN, judged, placed
 from jaxurban.paths.legs import Flight, flight_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import rules_on
-from jaxurban.settings import CLEARANCES, Vehicle, as_tuple, iso_utc, not_negative, parse_time
+from jaxurban.settings import Vehicle, as_tuple, iso_utc, not_negative, parse_time
 
 MOST_HOME_OFF_M = 20.0  # by which elevation models of a place may differ
 CHANGED = "The files that the maps were made of have changed since: what stands now is not judged."
@@ -257,17 +258,6 @@ def _not_judged(flight: Flight, unknown: pd.DataFrame) -> list[str]:
     for reason, rows in unknown.groupby("reason", sort=False):
         sentences.append(f"{union_m(rows):,.0f} m {reason}.")
     return sentences
-
-
-def constraints_of(path: PlannedPath) -> Constraints:
-    """Return the constraints that a path was planned under; its settings leave out a clearance of 0."""
-    record = path.settings.get("limits", {})
-    return Constraints(
-        zones=path.zones,
-        bounds=tuple(map(Bound.parse, record.get("require", ()))),
-        vehicle=Vehicle.of(path.settings),
-        **{name: record.get(name, 0.0) for name in CLEARANCES},
-    )
 
 
 def _mission_of(path: PlannedPath) -> Mission:

@@ -1,13 +1,12 @@
 """Which cells are closed to routes at an altitude, and the first cause that closes each of them."""
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.constraints import Bound, Constraints
+from jaxurban.paths.path import PlannedPath
 from jaxurban.settings import CLEARANCES, Vehicle
 
 # By number, 0 for free cells: a cell has the first of the others that closes it. So what is closed by an unknown height
@@ -81,21 +80,21 @@ def causes_at(
     return np.argmin(is_free, axis=0)
 
 
-def constraints_of(settings: Mapping[str, Any]) -> Constraints:
-    """Return the constraints that `PlannedPath.settings` hold; zones are not among them, as no outline is kept.
+def constraints_of(path: PlannedPath) -> Constraints:
+    """Return the constraints that a path was planned under; its settings leave out a clearance of 0.
 
     Examples:
       >>> from jaxurban.paths.closed import constraints_of
-      >>> print(constraints_of(path.settings))
+      >>> print(constraints_of(path))
       vertical clearance of 3 m
     """
-    limits = settings.get("limits", {})
-    clearances = {name: limits.get(name, 0.0) for name in CLEARANCES}
-    return Constraints.read(
-        require=limits.get("require", ()),
-        vehicle=Vehicle.of(settings),
-        unknown_heights=limits.get("unknown_heights"),
-        **clearances,
+    record = path.settings.get("limits", {})
+    return Constraints(
+        zones=path.zones,
+        bounds=tuple(map(Bound.parse, record.get("require", ()))),
+        vehicle=Vehicle.of(path.settings),
+        unknown_heights=record.get("unknown_heights"),
+        **{name: record.get(name, 0.0) for name in CLEARANCES},
     )
 
 

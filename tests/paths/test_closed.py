@@ -96,4 +96,4 @@ def test_a_path_says_under_which_constraints_it_was_planned(maps):
     )
     ends = maps.grid.lonlat_of_cell(10, 2), maps.grid.lonlat_of_cell(10, 18)
     path = ju.plan(maps, *ends, altitude_m=20.0, constraints=limits, snap=True)
-    assert constraints_of(path.settings) == limits
+    assert constraints_of(path) == limits

@@ -12,7 +12,7 @@ from jaxurban.io.city import City
 from jaxurban.io.read.mission_items import read_plan
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.sources import left_out, standing_on
-from jaxurban.paths.check import constraints_of
+from jaxurban.paths.closed import constraints_of
 from jaxurban.paths.contacts import buildings_of
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.judge import judged

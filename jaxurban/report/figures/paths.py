@@ -282,14 +282,12 @@ def cost_layers(
 def closed_at(maps: MetricMaps, place: Place, paths: Sequence[PlannedPath]) -> np.ndarray:
     """Return ``[Y, X]`` bool: cells with data that are closed to each path of a panel, and no obstacle.
 
-    Paths record no outlines of no-fly zones, so that these are not among them.
-
     Args:
       maps: of the panel.
       place: which map of the cost it shows.
       paths: that were planned on it, whose rules close cells; without any, the rules of the maps' scenario do.
     """
-    rules = {(constraints_of(path.settings), path.settings["obstacles"]) for path in paths}
+    rules = {(constraints_of(path), path.settings["obstacles"]) for path in paths}
     rules = rules or {(rules_on(maps, None, None, "")[2], maps.obstacles)}
     causes = [causes_at(maps.with_obstacles(rule), limits, *place) for limits, rule in rules]
     return (np.min(causes, axis=0) > OBSTACLE) & maps.ds["has_data"].values
