@@ -90,7 +90,8 @@ def reaches_m(
         )
     roof_m, limit_m = maps.m(name), roof_limits_m(maps, unknown_heights)
     is_known = maps.ds["has_data"].values & ~np.isnan(roof_m) & ~np.isnan(limit_m)
-    return np.where(is_known, roof_m, np.float32(np.inf)), limit_m
+    roof_m = np.where(is_known, roof_m, np.float32(np.inf))
+    return roof_m, np.where(is_known, limit_m, np.float32(0))
 
 
 def _over_lowest_ground_m(maps: "MetricMaps", reach_m: float) -> np.ndarray:

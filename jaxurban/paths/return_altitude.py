@@ -25,7 +25,7 @@ NAME = "return_altitude"  # of the variable
 LONG_NAME = "least altitude of a straight flight home, above the ground at home"
 CLEARS = (
     "A return at {typed_m} m above the ground at home clears all that stands from {clear_share:.1%} of the area, at "
-    "{highest_m:.1f} m from every cell with a value; elsewhere set a rally point, or return along the way flown."
+    "{all_m} m from every cell with a value; elsewhere set a rally point, or return along the way flown."
 )
 NO_VALUE = (
     "{} of the cells have no value, as no altitude is known to clear them: their line home meets cells without data or "
@@ -94,7 +94,8 @@ class ReturnAltitude(FactsRepr):
     @property
     def sentence(self) -> str:
         """What a return clears at the altitude that clears all, or else at the ceiling, and what else is possible."""
-        return CLEARS.format_map(self.figures)
+        figures = self.figures
+        return CLEARS.format(**figures, all_m=typed_m(figures["highest_m"]))
 
     @property
     def facts(self) -> dict[str, str]:
