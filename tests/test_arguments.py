@@ -966,6 +966,7 @@ RULES_OF_ROUTES = {
         "--unknown-heights",
     )
 }
+KNOWN_HEIGHTS = Same("no height of the made city is unknown; tests/paths/test_unknown_heights.py")
 DEVICE = Same("any device makes the same result, to rounding")
 JSON = Same("it is how a result is printed")
 OVERWRITE = Same("it decides what a folder of other settings may lose")
@@ -1110,6 +1111,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         | {
             "-o": Case("{home}/town.toml", refused="town.toml"),
             "--sample": "4",
+            "--unknown-heights": KNOWN_HEIGHTS,
             "--pilot": "risk=1,distance=0.1",
             "--planner": Case("astar-plus", refused="planner"),
             "--wish": Case("detour<=0.1", refused="--wish"),
@@ -1166,6 +1168,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         ),
         RULES_OF_ROUTES
         | {
+            "--unknown-heights": KNOWN_HEIGHTS,
             "--routes": "3",
             "--altitudes": "20",
             "--queries": Case("none.csv", refused="none.csv"),
