@@ -141,7 +141,7 @@ def plot_paths(
 
     A panel shows the GPS time and the time of day that its paths were planned for, in its title where they differ from
     panel to panel. Under it stands each planner's cost and length, or its status. Where paths share cells they are
-    drawn side by side (`lanes_of`), so that all are seen. Cells that are closed to all of them and no obstacle are
+    drawn side by side (`side_by_side`), so that all are seen. Cells that are closed to all of them and no obstacle are
     hatched (`closed_at`).
 
     Args:
