@@ -224,6 +224,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     (0, "beams azimuths step_s num_displaced"),
     (-1.0, "HeightStd.height HeightStd.levels HeightStd.default HeightStd.raster"),
     (10**30, "first_row first_col"),
+    (-1, "ceiling_m"),
     (5, "connectivity source"),
     ("EPSG:4326", "crs"),
     ("gps", "require text"),

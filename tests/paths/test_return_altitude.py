@@ -91,7 +91,7 @@ def test_at_the_ceiling_a_return_clears_the_cells_that_need_no_more_and_no_more_
     assert 0.1 < share < 0.9
     assert home.sentence == (
         f"A return at 40 m above the ground at home clears all that stands from {share:.1%} of the "
-        "area, at 83.0 m from every cell with a value; elsewhere set a rally point, or return along "
+        "area, at 83 m from every cell with a value; elsewhere set a rally point, or return along "
         "the way flown."
     )
     assert home.facts["PX4"].startswith("RTL_RETURN_ALT = 40 (m)")
