@@ -172,7 +172,7 @@ def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps,
     assert of_file
     assert all(f"{plan}: {sentence}" in err for sentence in of_file)
     every, same_points, _, err = num_waypoints("--simplify", 0)
-    assert every > few
+    assert every >= few  # beside walls legs stay 3 m away, so that all of them may be needed
     assert same_points == all_points
     assert "Simplified" not in err
     coarse, same_few, facts, _ = num_waypoints("--simplify", 8, "--end", "return")
