@@ -35,6 +35,7 @@ from jaxurban.report.figures.paths import (
     PLANNER_COLOURS,
     Place,
     closed_at,
+    closed_patches,
     maps_figures,
     side_by_side,
 )
@@ -782,3 +783,10 @@ def test_a_notebook_shows_heading_and_note_too():
     assert all(
         shown.y0 - 1e-4 <= box.y0 < box.y1 <= shown.y1 + 1e-4 for box in boxes
     )  # 1e-6 inches
+
+
+def test_the_legend_names_closed_cells_only_where_a_panel_hatches_some():
+    nowhere, somewhere = np.zeros((3, 4), bool), np.eye(3, 4, dtype=bool)
+    assert closed_patches(nowhere, nowhere) == []
+    (patch,) = closed_patches(nowhere, somewhere)
+    assert patch.get_label().startswith("closed to routes")

@@ -193,7 +193,7 @@ def plot_paths(
         panels,
         heading,
         note,
-        legend=[*obstacle_patches(maps, BLOCKED_COLOUR), CLOSED, *entries],
+        legend=[*obstacle_patches(maps, BLOCKED_COLOUR), *closed_patches(*closed), *entries],
         colours=COST_COLOURS,
         width=width,
     )
@@ -291,6 +291,11 @@ def closed_at(maps: MetricMaps, place: Place, paths: Sequence[PlannedPath]) -> n
     rules = rules or {(rules_on(maps, None, None, "")[2], maps.obstacles)}
     causes = [causes_at(maps.with_obstacles(rule), limits, *place) for limits, rule in rules]
     return (np.min(causes, axis=0) > OBSTACLE) & maps.ds["has_data"].values
+
+
+def closed_patches(*closed: np.ndarray) -> list[Patch]:
+    """Return the legend entry of cells that panels hatch, each ``[Y, X]`` bool; empty where none hatches any."""
+    return [CLOSED] if any(is_closed.any() for is_closed in closed) else []
 
 
 @styled
@@ -527,7 +532,7 @@ def plot_overview(
         legend=[
             (",\n".join(blank), EMPTY_COLOUR),
             *obstacle_patches(maps, BLOCKED_COLOUR),
-            CLOSED,
+            *closed_patches(is_closed),
             *path_entries(colours, drawn),
         ],
         has_ticks=False,

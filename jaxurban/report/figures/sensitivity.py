@@ -21,10 +21,10 @@ from jaxurban.report.figures.frame import (
 from jaxurban.report.figures.metrics import line_colour, obstacle_patches
 from jaxurban.report.figures.paths import (
     BLOCKED_COLOUR,
-    CLOSED,
     EDGE_PT,
     Place,
     closed_at,
+    closed_patches,
     cost_layers,
     draw_closed,
     draw_ends,
@@ -141,7 +141,7 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
         note,
         legend=[
             *obstacle_patches(result.maps, BLOCKED_COLOUR),
-            CLOSED,
+            *closed_patches(is_closed),
             Line2D([], [], label="given weights", **GIVEN_ROUTE),
             *ENDS,
         ],

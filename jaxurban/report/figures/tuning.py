@@ -21,7 +21,7 @@ from jaxurban.report.figures.metrics import line_colour, obstacle_layer, obstacl
 from jaxurban.report.figures.paths import (
     BESIDE,
     BLOCKED_COLOUR,
-    CLOSED,
+    closed_patches,
     draw_closed,
     draw_lines,
 )
@@ -105,7 +105,7 @@ def plot_routes(
             (given, DEMONSTRATION_COLOUR),
             ("fitted weights", PLANNED_COLOUR),
             *obstacle_patches(maps, BLOCKED_COLOUR),
-            CLOSED,
+            *closed_patches(is_closed),
             *ENDS,
             BESIDE,
         ],
