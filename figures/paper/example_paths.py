@@ -33,8 +33,8 @@ from jaxurban.report.figures.frame import (
 from jaxurban.report.figures.metrics import obstacle_patches
 from jaxurban.report.figures.paths import (
     BLOCKED_COLOUR,
-    CLOSED,
     COST_COLOURS,
+    closed_patches,
     cost_layers,
     draw_closed,
     outcome_of,
@@ -179,7 +179,11 @@ def draw(
     found = [path.search.planner for paths in results for path in paths if path.status.has_path]
     drawn = {planner: colour for planner, colour in colours.items() if planner in found}
     entries = path_entries(drawn, *results)
-    look = {"legend": [*legend, CLOSED, *entries], "colours": COST_COLOURS, "has_ticks": False}
+    is_closed = ~shared.is_free & (layers[1].values < 0) & maps.ds["has_data"].values
+    closed = flat_layer(is_closed, BLOCKED_COLOUR)
+    cut_closed = [crop(closed, maps.grid, part).values == 0 for part in parts]
+    legend = [*legend, *closed_patches(*cut_closed), *entries]
+    look = {"legend": legend, "colours": COST_COLOURS, "has_ticks": False}
     figure, axes = draw_maps(
         parts[0],
         panels,
@@ -187,10 +191,8 @@ def draw(
         f"{note}\npreset paper  ·  {rules_said(map_settings(shared))}",
         **look,
     )
-    is_closed = ~shared.is_free & (layers[1].values < 0) & maps.ds["has_data"].values
-    closed = flat_layer(is_closed, BLOCKED_COLOUR)
-    for panel, part, paths in zip(axes, parts, results, strict=True):
-        draw_closed(panel, crop(closed, maps.grid, part).values == 0)
+    for panel, hatched, paths in zip(axes, cut_closed, results, strict=True):
+        draw_closed(panel, hatched)
         add_paths(panel, paths, [colours[path.search.planner] for path in paths])
     return figure
 
