@@ -27,6 +27,12 @@ ROOF_KIND = "roof_kind"
 NEEDED = ("obstacle", "has_data")  # without these maps it is not a folder of maps
 # What is kept of a long series, behind the metric's name.
 SERIES = ("availability", "median", "p05")
+_bound = partial(
+    Variable,
+    unit="m",
+    scale=Scale(high=None, stretch="sqrt", zero="height known, or no roof"),
+    is_averaged=False,
+)
 _roof = partial(Variable, unit="m", scale=Scale(high=None, stretch="sqrt", zero="no roof"))
 
 AUXILIARY_VARIABLES = {
@@ -62,21 +68,15 @@ AUXILIARY_VARIABLES = {
                 ("height guessed", GUESSED_CELL_COLOUR),
             ),
         ),
-        Variable(
+        _bound(
             "roof_limit",
             "height above the ground that no roof of guessed height that touches the cell exceeds",
-            unit="m",
-            scale=Scale(high=None, stretch="sqrt", zero="height known, or no roof"),
             title="Bound of guessed heights",
-            is_averaged=False,
         ),
-        Variable(
+        _bound(
             "roof_likely",
             "height above the ground that 99 % of the roofs of guessed height as those that touch the cell keep below",
-            unit="m",
-            scale=Scale(high=None, stretch="sqrt", zero="height known, or no roof"),
             title="Likely most of guessed heights",
-            is_averaged=False,
         ),
         Variable(
             ROOF_KIND,
