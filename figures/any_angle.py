@@ -19,8 +19,7 @@ from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.refine import refine
-from jaxurban.report.figures.frame import mark_ends
-from jaxurban.report.figures.paths import BLOCKED_COLOUR
+from jaxurban.report.figures.frame import BLOCKED_COLOUR, mark_ends
 from jaxurban.report.figures.style import (
     FAINT_INK,
     INK,

@@ -20,9 +20,12 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.search import PathSearch
+from jaxurban.paths.snapping import places_near
 from jaxurban.planners.registry import find_planner
 from jaxurban.report.figures.frame import (
+    BLOCKED_COLOUR,
     NO_DATA_COLOUR,
+    NO_DATA_PATCH,
     MapLayer,
     MapPanel,
     draw_maps,
@@ -32,11 +35,8 @@ from jaxurban.report.figures.frame import (
 )
 from jaxurban.report.figures.metrics import obstacle_patches
 from jaxurban.report.figures.paths import (
-    BLOCKED_COLOUR,
     COST_COLOURS,
-    closed_patches,
     cost_layers,
-    draw_closed,
     outcome_of,
     path_entries,
     planner_colours,
@@ -122,9 +122,8 @@ def place(shared: CostMap, name: str, share: Share):
     grid = shared.grid
     x_m = grid.x_min_m + share[0] * (grid.x_max_m - grid.x_min_m)
     y_m = grid.y_min_m + share[1] * (grid.y_max_m - grid.y_min_m)
-    return shared.locate(
-        name, XY(x_m, y_m), snap=math.inf
-    )  # a share of the region may lie in any building
+    # A share of the region may lie in any building.
+    return places_near(shared, name, XY(x_m, y_m), math.inf, False)[0]
 
 
 def window(grid: Grid, paths: Sequence[PlannedPath]) -> Grid:
@@ -164,26 +163,27 @@ def draw(
     maps, altitude_m = shared.maps, shared.altitude_m
     parts = [window(maps.grid, paths) for paths in results]
     layers = cost_layers(maps, altitude_m, shared.time, shared.time_of_day)
+    is_closed = ~shared.is_free & (layers[1].values < 0) & maps.ds["has_data"].values
+    closed = flat_layer(is_closed, BLOCKED_COLOUR)
     panels = []
     for case, part, paths in zip(cases, parts, results, strict=True):
         outcomes = [outcome_of(path, path.search.planner) for path in paths]
         cut = [crop(layer, maps.grid, part) for layer in layers]
-        panels.append(MapPanel(case.title, cut, "\n".join(["cost, length:", *outcomes]), part))
+        foot = "\n".join(["cost, length:", *outcomes])
+        hatched = crop(closed, maps.grid, part).values == 0
+        panels.append(MapPanel(case.title, cut, foot, part, hatched))
     heading = f"Example paths {altitude_m:g} m above ground: {town.title}"
     heading = joined(heading, shared.time_of_day, by=", ")
     note = joined(f"{PATH_M:g} m cells", maps.attribution)
     colours = planner_colours(PAPER_PLANNERS)
-    legend = obstacle_patches(maps, BLOCKED_COLOUR)
+    legend = obstacle_patches(maps, BLOCKED_COLOUR, panels)
     if any(not _holds(maps.grid, part) for part in parts):
-        legend = [*legend[:1], ("beyond the\nregion, or\nno data", NO_DATA_COLOUR)]
+        legend = [entry for entry in legend if entry != NO_DATA_PATCH]
+        legend.insert(1, ("beyond the\nregion, or\nno data", NO_DATA_COLOUR))
     found = [path.search.planner for paths in results for path in paths if path.status.has_path]
     drawn = {planner: colour for planner, colour in colours.items() if planner in found}
     entries = path_entries(drawn, *results)
-    is_closed = ~shared.is_free & (layers[1].values < 0) & maps.ds["has_data"].values
-    closed = flat_layer(is_closed, BLOCKED_COLOUR)
-    cut_closed = [crop(closed, maps.grid, part).values == 0 for part in parts]
-    legend = [*legend, *closed_patches(*cut_closed), *entries]
-    look = {"legend": legend, "colours": COST_COLOURS, "has_ticks": False}
+    look = {"legend": [*legend, *entries], "colours": COST_COLOURS, "has_ticks": False}
     figure, axes = draw_maps(
         parts[0],
         panels,
@@ -191,8 +191,7 @@ def draw(
         f"{note}\npreset paper  ·  {rules_said(map_settings(shared))}",
         **look,
     )
-    for panel, hatched, paths in zip(axes, cut_closed, results, strict=True):
-        draw_closed(panel, hatched)
+    for panel, paths in zip(axes, results, strict=True):
         add_paths(panel, paths, [colours[path.search.planner] for path in paths])
     return figure
 

@@ -86,9 +86,8 @@ def _closed(maps: "MetricMaps") -> dict[str, str]:
     """Return what is closed to routes under the maps' own rules: first a note of the lowest altitude, then shares."""
     from jaxurban.paths.closed import causes_at, closed_facts, closed_note
     from jaxurban.paths.plan import rules_on
-    from jaxurban.paths.route_report import TOUCHED
 
-    if TOUCHED not in maps.ds or not maps.altitudes_m:
+    if not maps.altitudes_m:
         return {}
     maps, _, limits = rules_on(maps, None, None, "")
     note = closed_note(maps, limits, min(maps.altitudes_m))

@@ -314,10 +314,9 @@ def plan(
         goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
     path_search = PathSearch.of(maps.planning, levels is not None, **search)
     costs = cost_map(maps, levels or altitude_m, **which_map, **rules)
-    if levels is None:
-        when_shown = {"time": costs.time, "time_of_day": costs.time_of_day}
-        if note := closed_note(costs.maps, costs.constraints, altitude_m, **when_shown):
-            LOG.info(note)
+    note = levels is None and closed_note(costs.maps, costs.constraints, altitude_m, **costs.when)
+    if note:
+        LOG.info(note)
     planned = costs.planned(start, goal, path_search)
     if outputs.simplify_m:
         planned = simplify(planned, costs, outputs.simplify_m)

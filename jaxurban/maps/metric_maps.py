@@ -356,7 +356,7 @@ class MetricMaps(FactsRepr):
           True where a path may fly; False inside obstacles and where a height is not known.
 
         Raises:
-          InputError: maps that hold no touched roofs, an unknown rule, or an altitude that is no number.
+          InputError: an unknown rule, or an altitude that is no number.
 
         Examples:
           >>> is_free = maps.is_free(20.0)
@@ -373,7 +373,9 @@ class MetricMaps(FactsRepr):
             is_free = is_free & (self.m("obstacle", altitude_m) == 0)
         avoids_slabs = obstacles is None and UNDERSIDE in self.ds
         if rule == "touched" or avoids_slabs or not has_maps:
-            is_free = is_free & self._is_above_roofs(altitude_m, rule)
+            roof_m = self.m("roof_touched" if rule == "touched" else "roof")
+            is_above = ~stands_at(roof_m, roof_m.dtype.type(altitude_m)) & ~np.isnan(roof_m)
+            is_free = is_free & is_above
 
         # Layers of a user close the cells where they have no value, on the maps next below and above the altitude.
         nearest_m = float(np.clip(altitude_m, min(self.altitudes_m), max(self.altitudes_m)))
@@ -383,21 +385,6 @@ class MetricMaps(FactsRepr):
             for z_m in self.around(nearest_m):
                 is_free = is_free & ~np.isnan(self.m(name, z_m))
         return is_free
-
-    def _is_above_roofs(self, altitude_m: float, rule: ObstacleRule) -> np.ndarray:
-        """Return ``[y, x]`` bool: where no roof, as a rule sees them, reaches an altitude; False where one is unknown.
-
-        Raises:
-          InputError: the rule is ``"touched"``, and the maps hold no touched roofs.
-        """
-        name = "roof_touched" if rule == "touched" else "roof"
-        if rule == "touched" and name not in self.ds:
-            raise InputError(
-                "these maps hold no 'roof_touched', the roofs that planners keep clear of: make them again, or "
-                'plan with obstacles = "centre" (--obstacles centre), under which paths cut true outlines'
-            )
-        roof_m = self.m(name)
-        return ~stands_at(roof_m, roof_m.dtype.type(altitude_m)) & ~np.isnan(roof_m)
 
     def is_under_sky(self, altitude_m: float) -> np.ndarray:
         """Return ``[y, x]`` bool: `is_free` by centres, with nothing that hangs over the centre above the altitude.

@@ -29,7 +29,7 @@ from jaxurban.paths.contacts import Prisms, buildings_of, union_m
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.flown import costs_of, figures_of
 from jaxurban.paths.item_returns import by_item, departures_of, return_lines
-from jaxurban.paths.judge import SPAN, judged, placed
+from jaxurban.paths.judge import SPAN, below_home, judged, placed
 from jaxurban.paths.legs import Flight, flight_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import rules_on
@@ -220,14 +220,10 @@ def _in_force(limits: Constraints, times: Sequence[str]) -> Constraints:
 
 def _above_roof(flight: Flight, buildings: Prisms) -> list[str]:
     """Return a sentence where home is named higher above the ground than any roof there is known to be."""
-    mission = flight.mission
-    above_m = mission.home_above_ground_m
-    if mission.home is None or not above_m:
-        return []
-    home = shapely.Point(flight.ground.maps.grid.xy_of_lonlat(*mission.home))
-    is_there = shapely.intersects(buildings.polygons, home) & ~buildings.is_guessed
+    above_m = flight.mission.home_above_ground_m
+    is_there = below_home(flight, buildings) & ~buildings.is_guessed
     roof_m = buildings.top_m[is_there].max(initial=0.0)
-    if above_m <= roof_m + FILE_MARGIN_M:
+    if flight.mission.home is None or above_m <= roof_m + FILE_MARGIN_M:
         return []
     return [
         f"Home is said to be {above_m:.1f} m above the ground, and the known roofs there reach {roof_m:.1f} m, so the "

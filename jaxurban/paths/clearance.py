@@ -11,57 +11,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import FILE_MARGIN_M, SAME_LENGTH
 from jaxurban.maps.rules import roof_limits_m
 from jaxurban.settings import UnknownHeights
 
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
+    from jaxurban.paths.constraints import Constraints
     from jaxurban.planners.base import Cell
 
 # Cell sides: steps between the centres of cells keep half a side from closed cells.
 MOST_LEG_MARGIN = 0.49
 MOST_STEPS = 10**5  # sides, more than maps have: their border is an obstacle, so all is closed
-
-
-def obstacles_within(
-    maps: "MetricMaps",
-    altitude_m: float,
-    horizontal_m: float,
-    vertical_m: float,
-    unknown_heights: UnknownHeights,
-) -> np.ndarray:
-    """Return ``[Y, X]`` bool: whether a roof in the cell reaches an altitude, or ends less than ``vertical_m`` below.
-
-    Roofs are those of `reaches_m`, and bare ground is no obstacle; over the bounds of unknown heights no more is kept.
-    Over terrain the height of a roof is measured from
-    the lowest ground within ``horizontal_m``, since a path may pass it there. No margin is added to ``vertical_m`` for
-    what a file may change, as files round heights up.
-
-    Args:
-      maps: the metric maps.
-      altitude_m: of flight, above the ground.
-      horizontal_m: the distance that is kept from obstacles; 0 for none.
-      vertical_m: the height that is kept over roofs; 0 for none.
-      unknown_heights: how high roofs of unknown height count.
-
-    Raises:
-      InputError: maps that hold no touched roofs.
-    """
-    from jaxurban.world.surface import stands_at  # imported here: it brings JAX
-
-    roof_m, limit_m = reaches_m(maps, horizontal_m, unknown_heights)
-    if "terrain" in maps.ds:  # above the ground from which a path may pass it
-        rise_m = _over_lowest_ground_m(maps, horizontal_m)
-        roof_m = roof_m + (roof_m > 0) * rise_m
-        limit_m = limit_m + (limit_m > 0) * rise_m
-    is_obstacle = stands_at(roof_m, np.float32(altitude_m - vertical_m))
-    is_obstacle |= stands_at(limit_m, np.float32(altitude_m))
-    # The maps' own obstacles count too, which are known at the altitudes of the maps alone.
-    if altitude_m in maps.altitudes_m:
-        is_obstacle |= maps.m("obstacle", altitude_m) != 0
-    return is_obstacle
 
 
 def reaches_m(
@@ -78,16 +39,8 @@ def reaches_m(
       maps: the metric maps.
       horizontal_m: the distance that is kept from obstacles; 0 for none.
       unknown_heights: how high roofs of unknown height count.
-
-    Raises:
-      InputError: maps that hold no touched roofs.
     """
     name = "roof_touched" if horizontal_m or maps.obstacles == "touched" else "roof"
-    if name not in maps.ds:
-        raise InputError(
-            "these maps hold no 'roof_touched', from which a clearance is measured: make them again, or keep none "
-            "(clearance_m and vertical_clearance_m 0, no radius of the vehicle)"
-        )
     roof_m, limit_m = maps.m(name), roof_limits_m(maps, unknown_heights)
     is_known = maps.ds["has_data"].values & ~np.isnan(roof_m) & ~np.isnan(limit_m)
     roof_m = np.where(is_known, roof_m, np.float32(np.inf))
@@ -216,24 +169,31 @@ def kept_m(horizontal_m: float, resolution_m: float) -> float:
     return max(horizontal_m, step_m - FILE_MARGIN_M)
 
 
-def closed_by_clearance(
-    maps: "MetricMaps",
-    altitude_m: float,
-    horizontal_m: float,
-    vertical_m: float,
-    unknown_heights: UnknownHeights,
-) -> np.ndarray:
-    """Return ``[Y, X]`` bool: cells that a horizontal and a vertical clearance close at an altitude above the ground.
+def closed_by_clearance(maps: "MetricMaps", altitude_m: float, limits: "Constraints") -> np.ndarray:
+    """Return ``[Y, X]`` bool: cells that clearances and roofs of unknown height close at an altitude above the ground.
 
-    Roofs that end less than ``vertical_m`` below the altitude are obstacles too. Cells nearer to obstacles, or to the
-    maps' border, than the step of `closing_step_m` are closed; the rest of ``horizontal_m`` and `FILE_MARGIN_M` the
-    legs of routes keep from closed cells.
+    Obstacles are roofs (`reaches_m`) that reach the altitude, or end less than the vertical clearance below; over the
+    bounds of unknown heights no more is kept, and bare ground is none. Over terrain the height of a roof is measured
+    from the lowest ground within the horizontal clearance, since a path may pass it there. No margin is added to the
+    vertical one for what a file may change, as files round heights up.
 
-    Raises:
-      InputError: maps that hold no touched roofs.
+    Cells nearer to obstacles, or to the maps' border, than the step of `closing_step_m` are closed; the rest of the
+    horizontal clearance and `FILE_MARGIN_M` the legs of routes keep from closed cells.
     """
-    resolution_m = maps.grid.resolution_m
-    is_obstacle = obstacles_within(maps, altitude_m, horizontal_m, vertical_m, unknown_heights)
+    from jaxurban.world.surface import stands_at  # imported here: it brings JAX
+
+    horizontal_m, resolution_m = limits.horizontal_m, maps.grid.resolution_m
+    roof_m, limit_m = reaches_m(maps, horizontal_m, limits.of_unknown)
+    if "terrain" in maps.ds:  # above the ground from which a path may pass it
+        rise_m = _over_lowest_ground_m(maps, horizontal_m)
+        roof_m = roof_m + (roof_m > 0) * rise_m
+        limit_m = limit_m + (limit_m > 0) * rise_m
+    is_obstacle = stands_at(roof_m, np.float32(altitude_m - limits.vertical_m))
+    is_obstacle |= stands_at(limit_m, np.float32(altitude_m))
+    # The maps' own obstacles count too, which are known at the altitudes of the maps alone.
+    if altitude_m in maps.altitudes_m:
+        is_obstacle |= maps.m("obstacle", altitude_m) != 0
+
     step_m, _ = closing_step_m(horizontal_m, resolution_m)
     if step_m == 0:
         return is_obstacle

@@ -446,7 +446,7 @@ class Constraints:
             for bound in self.bounds:
                 level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
             if self.keeps_clear or "roof_guessed" in maps.ds:
-                level_closed |= self._closed_by_roofs(maps, z_m)
+                level_closed |= closed_by_clearance(maps, z_m, self)
         return closed if np.ndim(altitude_m) else closed[0]
 
     def is_free_to_ground(
@@ -469,7 +469,7 @@ class Constraints:
           ``[Y, X]`` bool.
 
         Raises:
-          InputError: as for `closed`, or maps that hold no touched roofs.
+          InputError: as for `closed`.
 
         Examples:
           >>> limits = ju.Constraints()
@@ -479,18 +479,12 @@ class Constraints:
         levels_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m < altitude_m]
         is_free = self.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
         touched = maps.with_obstacles("touched")
-        is_free &= ~self._closed_by_roofs(touched, 0.0)
+        is_free &= ~closed_by_clearance(touched, 0.0, self)
         is_free &= ~self._closed_by_zones(maps.grid, np.array([0.0, altitude_m])).any(axis=0)
         for bound in self.bounds:
             for z_m in levels_m:
                 is_free &= bound.is_kept(maps, z_m, time, time_of_day)
         return is_free
-
-    def _closed_by_roofs(self, maps: "MetricMaps", altitude_m: float) -> np.ndarray:
-        """Return ``[Y, X]`` bool: the cells that the clearances and roofs of unknown height close at an altitude."""
-        return closed_by_clearance(
-            maps, altitude_m, self.horizontal_m, self.vertical_m, self.of_unknown
-        )
 
     def _closed_by_zones(self, grid: Grid, levels_m: np.ndarray) -> np.ndarray:
         """Return ``[K, Y, X]`` bool: the cells that zones close on each of ``[K]`` ascending levels (see `closed`).
@@ -557,7 +551,7 @@ class Constraints:
         limit_m = limit_near_m(maps, cell, self.horizontal_m, self.of_unknown)
         if limit_m > 0 and limit_m >= altitude_m:
             reasons.append(f"a roof of guessed height that {reach_said(limit_m)}")
-        elif self.keeps_clear and self._closed_by_roofs(maps, altitude_m)[cell]:
+        elif self.keeps_clear and closed_by_clearance(maps, altitude_m, self)[cell]:
             clearances = " and the ".join(describe_clearances(self.to_dict()))
             reasons.append(f"the {clearances} that is kept from obstacles and the border")
         return reasons

@@ -1,6 +1,6 @@
 """Where steps of a mission meet prisms: buildings by their exact outlines, or cells, and no-fly zones."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -63,7 +63,7 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
       city: that the maps are of; None, or without outlines, for the cells.
 
     Raises:
-      InputError: a city in another CRS than the maps, or maps that hold no touched roofs.
+      InputError: a city in another CRS than the maps.
     """
     grid = maps.grid
     if city is not None and city.standing is not None:
@@ -84,42 +84,28 @@ def buildings_of(maps: MetricMaps, city: City | None) -> Prisms:
             return outlines
         plants_m = resample_raster(city.plants, grid, "max")
         unsure_m = unknown_plants_m(city, grid)
-        cells = np.argwhere((plants_m > 0) | (unsure_m > 0))
-        place = tuple(cells.T)
-        kind = np.full(len(cells), WOOD, object)
-        unsure_m = unsure_m[place]
-        plants = _of_cells(grid, cells, plants_m[place], kind, unsure_m, unsure_m)
+        plants = _of_cells(grid, WOOD, plants_m, unsure_m, unsure_m)
         return Prisms(*(np.concatenate(values) for values in zip(outlines, plants, strict=True)))
-    if TOUCHED not in maps.ds:
-        raise InputError(
-            f"maps hold no {TOUCHED!r}, and no City that they are of is there: make them again, or name it (sources)"
-        )
-    roofs_m, limits_m = maps.m(TOUCHED), roof_limits_m(maps, "highest")
-    likely_m = roof_limits_m(maps, "likely")
-    cells = np.argwhere((roofs_m > 0) | (limits_m > 0))
-    rows, cols = cells.T
-    kind = np.full(len(cells), BUILDING, object)
+    kind: Any = BUILDING
     if ROOF_KIND in maps.ds:
         names = np.array([BUILDING, *EFFECTS], object)  # 0: nothing is known of the kind
-        kind = names[maps.m(ROOF_KIND)[rows, cols].astype(int)]
-    of_cells = (values[rows, cols] for values in (limits_m, likely_m))
-    return _of_cells(grid, cells, roofs_m[rows, cols], kind, *of_cells)
+        kind = names[maps.m(ROOF_KIND).astype(int)]
+    reach_m = (roof_limits_m(maps, "highest"), roof_limits_m(maps, "likely"))
+    return _of_cells(grid, kind, maps.m(TOUCHED), *reach_m)
 
 
 def _of_cells(
-    grid: Grid,
-    cells: np.ndarray,
-    top_m: np.ndarray,
-    kind: np.ndarray,
-    limit_m: np.ndarray,
-    likely_m: np.ndarray,
+    grid: Grid, kind: Any, top_m: np.ndarray, limit_m: np.ndarray, likely_m: np.ndarray
 ) -> Prisms:
-    """Return cells, ``[N, 2]``, as prisms from far below the ground; tops and limits of 0 are none."""
-    floor_m = np.full(len(cells), -np.inf)
+    """Return cells as prisms from far below the ground; all are ``[Y, X]``, tops and limits of 0 are none."""
+    is_there = (top_m > 0) | (limit_m > 0)
+    cells = np.argwhere(is_there)
     top_m, limit_m, likely_m = (
-        np.where(values > 0, values, -np.inf) for values in (top_m, limit_m, likely_m)
+        np.where(values > 0, values, -np.inf)[is_there] for values in (top_m, limit_m, likely_m)
     )
-    return Prisms(cell_boxes(grid, cells, 1), floor_m, top_m, limit_m, likely_m, kind)
+    floor_m = np.full(len(cells), -np.inf)
+    kinds = np.broadcast_to(np.asarray(kind, object), grid.shape)[is_there]
+    return Prisms(cell_boxes(grid, cells, 1), floor_m, top_m, limit_m, likely_m, kinds)
 
 
 def contacts(

@@ -14,7 +14,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
 from jaxurban.paths.closed import causes_at, closed_facts
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.finish import MapNotes, finish, map_notes, map_settings
+from jaxurban.paths.finish import finish, map_notes, map_settings
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, End, Point, one_place
 from jaxurban.paths.search import PathSearch
@@ -109,8 +109,7 @@ class CostMap(FactsRepr):
         heights_name = "altitude" if self.levels is None else "levels"
         shares = {"free": f"{self.is_free.mean():.1%} of the cells"}
         if self.levels is None:
-            when = self.time, self.time_of_day
-            shares = closed_facts(causes_at(self.maps, self.constraints, self.altitude_m, *when))
+            shares = closed_facts(self.causes)
         return {
             "grid": self.maps.facts["grid"],
             heights_name: f"{listed_m(self.altitudes_m)} m",
@@ -120,6 +119,16 @@ class CostMap(FactsRepr):
             "constraints": str(self.constraints),
             **shares,
         }
+
+    @property
+    def when(self) -> dict[str, str | None]:
+        """Time and time of day of its maps, as arguments."""
+        return {"time": self.time, "time_of_day": self.time_of_day}
+
+    @property
+    def causes(self) -> np.ndarray:
+        """``[Y, X]`` what closes each cell (`jaxurban.paths.closed.causes_at`), on one altitude."""
+        return causes_at(self.maps, self.constraints, self.altitude_m, **self.when)
 
     @property
     def altitude_m(self) -> float:
@@ -154,9 +163,9 @@ class CostMap(FactsRepr):
         return map_settings(self)
 
     @cached_property
-    def notes(self) -> MapNotes:
+    def notes(self) -> tuple[str, ...]:
         """The sentences that it adds to the note of every path on it."""
-        return map_notes(self)
+        return tuple(map_notes(self))
 
     @cached_property
     def is_weighed(self) -> bool:
@@ -317,7 +326,7 @@ class CostMap(FactsRepr):
         return float(self.costs[self.names.index(name)][self.is_free].max(initial=0.0))
 
     def cell_of(self, name: str, place: Point | XY) -> tuple[tuple[float, float], Cell]:
-        """Return where a place is on the maps, free or not (arguments and errors as in `locate`).
+        """Return where a place is on the maps, free or not (arguments and errors as of `places_near`).
 
         Returns:
           Easting and northing in metres in the maps' CRS, and row and column of the cell.
@@ -340,31 +349,6 @@ class CostMap(FactsRepr):
             raise InputError(f"{name}: {error}") from error
         return (float(x_m), float(y_m)), (int(row), int(col))
 
-    def locate(self, name: str, place: Point | XY, *, snap: bool | float = False) -> End:
-        """Return the cell of a place given in degrees or in metres; in a volume the node.
-
-        Args:
-          name: ``"start"`` or ``"goal"``, for messages.
-          place: longitude, latitude in degrees, or `XY` in the maps' CRS; in a volume also an altitude, which is one of
-            the levels. Left out, it is the lowest level that is free there.
-          snap: whether a place in a closed cell moves to the nearest free one of its level: False not at all, True by
-            at most 50 m, a number by at most that many metres (`places_near`).
-
-        Returns:
-          `End`: the cell, how far its centre is from the place in metres, and whether another cell was taken.
-
-        Raises:
-          InputError: a place outside the maps, no such level, or inside an obstacle or closed by a constraint, unless
-            ``snap`` reaches a free cell (names the constraint and the nearest free cell).
-
-        Examples:
-          >>> in_building = maps.grid.lonlat_of_cell(1, 6)
-          >>> end = ju.cost_map(maps, 20.0).locate("start", in_building, snap=True)
-          >>> end.cell, round(end.snap_distance_m, 1), end.is_snapped
-          ((1, 5), 20.0, True)
-        """
-        return self._places_near(name, place, snap)[0]
-
     def ends(
         self,
         start: Point | XY,
@@ -373,7 +357,7 @@ class CostMap(FactsRepr):
         snap: bool | float = False,
         on_ground: OnGround = False,
     ) -> tuple[End, End]:
-        """Return the cells of a query, with arguments and errors as in `locate`.
+        """Return the cells of a query; in a volume the nodes. Arguments and errors are as of `places_near`.
 
         With ``on_ground`` only cells are free above which the air is, from the ground up (`free_to_ground`).
 
@@ -389,18 +373,9 @@ class CostMap(FactsRepr):
           [(2, 2), (27, 27)]
         """
         # The possible ends of each place, the nearest first.
-        starts = self._places_near("start", start, snap, on_ground is True)
-        goals = self._places_near("goal", goal, snap, bool(on_ground))
+        starts = places_near(self, "start", start, snap, on_ground is True)
+        goals = places_near(self, "goal", goal, snap, bool(on_ground))
         return joined_ends(self, starts, goals) if snap else (starts[0], goals[0])
-
-    def _places_near(
-        self, name: str, place: Point | XY, snap: bool | float, on_ground: bool = False
-    ) -> list[End]:
-        """Return the possible ends of a query at a place, the nearest first; arguments and errors as in `ends`."""
-        xy_m, cell = self.cell_of(name, place)
-        altitude_m = place[2] if len(place) > 2 else None
-        level = self._level_of(name, cell, altitude_m)
-        return places_near(self, name, xy_m, level, cell, snap, on_ground)
 
     @cached_property
     def free_to_ground(self) -> Callable[[int], np.ndarray]:
@@ -432,18 +407,20 @@ class CostMap(FactsRepr):
         """``[K, Y, X]`` where a path may fly, on one altitude too."""
         return self.is_free.reshape(-1, *self.grid.shape)
 
-    def _level_of(self, name: str, cell: Cell, altitude_m: float | None) -> int:
+    def level_of(self, name: str, place: Point | XY, cell: Cell) -> int:
         """Return the number of the level of an end, from 0 for the lowest; 0 on one altitude.
 
         Args:
           name: ``"start"`` or ``"goal"``, for messages.
+          place: of the end, whose altitude is one of the levels; without one, it is the lowest level on which the cell
+            is free, or 0 if it is on none.
           cell: row and column of the end.
-          altitude_m: one of the levels; None for the lowest level on which the cell is free, or 0 if it is on none.
 
         Raises:
           InputError: an altitude that is none of the levels, or any altitude on a map without levels.
         """
         row, col = cell
+        altitude_m = place[2] if len(place) > 2 else None
         if altitude_m is None:
             return int(np.argmax(self.levels_free[:, row, col]))  # the first that is True
         if self.levels is None:
@@ -523,7 +500,7 @@ class CostMap(FactsRepr):
         return self.planned(start_place, goal_place, search)
 
     def planned(self, start: Point | XY, goal: Point | XY, search: PathSearch) -> PlannedPath:
-        """Return a path between two places, given as in `locate`, searched for as a checked `PathSearch` says.
+        """Return a path between two places, given as for `cell_of`, searched for as a checked `PathSearch` says.
 
         Returns:
           `PlannedPath`, as of `plan`, which is simpler to call.

@@ -12,6 +12,7 @@ from jaxurban.maps.levels import Levels
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX, has_no_fix
 from jaxurban.metrics.weights import Weights
+from jaxurban.paths.closed import constraints_of
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.legs import Steps
@@ -36,7 +37,7 @@ from jaxurban.paths.route_report import (
     RouteReport,
 )
 from jaxurban.planners.cost import CostModel
-from jaxurban.settings import CLEARANCES, Vehicle
+from jaxurban.settings import Vehicle
 
 SECONDS_PER_HOUR = 3600.0
 EXTRA_MAPS = {VISIBLE: VISIBLE, FIX: FIX, "density": DENSITY, "terrain": "terrain_m"}
@@ -155,14 +156,18 @@ def with_return_altitude(
     """Return a report with one more of its totals: ``return_altitude_m``, above the ground at the start of the route.
 
     It clears a straight flight back to the start from anywhere on the route, under its clearances (`return_altitude`);
-    NaN where none is known. It is left out on maps that hold no roofs, or not those at the start. As it is computed in
+    NaN where none is known. It is left out where none is known at the start. As it is computed in
     JAX, which does not work in a forked process, `explain` leaves it out.
     """
-    limits = planned.settings.get("limits", {})
-    clearances = {name: limits.get(name, 0.0) for name in CLEARANCES}
+    limits = constraints_of(planned)
     _, parts = cut_on(planned, maps)
     try:
-        home = return_altitude(maps, home_xy_m=tuple(planned.xy_m[0]), **clearances)
+        home = return_altitude(
+            maps,
+            home_xy_m=tuple(planned.xy_m[0]),
+            clearance_m=limits.clearance_m,
+            vertical_clearance_m=limits.vertical_clearance_m,
+        )
     except InputError:
         return report
     least_m = float(home.altitude_m[tuple(parts.cell.T)].max())

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
@@ -116,44 +116,31 @@ def measured(cost_map: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
     }
 
 
-class MapNotes(NamedTuple):
-    """Sentences that a cost map adds to the note of every path on it, each empty where it does not hold.
-
-    Attributes:
-      objective: what was minimised in place of a cost that is 0 everywhere.
-      clearance: what is kept of the clearance that was asked.
-      maps: what the maps are that metrics are read from.
-      metrics: metrics that the maps lack, and the caveats of those that count.
-    """
-
-    objective: str
-    clearance: str
-    maps: str
-    metrics: str
-
-
-def map_notes(cost_map: "CostMap") -> MapNotes:
-    """Return the sentences that are the same for every path on a cost map, which keeps them."""
-    objective = clearance = ""
+def map_notes(cost_map: "CostMap") -> Iterator[str]:
+    """Yield the sentences that are the same for every path on a cost map, which keeps them; some may be empty."""
     maps, constraints = cost_map.maps, cost_map.constraints
     if not cost_map.is_weighed and cost_map.objective == "weighted":
-        objective = (
-            "All weights are zero, so every path is as cheap: the distance was minimised instead."
-        )
+        yield "All weights are zero, so every path is as cheap: the distance was minimised instead."
     kept = describe_kept(constraints.to_dict(), cost_map.grid.resolution_m)
     if kept:
-        clearance = f"Distance to obstacles: {constraints.horizontal_m:g} m asked, {kept}."
-    of_maps = []
+        yield f"Distance to obstacles: {constraints.horizontal_m:g} m asked, {kept}."
     between_m = _between_m(cost_map)
     if between_m:
         low_m, high_m = between_m
-        of_maps.append(
-            f"Metrics at {cost_map.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
-        )
+        yield f"Metrics at {cost_map.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
     if maps.planning.preset == "paper" and ROOF_KIND in maps.ds:
-        of_maps.append(NOT_THE_PAPER)
-    metrics = " ".join(filter(None, _metric_notes(cost_map)))
-    return MapNotes(objective, clearance, " ".join(of_maps), metrics)
+        yield NOT_THE_PAPER
+
+    # Metrics that the maps lack, and the caveats of those that count.
+    weighed = [name for name, weight in cost_map.weights.to_dict().items() if weight > 0]
+    missing = [name for name in weighed if name not in ("distance", *cost_map.names)]
+    if missing:
+        yield f"These maps hold no {' and no '.join(missing)}, so that weight is ignored."
+    bounded = {bound.variable for bound in constraints.bounds}
+    for name, metric in maps.metrics.items():
+        is_paid_for = name in cost_map.names and cost_map.weights[name] > 0
+        if is_paid_for or not bounded.isdisjoint(metric.variables):
+            yield metric.caveat
 
 
 def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
@@ -166,16 +153,14 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
     """
     start, goal = ends
     has_path = path.status.has_path
-    standing = cost_map.notes
     notes = [path.note]
     if path.status is Status.NO_PATH:
         notes.append(apart_note(cost_map, start, goal))
         if cost_map.constraints.of_unknown == "highest" and "roof_limit" in cost_map.maps.ds:
             notes.append(ABOVE_HIGHEST)
-    notes += [standing.objective, snap_note(start, goal), standing.clearance]
+    notes.append(snap_note(start, goal))
     if cost_map.is_weighed and cost_map.weights.distance == 0 and not path.note and has_path:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
-    notes.append(standing.maps)
 
     # Why there may be no path.
     constraints = cost_map.constraints
@@ -185,23 +170,7 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
         notes.append(
             f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."
         )
-    return " ".join(filter(None, [*notes, standing.metrics]))
-
-
-def _metric_notes(cost_map: "CostMap") -> Iterator[str]:
-    """Yield a sentence on metrics that have a weight and that the maps lack, and the caveats of metrics that count.
-
-    A metric counts where a path pays for it, or where a bound is on one of its maps.
-    """
-    weighed = [name for name, weight in cost_map.weights.to_dict().items() if weight > 0]
-    missing = [name for name in weighed if name not in ("distance", *cost_map.names)]
-    if missing:
-        yield f"These maps hold no {' and no '.join(missing)}, so that weight is ignored."
-    bounded = {bound.variable for bound in cost_map.constraints.bounds}
-    for name, metric in cost_map.maps.metrics.items():
-        is_paid_for = name in cost_map.names and cost_map.weights[name] > 0
-        if is_paid_for or not bounded.isdisjoint(metric.variables):
-            yield metric.caveat
+    return " ".join(filter(None, [*notes, *cost_map.notes]))
 
 
 def map_settings(cost_map: "CostMap") -> dict[str, Any]:
@@ -213,8 +182,7 @@ def map_settings(cost_map: "CostMap") -> dict[str, Any]:
         "objective": cost_map.objective,
         **cost_map.cost_model.settings,
         "weights": {name: float(cost_map.weights[name]) for name in ("distance", *cost_map.names)},
-        "time": cost_map.time,
-        "time_of_day": cost_map.time_of_day,
+        **cost_map.when,
         "limits": cost_map.constraints.to_dict(),
         "obstacles": cost_map.maps.obstacles,
         "resolution_m": cost_map.grid.resolution_m,

@@ -71,7 +71,9 @@ def judged(
         is_known = has_data & np.isfinite(way.z_m).all(axis=1)
         steps = way.take(is_known)
         near = contacts(steps, buildings, ground, limits.horizontal_m)
-        near = near[~_is_on_own_roof(flight, steps, near, buildings)].reset_index(drop=True)
+        is_own = below_home(flight, buildings)[near["prism"]] & (near["gap_m"] > -FILE_MARGIN_M)
+        is_own &= flight.is_on_site(steps)[near["step"]]  # on the way up from it or down to it
+        near = near[~is_own].reset_index(drop=True)
         unknown.append(spans(way.along_m[~is_known], "data", NO_DATA))
         unknown += _unsure(flight, steps, near, limits)
         unknown += _beyond(flight, steps, known, limits.horizontal_m)
@@ -205,25 +207,13 @@ def _guessed(near: pd.DataFrame, buildings: Prisms) -> Iterator[pd.DataFrame]:
         yield part[SPAN].assign(kind="roof", reason=words.format(kind=kind, reach=reach))
 
 
-def _is_on_own_roof(
-    flight: Flight, steps: Steps, near: pd.DataFrame, buildings: Prisms
-) -> np.ndarray:
-    """Return ``[C]`` whether a contact is with the roof that home is on, on the way up from it or down to it.
-
-    Args:
-      flight: whose home may be on a roof.
-      steps: some of its steps.
-      near: the steps in and near buildings (`contacts`): ``C`` of them.
-      buildings: that they are near.
-    """
+def below_home(flight: Flight, buildings: Prisms) -> np.ndarray:
+    """Return ``[B]`` bool: the known and guessed roofs that a home above the ground is on, if it is."""
     mission = flight.mission
     if mission.home is None or not mission.home_above_ground_m:
-        return np.zeros(len(near), bool)
+        return np.zeros(len(buildings.polygons), bool)
     home = shapely.Point(flight.ground.maps.grid.xy_of_lonlat(*mission.home))
-    is_below_home = shapely.intersects(buildings.polygons, home) & np.isfinite(buildings.top_m)
-    step = near["step"].to_numpy(int)
-    is_over = near["gap_m"].to_numpy() > -FILE_MARGIN_M
-    return is_over & is_below_home[near["prism"]] & flight.is_on_site(steps)[step]
+    return shapely.intersects(buildings.polygons, home) & np.isfinite(buildings.top_m)
 
 
 def _at_corners(flight: Flight, buildings: Prisms, limits: Constraints) -> Iterator[pd.DataFrame]:
@@ -401,14 +391,12 @@ def _described(
 
 def _in_zones(steps: Steps, ground: Elevation, zones: Sequence[Zone]) -> pd.DataFrame:
     """Return a row for each step in each no-fly zone (`contacts`)."""
-    prisms = Prisms(
-        polygons=np.array([zone.on(ground.maps.grid) for zone in zones], object),
-        floor_m=np.array([zone.floor_m for zone in zones], float),
-        top_m=np.array([zone.ceiling_m for zone in zones], float),
-        limit_m=np.full(len(zones), -np.inf),
-        likely_m=np.full(len(zones), -np.inf),
-        kind=np.full(len(zones), "zone", object),
-    )
+    polygons = np.array([zone.on(ground.maps.grid) for zone in zones], object)
+    floor_m = np.array([zone.floor_m for zone in zones], float)
+    top_m = np.array([zone.ceiling_m for zone in zones], float)
+    limit_m = np.full(len(zones), -np.inf)
+    kind = np.full(len(zones), "zone", object)
+    prisms = Prisms(polygons, floor_m, top_m, limit_m, limit_m, kind)
     rows = contacts(steps, prisms, ground)
     return rows[rows["gap_m"] <= 0]
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.paths.places import MAX_SNAP_M, End, snap_limit_m
+from jaxurban.paths.places import MAX_SNAP_M, XY, End, Point, snap_limit_m
 from jaxurban.planners.base import Cell, islands_of
 
 if TYPE_CHECKING:
@@ -20,11 +20,9 @@ OVER_ROOF = "over a roof, or what else closes the way up from the ground"
 def places_near(
     cost_map: "CostMap",
     name: str,
-    xy_m: tuple[float, float],
-    level: int,
-    cell: Cell,
+    place: Point | XY,
     snap: bool | float,
-    on_ground: bool = False,
+    on_ground: bool,
 ) -> list[End]:
     """Return the possible ends of a query at a place: its own cell, or free cells near to it.
 
@@ -34,17 +32,19 @@ def places_near(
     Args:
       cost_map: whose cells they are.
       name: ``"start"`` or ``"goal"``, for messages.
-      xy_m: easting, northing of the place.
-      level: number of the level of the place; 0 on one altitude.
-      cell: row and column of the cell that the place lies in.
+      place: longitude, latitude in degrees, or `XY` in the maps' CRS; in a volume also an altitude, which is one of the
+        levels. Left out, it is the lowest level that is free there.
       snap: False never moves it, True by at most `MAX_SNAP_M`, a number by at most that many metres, from the place
         to the centre of a free cell of its level.
       on_ground: whether only cells count as free where the air is free down to the ground.
 
     Raises:
-      InputError: the cell is closed, and ``snap`` is off or the nearest free cell farther away than it allows.
+      InputError: a place outside the maps, no such level, or a closed cell, where ``snap`` is off or the nearest free
+        cell farther away than it allows (names the constraint and the nearest free cell).
     """
     # The cell of the place itself.
+    xy_m, cell = cost_map.cell_of(name, place)
+    level = cost_map.level_of(name, place, cell)
     limit_m = snap_limit_m(snap)
     is_free = cost_map.free_to_ground(level) if on_ground else cost_map.levels_free[level]
     level_index = () if cost_map.levels is None else (level,)  # before row and column
@@ -55,21 +55,43 @@ def places_near(
         if limit_m is None:
             return own
 
-    # The free cells within reach, the nearest first. No cell is within -1 m: the place may not move.
-    everywhere_m = cost_map.grid.resolution_m * sum(is_free.shape)
-    reach_m = -1.0 if limit_m is None else min(limit_m, everywhere_m)
-    cells, away_m = _free_within(cost_map, is_free, xy_m, cell, reach_m)
+    grid = cost_map.grid
+    everywhere_m = grid.resolution_m * sum(is_free.shape)
+
+    def within(reach_m: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return ``[N, 2]`` row and column, and metres to their centres, of free cells within reach, nearest first."""
+        num_cells = math.ceil(reach_m / grid.resolution_m) + 1
+        row, col = first = np.maximum(np.subtract(cell, num_cells), 0)
+        end_row, end_col = np.add(cell, num_cells + 1)
+        cells = np.argwhere(is_free[row:end_row, col:end_col]) + first
+        x_m, y_m = grid.xy_of_cell(*cells.T)
+        away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
+        near = np.argsort(away_m, kind="stable")
+        near = near[away_m[near] <= reach_m]
+        return cells[near], away_m[near]
+
+    # No cell is within -1 m: the place may not move.
+    cells, away_m = within(-1.0 if limit_m is None else min(limit_m, everywhere_m))
     if away_m.size == 0 and not own:
-        cells, away_m = _free_within(cost_map, is_free, xy_m, cell, everywhere_m)
+        cells, away_m = within(everywhere_m)
         why = OVER_ROOF
         if not cost_map.levels_free[level][cell]:
             why = cost_map.why_closed(cell, level)
         if away_m.size == 0:
-            way_out = f", and no cell is free at this altitude: {cost_map.remedy}"
-        else:
-            lonlat = cost_map.grid.lonlat_of_cell(*cells[0])
-            way_out = _way_out(lonlat, away_m[0], limit_m, on_ground)
-        raise InputError(f"{name} is {why}{way_out}")
+            raise InputError(
+                f"{name} is {why}, and no cell is free at this altitude: {cost_map.remedy}"
+            )
+        lon, lat = grid.lonlat_of_cell(*cells[0])
+        over = " over the ground" if on_ground else ""
+        too_far = "" if limit_m is None else f", farther than it may be moved ({limit_m:g} m)"
+        needed_m = math.ceil(away_m[0])
+        option = f"--snap {needed_m} (snap={needed_m})"
+        if needed_m <= MAX_SNAP_M:
+            option = "--snap (snap=True)"
+        raise InputError(
+            f"{name} is {why}; the nearest free cell{over} is at {lon:.6f},{lat:.6f}, {away_m[0]:.0f} m away{too_far}: "
+            f"take that place, fly higher, or pass {option} to move there"
+        )
 
     # The nearest cell of each island. Cells are sorted by distance, and `unique` gives the first of each island.
     islands = cost_map.islands[level_index]
@@ -79,52 +101,6 @@ def places_near(
         free_cell = *level_index, *cells[index].tolist()
         ends.append(End(free_cell, float(away_m[index]), True, on_ground, was_free=bool(own)))
     return ends
-
-
-def _free_within(
-    cost_map: "CostMap", is_free: np.ndarray, xy_m: tuple[float, float], cell: Cell, reach_m: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``[N, 2]`` row and column, and metres to them, of free cells within reach of a place, the nearest first.
-
-    Args:
-      cost_map: whose cells they are.
-      is_free: ``[Y, X]`` bool.
-      xy_m, cell: of the place.
-      reach_m: to the centre of a cell; below 0 there is none.
-    """
-    num_cells = math.ceil(reach_m / cost_map.grid.resolution_m) + 1
-    row, col = first = np.maximum(np.subtract(cell, num_cells), 0)
-    end_row, end_col = np.add(cell, num_cells + 1)
-    cells = np.argwhere(is_free[row:end_row, col:end_col]) + first
-    x_m, y_m = cost_map.grid.xy_of_cell(*cells.T)
-    away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
-    near = np.argsort(away_m, kind="stable")
-    near = near[away_m[near] <= reach_m]
-    return cells[near], away_m[near]
-
-
-def _way_out(
-    lonlat: tuple[float, float], away_m: float, limit_m: float | None, on_ground: bool
-) -> str:
-    """Return where the nearest free cell is, farther away than a place may be moved, and what would reach it.
-
-    Args:
-      lonlat: of the cell, degrees.
-      away_m: how far the place is from it.
-      limit_m: how far the place may be moved; None: not at all.
-      on_ground: as of `places_near`.
-    """
-    lon, lat = lonlat
-    free = "the nearest free cell over the ground" if on_ground else "the nearest free cell"
-    too_far = "" if limit_m is None else f", farther than it may be moved ({limit_m:g} m)"
-    needed_m = math.ceil(away_m)
-    option = f"--snap {needed_m} (snap={needed_m})"
-    if needed_m <= MAX_SNAP_M:
-        option = "--snap (snap=True)"
-    return (
-        f"; {free} is at {lon:.6f},{lat:.6f}, {away_m:.0f} m away{too_far}: "
-        f"take that place, fly higher, or pass {option} to move there"
-    )
 
 
 def joined_ends(cost_map: "CostMap", starts: list[End], goals: list[End]) -> tuple[End, End]:
@@ -205,11 +181,9 @@ def _closed_between(cost_map: "CostMap", cell: Cell, to_cell: np.ndarray) -> np.
 
 def free_to_ground(cost_map: "CostMap", level: int) -> np.ndarray:
     """Return ``[Y, X]`` where a mission may take off to a level of a cost map and land from it."""
+    altitude_m = float(cost_map.altitudes_m[level])
     return cost_map.levels_free[level] & cost_map.constraints.is_free_to_ground(
-        cost_map.maps,
-        float(cost_map.altitudes_m[level]),
-        time=cost_map.time,
-        time_of_day=cost_map.time_of_day,
+        cost_map.maps, altitude_m, **cost_map.when
     )
 
 
@@ -221,9 +195,7 @@ def islands_at(cost_map: "CostMap", levels_m: tuple[float, ...]) -> np.ndarray:
       levels_m: the ascending levels of a volume, or one altitude.
     """
     altitudes_m = levels_m[0] if cost_map.levels is None else levels_m
-    is_free = cost_map.constraints.is_free(
-        cost_map.maps, altitudes_m, time=cost_map.time, time_of_day=cost_map.time_of_day
-    )
+    is_free = cost_map.constraints.is_free(cost_map.maps, altitudes_m, **cost_map.when)
     return islands_of(is_free, cost_map.cuts_corners)
 
 
@@ -271,7 +243,7 @@ def why_closed(cost_map: "CostMap", cell: Cell, level: int = 0) -> str:
     maps, constraints = cost_map.maps, cost_map.constraints
     levels_m = cost_map.altitudes_m.tolist()
     z_m = levels_m[level]
-    when = {"time": cost_map.time, "time_of_day": cost_map.time_of_day}
+    when = cost_map.when
     reasons = []
     if maps.is_free(z_m)[cell]:
         reasons = constraints.reasons(maps, z_m, cell, **when)

@@ -144,19 +144,15 @@ def plot_mission(result: MissionCheck) -> Figure:
 
 @styled
 def plot_flown_heights(result: MissionCheck) -> Figure:
-    """Return the height above the ground along the mission, the roofs of the cells below, and the findings.
-
-    Maps without the highest roof that touches a cell (`TOUCHED`) show no roofs.
-    """
+    """Return the height above the ground along the mission, the roofs of the cells below, and the findings."""
     steps = result.flight.steps
     along_m = steps.along_m[:, 0]  # at the start of each step
     # In a gap between steps the mission has left the maps, where neither it nor a roof is drawn.
     is_before_gap = np.append(np.diff(along_m) > GAP_M, False)
     figure = chart(HEIGHT_IN, "Height along the mission", result.sentence)
     axes = figure.subplots()
-    if TOUCHED in result.maps.ds:
-        roof_m = np.where(is_before_gap, np.nan, result.maps.m(TOUCHED)[tuple(steps.cell.T)])
-        axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
+    roof_m = np.where(is_before_gap, np.nan, result.maps.m(TOUCHED)[tuple(steps.cell.T)])
+    axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
     axes.plot(along_m, np.where(is_before_gap, np.nan, steps.z_m[:, 0]), **MISSION)
     axes.set(xlabel="flown (m)", ylabel="height above\nground (m)")
     dress(axes)

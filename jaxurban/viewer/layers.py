@@ -16,7 +16,7 @@ from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR
 from jaxurban.paths.closed import CAUSES, causes_at
 from jaxurban.paths.plan import rules_on
 from jaxurban.paths.return_altitude import LONG_NAME, NAME
-from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
+from jaxurban.report.figures.frame import BLOCKED_COLOUR, NO_DATA_PATCH, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import (
     EMPTY_COLOUR,
     class_patches,
@@ -25,7 +25,7 @@ from jaxurban.report.figures.metrics import (
     metric_colours,
     values_of,
 )
-from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
+from jaxurban.report.figures.paths import COST_COLOURS
 from jaxurban.report.figures.style import Colours, bar_ticks, difference_colours, tick_label
 from jaxurban.viewer.markup import legend
 

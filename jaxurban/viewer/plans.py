@@ -4,17 +4,15 @@ import json
 import shlex
 import tempfile
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path as FilePath
 from typing import cast
 
-import numpy as np
-
-from jaxurban.checks import one_of
+from jaxurban.checks import one_of, values_given
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
-from jaxurban.paths.closed import causes_at, shares_of
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.explain import explain, with_return_altitude
@@ -26,14 +24,16 @@ from jaxurban.paths.route_report import RouteReport
 from jaxurban.paths.snapping import OVER_ROOF
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
-from jaxurban.report.figures.metrics import percent
-from jaxurban.settings import DEFAULTS, PlannerName, Preset, UnknownHeights
+from jaxurban.settings import DEFAULTS, PlannerName, Preset
 from jaxurban.viewer.requests import Plan
 from jaxurban.viewer.tiles import Kept
 
 ZONES_FILE = "zones.geojson"  # what the page saves drawn zones as, and the command names
 SAMPLING_BUDGET_S = 2.0  # sampling planners take all that they may
 NUM_ROUTES = 16  # that are kept
+OF_MAP = attrgetter(  # of a query: what its cost map depends on, beside its place in the maps and weights
+    "cost_model", "obstacles", "clearance_m", "vertical_clearance_m", "unknown_heights", "zones"
+)
 
 
 class Plans:
@@ -71,7 +71,7 @@ class Plans:
 
         def make() -> PlannedPath:
             """Return the route, planned now."""
-            return self._cost_map(query, at).plan(
+            return self.cost_map(query, at).plan(
                 query.start,
                 query.goal,
                 planner=cast(PlannerName, query.planner),  # `plan` refuses an unknown one
@@ -131,13 +131,13 @@ class Plans:
         key = "mission", _route_key(query)
         half_cell_m = self.maps.grid.resolution_m / 2
         return self._routes.get(
-            key, lambda: simplify(planned, self._cost_map(query, at), half_cell_m)
+            key, lambda: simplify(planned, self.cost_map(query, at), half_cell_m)
         )
 
     def moved(self, query: Plan, at: OneMap) -> list[str]:
         """Return a sentence for each end of a route that was moved: how far, and what closed the cell where it was."""
         moves_m = self.route(query, at).snap_distance_m
-        costs = self._cost_map(query, at)
+        costs = self.cost_map(query, at)
         ends = {"start": query.start, "goal": query.goal}
         sentences = []
         for (name, lonlat), moved_m in zip(ends.items(), moves_m, strict=True):
@@ -148,24 +148,17 @@ class Plans:
                 sentences.append(f"{name} moved {moved_m:.0f} m: it was {OVER_ROOF}")
         return sentences
 
-    def causes(self, query: Plan, at: OneMap) -> np.ndarray:
-        """Return ``[Y, X]`` what closes each cell under the rules of a query (`jaxurban.paths.closed.causes_at`)."""
-        maps = self.maps.with_obstacles(query.obstacles)
-        constraints = self._constraints(query)
-        return causes_at(maps, constraints, _altitude_m(at), at.time, at.time_of_day)
-
     def why(self, query: Plan, at: OneMap) -> str:
         """Return whether the start of a query is free, or what closes it, and which share of the cells each cause does.
 
         Raises:
           InputError: as for `jaxurban.plan`.
         """
-        costs = self._cost_map(query, at)
+        costs = self.cost_map(query, at)
         _, cell = costs.cell_of("the place", query.start)
         said = "free to routes" if costs.is_free[cell] else costs.why_closed(cell)
-        shares = shares_of(self.causes(query, at)).items()
-        listed = ", ".join(f"{name} {percent(share)}" for name, share in shares if share)
-        return f"This cell is {said}. Of all cells: {listed}."
+        facts = costs.facts
+        return f"This cell is {said}. Free: {facts['free']}; closed: {facts['closed']}."
 
     def command(self, query: Plan, at: OneMap) -> str:
         """Return the command that gives the same route, coordinate for coordinate; "" for maps in memory.
@@ -175,6 +168,7 @@ class Plans:
         if not self.folder:
             return ""
 
+        limits = self._constraints(query)
         # The value of each option, None for one that is left out; the text of a number gives the same number again.
         values = {
             "--resolution": self.maps.grid.resolution_m,
@@ -190,9 +184,9 @@ class Plans:
             "--seed": 0,
             "--cost-model": query.cost_model,
             "--obstacles": query.obstacles,
-            "--clearance": query.clearance_m,
-            "--vertical-clearance": self._over_roofs_m(query),
-            "--unknown-heights": self._unknown_heights(query),
+            "--clearance": limits.clearance_m,
+            "--vertical-clearance": limits.vertical_clearance_m,
+            "--unknown-heights": limits.unknown_heights,
             "--no-fly": ZONES_FILE if query.zones else None,
             "--speed": query.speed_m_s,
             "--power": query.power_w,
@@ -207,7 +201,7 @@ class Plans:
             words.append("--on-ground")
         return shlex.join(words)
 
-    def _cost_map(self, query: Plan, at: OneMap) -> CostMap:
+    def cost_map(self, query: Plan, at: OneMap) -> CostMap:
         """Return the cost map of a query; what does not depend on the weights is kept for the next query.
 
         Raises:
@@ -218,45 +212,26 @@ class Plans:
         for name in query.weights:
             one_of("weight", name, ("distance", *self.maps.metrics))
 
+        altitude_m = at.altitude_m
+        if altitude_m is None:
+            raise InputError("these maps hold no altitude to plan at")
+
+        def make() -> CostMap:
+            """Return the cost map, made from the maps; the query's weights are not in it yet."""
+            settings = self.cost_model.settings | {"cost_model": query.cost_model}
+            return cost_map(
+                self.maps.with_obstacles(query.obstacles),
+                altitude_m,
+                cost_model=CostModel.from_settings(settings),
+                time=at.time,
+                time_of_day=at.time_of_day,
+                objective="weighted",
+                constraints=self._constraints(query),
+            )
+
         # Weights that the page does not say stay. The key holds all else that a cost map depends on.
         weights = Weights.of(self.weights.to_dict() | query.weights)
-        key = (
-            at,
-            query.cost_model,
-            query.obstacles,
-            query.clearance_m,
-            query.vertical_clearance_m,
-            query.unknown_heights,
-            query.zones,
-        )
-        return self._cost_maps.get(key, lambda: self._new_cost_map(query, at)).with_weights(weights)
-
-    def _new_cost_map(self, query: Plan, at: OneMap) -> CostMap:
-        """Return a cost map for a query, made from the maps; the query's weights are not in it yet.
-
-        Raises:
-          InputError: the maps hold no altitudes, or as for `jaxurban.plan`.
-        """
-        settings = self.cost_model.settings | {"cost_model": query.cost_model}
-        return cost_map(
-            self.maps.with_obstacles(query.obstacles),
-            _altitude_m(at),
-            cost_model=CostModel.from_settings(settings),
-            time=at.time,
-            time_of_day=at.time_of_day,
-            objective="weighted",
-            constraints=self._constraints(query),
-        )
-
-    def _over_roofs_m(self, query: Plan) -> float | None:
-        """Return the vertical clearance of a query, the scenario's if the query has none; None without either."""
-        if query.vertical_clearance_m is None:
-            return self.limits.vertical_clearance_m
-        return query.vertical_clearance_m
-
-    def _unknown_heights(self, query: Plan) -> UnknownHeights:
-        """Return how high roofs of unknown height count to a query; without its word, as for flights."""
-        return query.unknown_heights or self.limits.of_unknown
+        return self._cost_maps.get((at, OF_MAP(query)), make).with_weights(weights)
 
     def _constraints(self, query: Plan) -> Constraints:
         """Return what closes cells to a query: the scenario's limits with the query's clearances and drawn zones.
@@ -264,12 +239,11 @@ class Plans:
         Raises:
           InputError: the zones are no GeoJSON of polygons.
         """
-        limits = replace(
-            self.limits,
-            clearance_m=query.clearance_m,
-            vertical_clearance_m=self._over_roofs_m(query),
-            unknown_heights=self._unknown_heights(query),
-        )
+        rules = {
+            "vertical_clearance_m": query.vertical_clearance_m,
+            "unknown_heights": query.unknown_heights,
+        }
+        limits = replace(self.limits, clearance_m=query.clearance_m, **values_given(rules))
         if not query.zones:
             return limits
 
@@ -282,17 +256,6 @@ class Plans:
             file = FilePath(folder) / ZONES_FILE
             file.write_text(query.zones, encoding="utf-8")
             return replace(limits, zones=Constraints.read(file).zones)
-
-
-def _altitude_m(at: OneMap) -> float:
-    """Return the altitude of a flight.
-
-    Raises:
-      InputError: the maps hold no altitudes.
-    """
-    if at.altitude_m is None:
-        raise InputError("these maps hold no altitude to plan at")
-    return at.altitude_m
 
 
 def _count_one(_: object) -> int:

@@ -27,7 +27,7 @@ from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.profile import cautions, cautious_profile, without_fix
+from jaxurban.paths.profile import cautious_profile, without_fix
 from jaxurban.paths.return_altitude import NAME, return_altitude
 from jaxurban.paths.route_report import CLEARANCE, RouteReport
 from jaxurban.planners.base import Status
@@ -391,7 +391,7 @@ class Viewer:
         plan = view.plan
         if plan and view.layer == CLOSED.name:
             key = CLOSED.name, plan.model_dump_json()
-            return self.kept.get(key, lambda: self.plans.causes(plan, self.flight(plan)))
+            return self.kept.get(key, lambda: self.plans.cost_map(plan, self.flight(plan)).causes)
         if view.layer != NAME:
             return self.kept.get((view.layer, at), lambda: layer.values(at))
         if view.home is None:
@@ -639,23 +639,18 @@ class Viewer:
         }
 
     def _least_clearance(self, mission: PlannedPath, route_m: float) -> list[str]:
-        """Return the least clearance of a mission in words, as HTML in the colour of its caution.
+        """Return the least clearance of a mission in words.
 
         The clearance of its route, ``route_m``, follows if it is greater. Without buildings no clearance is finite, and
         the list is empty.
         """
-        profile = cautious_profile(mission, self.maps)
-        least_m = profile[CLEARANCE].min()
+        least_m = cautious_profile(mission, self.maps)[CLEARANCE].min()
         if not math.isfinite(least_m):
             return []
         text = f"least clearance {number(least_m)} m"
         if least_m < route_m and number(least_m) != number(route_m):
             text = f"{text}, the route {number(route_m)} m"
-
-        # The caution that says how near buildings are; every route past buildings has one.
-        said = cautions(mission, self.maps, profile)
-        level = next(caution.level for caution in said if caution.kind == "clearance")
-        return [f'<b class="jv-{level}">{text}</b>']
+        return [text]
 
     def _on_page(self, lonlat: np.ndarray) -> np.ndarray:
         """Return places ``[N, 2]``, given by longitude and latitude, as x and y in metres from the southwest corner."""

@@ -144,7 +144,7 @@ def test_ends_that_only_a_touch_closes_are_told_apart_and_name_the_rule_under_wh
 
 def test_maps_without_touched_roofs_are_refused_for_planning(gap):
     old = ju.MetricMaps(gap.ds.drop_vars("roof_touched"))
-    with pytest.raises(InputError, match='obstacles = "centre"'):
+    with pytest.raises(InputError, match="these maps hold no 'roof_touched'"):
         ju.plan(old, **ENDS, altitude_m=20.0)
     assert ju.plan(old.with_obstacles("centre"), **ENDS, altitude_m=20.0).status.has_path
     with pytest.raises(InputError, match="'touched', 'centre'"):

@@ -199,7 +199,7 @@ REFUSED = [
     ),
     (
         lambda s: ju.Constraints(clearance_m=1.0).is_free(s.untouched, Z_M),
-        "'roof_touched', from which a clearance is",
+        "these maps hold no 'roof_touched'",
     ),
     (lambda s: ju.Vehicle(radius_m=-0.1), "radius_m must be 0 or a positive number of metres"),
     (lambda s: ju.Vehicle(max_turn_deg=181.0), "max_turn_deg must be at most 180 degrees"),

@@ -9,7 +9,7 @@ from jaxurban.maps.build import compute_maps
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.paths.clearance import obstacles_within
+from jaxurban.paths.clearance import closed_by_clearance
 from jaxurban.settings import TO_GROUND
 from jaxurban.world.grid import Grid
 from tests.hanging_city import CRS, DECK, DECK_TOP_M, HANGING, STANDING, X_M, Y_M, city
@@ -58,9 +58,8 @@ def test_where_planners_may_fly_is_where_they_may_if_everything_reaches_the_grou
     for z_m in (5.0, 9.0, 12.5, 13.0, 14.0, 20.0):
         np.testing.assert_array_equal(slabs.is_free(z_m), grounded.is_free(z_m))
         for clearance_m in ((0.0, 0.0), (15.0, 3.0)):
-            closed = (
-                obstacles_within(held, z_m, *clearance_m, "likely") for held in (slabs, grounded)
-            )
+            limits = ju.Constraints((), (), *clearance_m)
+            closed = (closed_by_clearance(held, z_m, limits) for held in (slabs, grounded))
             np.testing.assert_array_equal(*closed)
 
 

@@ -29,13 +29,12 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import Status
 from jaxurban.report import figures as plotting
 from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps, flat_layer
-from jaxurban.report.figures.metrics import percent
+from jaxurban.report.figures.metrics import obstacle_patches, percent
 from jaxurban.report.figures.paths import (
     LINE_PT,
     PLANNER_COLOURS,
     Place,
     closed_at,
-    closed_patches,
     maps_figures,
     side_by_side,
 )
@@ -786,7 +785,9 @@ def test_a_notebook_shows_heading_and_note_too():
 
 
 def test_the_legend_names_closed_cells_only_where_a_panel_hatches_some():
+    maps = made_maps(20, 20)
     nowhere, somewhere = np.zeros((3, 4), bool), np.eye(3, 4, dtype=bool)
-    assert closed_patches(nowhere, nowhere) == []
-    (patch,) = closed_patches(nowhere, somewhere)
+    panels = [MapPanel("", is_closed=is_closed) for is_closed in (nowhere, somewhere)]
+    assert obstacle_patches(maps, panels=panels[:1]) == obstacle_patches(maps)
+    *_, patch = obstacle_patches(maps, panels=panels)
     assert patch.get_label().startswith("closed to routes")

@@ -18,7 +18,6 @@ from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.judge import judged
 from jaxurban.paths.legs import flight_of
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.route_report import TOUCHED
 
 NO_MAPS = "It was not checked, as the path has no maps."
 UNSURE = "may meet what is of unknown height as it takes off or lands"
@@ -31,8 +30,7 @@ def check_own(route: PlannedPath, data: bytes) -> str:
     """Return a sentence on how a mission was judged that is about to be written.
 
     The cells that roofs touch are looked at first, as they hold every outline. Exact outlines, from the files of the
-    maps, decide where these find anything, where the maps do not know them, or where the ground of the cells is not
-    that of the terrain's file.
+    maps, decide where these find anything, or where the ground of the cells is not that of the terrain's file.
 
     Args:
       route: the path, whose own constraints count.
@@ -40,19 +38,18 @@ def check_own(route: PlannedPath, data: bytes) -> str:
 
     Raises:
       InputError: the mission meets an obstacle, the ground, a zone or a closed cell, or takes off or lands through what
-        is of unknown height: says where, and what to do. Or nothing says what stands there.
+        is of unknown height: says where, and what to do.
     """
     maps = route.maps
     if maps is None:
         return NO_MAPS
     way = f"cells of {maps.grid.resolution_m:g} m"
-    city = findings = None
-    if TOUCHED in maps.ds:
-        findings = _findings(route, maps, data, None)
-    if findings is None or len(findings) or not Elevation(maps, None).is_exact:
+    city = None
+    findings = _findings(route, maps, data, None)
+    if len(findings) or not Elevation(maps, None).is_exact:
         standing = standing_on(maps)
         city = standing.city
-        if city is not None or findings is None:
+        if city is not None:
             findings = _findings(route, maps, data, city)
             way = standing.outlines
     if not len(findings):

@@ -79,6 +79,16 @@ ENDS = tuple(  # of a route, in a legend
     Line2D([], [], marker=marker, markersize=size, label=name, **END_LOOK)
     for name, marker, size in (("start", "o", 6.0), ("goal", "*", 11.0))
 )
+BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
+HATCH, VEIL_COLOUR = "///////", f"{BLOCKED_COLOUR}40"  # of cells that are closed and no obstacle
+CLOSED = Patch(
+    facecolor=VEIL_COLOUR,
+    edgecolor=BLOCKED_COLOUR,
+    hatch=HATCH,
+    linewidth=0.4,
+    label="closed to routes by\nclearance, unknown\nheight or zone",
+)
+NOWHERE = np.empty(0, bool)
 LegendEntry = tuple[str, str] | Artist  # a name and its colour, or what is drawn
 
 
@@ -95,12 +105,21 @@ class MapLayer(NamedTuple):
 
 
 class MapPanel(NamedTuple):
-    """A map of a figure: title, layers, later ones over earlier ones, lines below it, and its own grid, if any."""
+    """A map of a figure.
+
+    Attributes:
+      title: above it.
+      layers: later ones over earlier ones.
+      foot: lines below it.
+      grid: its own, if any.
+      is_closed: ``[Y, X]`` bool: cells that are hatched; `NOWHERE`: none.
+    """
 
     title: str
     layers: Sequence[MapLayer] = ()
     foot: str = ""
     grid: Grid | None = None
+    is_closed: np.ndarray = NOWHERE
 
 
 class Size(NamedTuple):
@@ -254,7 +273,7 @@ def _draw_panel(spot: Axes, panel: MapPanel, grid: Grid, size: Size) -> None:
     spot.set_xlabel(wrapped(panel.foot, size.cell_in), loc="left")
     spot.spines[:].set_visible(True)
     if panel.layers:
-        draw_layers(spot, grid, panel.layers)
+        draw_layers(spot, grid, panel.layers, panel.is_closed)
     spot.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m))
     _orient(spot)
 
@@ -383,17 +402,18 @@ def mark_ends(
         mark.loc = AnchoredOffsetbox.codes[name]
 
 
-def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
-    """Draw maps into a panel, later ones over earlier ones.
+def draw_layers(spot: Axes, grid: Grid, layers: Sequence[MapLayer], is_closed: np.ndarray) -> None:
+    """Draw maps into axes, later ones over earlier ones, and hatch what is closed.
 
     Layers become one image before it is scaled to the page, so that thin streets and small roofs blend
     into their surroundings instead of flickering in and out. Where no layer has a colour, the image has that of cells
     without data.
 
     Args:
-      panel: to draw into.
+      spot: the axes.
       grid: of the maps.
       layers: one at least, ``[Y, X]`` each; of more than `MAX_CELLS` a side only every second, third ... is drawn.
+      is_closed: ``[Y, X]`` bool, of which the same cells are looked at.
     """
     step = math.ceil(max(layers[0].values.shape) / MAX_CELLS)
     image = np.round(255 * np.array(to_rgb(NO_DATA_COLOUR))).astype(np.uint8)
@@ -405,7 +425,17 @@ def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
     x_max_m = grid.x_min_m + cols * side_m
     y_max_m = grid.y_min_m + rows * side_m
     extent = (grid.x_min_m, x_max_m, grid.y_min_m, y_max_m)
-    panel.imshow(image, extent=extent, origin="lower", interpolation="auto", aspect="auto")
+    spot.imshow(image, extent=extent, origin="lower", interpolation="auto", aspect="auto")
+    if is_closed.any():
+        hatched = spot.contourf(
+            is_closed[::step, ::step],
+            [0.5, 1.5],
+            colors=[VEIL_COLOUR],
+            hatches=[HATCH],
+            origin="lower",
+            extent=extent,
+        )
+        hatched.set(edgecolor=BLOCKED_COLOUR, linewidth=0)
 
 
 def classes_layer(values: np.ndarray, colours: Sequence[str]) -> MapLayer:

@@ -26,6 +26,7 @@ from jaxurban.metrics.variables import (
 )
 from jaxurban.paths.closed import obstacles_at
 from jaxurban.report.figures.frame import (
+    CLOSED,
     GUESSED_ROOF_COLOUR,
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
@@ -51,11 +52,21 @@ EMPTY_COLOUR = "#ffffff"
 Altitudes = float | Sequence[float] | None
 
 
-def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tuple[str, str]]:
-    """Return the legend entries of obstacle cells and, where there are any, of cells without data."""
-    patches = [("obstacle", colour)]
+def obstacle_patches(
+    maps: MetricMaps, colour: str = OBSTACLE_COLOUR, panels: Sequence[MapPanel] = ()
+) -> list[Any]:
+    """Return the legend entries of obstacle cells and, where there are any, of cells without data and closed ones.
+
+    Args:
+      maps: of the picture.
+      colour: of obstacles.
+      panels: of the picture, where they may hatch closed cells.
+    """
+    patches: list[Any] = [("obstacle", colour)]
     if not maps.ds["has_data"].values.all():
         patches.append(NO_DATA_PATCH)
+    if any(panel.is_closed.any() for panel in panels):
+        patches.append(CLOSED)
     return patches
 
 

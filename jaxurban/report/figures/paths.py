@@ -1,6 +1,5 @@
 """Pictures of paths over the normalised cost, the overview of one region, and all pictures of a region as PNG."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import chain, cycle
@@ -13,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.patheffects import Stroke, withStroke
 
 from jaxurban.errors import InputError
@@ -26,8 +24,8 @@ from jaxurban.paths.closed import OBSTACLE, causes_at, constraints_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import rules_on
 from jaxurban.report.figures.frame import (
+    BLOCKED_COLOUR,
     ENDS,
-    MAX_CELLS,
     MapLayer,
     MapPanel,
     draw_maps,
@@ -58,7 +56,7 @@ from jaxurban.report.figures.metrics import (
     plot_sensor_choice,
     roof_layers,
 )
-from jaxurban.report.figures.style import Colours, Width, styled
+from jaxurban.report.figures.style import Colours, Width
 from jaxurban.report.write import Figures, save
 
 # A family of planners has a hue, its members a dark and a light tone: the colour-blind see both.
@@ -71,8 +69,6 @@ PLANNER_COLOURS = {
 }
 OTHER_COLOURS = ("#00857a", "#7b3fb5", "#7fc241", "#8c510a", "#59d8c8", "#d9a3ff", "#404040")
 COST_COLOURS = Colours("gray", Normalize(0, 1), "normalised cost\n(0: best free cell, 1: worst)")
-BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
-HATCH, VEIL_COLOUR = "///////", f"{BLOCKED_COLOUR}40"  # of cells that are closed and no obstacle
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
 LINE_PT = 1.6  # of a path
 EDGE_PT = 0.4  # of its white edge, which parts it from the map and from the next one
@@ -182,10 +178,9 @@ def plot_paths(
     facts = frame_note(maps, None if has_times else times.pop())
     note = joined(facts, rules_said(*(each.path.settings for each in drawn)), by="\n")
 
-    # The legend: obstacles, closed cells, and each path that is drawn in its colour.
+    # The legend: what no path enters, and each path that is drawn in its colour.
     colours = planner_colours(each.name for each in named)
     paths_at = [[each.path for each in shown] for shown in named_at.values()]
-    closed = [closed_at(maps, place, here) for place, here in zip(named_at, paths_at, strict=True)]
     names_drawn = {each.name: colours[each.name] for each in drawn}
     entries = path_entries(names_drawn, *paths_at, lanes=lanes)
     figure, axes = draw_maps(
@@ -193,14 +188,11 @@ def plot_paths(
         panels,
         heading,
         note,
-        legend=[*obstacle_patches(maps, BLOCKED_COLOUR), *closed_patches(*closed), *entries],
+        legend=[*obstacle_patches(maps, BLOCKED_COLOUR, panels), *entries],
         colours=COST_COLOURS,
         width=width,
     )
-    for panel, shown, here, is_closed in zip(
-        axes, named_at.values(), paths_at, closed, strict=True
-    ):
-        draw_closed(panel, is_closed)
+    for panel, shown, here in zip(axes, named_at.values(), paths_at, strict=True):
         draw_paths(panel, here, [colours[each.name] for each in shown], APART_PT * lanes)
     return figure
 
@@ -246,7 +238,8 @@ def _cost_panel(
         *(outcome_of(each.path, each.name) for each in named),
         by="\n",
     )
-    return MapPanel(title, cost_layers(maps, *place), foot)
+    is_closed = closed_at(maps, place, [each.path for each in named])
+    return MapPanel(title, cost_layers(maps, *place), foot, is_closed=is_closed)
 
 
 def _places_at(
@@ -291,26 +284,6 @@ def closed_at(maps: MetricMaps, place: Place, paths: Sequence[PlannedPath]) -> n
     rules = rules or {(rules_on(maps, None, None, "")[2], maps.obstacles)}
     causes = [causes_at(maps.with_obstacles(rule), limits, *place) for limits, rule in rules]
     return (np.min(causes, axis=0) > OBSTACLE) & maps.ds["has_data"].values
-
-
-def closed_patches(*closed: np.ndarray) -> list[Patch]:
-    """Return the legend entry of cells that panels hatch, each ``[Y, X]`` bool; empty where none hatches any."""
-    return [CLOSED] if any(is_closed.any() for is_closed in closed) else []
-
-
-@styled
-def draw_closed(panel: Axes, is_closed: np.ndarray) -> None:
-    """Hatch cells of a map, ``[Y, X]`` bool; of more than `MAX_CELLS` a side every second, third ... is looked at."""
-    step = math.ceil(max(is_closed.shape) / MAX_CELLS)
-    hatched = panel.contourf(
-        is_closed[::step, ::step],
-        [0.5, 1.5],
-        colors=[VEIL_COLOUR],
-        hatches=[HATCH],
-        origin="lower",
-        extent=panel.images[0].get_extent(),
-    )
-    hatched.set(edgecolor=BLOCKED_COLOUR, linewidth=0)
 
 
 def draw_paths(
@@ -401,13 +374,6 @@ def side_by_side(
     return places_m
 
 
-CLOSED = Patch(
-    facecolor=VEIL_COLOUR,
-    edgecolor=BLOCKED_COLOUR,
-    hatch=HATCH,
-    linewidth=0.4,
-    label="closed to routes by\nclearance, unknown\nheight or zone",
-)
 BESIDE = Line2D(
     [],
     [],
@@ -497,7 +463,6 @@ def plot_overview(
     _, time, time_of_day = place
     named = [each for each in named if each.place == place and each.path.status.has_path]
     drawn = [each.path for each in named]
-    is_closed = closed_at(maps, place, drawn)
 
     # A panel for each metric: of metrics such as population the variable whose zero is drawn in white, of others m in
     # the free cells.
@@ -517,7 +482,9 @@ def plot_overview(
     # The cost. It is the last layer of its panel, which has the colour bar, as obstacles have none of their own.
     what = " and paths" if drawn else ""
     cost, obstacles = cost_layers(maps, *place)
-    panels.append(MapPanel(joined(f"Cost{what}", time_of_day), [obstacles, cost]))
+    title = joined(f"Cost{what}", time_of_day)
+    is_closed = closed_at(maps, place, drawn)
+    panels.append(MapPanel(title, [obstacles, cost], is_closed=is_closed))
 
     # Note, heading and legend of the picture, and the paths over the last panel.
     colours = planner_colours(each.name for each in named)
@@ -531,14 +498,12 @@ def plot_overview(
         note,
         legend=[
             (",\n".join(blank), EMPTY_COLOUR),
-            *obstacle_patches(maps, BLOCKED_COLOUR),
-            *closed_patches(is_closed),
+            *obstacle_patches(maps, BLOCKED_COLOUR, panels),
             *path_entries(colours, drawn),
         ],
         has_ticks=False,
         width=width,
     )
-    draw_closed(axes[-1], is_closed)
     draw_paths(axes[-1], drawn, [colours[each.name] for each in named])
     return figure
 

@@ -10,6 +10,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from jaxurban.report.figures.frame import (
+    BLOCKED_COLOUR,
     ENDS,
     HALO,
     MapPanel,
@@ -20,13 +21,10 @@ from jaxurban.report.figures.frame import (
 )
 from jaxurban.report.figures.metrics import line_colour, obstacle_patches
 from jaxurban.report.figures.paths import (
-    BLOCKED_COLOUR,
     EDGE_PT,
     Place,
     closed_at,
-    closed_patches,
     cost_layers,
-    draw_closed,
     draw_ends,
 )
 from jaxurban.report.figures.style import (
@@ -127,10 +125,11 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     place = Place(z, settings["time"], day)
     layers = cost_layers(result.maps, *place)
     is_closed = closed_at(result.maps, place, [result.route])
-    panels_of = [
-        MapPanel(f"{name}, {len(_shown(len(line.cells)))} of {len(line.cells)} routes", layers)
-        for name, line in result.lines.items()
-    ]
+    panels_of = []
+    for name, line in result.lines.items():
+        num = len(line.cells)
+        title = f"{name}, {len(_shown(num))} of {num} routes"
+        panels_of.append(MapPanel(title, layers, is_closed=is_closed))
     heading = joined("Cheapest routes along the range of each weight", day, by=", ")
     facts = joined(f"{z:g} m above ground", "grey: normalised cost, black: lowest")
     note = "\n".join([facts, frame_note(result.maps, settings["time"]), rules_said(settings)])
@@ -140,8 +139,7 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
         heading,
         note,
         legend=[
-            *obstacle_patches(result.maps, BLOCKED_COLOUR),
-            *closed_patches(is_closed),
+            *obstacle_patches(result.maps, BLOCKED_COLOUR, panels_of),
             Line2D([], [], label="given weights", **GIVEN_ROUTE),
             *ENDS,
         ],
@@ -149,7 +147,6 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     )
 
     for panel, name in zip(axes, result.lines, strict=True):
-        draw_closed(panel, is_closed)
         draw_ends(panel, [result.route])
 
         # A row for each route along the range, with the weights between which it is the cheapest.

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.report.figures.frame import (
+    BLOCKED_COLOUR,
     ENDS,
     MapLayer,
     MapPanel,
@@ -18,13 +19,7 @@ from jaxurban.report.figures.frame import (
     rules_said,
 )
 from jaxurban.report.figures.metrics import line_colour, obstacle_layer, obstacle_patches
-from jaxurban.report.figures.paths import (
-    BESIDE,
-    BLOCKED_COLOUR,
-    closed_patches,
-    draw_closed,
-    draw_lines,
-)
+from jaxurban.report.figures.paths import BESIDE, draw_lines
 from jaxurban.report.figures.style import Colours, dots, name_rows, panels, show_plain_log, styled
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.weight_fit import WeightFit
@@ -94,7 +89,7 @@ def plot_routes(
     has_data = maps.ds["has_data"].values
     is_closed = ~cost_map.is_free & (obstacles.values < 0) & has_data
     shown = MapLayer(np.where(has_data, cost, np.nan), colours)
-    panels_of = [MapPanel(title, [shown, obstacles])]
+    panels_of = [MapPanel(title, [shown, obstacles], is_closed=is_closed)]
     heading = f"{given.capitalize()}s and routes under the fitted weights"
     figure, (panel,) = draw_maps(
         grid,
@@ -104,14 +99,12 @@ def plot_routes(
         legend=[
             (given, DEMONSTRATION_COLOUR),
             ("fitted weights", PLANNED_COLOUR),
-            *obstacle_patches(maps, BLOCKED_COLOUR),
-            *closed_patches(is_closed),
+            *obstacle_patches(maps, BLOCKED_COLOUR, panels_of),
             *ENDS,
             BESIDE,
         ],
         colours=colours,
     )
-    draw_closed(panel, is_closed)
 
     # A demonstration and the route between its ends, side by side where both coincide. Their points are in metres from
     # the southwest corner of the map.
