@@ -19,6 +19,7 @@ from jaxurban.maps.rules import roof_limits_m
 from jaxurban.metrics.gps import FIX, has_no_fix
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.variables import ROOF_KIND
+from jaxurban.paths.closed import constraints_of
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.legs import Steps, steps_of
 from jaxurban.paths.lines import along_of
@@ -32,7 +33,6 @@ from jaxurban.paths.route_report import (
     TO_GUESSED,
     TOUCHED,
     VISIBLE,
-    guessed_clearances,
 )
 from jaxurban.planners.cost import path_states
 from jaxurban.settings import Vehicle
@@ -196,15 +196,15 @@ def clearances_on(
     border.
 
     Args:
-      maps: the maps. Without roofs that touch a cell, their own obstacles count at their altitudes.
+      maps: the maps.
       parts: ``P`` of them.
       most_m: distances to obstacles beyond it need not be known (`clearance_m`).
     """
     # Over the roofs, and to the border.
     grid = maps.grid
     lowest_m = parts.z_m.min(axis=1)
-    roofs = TOUCHED if TOUCHED in maps.ds else "roof"
-    roof_m = values_on(maps, roofs, parts)
+    touched_m = maps.m(TOUCHED)
+    roof_m = touched_m[tuple(parts.cell.T)].astype(float)
     lines_m = parts.ends_m - grid.bounds_m[:2]
     sides_m = np.array(grid.shape[::-1]) * grid.resolution_m
     border_m = np.minimum(lines_m, sides_m - lines_m).min(axis=(1, 2))
@@ -217,9 +217,7 @@ def clearances_on(
     level = np.searchsorted(levels_m, lowest_m, side="right") - 1
     away_m = np.empty(len(lines_m))
     for number, z_m in enumerate(levels_m.tolist()):
-        is_obstacle = stands_at(maps.m(roofs), z_m)
-        if roofs != TOUCHED and z_m in maps.altitudes_m:
-            is_obstacle = maps.m("obstacle", z_m) == 1
+        is_obstacle = stands_at(touched_m, z_m)
         lines_there_m = lines_m[level == number]
         away_m[level == number] = clearance_m(lines_there_m, is_obstacle, grid.resolution_m, most_m)
     over_m = np.where(roof_m > 0, lowest_m - roof_m, np.nan)
@@ -336,10 +334,8 @@ def cautions(
     """
     maps = as_maps(maps)
     profile = cautious_profile(planned, maps) if profile is None else profile
-    limits = planned.settings.get("limits", {})
-    horizontal_m = limits.get("clearance_m", 0.0) + limits.get("vehicle_radius_m", 0.0)
-    vertical_m = limits.get("vertical_clearance_m") or LEAST_OVER_ROOFS_M
-    clearance = _clearance(profile, horizontal_m)
+    limits = constraints_of(planned)
+    clearance = _clearance(profile, limits.horizontal_m)
     is_beside = bool(profile[CLEARANCE].min() < BESIDE_M - AT_LIMIT)
     return [
         *_unknown_heights(profile),
@@ -347,7 +343,7 @@ def cautions(
         *guess_cautions(maps, profile),
         *_fix(profile),
         *[clearance] * (not is_beside),
-        *_roofs(profile, vertical_m),
+        *_roofs(profile, limits.vertical_m or LEAST_OVER_ROOFS_M),
         *_ends(profile),
         *(Caution(sentence, "limit", "manoeuvre") for sentence in _manoeuvres(planned)),
         *(Caution(sentence, kind="search") for sentence in sentences_of(planned.search.note)),
@@ -452,13 +448,6 @@ def _clearance(profile: pd.DataFrame, least_m: float) -> Caution:
             sentence += f"; in the region the nearest is {nearest_m:.1f} m away"
 
     level: Level = "note"
-    if CLEARANCE in guessed_clearances(profile):
-        level = "guess"
-        guessed_m = profile[TO_GUESSED].min()
-        where = f"the nearest of them is {guessed_m:.1f} m away"
-        if guessed_m <= 0:
-            where = "the route passes over some of them"
-        sentence += f". This holds only if guessed roofs are right: {where}"
     if nearest_m < least_m - AT_LIMIT or nearest_m <= 0:
         level = "limit"
     return Caution(f"{sentence}.", level, "clearance")

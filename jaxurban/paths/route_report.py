@@ -175,11 +175,10 @@ class RouteReport(FactsRepr):
     @property
     def facts(self) -> dict[str, str]:
         """`why`, and the totals as texts, in the units that their names say."""
-        notes = dict.fromkeys(guessed_clearances(self.profile), " (if guessed roofs are right)")
-        notes["people_overflown"] = f" (strip of {self.settings['swath_m']:g} m)"
+        strip = f" (strip of {self.settings['swath_m']:g} m)"
         facts = {"why": self.why}
         for name, value in self.totals.items():
-            facts[name.replace("_", " ")] = short(value) + notes.get(name, "")
+            facts[name.replace("_", " ")] = short(value) + strip * (name == "people_overflown")
         return facts
 
     @property
@@ -286,26 +285,6 @@ class RouteReport(FactsRepr):
         texts = self.segments.filter(list(heads)).map(short)  # those of the columns that exist
         texts = texts.rename(columns=heads)
         return texts.rename_axis(None).rename_axis("segment", axis="columns")
-
-
-def guessed_clearances(profile: pd.DataFrame) -> set[str]:
-    """Return the names of the least clearances of a route that rest on roofs of guessed height.
-
-    That is `CLEARANCE` where a building of guessed height is at least as near as all others, since it may reach the
-    flight; and `OVER_ROOF` where the roof that the route clears by least is guessed. Empty where the maps do not know.
-
-    Args:
-      profile: of the route (`profile_of`).
-    """
-    if GUESSED not in profile:
-        return set()
-    names = set()
-    if profile[TO_GUESSED].min() <= profile[[CLEARANCE, OUTSIDE]].to_numpy().min():
-        names.add(CLEARANCE)
-    over_m = profile[OVER_ROOF]
-    if over_m.notna().any() and profile[GUESSED].iloc[over_m.argmin()]:
-        names.add(OVER_ROOF)
-    return names
 
 
 def short(value: float) -> str:
