@@ -261,9 +261,7 @@ class Constraints:
     @property
     def of_unknown(self) -> UnknownHeights:
         """``unknown_heights``, as without any scenario where it is left out."""
-        rule = self._whole.unknown_heights
-        assert rule is not None
-        return rule
+        return self.unknown_heights or DEFAULTS.rules.unknown_heights
 
     @property
     def _whole(self) -> "Constraints":

@@ -13,7 +13,7 @@ from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Scale, Variable, high_is_bad
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR
-from jaxurban.paths.closed import CAUSES, causes_at
+from jaxurban.paths.closed import CAUSES, causes_at, obstacles_at
 from jaxurban.paths.plan import rules_on
 from jaxurban.paths.return_altitude import LONG_NAME, NAME
 from jaxurban.report.figures.frame import BLOCKED_COLOUR, NO_DATA_PATCH, OBSTACLE_COLOUR
@@ -55,6 +55,10 @@ CLOSED_PATCH = (
 RETURN = Variable(
     NAME, LONG_NAME, "m", title="Return altitude: click home", scale=Scale(low=None, high=None)
 )
+LABELS = {
+    CLOSED.name: "closed to routes, by the first cause",
+    NAME: f"{LONG_NAME}, in metres",
+}
 NO_FIX_PATCH = ("no fix", "repeating-linear-gradient(135deg,#d01824 0 2px,transparent 2px 4px)")
 # How values travel of a cell in an obstacle, and of a cell that is not drawn.
 OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)
@@ -104,9 +108,7 @@ class DrawnLayer:
             return values
 
         values = np.where(self.maps.is_free(at.altitude_m, "centre"), values, NOTHING)
-        is_blocked = (self.maps.m("obstacle", at.altitude_m) != 0) & self.maps.ds["has_data"].values
-        np.copyto(values, OBSTACLE, where=is_blocked)
-        return values
+        return np.where(obstacles_at(self.maps, at.altitude_m), OBSTACLE, values)
 
     def _read(self, at: OneMap) -> np.ndarray:
         """Return the values ``[Y, X]`` without regard to obstacles: a map's, a metric's cost, or computed from maps.
@@ -140,10 +142,8 @@ class DrawnLayer:
             return COST_COLOURS
         if self.name == POSITION_ERROR:
             return ERROR_COLOURS
-        if self.name == CLOSED.name:
-            return colours_of(self.variable, lambda: values, "closed to routes, by the first cause")
-        if self.name == NAME:
-            return colours_of(self.variable, lambda: values, f"{LONG_NAME}, in metres")
+        if self.name in LABELS:
+            return colours_of(self.variable, lambda: values, LABELS[self.name])
         metric = self.cost_of
         if metric is None:
             return metric_colours(self.maps, self.name, None if self.dims else values)
