@@ -1,8 +1,10 @@
 """What known heights of several cities say of unknown ones, and how well: ``python -m benchmarks.learn_heights``.
 
-The first table is `jaxurban.io.read.learned.PACKAGED`. The second leaves one city out: how many of its known heights
-keep below what the others say, with the interval of Clopper and Pearson (95 %), and the median of likely less true. The
-last is of objects whose height OpenStreetMap does not know and an official table does. Files are those of
+The first table is `jaxurban.io.read.learned.PACKAGED`. The second leaves one city out: by how much the guess of the
+others misses its known heights, those by the number of levels among them (the median of guess less true and the mean of
+its size, in metres), beside its own guess and a constant. The third does so too: how many of its given heights keep
+below what the others say, with the interval of Clopper and Pearson (95 %), and the median of likely less true. The last
+is of objects whose height OpenStreetMap does not know and an official table does. Files are those of
 ``JAXURBAN_DATA`` (else ``../shared/data``) and of ``formats/given`` beside it.
 """
 
@@ -47,6 +49,7 @@ FILES = {  # of cities of which each known outline is a whole building
 NOT_LEARNED = ("Zurich, solids of parts",)  # whose outlines are parts of roofs
 OSM = ju.Buildings(DATA / "osm/murray-hill.osm.pbf")
 LEAST_KNOWN = 20  # of a class of a city that counts
+CONSTANT_M = 10.0  # of a guess that knows no classes
 SAME_SHARE = 0.5  # of an outline that another one of the same building covers
 
 
@@ -56,14 +59,14 @@ def _read(file: ju.Buildings) -> City:
 
 
 def known_of(file: ju.Buildings) -> pd.DataFrame:
-    """Return the class and the known height of each whole outline of a file, as the reader learns from them."""
-    seen: list[tuple[np.ndarray, np.ndarray]] = []
+    """Return the class of each whole outline of a file, its given height (NaN without), and that with its levels."""
+    seen: list[tuple[np.ndarray, ...]] = []
     learn = reader.learned_from
 
-    def spy(classes: np.ndarray, known_m: np.ndarray) -> Mapping:
+    def spy(classes: np.ndarray, given_m: np.ndarray, counted_m: np.ndarray) -> Mapping:
         """Note what is learned from."""
-        seen.append((classes, known_m))
-        return learn(classes, known_m)
+        seen.append((classes, given_m, counted_m))
+        return learn(classes, given_m, counted_m)
 
     reader.learned_from = spy
     try:
@@ -72,18 +75,35 @@ def known_of(file: ju.Buildings) -> pd.DataFrame:
         reader.learned_from = learn
     rows = pd.concat(
         [
-            pd.DataFrame({"class": classes, "height_m": known_m})[known_m > 0]
-            for classes, known_m in seen
+            pd.DataFrame({"class": classes, "height_m": given_m, "counted_m": counted_m})
+            for classes, given_m, counted_m in seen
         ]
     )
-    return rows
+    return rows[rows["counted_m"] > 0].replace({"height_m": {0.0: np.nan}})
 
 
 def likely_by_class(known: pd.DataFrame) -> pd.Series:
     """Return the highest of what the known heights of several cities say, by class."""
-    by_city = known.groupby(["class", "city"])["height_m"]
+    by_city = known.dropna().groupby(["class", "city"])["height_m"]
     likely = by_city.agg(lambda values: likely_of(values.to_numpy()))
     return likely[by_city.size() >= LEAST_KNOWN].groupby("class").max()
+
+
+def guess_by_class(known: pd.DataFrame) -> pd.Series:
+    """Return the median of the medians of several cities, by class."""
+    by_city = known.groupby(["class", "city"])["counted_m"]
+    return by_city.median()[by_city.size() >= LEAST_KNOWN].groupby("class").median()
+
+
+def missed(true_m: np.ndarray, guess_m: float) -> dict[str, object]:
+    """Return how a guess misses known heights: as of the others, as their own median, and as a constant."""
+    row: dict[str, object] = {"n": len(true_m)}
+    guesses = {"others": guess_m, "own": float(np.median(true_m)), "constant": CONSTANT_M}
+    for name, of_m in guesses.items():
+        row[f"{name}, m"] = f"{of_m:.1f}"
+        row[f"{name} less true"] = f"{np.median(of_m - true_m):.1f}"
+        row[f"{name}, mean miss"] = f"{abs(of_m - true_m).mean():.1f}"
+    return row
 
 
 def covered(true_m: np.ndarray, likely_m: float) -> dict[str, object]:
@@ -145,11 +165,24 @@ def main() -> None:
     known = pd.concat([known_of(file).assign(city=name) for name, file in FILES.items()])
     learned = known[~known["city"].isin(NOT_LEARNED)]
     packaged = likely_by_class(learned)
-    trees = learned[learned["class"] == "tree"]["height_m"]
-    packaged["tree"] = likely_of(trees.to_numpy())
-    _print([{"class": name, "likely_m": round(m, 1)} for name, m in packaged.items()])
+    guesses = guess_by_class(learned)
+    trees = learned[learned["class"] == "tree"]["height_m"].dropna()
+    packaged["tree"], guesses["tree"] = likely_of(trees.to_numpy()), trees.median()
+    _print(
+        [
+            {"class": name, "guess_m": round(guesses[name], 1), "likely_m": round(m, 1)}
+            for name, m in packaged.items()
+        ]
+    )
     rows = []
     for (city, name), own in known.groupby(["city", "class"]):
+        others = guess_by_class(learned[learned["city"] != city])
+        if len(own) >= LEAST_KNOWN and name in others:
+            row = {"city left out": city, "class": name}
+            rows.append(row | missed(own["counted_m"].to_numpy(), float(others[name])))
+    _print(rows)
+    rows = []
+    for (city, name), own in known.dropna().groupby(["city", "class"]):
         others = likely_by_class(learned[learned["city"] != city])
         if name in CLASSES and len(own) >= LEAST_KNOWN and name in others:
             row = {"city left out": city, "class": name}

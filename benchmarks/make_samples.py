@@ -61,7 +61,6 @@ TAG_OF = {  # of the names of `Outlines` that differ from OpenStreetMap's
     "levels_below": "building:levels:underground",
     "razed": "razed:building",
     "crown": "diameter_crown",
-    "leaf": "leaf_type",
     "wind": "generator:source",
     "rotor": "rotor:diameter",
     "hub": "height:hub",

@@ -144,7 +144,7 @@ class HeightStd:
     Attributes:
       height: a tag or column: values are rounded to a metre and leave open whether a parapet or a machine room counts.
       levels: number of levels x level height: a storey more or less (ground floors and roofs differ).
-      default: nothing known but that a building stands: half the default height of 10 m; more among towers. Also of
+      default: nothing known but that a building stands: half of what is guessed of houses; more among towers. Also of
         decks whose height is guessed by their layer.
       raster: a height raster, where a component of touching pixels above 0 counts as one building.
 
@@ -216,7 +216,8 @@ class Buildings(Heights):
         scenario ``"synthetic"`` too.
       kind: of a raster: ``"height"`` above ground, or ``"surface"`` (a DSM), elevations from which the terrain is
         taken; trees are in it too.
-      default_height_m: height of a building without a usable height or levels.
+      default_height_m: height of a building without a usable height or levels; left out, the median of those with a
+        footprint as large (`City.learned`).
       highest_m: what no building of unknown height exceeds there, as far as you know, or by kind, such as
         ``{"building": 40.0, "tree": 25.0}``; paths and checks rest on it. Left out, the bounds of the table of kinds.
       level_height_m: height of one level.
@@ -245,7 +246,7 @@ class Buildings(Heights):
 
     source: str | Path
     kind: Literal["height", "surface"] = "height"
-    default_height_m: float = 10.0
+    default_height_m: float | None = None
     level_height_m: float = 3.0
     allow_none: bool = False
     allow_high: bool = False

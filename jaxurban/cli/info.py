@@ -152,6 +152,7 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     num_by_origin = city.buildings.origin_counts()
     for name, num in num_by_origin.items():
         facts[f"heights by {name}"] = f"{num:,} ({num / len(city.buildings):.1%})"
+    facts["unknown heights"] = "; ".join(f"{name} {each}" for name, each in city.learned.items())
     num_by_name = Counter(() if city.structures is None else city.structures.named.tolist())
     return facts, {
         "num_buildings": len(city.buildings),

@@ -14,7 +14,7 @@ class HeightOrigin(IntEnum):
 
     HEIGHT = 0  # a height tag or column
     LEVELS = 1  # number of levels x level height
-    DEFAULT = 2  # neither: the default height
+    DEFAULT = 2  # neither: the guess of its class or kind, or the default height
     RASTER = 3  # a height raster
     GENERATED = 4  # the synthetic city
     LAYER = 5  # of a bridge's deck: its layer x a clearance
@@ -28,7 +28,7 @@ class HeightOrigin(IntEnum):
 
 GUESSED_BY = {  # the origins of heights that are guesses, as reports say them with the settings of the buildings
     HeightOrigin.LEVELS: "from the number of levels at {level_height_m:g} m each",
-    HeightOrigin.DEFAULT: "by the default of {default_height_m:g} m",
+    HeightOrigin.DEFAULT: "{default}",
     HeightOrigin.LAYER: "decks of bridges from their layer at {layer_clearance_m:g} m each",
     HeightOrigin.UNKNOWN: "of unknown extent",
     HeightOrigin.BESIDE_PARTS: "of outlines beside their parts, by their lowest part",

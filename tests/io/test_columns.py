@@ -69,7 +69,8 @@ def heights(path, about, crs=WGS84, near=None, **settings):
     """Return the heights in metres of squares, a row of columns each, and what was counted."""
     columns = {name: [row.get(name) for row in about] for name in about[0]}
     write_vector(path, [SQUARE] * len(about), WGS84, crs, **columns)
-    city = read_buildings(ju.Buildings(path, **settings), UTM, bounds_m=near)
+    file = ju.Buildings(path, default_height_m=10.0, **settings)
+    city = read_buildings(file, UTM, bounds_m=near)
     issues = {name: count for name, count in city.read_issues.items() if count}
     return city.buildings.height_m.tolist(), issues
 
@@ -106,6 +107,7 @@ ASKED: dict[str, tuple[Mapping[str, Any], str, str]] = {
     "beside feet": ({"HEIGHT": 30.0}, NEW_YORK, "HEIGHT"),
     "beside feet, above any height in metres": ({"HEIGHT": 1018.0}, NEW_YORK, "HEIGHT"),
     "of no known publisher": ({"BLDG_HGT": 30.0}, UTM, "BLDG_HGT"),
+    "as high as the default": ({"BLDG_HGT": 10.0}, UTM, "BLDG_HGT"),
     "as text": ({"Hoehe": "30,5"}, WGS84, "Hoehe"),
     "cut by a Shapefile": ({"BLDG_HEIGH": 30.0}, WGS84, "BLDG_HEIGH"),
     "beside an empty column": ({"height": None, "altura": 30.0}, WGS84, "altura"),
@@ -130,7 +132,6 @@ def test_heights_without_a_known_unit_are_asked_for_and_the_settings_answer(tmp_
     "about",
     [
         {"height": 30.0, "BLDG_HGT": 98.4},  # no height lacks
-        {"BLDG_HGT": 10.5},  # within 10 % of the default
         {"height_class": 3.0, "roof_height": 4.0, "base_height": 12.0, "has_height": True},
         {"height_note": "see the plan"},
         {"HEIGHT": None},

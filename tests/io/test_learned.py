@@ -1,4 +1,4 @@
-"""What known heights say of unknown ones: the order statistic, the file's own and packaged values, the user's word."""
+"""What known heights say of unknown ones: medians, the order statistic, own and packaged values, the user's word."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,19 @@ import shapely
 from scipy.stats import binom
 
 import jaxurban as ju
+from jaxurban.io.read import city as city_reader
+from jaxurban.io.read.buildings import to_buildings
 from jaxurban.io.read.city import read_buildings
-from jaxurban.io.read.learned import LEAST_KNOWN, PACKAGED, classes_of, learned_from, likely_of
+from jaxurban.io.read.learned import (
+    LEAST_FOR_GUESS,
+    LEAST_KNOWN,
+    PACKAGED,
+    classes_of,
+    learned_from,
+    likely_of,
+)
+from jaxurban.io.read.outlines import Outlines
+from jaxurban.world.footprints import HeightOrigin
 from tests.io.made_files import write_vector
 
 UTM = "EPSG:32618"
@@ -34,12 +45,63 @@ def test_likely_is_passed_by_one_in_a_hundred_of_the_next():
 @pytest.mark.parametrize(("num", "is_own"), [(LEAST_KNOWN - 1, False), (LEAST_KNOWN, True)])
 def test_own_heights_count_from_so_many_on(num, is_own):
     known_m = np.append(np.linspace(1, 30, num), [0.0])
-    (learned,) = learned_from(np.full(num + 1, SMALL, object), known_m).values()
+    (learned,) = learned_from(np.full(num + 1, SMALL, object), known_m, known_m).values()
     assert learned.highest_m == 30
     assert learned.num_known == num * is_own
     rank = int(np.ceil((num + 1) * 0.99))
     own = known_m[rank - 1]
-    assert learned.likely_m == (own if is_own else PACKAGED[SMALL])
+    assert learned.likely_m == (own if is_own else PACKAGED[SMALL][1])
+
+
+@pytest.mark.parametrize("num", [LEAST_FOR_GUESS - 1, LEAST_FOR_GUESS])
+def test_guess_is_the_median_of_the_file_where_that_knows_enough(tmp_path, num):
+    """Levels count too, parts do not, and the guess stays below what is likely and the bound."""
+    num_tall = num // 2
+    heights_m = np.append(np.linspace(60, 90, num_tall), np.full(num - num_tall + 2, np.nan))
+    levels = np.append(np.full(num_tall, np.nan), np.linspace(16, 18, num - num_tall))
+    shapes, _ = houses(num + 2, 0.0)
+    about = {"height": heights_m, "levels": [*levels, np.nan, np.nan]}
+    about["building"] = ["yes"] * (num + 1) + ["garage"]
+    path = write_vector(tmp_path / "town.gpkg", shapes, **about)
+    city = read_buildings(ju.Buildings(path), UTM)
+    is_own = num == LEAST_FOR_GUESS
+    known_m = np.fmax(np.nan_to_num(heights_m[:num]), 3 * np.nan_to_num(levels))
+    guess_m = np.median(known_m) if is_own else PACKAGED[SMALL][0]
+    learned = city.learned[SMALL]
+    assert (learned.guess_m, learned.num_for_guess) == (guess_m, num * is_own)
+    house, garage = np.flatnonzero(city.buildings.origin == HeightOrigin.DEFAULT)
+    buildings = city.buildings
+    assert buildings.height_m[house] == guess_m
+    assert buildings.height_m[garage] == min(guess_m, 25)
+    assert learned.likely_m >= guess_m
+    assert np.all(buildings.height_m <= buildings.likely_upper_m)
+    assert np.all(buildings.likely_upper_m <= buildings.upper_m)
+    said = read_buildings(ju.Buildings(path, default_height_m=12.5), UTM).buildings
+    assert said.height_m[[house, garage]].tolist() == [12.5, 12.5]
+
+
+def test_guess_of_each_class_and_of_trees_is_packaged_where_the_file_knows_few():
+    sides_m = np.sqrt([50.0, 100.0, 500.0, 2000.0])
+    outlines = [shapely.box(200.0 * i, 0, 200 * i + side, side) for i, side in enumerate(sides_m)]
+    trees = [shapely.Point(0, 500 + 20 * i) for i in range(LEAST_FOR_GUESS + 1)]
+    tags = {"building": np.array(["yes"] * 4 + [None] * len(trees), object)}
+    tags["natural"] = np.array([None] * 4 + ["tree"] * len(trees), object)
+
+    def read(num_known):
+        heights = [None] * 4 + ["50"] * num_known + [None] * (len(trees) - num_known)
+        tags["height"] = np.array(heights, object)
+        shapes = np.array(outlines + trees, object)
+        given = Outlines(shapes, tags, UTM, (), {})
+        return to_buildings(ju.Buildings("town.osm"), given, UTM)
+
+    buildings, structures, *_, learned = read(LEAST_FOR_GUESS - 1)
+    assert buildings.height_m.tolist() == [PACKAGED[name][0] for name in list(PACKAGED)[:4]]
+    assert structures.height_m[-1] == PACKAGED["tree"][0]
+    _, structures, *_, learned = read(LEAST_FOR_GUESS)
+    assert (learned["tree"].guess_m, learned["tree"].num_for_guess) == (50, LEAST_FOR_GUESS)
+    # Where half of the known ones are higher, the bound of 35 m is none.
+    assert (structures.height_m[-1], structures.likely_upper_m[-1]) == (50, 50)
+    assert structures.upper_m[-1] == np.inf
 
 
 def test_classes_begin_at_their_areas():
@@ -54,10 +116,34 @@ def test_file_is_the_same_for_a_part_of_its_region(tmp_path):
     x_m = shapely.bounds(shapes[-1])[0]
     part = read_buildings(ju.Buildings(path), UTM, bounds_m=(x_m, 4_500_000, x_m + 10, 4_500_010))
     assert part.learned == whole.learned
-    assert part.learned[SMALL].num_known == 399
+    assert part.learned[SMALL].num_known == part.learned[SMALL].num_for_guess == 399
     assert len(part.buildings) < 5
     (unknown,) = part.buildings.likely_upper_m[part.buildings.is_guessed]
     assert unknown == part.learned[SMALL].likely_m < 20
+    assert part.buildings.height_m[part.buildings.is_guessed] == pytest.approx([11.5])
+
+
+def test_a_large_file_says_nothing_of_its_parts_and_of_the_whole(tmp_path, monkeypatch):
+    shapes, heights_m = houses(400, np.append(np.linspace(3, 20, 399), np.nan))
+    path = write_vector(tmp_path / "town.gpkg", shapes, height=heights_m)
+    monkeypatch.setattr(city_reader, "SMALL_BYTES", 1)
+    for bounds_m in (None, (580_000, 4_500_000, 600_000, 4_500_010)):
+        town = read_buildings(ju.Buildings(path), UTM, bounds_m=bounds_m)
+        (guess_m,) = town.buildings.height_m[town.buildings.is_guessed]
+        assert guess_m == PACKAGED[SMALL][0]
+        assert town.learned[SMALL].num_for_guess == 0
+
+
+def test_guess_is_said_with_its_value_and_how_many_heights_say_it(tmp_path):
+    shapes, heights_m = houses(31, np.append(np.full(30, 8.0), np.nan))
+    large, unknown_m = houses(1, np.nan, 40.0)
+    large = [shapely.transform(large[0], lambda xy: xy + np.array([0, 500]))]
+    path = write_vector(tmp_path / "town.gpkg", shapes + large, height=heights_m + unknown_m)
+    said = "2 by the median of their class: .*60 to 200 m2 8 m of 30 known; .*above 1,000 m2 33 m of the pack"
+    with pytest.warns(ju.GuessWarning, match=said):
+        ju.City.from_files(path)
+    with pytest.warns(ju.GuessWarning, match="2 by the default of 12 m"):
+        ju.City.from_files(ju.Buildings(path, default_height_m=12.0))
 
 
 def test_bound_ends_where_the_file_knows_higher_ones_and_at_the_users_word(tmp_path):

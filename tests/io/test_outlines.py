@@ -87,11 +87,14 @@ def test_levels_are_bare_numbers():
     assert all(math.isnan(parse_count(text)) for text in ("5 m", "5'", "3-4", "-1", "many"))
 
 
+FILE = ju.Buildings("city.osm", default_height_m=10)
+
+
 def stand(polygons, boxes=(), crs=UTM, **columns):
     """Return the buildings of outlines, the declared boxes, and what was counted beside the reader's own count."""
     tags = {name: np.array(values, object) for name, values in columns.items()}
     outlines = Outlines(np.array(polygons, object), tags, crs, boxes, {"open_ways": 7})
-    buildings, _, boxes_m, issues, _ = to_buildings(ju.Buildings("city.osm"), outlines, UTM)
+    buildings, _, boxes_m, issues, _ = to_buildings(FILE, outlines, UTM)
     assert issues.pop("open_ways") == 7
     return buildings, boxes_m, {name: count for name, count in issues.items() if count}
 

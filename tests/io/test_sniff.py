@@ -460,8 +460,8 @@ def test_google_and_microsoft_are_read_as_they_publish(tmp_path):
     with pytest.warns(GuessWarning):
         google = city_of(tmp_path / "89c_buildings.csv.gz")
     microsoft = city_of(tmp_path / "part-00001.c000.csv.gz")
-    assert google.height_m.tolist() == [10, 10]
-    assert sorted(microsoft.height_m) == [10, 60]
+    assert google.height_m.tolist() == [33, 33]
+    assert sorted(microsoft.height_m) == [33, 60]
     for buildings in (google, microsoft):
         areas = shapely.area(buildings.polygons)
         np.testing.assert_allclose(areas, FRAME.to_crs(UTM).area, rtol=1e-3)

@@ -29,7 +29,7 @@ def stand(*features, **rules):
     }
     shapes = np.array([shape for shape, _ in features], object)
     outlines = Outlines(shapes, tags_of(columns), UTM, ((0.0, 0.0, 1.0, 1.0),), {})
-    file = ju.Buildings("city.osm", **rules)
+    file = ju.Buildings("city.osm", **{"default_height_m": 10.0} | rules)
     buildings, structures, _, issues, _ = to_buildings(file, outlines, UTM)
     return buildings, structures, {name: count for name, count in issues.items() if count}
 
@@ -155,8 +155,7 @@ def stand(*features, **rules):
             CROWN * 9,
         ),
         (PLACE, {"natural": "tree", "height": "20", "diameter": "90"}, "tree", 20, 20, CROWN * 64),
-        (PLACE, {"natural": "tree"}, "tree", 12, 35, CROWN * 4.8**2),
-        (PLACE, {"natural": "tree", "leaf_type": "needleleaved"}, "tree", 15, 35, CROWN * 36),
+        (PLACE, {"natural": "tree"}, "tree", 7, 35, CROWN * 2.8**2),
         (WAY, {"natural": "tree_row", "height": "10"}, "tree", 10, 10, 30 * WIDE * 8 + CROWN * 16),
         (AREA, {"natural": "wood"}, "wood", 20, 45, 100),
         (AREA, {"landuse": "forest", "height": "12"}, "wood", 12, 12, 100),
@@ -354,7 +353,7 @@ def test_a_point_within_a_building_may_stand_on_its_roof():
 
 def test_a_tree_within_a_building_stands_in_its_yard():
     _, tree, _ = stand((AREA, {"building": "yes", "height": "60"}), (PLACE, {"natural": "tree"}))
-    assert (tree.height_m, tree.upper_m) == (12, 35)
+    assert (tree.height_m, tree.upper_m) == (7, 35)
 
 
 def test_a_wire_is_a_curtain_up_to_the_higher_of_its_two_supports():

@@ -58,7 +58,7 @@ LEARNED_KINDS = ("chimney", "tank", "tower", "mast", "pole", "pylon", "crane", "
 
 
 def to_buildings(
-    file: settings.Buildings, outlines: Outlines, crs: str
+    file: settings.Buildings, outlines: Outlines, crs: str, learns: bool = True
 ) -> tuple[Footprints, Footprints, list[Bounds], ReadIssues, dict[str, Learned]]:
     """Return buildings, other structures, the boxes in ``crs`` that a file covers, read issues, and learned heights.
 
@@ -73,6 +73,7 @@ def to_buildings(
         (``man_made=bridge``) that are no buildings are decks (see `with_decks`).
       outlines: from a reader.
       crs: projected CRS of the buildings.
+      learns: whether the outlines' own heights say what is guessed and likely of unknown ones, as of a whole file.
 
     Raises:
       InputError: no building and no declared box, in a file that was read as a whole.
@@ -114,7 +115,14 @@ def to_buildings(
 
     # Outlines and their parts: heights of one for the other, and which outlines the parts replace.
     outline, part, share = _own_parts(polygons, ~is_part & ~is_deck, is_part)
-    learned, classes = _learned(buildings, outline, part, is_deck, outlines.is_part)
+    learned, classes = _learned(buildings, outline, part, is_deck, learns)
+    if file.default_height_m is None:
+        guess_m = of_classes(learned, classes, "guess_m")
+        guess_m[np.isin(found.texts("building"), LOW_BUILDINGS) & (guess_m > LOW_LIMIT_M)] = (
+            LOW_LIMIT_M
+        )
+        height_m = np.where(buildings.height_m == 0, guess_m, buildings.height_m)
+        buildings = replace(buildings, height_m=height_m)
     buildings = _with_outline_heights(buildings, outline, part, issues)
     is_replaced = share >= REPLACED_SHARE
     issues[ReadIssue.OUTLINES_REPLACED_BY_PARTS] = int(np.sum(is_replaced))
@@ -135,7 +143,7 @@ def to_buildings(
 
     # What else stands.
     others = in_spans(features.take(~is_building))
-    structures, learned_kinds = _structures(others, file, waters, outlines.is_part)
+    structures, learned_kinds = _structures(others, file, waters, learns)
     structures, is_same = _on_roofs(structures, others, buildings)
     structures = with_supports(structures, others.polygons)
     is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
@@ -149,7 +157,7 @@ def to_buildings(
 
 
 def _structures(
-    outlines: Outlines, rules: settings.Buildings, waters: np.ndarray, is_part: bool
+    outlines: Outlines, rules: settings.Buildings, waters: np.ndarray, learns: bool
 ) -> tuple[Footprints, dict[str, Learned]]:
     """Return structures with their heights, and what is learned of these by kind.
 
@@ -162,7 +170,7 @@ def _structures(
       outlines: ``N`` from `what_stands`, in a projected CRS; a `BUILDING` is a polygon without area.
       rules: height of one level.
       waters: what bridges may cross.
-      is_part: whether these are the outlines near a region only.
+      learns: as of `to_buildings`.
     """
     verdicts = outlines.tags["verdict"]
     kinds = np.array([HULL if kind == BUILDING else kind for kind in verdicts], object)
@@ -195,15 +203,19 @@ def _structures(
     names = np.array([kind.name for kind in kinds], object)
 
     # What is learned of kinds that a name alone tells apart.
-    is_stated = (origin == HeightOrigin.HEIGHT) & np.isin(names, LEARNED_KINDS) & (not is_part)
-    learned = learned_from(names, np.where(is_stated, height_m, 0.0))
-    likely_m = np.where(has_height, np.inf, of_classes(learned, names, "likely_m"))
+    is_given = (origin == HeightOrigin.HEIGHT) & np.isin(names, LEARNED_KINDS) & learns
+    given_m = np.where(is_given, height_m, 0.0)
+    learned = learned_from(names, given_m, given_m)
+    guess_m = of_classes(learned, names, "guess_m")
+    guess_m[has_height] = np.nan
+    height_m = np.where(np.isnan(guess_m), height_m, guess_m)
+    likely_m = np.where(has_height, np.nan, of_classes(learned, names, "likely_m"))
     names[has_height & (names == UNKNOWN)] = "structure"
     origin[has_height & is_bridge] = HeightOrigin.ROUGH  # of the deck alone
     origin[names == UNKNOWN] = HeightOrigin.UNKNOWN
     of_hulls_m = _limits_by_name_m(outlines.texts("building")) + outlines.tags["rise_m"]
     limit_m = np.where(is_hull, of_hulls_m, of_kinds("limit_m"))
-    limit_m[is_lost | ((limit_m < likely_m) & (likely_m < np.inf))] = np.inf
+    limit_m[is_lost | (limit_m < np.fmax(guess_m, likely_m))] = np.inf
 
     # Shapes.
     is_border = (kinds == WOOD) | (is_bridge & (outlines.texts("man_made") == DECK))
@@ -241,7 +253,7 @@ def _structures(
         kind=names,
         limit_m=limit_m,
         label=outlines.tags["label"],
-        likely_m=likely_m,
+        likely_m=np.nan_to_num(likely_m, nan=np.inf),
     )
     return structures, learned
 
@@ -302,7 +314,7 @@ def _limits_by_name_m(building: np.ndarray) -> np.ndarray:
 
 
 def _learned(
-    buildings: Footprints, outline: np.ndarray, part: np.ndarray, is_deck: np.ndarray, is_part: bool
+    buildings: Footprints, outline: np.ndarray, part: np.ndarray, is_deck: np.ndarray, learns: bool
 ) -> tuple[dict[str, Learned], np.ndarray]:
     """Return what whole outlines say of unknown heights, and the class of each building, ``[N]``, by its outline.
 
@@ -312,15 +324,18 @@ def _learned(
       buildings: ``N`` outlines and parts, as the file has them.
       outline, part: ``[P]`` indices of outlines and their own parts.
       is_deck: ``[N]`` bool, which are no buildings.
-      is_part: whether these are the outlines near a region only, of which nothing is learned.
+      learns: as of `to_buildings`.
     """
     area_m2 = shapely.area(buildings.polygons)
     np.maximum.at(area_m2, part, area_m2[outline])
     classes = classes_of(area_m2)
-    is_whole = ~(buildings.is_part | is_deck | is_part)
-    known_m = np.where(buildings.origin == HeightOrigin.HEIGHT, buildings.height_m, 0.0)
-    np.maximum.at(known_m, outline, known_m[part])
-    return learned_from(classes, np.where(is_whole, known_m, 0.0)), classes
+    is_whole = ~(buildings.is_part | is_deck) & learns
+    known_m = []
+    for origins in (HeightOrigin.HEIGHT,), (HeightOrigin.HEIGHT, HeightOrigin.LEVELS):
+        height_m = np.where(np.isin(buildings.origin, origins), buildings.height_m, 0.0)
+        np.maximum.at(height_m, outline, height_m[part])
+        known_m.append(np.where(is_whole, height_m, 0.0))
+    return learned_from(classes, *known_m), classes
 
 
 def _within(footprints: Footprints, rules: settings.Buildings) -> Footprints:

@@ -217,7 +217,7 @@ def read_city(
             warn(covers_too_much(buildings.source, region, main), GuessWarning)
 
     # People, and what was guessed of heights, of people and of the ground.
-    guesses += source.guesses + height_guesses(source.buildings, box_m, buildings, crs)
+    guesses += source.guesses + height_guesses(source, box_m, buildings)
     guesses += structure_guesses(source.others, box_m)
     num_lost = issues.get(ReadIssue.POLYGONS_DROPPED)
     if num_lost:
@@ -318,16 +318,16 @@ def read_buildings(
         return _read_roofs(file, crs, bounds_m, terrain)
     if beside is not None:
         read = partial(read_vector, beside=located(beside))
+    # A small file is read whole, and a large one says nothing of unknown heights: they are the same for each region.
+    is_small = path.suffix != ARCHIVE and path.is_file() and path.stat().st_size <= SMALL_BYTES
     if bounds_m is not None:
-        # A small file is read whole, so that unknown heights are the same for each of its regions.
-        is_small = read is not read_tiles and path.stat().st_size <= SMALL_BYTES
         near = None if is_small else Near(bounds_m, crs)
         outlines = whole or read(path, near, file)
-        city = _city_of(file, outlines, crs, bounds_m)
+        city = _city_of(file, outlines, crs, bounds_m, is_small)
         if not outlines.is_part or len(city.buildings or ()):
             return city
     # A file without a building near the region is read whole, so that all it covers is known.
-    return _city_of(file, read(path, None, file), crs, bounds_m)
+    return _city_of(file, read(path, None, file), crs, bounds_m, is_small)
 
 
 def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
@@ -447,7 +447,7 @@ def covers_too_much(path: str | Path, extent: Sequence[float], main: Sequence[fl
 
 
 def _city_of(
-    file: settings.Buildings, outlines: Outlines, crs: str, bounds_m: Bounds | None
+    file: settings.Buildings, outlines: Outlines, crs: str, bounds_m: Bounds | None, learns: bool
 ) -> City:
     """Return the city of the buildings that outlines make, and of the area where the file knows what stands.
 
@@ -458,8 +458,9 @@ def _city_of(
       bounds_m: x_min, y_min, x_max, y_max in ``crs`` of a box; buildings whose own box touches it are kept, and the
         part of the area near it. None keeps everything. If neither a building nor a declared box is there, the area is
         that of the whole file, or empty if only a part of the file was read.
+      learns: as of `to_buildings`.
     """
-    buildings, structures, boxes_m, issues, learned = to_buildings(file, outlines, crs)
+    buildings, structures, boxes_m, issues, learned = to_buildings(file, outlines, crs, learns)
     area = shapely.Polygon() if outlines.is_part else area_of_outlines(buildings.polygons, boxes_m)
     if bounds_m is not None:
         buildings, structures = (

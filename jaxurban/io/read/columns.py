@@ -40,7 +40,6 @@ COLUMNS = {
     "hub": "height_hub",
     "wind": "generator_source generator_method generator_type power_source generator_",
     "crown": "diameter_crown diameter_c crown_diameter",
-    "leaf": "leaf_type",
     "construction": "tower_construction tower_cons",
 }
 # Columns that are named as what they hold.
@@ -122,7 +121,6 @@ HEIGHT = re.compile(
 NO_ROOF = re.compile(
     "^(roof_height|maxheight|has|is)|min|base|ground|below|eave|std|acc|err|conf|source|src|date|class|type|unit|id$"
 )
-LEAST_CHANGE = 0.1  # of a height: what changes it by less need not be asked
 
 
 def _plain(column: object) -> str:
@@ -268,21 +266,20 @@ def _check_metric(
     """Check that heights may be taken for metres, and that no column of another name holds heights that are lacking.
 
     Raises:
-      InputError: heights beside coordinates in feet; or other columns, most of whose values may be heights, would
-        change a default height by more than `LEAST_CHANGE`.
+      InputError: heights beside coordinates in feet; or other columns, most of whose values may be heights, where one
+        is lacking.
     """
     is_in_feet = crs.is_projected and crs.axis_info[0].unit_conversion_factor != 1
-    known_m = read_column(tags.get("height", np.zeros(1)), parse_length_m)
+    is_lacking = ~(read_column(tags.get("height", np.zeros(1)), parse_length_m) > 0)
     unclear = []
     for name, column in columns.items():
         plain = _plain(name)
         if not HEIGHT.search(plain) or NO_ROOF.search(plain):
             continue
         height = read_column(column, parse_length_m)
-        is_height = (height >= 1) & (height <= MAX_HEIGHT_M)
-        changes = ~(known_m > 0) & (abs(height / file.default_height_m - 1) > LEAST_CHANGE)
+        is_height = (height >= 1) & (height <= MAX_HEIGHT_M) & is_lacking
         holds_numbers = 2 * np.isfinite(height).sum() > is_given(column).sum()
-        if holds_numbers and ((height > 0) & is_in_feet | is_height & changes).any():
+        if holds_numbers and ((height > 0) & is_in_feet | is_height).any():
             unclear.append(name)
     if unclear:
         first = json.dumps(unclear[0], ensure_ascii=False)

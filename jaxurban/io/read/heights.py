@@ -155,7 +155,7 @@ def estimate_heights(
     rules: settings.Buildings,
     issues: ReadIssues,
 ) -> Footprints:
-    """Return every outline with its height: that of its tag, else that of its levels, else the default.
+    """Return every outline with its height: that of its tag, else that of its levels, else the default, 0 without one.
 
     A value that cannot be read, or a height that is zero, negative or above `MAX_HEIGHT_M`, falls to the next
     origin and is counted; an unusable ``min_height`` falls to ``min_level``, then to 0. A height that leaves its levels
@@ -217,7 +217,7 @@ def estimate_heights(
     origin = np.select(list(origins.values()), list(origins), HeightOrigin.DEFAULT)
     return Footprints(
         polygons,
-        np.select([has_height, has_levels], [height_m, levels_m], rules.default_height_m),
+        np.select([has_height, has_levels], [height_m, levels_m], rules.default_height_m or 0.0),
         np.select([has_min, has_min_level], [min_height_m, min_level_m], 0.0),
         origin.astype(np.uint8),
         is_part,

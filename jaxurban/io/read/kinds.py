@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 
 from jaxurban.io.read.issues import ReadIssue
+from jaxurban.io.read.learned import PACKAGED
 from jaxurban.world.footprints import UNKNOWN
 
 
@@ -70,7 +71,7 @@ GENERATOR = Kind(UNKNOWN, 0.0, radius_m=50.0)  # of an unknown source: of wind, 
 TURBINE = Kind("turbine", 100.0, radius_m=50.0)
 TOWER = Kind("tower", 30.0, radius_m=5.0)
 BRIDGE = Kind("bridge", 5.5, 100.0)  # for each layer
-TREE, CONIFER = Kind("tree", 12.0, 35.0), Kind("tree", 15.0, 35.0)
+TREE = Kind("tree", PACKAGED["tree"][0], 35.0)
 WOOD = Kind("wood", 20.0, 45.0, 10.0)
 PHONE_LINE = Kind("wire", 10.0, 30.0)
 CROWN_SHARE = 0.4  # of a tree's height: the radius of a crown of unknown width

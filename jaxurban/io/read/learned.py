@@ -1,9 +1,9 @@
 """What the heights that a file knows say of those that nobody gave: by class of footprint, and by kind of all else.
 
-Likely is what 99 % of a class keep below: of n known heights the ceil((n + 1) 0.99)-th smallest, as in split conformal
-prediction (Vovk et al. 2005, chapter 2). It is of the file itself where that knows enough of them, else of `PACKAGED`.
-It holds for one object, not for a route: of 50 unknown ones one exceeds its own with up to 39 %. Known heights are no
-fair sample of unknown ones either.
+A guess is the median of a class, those by the number of levels among them. Likely is what 99 % of a class keep below:
+of n heights that are given the ceil((n + 1) 0.99)-th smallest, as in split conformal prediction (Vovk et al. 2005,
+chapter 2). Both are of the file itself where that knows enough, else of `PACKAGED`. They hold for one object, not for a
+route: of 50 unknown ones one exceeds its own with up to 39 %. Known heights are no fair sample of unknown ones either.
 """
 
 import math
@@ -16,31 +16,40 @@ CLASSES_M2 = 60.0, 200.0, 1000.0  # of footprints, between classes
 LARGE = "buildings of 200 to 1,000 m2", "buildings above 1,000 m2"
 CLASSES = np.array(("buildings below 60 m2", "buildings of 60 to 200 m2", *LARGE), object)
 LIKELY_SHARE = 0.99
+LEAST_FOR_GUESS = 20
 LEAST_KNOWN = 299  # so many known heights are 95 % sure of 99 %
-# By `benchmarks.learn_heights`. Of buildings it is the highest of what the heights of several cities say, as one unlike
-# these may be denser; of trees what all of them say together.
+# Guess and likely by `benchmarks.learn_heights`. Of buildings these are the median of the medians of several cities,
+# and the highest of what each says, as one unlike these may be denser; of trees what all of them say together.
 PACKAGED = {
-    "buildings below 60 m2": 25.0,
-    "buildings of 60 to 200 m2": 40.4,
-    "buildings of 200 to 1,000 m2": 145.4,
-    "buildings above 1,000 m2": 427.0,
-    "tree": 20.0,
+    "buildings below 60 m2": (4.6, 25.0),
+    "buildings of 60 to 200 m2": (9.2, 40.4),
+    "buildings of 200 to 1,000 m2": (16.5, 145.4),
+    "buildings above 1,000 m2": (33.0, 427.0),
+    "tree": (7.0, 20.0),
 }
 
 
 @dataclass(frozen=True)
 class Learned:
-    """What is likely of the unknown heights of a class.
+    """What is guessed and likely of the unknown heights of a class, in metres above the ground.
 
     Attributes:
-      likely_m: above the ground, what 99 % keep below.
+      guess_m: with what they stand in maps.
+      likely_m: what 99 % keep below; None where nothing says.
       highest_m: the highest that the file knows, 0 without one.
-      num_known: how many known heights of the file say it; 0: the packaged table does.
+      num_for_guess, num_known: how many heights of the file say the guess, and what is likely; 0: the packaged table
+        does.
     """
 
-    likely_m: float
+    guess_m: float
+    likely_m: float | None
     highest_m: float
+    num_for_guess: int
     num_known: int
+
+    def __str__(self) -> str:
+        known = f"{self.num_for_guess:,} known" if self.num_for_guess else "the packaged table"
+        return f"{self.guess_m:.3g} m of {known}"
 
 
 def classes_of(area_m2: np.ndarray) -> np.ndarray:
@@ -54,25 +63,37 @@ def likely_of(known_m: np.ndarray) -> float:
     return float(np.sort(known_m)[min(rank, len(known_m)) - 1])
 
 
-def learned_from(classes: np.ndarray, known_m: np.ndarray) -> dict[str, Learned]:
+def learned_from(
+    classes: np.ndarray, given_m: np.ndarray, counted_m: np.ndarray
+) -> dict[str, Learned]:
     """Return what is learned of each class that occurs and of which enough is known, here or in `PACKAGED`.
 
     Args:
       classes: ``[N]`` objects.
-      known_m: ``[N]`` heights, 0 where the file states none.
+      given_m: ``[N]`` heights, 0 where the file gives none.
+      counted_m: ``[N]`` the same, with those by the number of levels.
     """
     learned = {}
     for name in dict.fromkeys(classes):
-        known = known_m[(classes == name) & (known_m > 0)]
-        highest_m = float(known.max(initial=0.0))
-        if len(known) >= LEAST_KNOWN:
-            learned[name] = Learned(likely_of(known), highest_m, len(known))
-        elif name in PACKAGED:
-            learned[name] = Learned(PACKAGED[name], highest_m, 0)
+        given, counted = (
+            heights_m[(classes == name) & (heights_m > 0)] for heights_m in (given_m, counted_m)
+        )
+        guess_m, likely_m = PACKAGED.get(name, (None, None))
+        num_for_guess = num_known = 0
+        if len(counted) >= LEAST_FOR_GUESS:
+            guess_m, num_for_guess = float(np.median(counted)), len(counted)
+        if len(given) >= LEAST_KNOWN:
+            likely_m, num_known = likely_of(given), len(given)
+        if guess_m is None:
+            continue
+        if likely_m is not None:
+            likely_m = max(likely_m, guess_m)
+        highest_m = float(given.max(initial=0.0))
+        learned[name] = Learned(guess_m, likely_m, highest_m, num_for_guess, num_known)
     return learned
 
 
 def of_classes(learned: Mapping[str, Learned], classes: np.ndarray, field: str) -> np.ndarray:
-    """Return ``[N]`` a field of `Learned` by class, inf where nothing is learned."""
+    """Return ``[N]`` a field of `Learned` by class, NaN where nothing is learned."""
     values = {name: getattr(each, field) for name, each in learned.items()}
-    return np.array([values.get(name, math.inf) for name in classes], float)
+    return np.array([values.get(name) for name in classes], float)

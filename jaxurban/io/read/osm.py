@@ -50,7 +50,7 @@ OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
     *("aerialway", "attraction", "roller_coaster"),
 )
 OF_LAMPS = ("highway", "height", "location", "level", "indoor")
-OF_TREES = ("natural", "height", "est_height", "diameter_crown", "leaf_type", "location", "level")
+OF_TREES = ("natural", "height", "est_height", "diameter_crown", "location", "level")
 TAGS = {
     *(*OF_BUILDINGS, *OF_TREES, *MAYBE, *SOME, "railway", "lanes", "indoor", "diameter", "width"),
     *("bridge:structure", "bridge:movable", "tower:construction"),

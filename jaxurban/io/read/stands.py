@@ -14,7 +14,6 @@ from jaxurban.io.read.issues import LEFT_OUT, ReadIssue, ReadIssues
 from jaxurban.io.read.kinds import (
     BRIDGE,
     BY_VALUE,
-    CONIFER,
     FALLS,
     FENCE,
     FIXED,
@@ -33,7 +32,6 @@ from jaxurban.io.read.kinds import (
     OVERGROUND,
     OVERHEAD,
     SITE,
-    TREE,
     TURBINE,
     UNLISTED,
     WATERS,
@@ -182,7 +180,6 @@ def _kinds(outlines: Outlines, is_areal: np.ndarray) -> tuple[np.ndarray, np.nda
     is_open &= (kind == SITE) & ~is_given(height) & ~is_said
     kind[is_open] = GENERATOR
     label[is_open] = "power=generator"
-    kind[(kind == TREE) & (outlines.texts("leaf") == "needleleaved")] = CONIFER
     return kind, label
 
 
