@@ -12,7 +12,17 @@ from contextlib import suppress
 from datetime import datetime
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    Unpack,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from jaxurban.errors import InputError, platform_remedy
 from jaxurban.public import alike, find_public, near
@@ -181,6 +191,14 @@ def typed(public: Public) -> Public:
     # The function that is called, and the names of its parameters.
     function = public.__init__ if inspect.isclass(public) else public
     signature = inspect.signature(function)
+    keywords = _keywords(function)
+    if keywords:  # each stands by itself; its default ``...`` says that it may be left out
+        *others, choice = signature.parameters.values()
+        others += [
+            inspect.Parameter(name, choice.KEYWORD_ONLY, default=..., annotation=hint)
+            for name, hint in keywords.items()
+        ]
+        signature = signature.replace(parameters=others)
     parameters = signature.parameters
     in_order = [name for name, p in parameters.items() if p.kind is not p.KEYWORD_ONLY]
     call = f": call {public.__name__}({', '.join(in_order)})"  # ends a message
@@ -217,10 +235,22 @@ def typed(public: Public) -> Public:
                 raise InputError(remedy) from error
             raise
 
+    checked.__signature__ = signature  # type: ignore[attr-defined]
+    checked.__annotations__ = function.__annotations__ | keywords
     if public is function:
         return checked  # type: ignore[return-value]
     public.__init__ = checked  # type: ignore[method-assign]
     return public
+
+
+def _keywords(function: Callable) -> dict[str, Any]:
+    """Return the hints of the keywords in a function's ``**name: Unpack[...]``, by name; none where it has no such."""
+    for hint in function.__annotations__.values():
+        origin: Any = get_origin(hint)
+        if origin is Unpack:
+            [choice] = get_args(hint)
+            return choice.__annotations__
+    return {}
 
 
 class _PublicNames(dict):
