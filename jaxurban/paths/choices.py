@@ -17,16 +17,21 @@ from jaxurban.settings import (
 )
 
 
-class MapChoice(TypedDict, total=False):
+class RulesChoice(TypedDict, total=False):
+    """Under which rules is planned, as in `jaxurban.cost_map`."""
+
+    cost_model: CostModel | CostKind | None
+    constraints: Constraints | None
+    preset: Preset
+
+
+class MapChoice(RulesChoice, total=False):
     """Which map is planned on, as in `jaxurban.cost_map`."""
 
     weights: WeightsLike
     objective: Objective | None
-    cost_model: CostModel | CostKind | None
     time: str | None
     time_of_day: str | None
-    constraints: Constraints | None
-    preset: Preset
 
 
 class SearchChoice(TypedDict, total=False):

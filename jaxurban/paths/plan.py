@@ -35,9 +35,9 @@ NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/algorith
 
 def rules_on(
     maps: MetricMaps,
-    cost_model: CostModel | CostKind | None,
-    constraints: Constraints | None,
-    preset: Preset,
+    cost_model: CostModel | CostKind | None = None,
+    constraints: Constraints | None = None,
+    preset: Preset = "",
 ) -> tuple[MetricMaps, CostModel, Constraints]:
     """Return maps under a rule of obstacles, a cost model and constraints, in none of which anything is left out.
 

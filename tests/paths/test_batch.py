@@ -11,7 +11,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.io.tables import RowStore, write_table
 from jaxurban.paths import batch as many_module
-from jaxurban.paths.choices import MapChoice, SearchChoice
+from jaxurban.paths.choices import MapChoice, RulesChoice, SearchChoice
 from jaxurban.paths.queries import LONLAT
 from jaxurban.paths.search import PathSearch
 from jaxurban.planners.base import Status
@@ -128,10 +128,13 @@ def test_keywords_that_functions_pass_on_are_those_of_a_cost_map_and_a_search():
             if parameter.kind is parameter.KEYWORD_ONLY
         }
         assert choice.__annotations__ == taken
-    for function in (ju.plan, ju.plan_many, ju.when, ju.cost_to_go, ju.CostMap.plan):
+    studies = (ju.studies.study, ju.studies.sample_instances, ju.fit.demonstrations_from_study)
+    for function in studies:
+        assert {*RulesChoice.__annotations__} < {*inspect.signature(function).parameters}
+    for function in (ju.plan, ju.plan_many, ju.when, ju.cost_to_go, ju.CostMap.plan, *studies):
         parameters = inspect.signature(function).parameters.values()
         assert not any(each.kind is each.VAR_KEYWORD for each in parameters)
-        assert {each.default for each in parameters if each.name in ("time", "seed")} == {...}
+        assert ... in {each.default for each in parameters}
 
 
 def test_drawn_instances_are_planned_without_the_columns_that_a_refusal_names(town, many):
