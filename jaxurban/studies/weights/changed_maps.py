@@ -12,11 +12,11 @@ from jaxurban.io.tables import ROWS_FILE, RowStore, read_table
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.run import tasks_of
+from jaxurban.maps.run import tasks_of as maps_tasks_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.sources import scenario_of
 from jaxurban.maps.task import MapTask
-from jaxurban.paths.rows import Source, runs_left, solve_here
+from jaxurban.paths.rows import Source, solve_here, tasks_of
 from jaxurban.progress import LOG, Report
 from jaxurban.studies.weights.cities import Cities, in_order
 from jaxurban.studies.weights.routes import OnOtherParameters, OnPerturbedMaps, row_columns
@@ -116,7 +116,7 @@ def _add_city(
                 cost_model=settings.cost_model,
                 constraints=settings.constraints,
             )
-            lacking = runs_left(instances, job, store)
+            lacking = tasks_of(instances, job, store)
             if lacking:
                 check_fits(changed)
                 with warnings.catch_warnings(action="ignore", category=GuessWarning):
@@ -147,7 +147,7 @@ def _map_task(source: Source, maps: MetricMaps, scenario: Scenario | None) -> Ma
     with warnings.catch_warnings(
         action="ignore", category=GuessWarning
     ):  # reported when the maps were made
-        tasks = tasks_of(scenario)
+        tasks = maps_tasks_of(scenario)
     for task in tasks:
         if task.region == maps.grid and set(maps.metrics) == set(task.metrics):
             return task
