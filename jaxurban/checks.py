@@ -12,7 +12,17 @@ from contextlib import suppress
 from datetime import datetime
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    Unpack,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from jaxurban.errors import InputError, platform_remedy
 from jaxurban.public import alike, find_public, near
@@ -49,14 +59,14 @@ MADE_BY = {  # what no constructor is meant for
 }
 
 
-class Kind(NamedTuple):
+class ArgumentKind(NamedTuple):
     """What an argument may be: its name in messages, and whether a value is of it."""
 
     name: str
     holds: Callable[[Any], bool]
 
 
-def unit_of(name: str) -> str:
+def unit_of_argument(name: str) -> str:
     """Return the unit of an argument by the end of its name, ``""`` where none is known."""
     return next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
 
@@ -110,7 +120,7 @@ def finite(
         with suppress(TypeError, ValueError, OverflowError):
             number = float(value)
     if not least < number < math.inf:
-        unit = unit_of(name) if unit is None else unit
+        unit = unit_of_argument(name) if unit is None else unit
         of_unit = f" of {unit}" if unit else ""
         raise InputError(f"{name} must be a {called} number{of_unit}, got {value!r}")
     return number
@@ -142,7 +152,7 @@ def at_least(name: str, value: Any, least: int = 0) -> int:
     return int(value)
 
 
-def check_range(name: str, value: Any) -> None:
+def check_size(name: str, value: Any) -> None:
     """Raise InputError where a number, or one in a list of them, is larger in size than any sensible one.
 
     What has no unit of length or angle, such as a budget of seconds, may be infinite. NaN and values that are no
@@ -159,7 +169,7 @@ def check_range(name: str, value: Any) -> None:
         size: Any = abs(number) if isinstance(number, numbers.Real) else 0
         may_be_infinite = most == MOST
         if size > most and not (may_be_infinite and size == math.inf):
-            unit = f" ({unit_of(name)})" if unit_of(name) else ""
+            unit = f" ({unit_of_argument(name)})" if unit_of_argument(name) else ""
             raise InputError(
                 f"{name} must be a finite number of at most {most:.0e}{unit}, got {number!r}"
             )
@@ -181,6 +191,14 @@ def typed(public: Public) -> Public:
     # The function that is called, and the names of its parameters.
     function = public.__init__ if inspect.isclass(public) else public
     signature = inspect.signature(function)
+    keywords = _keywords(function)
+    if keywords:  # each stands by itself; its default ``...`` says that it may be left out
+        *others, choice = signature.parameters.values()
+        others += [
+            inspect.Parameter(name, choice.KEYWORD_ONLY, default=..., annotation=hint)
+            for name, hint in keywords.items()
+        ]
+        signature = signature.replace(parameters=others)
     parameters = signature.parameters
     in_order = [name for name, p in parameters.items() if p.kind is not p.KEYWORD_ONLY]
     call = f": call {public.__name__}({', '.join(in_order)})"  # ends a message
@@ -188,7 +206,7 @@ def typed(public: Public) -> Public:
     further = next((name for name, p in parameters.items() if p.kind is p.VAR_KEYWORD), "")
 
     @functools.cache
-    def kinds() -> dict[str, list[Kind]]:
+    def kinds() -> dict[str, list[ArgumentKind]]:
         """Return the kinds of each argument; at the first call, when all modules that hints name are loaded."""
         return {name: _kinds(hint) for name, hint in _hints(checked).items()}
 
@@ -207,7 +225,7 @@ def typed(public: Public) -> Public:
         for name, value in (values.pop(further, {}) | values).items():
             allowed = kinds().get(name if name in parameters else further, [])
             _check_kind(name, value, allowed, call)
-            check_range(name, value)
+            check_size(name, value)
 
         try:
             return function(*args, **kwargs)
@@ -217,10 +235,22 @@ def typed(public: Public) -> Public:
                 raise InputError(remedy) from error
             raise
 
+    checked.__signature__ = signature  # type: ignore[attr-defined]
+    checked.__annotations__ = function.__annotations__ | keywords
     if public is function:
         return checked  # type: ignore[return-value]
     public.__init__ = checked  # type: ignore[method-assign]
     return public
+
+
+def _keywords(function: Callable) -> dict[str, Any]:
+    """Return the hints of the keywords in a function's ``**name: Unpack[...]``, by name; none where it has no such."""
+    for hint in function.__annotations__.values():
+        origin: Any = get_origin(hint)
+        if origin is Unpack:
+            [choice] = get_args(hint)
+            return choice.__annotations__
+    return {}
 
 
 class _PublicNames(dict):
@@ -313,7 +343,7 @@ def _home_of(name: str, function: Callable) -> str:
     return f" (did you mean {remedy!r}?)" if remedy in own else f" (give {remedy})"
 
 
-def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
+def _check_kind(name: str, value: Any, kinds: list[ArgumentKind], call: str) -> None:
     """Raise InputError, with the kinds that are accepted and a remedy, unless the value is of one of them.
 
     Args:
@@ -328,8 +358,8 @@ def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
     # What is accepted, each kind once, with the unit of numbers.
     names = list(dict.fromkeys(kind.name for kind in kinds))
     accepted = _either(names)
-    if unit_of(name) and "number" in accepted:
-        accepted = f"{accepted} ({unit_of(name)})"
+    if unit_of_argument(name) and "number" in accepted:
+        accepted = f"{accepted} ({unit_of_argument(name)})"
 
     # The remedy: a text that resembles a choice, the call for an object of ours, a list for a single number.
     choices = [each.strip("'") for each in names if each.startswith("'")]
@@ -341,7 +371,7 @@ def _check_kind(name: str, value: Any, kinds: list[Kind], call: str) -> None:
     raise InputError(f"{name} must be {accepted}, got {_shown(value)}{remedy}")
 
 
-def _kinds(hint: Any) -> list[Kind]:
+def _kinds(hint: Any) -> list[ArgumentKind]:
     """Return the kinds of value that a type hint allows; an empty list: a value of any kind is allowed.
 
     Args:
@@ -361,7 +391,9 @@ def _kinds(hint: Any) -> list[Kind]:
             return []
         return list(chain.from_iterable(kinds_of_parts))
     if origin is Literal:
-        return [Kind(repr(choice), functools.partial(_is_choice, choice)) for choice in parts]
+        return [
+            ArgumentKind(repr(choice), functools.partial(_is_choice, choice)) for choice in parts
+        ]
     if origin is Any or not inspect.isclass(origin):
         return []
 
@@ -375,10 +407,10 @@ def _kinds(hint: Any) -> list[Kind]:
     name = _name_of(origin)
     if name in MADE_BY:
         name = f"{name} (from {MADE_BY[name]})"
-    return [Kind(name, lambda value: isinstance(value, origin))]
+    return [ArgumentKind(name, lambda value: isinstance(value, origin))]
 
 
-def _kind_of_items(holder: Any, hints: list[Any]) -> Kind:
+def _kind_of_items(holder: Any, hints: list[Any]) -> ArgumentKind:
     """Return the kind of a sequence or a dict with items of some kind.
 
     Args:
@@ -395,10 +427,10 @@ def _kind_of_items(holder: Any, hints: list[Any]) -> Kind:
     # The name in messages, such as "a sequence of numbers": the first noun of each kind becomes its plural.
     plurals = [re.sub("^a ([a-z ]+?)(?= of |$)", r"\1s", name) for name in names]
     name = f"{KINDS[holder].name} of {' or '.join(plurals)}"
-    return Kind(name, functools.partial(_holds, holder, items))
+    return ArgumentKind(name, functools.partial(_holds, holder, items))
 
 
-def _holds(holder: Any, items: list[Kind], value: Any) -> bool:
+def _holds(holder: Any, items: list[ArgumentKind], value: Any) -> bool:
     """Return whether a value is a sequence or a dict whose items are of some kinds.
 
     Only items of lists, tuples and dicts are looked at: walking through anything else may use it up.
@@ -455,19 +487,19 @@ HOLDERS: dict[Any, Any] = {
     **dict.fromkeys((Iterable, Sequence, list, tuple), Iterable),
     **dict.fromkeys((Mapping, dict), Mapping),
 }
-KINDS: dict[Any, Kind] = {
-    bool: Kind("True or False", lambda value: type(value).__name__ in ("bool", "bool_")),
-    int: Kind("a whole number", _is_whole),
-    float: Kind("a number", _is_number),
-    str: Kind("a text", _is_text),
-    Path: Kind("a path", lambda value: isinstance(value, str | os.PathLike)),
-    types.NoneType: Kind("None", lambda value: value is None),
-    Iterable: Kind(
+KINDS: dict[Any, ArgumentKind] = {
+    bool: ArgumentKind("True or False", lambda value: type(value).__name__ in ("bool", "bool_")),
+    int: ArgumentKind("a whole number", _is_whole),
+    float: ArgumentKind("a number", _is_number),
+    str: ArgumentKind("a text", _is_text),
+    Path: ArgumentKind("a path", lambda value: isinstance(value, str | os.PathLike)),
+    types.NoneType: ArgumentKind("None", lambda value: value is None),
+    Iterable: ArgumentKind(
         "a sequence",
         lambda value: isinstance(value, Iterable) and not isinstance(value, str | bytes),
     ),
-    Mapping: Kind("a dict", lambda value: isinstance(value, Mapping)),
-    Callable: Kind("a function", callable),
+    Mapping: ArgumentKind("a dict", lambda value: isinstance(value, Mapping)),
+    Callable: ArgumentKind("a function", callable),
 }
 
 

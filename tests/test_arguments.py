@@ -657,7 +657,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "sources": Case("no/such/folder", {"maps": lambda: few_maps()}),
     },
     "when": ON_A_MAP
-    | without("on_ground", SEARCH)
+    | SEARCH
     | {
         "altitude_m": 60.0,
         "progress": PROGRESS,

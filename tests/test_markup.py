@@ -15,6 +15,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.files import write_json
 from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.metrics.custom import Layer
+from jaxurban.paths.route_report import short
 from jaxurban.public import Caution
 from jaxurban.report.check import check_markdown
 from jaxurban.report.figures.metrics import plot_metric
@@ -195,3 +196,9 @@ def test_a_definition_of_a_crs_is_named_in_short_and_no_message_repeats_a_text_o
         Grid("X" * 10**6, 10.0, 0, 0, 4, 4)
     assert len(str(caught.value)) < 2100
     assert str(caught.value).endswith("such as 'EPSG:32618'")
+
+
+def test_numbers_just_below_a_thousand_have_no_power_of_ten():
+    values = [999.4, 999.7, 1000.2, -999.7, 99.96]
+    assert [short(value) for value in values] == ["999", "1,000", "1,000", "-1,000", "100"]
+    assert table(["m"], [[999.7]]) == "| m |\n|---|\n| 1000 |"

@@ -116,7 +116,7 @@ def check_given(path: Path) -> None:
         located(path).stat()
 
 
-def check_place(ctx: click.Context, param: click.Parameter, lonlat: Point) -> Point:
+def check_over_maps(ctx: click.Context, param: click.Parameter, lonlat: Point) -> Point:
     """Return a place that lies over the maps in the command's folder, by what their metadata say alone.
 
     Of several resolutions, or of damaged maps, what opens the maps checks it.
@@ -327,7 +327,7 @@ def limits_of(
     )
 
 
-def constraints_of(
+def constraints_given(
     constraints: "Constraints", unknown_heights: "UnknownHeights | None"
 ) -> "Constraints":
     """Return the constraints that the options of `CONSTRAINTS` ask for, which are `LIMITS` and the rule of heights."""
@@ -454,7 +454,7 @@ LIMITS = grouped(
 )
 CONSTRAINTS = grouped(
     "constraints",
-    constraints_of,
+    constraints_given,
     LIMITS,
     click.option(
         "--unknown-heights",
@@ -485,7 +485,7 @@ RULES = grouped("rules", RouteRules, PRESET, COST_MODEL, WEIGHTS, CONSTRAINTS)
 TIME_OF_DAY = click.option(
     "--time-of-day", help="Time of day of the population map, such as night.  [default: the first]"
 )
-PLACE = partial(click.option, type=LONLAT, required=True, callback=check_place)
+PLACE = partial(click.option, type=LONLAT, required=True, callback=check_over_maps)
 ROUTE = together(  # a route over maps
     FOLDER,
     PLACE("--start", help="Start: longitude,latitude in degrees."),
@@ -555,14 +555,14 @@ SOURCES = click.option(
 JSON_FLAG = FLAG("--json", "as_json", help="Print one machine-readable object on stdout.")
 
 
-def names_in(
+def names_given(
     ctx: click.Context, param: click.Parameter, text: str | None
 ) -> tuple[str, ...] | None:
     """Return the names in ``"gps,risk"``; None where an option without a default is left out."""
     return None if text is None else tuple(filter(None, map(str.strip, text.split(","))))
 
 
-NAMES = partial(click.option, default="", callback=names_in)
+NAMES = partial(click.option, default="", callback=names_given)
 
 
 def all_cores() -> int:

@@ -89,7 +89,7 @@ def _closed(maps: "MetricMaps") -> dict[str, str]:
 
     if not maps.altitudes_m:
         return {}
-    maps, _, limits = rules_on(maps, None, None, "")
+    maps, _, limits = rules_on(maps)
     note = closed_note(maps, limits, min(maps.altitudes_m))
     return {"routes": note} | {
         f"closed at {z_m:g} m": closed_facts(causes_at(maps, limits, z_m))["closed"]

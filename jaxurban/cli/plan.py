@@ -49,7 +49,7 @@ NOT_WHEN = (
 OF_VOLUME = partial(NUMBER, cls=DependentOption, owner="--volume")
 
 
-def levels_of(
+def levels_given(
     is_volume: bool,
     min_altitude_m: float | None,
     max_altitude_m: float | None,
@@ -101,7 +101,7 @@ def exposure_of(
     return exposure
 
 
-class Flight(TypedDict):
+class FlightOptions(TypedDict):
     """Keywords of `explain`; None where its own default counts."""
 
     speed_m_s: float | None
@@ -169,7 +169,7 @@ class RouteFiles(NamedTuple):
 )
 @grouped(
     "levels",
-    levels_of,
+    levels_given,
     FLAG(
         "--volume", "is_volume", help="Let the path climb and descend; --altitude is the start's."
     ),
@@ -195,7 +195,7 @@ class RouteFiles(NamedTuple):
 @FLAG("--report", "with_report", help="Report costs, people and clearance, by segment.")
 @grouped(
     "flight",
-    Flight,
+    FlightOptions,
     NUMBER("--speed", "speed_m_s", help="Metres per second, for times.  [default: the vehicle's]"),
     NUMBER(
         "--power", "power_w", help="Power in flight in watts, for energy.  [default: the vehicle's]"

@@ -23,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxurban.checks import at_least, check_range, nearest_name, positive, typed, values_given
+from jaxurban.checks import at_least, check_size, nearest_name, positive, typed, values_given
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.samples import filled, is_sample, located
 from jaxurban.kernels.engine import Engine
@@ -600,7 +600,7 @@ def _check_truths(settings: Any, model: type, where: str = "") -> None:
             raise ValueError(
                 f"{where}{name} cannot be {str(value).lower()}: give a number, a text or a list"
             )
-        check_range(f"{where}{name}", value)
+        check_size(f"{where}{name}", value)
         inner_model = model_in(types.get(name))
         if inner_model:
             _check_truths(value, inner_model, f"{where}{name}: ")

@@ -1,11 +1,11 @@
 """plan_many: thousands of queries over metric maps, none of which is lost once it is done."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path as FilePath
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 
@@ -13,8 +13,7 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import RowStore, fingerprint, number_or_none
 from jaxurban.maps.metric_maps import MapsLike, as_maps
-from jaxurban.metrics.weights import WeightsLike
-from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.choices import PathChoice, parted
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
@@ -32,18 +31,8 @@ from jaxurban.paths.queries import (
 from jaxurban.paths.rows import BAD_INPUT, failure
 from jaxurban.paths.search import PathSearch
 from jaxurban.planners.base import Path, Status
-from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import solve_many
 from jaxurban.progress import LOG, Progress, Report, reporting
-from jaxurban.settings import (
-    Backend,
-    CostKind,
-    HeuristicName,
-    Objective,
-    OnGround,
-    PlannerName,
-    Preset,
-)
 
 HELD_BYTES = 2 * 2**30  # most memory of the cost maps that are kept at a time
 BYTES_A_CELL = 160  # memory of a cost map for each of its cells: layers, metrics, landmarks
@@ -58,26 +47,11 @@ def plan_many(
     queries: QueriesLike,
     *,
     altitude_m: float | None = None,
-    backend: Backend = "auto",
     strict: bool = False,
     file: str | FilePath | None = None,
     num_threads: int | None = None,
     progress: Progress = True,
-    weights: WeightsLike = None,
-    objective: Objective | None = None,
-    cost_model: CostModel | CostKind | None = None,
-    time: str | None = None,
-    time_of_day: str | None = None,
-    constraints: Constraints | None = None,
-    preset: Preset = "",
-    planner: PlannerName | None = None,
-    heuristic: HeuristicName | None = None,
-    budget_s: float | None = None,
-    seed: int | None = None,
-    snap: bool | float = False,
-    on_ground: OnGround = False,
-    refine: bool = False,
-    exposure: Mapping[str, float] | None = None,
+    **choice: Unpack[PathChoice],
 ) -> PlannedPaths:
     """Return the paths of many queries, in their order.
 
@@ -126,18 +100,8 @@ def plan_many(
       [[0, 'optimal'], [1, 'optimal']]
     """
     maps = as_maps(maps)
-    search = PathSearch.of(
-        maps.planning,
-        planner=planner,
-        heuristic=heuristic,
-        budget_s=budget_s,
-        seed=seed,
-        snap=snap,
-        on_ground=on_ground,
-        refine=refine,
-        exposure=exposure,
-        backend=backend,
-    )
+    map_choice, search_choice = parted(choice)
+    search = PathSearch.of(maps.planning, **search_choice)
     if search.refine or search.exposure:
         raise InputError(
             "refine and exposure are of a single plan: leave them out, and plan the paths that matter"
@@ -150,20 +114,11 @@ def plan_many(
     # The cost map of an altitude, a time and a time of day, which queries share, under the weights of the call. As many
     # are kept as `HELD_BYTES` of memory hold.
     most_maps = max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape))))
-    map_of = lru_cache(maxsize=most_maps)(
-        partial(
-            cost_map,
-            maps,
-            weights=weights,
-            objective=objective,
-            cost_model=cost_model,
-            constraints=constraints,
-            preset=preset,
-        )
-    )
+    map_of = lru_cache(maxsize=most_maps)(partial(cost_map, maps, **map_choice))
 
     # Making the first map refuses what is wrong for all queries.
     first_altitude_m = maps.altitudes_m[0] if altitude_m is None else altitude_m
+    time, time_of_day = choice.get("time"), choice.get("time_of_day")
     first_map = map_of(first_altitude_m, time=time, time_of_day=time_of_day)
     batch = read_queries(
         queries,

@@ -1,9 +1,9 @@
 """CostMap: metric maps at one altitude, or between several, under weights, ready for any number of queries."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps.levels import SAME_M, Levels, listed_m
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
+from jaxurban.paths.choices import SearchChoice
 from jaxurban.paths.closed import causes_at, closed_facts
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.finish import finish, map_notes, map_settings
@@ -35,7 +36,7 @@ from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.progress import warn_if_slow
 from jaxurban.public import FactsRepr
-from jaxurban.settings import Backend, HeuristicName, Objective, OnGround, PlannerName, as_tuple
+from jaxurban.settings import Objective, OnGround, as_tuple
 from jaxurban.world.grid import Grid
 
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
@@ -462,15 +463,7 @@ class CostMap(FactsRepr):
         *,
         start_xy_m: Point | None = None,
         goal_xy_m: Point | None = None,
-        planner: PlannerName | None = None,
-        heuristic: HeuristicName | None = None,
-        backend: Backend = "auto",
-        budget_s: float | None = None,
-        seed: int | None = None,
-        snap: bool | float = False,
-        on_ground: OnGround = False,
-        refine: bool = False,
-        exposure: Mapping[str, float] | None = None,
+        **choice: Unpack[SearchChoice],
     ) -> PlannedPath:
         """Return a path between two places, given as in `jaxurban.plan`, searched for as `PathSearch.of` says.
 
@@ -485,18 +478,7 @@ class CostMap(FactsRepr):
         """
         start_place = one_place("start", start, start_xy_m)
         goal_place = one_place("goal", goal, goal_xy_m)
-        search = PathSearch.of(
-            is_for_volumes=self.levels is not None,
-            planner=planner,
-            heuristic=heuristic,
-            backend=backend,
-            budget_s=budget_s,
-            seed=seed,
-            snap=snap,
-            on_ground=on_ground,
-            refine=refine,
-            exposure=exposure,
-        )
+        search = PathSearch.of(is_for_volumes=self.levels is not None, **choice)
         return self.planned(start_place, goal_place, search)
 
     def planned(self, start: Point | XY, goal: Point | XY, search: PathSearch) -> PlannedPath:

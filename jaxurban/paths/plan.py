@@ -1,10 +1,9 @@
 """plan and cost_map: from maps and what is left to their scenario to a cost map, and to a path on it."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from jaxurban.maps.levels import Levels, values_at
 from jaxurban.maps.memory import distinct_texts
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.weights import WeightsLike, weights_on
+from jaxurban.paths.choices import PathChoice, parted
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
@@ -22,12 +22,8 @@ from jaxurban.paths.places import Point, one_place
 from jaxurban.paths.search import PathSearch
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import (
-    Backend,
     CostKind,
-    HeuristicName,
     Objective,
-    OnGround,
-    PlannerName,
     Preset,
     Vehicle,
     iso_utc,
@@ -39,9 +35,9 @@ NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/algorith
 
 def rules_on(
     maps: MetricMaps,
-    cost_model: CostModel | CostKind | None,
-    constraints: Constraints | None,
-    preset: Preset,
+    cost_model: CostModel | CostKind | None = None,
+    constraints: Constraints | None = None,
+    preset: Preset = "",
 ) -> tuple[MetricMaps, CostModel, Constraints]:
     """Return maps under a rule of obstacles, a cost model and constraints, in none of which anything is left out.
 
@@ -222,22 +218,7 @@ def plan(
     altitude_m: float | Levels,
     start_xy_m: Point | None = None,
     goal_xy_m: Point | None = None,
-    weights: WeightsLike = None,
-    objective: Objective | None = None,
-    cost_model: CostModel | CostKind | None = None,
-    time: str | None = None,
-    time_of_day: str | None = None,
-    constraints: Constraints | None = None,
-    preset: Preset = "",
-    planner: PlannerName | None = None,
-    heuristic: HeuristicName | None = None,
-    backend: Backend = "auto",
-    budget_s: float | None = None,
-    seed: int | None = None,
-    snap: bool | float = False,
-    on_ground: OnGround = False,
-    refine: bool = False,
-    exposure: Mapping[str, float] | None = None,
+    **choice: Unpack[PathChoice],
 ) -> PlannedPath:
     """Return a path from ``start`` to ``goal``, at one altitude or between levels.
 
@@ -291,30 +272,8 @@ def plan(
       [20.0, 60.0]
     """
     maps = as_maps(maps)
-    search = PathSearch.of(
-        maps.planning,
-        is_for_volumes=isinstance(altitude_m, Levels),
-        planner=planner,
-        heuristic=heuristic,
-        backend=backend,
-        budget_s=budget_s,
-        seed=seed,
-        snap=snap,
-        on_ground=on_ground,
-        refine=refine,
-        exposure=exposure,
-    )
+    map_choice, search_choice = parted(choice)
+    search = PathSearch.of(maps.planning, isinstance(altitude_m, Levels), **search_choice)
     start_place = one_place("start", start, start_xy_m)
     goal_place = one_place("goal", goal, goal_xy_m)
-    weighed_maps = cost_map(
-        maps,
-        altitude_m,
-        weights=weights,
-        objective=objective,
-        cost_model=cost_model,
-        time=time,
-        time_of_day=time_of_day,
-        constraints=constraints,
-        preset=preset,
-    )
-    return weighed_maps.planned(start_place, goal_place, search)
+    return cost_map(maps, altitude_m, **map_choice).planned(start_place, goal_place, search)

@@ -288,7 +288,7 @@ class RouteReport(FactsRepr):
 
 
 def short(value: float) -> str:
-    """Return a number in a few digits: whole from 1,000 up, else three significant digits, ``none`` if not finite."""
+    """Return a number in a few digits: whole from 100 up, else three significant digits, ``none`` if not finite."""
     if not math.isfinite(value):
         return "none"
-    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"

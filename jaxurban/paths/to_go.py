@@ -1,17 +1,17 @@
 """cost_to_go: what the cheapest path from every cell to one goal costs."""
 
+from typing import Unpack
+
 import numpy as np
 
 from jaxurban.checks import typed
 from jaxurban.maps.metric_maps import MapsLike
-from jaxurban.metrics.weights import WeightsLike
-from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.choices import MapChoice
 from jaxurban.paths.places import Point, one_place
 from jaxurban.paths.plan import cost_map
 from jaxurban.planners import astar
-from jaxurban.planners.cost import CostModel
 from jaxurban.planners.tile_search import costs_by_tiles
-from jaxurban.settings import Backend, CostKind, Objective, Preset
+from jaxurban.settings import Backend
 
 
 @typed
@@ -21,15 +21,9 @@ def cost_to_go(
     *,
     altitude_m: float,
     goal_xy_m: Point | None = None,
-    weights: WeightsLike = None,
-    objective: Objective | None = None,
-    cost_model: CostModel | CostKind | None = None,
-    time: str | None = None,
-    time_of_day: str | None = None,
-    constraints: Constraints | None = None,
-    preset: Preset = "",
     snap: bool | float = False,
     backend: Backend = "auto",
+    **choice: Unpack[MapChoice],
 ) -> np.ndarray:
     """Return the cost of the cheapest path of the grid from each cell to a goal.
 
@@ -61,13 +55,7 @@ def cost_to_go(
     weighed_maps = cost_map(
         maps,
         altitude_m,
-        weights=weights,
-        objective=objective,
-        cost_model=cost_model,
-        time=time,
-        time_of_day=time_of_day,
-        constraints=constraints,
-        preset=preset,
+        **choice,
     )
     _, end = weighed_maps.ends(place, place, snap=snap)
     problem = weighed_maps.problem.between(end.cell, end.cell)

@@ -1,9 +1,10 @@
 """when: the same routes planned at every time that maps hold, and the one at which they cost the least together."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import product
+from typing import Unpack
 
 import numpy as np
 import pandas as pd
@@ -14,18 +15,15 @@ from jaxurban.kernels.tolerances import SAME_ROUTE_COST
 from jaxurban.knowledge import Caution
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX
-from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.batch import plan_many
-from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.choices import PathChoice, parted
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.profile import cautious_profile, guess_cautions, without_fix
 from jaxurban.paths.queries import PlannedPaths, QueriesLike, table_of
-from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress
 from jaxurban.public import FactsRepr, listed
-from jaxurban.settings import Backend, CostKind, HeuristicName, Objective, PlannerName, Preset
 
 TIMES = ["time", "time_of_day"]
 
@@ -125,21 +123,7 @@ def when(
     *,
     altitude_m: float | None = None,
     progress: Progress = True,
-    weights: WeightsLike = None,
-    objective: Objective | None = None,
-    cost_model: CostModel | CostKind | None = None,
-    time: str | None = None,
-    time_of_day: str | None = None,
-    constraints: Constraints | None = None,
-    preset: Preset = "",
-    planner: PlannerName | None = None,
-    heuristic: HeuristicName | None = None,
-    backend: Backend = "auto",
-    budget_s: float | None = None,
-    seed: int | None = None,
-    snap: bool | float = False,
-    refine: bool = False,
-    exposure: Mapping[str, float] | None = None,
+    **choice: Unpack[PathChoice],
 ) -> Departures:
     """Plan each route at every time that maps hold (`plan_many`), and return what the routes cost and lead over.
 
@@ -152,7 +136,7 @@ def when(
       altitude_m: flight altitude above ground of queries without an altitude of their own.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
       weights, objective, cost_model, time, time_of_day, constraints, preset: which map, as in `plan`.
-      planner, heuristic, backend, budget_s, seed, snap: of each query, as in `plan_many`.
+      planner, heuristic, backend, budget_s, seed, snap, on_ground: of each query, as in `plan_many`.
       refine, exposure: of a single plan only.
 
     Returns:
@@ -170,7 +154,7 @@ def when(
     """
     # The times, and the queries.
     maps = as_maps(maps)
-    table = _times_held(maps, time, time_of_day)
+    table = _times_held(maps, choice.get("time"), choice.get("time_of_day"))
     query_table = queries if isinstance(queries, pd.DataFrame) else table_of(queries)
     num_queries = len(query_table)
     if not num_queries or {*TIMES} & {*query_table}:
@@ -184,21 +168,7 @@ def when(
         table.merge(query_table, how="cross"),
         altitude_m=altitude_m,
         progress=progress,
-        weights=weights,
-        objective=objective,
-        cost_model=cost_model,
-        time=time,
-        time_of_day=time_of_day,
-        constraints=constraints,
-        preset=preset,
-        planner=planner,
-        heuristic=heuristic,
-        backend=backend,
-        budget_s=budget_s,
-        seed=seed,
-        snap=snap,
-        refine=refine,
-        exposure=exposure,
+        **choice,
     )
     if paths.was_interrupted:
         raise KeyboardInterrupt
@@ -216,15 +186,7 @@ def when(
     # stands for the best. The routes of one time follow each other and share a map, so that one map is kept.
     best = Departures(table, routes, paths).best or 0
     kept_paths = [paths[best * num_queries + query] for query in routes["query"]]
-    map_of = partial(
-        cost_map,
-        maps,
-        weights=weights,
-        objective=objective,
-        cost_model=cost_model,
-        constraints=constraints,
-        preset=preset,
-    )
+    map_of = partial(cost_map, maps, **parted(choice)[0])
     times = table.loc[routes["departure"]]
     kept_costs = np.array(_costs_at(kept_paths, times, lru_cache(maxsize=1)(map_of)))
 

@@ -213,7 +213,7 @@ def cell(value: Any) -> str:
         return value if isinstance(value, str) else str(value)
     if not math.isfinite(value):
         return ""
-    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def interval(row: Mapping[Any, Any], name: Any, text_of: Callable[[Any], str] = cell) -> str:

@@ -5,20 +5,21 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 import pandas as pd
 import shapely
 from scipy.ndimage import distance_transform_edt
 
-from jaxurban.checks import typed
+from jaxurban.checks import typed, values_given
 from jaxurban.errors import InputError, OtherSettingsWarning, SkippedRouteWarning, warn
 from jaxurban.io.read.routes import read_routes
 from jaxurban.io.tables import SUFFIXES
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.constraints import Constraints, describe_constraints
+from jaxurban.paths.choices import RulesChoice
+from jaxurban.paths.constraints import describe_constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import MAX_SNAP_M, XY
@@ -27,7 +28,6 @@ from jaxurban.paths.snapping import snap_note
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import CostModel
-from jaxurban.settings import CostKind, Preset
 from jaxurban.studies.queries import RouteQuery
 
 # Of a cell side: a point this near a centre is the centre, written with few decimals.
@@ -139,10 +139,8 @@ def read_demonstrations(
     time: str | None = None,
     time_of_day: str | None = None,
     *,
-    cost_model: CostModel | CostKind | None = None,
-    constraints: Constraints | None = None,
-    preset: Preset = "",
     metrics: Sequence[str] | None = None,
+    **rules: Unpack[RulesChoice],
 ) -> list[Demonstration]:
     """Return the routes of a file as demonstrations; lists of several files or cities may be joined with ``+``.
 
@@ -183,7 +181,7 @@ def read_demonstrations(
     routes = read_routes(file)
     planned = [(f"route {route.name!r} of {str(file)!r}", route.settings) for route in routes]
     maps = as_maps(maps)
-    map_of = _cost_maps(maps, planned, cost_model, constraints, preset, metrics)
+    map_of = _cost_maps(maps, planned, metrics, rules)
 
     # Each line on its own map; a line of no use leaves a reason instead.
     demonstrations, reasons = [], []
@@ -215,10 +213,8 @@ def demonstrations_from_paths(
     paths: PlannedPath | Sequence[PlannedPath],
     maps: MapsLike,
     *,
-    cost_model: CostModel | CostKind | None = None,
-    constraints: Constraints | None = None,
-    preset: Preset = "",
     metrics: Sequence[str] | None = None,
+    **rules: Unpack[RulesChoice],
 ) -> list[Demonstration]:
     """Return planned paths as demonstrations, each on the map that it was planned on.
 
@@ -245,7 +241,7 @@ def demonstrations_from_paths(
     if not paths:
         raise InputError("there are no paths: give at least one")
     planned = [(f"path {number}", path.settings) for number, path in enumerate(paths, start=1)]
-    map_of = _cost_maps(as_maps(maps), planned, cost_model, constraints, preset, metrics)
+    map_of = _cost_maps(as_maps(maps), planned, metrics, rules)
     demonstrations = []
     for number, path in enumerate(paths, start=1):
         try:
@@ -270,10 +266,8 @@ def demonstrations_from_paths(
 def _cost_maps(
     maps: MetricMaps,
     planned: Sequence[tuple[str, Mapping]],
-    cost_model: CostModel | CostKind | None,
-    constraints: Constraints | None,
-    preset: Preset,
     metrics: Sequence[str] | None,
+    rules: RulesChoice,
 ) -> Callable[[float, str | None, str | None], CostMap]:
     """Return a function of altitude in metres, time and time of day that gives the cost map there.
 
@@ -283,16 +277,16 @@ def _cost_maps(
     Args:
       maps: of the routes.
       planned: each route's name and the settings that it was planned under; empty settings where none are known.
-      cost_model: of the cost maps; None: the one that the routes were planned under, else the maps' own.
-      constraints: of the cost maps; None: those of the maps' scenario.
-      preset: as in `plan`.
       metrics: that the cost maps keep; None: all.
+      rules: of the cost maps. A cost model that is left out is the one that the routes were planned under, else the
+        maps' own; constraints that are left out are those of the maps' scenario.
 
     Raises:
       InputError: an invalid cost model in the settings, or routes that name different ones.
     """
     # The rules of the cost maps: an argument comes before the rules of the maps' scenario.
-    if cost_model is None:
+    given = values_given(rules)
+    if "cost_model" not in given:
         models = {
             name: CostModel.from_settings(settings)
             for name, settings in planned
@@ -305,14 +299,11 @@ def _cost_maps(
                     f"{first} was planned under the cost model {models[first]} and {name} under {other}: fit them "
                     "apart, or name one for all (--cost-model, cost_model=)"
                 )
-        cost_model = models.get(first)
-    rules = RouteRules(
-        cost_model=cost_model, constraints=constraints or Constraints(), preset=preset
-    )
-    maps, rules = rules.under(maps)
+        given["cost_model"] = models.get(first)
+    maps, route_rules = RouteRules(**given).under(maps)
 
     # Whether each route was planned under these rules; for a rule that it does not name it was.
-    rules_now = rules.rules()
+    rules_now = route_rules.rules()
     now = _describe_rules(rules_now)
     for name, settings in planned:
         before = _describe_rules({key: settings.get(key, rules_now[key]) for key in rules_now})
@@ -327,7 +318,7 @@ def _cost_maps(
     @cache
     def map_of(*place: Any) -> CostMap:
         """Return the cost map at an altitude, time and time of day."""
-        cost_map = rules.cost_map(maps, *place)
+        cost_map = route_rules.cost_map(maps, *place)
         return cost_map if metrics is None else cost_map.only(metrics)
 
     return map_of

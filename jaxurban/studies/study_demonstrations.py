@@ -10,12 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.checks import finite, one_of, typed
+from jaxurban.checks import finite, one_of, typed, values_given
 from jaxurban.errors import InputError, SkippedRouteWarning, warn
 from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, Row, read_table, records_of
 from jaxurban.io.workspace import Workspace
@@ -23,14 +23,14 @@ from jaxurban.kernels.tolerances import SAME_RECORDED_COST
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.scenario import Study
 from jaxurban.metrics.weights import Weights, weights_on
-from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.choices import RulesChoice
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.planners.base import Status
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
-from jaxurban.settings import CostKind, Preset, iso_utc
+from jaxurban.settings import iso_utc
 from jaxurban.studies.demonstrations import MOST_REASONS, Demonstration, demonstration_from_line
 from jaxurban.studies.montecarlo.sampling import (
     KEY,
@@ -76,10 +76,8 @@ def demonstrations_from_study(
     *,
     planner: str | None = None,
     pilot: Weights | None = None,
-    cost_model: CostModel | CostKind | None = None,
-    constraints: Constraints | None = None,
-    preset: Preset = "",
     metrics: Sequence[str] | None = None,
+    **rules: Unpack[RulesChoice],
 ) -> list[Demonstration]:
     """Return the routes of a Monte Carlo study, or of a table of instances, as demonstrations of one W.
 
@@ -122,23 +120,19 @@ def demonstrations_from_study(
         )
     if altitude_m is not None:
         altitude_m = finite("altitude_m", altitude_m)
+    given = values_given(rules)
     if isinstance(study, BenchmarkResult):
         maps = study.maps if maps is None else maps
-        constraints = constraints or study.settings.constraints
+        given.setdefault("constraints", study.settings.constraints)
         study = study.folder
     maps = as_maps(_maps_of(study) if maps is None else maps)
 
     # The instances, with the weights of the pilot if there is one, and the rules under which their routes are planned.
     pilot_columns = {} if pilot is None else as_columns(weights_on(maps, pilot), maps.metrics)
     source = _source(study, maps, planner, pilot_columns)
-    if cost_model is None and source.settings:
-        cost_model = CostModel.from_settings(source.settings)
-    job = Benchmark(
-        study=Study(seed=source.settings.get("seed", 0)),
-        cost_model=cost_model,
-        constraints=constraints or Constraints(),
-        preset=preset,
-    )
+    if source.settings:
+        given.setdefault("cost_model", CostModel.from_settings(source.settings))
+    job = Benchmark(study=Study(seed=source.settings.get("seed", 0)), **given)
     maps, job = job.under(maps)
     for name, value in job.deciding(maps).items():
         before = source.settings.get(

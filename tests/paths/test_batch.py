@@ -11,7 +11,9 @@ import pytest
 import jaxurban as ju
 from jaxurban.io.tables import RowStore, write_table
 from jaxurban.paths import batch as many_module
+from jaxurban.paths.choices import MapChoice, RulesChoice, SearchChoice
 from jaxurban.paths.queries import LONLAT
+from jaxurban.paths.search import PathSearch
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import solve_many
 
@@ -115,6 +117,24 @@ def test_one_signature_lists_what_functions_pass_on_and_names_what_none_takes():
         assert [
             name for name in inspect.signature(function).parameters if name not in arguments
         ] == []
+
+
+def test_keywords_that_functions_pass_on_are_those_of_a_cost_map_and_a_search():
+    choices = {MapChoice: ju.cost_map, SearchChoice: PathSearch.of}
+    for choice, function in choices.items():
+        taken = {
+            name: parameter.annotation
+            for name, parameter in inspect.signature(function).parameters.items()
+            if parameter.kind is parameter.KEYWORD_ONLY
+        }
+        assert choice.__annotations__ == taken
+    studies = (ju.studies.study, ju.studies.sample_instances, ju.fit.demonstrations_from_study)
+    for function in studies:
+        assert {*RulesChoice.__annotations__} < {*inspect.signature(function).parameters}
+    for function in (ju.plan, ju.plan_many, ju.when, ju.cost_to_go, ju.CostMap.plan, *studies):
+        parameters = inspect.signature(function).parameters.values()
+        assert not any(each.kind is each.VAR_KEYWORD for each in parameters)
+        assert ... in {each.default for each in parameters}
 
 
 def test_drawn_instances_are_planned_without_the_columns_that_a_refusal_names(town, many):

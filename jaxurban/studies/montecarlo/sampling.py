@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import pandas as pd
@@ -17,12 +17,13 @@ from jaxurban.io.tables import read_table
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import METRIC_WEIGHT, MOST_WEIGHT, Weights, weights_on
+from jaxurban.paths.choices import RulesChoice
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.places import XY
 from jaxurban.paths.plan import rules_on
 from jaxurban.paths.queries import IN_METRES, WEIGHT_PREFIX, Query
 from jaxurban.planners.cost import CostModel
-from jaxurban.settings import CostKind, Preset, iso_utc
+from jaxurban.settings import iso_utc
 from jaxurban.world.grid import Grid
 from jaxurban.world.land_cover import LandCover
 
@@ -76,11 +77,9 @@ def sample_instances(
     *,
     altitudes_m: Sequence[float] | None = None,
     weights: str | Sequence[Weights] = DIRICHLET,
-    cost_model: CostModel | CostKind | None = None,
-    constraints: Constraints | None = None,
-    preset: Preset = "",
     cover: LandCover | None = None,
     seed: int = 0,
+    **rules: Unpack[RulesChoice],
 ) -> pd.DataFrame:
     """Return the instances of a Monte Carlo benchmark, ``num`` at each altitude, as a table.
 
@@ -126,7 +125,7 @@ def sample_instances(
       5         2        60.0     5.0          True
     """
     # The arguments.
-    maps, model, constraints = rules_on(as_maps(maps), cost_model, constraints, preset)
+    maps, model, constraints = rules_on(as_maps(maps), **rules)
     altitudes_m = tuple(map(float, maps.altitudes_m if altitudes_m is None else altitudes_m))
     listed = None if isinstance(weights, str) else [weights_on(maps, each) for each in weights]
     if not altitudes_m or len(set(altitudes_m)) != len(altitudes_m):

@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.checks import typed
+from jaxurban.checks import typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.io.read.base_map import base_map_source, land_cover_in
 from jaxurban.io.read.land_cover import read_land_cover
@@ -19,12 +20,12 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.run import grid_of
 from jaxurban.maps.scenario import OF_SAMPLING, Scenario, Study
+from jaxurban.paths.choices import RulesChoice
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.rows import MapsFolder, check_workers, run_rows
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress, reporting
 from jaxurban.samples.synthetic import demo_cover_for_bounds
-from jaxurban.settings import CostKind, Preset
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.sampling import (
     KEY,
@@ -86,12 +87,10 @@ def study(
     instances: pd.DataFrame | int | None = None,
     *,
     settings: Study | None = None,
-    cost_model: CostModel | CostKind | None = None,
-    constraints: Constraints | None = None,
-    preset: Preset = "",
     workers: int | str = 1,
     overwrite: bool = False,
     progress: Progress = True,
+    **rules: Unpack[RulesChoice],
 ) -> BenchmarkResult:
     """Return what every planner finds for every instance, under equal budgets: a Monte Carlo benchmark.
 
@@ -137,12 +136,8 @@ def study(
     chosen = settings or Study()
     if isinstance(instances, int):
         chosen = replace(chosen, instances=instances)
-    job = Benchmark(
-        study=chosen,
-        cost_model=cost_model or chosen.cost_model,
-        constraints=constraints or Constraints(),
-        preset=preset,
-    )
+    of_settings = values_given({"cost_model": chosen.cost_model})
+    job = Benchmark(study=chosen, **of_settings | values_given(rules))
 
     # The maps under these rules, and the source from which each worker opens them.
     source = maps if isinstance(maps, MetricMaps | MapsFolder) else MapsFolder(maps)
