@@ -24,7 +24,7 @@ from jaxurban.report.figures.sensitivity_study import plot_nearest, study_figure
 from jaxurban.report.sensitivity_study import shown_tables, study_markdown
 from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.montecarlo.sampling import sample_joined
-from jaxurban.studies.weights.routes import OnPerturbedMaps
+from jaxurban.studies.weights.routes import OnChangedMaps
 from jaxurban.studies.weights.sobol import sobol_indices
 from jaxurban.studies.weights.summary import summarise, summarise_shares
 from tests.cli_runs import TOWN, run
@@ -348,7 +348,7 @@ def test_many_samples_resolve_every_share_of_a_sum_and_none_is_above_one(few_res
 
 
 def perturbed_rows(nominal, other, instances):
-    job = OnPerturbedMaps(nominal=nominal, change=(0,))
+    job = OnChangedMaps(nominal=nominal, change={"draw": 0})
     tasks = [InstanceRuns(instance, job.runs) for instance in instances]
     return pd.DataFrame(row for rows in solve_here(tasks, {"a": other}, job) for row in rows)
 
