@@ -124,13 +124,13 @@ def changed_tasks(
     """
     plain = plain_task(task)
     std_m = task.params.heights.height_std_m
-    num = settings.num_heights
-    for draw, drawn in enumerate(perturbed_cities(task.city, std_m, num, settings.seed), start=1):
-        report(f"perturbed maps of {city}", draw, num)
-        yield REMADE, {"draw": draw - 1}, replace(plain, city=drawn)
+    draws = report.over(f"perturbed maps of {city}", range(settings.num_heights))
+    cities = perturbed_cities(task.city, std_m, settings.num_heights, settings.seed)
+    for draw, drawn in zip(draws, cities, strict=True):
+        yield REMADE, {"draw": draw}, replace(plain, city=drawn)
     names = parameters_of(task) if settings.has_parameters else ()
-    for number, (name, factor) in enumerate(product(names, PARAMETER_FACTORS), start=1):
-        report(f"maps of other parameters of {city}", number, len(names) * len(PARAMETER_FACTORS))
+    pairs = [*product(names, PARAMETER_FACTORS)]
+    for name, factor in report.over(f"maps of other parameters of {city}", pairs):
         changed: MapTask | InputError
         try:
             changed = with_parameter(plain, name, factor)
