@@ -32,8 +32,7 @@ def test_a_function_is_told_stage_done_and_total():
 def test_over_items_as_many_are_done_as_were_used_and_no_items_are_no_stage():
     calls: list[tuple] = []
     report = Report(lambda *call: calls.append(call))
-    for item in report.over("maps", "ab"):
-        calls.append((item,))
+    calls.extend((item,) for item in report.over("maps", "ab"))
     assert calls == [("maps", 0, 2), ("a",), ("maps", 1, 2), ("b",), ("maps", 2, 2)]
     assert [*report.over("none", ())] == []
     assert len(calls) == 5

@@ -19,7 +19,7 @@ from jaxurban.maps.run import run_scenario
 from jaxurban.maps.run import tasks_of as maps_tasks_of
 from jaxurban.maps.sources import scenario_of
 from jaxurban.metrics.registry import METRICS
-from jaxurban.paths.rows import InstanceRuns, solve_here
+from jaxurban.paths.rows import InstanceRuns, RouteRules, solve_here
 from jaxurban.report.figures.sensitivity_study import plot_nearest, study_figures
 from jaxurban.report.sensitivity_study import shown_tables, study_markdown
 from jaxurban.studies.bootstrap import Clusters
@@ -348,7 +348,7 @@ def test_many_samples_resolve_every_share_of_a_sum_and_none_is_above_one(few_res
 
 
 def perturbed_rows(nominal, other, instances):
-    job = OnChangedMaps(nominal=nominal, change={"draw": 0})
+    job = OnChangedMaps(nominal_at=partial(RouteRules().cost_map, nominal), change={"draw": 0})
     tasks = [InstanceRuns(instance, job.runs) for instance in instances]
     return pd.DataFrame(row for rows in solve_here(tasks, {"a": other}, job) for row in rows)
 

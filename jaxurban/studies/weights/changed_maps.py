@@ -7,6 +7,7 @@ doubled.
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass, replace
+from functools import lru_cache, partial
 from itertools import chain, product
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,7 @@ def add_changed_rows(
                 skipped.append(f"{city}: {error}")
                 continue
             of_city = instances[instances.city == city]
+            nominal_at = lru_cache(maxsize=1)(partial(settings.cost_map, maps))
             for kind, change, changed in changed_tasks(task, settings, report, city):
                 if isinstance(changed, InputError):  # a change that a metric refuses
                     skipped.append(f"{city}: {changed}")
@@ -88,19 +90,16 @@ def add_changed_rows(
 
                 # The maps are made only if a route lacks its row.
                 job = OnChangedMaps(
-                    nominal=maps,
+                    nominal_at=nominal_at,
                     change=change,
                     cost_model=settings.cost_model,
                     constraints=settings.constraints,
                 )
                 lacking = tasks_of(of_city, job, stores[kind])
                 if lacking:
-                    check_fits(changed)
-                    with warnings.catch_warnings(action="ignore", category=GuessWarning):
-                        made = compute_maps(changed).with_obstacles(maps.obstacles)
-                    stores[kind].add(
-                        list(chain.from_iterable(solve_here(lacking, {city: made}, job)))
-                    )
+                    made = _made(changed).with_obstacles(maps.obstacles)
+                    rows = solve_here(lacking, {city: made}, job)
+                    stores[kind].add(list(chain.from_iterable(rows)))
     finally:
         for store in stores.values():
             store.save(row_columns(store.rows))
@@ -109,6 +108,13 @@ def add_changed_rows(
         for kind, store in stores.items()
     }
     return tables, tuple(skipped)
+
+
+def _made(task: MapTask) -> MetricMaps:
+    """Return the maps of a task; what is guessed of its city was said when the nominal maps were made."""
+    check_fits(task)
+    with warnings.catch_warnings(action="ignore", category=GuessWarning):
+        return compute_maps(task)
 
 
 def changed_tasks(

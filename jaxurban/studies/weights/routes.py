@@ -5,7 +5,7 @@ A row is made alone, so that any number can be made side by side.
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,6 @@ import numpy as np
 from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import Row
-from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import RouteJob, Run
 from jaxurban.planners.astar import astar
@@ -218,11 +217,11 @@ class OnChangedMaps(RouteJob):
     route; ``nominal_is_closed`` and ``nominal_regret`` the same of the nominal route on the changed maps.
 
     Attributes:
-      nominal: the maps of the study.
+      nominal_at: returns the cost map of the nominal maps at an altitude, time and time of day.
       change: the columns that name the changed maps, with their values.
     """
 
-    nominal: MetricMaps
+    nominal_at: Callable[..., CostMap]
     change: Mapping[str, Any]
 
     key = ROUTE_KEY
@@ -231,19 +230,11 @@ class OnChangedMaps(RouteJob):
         """Return the columns that name the row of an instance, with their values, those of the change first."""
         return {**self.change, **super().key_of(instance, run)}
 
-    def cost_map(self, maps: MetricMaps, *at: Any) -> tuple[CostMap, CostMap]:
-        """Return the cost maps of the nominal maps and of the changed ones."""
-        return super().cost_map(self.nominal, *at), super().cost_map(maps, *at)
-
-    def facts(self, cost_maps: Any, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
-        """Return how the route of an instance differs between the nominal maps and the changed ones, as one row.
-
-        Args:
-          cost_maps: of the nominal maps, and of the changed ones.
-          instance: ends and weights.
-          runs: not used, as there is one run.
-        """
-        (nominal, weights), (other, _) = (query_of(each, instance) for each in cost_maps)
+    def facts(self, cost_map: CostMap, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
+        """Return how the route of an instance differs between the nominal maps and the changed ones, as one row."""
+        at = instance["altitude_m"], instance["time"], instance["time_of_day"]
+        nominal, weights = query_of(self.nominal_at(*at), instance)
+        other, _ = query_of(cost_map, instance)
         return [_compared(nominal, other, weights)]
 
 
