@@ -449,6 +449,28 @@ def test_every_number_that_metrics_have_a_gradient_by_is_halved_and_doubled_or_i
     assert "## Other heights" not in report
 
 
+@pytest.mark.slow
+def test_rows_on_changed_maps_that_are_kept_are_not_made_again(of_parameters, monkeypatch):
+    def refuse(task):
+        raise AssertionError("these maps were made before")
+
+    monkeypatch.setattr("jaxurban.studies.weights.changed_maps.compute_maps", refuse)
+    folder = of_parameters.folder
+    study = partial(
+        ju.studies.sensitivity_study,
+        {"town": folder.parent / "maps"},
+        folder,
+        9,
+        weights=ju.Weights(population=5.0),
+        progress=False,
+    )
+    again = study(settings=of_parameters.settings)
+    pd.testing.assert_frame_equal(again.parameters, of_parameters.parameters)
+    more = replace(of_parameters.settings, num_heights=1)
+    with pytest.raises(AssertionError, match="made before"):
+        study(settings=more)
+
+
 def test_routes_on_maps_without_their_sources_are_studied_but_for_other_parameters(
     alpha, weight_study, tmp_path
 ):
