@@ -5,10 +5,10 @@ import logging
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 LOG = logging.getLogger("jaxurban")
 SILENT_S = 5.0  # that a search may last before the log says that it runs
@@ -24,6 +24,7 @@ WITH_FORECAST = "{desc}: {percentage:3.0f}% {n_fmt}/{total_fmt} [{elapsed}<{rema
 interrupted = threading.Event()
 # `Stopwatch.stage`, or nullcontext where nothing is timed.
 Stage = Callable[[str], AbstractContextManager[object]]
+Item = TypeVar("Item")
 Progress = bool | Callable[[str, int, int], object]  # a function gets stage, done, total
 
 
@@ -48,6 +49,14 @@ class Report:
         if interrupted.is_set():
             raise KeyboardInterrupt
         self.show(stage, done, total, counts)
+
+    def over(self, stage: str, items: Sequence[Item]) -> Iterator[Item]:
+        """Yield items, and report how many of them are done: before each, and after the last."""
+        for done, item in enumerate(items):
+            self(stage, done, len(items))
+            yield item
+        if items:
+            self(stage, len(items), len(items))
 
     def show(self, stage: str, done: int, total: int, counts: Mapping[str, object]) -> None:
         """Show what the job reported."""

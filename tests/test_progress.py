@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from jaxurban import progress
-from jaxurban.progress import interrupted, reporting
+from jaxurban.progress import Report, interrupted, reporting
 
 
 class Terminal(io.StringIO):
@@ -27,6 +27,15 @@ def test_a_function_is_told_stage_done_and_total():
     calls = []
     work(lambda *told: calls.append(told))
     assert calls == [("read", 0, 0), *(("tiles", done, 3) for done in range(4))]
+
+
+def test_over_items_as_many_are_done_as_were_used_and_no_items_are_no_stage():
+    calls: list[tuple] = []
+    report = Report(lambda *call: calls.append(call))
+    calls.extend((item,) for item in report.over("maps", "ab"))
+    assert calls == [("maps", 0, 2), ("a",), ("maps", 1, 2), ("b",), ("maps", 2, 2)]
+    assert [*report.over("none", ())] == []
+    assert len(calls) == 5
 
 
 @pytest.mark.parametrize("told", [True, False])

@@ -16,7 +16,7 @@ from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.rows import MapsFolder, check_workers, run_rows
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.sensitivity_study import FILES, SensitivityStudy, write_sensitivity_study
-from jaxurban.studies.weights.changed_maps import add_changed_rows
+from jaxurban.studies.weights.changed_maps import CHANGES, add_changed_rows
 from jaxurban.studies.weights.cities import (
     in_order,
     named_sources,
@@ -24,12 +24,7 @@ from jaxurban.studies.weights.cities import (
     routes_key,
     routes_of_cities,
 )
-from jaxurban.studies.weights.routes import (
-    OnOtherParameters,
-    OnPerturbedMaps,
-    SensitivityStudySettings,
-    row_columns,
-)
+from jaxurban.studies.weights.routes import SensitivityStudySettings, row_columns
 
 ROUTES_FOLDER = "routes"
 
@@ -116,7 +111,7 @@ def sensitivity_study(
         job = replace(job, num_threads=1)
 
     # The files that the study may write into its folder, and the rows of all routes.
-    folders = ROUTES_FOLDER, OnPerturbedMaps.folder, OnOtherParameters.folder
+    folders = ROUTES_FOLDER, *CHANGES
     names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in folders), *FILES]
     with (
         Workspace.open(folder, "sensitivity-study", key, names=names, overwrite=overwrite),
@@ -141,11 +136,10 @@ def sensitivity_study(
             maps=cities.maps,
             instances=instances,
             rows=in_order(rows, cities.maps),
-            remade=changed.get(OnPerturbedMaps.folder, pd.DataFrame()),
             skipped=skipped,
             settings=cities.settings,
             is_sampled=isinstance(routes, int),
-            parameters=changed.get(OnOtherParameters.folder, pd.DataFrame()),
+            **changed,
         )
         write_sensitivity_study(result)
     return result

@@ -64,10 +64,10 @@ class SensitivityStudy(FactsRepr):
       instances: the routes asked for.
       rows: what was found for each, a row per route: its status, cost and outcomes, and of each weight its share of the
         cost, the nearest factors at which the route changes, and what a wrong weight costs.
-      remade: how each route differs on maps of perturbed heights; empty where none were asked for.
       skipped: why some other maps were not made, a sentence each.
       settings: what was asked.
       is_sampled: whether the routes were drawn, by stratum and range, or given.
+      remade: how each route differs on maps of perturbed heights; empty where none were asked for.
       parameters: how each route differs on maps of other parameters; empty where none were asked for.
 
     Examples:
@@ -83,10 +83,10 @@ class SensitivityStudy(FactsRepr):
     maps: Mapping[str, MetricMaps]
     instances: pd.DataFrame
     rows: pd.DataFrame
-    remade: pd.DataFrame
     skipped: tuple[str, ...]
     settings: SensitivityStudySettings
     is_sampled: bool = True
+    remade: pd.DataFrame = field(default_factory=pd.DataFrame)
     parameters: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     @property

@@ -53,8 +53,7 @@ def compared_routes(
     """
     time_a, time_b = times
     rows = []
-    for number, altitude_m in enumerate(a.altitudes_m):
-        report("routes", number, len(a.altitudes_m))
+    for number, altitude_m in enumerate(report.over("routes", a.altitudes_m)):
         on_a = cost_map(a, altitude_m, time=time_a)
         on_b = cost_map(
             b,
@@ -97,7 +96,6 @@ def compared_routes(
                 path = paths[planned_on][pair]
                 best = paths[judged_on][pair]
                 rows.append(row | _judged(cost_maps[judged_on], path, best))
-    report("routes", len(a.altitudes_m), len(a.altitudes_m))
     return pd.DataFrame(rows)
 
 

@@ -259,15 +259,12 @@ def compare(
     rows = []
     with reporting("compare", progress) as report:
         # A row per map of each layer.
-        layers = result.layers
-        for number, layer in enumerate(layers):
-            report("layers", number, len(layers))
+        for layer in report.over("layers", result.layers):
             for one_map in result.places(layer):
                 place = one_map._asdict()
                 change = result.of(layer, **place)
                 head = {"layer": layer, "unit": unit_of(part_a, layer), **place}
                 rows.append(head | _statistics(change[~np.isnan(change)], tolerance))
-        report("layers", len(layers), len(layers))
 
         # Routes, at the first pair of times.
         judged = result.routes

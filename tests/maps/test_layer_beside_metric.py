@@ -32,7 +32,7 @@ from jaxurban.metrics.settings import differentiable
 from jaxurban.metrics.variables import derived
 from jaxurban.report.figures.paths import maps_figures
 from jaxurban.settings import Heights
-from jaxurban.studies.weights.routes import parameters_of, with_parameter
+from jaxurban.studies.weights.changed_maps import parameters_of, with_parameter
 from jaxurban.viewer.layers import layers_of
 from tests import tiled_runs
 from tests.cli_runs import ENDS, TOWN, run

@@ -19,12 +19,12 @@ from jaxurban.maps.run import run_scenario
 from jaxurban.maps.run import tasks_of as maps_tasks_of
 from jaxurban.maps.sources import scenario_of
 from jaxurban.metrics.registry import METRICS
-from jaxurban.paths.rows import InstanceRuns, solve_here
+from jaxurban.paths.rows import InstanceRuns, RouteRules, solve_here
 from jaxurban.report.figures.sensitivity_study import plot_nearest, study_figures
 from jaxurban.report.sensitivity_study import shown_tables, study_markdown
 from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.montecarlo.sampling import sample_joined
-from jaxurban.studies.weights.routes import OnPerturbedMaps
+from jaxurban.studies.weights.routes import OnChangedMaps
 from jaxurban.studies.weights.sobol import sobol_indices
 from jaxurban.studies.weights.summary import summarise, summarise_shares
 from tests.cli_runs import TOWN, run
@@ -348,7 +348,7 @@ def test_many_samples_resolve_every_share_of_a_sum_and_none_is_above_one(few_res
 
 
 def perturbed_rows(nominal, other, instances):
-    job = OnPerturbedMaps(nominal=nominal, change=(0,))
+    job = OnChangedMaps(nominal_at=partial(RouteRules().cost_map, nominal), change={"draw": 0})
     tasks = [InstanceRuns(instance, job.runs) for instance in instances]
     return pd.DataFrame(row for rows in solve_here(tasks, {"a": other}, job) for row in rows)
 
@@ -447,6 +447,28 @@ def test_every_number_that_metrics_have_a_gradient_by_is_halved_and_doubled_or_i
     assert reason in report
     assert "| lidar.range_m | 2 | all | 9 |" in report
     assert "## Other heights" not in report
+
+
+@pytest.mark.slow
+def test_rows_on_changed_maps_that_are_kept_are_not_made_again(of_parameters, monkeypatch):
+    def refuse(task):
+        raise AssertionError("these maps were made before")
+
+    monkeypatch.setattr("jaxurban.studies.weights.changed_maps.compute_maps", refuse)
+    folder = of_parameters.folder
+    study = partial(
+        ju.studies.sensitivity_study,
+        {"town": folder.parent / "maps"},
+        folder,
+        9,
+        weights=ju.Weights(population=5.0),
+        progress=False,
+    )
+    again = study(settings=of_parameters.settings)
+    pd.testing.assert_frame_equal(again.parameters, of_parameters.parameters)
+    more = replace(of_parameters.settings, num_heights=1)
+    with pytest.raises(AssertionError, match="made before"):
+        study(settings=more)
 
 
 def test_routes_on_maps_without_their_sources_are_studied_but_for_other_parameters(

@@ -1,10 +1,18 @@
-"""Routes of a weight study on changed maps: of perturbed heights, and of other parameters of the metrics."""
+"""Routes of a weight study on changed maps: of perturbed heights, and of other parameters of the metrics.
+
+Maps are made again with heights drawn as well as they are known, and with each parameter of the metrics halved and
+doubled.
+"""
 
 import warnings
-from collections.abc import Mapping
-from itertools import chain
+from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass, replace
+from functools import lru_cache, partial
+from itertools import chain, product
 from pathlib import Path
+from typing import Any
 
+import jax
 import pandas as pd
 
 from jaxurban.errors import GuessWarning, InputError
@@ -16,10 +24,21 @@ from jaxurban.maps.run import tasks_of as maps_tasks_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.sources import scenario_of
 from jaxurban.maps.task import MapTask
+from jaxurban.maps.uncertain_heights import perturbed_cities
 from jaxurban.paths.rows import Source, solve_here, tasks_of
 from jaxurban.progress import LOG, Report
 from jaxurban.studies.weights.cities import Cities, in_order
-from jaxurban.studies.weights.routes import OnOtherParameters, OnPerturbedMaps, row_columns
+from jaxurban.studies.weights.routes import (
+    ROUTE_KEY,
+    OnChangedMaps,
+    SensitivityStudySettings,
+    row_columns,
+)
+
+PARAMETER_FACTORS = (0.5, 2.0)
+# Changes of maps: the subfolder of their rows, and the columns that name one.
+REMADE, PARAMETERS = "remade", "parameters"
+CHANGES = {REMADE: ("draw",), PARAMETERS: ("parameter", "factor")}
 
 
 def add_changed_rows(
@@ -41,90 +60,132 @@ def add_changed_rows(
       report: of the progress.
 
     Returns:
-      The rows, by the name of the subfolder in which they are kept (empty where no change is wanted), and sentences on
-      maps that could not be made.
+      The rows, by the name of the subfolder in which they are kept (`CHANGES`; none of changes that are not wanted),
+      and sentences on maps that could not be made.
     """
-    # A store for each kind of change that is wanted.
-    wanted = {
-        OnPerturbedMaps: cities.settings.num_heights > 0,
-        OnOtherParameters: cities.settings.has_parameters,
-    }
+    settings = cities.settings
+    wanted = {REMADE: settings.num_heights, PARAMETERS: settings.has_parameters}
     stores = {
-        kind: RowStore(folder / kind.folder / ROWS_FILE, kind.key, has_parts=True)
-        for kind, is_wanted in wanted.items()
-        if is_wanted
+        kind: RowStore(folder / kind / ROWS_FILE, (*names, *ROUTE_KEY), has_parts=True)
+        for kind, names in CHANGES.items()
+        if wanted[kind]
     }
 
     # Rows are saved with all their columns, whatever happens.
     skipped = []
     try:
-        for city in cities.maps if stores else ():
+        for city, maps in cities.maps.items() if stores else ():
+            try:
+                task = _map_task(cities.sources[city], maps, (scenarios or {}).get(city))
+            except InputError as error:
+                LOG.warning(f"no other maps of {city} are made: {error}")
+                skipped.append(f"{city}: {error}")
+                continue
             of_city = instances[instances.city == city]
-            scenario = (scenarios or {}).get(city)
-            reasons = _add_city(stores, city, cities, of_city, scenario, report)
-            skipped += [f"{city}: {reason}" for reason in reasons]
+            nominal_at = lru_cache(maxsize=1)(partial(settings.cost_map, maps))
+            for kind, change, changed in changed_tasks(task, settings, report, city):
+                if isinstance(changed, InputError):  # a change that a metric refuses
+                    skipped.append(f"{city}: {changed}")
+                    continue
+
+                # The maps are made only if a route lacks its row.
+                job = OnChangedMaps(
+                    nominal_at=nominal_at,
+                    change=change,
+                    cost_model=settings.cost_model,
+                    constraints=settings.constraints,
+                )
+                lacking = tasks_of(of_city, job, stores[kind])
+                if lacking:
+                    made = _made(changed).with_obstacles(maps.obstacles)
+                    rows = solve_here(lacking, {city: made}, job)
+                    stores[kind].add(list(chain.from_iterable(rows)))
     finally:
         for store in stores.values():
             store.save(row_columns(store.rows))
     tables = {
-        kind.folder: in_order(read_table(store.file, "rows of changed maps"), cities.maps)
+        kind: in_order(read_table(store.file, "rows of changed maps"), cities.maps)
         for kind, store in stores.items()
     }
     return tables, tuple(skipped)
 
 
-def _add_city(
-    stores: dict[type[OnPerturbedMaps], RowStore],
-    city: str,
-    cities: Cities,
-    instances: pd.DataFrame,
-    scenario: Scenario | None,
-    report: Report,
-) -> list[InputError]:
-    """Add the rows of a city's routes on its changed maps to the stores, and return why some maps are not made.
+def _made(task: MapTask) -> MetricMaps:
+    """Return the maps of a task; what is guessed of its city was said when the nominal maps were made."""
+    check_fits(task)
+    with warnings.catch_warnings(action="ignore", category=GuessWarning):
+        return compute_maps(task)
+
+
+def changed_tasks(
+    task: MapTask, settings: SensitivityStudySettings, report: Report, city: str
+) -> Iterator[tuple[str, dict[str, Any], MapTask | InputError]]:
+    """Yield of each change of maps its kind, the columns that name it, and its task, or the error why there is none.
 
     Args:
-      stores: by kind of change; those that lack rows of the city get them.
-      city: its name.
-      cities: of the study.
-      instances: the routes in this city.
-      scenario: of the city; None: the record of its maps names the sources.
+      task: that made the maps as they are.
+      settings: of the study: how often heights are drawn, by which seed, and whether parameters change.
       report: of the progress.
+      city: of the maps, for the report.
     """
-    maps = cities.maps[city]
-    settings = cities.settings
-    try:
-        task = _map_task(cities.sources[city], maps, scenario)
-    except InputError as error:
-        LOG.warning(f"no other maps of {city} are made: {error}")
-        return [error]
-    errors = []
-    for kind, store in stores.items():
-        stage = f"{kind.called} of {city}"
-        changes = kind.changes(task, settings)
-        tasks = kind.tasks(task, settings)
-        for number, (change, changed) in enumerate(zip(changes, tasks, strict=True)):
-            report(stage, number, len(changes))
-            if isinstance(changed, InputError):  # a change that a metric refuses
-                errors.append(changed)
-                continue
+    plain = plain_task(task)
+    std_m = task.params.heights.height_std_m
+    draws = report.over(f"perturbed maps of {city}", range(settings.num_heights))
+    cities = perturbed_cities(task.city, std_m, settings.num_heights, settings.seed)
+    for draw, drawn in zip(draws, cities, strict=True):
+        yield REMADE, {"draw": draw}, replace(plain, city=drawn)
+    names = parameters_of(task) if settings.has_parameters else ()
+    pairs = [*product(names, PARAMETER_FACTORS)]
+    for name, factor in report.over(f"maps of other parameters of {city}", pairs):
+        changed: MapTask | InputError
+        try:
+            changed = with_parameter(plain, name, factor)
+        except InputError as error:
+            changed = InputError(f"{name} x {factor:g}: {error}")
+        yield PARAMETERS, {"parameter": name, "factor": factor}, changed
 
-            # The maps are made only if a route lacks its row.
-            job = kind(
-                nominal=maps,
-                change=change,
-                cost_model=settings.cost_model,
-                constraints=settings.constraints,
-            )
-            lacking = tasks_of(instances, job, store)
-            if lacking:
-                check_fits(changed)
-                with warnings.catch_warnings(action="ignore", category=GuessWarning):
-                    changed_maps = compute_maps(changed)
-                rows = solve_here(lacking, {city: changed_maps.with_obstacles(maps.obstacles)}, job)
-                store.add(list(chain.from_iterable(rows)))
-        report(stage, len(changes), len(changes))
-    return errors
+
+def plain_task(task: MapTask) -> MapTask:
+    """Return a task of the metrics alone, without bounds and spreads."""
+    params = task.params
+    gps = replace(params.gps, bounds=False)
+    heights = replace(params.heights, height_samples=0)
+    return replace(
+        task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps})
+    )
+
+
+def parameters_of(task: MapTask) -> dict[str, float]:
+    """Return every number that the metrics of a task have a gradient by, as ``{"lidar.range_m": 100.0}``.
+
+    A user's own layers have none.
+    """
+    result: dict[str, float] = {}
+    for name, metric in task.metrics.items():
+        settings = task.settings_of(metric)
+        if name not in task.layers and is_dataclass(settings):
+            leaves, _ = jax.tree_util.tree_flatten_with_path(settings)
+            result |= {f"{name}.{path[0].name}": float(value) for path, value in leaves}
+    return result
+
+
+def with_parameter(task: MapTask, parameter: str, factor: float) -> MapTask:
+    """Return a task with one parameter multiplied by a factor.
+
+    Args:
+      task: stays as it is.
+      parameter: a metric and its setting, as ``"lidar.range_m"`` (see `parameters_of`).
+      factor: above 0.
+
+    Raises:
+      InputError: the metric cannot have such a value.
+    """
+    metric_name, name = parameter.split(".")
+    metric = task.metrics[metric_name]
+    settings = task.settings_of(metric)
+    settings = replace(settings, **{name: factor * getattr(settings, name)})
+    sections = {**task.params.sections, metric.section: settings}
+    return replace(task, params=replace(task.params, sections=sections))
 
 
 def _map_task(source: Source, maps: MetricMaps, scenario: Scenario | None) -> MapTask:

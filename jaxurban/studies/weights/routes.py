@@ -1,25 +1,19 @@
-"""What weights do to each of many routes, and how it differs on maps of perturbed heights: a row per route.
+"""What weights do to each of many routes, and how a route differs on changed maps: a row per route.
 
-A row is made alone, so that any number can be made side by side. Maps are made again with heights drawn as well as they
-are known, and with each parameter of the metrics halved and doubled.
+A row is made alone, so that any number can be made side by side.
 """
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass, replace
-from itertools import product
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
-import jax
 import numpy as np
 
 from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import Row
-from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.task import MapTask
-from jaxurban.maps.uncertain_heights import perturbed_cities
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import RouteJob, Run
 from jaxurban.planners.astar import astar
@@ -38,7 +32,6 @@ from jaxurban.studies.weights.sobol import (
 
 ROUTE_KEY = ("city", *KEY)
 CITY_NUMBER = "city_number"  # column of instances: the place of a route's city among those of the study, from 0
-PARAMETER_FACTORS = (0.5, 2.0)
 SAME_SUMS = 1e-9  # relative: routes whose sums differ by less are one route
 # Columns of each weight, as "below:gps"; those of each weight and outcome are as "first:gps:length_m" (`OF_SHARE`).
 OF_WEIGHT = ("elasticity", "below", "above", "regret_low", "regret_high")
@@ -214,149 +207,41 @@ def seed_at(seed: int, *place: int) -> int:
     return int(np.random.SeedSequence(seed, spawn_key=place).generate_state(1)[0])
 
 
-def plain_task(task: MapTask) -> MapTask:
-    """Return a task of the metrics alone, without bounds and spreads."""
-    params = task.params
-    gps = replace(params.gps, bounds=False)
-    heights = replace(params.heights, height_samples=0)
-    return replace(
-        task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps})
-    )
-
-
-def parameters_of(task: MapTask) -> dict[str, float]:
-    """Return every number that the metrics of a task have a gradient by, as ``{"lidar.range_m": 100.0}``.
-
-    A user's own layers have none.
-    """
-    result: dict[str, float] = {}
-    for name, metric in task.metrics.items():
-        settings = task.settings_of(metric)
-        if name not in task.layers and is_dataclass(settings):
-            leaves, _ = jax.tree_util.tree_flatten_with_path(settings)
-            result |= {f"{name}.{path[0].name}": float(value) for path, value in leaves}
-    return result
-
-
-def with_parameter(task: MapTask, parameter: str, factor: float) -> MapTask:
-    """Return a task with one parameter multiplied by a factor.
-
-    Args:
-      task: stays as it is.
-      parameter: a metric and its setting, as ``"lidar.range_m"`` (see `parameters_of`).
-      factor: above 0.
-
-    Raises:
-      InputError: the metric cannot have such a value.
-    """
-    metric_name, name = parameter.split(".")
-    metric = task.metrics[metric_name]
-    settings = task.settings_of(metric)
-    settings = replace(settings, **{name: factor * getattr(settings, name)})
-    sections = {**task.params.sections, metric.section: settings}
-    return replace(task, params=replace(task.params, sections=sections))
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class OnPerturbedMaps(RouteJob):
-    """How the cheapest route on other maps differs from that on the nominal maps.
+class OnChangedMaps(RouteJob):
+    """How the cheapest route on changed maps differs from that on the nominal maps.
 
     Its rows: ``status``, both routes'; ``is_other``, whether they add up to something else on the nominal maps;
     ``overlap``, the share of the nominal route's cells that the other one shares; ``is_closed``, whether the other one
     crosses what is closed on the nominal maps, else ``regret``, by which share it costs more on them than the nominal
-    route; ``nominal_is_closed`` and ``nominal_regret`` the same of the nominal route on the other maps.
+    route; ``nominal_is_closed`` and ``nominal_regret`` the same of the nominal route on the changed maps.
 
     Attributes:
-      nominal: the maps of the study.
-      change: what the others are of: the number of the draw of heights.
-      folder: of the study in which the rows are kept; and what the maps are called (no arguments).
+      nominal_at: returns the cost map of the nominal maps at an altitude, time and time of day.
+      change: the columns that name the changed maps, with their values.
     """
 
-    nominal: MetricMaps
-    change: Run
+    nominal_at: Callable[..., CostMap]
+    change: Mapping[str, Any]
 
-    folder: ClassVar[str] = "remade"
-    called: ClassVar[str] = "perturbed maps"
-    key: ClassVar[tuple[str, ...]] = ("draw", *ROUTE_KEY)
-    run_key: ClassVar[tuple[str, ...]] = ("draw",)
+    key = ROUTE_KEY
 
-    @property
-    def runs(self) -> list[Run]:
-        """The change."""
-        return [self.change]
+    def key_of(self, instance: Row, run: Run) -> dict[str, Any]:
+        """Return the columns that name the row of an instance, with their values, those of the change first."""
+        return {**self.change, **super().key_of(instance, run)}
 
-    @classmethod
-    def changes(cls, task: MapTask, settings: SensitivityStudySettings) -> list[Run]:
-        """Return all changes of the maps of a task: the number of each draw of heights."""
-        return [(draw,) for draw in range(settings.num_heights)]
-
-    @classmethod
-    def tasks(
-        cls, task: MapTask, settings: SensitivityStudySettings
-    ) -> Iterator[MapTask | InputError]:
-        """Yield the task of each change: that of a city whose heights are drawn again.
-
-        Args:
-          task: that made the maps as they are.
-          settings: of the study, with the number of draws and the seed.
-        """
-        std_m = task.params.heights.height_std_m
-        for city in perturbed_cities(task.city, std_m, settings.num_heights, settings.seed):
-            yield replace(plain_task(task), city=city)
-
-    def cost_map(self, maps: MetricMaps, *at: Any) -> tuple[CostMap, CostMap]:
-        """Return the cost maps of the nominal maps and of the others."""
-        return super().cost_map(self.nominal, *at), super().cost_map(maps, *at)
-
-    def facts(self, cost_maps: Any, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
-        """Return how the route of an instance differs between the maps as they are and the other maps, as one row.
-
-        Args:
-          cost_maps: of the maps as they are, and of the other ones.
-          instance: ends and weights.
-          runs: not used, as there is one run.
-        """
-        (nominal, weights), (other, _) = (query_of(each, instance) for each in cost_maps)
+    def facts(self, cost_map: CostMap, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
+        """Return how the route of an instance differs between the nominal maps and the changed ones, as one row."""
+        at = instance["altitude_m"], instance["time"], instance["time_of_day"]
+        nominal, weights = query_of(self.nominal_at(*at), instance)
+        other, _ = query_of(cost_map, instance)
         return [_compared(nominal, other, weights)]
-
-
-class OnOtherParameters(OnPerturbedMaps):
-    """How the cheapest route differs on maps of which one parameter of the metrics is halved or doubled.
-
-    ``change``: the parameter (see `parameters_of`) and its factor.
-    """
-
-    folder = "parameters"
-    called = "maps of other parameters"
-    key = ("parameter", "factor", *ROUTE_KEY)
-    run_key = ("parameter", "factor")
-
-    @classmethod
-    def changes(cls, task: MapTask, settings: SensitivityStudySettings) -> list[Run]:
-        """Return all changes of the maps of a task: each parameter with each factor."""
-        return [*product(parameters_of(task), PARAMETER_FACTORS)]
-
-    @classmethod
-    def tasks(
-        cls, task: MapTask, settings: SensitivityStudySettings
-    ) -> Iterator[MapTask | InputError]:
-        """Yield the task of each change, or the error that says why there is none.
-
-        Args:
-          task: that made the maps as they are.
-          settings: of the study.
-        """
-        for parameter, factor in cls.changes(task, settings):
-            try:
-                yield with_parameter(plain_task(task), parameter, factor)
-            except InputError as error:
-                yield InputError(f"{parameter} x {factor:g}: {error}")
 
 
 def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> dict[str, Any]:
     """Return how a route changes on another map, and what it costs to keep the nominal route there.
 
-    The columns are those of `OnPerturbedMaps`; where either map has no route, its status and a note alone.
+    The columns are those of `OnChangedMaps`; where either map has no route, its status and a note alone.
 
     Args:
       nominal, other: the same query on the nominal map and on the other one.

@@ -259,7 +259,7 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
 
     On maps of other parameters there are such rows for each ``parameter`` and ``factor``. On maps of perturbed heights
     all draws count together, and intervals are of draws and of routes at once. The columns are the means of the columns
-    of `jaxurban.studies.weights.routes.OnPerturbedMaps`.
+    of `jaxurban.studies.weights.routes.OnChangedMaps`.
 
     Args:
       changed: rows of routes on other maps, of either kind.
