@@ -1089,7 +1089,6 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--set": "study.instances=3",
             "--workers": WORKERS,
             "--cluster": WORKERS,
-            "--benchmark": "{out}-public",
             "--overwrite": OVERWRITE,
             "--device": DEVICE,
             "--json": JSON,
@@ -1197,7 +1196,6 @@ NOT_WALKED = {
     "demo": "it has no option that decides a result",
     "fetch": "it asks servers",
     "maps": "its options are of how maps are kept, and --set is a row of Scenario.from_toml",
-    "score": "it needs a bundle of the board",
     "validate": "its options are rows of ReceiverSettings",
     "view": "it serves until it is stopped; ju.view has the rows",
 }
