@@ -204,17 +204,17 @@ def targets(**given: Any) -> Any:
 
 @cache
 def a_track() -> Any:
-    from tests.receiver_logs import true_log
+    from tests.satellite_logs import heard
 
-    return true_log()
+    return heard()
 
 
 def validated(log: Any = None, **given: Any) -> Any:
-    from tests.receiver_logs import SETTINGS, scenario
+    from tests.receiver_logs import scenario
 
     settings = given.pop("settings", None)
     if settings is None:
-        settings = ju.studies.ReceiverSettings(**{**SETTINGS.to_dict(), **given})
+        settings = ju.studies.ReceiverSettings(**given)
         given = {}
     log = a_track() if log is None else log
     return ju.studies.validate(scenario(), log, settings, progress=False, **given)
@@ -737,14 +737,10 @@ TABLE: dict[str, dict[str, Any]] = {
     "MapsFolder": {"resolution_m": 40.0, "obstacles": "centre"},
     "ReceiverSettings": {
         "antenna_height_m": 9.0,
-        "sky_step_s": 60.0,
-        "piece_m": 20.0,
-        "other_pieces_m": (30.0,),
-        "block_m": 150.0,
-        "sky_block_m": 90.0,
+        "sky_step_s": Same("the log holds the directions of its satellites"),
+        "block_m": 90.0,
         "known": "all",
         "systems": ("E",),
-        "num_displaced": 20,
         "seed": 3,
     },
     "SensitivitySettings": {
@@ -826,7 +822,7 @@ TABLE: dict[str, dict[str, Any]] = {
     },
     "validate": {
         "log": Case(lambda: a_track().iloc[:400]),
-        "settings": ju.studies.ReceiverSettings(piece_m=20.0),
+        "settings": ju.studies.ReceiverSettings(block_m=90.0),
         "navigation": Case("none.rnx", refused="none.rnx|navigation|RINEX"),
         "reference": Case("none.csv", refused="none.csv|reference|RINEX"),
         "progress": PROGRESS,
