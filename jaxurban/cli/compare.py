@@ -140,9 +140,9 @@ def validate(
     as_json: bool,
     **settings: Any,
 ) -> None:
-    """Say which satellites of a receiver's log the city of SCENARIO hides.
+    """Say which satellites of a receiver's log a city hides.
 
-    C/N0 stands beside the margin of each, at the times and places of LOG.
+    The city is that of SCENARIO, and C/N0 stands beside the margin of each satellite.
 
     LOG is what the receiver wrote itself (RINEX, NMEA, GnssLogger), or a table with a row per satellite and the columns
     utc, lon_deg, lat_deg, satellite, cn0_dbhz (azimuth_deg and elevation_deg too, or the scenario's orbits give them).
