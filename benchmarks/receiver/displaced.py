@@ -4,6 +4,7 @@ Legend: ``R`` rows of a log, an epoch and a satellite each, ``M`` displacements,
 of the track, ``D`` draws of them, the first one each block once.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,8 @@ class Displaced:
                 self.is_out[number, column] |= ~moved.stays_within(known, rise_m)
                 self.is_out[number, column] |= ground.crosses_gap(moved, rise_m)
         for number, scale in enumerate(SCALES):
-            self.of_scale[number, column] = is_seen(ground.with_roofs(scale).margins_m(rays))
+            roof_m = np.float32(scale) * ground.roof_m
+            self.of_scale[number, column] = is_seen(replace(ground, roof_m=roof_m).margins_m(rays))
 
     def tables(self, rows: pd.DataFrame, seed: int) -> dict[str, Any]:
         """Return how displaced cities and other roofs score, when all legs are filled in.
