@@ -89,10 +89,8 @@ SECTIONS = {
 RULES = {"cost_model": "cell", "constraints": zone, "preset": "paper"}
 MAP_OF = {"time": LATER, "time_of_day": "night"}
 SKY = {
-    "by": "map",
     "gps": ju.Gps(mask_deg=50.0),
     "sources": Case("no/such/folder", {"where": lambda: on.city()}, refused="sources"),
-    "resolution_m": Case(40.0, {"by": "map"}),
 }
 
 
@@ -1068,9 +1066,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--altitude": "40",
             "--time": LATER,
             "--speed": Case("9", refused="--speed|--track"),
-            "--by": "map",
             "--sources": Case("no/such/folder", refused="no/such"),
-            "--resolution": Case("40", ("--by=map", "--at=-73.99955,40.755616")),
             "-o": Case("sky.txt", refused="-o"),
             "--json": JSON,
         },

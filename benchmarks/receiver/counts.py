@@ -14,7 +14,7 @@ beginning, by every number of places, so that both series stay what they are and
 import argparse
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,18 +28,22 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.tracks import LAT, LON, OTHER_NAMES, RULES, UTC, Rule, checked, renamed
 from jaxurban.io.samples import located
 from jaxurban.io.tables import read_table
+from jaxurban.kernels.shadows.sweep import WORD_BITS
 from jaxurban.maps.run import grid_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
+from jaxurban.maps.tile_scene import TileScene
 from jaxurban.progress import Progress, Report, reporting
 from jaxurban.report.write import interval, table
 from jaxurban.satellites.sight import Sight
-from jaxurban.satellites.track import NUM_VISIBLE, Track, quality_along, seen_along
+from jaxurban.satellites.track import NUM_VISIBLE, Track, quality_along
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.studies.receiver.drive import track_of
+from jaxurban.world.grid import Grid
 
 # What a log holds of how well the receiver did.
 WITNESSES = TRACKED, ERROR = ("num_tracked", "error_2d_m")
+LEG_CELLS = 1_500_000  # of the box around a leg of which maps are made
 # No receiver has channels for more satellites.
 OF_COUNTS = RULES | {
     TRACKED: Rule(0.0, 200.0, may_lack=True),
@@ -199,6 +203,62 @@ def counted(
         scores=scores,
         shifts=shifts,
     )
+
+
+def seen_along(task: MapTask, track: Track, report: Report) -> tuple[np.ndarray, np.ndarray]:
+    """Return which satellites the maps see from each epoch of a track, and which places they know to be outdoors.
+
+    In a building, and without data, no satellite is seen.
+
+    Args:
+      task: of one altitude; its sky has the track's times.
+      track: over the task's region.
+      report: is called with the stage, how many skies are done, and how many there are.
+
+    Returns:
+      ``[N, S]`` bool of epochs and satellites, and ``[N]`` bool of epochs.
+    """
+    num_skies = len(track.sky_times)
+    is_seen = np.zeros((len(track.sky), len(task.sky.names)), bool)
+    is_known = np.zeros(len(track.sky), bool)
+    for leg in track.legs(task.region, LEG_CELLS):
+        # One tile holds all places of a leg; its times are the leg's skies.
+        skies = np.unique(track.sky[leg]).tolist()
+        tile = _tile(task, track.box(task.region, leg), skies)
+        part = tile.surface.region
+        for t, number in enumerate(skies):
+            report("skies", number, num_skies)
+            epochs = np.flatnonzero(track.sky == number)
+            row, col = part.cell_of_xy(track.x_m[epochs], track.y_m[epochs])
+            is_known[epochs] = ~np.asarray(tile.is_obstacle[0])[row, col]
+            if tile.has_data is not None:
+                is_known[epochs] &= tile.has_data[row, col]
+
+            words = tile.words(t)[:, 0, row, col]
+            for k, satellite in enumerate(task.in_view(number).numbers):
+                is_seen[epochs, satellite] = (words[k // WORD_BITS] >> (k % WORD_BITS)) & 1
+            tile.forget()
+    report("skies", num_skies, num_skies)
+    return is_seen & is_known[:, None], is_known
+
+
+def _tile(task: MapTask, region: Grid, skies: list[int]) -> TileScene:
+    """Return a task's tile over a part of its region at some of its times, ready for its maps.
+
+    Args:
+      task: the whole.
+      region: the part.
+      skies: numbers of the times in the task's sky.
+    """
+    sky = replace(
+        task.sky,
+        times=tuple(task.sky.times[t] for t in skies),
+        azimuth_rad=task.sky.azimuth_rad[skies],
+        elevation_rad=task.sky.elevation_rad[skies],
+        element_age_days=task.sky.element_age_days[skies],
+    )
+    part = replace(task, region=region, sky=sky)
+    return TileScene(part, part.surface())
 
 
 def predict(task: MapTask, track: Track, report: Report) -> dict[str, np.ndarray]:

@@ -20,7 +20,6 @@ from benchmarks.receiver.counts import (
     within_blocks,
     without_each_block,
 )
-from jaxurban.satellites import track as maps_track
 from jaxurban.satellites.sight import Sight
 from jaxurban.studies.receiver.drive import track_of
 from tests.benchmarks.count_logs import OF_ONE_LENGTH, SETTINGS, found, seen, true_log
@@ -68,7 +67,7 @@ def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
 
 @pytest.mark.slow
 def test_legs_change_no_value(monkeypatch):
-    monkeypatch.setattr(maps_track, "LEG_CELLS", 100)
+    monkeypatch.setattr(counts, "LEG_CELLS", 100)
     pd.testing.assert_frame_equal(validated(drive().assign(num_tracked=5)).epochs, seen().epochs)
 
 

@@ -11,11 +11,10 @@ import shapely
 import jaxurban as ju
 from benchmarks import tokyo_receiver as receiver
 from benchmarks.receiver import counts
-from benchmarks.receiver.counts import CountSettings, read_counts, with_interval
+from benchmarks.receiver.counts import CountSettings, read_counts, seen_along, with_interval
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.maps.run import grid_of
 from jaxurban.satellites.sight import Sight
-from jaxurban.satellites.track import seen_along
 from jaxurban.studies.receiver.drive import track_of
 from tests.benchmarks.count_logs import found
 from tests.benchmarks.made_evidence import made_evidence
