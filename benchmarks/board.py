@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import jaxurban as ju
+from benchmarks.score import city_maps, problem_of, score, unpacked
 from jaxurban.io.tables import records_of
 from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.planners.any_angle import theta_star
@@ -38,7 +39,6 @@ from jaxurban.report.figures.style import (
     styled,
 )
 from jaxurban.report.write import write_picture
-from jaxurban.studies.board import city_maps, problem_of, score, unpacked
 from jaxurban.studies.demonstrations import demonstration_from_line
 
 MOST_GAP = 0.8  # that is drawn
@@ -216,7 +216,7 @@ def picture(board: pd.DataFrame) -> Figure:
 def main() -> None:
     """Run the entrants that are installed, and score them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("bench", type=Path, help="folder of `jaxurban score --make`")
+    parser.add_argument("bench", type=Path, help="folder of `python -m benchmarks.score --make`")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/board"))
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)

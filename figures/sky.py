@@ -8,11 +8,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 import jaxurban as ju
-from jaxurban.report.figures.sky import sky_places
+from benchmarks.receiver.evidence import Evidence, evidence_of
+from benchmarks.receiver.pictures import draw_cities, plot_displacement
+from jaxurban.report.figures.sky import draw_horizon, sky_places
 from jaxurban.report.figures.style import INK, chart, dress, letter_all, styled
-from jaxurban.report.satellites import CLASSES, draw_cities, draw_horizon, satellite_figures
+from jaxurban.report.satellites import CLASSES, satellite_figures
 from jaxurban.report.write import write_picture
-from jaxurban.studies.receiver.agreement import SatelliteAgreement
 
 NAMES = ("sky", "sky_track", "sky_margin", "sky_displacement", "sky_skies")
 DOCS = Path(__file__).parents[1] / "docs"
@@ -21,13 +22,14 @@ EDGES_DBHZ = (25, 30, 35, 40, 45)  # between the classes of received satellites
 
 
 @styled
-def plot_sky(of: SatelliteAgreement, credit: str) -> Figure:
+def plot_sky(evidence: Evidence, credit: str) -> Figure:
     """Return the sky of one place, how strongly hidden and visible satellites are heard, and displaced cities."""
     heading = "Satellites that the maps call hidden are mostly heard weakly or not at all"
     figure = chart(3.6, heading, credit, WIDTH_MM)
     grid = figure.add_gridspec(3, 2, height_ratios=(1, 1, 0.01))  # the last row holds the legend
     place = figure.add_subplot(grid[:2, 0], projection="polar")
     strengths, cities = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
+    of = evidence.of
     sky, judged = of.skies[-1], of.rows[of.rows.is_judged]
     draw_horizon(place, sky.horizon_deg)
     place.set_title(f"place of {sky.name}")
@@ -55,7 +57,7 @@ def plot_sky(of: SatelliteAgreement, credit: str) -> Figure:
         xlabel="C/N0 at the receiver (dBHz)", ylabel="share of each kind", title="all places"
     )
     strengths.yaxis.set_major_formatter(PercentFormatter(1.0))
-    draw_cities(cities, of, {"auc": INK})
+    draw_cities(cities, evidence, {"auc": INK})
     cities.get_legend().remove()
     cities.set_title("city moved 80 to 450 m")
     in_place = cities.lines[0].get_xdata()[0]
@@ -70,16 +72,13 @@ def plot_sky(of: SatelliteAgreement, credit: str) -> Figure:
 
 
 def main() -> None:
-    found = ju.studies.validate(ju.Scenario.from_toml("sample:nihonbashi"), progress=False)
-    assert found.satellites is not None
+    evidence = evidence_of(ju.Scenario.from_toml("sample:nihonbashi"))
+    of = evidence.of
     figures = {
-        "sky": partial(
-            plot_sky, found.satellites, f"Data: {found.attribution}; log: Taro Suzuki (MIT)"
-        )
+        "sky": partial(plot_sky, evidence, f"Data: {of.attribution}; log: Taro Suzuki (MIT)"),
+        "sky_displacement": partial(plot_displacement, evidence),
     }
-    figures |= {
-        f"sky_{name}": draw for name, draw in satellite_figures(found, found.satellites).items()
-    }
+    figures |= {f"sky_{name}": draw for name, draw in satellite_figures(of).items()}
     for name in NAMES:
         write_picture(figures[name](), DOCS / f"{name}.png")
 

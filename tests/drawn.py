@@ -25,7 +25,6 @@ from jaxurban.studies.weights.breakpoints import Partition
 from tests.guess_records import FLAT, NOMINAL, attribute, heights
 from tests.made_agreement import made
 from tests.made_maps import city_of_boxes, made_maps, maps_of_kinds
-from tests.receiver_logs import found
 from tests.report.test_figures import at_epochs, make_maps, make_path, make_paths
 from tests.report.test_legible import agreement, crowded
 
@@ -308,16 +307,8 @@ def _difference(plot, case: Case) -> Figure:
     return plot(replace(compared, names=names), "gps")
 
 
-def _scatter(plot, case: Case) -> Figure:
-    return plot(found())
-
-
 def _agreement(plot, case: Case) -> Figure:
     return plot(agreement(45, "G{:02}") if case.is_hard else made())
-
-
-def _along(plot, case: Case) -> Figure:
-    return plot(found(), agreement(45, "G{:02}") if case.is_hard else made())
 
 
 def _return(plot, case: Case) -> Figure:
@@ -349,11 +340,9 @@ PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
     "paths.plot_overview": _overview,
     "paths.plot_paths": _paths,
     "profile.plot_profile": _profile,
-    "receiver.plot_scatter": _scatter,
-    "satellites.plot_displacement": _agreement,
     "satellites.plot_margin": _agreement,
     "satellites.plot_skies": _agreement,
-    "satellites.plot_track": _along,
+    "satellites.plot_track": _agreement,
     "sensitivity.plot_breakpoint_routes": _of_weights,
     "sensitivity.plot_breakpoints": _of_weights,
     "sensitivity.plot_pareto": _of_weights,

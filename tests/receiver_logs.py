@@ -1,6 +1,5 @@
-"""A made-up drive through the synthetic city, whose receiver is known: it tracks what the maps see, and some noise."""
+"""A made-up drive through the synthetic city: a place and a time each second."""
 
-from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -12,7 +11,6 @@ from jaxurban.io.read.rasterise import build_surface
 from jaxurban.maps.run import load_city
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
-from jaxurban.studies.receiver.validate import ReceiverValidation
 from jaxurban.world.surface import Surface
 
 SCENARIO = {
@@ -24,10 +22,6 @@ SCENARIO = {
     "buildings": {"source": "synthetic"},
     "gps": {"mask_deg": 10.0},
 }
-SETTINGS = ju.studies.ReceiverSettings(sky_step_s=240.0, block_m=100.0)
-OF_ONE_LENGTH = replace(
-    SETTINGS, other_pieces_m=()
-)  # most of the time goes into the shifts of each length
 SPEED_M_S, NUM_LEGS = 6.0, 8
 
 
@@ -65,29 +59,3 @@ def drive() -> pd.DataFrame:
     lon, lat = grid.lonlat_of_xy(*(np.interp(at_m, along_m, values) for values in corners.T))
     times = pd.date_range("2020-04-27T16:00:00", periods=len(at_m), freq="s", tz="UTC")
     return pd.DataFrame({"utc": times, "lon_deg": lon, "lat_deg": lat})
-
-
-@cache
-def seen() -> ReceiverValidation:
-    """Return what the maps say along the drive; its witness is of no interest."""
-    log = drive().assign(num_tracked=5)
-    return ju.studies.validate(scenario(), log, OF_ONE_LENGTH, progress=False)
-
-
-@cache
-def true_log() -> pd.DataFrame:
-    """Return the drive of a receiver that tracks what is in view, one more or less, and errs as HDOP says."""
-    rng = np.random.default_rng(6)
-    epochs = seen().epochs
-    in_view = epochs.num_visible.fillna(0).to_numpy()
-    error_m = (
-        3.0 * np.minimum(epochs.hdop.fillna(50.0), 50.0) * rng.lognormal(0.0, 0.3, len(epochs))
-    )
-    return drive().assign(
-        num_tracked=np.maximum(in_view + rng.integers(-1, 2, len(epochs)), 0), error_2d_m=error_m
-    )
-
-
-@cache
-def found() -> ReceiverValidation:
-    return ju.studies.validate(scenario(), true_log(), SETTINGS, progress=False)

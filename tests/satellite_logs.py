@@ -8,12 +8,9 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.maps.run import grid_of, load_city
-from jaxurban.studies.receiver import rivals
 from tests.receiver_logs import drive, scenario
 
 ANTENNA_M = 2.0
-FALSE_PRAISE = 17  # of 200: with 5 % of chance each, no more in 98 of 100 trials
-SETTINGS = ju.studies.ReceiverSettings(num_displaced=120)
 SYSTEMS = "GE"
 
 
@@ -65,29 +62,4 @@ def heard() -> pd.DataFrame:
 
 @cache
 def found() -> ju.studies.ReceiverValidation:
-    return ju.studies.validate(scenario(), heard(), SETTINGS, progress=False)
-
-
-def is_praised(
-    rows: pd.DataFrame, margin_m: np.ndarray, elevation_rad: np.ndarray, off_rad: np.ndarray
-) -> bool:
-    """Return whether margins are called better than the rule of the street."""
-    rules = rivals.features_of(margin_m, elevation_rad, off_rad)
-    chosen = {name: rules[name] for name in (rivals.STREET, rivals.MAP)}
-    table = rivals.compared_rules(chosen, rows.is_strong.to_numpy(), rows.block.to_numpy(), seed=0)
-    return bool(table.set_index("model").gain_low[rivals.MAP] > 0)
-
-
-def wrong_margins(rows: pd.DataFrame, rng: np.random.Generator, step_s: float) -> np.ndarray:
-    """Return the margins of the rows, shifted in time within satellites, or of satellites that are swapped."""
-    table = rows.pivot(index="epoch", columns="satellite", values="margin_m")
-    if rng.random() < 0.5:
-        shift = int(np.rint(rng.uniform(30.0, 200.0) / step_s))
-        moved = table.apply(lambda of: pd.Series(np.roll(of.dropna(), shift), of.dropna().index))
-    else:
-        order = rng.permutation(table.shape[1])
-        while (order == np.arange(len(order))).any():
-            order = rng.permutation(table.shape[1])
-        moved = pd.DataFrame(table.to_numpy()[:, order], table.index, table.columns)
-    at = table.index.get_indexer(rows.epoch), table.columns.get_indexer(rows.satellite)
-    return np.where(np.isnan(moved.to_numpy()[at]), 0.0, moved.to_numpy()[at])
+    return ju.studies.validate(scenario(), heard(), progress=False)

@@ -89,10 +89,8 @@ SECTIONS = {
 RULES = {"cost_model": "cell", "constraints": zone, "preset": "paper"}
 MAP_OF = {"time": LATER, "time_of_day": "night"}
 SKY = {
-    "by": "map",
     "gps": ju.Gps(mask_deg=50.0),
     "sources": Case("no/such/folder", {"where": lambda: on.city()}, refused="sources"),
-    "resolution_m": Case(40.0, {"by": "map"}),
 }
 
 
@@ -204,17 +202,17 @@ def targets(**given: Any) -> Any:
 
 @cache
 def a_track() -> Any:
-    from tests.receiver_logs import true_log
+    from tests.satellite_logs import heard
 
-    return true_log()
+    return heard()
 
 
 def validated(log: Any = None, **given: Any) -> Any:
-    from tests.receiver_logs import SETTINGS, scenario
+    from tests.receiver_logs import scenario
 
     settings = given.pop("settings", None)
     if settings is None:
-        settings = ju.studies.ReceiverSettings(**{**SETTINGS.to_dict(), **given})
+        settings = ju.studies.ReceiverSettings(**given)
         given = {}
     log = a_track() if log is None else log
     return ju.studies.validate(scenario(), log, settings, progress=False, **given)
@@ -737,14 +735,10 @@ TABLE: dict[str, dict[str, Any]] = {
     "MapsFolder": {"resolution_m": 40.0, "obstacles": "centre"},
     "ReceiverSettings": {
         "antenna_height_m": 9.0,
-        "sky_step_s": 60.0,
-        "piece_m": 20.0,
-        "other_pieces_m": (30.0,),
-        "block_m": 150.0,
-        "sky_block_m": 90.0,
+        "sky_step_s": Same("the log holds the directions of its satellites"),
+        "block_m": 90.0,
         "known": "all",
         "systems": ("E",),
-        "num_displaced": 20,
         "seed": 3,
     },
     "SensitivitySettings": {
@@ -826,7 +820,7 @@ TABLE: dict[str, dict[str, Any]] = {
     },
     "validate": {
         "log": Case(lambda: a_track().iloc[:400]),
-        "settings": ju.studies.ReceiverSettings(piece_m=20.0),
+        "settings": ju.studies.ReceiverSettings(block_m=90.0),
         "navigation": Case("none.rnx", refused="none.rnx|navigation|RINEX"),
         "reference": Case("none.csv", refused="none.csv|reference|RINEX"),
         "progress": PROGRESS,
@@ -1072,9 +1066,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--altitude": "40",
             "--time": LATER,
             "--speed": Case("9", refused="--speed|--track"),
-            "--by": "map",
             "--sources": Case("no/such/folder", refused="no/such"),
-            "--resolution": Case("40", ("--by=map", "--at=-73.99955,40.755616")),
             "-o": Case("sky.txt", refused="-o"),
             "--json": JSON,
         },
@@ -1089,7 +1081,6 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--set": "study.instances=3",
             "--workers": WORKERS,
             "--cluster": WORKERS,
-            "--benchmark": "{out}-public",
             "--overwrite": OVERWRITE,
             "--device": DEVICE,
             "--json": JSON,
@@ -1197,7 +1188,6 @@ NOT_WALKED = {
     "demo": "it has no option that decides a result",
     "fetch": "it asks servers",
     "maps": "its options are of how maps are kept, and --set is a row of Scenario.from_toml",
-    "score": "it needs a bundle of the board",
     "validate": "its options are rows of ReceiverSettings",
     "view": "it serves until it is stopped; ju.view has the rows",
 }

@@ -230,7 +230,7 @@ def test_whatever_names_the_version_names_that_of_the_package():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
         "version"
     ]
-    for name in ("CITATION.cff", "jaxurban/report/templates/board.cff"):
+    for name in ("CITATION.cff", "benchmarks/board.cff"):
         assert f"\nversion: {version}\n" in (ROOT / name).read_text(encoding="utf-8")
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     (author,), (paper,) = citation["authors"], citation["references"]

@@ -17,7 +17,8 @@ from jaxurban.io.files import SCRATCH_SUFFIX, read_json, write_json
 from jaxurban.io.workspace import Workspace
 from tests.cli_runs import assert_one_sentence, run
 from tests.faulty_disk import Killed, counted
-from tests.receiver_logs import scenario, true_log
+from tests.receiver_logs import scenario
+from tests.satellite_logs import heard
 
 SCENARIO = """
 [region]
@@ -59,8 +60,8 @@ COMMANDS = {  # what runs, and what makes it another run
         ("--seed", 3, "--overwrite"),
     ),
     "validate": (
-        ("validate", "drive.toml", "log.csv", "--sky-step", 300),
-        ("--block", 150, "--overwrite"),
+        ("validate", "drive.toml", "log.csv"),
+        ("--block", 90, "--overwrite"),
     ),
     "study": (("study", "town.toml", "--workers", 1), ("--overwrite",)),
 }
@@ -81,7 +82,7 @@ def place(tmp_path_factory, blank_pictures) -> Path:
     folder = tmp_path_factory.mktemp("place")
     (folder / "town.toml").write_text(SCENARIO)
     (folder / "drive.toml").write_text(scenario().to_toml())
-    true_log()[:400].to_csv(folder / "log.csv", index=False)
+    heard().to_csv(folder / "log.csv", index=False)
     for name, (command, _) in COMMANDS.items():
         with contextlib.chdir(folder), pytest.raises(SystemExit, match="0"):
             main([*map(str, command), "-o", name])

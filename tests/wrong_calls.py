@@ -42,7 +42,7 @@ ju.CostModel(diagonal="both_free")  # wrong: unknown rule of diagonals
 ju.sample_city("shinjyuku")  # wrong: misspelt sample
 path.save("mission.plan", end="rtl")  # wrong: unknown end
 ju.studies.Study(planners=("rrt",))  # wrong: unknown planner
-ju.sky(city, start, 20.0, by="rays")  # wrong: unknown engine
+ju.sky(city, start, 20.0, by="rays")  # wrong: unknown argument
 ju.open_maps("out/manhattan", obstacles="center")  # wrong: unknown rule of obstacles
 ju.Buildings("town.osm", hanging="slab")  # wrong: unknown kind of hanging
 ju.Gps(series="epoch")  # wrong: unknown series

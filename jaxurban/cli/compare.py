@@ -2,7 +2,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -18,20 +18,15 @@ from jaxurban.cli.common import (
     NAMES,
     OUTPUT,
     OVERWRITE,
-    POSITIVE_COUNT,
     SCENARIO,
     SEED,
     SHOWN,
     MapsOf,
-    Numbers,
     Settings,
     keep_programs,
     print_json,
     run_study,
 )
-
-if TYPE_CHECKING:
-    from jaxurban.studies.receiver.agreement import SatelliteAgreement
 
 
 @click.command()
@@ -117,29 +112,10 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
 )
 @SHOWN("--sky-step", "sky_step_s", default=30.0, help="Seconds for which one sky is used.")
 @SHOWN(
-    "--piece",
-    "piece_m",
-    default=25.0,
-    help="Length of the pieces of track whose medians are compared, metres.",
-)
-@SHOWN(
-    "--pieces",
-    "other_pieces_m",
-    type=Numbers("M,...", "numbers, as in 10,50"),
-    default="10,50,100",
-    help="Further lengths of pieces to report, metres.",
-)
-@SHOWN(
     "--block",
     "block_m",
-    default=200.0,
-    help="Length of the blocks of track within which ranks are compared, metres.",
-)
-@SHOWN(
-    "--sky-block",
-    "sky_block_m",
     default=50.0,
-    help="Length of the blocks that satellites' intervals draw, metres.",
+    help="Length of the blocks of track that intervals draw, metres.",
 )
 @SHOWN(
     "--known",
@@ -149,13 +125,6 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
     help="Where buildings are known: what their file covers, everywhere, so many metres around the track, or polygons.",
 )
 @NAMES("--systems", help="Letters of the satellite systems to take, as G,E.")
-@SHOWN(
-    "--displaced",
-    "num_displaced",
-    type=POSITIVE_COUNT,
-    default=200,
-    help="Displaced cities that satellites are set against.",
-)
 @SEED
 @OVERWRITE
 @DEVICE
@@ -171,17 +140,16 @@ def validate(
     as_json: bool,
     **settings: Any,
 ) -> None:
-    """Compare the log of a receiver with maps of SCENARIO.
+    """Say which satellites of a receiver's log a city hides.
 
-    The maps are made at the times and the height of LOG.
+    The city is that of SCENARIO, and C/N0 stands beside the margin of each satellite.
 
-    LOG is what the receiver wrote itself (RINEX, NMEA, GnssLogger), or a table of the columns utc, lon_deg, lat_deg,
-    and with a row per satellite satellite and cn0_dbhz (azimuth_deg and elevation_deg too, or the scenario's orbits
-    give them), with a row per epoch num_tracked or error_2d_m. Left out, it is that of the sample city which SCENARIO
-    names.
+    LOG is what the receiver wrote itself (RINEX, NMEA, GnssLogger), or a table with a row per satellite and the columns
+    utc, lon_deg, lat_deg, satellite, cn0_dbhz (azimuth_deg and elevation_deg too, or the scenario's orbits give them).
+    Left out, it is that of the sample city which SCENARIO names.
     """
     from jaxurban.maps.scenario import Scenario
-    from jaxurban.studies.receiver.prediction import ReceiverSettings
+    from jaxurban.studies.receiver.settings import ReceiverSettings
 
     receiver = ReceiverSettings(**settings)  # all other options are its fields
     scenario = Scenario.from_toml(scenario_file, changes)
@@ -209,25 +177,8 @@ def validate(
         facts = {
             "summary": summary,
             "scores": records_of(result.scores),
+            "strong_dbhz": result.strong_dbhz,
+            "left_out": dict(result.log.left_out),
             "guesses": [guess.sentence for guess in result.guesses],
         }
-        if result.satellites is not None:
-            facts["satellites"] = _satellite_facts(result.satellites)
         print_json(_places_of(output) | facts)
-
-
-def _satellite_facts(agreement: "SatelliteAgreement") -> Settings:
-    """Return what ``--json`` says of satellites, by name; of displaced cities the median and the largest scores."""
-    from jaxurban.io.tables import records_of
-
-    displaced = agreement.displaced[["auc", "within"]].agg(["median", "max"])
-    median, most = records_of(displaced)
-    return {
-        "verdict": agreement.verdict,
-        "strong_dbhz": agreement.strong_dbhz,
-        "peak": agreement.peak,
-        "counts": agreement.counts,
-        "scores": records_of(agreement.scores),
-        "rivals": records_of(agreement.rivals),
-        "displaced": {"median": median, "most": most},
-    }

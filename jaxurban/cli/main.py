@@ -24,7 +24,6 @@ from jaxurban.cli.home import return_home
 from jaxurban.cli.info import info
 from jaxurban.cli.maps import maps
 from jaxurban.cli.plan import plan
-from jaxurban.cli.score import score
 from jaxurban.cli.sensitivity import sensitivity, sensitivity_study
 from jaxurban.cli.sky import sky
 from jaxurban.cli.study import study
@@ -49,7 +48,6 @@ COMMANDS = (
     maps,
     plan,
     return_home,
-    score,
     sensitivity,
     sensitivity_study,
     sky,

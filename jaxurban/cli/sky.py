@@ -14,7 +14,6 @@ from jaxurban.cli.common import (
     JSON_FLAG,
     LONLAT,
     NUMBER,
-    SHOWN,
     SOURCES,
     Point,
     finite_records,
@@ -55,14 +54,7 @@ NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
     help="Time, UTC; repeatable with --at; of a route that of departure.  [default: the maps']",
 )
 @NUMBER("--speed", "speed_m_s", help="Of a route, metres per second.")
-@SHOWN(
-    "--by",
-    type=click.Choice(["outlines", "map"]),
-    default="outlines",
-    help="Exact rays through the outlines, or the maps' own answer in the cell.",
-)
 @SOURCES
-@NUMBER("--resolution", "resolution_m", help="Cell size of the maps, for --by map.")
 @FILES(
     help="File to write: .csv or .parquet, or a picture (.png, .pdf, .svg) of the sky at a place; repeatable."
 )

@@ -47,7 +47,6 @@ NO_ROUTE = "no planner found a path for any instance: the report says why"
 @PRESET
 @CONSTRAINTS
 @WORKERS
-@click.option("--benchmark", "benchmark_folder", type=PATH, help="Folder for a public benchmark.")
 @OVERWRITE
 @DEVICE
 @JSON_FLAG
@@ -60,7 +59,6 @@ def study(
     preset: "Preset",
     constraints: "Constraints",
     workers: int | str | None,
-    benchmark_folder: Path | None,
     overwrite: bool,
     as_json: bool,
 ) -> int:
@@ -87,7 +85,6 @@ def study(
     from jaxurban.maps.run import run_scenario
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.planners.cost import CostModel
-    from jaxurban.report.benchmark import check_exportable, export_benchmark
     from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
     from jaxurban.studies.montecarlo.study import land_cover_of, without_sampling
     from jaxurban.studies.montecarlo.study import study as run_study
@@ -100,8 +97,6 @@ def study(
         "cost_model": CostModel.from_settings(vars(planning) | {"cost_model": kind}),
         "constraints": constraints.under(planning, scenario.vehicle),
     }
-    if benchmark_folder is not None:
-        check_exportable(**rules)
 
     # What cannot be read or written is refused before anything is made. Then the maps are made.
     workers = workers or all_cores()
@@ -140,7 +135,7 @@ def study(
     report_file = result.save(analysis)[-1]
     LOG.info(f"study finished: read {report_file}")
 
-    # What is printed with --json, and the public benchmark if it is asked for.
+    # What is printed with --json.
     statuses, code, message = outcome_of(result.rows, NO_ROUTE)
     facts: Settings = {
         "folder": str(folder),
@@ -149,19 +144,6 @@ def study(
         "num_rows": len(result.rows),
         "statuses": statuses,
     }
-    if benchmark_folder is not None:
-        counts = export_benchmark(
-            result.maps,
-            result.instances,
-            result.rows,
-            benchmark_folder,
-            result.settings,
-            scenario_file.stem,
-        )
-        LOG.info(
-            f"benchmark of {counts['shortest']} shortest and {counts['weighted']} weighted problems: {benchmark_folder}"
-        )
-        facts["benchmark"] = {"folder": str(benchmark_folder), **counts}
     if as_json:
         print_json(facts, code, message)
     return code

@@ -21,7 +21,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, Point
 from jaxurban.public import FactsRepr, listed
 from jaxurban.satellites.rule import STATES
-from jaxurban.satellites.sight import By, Sight, cautions_of, xy_of
+from jaxurban.satellites.sight import Sight, cautions_of, xy_of
 from jaxurban.settings import as_tuple, parse_time
 
 
@@ -32,18 +32,16 @@ class SkyAt(FactsRepr):
     Attributes:
       lonlat: longitude, latitude of the place, degrees.
       altitude_m: above the ground there.
-      by: ``"outlines"``, exact rays through outlines, or ``"map"``, the kernel of the maps in the cell of the place.
       table: a row per time and satellite above the mask: ``time`` (UTC), ``satellite``, ``system``, ``azimuth_deg``
         from true and ``grid_azimuth_deg`` from grid north, clockwise, ``elevation_deg``, ``state``: ``"seen"``,
         ``"hidden"`` or ``"unknown"``, as its ray leaves the known buildings or terrain before it is above all roofs.
-        By outlines also ``margin_m``, how far the ray is above the roof (or below the floor of what hangs) that it
+        ``margin_m``, how far the ray is above the roof (or below the floor of what hangs) that it
         clears by least: 0 or less where it is hidden, inf from 60 m on, NaN where it is unknown; and of the roof that
         hides it, NaN for others, ``roof_height_m`` above its ground (NaN: the ground hides it), ``roof_distance_m``
         along the ground to where the ray enters the outline, ``roof_lon`` and ``roof_lat`` of that place, and
         ``roof_is_guessed``.
       dops: a row per time: ``time``, ``num_visible``, ``num_hidden``, ``num_unknown``, ``gdop``, ``pdop``, ``hdop``,
-        ``vdop``, ``tdop`` of the satellites that are seen, with a clock for each system; inf without a fix. By the map
-        ``num_visible`` and the DOPs are those of the map, which counts unknown ones as clear.
+        ``vdop``, ``tdop`` of the satellites that are seen, with a clock for each system; inf without a fix.
       cautions: what whoever uses it must know.
       attribution: whom to credit for the city.
 
@@ -55,7 +53,6 @@ class SkyAt(FactsRepr):
 
     lonlat: tuple[float, float]
     altitude_m: float
-    by: By
     table: pd.DataFrame
     dops: pd.DataFrame
     cautions: list[Caution]
@@ -82,18 +79,17 @@ class SkyAt(FactsRepr):
           '1 seen, 0 hidden, 6 unknown'
         """
         one_of("time", time, self.times)
-        return sky_from(self._sight, self.lonlat, self.altitude_m, time=time, by=self.by)
+        return sky_from(self._sight, self.lonlat, self.altitude_m, time=time)
 
     @property
     def facts(self) -> dict[str, str]:
-        """Place, height, times, how it was computed, and how many satellites are seen, hidden and unknown."""
+        """Place, height, times, and how many satellites are seen, hidden and unknown."""
         lon, lat = self.lonlat
         counts = [f"{(self.table['state'] == state).sum()} {state}" for state in STATES]
         return {
             "place": f"{lon:.6f}, {lat:.6f}",
             "altitude": f"{self.altitude_m:g} m above ground",
             "times": listed(self.times),
-            "by": self.by,
             "satellites": ", ".join(counts),
             "HDOP": listed([f"{value:.3g}" for value in self.dops[FIX]]),
             "credit": self.attribution,
@@ -101,7 +97,7 @@ class SkyAt(FactsRepr):
 
     @cached_property
     def horizon_deg(self) -> np.ndarray:
-        """``[360]`` elevation in degrees up to which buildings and hills fill the sky, by outlines.
+        """``[360]`` elevation in degrees up to which buildings and hills fill the sky.
 
         At each whole degree of azimuth, clockwise from true north; at least the elevation mask, or 1 degree where that
         is lower. NaN where a ray along the horizon leaves what is known.
@@ -118,16 +114,13 @@ def sky(
     altitude_m: float,
     *,
     time: str | Sequence[str] | None = None,
-    by: By = "outlines",
     gps: Gps | None = None,
     sources: str | Path | None = None,
-    resolution_m: float | None = None,
 ) -> SkyAt:
     """Return which satellites are seen from a place, which roof hides the others, DOPs, and the horizon.
 
-    By outlines every ray is followed through the exact outlines of the city (of a raster of roofs every metre, of
-    terrain every 5 m), with satellites as the place sees them. By the map the answer is that of the maps' kernel in
-    the cell that holds the place: at its centre it is the map's own.
+    Every ray is followed through the exact outlines of the city (of a raster of roofs every metre, of terrain every
+    5 m), with satellites as the place sees them.
 
     A ray that leaves the known buildings or terrain before it is above all roofs is unknown, whatever it meets. In a
     building all that is not unknown is hidden.
@@ -138,41 +131,37 @@ def sky(
       place: longitude, latitude in degrees, or an `XY` in the CRS of the city.
       altitude_m: above the ground.
       time: UTC, one or several; left out, those of the maps, or of the city's own satellites.
-      by: ``"outlines"`` or ``"map"``.
       gps: satellites and elevation mask; left out, those of the maps or of the city.
       sources: folder of the files that the run recorded; left out, they are looked for beside the maps.
-      resolution_m: of the maps, for ``by="map"``; left out, 5 m of a city, of a folder its first.
 
     Returns:
       `SkyAt`: a table of satellites, DOPs by time, and the horizon.
 
     Raises:
       InputError: no such place or time, an altitude that is not above 0, no satellite above the mask, files that are
-        gone or were changed, maps in memory, or by the map a place beyond its region.
+        gone or were changed, or maps in memory.
 
     Examples:
       >>> here = ju.sky(city, (-73.971, 40.7795), 20.0)
       >>> list(here.table)[:7]
       ['time', 'satellite', 'system', 'azimuth_deg', 'grid_azimuth_deg', 'elevation_deg', 'state']
     """
-    sight = Sight.of(where, gps, sources, resolution_m, by)
-    return sky_from(sight, place, altitude_m, time=time, by=by)
+    sight = Sight.of(where, gps, sources)
+    return sky_from(sight, place, altitude_m, time=time)
 
 
-def sky_from(
-    sight: Sight, place: Point, altitude_m: float, *, time: Any = None, by: By = "outlines"
-) -> SkyAt:
+def sky_from(sight: Sight, place: Point, altitude_m: float, *, time: Any = None) -> SkyAt:
     """Return the sky at a place of a city that is read already.
 
     Args:
       sight: the city, and how maps of it are made.
-      place, altitude_m, time, by: as for `sky`, with its errors.
+      place, altitude_m, time: as for `sky`, with its errors.
     """
     positive("altitude_m", altitude_m)
     xy_m = xy_of("place", [place], sight.region)
     times = None if time is None else as_tuple(time)
-    look = sight.look(by, xy_m, altitude_m, times)
-    cautions = cautions_of(sight, look, by, xy_m)
+    look = sight.look(xy_m, altitude_m, times)
+    cautions = cautions_of(sight, look, xy_m)
 
     # The tables of the look, which nobody else holds, get the times of their rows.
     utc = np.array(look.sky.times)
@@ -180,7 +169,7 @@ def sky_from(
     look.dops.insert(0, "time", utc)
     lonlat = sight.region.lonlat_of_xy(*xy_m[:, 0].tolist())
     credit = sight.city.attribution
-    return SkyAt(lonlat, altitude_m, by, look.rows, look.dops, cautions, credit, sight)
+    return SkyAt(lonlat, altitude_m, look.rows, look.dops, cautions, credit, sight)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -194,7 +183,6 @@ class SkyAlong(FactsRepr):
       satellites: a row a place and satellite above the mask: ``utc``, ``lon_deg`` and ``lat_deg`` of the place, and the
         columns of `SkyAt.table` from ``satellite`` on; with a receiver's log also ``cn0_dbhz``, NaN where the log does
         not name the satellite.
-      by: ``"outlines"`` or ``"map"``, as of `SkyAt`.
       cautions: what whoever uses it must know.
       attribution: whom to credit for the city.
 
@@ -206,18 +194,16 @@ class SkyAlong(FactsRepr):
 
     table: pd.DataFrame
     satellites: pd.DataFrame
-    by: By
     cautions: list[Caution]
     attribution: str
 
     @property
     def facts(self) -> dict[str, str]:
-        """Places, times, how they were computed, how many satellites are seen, and where no fix is known."""
+        """Places, times, how many satellites are seen, and where no fix is known."""
         table = self.table
         return {
             "places": f"{len(table):,}",
             "times": listed(list(dict.fromkeys(table["time"]))),
-            "by": self.by,
             "satellites seen": f"{table['num_visible'].mean():.1f} in the mean",
             "no fix, or none known": f"{(~table['has_fix']).mean():.0%} of places",
             "credit": self.attribution,
@@ -232,15 +218,13 @@ def sky_along(
     times: str | Sequence[str] | None = None,
     *,
     speed_m_s: float | None = None,
-    by: By = "outlines",
     gps: Gps | None = None,
     sources: str | Path | None = None,
-    resolution_m: float | None = None,
 ) -> SkyAlong:
     """Return how many satellites are seen along a track, and the DOPs: a flight's log, or a route at its speed.
 
     Args:
-      where, by, gps, sources, resolution_m: as for `sky`.
+      where, gps, sources: as for `sky`.
       places: longitude, latitude in degrees, or an `XY`, each; a path from `plan`; or a table of the columns ``utc``,
         ``lon_deg``, ``lat_deg`` and, if ``altitude_m`` is left out, ``altitude_m``; one with ``satellite``, a
         receiver's log, has several rows a place.
@@ -261,7 +245,7 @@ def sky_along(
       >>> len(flown.table), list(flown.table)[:4]
       (73, ['time', 'lon', 'lat', 'altitude_m'])
     """
-    sight = Sight.of(where, gps, sources, resolution_m, by)
+    sight = Sight.of(where, gps, sources)
     heard = None
 
     # Places, heights and times, each as many as were given.
@@ -308,7 +292,7 @@ def sky_along(
     time_of_place = np.broadcast_to(utc.strftime("%Y-%m-%dT%H:%M:%SZ"), len(x_m))
     sky_times, sky = np.unique(time_of_place, return_inverse=True)
     xy_m = np.stack([x_m, y_m])
-    look = sight.look(by, xy_m, z_m, sky_times.tolist(), sky)
+    look = sight.look(xy_m, z_m, sky_times.tolist(), sky)
     lon, lat = sight.region.lonlat_of_xy(x_m, y_m)
     table = pd.DataFrame({"time": time_of_place, "lon": lon, "lat": lat, "altitude_m": z_m})
     table = table.join(look.dops).assign(has_fix=~has_no_fix(look.dops[FIX].to_numpy()))
@@ -318,9 +302,7 @@ def sky_along(
         names = look.rows["satellite"].map(rinex_name)
         keys = pd.MultiIndex.from_arrays([look.epoch, names])
         satellites[CN0] = heard.reindex(keys).to_numpy()
-    return SkyAlong(
-        table, satellites, by, cautions_of(sight, look, by, xy_m), sight.city.attribution
-    )
+    return SkyAlong(table, satellites, cautions_of(sight, look, xy_m), sight.city.attribution)
 
 
 def _flown(corners_m: np.ndarray, speed_m_s: float) -> np.ndarray:

@@ -1,11 +1,11 @@
-"""Sight: which satellites places in a city see, by its exact outlines or by the kernel of its maps."""
+"""Sight: which satellites places in a city see, by its exact outlines."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -16,7 +16,6 @@ from jaxurban.errors import InputError
 from jaxurban.io.city import City, seen_by
 from jaxurban.knowledge import Caution, GuessKind, caution_of_guesses, guessed
 from jaxurban.maps.build import region_of, view_sky
-from jaxurban.maps.levels import listed_m
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import gps_of, grid_of, load_city
@@ -26,18 +25,16 @@ from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import DOPS, FIX, Gps, has_no_fix
 from jaxurban.metrics.population import Population
 from jaxurban.paths.places import XY, Point, one_place
-from jaxurban.progress import Report
 from jaxurban.public import listed
 from jaxurban.satellites.outlines import Hiding
 from jaxurban.satellites.rule import HIDDEN, SEEN, UNKNOWN
-from jaxurban.satellites.track import NUM_VISIBLE, Track, quality_along, seen_along
+from jaxurban.satellites.track import NUM_VISIBLE, quality_along
 from jaxurban.settings import Heights
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
 from jaxurban.world.sky import Sky
 
-By = Literal["outlines", "map"]
-RESOLUTION_M = 5.0  # of the maps of a City, as `build_maps` makes them
+RESOLUTION_M = 5.0  # of the grid of a City, as `build_maps` makes it
 
 
 class Look(NamedTuple):
@@ -83,8 +80,6 @@ class Sight:
         where: CityLike,
         gps: Gps | None,
         sources: str | Path | None,
-        resolution_m: float | None,
-        by: By = "map",
     ) -> "Sight":
         """Return the sight of a city, of maps or of their folder, see `jaxurban.sky`.
 
@@ -92,37 +87,20 @@ class Sight:
           where: a city; or maps or their folder, and then the city is read again from the files of their run.
           gps: satellites and elevation mask; None for those of the city or of the maps.
           sources: folder of the files that the run recorded; None to look for them beside the maps.
-          resolution_m: of the maps; None for `RESOLUTION_M` with a city, for that of opened maps, and for the first one
-            with a folder.
-          by: how places are looked from; by outlines no resolution counts.
 
         Raises:
-          InputError: a resolution that counts nowhere, or that the maps do not have; sources beside a city; or files
-            that are gone or were changed.
+          InputError: sources beside a city, or files that are gone or were changed.
         """
-        if by == "outlines" and resolution_m is not None:
-            raise InputError(
-                "resolution_m is of maps, and rays follow outlines: leave it out, or give by='map' (--by map)"
-            )
         if isinstance(where, City):
             if sources is not None:
                 raise InputError("sources are of maps, and where is a city: leave sources out")
             heights = replace(where.heights or Heights(), height_samples=0)
             params = MapParams(heights=heights, sections={"gps": gps or where.gps or Gps()})
-            region = region_of(where, None, resolution_m or RESOLUTION_M)
+            region = region_of(where, None, RESOLUTION_M)
             return cls(where, region, params)
 
-        # The resolution of the maps, of those that their run made.
         scenario = scenario_of(folder_of(where), sources)
-        resolutions_m = scenario.region.resolution_m
-        if isinstance(where, MetricMaps):
-            if resolution_m not in (None, where.grid.resolution_m):
-                raise InputError("resolution_m is not that of these maps: leave it out")
-            resolution_m = where.grid.resolution_m
-        if resolution_m not in (None, *resolutions_m):
-            raise InputError(
-                f"resolution_m must be that of maps in the folder, {listed_m(resolutions_m)}, got {resolution_m:g}"
-            )
+        resolution_m = where.grid.resolution_m if isinstance(where, MetricMaps) else None
         return cls.of_scenario(scenario, grid_of(scenario, resolution_m), gps)
 
     @classmethod
@@ -168,7 +146,6 @@ class Sight:
 
     def look(
         self,
-        by: By,
         xy_m: np.ndarray,
         altitude_m: ArrayLike,
         times: Sequence[str] | None,
@@ -177,8 +154,6 @@ class Sight:
         """Return which satellites places see.
 
         Args:
-          by: ``"outlines"`` to follow rays from the places themselves; ``"map"`` to take the map's values in the cells
-            that hold them.
           xy_m: ``[2, N]`` easting and northing of the places; ``[2, 1]`` for one place at all times.
           altitude_m: above the ground, one for each place or one for all.
           times: as for `task`.
@@ -186,16 +161,11 @@ class Sight:
             which then counts as a place.
 
         Raises:
-          InputError: by the map, places beyond its region or at several altitudes; no satellite above the mask.
+          InputError: no satellite above the mask.
         """
-        # The skies: by the map those of the map's reference, else those that the middle of the places sees.
-        if by == "map" and (np.ptp(altitude_m) > 0 or not self.region.contains_xy(*xy_m).all()):
-            raise InputError(
-                "by the map all places must lie in its region and at one altitude_m: take by='outlines'"
-            )
+        # The skies that the middle of the places sees.
         lonlat = self.region.lonlat_of_xy(*xy_m.mean(axis=1).tolist())
-        reference = self.params.gps.reference if by == "map" else lonlat
-        task = self.task(times, float(np.min(altitude_m)), reference)
+        task = self.task(times, float(np.min(altitude_m)), lonlat)
         sky = np.arange(task.num_times) if sky is None else sky
         x_m, y_m, height_m, _ = np.broadcast_arrays(*xy_m, altitude_m, sky)
         num = len(sky)
@@ -209,17 +179,10 @@ class Sight:
         state = behind.pop("state").to_numpy()
 
         # Which satellites are seen, ``[N, S]`` of S satellites in all, and whether each place is outdoors.
-        if by == "map":
-            track = Track(x_m, y_m, sky, task.sky.times)
-            is_seen, is_outdoors = seen_along(task, track, Report())
-            by_map = np.where(is_seen[epoch, satellite], SEEN, HIDDEN)
-            state = np.where(state == UNKNOWN, UNKNOWN, by_map)
-            behind = behind.iloc[:, :0]  # no columns, as the map knows no single roof
-        else:
-            is_seen = np.zeros((num, len(task.sky.names)), bool)
-            is_seen[epoch, satellite] = state == SEEN
-            is_outdoors = np.ones(num, bool)
-            is_outdoors[epoch[behind["roof_distance_m"] == 0]] = False
+        is_seen = np.zeros((num, len(task.sky.names)), bool)
+        is_seen[epoch, satellite] = state == SEEN
+        is_outdoors = np.ones(num, bool)
+        is_outdoors[epoch[behind["roof_distance_m"] == 0]] = False
 
         # The table of rays. Azimuths are from grid north, which the convergence turns from true north.
         true_rad = azimuth_rad + self.region.convergence_rad(*lonlat)
@@ -272,13 +235,12 @@ def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
     return xy_m
 
 
-def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caution]:
+def cautions_of(sight: Sight, look: Look, xy_m: np.ndarray) -> list[Caution]:
     """Return what whoever uses the skies of places must know: guesses, what is unknown, and places without a sky.
 
     Args:
       sight: the city that is looked at.
       look: what the places see.
-      by: ``"outlines"`` or ``"map"``, as the places were looked from.
       xy_m: ``[2, N]`` of the places, or ``[2, 1]`` of one place at all times.
     """
     rows = look.rows
@@ -288,7 +250,7 @@ def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caut
     guesses = sight.city.guesses + look.sky.guesses
     if not sight.city.sources:  # the synthetic city has no real sky
         guesses = tuple(each for each in guesses if each.kind is not GuessKind.NOMINAL_SKY)
-    num_guessed = rows["roof_is_guessed"].sum() if "roof_is_guessed" in rows else 0
+    num_guessed = rows["roof_is_guessed"].sum()
     if num_guessed:
         guesses += guessed(GuessKind.HIDING_ROOFS, number=int(num_guessed), of=len(rows))
     cautions = caution_of_guesses(guesses)
@@ -300,8 +262,6 @@ def cautions_of(sight: Sight, look: Look, by: By, xy_m: np.ndarray) -> list[Caut
             f"{num_unknown} of {len(rows)} satellites are unknown: their rays leave the known buildings or "
             "terrain"
         )
-        if by == "map":
-            sentence += "; the map counts them as clear where nothing known hides them"
         cautions.append(Caution(f"{sentence}."))
 
     # Places that are outside, indoors or without a fix.

@@ -1,26 +1,20 @@
-"""What maps predict of satellites along a track: at given times, places and one height, by the recipe of the maps.
-
-The values are those of maps of these times and this height in the cells of the track, made by the same recipe
-(`jaxurban.maps.recipe`), leg by leg, so that memory is that of a leg and its surroundings.
+"""Where a receiver was, and the GPS quality of what it sees there.
 
 Legend: ``N`` epochs of the track, ``S`` satellites of its sky.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from jaxurban.kernels.shadows.sweep import WORD_BITS
 from jaxurban.maps.task import MapTask
-from jaxurban.maps.tile_scene import TileScene
 from jaxurban.metrics.gps import DOPS, maps_of_choices, satellites_of
 from jaxurban.paths.lines import along_of
-from jaxurban.progress import Report
 from jaxurban.world.grid import Grid
 
-LEG_CELLS = 1_500_000  # of the box around a leg of which maps are made
 NUM_VISIBLE = "num_visible"
 
 
@@ -71,43 +65,6 @@ class Track:
         return region.padded(west, south, east, north)
 
 
-def seen_along(task: MapTask, track: Track, report: Report) -> tuple[np.ndarray, np.ndarray]:
-    """Return which satellites the maps see from each epoch of a track, and which places they know to be outdoors.
-
-    In a building, and without data, no satellite is seen.
-
-    Args:
-      task: of one altitude; its sky has the track's times.
-      track: over the task's region.
-      report: is called with the stage, how many skies are done, and how many there are.
-
-    Returns:
-      ``[N, S]`` bool of epochs and satellites, and ``[N]`` bool of epochs.
-    """
-    num_skies = len(track.sky_times)
-    is_seen = np.zeros((len(track.sky), len(task.sky.names)), bool)
-    is_known = np.zeros(len(track.sky), bool)
-    for leg in track.legs(task.region, LEG_CELLS):
-        # One tile holds all places of a leg; its times are the leg's skies.
-        skies = np.unique(track.sky[leg]).tolist()
-        tile = _tile(task, track.box(task.region, leg), skies)
-        part = tile.surface.region
-        for t, number in enumerate(skies):
-            report("skies", number, num_skies)
-            epochs = np.flatnonzero(track.sky == number)
-            row, col = part.cell_of_xy(track.x_m[epochs], track.y_m[epochs])
-            is_known[epochs] = ~np.asarray(tile.is_obstacle[0])[row, col]
-            if tile.has_data is not None:
-                is_known[epochs] &= tile.has_data[row, col]
-
-            words = tile.words(t)[:, 0, row, col]
-            for k, satellite in enumerate(task.in_view(number).numbers):
-                is_seen[epochs, satellite] = (words[k // WORD_BITS] >> (k % WORD_BITS)) & 1
-            tile.forget()
-    report("skies", num_skies, num_skies)
-    return is_seen & is_known[:, None], is_known
-
-
 def quality_along(task: MapTask, sky: np.ndarray, is_seen: np.ndarray) -> dict[str, np.ndarray]:
     """Return the GPS quality of each epoch from the satellites that it sees, as maps would make it.
 
@@ -136,22 +93,3 @@ def quality_along(task: MapTask, sky: np.ndarray, is_seen: np.ndarray) -> dict[s
         for name, by_choice in zip(names, maps, strict=True):
             values[name][epochs] = by_choice[choice]
     return values
-
-
-def _tile(task: MapTask, region: Grid, skies: list[int]) -> TileScene:
-    """Return a task's tile over a part of its region at some of its times, ready for its maps.
-
-    Args:
-      task: the whole.
-      region: the part.
-      skies: numbers of the times in the task's sky.
-    """
-    sky = replace(
-        task.sky,
-        times=tuple(task.sky.times[t] for t in skies),
-        azimuth_rad=task.sky.azimuth_rad[skies],
-        elevation_rad=task.sky.elevation_rad[skies],
-        element_age_days=task.sky.element_age_days[skies],
-    )
-    part = replace(task, region=region, sky=sky)
-    return TileScene(part, part.surface())

@@ -83,10 +83,6 @@ class Ground:
         assert self.has_data is not None
         return jax.device_put(np.where(self.has_data, -np.inf, 0.0).astype(np.float32))
 
-    def with_roofs(self, scale: float) -> "Ground":
-        """Return the ground with the height of all roofs multiplied by a factor."""
-        return replace(self, roof_m=np.float32(scale) * self.roof_m)
-
     def is_inside(self, rays: Rays) -> np.ndarray:
         """Return ``[R]`` which places lie in a building."""
         return stands_at(self.roof_m[self.grid.cell_of_xy(rays.x_m, rays.y_m)], self.antenna_m)

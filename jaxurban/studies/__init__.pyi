@@ -9,8 +9,7 @@ from jaxurban.studies.montecarlo.sampling import sample_instances as sample_inst
 from jaxurban.studies.montecarlo.study import BenchmarkResult as BenchmarkResult
 from jaxurban.studies.montecarlo.study import study as study
 from jaxurban.studies.queries import make_queries as make_queries
-from jaxurban.studies.receiver.agreement import SatelliteAgreement as SatelliteAgreement
-from jaxurban.studies.receiver.prediction import ReceiverSettings as ReceiverSettings
+from jaxurban.studies.receiver.settings import ReceiverSettings as ReceiverSettings
 from jaxurban.studies.receiver.validate import ReceiverValidation as ReceiverValidation
 from jaxurban.studies.receiver.validate import validate as validate
 from jaxurban.studies.weights.buildings import building_costs as building_costs

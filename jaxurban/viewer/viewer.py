@@ -558,7 +558,7 @@ class Viewer:
         with warnings.catch_warnings(
             action="ignore", category=UserWarning
         ):  # the page shows what the maps guess
-            return Sight.of(self.maps, None, self.sources, None)
+            return Sight.of(self.maps, None, self.sources)
 
     def sky(self, query: Sky) -> str:
         """Return the sky over a place as HTML (`sky_html`).

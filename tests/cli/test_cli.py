@@ -250,7 +250,6 @@ def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_p
         [*route, "--when", "--refine"],
         ["check", str(made), str(wrong)],
         ["compare", str(made), str(made), "-o", str(made)],
-        ["score", str(tmp_path)],
         ["sensitivity-study", str(made), "--queries", str(wrong), "--routes=3"],
         ["tune", str(made), "-o", "new", "--wish", "gps>=1", "--by-city"],
     ]

@@ -43,9 +43,9 @@ def test_a_place_is_printed_and_written(maps, tmp_path, capsys):
     assert files[0].read_bytes().startswith(b"\x89PNG")
     table = pd.read_csv(files[1])
     assert {*table["state"]} <= {"seen", "hidden", "unknown"}
-    code, out, _ = run(capsys, "sky", maps, *AT, "--time", WHEN, "--by", "map", "--json")
+    code, out, _ = run(capsys, "sky", maps, *AT, "--time", WHEN, "--json")
     facts = json.loads(out)
-    assert (code, facts["facts"]["by"]) == (0, "map")
+    assert code == 0
     assert [row["time"] for row in facts["dops"]] == [WHEN]
 
 
@@ -124,11 +124,6 @@ def test_a_flight_with_times_needs_no_speed(maps, tmp_path, capsys):
         ((*AT, "--by-satellite"), "--by-satellite needs --track"),
         (("--track", "t.csv", "--reference", "r.csv"), "--reference a receiver's log there"),
         (("--track", "no.csv", "--altitude", 3), "no.csv"),
-        ((*AT, "--resolution", 20), "rays follow outlines"),
-        (
-            (*AT, "--by", "map", "--resolution", 3),
-            "resolution_m must be that of maps in the folder",
-        ),
         ((*AT, "--sources", "nowhere"), "'nowhere' does not exist"),
         ((*AT, "--sources", "t.csv"), "'t.csv' is none"),
     ],

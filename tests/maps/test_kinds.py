@@ -8,7 +8,6 @@ import geopandas as gpd
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pandas as pd
 import pytest
 import rasterio
 import shapely
@@ -205,18 +204,6 @@ def test_rays_pass_plants_or_meet_them_whether_outlines_or_pixels():
     is_hidden = of_boxes <= 0
     assert np.mean(is_hidden != (margins_m(town()) <= 0)) > 0.1
     assert np.mean(is_hidden != (of_pixels <= 0)) < 0.02  # steps cut corners of pixels
-
-
-def test_sky_by_the_map_is_that_of_the_city_in_which_plants_are_buildings_or_are_not_there():
-    place, time = (EAST_M + 152.0, NORTH_M + 150.0), "2020-04-27T16:00:00Z"
-    lonlat = transformer(CRS, WGS84).transform(*place)
-    for plants, expected in (("pass", town()), ("hide", as_buildings(by_outlines()))):
-        gps = ju.Gps(plants=plants, mask_deg=25.0)
-        found, other = (
-            ju.sky(of, lonlat, 3.0, time=time, gps=gps, by="map").table
-            for of in (by_raster(), expected)
-        )
-        pd.testing.assert_frame_equal(found, other)
 
 
 @pytest.mark.slow

@@ -14,13 +14,12 @@ from jaxurban.paths.constraints import Bound
 from jaxurban.paths.export.write import write_path
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.studies.queries import make_queries
-from tests.cli_runs import TOWN, assert_one_sentence, run
+from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.paths.volumes import REGION, options_of, plan_volume
 
 Z_M, NAN = 20.0, float("nan")
 PLACE = (-73.97, 40.78)
-STUDY = ("town.toml", "-o", "out", "--benchmark", "b")
 NOWHERE = ju.Constraints.read(require="hdop<=0.1")
 
 
@@ -281,21 +280,16 @@ def test_too_little_memory_is_told_before_it_runs_out(scene, monkeypatch):
         ("plan", ("--end", "land"), ("add -o FILE.plan",)),
         ("plan", ("--end", "hover", "-o", "x.plan"), ("land",)),
         ("sensitivity", ("--altitude", 35, "-o", "out"), ("no maps for altitude 35",)),
-        ("study", ("--set", "planning.connectivity=4"), ("not 4 and 'both-free'", "--benchmark")),
-        ("study", ("--set", "planning.diagonal='always'"), ("not 8 and 'always'",)),
-        ("study", ("--require", "gps>=0.1"), ("--require or --benchmark",)),
     ],
 )
 def test_a_command_refuses_in_one_sentence_and_ends_with_2(
     folder, maps, ends, command, options, words, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "town.toml").write_text(TOWN)
-    on = (folder, *options_of(maps, **ends)) if command != "study" else STUDY
-    code, out, err = run(capsys, command, *on, *options)
+    code, out, err = run(capsys, command, folder, *options_of(maps, **ends), *options)
     assert (code, out) == (2, "")
     assert_one_sentence(err, *words)
-    assert [file.name for file in tmp_path.iterdir()] == ["town.toml"]
+    assert not list(tmp_path.iterdir())
 
 
 def test_many_routes_over_cities_of_other_scenarios_are_refused(tmp_path, capsys):

@@ -9,14 +9,15 @@ from matplotlib import __version_info__ as version_info
 from matplotlib.figure import Figure
 
 import jaxurban as ju
+from benchmarks.receiver.pictures import plot_displacement
 from figures import sky as first_screen
 from jaxurban.report.figures.sky import plot_sky, sky_places
 from jaxurban.report.figures.style import chart, label_apart, styled
 from jaxurban.report.satellites import satellite_figures
 from jaxurban.satellites.along import SkyAt
+from tests.benchmarks.made_evidence import made_evidence
 from tests.made_agreement import made
 from tests.pictures import assert_legible
-from tests.receiver_logs import found
 
 SYSTEMS = ("gps", "galileo", "beidou", "glonass", "qzss", "navic")
 STATES = ("seen", "hidden", "unknown")
@@ -35,7 +36,7 @@ def crowded(num: int, name: str) -> pd.DataFrame:
 
 def agreement(num: int, name: str):
     """Return an agreement whose two places, the second at the track's end, have so many satellites in their skies."""
-    last = found().epochs.iloc[-1]
+    last = made().epochs.iloc[-1]
     skies = [replace(sky, satellites=crowded(num, name)) for sky in made().skies]
     skies[1] = replace(skies[1], lon_deg=last.lon_deg, lat_deg=last.lat_deg)
     return replace(made(), skies=tuple(skies))
@@ -54,8 +55,12 @@ def covered(panel, boxes, marks: np.ndarray) -> list[str]:
 @pytest.mark.parametrize(("num", "name"), [(45, "G{:02}"), (45, "STARLINK-{:04}")])
 def test_pictures_beside_a_receiver_can_be_read(num, name):
     of = agreement(num, name)
-    pictures = {key: draw() for key, draw in satellite_figures(found(), of).items()}
-    pictures["first"] = first_screen.plot_sky(of, "Data: a credit of a city; log: somebody (MIT)")
+    pictures = {key: draw() for key, draw in satellite_figures(of).items()}
+    evidence = replace(made_evidence(), of=of)
+    pictures["displacement"] = plot_displacement(evidence)
+    pictures["first"] = first_screen.plot_sky(
+        evidence, "Data: a credit of a city; log: somebody (MIT)"
+    )
     boxes = {key: assert_legible(figure) for key, figure in pictures.items()}
     for panel, sky in zip(pictures["skies"].axes, of.skies, strict=False):
         assert covered(panel, boxes["skies"], sky_places(sky.satellites)) == []

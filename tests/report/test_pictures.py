@@ -1,13 +1,16 @@
 """Every picture as it is drawn: none of its texts is cut, covered or too small, and nothing is too pale to see."""
 
 import inspect
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from benchmarks.receiver.pictures import plot_displacement
 from figures import sky
 from jaxurban.report.figures.style import WIDTHS_MM, chart
+from tests.benchmarks.made_evidence import made_evidence
 from tests.drawn import PICTURES, Case, draw, functions
 from tests.pictures import faults
 from tests.report.test_legible import agreement
@@ -15,8 +18,6 @@ from tests.report.test_legible import agreement
 SLOW = (
     "metrics.plot_epochs",
     "paths.plot_overview",
-    "receiver.plot_scatter",
-    "satellites.plot_displacement",
     "satellites.plot_skies",
 )
 
@@ -46,7 +47,13 @@ def test_nothing_of_a_picture_is_cut_covered_small_or_pale(name, case):
 
 
 def test_the_picture_of_the_first_screen_has_no_fault():
-    assert faults(sky.plot_sky(agreement(45, "G{:02}"), "Data: a credit; log: somebody")) == []
+    evidence = replace(made_evidence(), of=agreement(45, "G{:02}"))
+    assert faults(sky.plot_sky(evidence, "Data: a credit; log: somebody")) == []
+
+
+@pytest.mark.slow
+def test_the_picture_of_displaced_cities_has_no_fault():
+    assert faults(plot_displacement(made_evidence())) == []
 
 
 def blank() -> Figure:

@@ -6,10 +6,12 @@ from functools import cache
 import numpy as np
 
 import jaxurban as ju
+from benchmarks.receiver.counts import seen_along
+from jaxurban.maps.build import region_of
 from jaxurban.metrics.reception import ReceptionCurve
 from jaxurban.satellites.rule import FARTHEST_MARGIN_M, is_seen, states_of
 from jaxurban.satellites.sight import Sight
-from jaxurban.satellites.track import Track, seen_along
+from jaxurban.satellites.track import Track
 from jaxurban.satellites.walk import Ground
 from jaxurban.world.known import Rays
 from jaxurban.world.raster import Raster
@@ -38,7 +40,8 @@ def town(resolution_m: float) -> Sight:
     corner = 1250.0 + 20.0 * rng.integers(0, 25, (60, 2))
     boxes = np.column_stack([corner, corner + 20.0 * rng.integers(1, 3, (60, 2))])
     city = city_of_boxes(boxes, rng.choice([12.5, 31.5, HIGHEST_M], 60), SIDE_M, CORNER_M)
-    return Sight.of(city, GPS, None, resolution_m)
+    of = Sight.of(city, GPS, None)
+    return replace(of, region=region_of(city, None, resolution_m))
 
 
 def seen_by_all(sight: Sight) -> tuple[np.ndarray, ...]:

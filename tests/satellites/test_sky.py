@@ -57,20 +57,6 @@ def at_cells(made: ju.MetricMaps, num: int, seed: int) -> tuple[np.ndarray, list
 
 
 @pytest.mark.slow
-def test_at_centres_the_answer_by_the_map_is_the_maps():
-    (rows, cols), centres = at_cells(maps(), 4, seed=0)
-    for row, col, centre in zip(rows, cols, centres, strict=True):
-        of_map = ju.sky(city(), centre, 20.0, by="map", gps=GPS).dops
-        for name in ("num_visible", *DOPS):
-            held = maps().ds[name].values[:, 0, row, col]
-            np.testing.assert_array_equal(of_map[name].to_numpy(np.float32), held)
-    along = ju.sky_along(city(), centres, 20.0, TIMES[1], by="map", gps=GPS).table
-    np.testing.assert_array_equal(
-        along["gdop"].to_numpy(np.float32), maps().m("gdop", time=TIMES[1])[rows, cols]
-    )
-
-
-@pytest.mark.slow
 def test_a_roof_hides_what_is_below_its_edge_and_is_named():
     here = ju.sky(city(), MIDDLE, 20.0, gps=GPS)
     table = here.table
@@ -139,9 +125,8 @@ def test_a_fix_that_unknown_satellites_decide_on_is_not_known():
     assert f"{(is_lost & ~is_open).sum()} of 63 rows are without a position fix." in said
 
 
-@pytest.mark.parametrize("by", ["outlines", "map"])
-def test_in_a_building_all_is_hidden_and_that_is_said(by):
-    inside = ju.sky(city(), ju.XY(X_M + 1000, Y_M + 910), 20.0, by=by, gps=GPS)
+def test_in_a_building_all_is_hidden_and_that_is_said():
+    inside = ju.sky(city(), ju.XY(X_M + 1000, Y_M + 910), 20.0, gps=GPS)
     assert set(inside.table["state"]) == {"hidden"}
     assert np.isinf(inside.dops[DOPS]).all(axis=None)
     assert "2 of 2 rows are in a building, where all that is known is hidden." in inside.cautions
@@ -311,11 +296,6 @@ def test_a_route_is_flown_at_its_speed():
         ({"place": (200.0, 95.0)}, "place must be longitude, latitude"),
         ({"place": (float("nan"), 40.7)}, "place must be longitude, latitude"),
         ({"time": "noon"}, "'noon' is not a time"),
-        ({"by": "eye"}, "by must be 'outlines' or 'map'"),
-        (
-            {"by": "map", "place": ju.XY(X_M - 50, Y_M)},
-            "by the map all places must lie in its region",
-        ),
         ({"where": "no-folder"}, "no-folder"),
         ({"gps": ju.Gps(mask_deg=89.9)}, "no satellite is above"),
     ],
@@ -367,32 +347,13 @@ def clears_m(of: ju.City, place: ju.XY, row: dict) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["lower-manhattan", "shinjuku", "nihonbashi"])
-def test_at_200_centres_of_a_sample_the_answer_by_the_map_is_the_maps(name):
-    whole = region_of(sample(name), None, 5.0)
-    row, col = np.array(whole.shape) // 2 - 40
-    grid = replace(
-        whole, first_row=whole.first_row + int(row), first_col=whole.first_col + int(col),
-        num_rows=80, num_cols=80,
-    )  # fmt: skip
-    gps = replace(OF_BOTH, reference=grid.centre_lonlat)
-    made = ju.build_maps(sample(name), grid=grid, altitudes_m=(20.0,), gps=gps, progress=False)
-    (rows, cols), centres = at_cells(made, 200, seed=1)
-    by_map = ju.sky_along(sample(name), centres, 20.0, by="map", gps=gps).table
-    for quantity in ("num_visible", *DOPS):
-        held = made.m(quantity)[rows, cols]
-        np.testing.assert_array_equal(by_map[quantity].to_numpy(np.float32), held)
-    assert np.unique(by_map["num_visible"]).size > 5
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lower-manhattan", "shinjuku"])
 def test_at_200_places_of_a_sample_embree_agrees_and_50_roofs_are_those_of_brute_force(name):
     of = sample(name)
     polygons, height_m = of.standing.polygons, of.standing.height_m
     scene, tree = CityScene(polygons, height_m), shapely.STRtree(polygons)
     grid, rng = region_of(of, None, 5.0), np.random.default_rng(2)
-    sight = Sight.of(of, OF_BOTH, None, None)
+    sight = Sight.of(of, OF_BOTH, None)
     agree, roofs = [], []
     while len(agree) < 200:
         place = ju.XY(

@@ -14,14 +14,11 @@ import jaxurban as ju
 from jaxurban.maps.executors import cluster_client
 from jaxurban.paths.rows import InstanceRuns, MapsFolder, solve_instance, solve_on
 from jaxurban.planners import base
-from jaxurban.planners.astar import astar
 from jaxurban.planners.registry import PLANNERS, PlannerEntry
-from jaxurban.report.benchmark import export_benchmark
 from jaxurban.report.montecarlo import report_markdown, tables_of
 from jaxurban.studies.montecarlo.sampling import weight_columns
 from jaxurban.studies.montecarlo.trial import DISTANCE, Benchmark, row_columns
 from tests.cli_runs import TOWN, run
-from tests.movingai import read_map, read_scenarios
 from tests.studies.routes_made import STUDY, same_rows, walled
 
 WEIGHTED = [(name, "weighted") for name in ("ptp", "astar-dist", "astar-plus")]
@@ -208,43 +205,6 @@ def test_planners_that_solve_no_joined_pair_at_an_altitude_are_drawn(
     assert ("figures/costs.png" in drawn) == (planners == ["ptp"])
 
 
-def test_the_benchmark_can_be_solved_by_its_page_alone(study, tmp_path):
-    counts = export_benchmark(
-        study.maps, study.instances, study.rows, tmp_path, study.settings, "made-city"
-    )
-    assert counts["weighted"] == 24
-    solved = 0
-    for file in (tmp_path / "movingai").glob("*.map"):
-        is_free = read_map(file)
-        for start, goal, length in read_scenarios(file.with_suffix(".map.scen")):
-            found = astar(
-                base.Problem(np.zeros((1, *is_free.shape)), is_free, start, goal, 1.0, 1.0)
-            )
-            assert found.cost == pytest.approx(length, abs=1e-6)
-            solved += 1
-    assert solved == counts["shortest"] > 0
-    instances = pd.read_parquet(tmp_path / "instances.parquet")
-    proven = instances[instances.grid_optimum.notna()]
-    assert len(proven) == counts["proven"] > 0
-    for row in proven.iloc[::5].itertuples():
-        with np.load(
-            tmp_path / "costs" / f"made-city_{row.altitude_m:g}m_{row.time_of_day}.npz"
-        ) as kept:
-            weights = np.array([getattr(row, f"w_{name}") for name in kept["names"]])
-            corner_m, side_m = (
-                np.array([kept["y_min_m"], kept["x_min_m"]]),
-                float(kept["resolution_m"]),
-            )
-            ends_m = np.array([[row.start_y_m, row.start_x_m], [row.goal_y_m, row.goal_x_m]])
-            start, goal = map(tuple, ((ends_m - corner_m) // side_m).astype(int).tolist())
-            layers = weights[:, None, None] * kept["costs"].astype(np.float64)
-            problem = base.Problem(
-                layers, kept["is_free"], start, goal, side_m, row.w_distance, "line"
-            )
-        assert astar(problem).cost == pytest.approx(row.grid_optimum, rel=1e-9)
-        assert row.best_known <= row.grid_optimum * (1 + 1e-12)
-
-
 @pytest.mark.slow
 def test_the_command_makes_maps_study_and_report_and_reruns_a_file(tmp_path, capsys):
     scenario = tmp_path / "town.toml"
@@ -259,15 +219,12 @@ def test_the_command_makes_maps_study_and_report_and_reruns_a_file(tmp_path, cap
         "--workers",
         1,
         "--json",
-        "--benchmark",
-        tmp_path / "b",
     )
     assert code == 0, err
     told = json.loads(text)
     assert told["num_rows"] == 4 * 2 * 3
     assert Path(told["report"]).is_file()
-    assert told["benchmark"]["weighted"] == 8
-    instances = tmp_path / "b" / "instances.csv"
+    instances = out / "study" / "instances.parquet"
     other = tmp_path / "other"
     code, _, err = run(
         capsys, "study", scenario, "-o", other, "--workers", 1, "--instances", instances

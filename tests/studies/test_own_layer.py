@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.report.benchmark import export_benchmark
+from benchmarks.movingai import export_benchmark
 from jaxurban.report.montecarlo import report_markdown, tables_of
 from jaxurban.report.sensitivity import sensitivity_markdown
 from jaxurban.studies.demonstrations import optimal_demonstrations

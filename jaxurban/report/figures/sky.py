@@ -55,11 +55,7 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
     if of.times != (time,):
         of = of.at(time)
     lon, lat = of.lonlat
-    methods = {
-        "outlines": "exact outlines",
-        "map": "satellites by the map's cell, horizon by outlines",
-    }
-    note = [joined(time_said(time), methods[of.by], of.attribution), *of.cautions]
+    note = [joined(time_said(time), "exact outlines", of.attribution), *of.cautions]
     heading = f"The sky {of.altitude_m:g} m above ground at {lon:.5f}, {lat:.5f}"
     figure = chart(SKY * inches(width) + KEY_IN, heading, "\n".join(note), width)
     panel: Any = figure.add_subplot(projection="polar")

@@ -30,16 +30,11 @@ from jaxurban.io.read.tracks import (
 from jaxurban.io.samples import located
 from jaxurban.io.tables import read_table
 
-# What a log may hold of how well the receiver did.
-WITNESSES = TRACKED, ERROR = ("num_tracked", "error_2d_m")
 OF_SATELLITES = (SATELLITE, CN0, AZIMUTH, ELEVATION)
 EPOCH = "epoch"
 MOST_NAMED = 12  # columns, in an error
 MOST_ROWS = 5_000_000  # of satellites: three hours at 10 Hz with 45 of them; a study needs some 500 bytes for each
-# No receiver has channels for more satellites.
 OF_LOGS = RULES | {
-    TRACKED: Rule(0.0, 200.0, may_lack=True),
-    ERROR: Rule(0.0, np.inf, may_lack=True),
     AZIMUTH: Rule(0.0, 360.0),
     ELEVATION: Rule(0.0, 90.0, " (satellites below the horizon are no part of a log)"),
 }
@@ -51,8 +46,8 @@ UNITS_OF_LOGS = (
 # RINEX 3.05, section 3.5: a constellation's letter and a number.
 RINEX_NAME = re.compile(r"[GRECJIS]\d\d", re.ASCII)
 REMEDY = (
-    f"give a table with the columns {UTC} (as {LIKE_THIS}), {LON}, {LAT} and {' or '.join(WITNESSES)}, "
-    f"or {SATELLITE} and {CN0}"
+    f"give a table with a row per satellite and the columns {UTC} (as {LIKE_THIS}), {LON}, {LAT}, {SATELLITE} and "
+    f"{CN0}"
 )
 
 
@@ -62,34 +57,27 @@ class ReceiverLog:
 
     Attributes:
       name: of the file.
-      epochs: ``[N]`` rows ``utc`` (datetime64 with zone), ``lon_deg``, ``lat_deg`` (WGS 84), and where they are known
-        ``num_tracked`` and ``error_2d_m``, NaN where a row does not say.
-      satellites: None for a log of counts, else a row an epoch and satellite, in this order: ``epoch`` (int32, its row
-        of ``epochs``), ``satellite`` (a category of RINEX 3 names, such as G05), ``cn0_dbhz`` (float32; 0: above the
-        horizon, not received) and, where the log has them, ``azimuth_deg`` (clockwise from true north) and
-        ``elevation_deg`` (float32).
+      epochs: ``[N]`` rows ``utc`` (datetime64 with zone), ``lon_deg``, ``lat_deg`` (WGS 84).
+      satellites: a row an epoch and satellite, in this order: ``epoch`` (int32, its row of ``epochs``), ``satellite``
+        (a category of RINEX 3 names, such as G05), ``cn0_dbhz`` (float32; 0: above the horizon, not received) and,
+        where the log has them, ``azimuth_deg`` (clockwise from true north) and ``elevation_deg`` (float32).
       left_out: satellites that have no row because their own navigation message calls them unhealthy, or is not there,
         and the reason of each.
     """
 
     name: str
     epochs: pd.DataFrame
-    satellites: pd.DataFrame | None = None
+    satellites: pd.DataFrame
     left_out: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def witnesses(self) -> tuple[str, ...]:
-        """Columns of the epochs that show how well the receiver did."""
-        return tuple(name for name in WITNESSES if name in self.epochs)
 
 
 def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
     """Return a receiver's log, in the order of its times.
 
     Args:
-      source: a table, or its file (.csv, .csv.gz, .parquet), with ``utc``, ``lon_deg`` (or ``lon``), ``lat_deg`` (or
-        ``lat``), and ``num_tracked``, ``error_2d_m`` or both; or with a row per satellite, ``satellite``, ``cn0_dbhz``,
-        and ``azimuth_deg`` and ``elevation_deg`` if it has them.
+      source: a table, or its file (.csv, .csv.gz, .parquet), with a row per satellite: ``utc``, ``lon_deg`` (or
+        ``lon``), ``lat_deg`` (or ``lat``), ``satellite``, ``cn0_dbhz``, and ``azimuth_deg`` and ``elevation_deg`` if it
+        has them.
 
     Raises:
       InputError: a file that cannot be read, no rows, a column that is missing or there twice, invalid times or
@@ -107,28 +95,22 @@ def log_of(table: pd.DataFrame, name: str) -> ReceiverLog:
     """Return the log that a table holds; columns and errors as of `read_receiver_log`, ``name`` is that of its file."""
     what = f"the receiver log {name!r}"
     table = renamed(table, OTHER_NAMES)
-    has_satellites = SATELLITE in table and CN0 in table
 
-    # Time and place, and one column at least of what was received.
-    columns = (UTC, LON, LAT, *WITNESSES, *(OF_SATELLITES if has_satellites else ()))
+    # Time and place, and what was received.
+    columns = (UTC, LON, LAT, *OF_SATELLITES)
     known = [column for column in columns if column in table]
-    if known[:3] != [UTC, LON, LAT] or len(known) == 3 or table.empty:
+    if known[:5] != [*columns[:5]] or table.empty:
         names = ", ".join(map(str, table.columns[:MOST_NAMED]))
         raise InputError(
             f"{what} has {len(table)} rows of the columns {names}: {REMEDY}, separated by commas"
         )
-    if has_satellites and len(table) > MOST_ROWS:
+    if len(table) > MOST_ROWS:
         thin = "thin it to fewer epochs, such as one a second, or cut it into parts"
         raise InputError(
             f"{what} has {len(table):,} rows, more than the {MOST_ROWS:,} that are read: {thin}"
         )
-
     table = checked(table, known, what, OF_LOGS, UNITS_OF_LOGS)
-    if has_satellites:
-        return ReceiverLog(name, *_by_satellite(table, what))
-    table = table.sort_values(UTC, kind="stable", ignore_index=True)
-    _check_once(table, [UTC], what, "rows", "row an epoch")
-    return ReceiverLog(name, table)
+    return ReceiverLog(name, *_by_satellite(table, what))
 
 
 def _by_satellite(table: pd.DataFrame, what: str) -> tuple[pd.DataFrame, pd.DataFrame]:

@@ -13,10 +13,12 @@ from jaxurban.io.read.orbits import matching
 from jaxurban.io.read.tracks import AZIMUTH, CN0, ELEVATION, SATELLITE
 from jaxurban.io.read.vector import open_frame
 from jaxurban.satellites.track import NUM_VISIBLE, Track
-from jaxurban.studies.receiver.logs import EPOCH, TRACKED, ReceiverLog
-from jaxurban.studies.receiver.prediction import EVERYWHERE, OF_CITY
+from jaxurban.studies.receiver.logs import EPOCH, ReceiverLog
+from jaxurban.studies.receiver.settings import EVERYWHERE, OF_CITY
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky
+
+NUM_HEARD = "num_heard"
 
 
 def known_of(known: str | float | Path, city: City, track: Track) -> shapely.Geometry:
@@ -57,7 +59,6 @@ def with_directions(log: ReceiverLog, track: Track, sky: Sky, grid: Grid) -> Rec
     """
     # Of each row the number of its satellite in the sky, -1 without an orbit, and its time there.
     rows = log.satellites
-    assert rows is not None
     satellites = rows[SATELLITE].cat
     of_category = matching(list(satellites.categories), sky)
     number = of_category[satellites.codes]
@@ -74,20 +75,16 @@ def with_directions(log: ReceiverLog, track: Track, sky: Sky, grid: Grid) -> Rec
     return replace(log, satellites=seen, left_out=left_out)
 
 
-def counted(
-    rows: pd.DataFrame, num_epochs: int
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return how many satellites each epoch sees by the maps, and how many the receiver tracks.
+def counted(rows: pd.DataFrame, num_epochs: int) -> pd.DataFrame:
+    """Return how many satellites each epoch sees by the maps, and how many the receiver hears.
 
-    Both are ``[N]`` float, by the name of their column, and count judged rows only. An epoch without a judged row has
-    NaN.
+    Both are ``[N]`` float, ``num_visible`` and ``num_heard``, and count judged rows only. An epoch without a judged row
+    has NaN.
 
     Args:
-      rows: of a `jaxurban.studies.receiver.agreement.SatelliteAgreement`.
+      rows: of a `jaxurban.studies.receiver.validate.ReceiverValidation`.
       num_epochs: N.
     """
     judged = rows[rows.is_judged]
-    columns = {NUM_VISIBLE: judged.is_seen, TRACKED: judged[CN0] > 0}
-    table = pd.DataFrame(columns).groupby(judged.epoch).sum().reindex(range(num_epochs))
-    in_view, received = ({name: table[name].to_numpy(float)} for name in columns)
-    return in_view, received
+    table = pd.DataFrame({NUM_VISIBLE: judged.is_seen, NUM_HEARD: judged[CN0] > 0})
+    return table.groupby(judged.epoch).sum().reindex(range(num_epochs)).astype(float)

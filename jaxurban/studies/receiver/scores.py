@@ -78,7 +78,7 @@ def levels_of(cn0_dbhz: pd.Series) -> np.ndarray:
 
 
 def score_table(rows: pd.DataFrame, seed: int) -> pd.DataFrame:
-    """Return the ``scores`` of a `jaxurban.studies.receiver.agreement.SatelliteAgreement`.
+    """Return the ``scores`` of a `jaxurban.studies.receiver.validate.ReceiverValidation`.
 
     Args:
       rows: its rows.

@@ -1,7 +1,7 @@
 """Maps of Tokyo beside receivers that were driven through it; writes docs/evidence/receiver.md.
 
-Run as ``python -m benchmarks.receiver``. First a log with a row a satellite, on the roofs that the package holds and on
-all roofs of the district; then three logs of counts.
+Run as ``python -m benchmarks.tokyo_receiver``. First a log with a row a satellite, on the roofs that the package holds
+and on all roofs of the district; then three logs of counts.
 """
 
 import argparse
@@ -15,19 +15,26 @@ from typing import Any
 
 import jaxurban as ju
 from benchmarks.common import ROOT
+from benchmarks.receiver.counts import (
+    ERROR,
+    SPEARMAN,
+    TRACKED,
+    WITHIN,
+    CountValidation,
+    counted,
+    name_of,
+    with_interval,
+)
+from benchmarks.receiver.evidence import Evidence, evidence_of
 from jaxurban.errors import StaleElementsWarning
 from jaxurban.maps.scenario import changed
-from jaxurban.report.receiver import name_of, with_interval
 from jaxurban.report.satellites import ROWS
 from jaxurban.report.write import interval, table
 from jaxurban.satellites.track import NUM_VISIBLE
-from jaxurban.studies.receiver.agreement import SatelliteAgreement
-from jaxurban.studies.receiver.logs import ERROR, TRACKED
-from jaxurban.studies.receiver.validate import SPEARMAN, WITHIN, ReceiverValidation
 
 PAGE, TEMPLATE = (
     ROOT / "docs" / "evidence" / "receiver.md",
-    Path(__file__).with_name("receiver_page.md"),
+    Path(__file__).with_name("tokyo_receiver_page.md"),
 )
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT / ".." / "shared" / "data")).resolve() / "tokyo"
 SAMPLE, LOG = "sample:nihonbashi", "sample:nihonbashi/log.csv.gz"
@@ -57,30 +64,29 @@ TRACKS: dict[str, tuple[dict[str, Any], Path]] = {  # the scenario and the log o
 SKIES = {"near roofs": SAMPLE, "all roofs": EAST_ROOFS}
 
 
-def counted(track: str) -> ReceiverValidation:
+def counted_on(track: str) -> CountValidation:
     """Return the validation on the log of a track of counts."""
     settings, log = TRACKS[track]
     with warnings.catch_warnings():
         warnings.simplefilter(
             "ignore", StaleElementsWarning
         )  # the page states how old the elements are
-        return ju.studies.validate(ju.Scenario.from_dict(settings), log, progress=False)
+        return counted(ju.Scenario.from_dict(settings), log)
 
 
-def agreement(sky: str) -> SatelliteAgreement:
+def evidence_on(sky: str) -> Evidence:
     """Return how maps agree with the log of the package, on one choice of roofs."""
     settings = ju.Scenario.from_toml(SAMPLE).model_dump(mode="json")
     scenario = ju.Scenario.from_dict(changed(settings, [f'buildings.source="{SKIES[sky]}"']))
-    found = ju.studies.validate(scenario, LOG, progress=False)
-    assert found.satellites is not None
-    return found.satellites
+    return evidence_of(scenario, LOG)
 
 
-def page(skies: Mapping[str, SatelliteAgreement], tracks: Mapping[str, ReceiverValidation]) -> str:
+def page(skies: Mapping[str, Evidence], tracks: Mapping[str, CountValidation]) -> str:
     """Return the page in Markdown: of satellites on each choice of roofs, and of counts on each track."""
     first = next(iter(tracks.values()))
     return TEMPLATE.read_text(encoding="utf-8").format(
-        of=next(iter(skies.values())),
+        evidence=next(iter(skies.values())),
+        num_displaced=next(iter(skies.values())).displaced.auc.notna().sum(),
         scores=beside(skies, ("rows", "AUC", "within satellites"), scores_of),
         peaks="; ".join(f"with {name}, {peak_of(of)}" for name, of in skies.items()),
         rivals=beside(skies, ("log-loss", "gain"), rivals_of),
@@ -95,9 +101,9 @@ def page(skies: Mapping[str, SatelliteAgreement], tracks: Mapping[str, ReceiverV
 
 
 def beside(
-    skies: Mapping[str, SatelliteAgreement],
+    skies: Mapping[str, Evidence],
     columns: Sequence[str],
-    cells_of: Callable[[SatelliteAgreement], dict[str, list[str]]],
+    cells_of: Callable[[Evidence], dict[str, list[str]]],
 ) -> str:
     """Return a table with columns for each sky, and a row for each name that ``cells_of`` gives cells of."""
     heads = [f"{column}, {sky}" for sky in skies for column in columns]
@@ -113,44 +119,44 @@ def score_text(row: Mapping[Any, Any], name: str) -> str:
     return interval(row, name, lambda value: "" if math.isnan(value) else f"{value:z.3f}")
 
 
-def scores_of(of: SatelliteAgreement) -> dict[str, list[str]]:
+def scores_of(evidence: Evidence) -> dict[str, list[str]]:
     """Return what choices of rows score, and displaced cities."""
     cells = {}
-    for row in of.scores.to_dict("records"):
+    for row in evidence.of.scores.to_dict("records"):
         num = f"{row['rows']:,} ({100 * row['share']:.0f} %)"
         cells[ROWS[row["which"]]] = [num, score_text(row, "auc"), score_text(row, "within")]
-    null = of.displaced[["auc", "within"]]
+    null = evidence.displaced[["auc", "within"]]
     for name, row in (("median", null.median()), ("most", null.max())):
         cells[f"displaced cities, {name}"] = ["", score_text(row, "auc"), score_text(row, "within")]
     return cells
 
 
-def peak_of(of: SatelliteAgreement) -> str:
+def peak_of(evidence: Evidence) -> str:
     """Return where the city fits best, and with which heights."""
-    peak = of.peak
+    peak = evidence.peak
     place = f"{peak['east_m']:g} m east and {peak['north_m']:g} m north"
     near = f"95 % of resampled tracks within {peak['within_95_m']:.0f} m of no displacement"
     return f"{place} ({near}) and {with_interval(peak, 'scale')} times as high"
 
 
-def rivals_of(of: SatelliteAgreement) -> dict[str, list[str]]:
+def rivals_of(evidence: Evidence) -> dict[str, list[str]]:
     """Return the log-loss of each rule, and what it gains on the rule of the street."""
     return {
         row["model"]: [f"{row['log_loss']:.3f}", score_text(row, "gain")]
-        for row in of.rivals.to_dict("records")
+        for row in evidence.rivals.to_dict("records")
     }
 
 
-def gains_of(of: SatelliteAgreement) -> dict[str, list[str]]:
+def gains_of(evidence: Evidence) -> dict[str, list[str]]:
     """Return what margin and elevation gain on the rule of the street, by the length of blocks."""
-    rows = of.block_lengths.to_dict("records")
+    rows = evidence.block_lengths.to_dict("records")
     return {
         f"{row['num_blocks']} blocks of {row['block_m']:g} m": [score_text(row, "gain")]
         for row in rows
     }
 
 
-def tracks_table(tracks: Mapping[str, ReceiverValidation]) -> str:
+def tracks_table(tracks: Mapping[str, CountValidation]) -> str:
     """Return what the satellites in view score on each track: within blocks, then over the whole track."""
     rows = []
     for name, validation in tracks.items():
@@ -162,14 +168,14 @@ def tracks_table(tracks: Mapping[str, ReceiverValidation]) -> str:
     return table(("track", "length", "pieces", "within blocks", "whole track"), rows)
 
 
-def _row(validation: ReceiverValidation, witness: str, prediction: str) -> dict[Any, Any]:
+def _row(validation: CountValidation, witness: str, prediction: str) -> dict[Any, Any]:
     scores = validation.scores
     is_row = (scores.witness == witness) & (scores.prediction == prediction)
     (row,) = scores[is_row & (scores.piece_m == validation.settings.piece_m)].to_dict("records")
     return row
 
 
-def _of_error(validation: ReceiverValidation, prediction: str) -> str:
+def _of_error(validation: CountValidation, prediction: str) -> str:
     """Return what a quantity of the maps scores against the error."""
     return f"{with_interval(_row(validation, ERROR, prediction), WITHIN)} for {name_of(prediction)}"
 
@@ -181,7 +187,7 @@ def main() -> None:
     chosen = parser.parse_args()
     began = time.perf_counter()
     made: dict[str, Any] = {}
-    for make, names in ((agreement, SKIES), (counted, TRACKS)):
+    for make, names in ((evidence_on, SKIES), (counted_on, TRACKS)):
         for name in names:
             made[name] = make(name)
             print(f"{name}: {time.perf_counter() - began:.0f} s", flush=True)

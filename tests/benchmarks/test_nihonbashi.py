@@ -9,14 +9,14 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from benchmarks.receiver.evidence import Evidence, evidence_of, headings_rad
 from jaxurban.io.read.orbits import read_orbits
 from jaxurban.io.read.receivers import read_track
 from jaxurban.io.samples import located
 from jaxurban.maps.run import grid_of, load_city
-from jaxurban.studies.receiver import displaced
-from jaxurban.studies.receiver.agreement import headings_rad
 from jaxurban.studies.receiver.rinex import angles_along
-from tests.satellite_logs import FALSE_PRAISE, hidden_by_outlines, is_praised, wrong_margins
+from tests.benchmarks.made_evidence import FALSE_PRAISE, few_displaced, is_praised, wrong_margins
+from tests.satellite_logs import hidden_by_outlines
 
 pytestmark = pytest.mark.slow
 SAMPLE = "sample:nihonbashi"
@@ -35,22 +35,12 @@ def table() -> pd.DataFrame:
 
 
 @cache
-def found() -> ju.studies.ReceiverValidation:
-    return ju.studies.validate(scenario(), progress=False)
-
-
-def validated(
-    log: pd.DataFrame, of: ju.Scenario | None = None, **settings
-) -> ju.studies.ReceiverValidation:
-    """Return a validation of few displaced cities, with a small field."""
-    chosen = ju.studies.ReceiverSettings(**{"num_displaced": 1, **settings})
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(displaced, "AROUND_M", 4.0)
-        return ju.studies.validate(of or scenario(), log, chosen, progress=False)
+def found() -> Evidence:
+    return evidence_of(scenario())
 
 
 def test_the_sample_shows_that_the_sky_agrees():
-    of = found().satellites
+    of, evidence = found().of, found()
     assert of.score().auc == pytest.approx(0.891, abs=0.003)
     assert of.score().within == pytest.approx(0.880, abs=0.003)
     assert of.score().auc_low > 0.85
@@ -58,12 +48,12 @@ def test_the_sample_shows_that_the_sky_agrees():
     assert of.score("received").auc == pytest.approx(0.897, abs=0.003)
     assert of.score("unguarded").auc == pytest.approx(0.891, abs=0.003)
     assert of.score("unguarded").within == pytest.approx(0.862, abs=0.003)
-    assert of.displaced.auc.median() < 0.65
-    assert of.displaced.auc.max() < 0.80
-    assert np.hypot(of.peak["east_m"], of.peak["north_m"]) <= 4.0
-    assert of.peak["within_95_m"] <= 6.0
-    assert of.peak["scale_low"] <= 1.0 <= of.peak["scale_high"]
-    loss = of.rivals.set_index("model").log_loss
+    assert evidence.displaced.auc.median() < 0.65
+    assert evidence.displaced.auc.max() < 0.80
+    assert np.hypot(evidence.peak["east_m"], evidence.peak["north_m"]) <= 4.0
+    assert evidence.peak["within_95_m"] <= 6.0
+    assert evidence.peak["scale_low"] <= 1.0 <= evidence.peak["scale_high"]
+    loss = evidence.rivals.set_index("model").log_loss
     assert (
         loss["margin and elevation"]
         < loss["margin"]
@@ -71,11 +61,11 @@ def test_the_sample_shows_that_the_sky_agrees():
         < loss["street"]
         < loss["elevation"]
     )
-    assert "The margin to the shadow's edge and the elevation predict" in of.verdict
+    assert "The margin to the shadow's edge and the elevation predict" in evidence.verdict
 
 
 def test_500_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
-    rows, epochs = found().satellites.rows, found().epochs
+    rows, epochs = found().of.rows, found().of.epochs
     city, grid = load_city(scenario()), grid_of(scenario())
     turn_rad = grid.convergence_rad(*grid.centre_lonlat)
     near = shapely.STRtree(city.buildings.polygons)
@@ -106,15 +96,16 @@ def test_a_city_that_ends_in_the_middle_of_the_track_is_judged_where_it_is_known
         {**settings, "buildings": {"source": str(tmp_path / "west.parquet")}}
     )
     guarded, open_all = (
-        validated(table(), of_west, known=rule) for rule in (str(tmp_path / "known.geojson"), "all")
+        few_displaced(table(), of_west, known=rule)
+        for rule in (str(tmp_path / "known.geojson"), "all")
     )
-    assert guarded.satellites.score().share < 0.6
-    assert guarded.satellites.score().auc > 0.87
-    assert open_all.satellites.score().share == 1.0
-    assert open_all.satellites.score().auc < 0.83
-    assert open_all.satellites.verdict.startswith("It is not shown")
-    assert "judged as if nothing stood beyond" in repr(open_all)
-    assert "not judged: their rays leave" in repr(guarded)
+    assert guarded.of.score().share < 0.6
+    assert guarded.of.score().auc > 0.87
+    assert open_all.of.score().share == 1.0
+    assert open_all.of.score().auc < 0.83
+    assert open_all.verdict.startswith("It is not shown")
+    assert "judged as if nothing stood beyond" in repr(open_all.of)
+    assert "not judged: their rays leave" in repr(guarded.of)
 
 
 @pytest.mark.parametrize(("east_m", "north_m"), [(50, 0), (0, 50), (-50, 0), (0, -50)])
@@ -124,13 +115,13 @@ def test_a_track_that_is_50_m_off_is_not_praised(east_m, north_m):
         lon_deg=table().lon_deg + east_m / (lat_m * np.cos(np.radians(35.68))),
         lat_deg=table().lat_deg + north_m / lat_m,
     )
-    of, true = validated(moved).satellites, found().satellites
-    assert of.score().auc_high < true.score().auc_low
-    assert of.verdict.startswith("It is not shown")
+    evidence = few_displaced(moved, scenario())
+    assert evidence.of.score().auc_high < found().of.score().auc_low
+    assert evidence.verdict.startswith("It is not shown")
 
 
 def test_shifted_and_swapped_predictions_are_seldom_praised():
-    rows, epochs = found().satellites.rows, found().epochs
+    rows, epochs = found().of.rows, found().of.epochs
     rows = rows[rows.is_judged]
     off_rad = (
         np.radians(rows.azimuth_deg)
@@ -159,6 +150,6 @@ def test_times_that_are_an_hour_off_are_not_praised_and_a_quarter_of_one_is(data
         strengths = table()[[*FIELDS, "cn0_dbhz"]]
         angles = angles.drop(columns=["lon_deg", "lat_deg"])
         log = strengths.merge(angles, on=["utc", "satellite"])
-        of = validated(log[log.elevation_deg >= 5.0], num_displaced=200).satellites
-        assert of.verdict.startswith("The margin to the shadow's edge") == (abs(hours) < 1)
-        assert low < of.score().auc < high
+        evidence = few_displaced(log[log.elevation_deg >= 5.0], scenario(), 200)
+        assert evidence.verdict.startswith("The margin to the shadow's edge") == (abs(hours) < 1)
+        assert low < evidence.of.score().auc < high

@@ -4,6 +4,7 @@ Legend: ``R`` rows of a log, an epoch and a satellite each, ``M`` displacements,
 of the track, ``D`` draws of them, the first one each block once.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from jaxurban.progress import Report
 from jaxurban.satellites.rule import is_seen
 from jaxurban.satellites.walk import Ground
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.studies.receiver.agreement import FEWEST_ROWS
 from jaxurban.studies.receiver.scores import aucs, drawn_blocks, levels_of
 from jaxurban.world.known import Rays
 
@@ -21,7 +23,6 @@ NEAREST_M, FARTHEST_M = 80.0, 450.0  # that cities of the null are displaced by
 STEP_M, AROUND_M = 2.0, 40.0  # of the field of displacement
 SCALES = np.round(np.linspace(0.8, 1.2, 21), 2)  # of all roofs
 NUM_DRAWS = 200  # of blocks, for peaks
-FEWEST_ROWS = 100  # of a score
 
 
 class Displaced:
@@ -72,18 +73,19 @@ class Displaced:
                 self.is_out[number, column] |= ~moved.stays_within(known, rise_m)
                 self.is_out[number, column] |= ground.crosses_gap(moved, rise_m)
         for number, scale in enumerate(SCALES):
-            self.of_scale[number, column] = is_seen(ground.with_roofs(scale).margins_m(rays))
+            roof_m = np.float32(scale) * ground.roof_m
+            self.of_scale[number, column] = is_seen(replace(ground, roof_m=roof_m).margins_m(rays))
 
     def tables(self, rows: pd.DataFrame, seed: int) -> dict[str, Any]:
         """Return how displaced cities and other roofs score, when all legs are filled in.
 
-        These are ``displaced``, ``field``, ``scales`` and ``peak`` of a `SatelliteAgreement`.
+        These are ``displaced``, ``field``, ``scales`` and ``peak`` of an `Evidence`.
 
         A city of the null with fewer than `FEWEST_ROWS` rows has the scores NaN, and with fewer blocks than
         `FEWEST_GROUPS` there is no peak.
 
         Args:
-          rows: R rows of the agreement, in the order of the columns.
+          rows: R rows of the validation, in the order of the columns.
           seed: of the bootstrap.
         """
         # The rows that count in each displaced city: judged in the true one, and neither inside nor unknown there.

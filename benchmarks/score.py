@@ -1,5 +1,13 @@
-"""The board, a benchmark of routes that planners of any kind can enter: its bundle, and the judge of routes."""
+"""The board, a benchmark of routes that planners of any kind can enter: its bundle, and the judge of routes.
 
+``python -m benchmarks.score BENCH --make`` makes the bundle in the folder BENCH: maps, queries, bounds, rules. ``python
+-m benchmarks.score BENCH SUBMISSION -o board.csv`` scores a CSV file of routes on it. Every route is checked and its
+cost computed again; the gap is to a proven lower bound. A route that fails counts as an infinite gap, and the exit code
+stays 0; it is 2 where the file is no submission.
+"""
+
+import argparse
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
@@ -35,9 +43,9 @@ from jaxurban.studies.montecarlo.sampling import sample_joined
 
 QUERIES, DEMONSTRATIONS, CHECKSUMS = "queries.csv", "demonstrations.csv", "CHECKSUMS"
 TEXTS = {
-    "README.md": "report/templates/board.md",
-    "CITATION.cff": "report/templates/board.cff",
-    "NOTICE.md": "samples/NOTICE.md",
+    "README.md": Path(__file__).with_name("board_page.md"),
+    "CITATION.cff": Path(__file__).with_name("board.cff"),
+    "NOTICE.md": files("jaxurban") / "samples/NOTICE.md",
 }
 # Names of cities.
 SAMPLED: tuple[SampleName, ...] = ("lower-manhattan", "shinjuku")
@@ -128,7 +136,7 @@ def make_benchmark(
 
         # Texts, tables, and last the checksums of all files.
         for name, text in TEXTS.items():
-            write_whole(folder / name, (files("jaxurban") / text).read_text(encoding="utf-8"))
+            write_whole(folder / name, text.read_text(encoding="utf-8"))
             written.append(folder / name)
         written.append(write_table(pd.DataFrame(queries), folder / QUERIES))
         written.append(write_table(pd.DataFrame(demonstrations), folder / DEMONSTRATIONS))
@@ -237,7 +245,9 @@ def score(
     # The bundle's checksums, by file name, and its queries, which must be as it was made. In the track "weights" a
     # submission names a city instead of a query.
     sums = folder / CHECKSUMS
-    with readable(sums, "checksums of a benchmark", f"make one by jaxurban score {folder} --make"):
+    with readable(
+        sums, "checksums of a benchmark", f"make one by python -m benchmarks.score {folder} --make"
+    ):
         listed = [line.split("  ") for line in sums.read_text().splitlines()]
         digests = {name: digest for digest, name in listed}
     _check_files(folder, [QUERIES, *digests], digests)
@@ -459,3 +469,30 @@ def _summary(routes: pd.DataFrame) -> dict[str, Any]:
         "over_best_median": routes["over_best"].quantile(0.5, "higher"),
         "cpu_s_median": routes["claimed_cpu_s"].quantile(0.5),
     }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Make the bundle, or score a submission on it, and return the exit code."""
+    parser = argparse.ArgumentParser(prog="benchmarks.score", description=__doc__)
+    parser.add_argument("bench", type=Path, metavar="BENCH", help="folder of the benchmark")
+    parser.add_argument("submission", type=Path, nargs="?", help="CSV file of routes")
+    parser.add_argument("--make", action="store_true", help="make the benchmark in BENCH")
+    parser.add_argument("-o", dest="board", type=Path, help="CSV file of the board")
+    parser.add_argument("--method", default="", help="name on the board; left out: the file's name")
+    options = parser.parse_args(arguments)
+    if options.make == (options.submission is not None):
+        parser.error("give either a submission, a file of routes, or --make")
+    try:
+        if options.make:
+            print(f"the queries are in {make_benchmark(options.bench, progress=True)}")
+        else:
+            lines, _ = score(options.bench, options.submission, options.board, options.method)
+            print(lines.drop(columns=["bundle"]).to_string(index=False, na_rep=""))
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,4 +1,4 @@
-"""docs/evidence/receiver.md says what its command finds, and `jaxurban validate` keeps what the page promises."""
+"""docs/evidence/receiver.md says what its command finds, which keeps what the page promises."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,17 +9,16 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from benchmarks import receiver
+from benchmarks import tokyo_receiver as receiver
+from benchmarks.receiver import counts
+from benchmarks.receiver.counts import CountSettings, read_counts, seen_along, with_interval
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.maps.run import grid_of
-from jaxurban.report.receiver import with_interval
 from jaxurban.satellites.sight import Sight
-from jaxurban.satellites.track import seen_along
-from jaxurban.studies.receiver import prediction
-from jaxurban.studies.receiver.logs import read_receiver_log
+from jaxurban.studies.receiver.drive import track_of
+from tests.benchmarks.count_logs import found
+from tests.benchmarks.made_evidence import made_evidence
 from tests.embree_scene import CityScene
-from tests.made_agreement import made
-from tests.receiver_logs import found
 
 REACH_M = 2500.0  # beyond it nothing of 334 m shadows a street from 10 degrees
 
@@ -37,13 +36,13 @@ def tokyo(data_dir) -> Path:
 
 
 def test_the_page_has_the_scores_of_every_sky_and_track():
-    other = replace(made(), rivals=made().rivals.assign(log_loss=0.321))
+    other = replace(made_evidence(), rivals=made_evidence().rivals.assign(log_loss=0.321))
     page = receiver.page(
-        {"some roofs": made(), "others": other}, {"one": found(), "other": found()}
+        {"some roofs": made_evidence(), "others": other}, {"one": found(), "other": found()}
     )
     (row,) = found().main.query("witness == 'num_tracked'").to_dict("records")
     assert page.count(f"| {with_interval(row, 'within')} | {row['spearman']:.2f} |") == 2
-    assert f"\n**{made().verdict}**\n" in page
+    assert f"\n**{made_evidence().verdict}**\n" in page
     assert "| all judged | 342 (96 %) | 0.842 (0.811 to 0.873) |" in page
     assert "| displaced cities, most |  | 0.622 | 0.522 |" in page
     assert "| margin and elevation | 0.550 | 0.000 (-0.031 to 0.047) | 0.321 |" in page
@@ -54,12 +53,12 @@ def test_the_page_has_the_scores_of_every_sky_and_track():
 @pytest.mark.data
 @pytest.mark.slow
 def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo):
-    settings = ju.studies.ReceiverSettings()
-    scenario, log = ju.Scenario.from_dict(receiver.SHINJUKU), read_receiver_log(tokyo)
+    settings = CountSettings()
+    scenario, log = ju.Scenario.from_dict(receiver.SHINJUKU), read_counts(tokyo)
     grid = grid_of(scenario)
-    track = prediction.track_of(log, grid, settings.sky_step_s)
+    track = track_of("a log", log, grid, settings.sky_step_s)
     task = Sight.of_scenario(scenario, grid).task(track.sky_times, settings.antenna_height_m, None)
-    made = prediction.predict(task, track, lambda *_, **__: None)
+    made = counts.predict(task, track, lambda *_, **__: None)
     is_seen, known = seen_along(task, track, lambda *_, **__: None)
     buildings = task.city.buildings
     around = shapely.MultiPoint(np.column_stack([track.x_m, track.y_m])).envelope.buffer(REACH_M)
@@ -79,7 +78,7 @@ def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo):
     np.testing.assert_array_equal(is_seen.sum(axis=1)[known], made["num_visible"][known])
     is_line = is_above & known[:, None]
     assert (is_seen == exact)[is_line].mean() > 0.98
-    told = pd.DataFrame({"piece": track.along_m // 25.0, "tracked": log.epochs.num_tracked})[known]
+    told = pd.DataFrame({"piece": track.along_m // 25.0, "tracked": log.num_tracked})[known]
     told = told.assign(ours=made["num_visible"][known], exact=(exact & is_line).sum(axis=1)[known])
     ranks = told.groupby("piece").median().rank().corr()["tracked"]
     assert ranks.exact == pytest.approx(0.555, abs=0.005)
@@ -90,14 +89,14 @@ def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo):
 @pytest.mark.slow
 def test_what_the_page_says_of_shinjuku_and_of_near_roofs_is_what_its_command_finds(tokyo):
     page = receiver.PAGE.read_text(encoding="utf-8")
-    track = receiver.counted("Shinjuku")
+    track = receiver.counted_on("Shinjuku")
     (row,) = track.main.query("witness == 'num_tracked'").to_dict("records")
     assert row["within"] > 0.40
     assert row["within_shifts_95"] < row["within_low"]
     assert receiver.tracks_table({"Shinjuku": track}).splitlines()[-1] in page
 
-    sky = receiver.agreement("near roofs")
-    score = sky.score()
+    sky = receiver.evidence_on("near roofs")
+    score = sky.of.score()
     assert score.auc > 0.87
     assert score.within > 0.85
     assert sky.displaced.auc.max() < score.auc_low

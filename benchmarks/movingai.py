@@ -1,5 +1,12 @@
-"""Instances as a public benchmark: MovingAI files for shortest paths, maps and Parquet for weighted ones."""
+"""A study's instances as a public benchmark: MovingAI files for shortest paths, maps and Parquet for weighted ones.
 
+``python -m benchmarks.movingai town.toml out/town -o out/public`` exports the study that ``jaxurban study town.toml -o
+out/town`` made there, with the same ``--set``.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +16,25 @@ import pandas as pd
 from jaxurban.errors import InputError
 from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.stored import short_number
+from jaxurban.io.tables import INSTANCES_FILE
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.scenario import Scenario
 from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.rows import MapsFolder
 from jaxurban.planners.base import Status
 from jaxurban.planners.cost import CostModel
-from jaxurban.report.write import Markdown, code, fill, save
-from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics, weight_columns
+from jaxurban.report.write import code, plain, save
+from jaxurban.studies.montecarlo.sampling import (
+    KEY,
+    read_instances,
+    weighed_metrics,
+    weight_columns,
+)
+from jaxurban.studies.montecarlo.study import study, without_sampling
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED, Benchmark
+
+PAGE = Path(__file__).with_name("movingai_page.md")
 
 GRID_PLANNERS = "astar-dist", "astar-plus"  # optimal on the grid, where their status says so
 # MovingAI's grid format: ``.map`` and ``.scen`` files (Sturtevant 2012, movingai.com/benchmarks/formats), whose first
@@ -95,7 +113,7 @@ def export_benchmark(
         raise InputError(
             f"the benchmark's name must be of letters, digits and hyphens, got {name!r}"
         )
-    with Workspace.open(folder, "study --benchmark", is_shared=True):
+    with Workspace.open(folder, "benchmarks.movingai", is_shared=True):
         # A grid for each altitude, a file of costs for each altitude and time, and the table of all instances.
         num_shortest = 0
         for altitude_m in sorted(instances.altitude_m.unique()):
@@ -127,32 +145,30 @@ def export_benchmark(
                 f"plus the integral of w_j c_j along it over {length}, cut exactly at cell borders"
             )
         columns = weight_columns(weighed_metrics(instances.columns))
-        page = fill(
-            "benchmark",
+        page = PAGE.read_text(encoding="utf-8").format(
             name=name,
             grid=maps.grid,
-            credits=[maps.attribution],
+            credit=plain(maps.attribution),
             counts=counts,
             model=model,
             cost_rule=cost_rule,
-            weights=Markdown(", ".join(map(code, columns))),
+            weights=", ".join(map(code, columns)),
         )
         write_whole(folder / "README.md", page)
         return counts
 
 
 def check_exportable(cost_model: CostModel, constraints: Constraints) -> None:
-    """Raise InputError unless shortest paths are those of MovingAI's format: call it before a benchmark runs."""
+    """Raise InputError unless shortest paths are those of MovingAI's format."""
     if (cost_model.connectivity, cost_model.diagonal) != (8, "both-free"):
         raise InputError(
             "a benchmark's shortest paths have 8 neighbours and no diagonal steps past blocked cells: plan with "
-            f"connectivity 8 and diagonal 'both-free', not {cost_model.connectivity} and {cost_model.diagonal!r}, or "
-            "leave --benchmark out"
+            f"connectivity 8 and diagonal 'both-free', not {cost_model.connectivity} and {cost_model.diagonal!r}"
         )
     if constraints.bounds:
         raise InputError(
             "a benchmark holds one map of free cells an altitude, and bounds on maps close other cells at other times: "
-            "leave --require or --benchmark out"
+            "study without --require"
         )
 
 
@@ -227,3 +243,44 @@ def _write_costs(
 def _is_optimum(rows: pd.DataFrame) -> pd.Series:
     """Return which rows hold a path that is proven to be the best on the grid."""
     return (rows.status == Status.OPTIMAL.value) & rows.planner.isin(GRID_PLANNERS)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Export the study in a folder, and return the exit code."""
+    parser = argparse.ArgumentParser(prog="benchmarks.movingai", description=__doc__)
+    parser.add_argument("scenario", type=Path, help="of the study")
+    parser.add_argument("folder", type=Path, help="of its maps and the study")
+    parser.add_argument("-o", dest="output", type=Path, required=True, help="folder of the export")
+    parser.add_argument(
+        "--set", dest="changes", action="append", default=[], help="as of the study"
+    )
+    options = parser.parse_args(arguments)
+    try:
+        # The study is in its folder, so that it is read, not run, unless some rows are missing.
+        scenario = Scenario.from_toml(options.scenario, options.changes)
+        kind = scenario.study.cost_model or scenario.planning.rules.cost_model
+        result = study(
+            MapsFolder(options.folder, scenario.region.resolution_m[0]),
+            options.folder / "study",
+            read_instances(options.folder / "study" / INSTANCES_FILE),
+            settings=without_sampling(scenario.study),
+            cost_model=CostModel.from_settings(vars(scenario.planning) | {"cost_model": kind}),
+            constraints=Constraints().under(scenario.planning, scenario.vehicle),
+        )
+        counts = export_benchmark(
+            result.maps,
+            result.instances,
+            result.rows,
+            options.output,
+            result.settings,
+            options.scenario.stem,
+        )
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(f"{counts['shortest']} shortest and {counts['weighted']} weighted: {options.output}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

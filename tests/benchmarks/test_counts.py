@@ -7,35 +7,30 @@ from scipy.signal import lfilter
 from scipy.stats import spearmanr
 
 import jaxurban as ju
-from jaxurban.satellites import track as maps_track
-from jaxurban.satellites.sight import Sight
-from jaxurban.studies.receiver import prediction
-from jaxurban.studies.receiver.logs import read_receiver_log
-from jaxurban.studies.receiver.validate import (
+from benchmarks.receiver import counts
+from benchmarks.receiver.counts import (
+    CountValidation,
+    counted,
     half_width,
+    read_counts,
+    score_table,
     shifted,
     spearman,
+    with_interval,
     within_blocks,
     without_each_block,
 )
+from jaxurban.satellites.sight import Sight
+from jaxurban.studies.receiver.drive import track_of
+from tests.benchmarks.count_logs import OF_ONE_LENGTH, SETTINGS, found, seen, true_log
 from tests.metrics.whole_maps import compute_gps
-from tests.receiver_logs import (
-    OF_ONE_LENGTH,
-    SCENARIO,
-    SETTINGS,
-    drive,
-    found,
-    scenario,
-    seen,
-    surface,
-    true_log,
-)
+from tests.receiver_logs import SCENARIO, drive, scenario, surface
 
 GRID = ju.Grid.from_bounds(SCENARIO["region"]["bounds"], 5.0)
 
 
-def validated(log: pd.DataFrame) -> ju.studies.ReceiverValidation:
-    return ju.studies.validate(scenario(), log, OF_ONE_LENGTH, progress=False)
+def validated(log: pd.DataFrame) -> CountValidation:
+    return counted(scenario(), log, OF_ONE_LENGTH)
 
 
 def tracking(num_tracked: np.ndarray) -> pd.Series:
@@ -43,13 +38,13 @@ def tracking(num_tracked: np.ndarray) -> pd.Series:
     return score(validated(drive().assign(num_tracked=num_tracked)))
 
 
-def score(of: ju.studies.ReceiverValidation, witness: str = "num_tracked") -> pd.Series:
+def score(of: CountValidation, witness: str = "num_tracked") -> pd.Series:
     return of.main.set_index("witness").loc[witness]
 
 
 @pytest.mark.slow
 def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
-    drive = prediction.track_of(read_receiver_log(true_log()), GRID, SETTINGS.sky_step_s)
+    drive = track_of("a log", read_counts(true_log()), GRID, SETTINGS.sky_step_s)
     sky = (
         Sight.of_scenario(scenario(), GRID)
         .task(drive.sky_times, SETTINGS.antenna_height_m, None)
@@ -72,7 +67,7 @@ def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
 
 @pytest.mark.slow
 def test_legs_change_no_value(monkeypatch):
-    monkeypatch.setattr(maps_track, "LEG_CELLS", 100)
+    monkeypatch.setattr(counts, "LEG_CELLS", 100)
     pd.testing.assert_frame_equal(validated(drive().assign(num_tracked=5)).epochs, seen().epochs)
 
 
@@ -134,26 +129,24 @@ def test_the_scores_and_the_shifts_agree_and_pieces_are_medians_of_their_epochs(
     assert set(found().scores.piece_m) == {10.0, 25.0, 50.0, 100.0}
 
 
-@pytest.mark.parametrize("option", ["navigation", "reference"])
-def test_navigation_and_reference_belong_to_a_receivers_own_log(option):
-    with pytest.raises(ju.InputError, match="of a receiver's own log"):
-        ju.studies.validate(scenario(), true_log(), progress=False, **{option: "rover.nav"})
-
-
 REFUSED = {
-    r"^693 of the 693 places of the .* outside .*\[region\] bounds": lambda log: log.assign(
-        lon_deg=log.lon_deg + 1
-    ),
     "^1 of the 693 places": lambda log: log.assign(lon_deg=log.lon_deg + (log.index == 0)),
-    "whether lon_deg and lat_deg are swapped": lambda log: log.assign(
-        lon_deg=log.lat_deg, lat_deg=log.lon_deg
+    "without the columns utc, lon_deg, lat_deg and num_tracked or error_2d_m": lambda log: log.drop(
+        columns=["num_tracked", "error_2d_m"]
     ),
+    "two rows at 2020-04-27T16:00:00": lambda log: log.assign(utc=log.utc[0]),
+    "has -1 in num_tracked .* a number from 0 to 200": lambda log: log.assign(num_tracked=-1),
+    "a number from 0 to 200": lambda log: log.assign(num_tracked=1e9),
+    "has True in num_tracked": lambda log: log.assign(num_tracked=True),
+    "has -0.5 in error_2d_m .* from 0 to inf": lambda log: log.assign(error_2d_m=-0.5),
+    "'many'": lambda log: log.assign(num_tracked="many"),
+    r"nan in num_tracked of 693 row\(s\)": lambda log: log.assign(num_tracked=np.nan),
     "less than 8 pieces of 25 m": lambda log: log.iloc[:10],
 }
 
 
 @pytest.mark.parametrize("sentence", REFUSED)
-def test_a_log_outside_the_region_or_of_a_short_track_is_one_sentence(sentence):
+def test_a_log_that_cannot_be_used_is_one_sentence(sentence):
     with pytest.raises(ju.InputError, match=sentence):
         validated(REFUSED[sentence](true_log()))
 
@@ -188,7 +181,6 @@ def test_spearman_is_scipys():
 
 def test_what_does_not_vary_has_no_coefficient():
     assert np.isnan(score(seen()).spearman)
-    assert "not defined" in seen().facts["num_tracked"]
     assert np.isnan(spearman(A, np.zeros(60)))
     assert np.isnan(spearman(A, np.repeat([1.0, 2.0, 3.0], 20), np.repeat([0, 1, 2], 20)))
 
@@ -243,3 +235,36 @@ def test_few_blocks_or_one_that_disagrees_with_all_others_that_agree_have_no_int
     scored = within_blocks(a, np.where(of == 7, a[::-1] + 70.0, a), of)
     assert 0 < scored.value < 1
     assert np.isnan([scored.low, scored.high]).all()
+
+
+def test_epochs_come_in_the_order_of_their_times_and_some_may_lack_a_count():
+    log = read_counts(true_log()[::-1].assign(num_tracked=[np.nan, *[7.0] * (len(true_log()) - 1)]))
+    assert log.utc.is_monotonic_increasing
+    assert log.num_tracked.isna().sum() == 1
+
+
+def test_the_table_holds_the_numbers_of_the_scores():
+    text = score_table(found().scores)
+    for row in found().main.to_dict("records"):
+        assert with_interval(row, "within") in text
+    assert "95 % of shifts below" in text
+    assert "nan" not in text
+
+
+def test_a_log_of_errors_alone_is_scored_and_a_short_still_one_has_no_interval():
+    errors = counted(scenario(), true_log()[["utc", "lon_deg", "lat_deg", "error_2d_m"]], SETTINGS)
+    assert list(errors.main.witness) == ["error_2d_m"]
+    short = counted(scenario(), true_log()[:60].assign(num_tracked=[5, 8] * 30), SETTINGS)
+    assert short.scores.within_low.isna().all()
+
+
+@pytest.mark.slow
+def test_the_command_prints_the_scores_of_a_log_or_one_sentence(tmp_path, capsys):
+    toml, log = tmp_path / "town.toml", tmp_path / "log.csv"
+    toml.write_text(scenario().to_toml())
+    true_log().to_csv(log, index=False)
+    assert counts.main([str(toml), str(log)]) == 0
+    assert "| satellites tracked | satellites in view | 25 m |" in capsys.readouterr().out
+    log.write_text("utc,lon_deg,lat_deg\n2020-04-27T16:00:00Z,-73.9,40.7\n")
+    assert counts.main([str(toml), str(log)]) == 2
+    assert "num_tracked" in capsys.readouterr().err
