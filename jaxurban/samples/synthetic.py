@@ -34,8 +34,8 @@ CREDIT = "synthetic city"  # below its pictures, lest a stranger takes them for 
 
 # Streets lie as Manhattan's do: 29 degrees clockwise from grid north. Pairs are across and along the avenues.
 BEARING_RAD = np.radians(29.0)
-BLOCK_M = np.array([200.0, 80.0])  # from the middle of a street to that of the next
-STREET_M = np.array([24.0, 16.0])
+BLOCK_M = np.array([200.0, 90.0])  # from the middle of a street to that of the next
+STREET_M = np.array([30.0, 24.0])
 LOTS = np.array([5, 2])  # of a block: two rows, back to back
 # The park's ends as shares of the box's width and height, from its middle; it has one block at least.
 PARK_SHARE = np.array([0.06, 0.2])
@@ -43,12 +43,12 @@ CENTRE_SHARE = 0.25  # radius of the centre, as a share of the box's sides
 MIN_AREA_M2 = 30.0  # houses and blocks of which the box leaves less are left out
 
 # Invented, but much as in Manhattan. Of pairs, the second is what the centre adds.
-MEDIAN_HEIGHT_M = 18.0, 45.0
+MEDIAN_HEIGHT_M = 13.0, 45.0
 HEIGHT_SPREAD = 0.9  # greatest logarithm of a height over its median, either way
-SHARE_BUILT = 0.65, 0.3
+SHARE_BUILT = 0.6, 0.35
 # Of the tower's podium and shaft; insets are from the middle of the streets.
 TOWER_HEIGHTS_M = 25.0, 320.0
-TOWER_INSETS_M = np.array([[12.0, 8.0], [76.0, 20.0]])
+TOWER_INSETS_M = np.array([[15.0, 12.0], [76.0, 26.0]])
 # Of the park, of the centre and of what lies around it.
 DISTRICTS = np.array([OTHER_DISTRICT, 1, 2], np.int32)
 ZONINGS = np.array([Zoning.OTHER, Zoning.COMMERCIAL, Zoning.RESIDENTIAL], np.uint8)
@@ -82,7 +82,7 @@ def demo_city(
 ) -> City:
     """Return the synthetic city in a box of ``width_m`` (east) by ``height_m`` (north).
 
-    Streets are turned 29 degrees clockwise from grid north, between blocks of 200 m x 80 m. The block in the middle
+    Streets are turned 29 degrees clockwise from grid north, between blocks of 200 m x 90 m. The block in the middle
     has a tower of 320 m on a podium. North of it lies a park without buildings. Around it houses are high and stand
     close (district 1, commercial); farther out they are lower and sparser (district 2, residential). Each street block
     is a census block. All of it is invented. Centre and park scale with the box. Nothing is known beyond the box.

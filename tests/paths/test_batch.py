@@ -14,14 +14,15 @@ from jaxurban.paths import batch as many_module
 from jaxurban.paths.queries import LONLAT
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import solve_many
+from tests.paths.volumes import connected_cells
 
 METRES = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
 
 
 @pytest.fixture(scope="module")
 def pairs(town):
-    """Six pairs of places that are free at 20 m, longitude and latitude."""
-    cells = np.random.default_rng(0).choice(np.argwhere(town.is_free(20.0)), (6, 2))
+    """Six pairs of places that are free at 20 m and connected, longitude and latitude."""
+    cells = np.random.default_rng(0).choice(connected_cells(town), (6, 2))
     return [
         tuple(tuple(map(float, town.grid.lonlat_of_cell(*cell))) for cell in pair) for pair in cells
     ]
