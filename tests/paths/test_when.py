@@ -32,6 +32,7 @@ def maps() -> ju.MetricMaps:
 @pytest.fixture(scope="module")
 def pairs(maps) -> list:
     free = connected_cells(maps, ALTITUDE_M)
+    free = free[np.argsort(free[:, 1])]  # from west to east
     return [
         [maps.grid.lonlat_of_cell(*free[at]) for at in ends]
         for ends in ((0, -1), (15, -40), (len(free) // 2, 3))
@@ -145,10 +146,9 @@ def test_no_departure_is_one_at_which_a_route_has_no_path(maps, pairs):
     )
     walled = ju.MetricMaps(maps.ds.assign(num_visible=num_visible))
     islands = ju.cost_map(maps, ALTITUDE_M).islands
-    sizes = np.bincount(islands[islands > 0])
-    is_main = islands == sizes.argmax()
-    closed_in = np.argwhere(~is_main & (islands > 0))[0]
-    beside = np.argwhere(is_main[:, : maps.grid.num_cols // 2])
+    main = np.bincount(islands[islands > 0]).argmax()
+    closed_in = np.argwhere((islands != main) & (islands > 0))[0]
+    beside = connected_cells(walled, ALTITUDE_M, time=maps.times[1], constraints=limits)
     never = maps.grid.lonlat_of_cell(*closed_in), pairs[0][1]
     always = [maps.grid.lonlat_of_cell(*beside[at]) for at in (0, -1)]
     asked = {

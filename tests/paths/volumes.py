@@ -75,7 +75,7 @@ def made_path(
     )
 
 
-def connected_cells(maps, altitude_m=20.0) -> np.ndarray:
+def connected_cells(maps, altitude_m=20.0, **options) -> np.ndarray:
     """Return ``[N, 2]`` rows and columns of the free cells of the largest area within which all are connected."""
-    islands = ju.cost_map(maps, altitude_m).islands
+    islands = ju.cost_map(maps, altitude_m, **options).islands
     return np.argwhere(islands == np.bincount(islands[islands > 0]).argmax())
