@@ -208,11 +208,16 @@ def run_shell(block: Block, page: Path, capsys) -> str:
     return said
 
 
+def is_shown(line: str, said: str) -> bool:
+    """Return whether a line is the end of one that was printed; ``...`` stands for any text."""
+    wanted = ".*".join(re.escape(part) for part in line.strip().split("..."))
+    return re.search(rf"^.*{wanted}$", said, re.MULTILINE) is not None
+
+
 def assert_shown(block: Block, said: str, page: Path) -> None:
-    """Assert that each line shown below a block is one that it printed; ``...`` stands for any text."""
+    """Assert that each line shown below a block is one that it printed (`tests/renew_outputs.py` rewrites them)."""
     for line in block.text.splitlines():
-        wanted = ".*".join(re.escape(part) for part in line.strip().split("..."))
-        assert re.search(rf"^.*{wanted}$", said, re.MULTILINE), (
+        assert is_shown(line, said), (
             f"{name_of(page)}:{block.line} shows {line!r}, but what was printed is:\n{said}"
         )
 
