@@ -168,8 +168,8 @@ class Renewal:
 
 def pages_with_outputs() -> list[Path]:
     """Return the pages that show what a block of theirs prints."""
-    languages = {page: [block.language for block in blocks_of(page)] for page in PAGES}
-    return [page for page in PAGES if "text" in languages[page]]
+    languages = {page: {block.language for block in blocks_of(page)} for page in PAGES}
+    return [page for page in PAGES if "text" in languages[page] and languages[page] & test_docs.RUN]
 
 
 def tests_of(pages: list[Path]) -> list[str]:
