@@ -48,11 +48,6 @@ CSV_OPTIONS = {"GEOM_POSSIBLE_NAMES": WKT_COLUMNS, "KEEP_GEOM_COLUMNS": "NO"}
 SAYS_CRS = "says_crs"  # of the format
 BUILDINGS = "buildings"  # the role, and the layer of several
 WHOLE = "give a whole one, with its companions"
-# Raised by readers.
-OF_DAMAGED = (
-    *(RuntimeError, LookupError, TypeError, AttributeError, NameError),
-    shapely.errors.ShapelyError,
-)
 # Options of GDAL while it reads: with these parts a table of a database may be any other file, and PROJ's own files are
 # looked for in the current folder too.
 ALONE = {"SPATIALITE_LOAD": False, "OGR_SQLITE_STATIC_VIRTUAL_OGR": False}
@@ -122,7 +117,7 @@ def _read(
     name = f"the {role} file {str(path)!r}"
     with readable(path, "a vector file", WHOLE, what=name), unpacked(path) as plain:
         kind = _checked_format(Path(path), plain)
-        with in_own_words(*OF_DAMAGED), ExitStack() as after:
+        with in_own_words(), ExitStack() as after:
             before = {name: pyogrio.get_gdal_config_option(name) for name in ALONE}
             after.callback(pyogrio.set_gdal_config_options, before)
             pyogrio.set_gdal_config_options(ALONE)
