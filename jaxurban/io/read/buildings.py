@@ -111,7 +111,15 @@ def to_buildings(
     waters = shapely.transform(shapely.make_valid(waters), to_city.transform, interleaved=False)
     others = in_spans(features.take(~is_building))
     structures, of_kinds = _structures(others, file, waters, learns)
-    structures = _standing(structures, others, buildings, issues)
+    structures, is_same = _on_roofs(structures, others, buildings)
+    structures = with_supports(structures, others.polygons)
+    is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
+    issues[ReadIssue.NOT_STANDING] += int(np.sum(is_left_out))
+    guys = _guys(structures, others)
+    structures = structures.take(~is_left_out & ~is_same).joined(guys)
+    is_unknown = structures.kinds == UNKNOWN
+    issues[ReadIssue.UNKNOWN_EXTENT] = int(np.sum(is_unknown))
+    issues[ReadIssue.UNKNOWN_HEIGHT] = int(np.sum(structures.is_guessed & ~is_unknown))
     learned = of_buildings | of_kinds
     return Standing(buildings, _within(structures, file), boxes_m, issues, learned)
 
@@ -187,29 +195,6 @@ def _buildings(
     buildings = _within(buildings.take(~is_replaced), file)
     issues[ReadIssue.PARTS_HANGING] = int(np.sum(buildings.min_height_m > 0))
     return buildings, learned
-
-
-def _standing(
-    structures: Footprints, others: Outlines, buildings: Footprints, issues: ReadIssues
-) -> Footprints:
-    """Return the structures that stand, on roofs and with what holds them.
-
-    Args:
-      structures: ``N`` of them.
-      others: ``N`` that they were made of.
-      buildings: with their bounds.
-      issues: gets how many do not stand, and of how many the extent or the height is unknown.
-    """
-    structures, is_same = _on_roofs(structures, others, buildings)
-    structures = with_supports(structures, others.polygons)
-    is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
-    issues[ReadIssue.NOT_STANDING] += int(np.sum(is_left_out))
-    guys = _guys(structures, others)
-    structures = structures.take(~is_left_out & ~is_same).joined(guys)
-    is_unknown = structures.kinds == UNKNOWN
-    issues[ReadIssue.UNKNOWN_EXTENT] = int(np.sum(is_unknown))
-    issues[ReadIssue.UNKNOWN_HEIGHT] = int(np.sum(structures.is_guessed & ~is_unknown))
-    return structures
 
 
 def _structures(
