@@ -57,7 +57,7 @@ RESHAPED = ("polygons", "height_m", "origin", "limit_m")
 LEARNED_KINDS = ("chimney", "tank", "tower", "mast", "pole", "pylon", "crane", "turbine", *PLANTS)
 
 
-class Standing(NamedTuple):
+class WhatStands(NamedTuple):
     """What stands by the features of a file.
 
     Attributes:
@@ -77,7 +77,7 @@ class Standing(NamedTuple):
 
 def to_buildings(
     file: settings.Buildings, outlines: Outlines, crs: str, learns: bool = True
-) -> Standing:
+) -> WhatStands:
     """Return what stands by the features of a file.
 
     What stands is decided by `what_stands`. An outline that its own parts cover to at least 90 % gives way to them; one
@@ -121,7 +121,7 @@ def to_buildings(
     issues[ReadIssue.UNKNOWN_EXTENT] = int(np.sum(is_unknown))
     issues[ReadIssue.UNKNOWN_HEIGHT] = int(np.sum(structures.is_guessed & ~is_unknown))
     learned = of_buildings | of_kinds
-    return Standing(buildings, _within(structures, file), boxes_m, issues, learned)
+    return WhatStands(buildings, _within(structures, file), boxes_m, issues, learned)
 
 
 def _in_city(
