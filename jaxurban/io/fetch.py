@@ -24,7 +24,7 @@ from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.kinds import BY_VALUE, WATERS, Kind
 from jaxurban.io.read.orbits import WARN_AGE_DAYS, middle_epoch, read_orbits
 from jaxurban.io.read.osm import MAYBE, cut_buildings, format_of, header_box, read_osm
-from jaxurban.io.read.vector import OF_DAMAGED
+from jaxurban.io.read.sniff import BROKEN
 from jaxurban.io.workspace import Workspace
 from jaxurban.metrics.population import Population
 from jaxurban.progress import LOG
@@ -293,7 +293,7 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
                 path,
                 f"{source.name} data",
                 "run the same command again",
-                *OF_DAMAGED,
+                *BROKEN,
                 what=source.url,
             ):
                 sections = READERS[source.name](job, path, target)

@@ -580,3 +580,13 @@ def test_random_missions_of_apps_keep_the_law(worlds):
         assert trial.verdict.state not in ("crashed", "refused"), about
         assert not trial.ruling.false_clean, f"{trial.ruling.false_clean}; {about}"
         assert not trial.ruling.invented, f"{trial.ruling.invented}; {about}"
+
+
+def test_columns_of_a_track_are_known_by_other_names_and_in_capitals(tmp_path):
+    path = tmp_path / "track.csv"
+    path.write_text("UTC, Longitude ,LAT\n2020-04-27T16:00:00Z,-74.01,40.71\n")
+    (row,) = read_track(path).itertuples()
+    assert (row.lon_deg, row.lat_deg) == (-74.01, 40.71)
+    path.write_text("utc,lon_deg,lat_deg,LON\n2020-04-27T16:00:00Z,-74.01,40.71,-74.02\n")
+    with pytest.raises(ju.InputError, match="two columns lon_deg: keep one"):
+        read_track(path)

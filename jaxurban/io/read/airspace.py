@@ -28,6 +28,7 @@ from pyproj import Geod
 from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
 from jaxurban.io.read.heights import is_blank
+from jaxurban.io.read.sniff import BROKEN
 from jaxurban.io.read.vector import open_layers
 from jaxurban.io.read.zone import TURN, Zone, made_valid
 
@@ -92,14 +93,6 @@ ALL_AROUND = (
 GEOD = Geod(ellps="WGS84")
 Json = Mapping[str, Any]
 Notes = dict[str, list[str]]  # names of zones, by the sentence that is true of them
-BROKEN = (
-    LookupError,
-    TypeError,
-    ValueError,
-    ArithmeticError,
-    AttributeError,
-    shapely.errors.ShapelyError,
-)
 
 
 def read_zones(path: str | Path) -> tuple[Zone, ...]:

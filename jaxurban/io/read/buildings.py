@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -57,10 +57,28 @@ RESHAPED = ("polygons", "height_m", "origin", "limit_m")
 LEARNED_KINDS = ("chimney", "tank", "tower", "mast", "pole", "pylon", "crane", "turbine", *PLANTS)
 
 
+class WhatStands(NamedTuple):
+    """What stands by the features of a file.
+
+    Attributes:
+      buildings: and their parts.
+      structures: all else.
+      boxes_m: what the file covers, x_min, y_min, x_max, y_max in the city's CRS.
+      issues: what was met, by count.
+      learned: what the file's heights say of unknown ones, by class and kind.
+    """
+
+    buildings: Footprints
+    structures: Footprints
+    boxes_m: list[Bounds]
+    issues: ReadIssues
+    learned: dict[str, Learned]
+
+
 def to_buildings(
     file: settings.Buildings, outlines: Outlines, crs: str, learns: bool = True
-) -> tuple[Footprints, Footprints, list[Bounds], ReadIssues, dict[str, Learned]]:
-    """Return buildings, other structures, the boxes in ``crs`` that a file covers, read issues, and learned heights.
+) -> WhatStands:
+    """Return what stands by the features of a file.
 
     What stands is decided by `what_stands`. An outline that its own parts cover to at least 90 % gives way to them; one
     that is tagged ``building:part`` as well is a part itself and stands. A part without usable height takes that of its
@@ -78,33 +96,69 @@ def to_buildings(
     Raises:
       InputError: no building and no declared box, in a file that was read as a whole.
     """
-    # What stands, the valid shapes of it, and the heights that solids have by their faces.
     issues = dict(outlines.issues)
-    features = what_stands(outlines, file.hanging == SLABS, issues)
-    waters = outlines.polygons[is_water(outlines)]
-    prisms = prisms_of_solids(features)
-    shapes, is_sound, is_whole = _project(prisms["polygon"].to_numpy(), outlines.crs, crs, issues)
-    prisms = prisms[is_sound]
     to_city = transformer(outlines.crs, crs)
-    waters = shapely.transform(
-        shapely.make_valid(shapely.force_2d(waters)), to_city.transform, interleaved=False
-    )
     boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
-    if not (boxes_m or len(prisms) or outlines.is_part):
+    features, is_building = _in_city(outlines, crs, file.hanging == SLABS, issues)
+    if not (boxes_m or len(features.polygons) or outlines.is_part):
         raise InputError(
             f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
         )
+    buildings, of_buildings = _buildings(features.take(is_building), file, learns, issues)
+
+    # What else stands.
+    waters = shapely.force_2d(outlines.polygons[is_water(outlines)])
+    waters = shapely.transform(shapely.make_valid(waters), to_city.transform, interleaved=False)
+    others = in_spans(features.take(~is_building))
+    structures, of_kinds = _structures(others, file, waters, learns)
+    structures, is_same = _on_roofs(structures, others, buildings)
+    structures = with_supports(structures, others.polygons)
+    is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
+    issues[ReadIssue.NOT_STANDING] += int(np.sum(is_left_out))
+    guys = _guys(structures, others)
+    structures = structures.take(~is_left_out & ~is_same).joined(guys)
+    is_unknown = structures.kinds == UNKNOWN
+    issues[ReadIssue.UNKNOWN_EXTENT] = int(np.sum(is_unknown))
+    issues[ReadIssue.UNKNOWN_HEIGHT] = int(np.sum(structures.is_guessed & ~is_unknown))
+    learned = of_buildings | of_kinds
+    return WhatStands(buildings, _within(structures, file), boxes_m, issues, learned)
+
+
+def _in_city(
+    outlines: Outlines, crs: str, has_slabs: bool, issues: ReadIssues
+) -> tuple[Outlines, np.ndarray]:
+    """Return what stands in the city's CRS, each with the height of its solid, and which are buildings, ``[N]`` bool.
+
+    Args:
+      outlines: from a reader.
+      crs: projected CRS of the result.
+      has_slabs: whether areas of bridges are decks.
+      issues: gets what is left out, repaired or a solid.
+    """
+    features = what_stands(outlines, has_slabs, issues)
+    prisms = prisms_of_solids(features)
+    shapes, is_sound, is_whole = _project(prisms["polygon"].to_numpy(), outlines.crs, crs, issues)
+    prisms = prisms[is_sound]
     features = features.take(prisms["feature"].to_numpy(int))
     # Of solids the height counts in place of what the file says of it. Walls alone, whose height is 0, close nothing.
     height_m = prisms["height_m"].to_numpy(float)
     height = np.where(np.isnan(height_m), features.column("height"), height_m)
     tags = {**features.tags, "height": height, "rise_m": prisms["rise_m"].to_numpy(float)}
-    features = replace(features, polygons=shapes[is_sound], tags=tags)
-    is_building = (features.tags["verdict"] == BUILDING) & is_whole[is_sound] & (height_m != 0)
+    is_building = (tags["verdict"] == BUILDING) & is_whole[is_sound] & (height_m != 0)
     issues[ReadIssue.SOLIDS] = prisms["feature"][is_building & (height_m > 0)].nunique()
+    return replace(features, polygons=shapes[is_sound], tags=tags), is_building
 
-    # Heights of buildings.
-    found = features.take(is_building)
+
+def _buildings(
+    found: Outlines, file: settings.Buildings, learns: bool, issues: ReadIssues
+) -> tuple[Footprints, dict[str, Learned]]:
+    """Return buildings with their heights, as `to_buildings` says, and what is learned of these by class.
+
+    Args:
+      found: outlines and parts, in a projected CRS.
+      file, learns: as of `to_buildings`.
+      issues: gets what became of parts and heights.
+    """
     polygons = found.polygons
     is_part = found.tags["is_part"]
     is_deck = found.tags["is_deck"]
@@ -118,9 +172,8 @@ def to_buildings(
     learned, classes = _learned(buildings, outline, part, is_deck, learns)
     if file.default_height_m is None:
         guess_m = of_classes(learned, classes, "guess_m")
-        guess_m[np.isin(found.texts("building"), LOW_BUILDINGS) & (guess_m > LOW_LIMIT_M)] = (
-            LOW_LIMIT_M
-        )
+        is_low = np.isin(found.texts("building"), LOW_BUILDINGS) & (guess_m > LOW_LIMIT_M)
+        guess_m[is_low] = LOW_LIMIT_M
         height_m = np.where(buildings.height_m == 0, guess_m, buildings.height_m)
         buildings = replace(buildings, height_m=height_m)
     buildings = _with_outline_heights(buildings, outline, part, issues)
@@ -130,30 +183,18 @@ def to_buildings(
         buildings, is_podium = _podiums(buildings, outline, part, is_replaced)
         issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = int(np.sum(is_podium))
         is_replaced &= ~is_podium
+
+    # Their bounds.
     limit_m = _limits_m(buildings, found, file, classes, learned)
-    buildings = replace(buildings, limit_m=limit_m)
     likely_m = of_classes(learned, classes, "likely_m") + buildings.min_height_m
     is_of_class = np.isin(buildings.origin, (HeightOrigin.DEFAULT, HeightOrigin.UNREADABLE))
     likely_m = np.where(is_of_class, likely_m + found.tags["rise_m"], np.inf)
-    buildings = replace(buildings, likely_m=likely_m)
+    buildings = replace(buildings, limit_m=limit_m, likely_m=likely_m)
     is_bare = is_replaced & ((1 - share) * shapely.area(polygons) > STRIP_M)
     buildings, is_replaced = _beside_parts(buildings, outline, part, is_replaced, is_bare)
     buildings = _within(buildings.take(~is_replaced), file)
     issues[ReadIssue.PARTS_HANGING] = int(np.sum(buildings.min_height_m > 0))
-
-    # What else stands.
-    others = in_spans(features.take(~is_building))
-    structures, learned_kinds = _structures(others, file, waters, learns)
-    structures, is_same = _on_roofs(structures, others, buildings)
-    structures = with_supports(structures, others.polygons)
-    is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
-    issues[ReadIssue.NOT_STANDING] += int(np.sum(is_left_out))
-    guys = _guys(structures, others)
-    structures = structures.take(~is_left_out & ~is_same).joined(guys)
-    is_unknown = structures.kinds == UNKNOWN
-    issues[ReadIssue.UNKNOWN_EXTENT] = int(np.sum(is_unknown))
-    issues[ReadIssue.UNKNOWN_HEIGHT] = int(np.sum(structures.is_guessed & ~is_unknown))
-    return buildings, _within(structures, file), boxes_m, issues, learned | learned_kinds
+    return buildings, learned
 
 
 def _structures(

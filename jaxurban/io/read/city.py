@@ -160,33 +160,14 @@ def read_city(
     reach_m = (TALLEST_M + relief_m) / rise_per_m
     wide_m = region_box.buffer(reach_m, join_style="mitre").bounds
 
-    # The ground, and the buildings on it.
-    ground = ground_extent_m = None
-    guesses: Guesses = ()
-    if terrain.source is not None:
-        if sniff(terrain.source) == LIDAR:
-            ground = _points_of(terrain.source, buildings).ground
-            ground_extent_m = area_of_raster(ground, crs).bounds
-        else:
-            ground = read_raster(terrain.source, crs, wide_m)
-            ground_extent_m = raster_extent_m(terrain.source, crs)
-        ground, guesses = filled_terrain(repr(str(terrain.source)), ground, crs, box_m)
-    plants = None
-    if vegetation.source is not None:
-        if sniff(vegetation.source) != LIDAR:
-            # Plants count nearby; where they hide satellites, those on hills do too.
-            rise_m = TALLEST_PLANT_M + relief_m * (sky.plants == "hide")
-            reach_m = max(PLANTS_REACH_M, rise_m / rise_per_m)
-            near_m = region_box.buffer(reach_m, join_style="mitre").bounds
-            plants = read_plants(vegetation.source, crs, near_m, box_m)
-        elif ground is None:
-            raise InputError(
-                f"plants of the lidar points {str(vegetation.source)!r} stand on the ground: give its elevation as "
-                "[terrain] source, which may be the same file"
-            )
-        else:
-            plants = heights_above(_points_of(vegetation.source, buildings).plants, ground)
-            plants = replace(plants, values=np.nan_to_num(plants.values))
+    # The ground, and what stands on it.
+    ground, ground_extent_m, guesses = _read_ground(terrain.source, buildings, crs, wide_m, box_m)
+    # Plants count nearby; where they hide satellites, those on hills do too.
+    rise_m = TALLEST_PLANT_M + relief_m * (sky.plants == "hide")
+    reach_m = max(PLANTS_REACH_M, rise_m / rise_per_m)
+    near_m = region_box.buffer(reach_m, join_style="mitre").bounds
+    plants = _read_plants(vegetation.source, buildings, ground, crs, near_m, box_m)
+    if plants is not None:
         guesses += plants_guesses(repr(str(vegetation.source)), plants, crs, box_m)
     source = read_buildings(
         buildings,
@@ -196,18 +177,8 @@ def read_city(
         beside=files["structures"],
         whole=outlines,
     )
-    if not buildings.allow_high:
-        check_are_heights(repr(str(buildings.source)), source, ground)
+    _check_buildings(buildings, source, ground, box_m, region)
     source = replace(source, kinds=kinds)
-    has_outline = source.buildings is not None and source.buildings.touches(box_m).any()
-    has_roof = source.roofs is not None and (source.roofs.values > 0).any()
-    if not (has_outline or has_roof or buildings.allow_none):
-        raise InputError(
-            f"{str(buildings.source)!r} has no building in the region {list(region)}: "
-            f"{where_it_lies(lonlat_extent(buildings.source, buildings.crs), region)}; "
-            "move [region] bounds there, set [buildings] crs if the file declares a wrong one, or set [buildings] "
-            "allow_none = true if there are none"
-        )
 
     # Without bounds the region is all that the buildings cover, which may be too much.
     issues = dict(source.read_issues)
@@ -254,6 +225,72 @@ def read_city(
         heights=buildings,
         vegetation=plants,
     )
+
+
+def _read_ground(
+    path: Any, buildings: settings.Buildings, crs: str, wide_m: Bounds, box_m: Bounds
+) -> tuple[Raster | None, Bounds | None, Guesses]:
+    """Return the ground by a file, the box that the file covers, and what was guessed; None without a file.
+
+    Args:
+      path: of a raster or of lidar points, or None.
+      buildings: whose CRS may be that of the points.
+      crs: projected CRS of the city.
+      wide_m, box_m: from where shadows reach the region, and the region, in ``crs``.
+    """
+    if path is None:
+        return None, None, ()
+    if sniff(path) == LIDAR:
+        ground = _points_of(path, buildings).ground
+        extent_m = area_of_raster(ground, crs).bounds
+    else:
+        ground = read_raster(path, crs, wide_m)
+        extent_m = raster_extent_m(path, crs)
+    ground, guesses = filled_terrain(repr(str(path)), ground, crs, box_m)
+    return ground, extent_m, guesses
+
+
+def _read_plants(
+    path: Any,
+    buildings: settings.Buildings,
+    ground: Raster | None,
+    crs: str,
+    near_m: Bounds,
+    box_m: Bounds,
+) -> Raster | None:
+    """Return the heights of plants by a file, None without one; arguments as of `_read_ground`.
+
+    Raises:
+      InputError: lidar points without the ground; as of `read_plants`.
+    """
+    if path is None:
+        return None
+    if sniff(path) != LIDAR:
+        return read_plants(path, crs, near_m, box_m)
+    if ground is None:
+        raise InputError(
+            f"plants of the lidar points {str(path)!r} stand on the ground: give its elevation as "
+            "[terrain] source, which may be the same file"
+        )
+    plants = heights_above(_points_of(path, buildings).plants, ground)
+    return replace(plants, values=np.nan_to_num(plants.values))
+
+
+def _check_buildings(
+    file: settings.Buildings, source: City, ground: Raster | None, box_m: Bounds, region: Bounds
+) -> None:
+    """Raise InputError where heights look like elevations, or none is in the region, unless the settings allow it."""
+    if not file.allow_high:
+        check_are_heights(repr(str(file.source)), source, ground)
+    has_outline = source.buildings is not None and source.buildings.touches(box_m).any()
+    has_roof = source.roofs is not None and (source.roofs.values > 0).any()
+    if not (has_outline or has_roof or file.allow_none):
+        raise InputError(
+            f"{str(file.source)!r} has no building in the region {list(region)}: "
+            f"{where_it_lies(lonlat_extent(file.source, file.crs), region)}; "
+            "move [region] bounds there, set [buildings] crs if the file declares a wrong one, or set [buildings] "
+            "allow_none = true if there are none"
+        )
 
 
 def _points_of(path: str | Path, buildings: settings.Buildings) -> Points:

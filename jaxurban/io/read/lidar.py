@@ -101,11 +101,10 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
             f"{name} holds lidar points: install what reads them with `pip install 'jaxurban[lidar]'`"
         ) from error
     used = laspy.DecompressionSelection(USED)
-    damage = laspy.LaspyException, lazrs.LazrsError, ArithmeticError, LookupError, TypeError
     counts = np.zeros(256, int)
     with (
         readable(path, "lidar points", "fetch it again"),
-        in_own_words(*damage),
+        in_own_words(laspy.LaspyException),
         laspy.open(path, read_evlrs=False, decompression_selection=used) as reader,
     ):
         header = reader.header
@@ -175,7 +174,7 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
         # Behind the last of packed points no more can be unpacked.
         header.point_count += FEW * header.are_points_compressed
         more = False
-        with suppress(ValueError), in_own_words(lazrs.LazrsError):
+        with suppress(ValueError), in_own_words():
             more = bool(reader.read_points(FEW))
         if more:
             raise InputError(NOT_WHOLE.format(name, counts.sum(), "more"))

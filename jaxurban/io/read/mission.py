@@ -34,7 +34,6 @@ https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html a
 https://mavlink.io/en/file_formats/#mission_plain_text_file.
 """
 
-import csv
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -56,6 +55,7 @@ from jaxurban.io.read.mission_lines import (
     xml_lines,
 )
 from jaxurban.io.read.mission_parts import DATUMS, DamagedError, Datum, LonLat, Mission, check_place
+from jaxurban.io.read.sniff import BROKEN
 from jaxurban.io.read.tracks import LAT, LON, UTC, track_of
 from jaxurban.io.read.ulog import ulog_lines
 
@@ -81,17 +81,6 @@ OTHERS = dict.fromkeys(
 )
 OTHERS[".mission"] = INAV
 MOST_BYTES = 2**24  # some 20,000 items of a .plan
-# What Python and libraries raise for what is missing, or of another kind than it should be.
-BROKEN = (
-    AttributeError,
-    LookupError,
-    OverflowError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    csv.Error,
-    *UNPACKING,
-)
 
 
 def read_mission(
@@ -186,5 +175,5 @@ def _opened(path: Path, suffixes: Iterable[str]) -> Iterator[tuple[str, bytes]]:
             yield suffix, path.read_bytes()
         except (InputError, DamagedError):
             raise
-        except BROKEN as error:
+        except (*BROKEN, *UNPACKING) as error:
             raise DamagedError("it is damaged, or a part is missing or of another kind") from error

@@ -8,7 +8,7 @@ import io
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -119,6 +119,7 @@ class Line(NamedTuple):
     cuts_m: Sequence[float] = ()
 
 
+Table = list[tuple[str, Sequence[str]]]  # columns with a title and cells, by name
 Shapes = tuple[list[Line], int]  # the things of a file, and how many positions it holds
 
 
@@ -145,18 +146,12 @@ def mission_of_lines(
       InputError: the file holds no line of two places, or it is not clear what heights are above (see `_datum`).
       DamagedError: a point does not lie on the Earth.
     """
-    # Lines, and what is none: positions by what it is and why it is not judged.
-    lines = []
-    others: Counter[tuple[str, str]] = Counter()
+    lines: list[Line] = []
+    others: list[Line] = []
     for shape in shapes:
-        if not shape.why and len(set(shape.points)) > 1:
-            lines.append(shape)
-        else:
-            others[shape.what, shape.why or NO_LINE] += shape.num or len(shape.points)
-    num_more = num_positions - others.total() - sum(len(line.points) for line in lines)
-    if num_more:
-        others["other positions", NO_LINE] = num_more
-    accounts = [Account(what, num, (), why) for (what, why), num in others.items()]
+        is_line = not shape.why and len(set(shape.points)) > 1
+        (lines if is_line else others).append(shape)
+    accounts = _others(others, num_positions - sum(len(line.points) for line in lines))
     sentences = [
         f"what it holds as {each.what} ({each.num} positions) is not judged, as it {each.why}"
         for each in accounts
@@ -172,37 +167,13 @@ def mission_of_lines(
     last = 0  # number of the last point
     for line in lines:
         datum = _datum(name, (*line.datums, line.datum)[0], heights)
-        for number, point in enumerate(line.points, last + 1):
-            what = f"point {number}"
-            for part, value in zip(COLUMNS, point, strict=True):
-                if math.isnan(value):
-                    raise InputError(
-                        f"{name!r} is no way in the air, as {what} has no {part}: give each point a longitude, "
-                        "latitude and height"
-                    )
-            check_place(what, *point)
+        _check_points(name, line, last + 1)
         num = len(line.points)
         last += num
-        datums = line.datums or [datum] * num
-        places = [Place(*point, each) for point, each in zip(line.points, datums, strict=True)]
-        first = len(legs)
-        if home and not legs:
-            over_home = Place(*home, places[0].height_m, datum)
-            if line.datums:
-                over_home = Place(*home, math.nan, "geoid", level_with=places[0])
-            legs.append(Leg(Place(*home, 0.0, "ground"), over_home, "climb", 1))
-            places.insert(0, over_home)
-        profile: Profile = "both" if datum == "ground" and not line.is_own else "frame"
-        ways = _ways(places, last, "straight" if line.datums else profile)
-        # By the number of the point, counted from the last one.
-        cuts_m = line.cuts_m or [CORNER_M] * len(places)
-        legs += [way._replace(turn_m=max(CORNER_M, cuts_m[way.item - last - 1])) for way in ways]
-        beside = [
-            Place(lon, lat, height_m, "ground")
-            for (lon, lat, _), height_m in zip(line.points, line.beside_m, strict=False)
-        ]
-        legs += [leg._replace(is_variant=True) for leg in _ways(beside, last)]
-        accounts.append(Account(line.what, num, tuple(range(first, len(legs)))))
+        ways = _legs_of(line, datum, last, None if legs else home)
+        numbers = range(len(legs), len(legs) + len(ways))
+        accounts.append(Account(line.what, num, tuple(numbers)))
+        legs += ways
 
     notes = []
     if not home:
@@ -219,6 +190,60 @@ def mission_of_lines(
         accounts=tuple(accounts),
         num_things=num_positions,
     )
+
+
+def _others(others: Sequence[Line], num_more: int) -> list[Account]:
+    """Return what becomes of what is no line that is judged, and of more positions of a file."""
+    nums: Counter[tuple[str, str]] = Counter()
+    for other in others:
+        nums[other.what, other.why or NO_LINE] += other.num or len(other.points)
+    num_more -= nums.total()
+    if num_more:
+        nums["other positions", NO_LINE] = num_more
+    return [Account(what, num, (), why) for (what, why), num in nums.items()]
+
+
+def _check_points(name: str, line: Line, first: int) -> None:
+    """Raise InputError or DamagedError unless each point of a line is a place; ``first`` is the number of its first."""
+    for number, point in enumerate(line.points, first):
+        what = f"point {number}"
+        for part, value in zip(COLUMNS, point, strict=True):
+            if math.isnan(value):
+                raise InputError(
+                    f"{name!r} is no way in the air, as {what} has no {part}: give each point a longitude, "
+                    "latitude and height"
+                )
+        check_place(what, *point)
+
+
+def _legs_of(line: Line, datum: Datum, last: int, home: LonLat | None) -> list[Leg]:
+    """Return the legs of a line, and those beside it as variants.
+
+    Args:
+      line: whose points are places.
+      datum: what its heights are above, where the line does not say it for each.
+      last: the number of its last point.
+      home: from where a climb leads to it, if one does.
+    """
+    datums = line.datums or [datum] * len(line.points)
+    places = [Place(*point, each) for point, each in zip(line.points, datums, strict=True)]
+    legs = []
+    if home:
+        over_home = Place(*home, places[0].height_m, datum)
+        if line.datums:
+            over_home = Place(*home, math.nan, "geoid", level_with=places[0])
+        legs.append(Leg(Place(*home, 0.0, "ground"), over_home, "climb", 1))
+        places.insert(0, over_home)
+    profile: Profile = "both" if datum == "ground" and not line.is_own else "frame"
+    ways = _ways(places, last, "straight" if line.datums else profile)
+    # By the number of the point, counted from the last one.
+    cuts_m = line.cuts_m or [CORNER_M] * len(places)
+    legs += [way._replace(turn_m=max(CORNER_M, cuts_m[way.item - last - 1])) for way in ways]
+    beside = [
+        Place(lon, lat, height_m, "ground")
+        for (lon, lat, _), height_m in zip(line.points, line.beside_m, strict=False)
+    ]
+    return legs + [leg._replace(is_variant=True) for leg in _ways(beside, last)]
 
 
 def _ways(places: Sequence[Place], last: int, profile: Profile = "frame") -> list[Leg]:
@@ -549,6 +574,28 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
       InputError: the table lacks one of the three, has two that differ, or names another CRS than WGS 84.
       ValueError: the table cannot be read, a row has more values than the header, or one that is no number.
     """
+    table = _table_of(data)
+    names = [name for name, _ in table]
+    curves, modes = _named(table, [CURVE]), _named(table, [MODE])
+    if ABOVE_TAKEOFF in names:
+        table = _of_app(path, table, ABOVE_TAKEOFF)
+    elif curves:
+        table = _of_app(path, table, "altitude")
+    _check_columns(path, table)
+    values = [_quantity(path, table, quantity) for quantity in COLUMNS]
+    line = Line("table", list(zip(*values, strict=True)))
+    if ABOVE_TAKEOFF in names:
+        line = line._replace(datum="home")
+    elif curves:
+        line = line._replace(datums=_datums(modes), cuts_m=one_value(CURVE, map(_metres, curves)))
+    return [line], len(line.points)
+
+
+def _table_of(data: bytes) -> Table:
+    """Return the columns of a table, a title and cells each; errors as of `csv_lines`.
+
+    Their names lack the unit, and the number that pandas adds to one that is there twice.
+    """
     text = io.StringIO(data.decode("utf-8-sig"), newline=None)
     header, *rows = filter(None, csv.reader(text, strict=True))
     if len(header) > MOST_COLUMNS:
@@ -558,26 +605,28 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
     for number, row in enumerate(rows, 1):
         if len(row) > len(header):
             raise DamagedError(f"row {number} has {len(row)} values, and the header {len(header)}")
+    names = [re.sub(r"\.\d+$", "", UNIT.sub("", title.strip().lower())) for title in header]
+    return [*zip(names, zip_longest(header, *rows, fillvalue=""), strict=True)]
 
-    # Columns, and their names without the unit, and without the number that pandas adds to one that is there twice.
-    columns = [*zip_longest(header, *rows, fillvalue="")]
-    names = [re.sub(r"\.\d+$", "", UNIT.sub("", name.strip().lower())) for name in header]
-    column_of = dict(zip(names, columns, strict=True))
 
-    def named(*known: str) -> list[Sequence[str]]:
-        """Return the columns of some names."""
-        return [column for name, column in zip(names, columns, strict=True) if name in known]
+def _named(table: Table, known: Collection[str]) -> list[Sequence[str]]:
+    """Return the columns of some names."""
+    return [column for name, column in table if name in known]
 
-    curves, modes = named(CURVE), named(MODE)
-    if ABOVE_TAKEOFF in names or CURVE in names:
-        height = ABOVE_TAKEOFF if ABOVE_TAKEOFF in names else "altitude"
-        if height in column_of and not UNIT.search(column_of[height][0].lower()):
-            raise InputError(
-                f"{path.name!r} does not say the unit of {height}: call that column '{height}(m)' or '{height}(feet)'"
-            )
-        flown = (*COLUMNS["longitude"], *COLUMNS["latitude"], height)
-        names = [name if name in flown else "" for name in names]
-    for name, (title, *cells) in zip(names, columns, strict=True):
+
+def _of_app(path: Path, table: Table, height: str) -> Table:
+    """Return the columns of AirData or Litchi that change the way; InputError where that of heights lacks a unit."""
+    if any(not UNIT.search(title.lower()) for title, *_ in _named(table, [height])):
+        raise InputError(
+            f"{path.name!r} does not say the unit of {height}: call that column '{height}(m)' or '{height}(feet)'"
+        )
+    flown = (*COLUMNS["longitude"], *COLUMNS["latitude"], height)
+    return [(name if name in flown else "", column) for name, column in table]
+
+
+def _check_columns(path: Path, table: Table) -> None:
+    """Raise InputError where a column says that others are meant in another way than they are taken."""
+    for name, (title, *cells) in table:
         for cell in set(cells):
             _check_crs(path, name, cell)
             if _is_odd(name, cell):
@@ -586,27 +635,36 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
                     "take it out if it does not change the way"
                 )
 
-    values = []
-    for quantity, (first, *_) in COLUMNS.items():
-        known = set(COLUMNS[quantity]).intersection(names)
-        if not known:
-            raise InputError(f"{path.name!r} has no column of {quantity}: call it {first}")
-        if quantity == "height":
-            known.update(name for name in names if any(word in name for word in HEIGHTS))
-        most = SAME_M if quantity == "height" else NEAR_DEG / 100
-        values.append(_one_column(named(*known), most))
-    line = Line("table", list(zip(*values, strict=True)))
-    if ABOVE_TAKEOFF in names:
-        line = line._replace(datum="home")
-    elif curves:
-        cells = one_value(MODE, [[cell.strip() for cell in column[1:]] for column in modes]) or []
-        if not set(cells) <= LITCHI_MODES.keys():
-            raise DamagedError(
-                f"a value of {MODE} is neither 0, above the take-off, nor 1, above the ground"
-            )
-        datums = [LITCHI_MODES[cell] for cell in cells]
-        line = line._replace(datums=datums, cuts_m=one_value(CURVE, map(_metres, curves)))
-    return [line], len(rows)
+
+def _quantity(path: Path, table: Table, quantity: str) -> list[float]:
+    """Return the numbers of a key of `COLUMNS`, of several columns those of the first; errors as of `csv_lines`."""
+    names = {name for name, _ in table}
+    known = names.intersection(COLUMNS[quantity])
+    if not known:
+        raise InputError(
+            f"{path.name!r} has no column of {quantity}: call it {COLUMNS[quantity][0]}"
+        )
+    most = NEAR_DEG / 100
+    if quantity == "height":
+        known |= {name for name in names if any(word in name for word in HEIGHTS)}
+        most = SAME_M
+    columns = _named(table, known)
+    numbers, *others = map(_metres, columns)
+    if others:
+        titles = " and ".join(repr(title) for title, *_ in columns)
+        what = f"one quantity, in its columns {titles}"
+        numbers = [one_value(what, row, most) for row in zip(numbers, *others, strict=True)]
+    return numbers
+
+
+def _datums(modes: Sequence[Sequence[str]]) -> list[Datum]:
+    """Return what Litchi's heights are above, by the columns of their mode."""
+    cells = one_value(MODE, [[cell.strip() for cell in column[1:]] for column in modes]) or []
+    if not set(cells) <= LITCHI_MODES.keys():
+        raise DamagedError(
+            f"a value of {MODE} is neither 0, above the take-off, nor 1, above the ground"
+        )
+    return [LITCHI_MODES[cell] for cell in cells]
 
 
 def _metres(column: Sequence[str]) -> list[float]:
@@ -614,13 +672,3 @@ def _metres(column: Sequence[str]) -> list[float]:
     title, *cells = column
     unit_m = FOOT_M if "(f" in title.lower() else 1.0
     return [decimal_of(f"a {title}", cell) * unit_m for cell in cells]
-
-
-def _one_column(columns: Sequence[Sequence[str]], most: float) -> list[float]:
-    """Return the numbers of columns of one quantity, as of `_metres`; errors as of `one_value`."""
-    numbers, *others = map(_metres, columns)
-    if others:
-        titles = " and ".join(repr(title) for title, *_ in columns)
-        what = f"one quantity, in its columns {titles}"
-        numbers = [one_value(what, row, most) for row in zip(numbers, *others, strict=True)]
-    return numbers

@@ -348,7 +348,7 @@ def header_box(path: str | Path) -> Bounds | None:
         return None
     with (
         readable(path, "OpenStreetMap data", "fetch it again"),
-        in_own_words(RuntimeError),
+        in_own_words(),
         unpacked(path) as plain,
         osmium.io.Reader(_file(plain), osmium.osm.NOTHING) as reader,
     ):

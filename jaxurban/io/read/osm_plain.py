@@ -22,7 +22,6 @@ from osmium.osm.mutable import Node, Relation, Way
 from jaxurban.errors import InputError, readable
 from jaxurban.io.read.sniff import in_own_words, scratch_folder, sniff, unpacked
 
-OF_DAMAGED = (LookupError, TypeError, AttributeError, ElementTree.ParseError)
 OBJECTS = ("node", "way", "relation")  # in the order of a file
 EDITED = re.compile(rb"""\sid=["']-|action=["']delete""")
 PLACED = re.compile(rb"<nd [^/]*\blat=")  # a place in a way or a member
@@ -48,13 +47,13 @@ def plain_osm(path: str | Path, remedy: str) -> Iterator[Path]:
     name = repr(str(path))
     with (
         readable(path, "OpenStreetMap data", remedy),
-        in_own_words(RuntimeError, osmium.InvalidLocationError),
+        in_own_words(osmium.InvalidLocationError),
         unpacked(path) as file,
         scratch_folder() as folder,
     ):
         kind = sniff(file)
         plain = folder / "plain.osm"
-        with in_own_words(*OF_DAMAGED):
+        with in_own_words():
             if kind == ".osm.json":
                 if file.stat().st_size > MOST_JSON:
                     raise InputError(

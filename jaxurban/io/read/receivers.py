@@ -22,6 +22,7 @@ from jaxurban.io.read.tracks import (
     AZIMUTH,
     CN0,
     ELEVATION,
+    HEIGHT,
     LAT,
     LON,
     RULES,
@@ -40,7 +41,6 @@ from jaxurban.world.grid import transformer
 OBSERVED = "observed"  # a time
 MATCH_S = 0.02  # most between the times of a reference and of its observation: clocks are kept to some milliseconds
 FIX_S = 0.5  # most between a fix of GnssLogger and its measurements
-HEIGHT = "height_m"
 WEEK = "gps_week"
 TOW = "gps_tow_s"
 TRACK = LON, LAT, HEIGHT
@@ -48,14 +48,6 @@ OF_REFERENCE = RULES | {
     HEIGHT: Rule(-1000.0, 20_000.0),
     WEEK: Rule(1024.0, 10_000.0),  # not modulo 1024
     TOW: Rule(0.0, WEEK_S),
-}
-OTHER_NAMES = {  # of a reference's columns, in small letters with _ for what is no letter
-    "lon": LON,
-    "longitude_deg": LON,
-    "lat": LAT,
-    "latitude_deg": LAT,
-    "ellipsoid_height_m": HEIGHT,
-    "ellipsoidal_height_m": HEIGHT,
 }
 TABLES = re.compile(r"\.(csv|parquet)\b", re.IGNORECASE)
 EVENTS = 2  # an epoch with this flag or a higher one marks an event and holds no observation
@@ -195,8 +187,7 @@ def read_track(reference: str | Path | pd.DataFrame) -> pd.DataFrame:
     table = reference
     if not isinstance(table, pd.DataFrame):
         table = read_table(located(table), "reference track")
-    names = [re.sub(r"\W+", "_", str(name).lower()).strip("_") for name in table.columns]
-    table = renamed(table.set_axis(names, axis="columns"), OTHER_NAMES)
+    table = renamed(table)
     times = [UTC] if UTC in table else [WEEK, TOW]
     if table.empty or not {*times, *TRACK} <= set(table):
         raise InputError(

@@ -14,6 +14,7 @@ from jaxurban.io.read.citygml import read_citygml
 from jaxurban.io.read.cityjson import read_cityjson
 from jaxurban.io.read.outlines import Near, Outlines, joined
 from jaxurban.io.read.sniff import (
+    BROKEN,
     DATABASE,
     MOST_TIMES,
     MOST_UNPACKED,
@@ -23,7 +24,7 @@ from jaxurban.io.read.sniff import (
     sniff,
     unpacked,
 )
-from jaxurban.io.read.vector import OF_DAMAGED, VECTOR_SUFFIXES, read_vector
+from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 
 READERS = {".gml": read_citygml, ".city.json": read_cityjson}
 ARCHIVE = ".zip"
@@ -69,7 +70,7 @@ def read_tiles(
                 unpacked(tile) as plain,
             ):
                 try:
-                    with in_own_words(*OF_DAMAGED):
+                    with in_own_words():
                         bodies += READERS[kind](plain, crs_names)
                 except InputError as error:
                     raise InputError(f"{name!r} {error}") from error
@@ -120,7 +121,7 @@ def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[s
                 path,
                 "an archive",
                 "unpack it yourself if you trust it, and name the folder",
-                *OF_DAMAGED,
+                *BROKEN,
                 *UNPACKING,
                 what=repr(name),
             ),

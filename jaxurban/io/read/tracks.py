@@ -17,7 +17,12 @@ UTC = "utc"
 LON = "lon_deg"
 LAT = "lat_deg"
 ALTITUDE = "altitude_m"
-OTHER_NAMES = {"lon": LON, "lat": LAT, "longitude": LON, "latitude": LAT}
+HEIGHT = "height_m"
+OTHER_NAMES = {  # of columns, in small letters with _ for what is no letter
+    **dict.fromkeys(("lon", "longitude", "longitude_deg"), LON),
+    **dict.fromkeys(("lat", "latitude", "latitude_deg"), LAT),
+    **dict.fromkeys(("ellipsoid_height_m", "ellipsoidal_height_m"), HEIGHT),
+}
 SATELLITE = "satellite"
 CN0 = "cn0_dbhz"
 AZIMUTH = "azimuth_deg"
@@ -79,9 +84,9 @@ def read_track(file: str | Path) -> pd.DataFrame:
 
 def track_of(table: pd.DataFrame, what: str) -> pd.DataFrame:
     """Return the rows of a table as `read_track` does, and raise its errors; ``what`` names the table in them."""
-    table = renamed(table, OTHER_NAMES)
-    if "datetime(utc)" in table:  # of AirData
-        table[UTC] = table["datetime(utc)"].astype(str) + "Z"
+    table = renamed(table)
+    if "datetime_utc" in table:  # of AirData
+        table[UTC] = table["datetime_utc"].astype(str) + "Z"
     columns = [column for column in (UTC, LON, LAT, ALTITUDE, SATELLITE, CN0) if column in table]
     if columns[:3] != [UTC, LON, LAT] or table.empty:
         raise InputError(
@@ -119,10 +124,10 @@ def fixes_of(track: pd.DataFrame, what: str) -> pd.DataFrame:
     return fixes
 
 
-def renamed(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
-    """Return a table with the names of its columns stripped, and those of ``names`` replaced."""
-    stripped = [str(column).strip() for column in table.columns]
-    return table.set_axis([names.get(column, column) for column in stripped], axis="columns")
+def renamed(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table whose columns are in small letters with ``_`` for what is no letter, and as `OTHER_NAMES` says."""
+    names = [re.sub(r"\W+", "_", str(column).lower()).strip("_") for column in table.columns]
+    return table.set_axis([OTHER_NAMES.get(name, name) for name in names], axis="columns")
 
 
 def checked(

@@ -4,8 +4,8 @@ import json
 import re
 import sqlite3
 from codecs import getincrementaldecoder
-from collections.abc import Collection, Mapping
-from contextlib import ExitStack, closing
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -44,15 +44,11 @@ OTHER_SUFFIXES = (".json", ".geoparquet")
 # Of any other format GDAL may read what the file names, even from a server.
 FORMATS = (*VECTOR_SUFFIXES, ".kml", ".gpx")
 DRIVERS = {".geojsonl": "GeoJSONSeq:", ".csv": "CSV:"}  # which GDAL would choose by the file's name
+OPTIONS: dict[str, Any] = {"on_invalid": "ignore", "fid_as_index": True}
 CSV_OPTIONS = {"GEOM_POSSIBLE_NAMES": WKT_COLUMNS, "KEEP_GEOM_COLUMNS": "NO"}
 SAYS_CRS = "says_crs"  # of the format
 BUILDINGS = "buildings"  # the role, and the layer of several
 WHOLE = "give a whole one, with its companions"
-# Raised by readers.
-OF_DAMAGED = (
-    *(RuntimeError, LookupError, TypeError, AttributeError, NameError),
-    shapely.errors.ShapelyError,
-)
 # Options of GDAL while it reads: with these parts a table of a database may be any other file, and PROJ's own files are
 # looked for in the current folder too.
 ALONE = {"SPATIALITE_LOAD": False, "OGR_SQLITE_STATIC_VIRTUAL_OGR": False}
@@ -122,52 +118,65 @@ def _read(
     name = f"the {role} file {str(path)!r}"
     with readable(path, "a vector file", WHOLE, what=name), unpacked(path) as plain:
         kind = _checked_format(Path(path), plain)
-        with in_own_words(*OF_DAMAGED), ExitStack() as after:
-            before = {name: pyogrio.get_gdal_config_option(name) for name in ALONE}
-            after.callback(pyogrio.set_gdal_config_options, before)
-            pyogrio.set_gdal_config_options(ALONE)
+        with in_own_words(), _alone():
             if kind == ".parquet":
                 frames = [_read_parquet(plain, named)]
+            elif every_layer:
+                frames = _every_layer(plain, kind)
             else:
-                on_invalid = "raise" if every_layer else "ignore"
-                options: dict[str, Any] = {"on_invalid": on_invalid, "fid_as_index": True}
-                source: str | bytes = DRIVERS.get(kind, "") + str(plain)
-                if kind == ".csv":
-                    options |= CSV_OPTIONS
-                if kind not in DRIVERS and not every_layer:
-                    source = openable(str(plain))
-                if every_layer:
-                    layers = [layer for layer, _ in pyogrio.list_layers(source)]
-                else:
-                    layers = _layers_of(source, name, role)
-                frames = []
-                for layer in layers:
-                    fewer = {}
-                    if near is not None and crs is None and kind in INDEXED_SUFFIXES:
-                        fewer = _only_near(source, layer, near, named or ())
-                    frame = _features(source, layer, options | fewer)
-                    if role == BUILDINGS and isinstance(source, str):
-                        _fill_solids(frame, str(plain), kind, layer, options | fewer)
-                    frames.append(frame)
-                if len(frames) > 1 and not every_layer:
-                    filled = [frame.dropna(axis=1, how="all") for frame in frames if len(frame)]
-                    frames = [pd.concat(filled, ignore_index=True)] if filled else frames[:1]
+                is_by_box = crs is None and kind in INDEXED_SUFFIXES
+                frames = [
+                    _one_layer(plain, kind, name, role, near if is_by_box else None, named or ())
+                ]
 
     frames = [frame for frame in frames if isinstance(frame, gpd.GeoDataFrame)]
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
     for frame in frames:
-        if crs is not None:
-            frame.set_crs(crs, allow_override=True, inplace=True)
-        if frame.crs is None and not frame.attrs.get(SAYS_CRS, kind != ".csv"):
-            frame.set_crs(WGS84, inplace=True)
-            warn(
-                f"{name} cannot say its CRS: its coordinates are taken for longitude and latitude (EPSG:4326); set "
-                "[buildings] crs if they are others",
-                GuessWarning,
-            )
-        _check(name, frame)
+        _place(name, frame, kind, crs)
     return frames
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Let GDAL open nothing beside the file that the block reads (`ALONE`)."""
+    before = {name: pyogrio.get_gdal_config_option(name) for name in ALONE}
+    pyogrio.set_gdal_config_options(ALONE)
+    try:
+        yield
+    finally:
+        pyogrio.set_gdal_config_options(before)
+
+
+def _every_layer(path: Path, kind: str) -> list[pd.DataFrame]:
+    """Return the features of each layer of a file, unpacked, of a format; a ring of too few points is an error."""
+    source = DRIVERS.get(kind, "") + str(path)
+    options = OPTIONS | {"on_invalid": "raise"} | (CSV_OPTIONS if kind == ".csv" else {})
+    return [_features(source, layer, options) for layer, _ in pyogrio.list_layers(source)]
+
+
+def _one_layer(
+    path: Path, kind: str, name: str, role: str, near: Near | None, named: Collection[str]
+) -> pd.DataFrame:
+    """Return the features of the layer of polygons, those of buildings with the faces of solids.
+
+    Args:
+      path, kind: of the file, unpacked, and its format.
+      name: of the file, for messages.
+      role, near, named: as of `_read`; features that are not near are left out.
+    """
+    source: str | bytes = DRIVERS[kind] + str(path) if kind in DRIVERS else openable(str(path))
+    frames = []
+    for layer in _layers_of(source, name, role):
+        options = OPTIONS | (CSV_OPTIONS if kind == ".csv" else {})
+        if near is not None:
+            options |= _only_near(source, layer, near, named)
+        frame = _features(source, layer, options)
+        if role == BUILDINGS and isinstance(source, str):
+            _fill_solids(frame, str(path), kind, layer, options)
+        frames.append(frame)
+    filled = [frame.dropna(axis=1, how="all") for frame in frames if len(frame)]
+    return pd.concat(filled, ignore_index=True) if filled and len(frames) > 1 else frames[0]
 
 
 def _features(source: str | bytes, layer: str | None, options: Mapping[str, Any]) -> pd.DataFrame:
@@ -321,16 +330,27 @@ def _check_refers(pattern: re.Pattern[str], text: str) -> None:
         raise ValueError(REFERS)
 
 
-def _check(name: str, frame: gpd.GeoDataFrame) -> None:
-    """Make text of what a frame's columns hold beside numbers and text, and check its place on the Earth.
+def _place(name: str, frame: gpd.GeoDataFrame, kind: str, crs: str | None) -> None:
+    """Give a frame its CRS, check its place on the Earth, and make text of columns beside numbers and text.
 
     Args:
       name: of the file, for messages.
       frame: changed in place.
+      kind: the format of its file.
+      crs: in place of the one that the file declares.
 
     Raises:
       InputError: no CRS, one that is no place on the Earth, or coordinates beyond the globe though it is in degrees.
     """
+    if crs is not None:
+        frame.set_crs(crs, allow_override=True, inplace=True)
+    if frame.crs is None and not frame.attrs.get(SAYS_CRS, kind != ".csv"):
+        frame.set_crs(WGS84, inplace=True)
+        warn(
+            f"{name} cannot say its CRS: its coordinates are taken for longitude and latitude (EPSG:4326); set "
+            "[buildings] crs if they are others",
+            GuessWarning,
+        )
     for column in frame.columns.difference([frame.geometry.name]):
         if pd.api.types.is_object_dtype(frame[column]):
             frame[column] = frame[column].map(_scalar)

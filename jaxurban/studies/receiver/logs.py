@@ -17,7 +17,6 @@ from jaxurban.io.read.tracks import (
     LAT,
     LIKE_THIS,
     LON,
-    OTHER_NAMES,
     OTHER_UNITS,
     RULES,
     SATELLITE,
@@ -94,7 +93,7 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
 def log_of(table: pd.DataFrame, name: str) -> ReceiverLog:
     """Return the log that a table holds; columns and errors as of `read_receiver_log`, ``name`` is that of its file."""
     what = f"the receiver log {name!r}"
-    table = renamed(table, OTHER_NAMES)
+    table = renamed(table)
 
     # Time and place, and what was received.
     columns = (UTC, LON, LAT, *OF_SATELLITES)

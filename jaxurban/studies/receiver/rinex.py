@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.io.read.orbits import Orbits, look_angles, read_orbits, rinex_name
-from jaxurban.io.read.receivers import HEIGHT
-from jaxurban.io.read.tracks import AZIMUTH, CN0, ELEVATION, LAT, LON, SATELLITE, UTC
+from jaxurban.io.read.tracks import AZIMUTH, CN0, ELEVATION, HEIGHT, LAT, LON, SATELLITE, UTC
 from jaxurban.studies.receiver.logs import ReceiverLog, log_of
 
 NO_MESSAGE = "no navigation message of the time"
