@@ -25,7 +25,6 @@ from jaxurban.cli.common import (
     MapsOf,
     Numbers,
     Settings,
-    keep_programs,
     print_json,
     run_study,
 )
@@ -190,7 +189,6 @@ def validate(
     from jaxurban.io.tables import records_of
     from jaxurban.studies.receiver.validate import validate as validate_log
 
-    keep_programs()
     result = run_study(
         "validate",
         output,

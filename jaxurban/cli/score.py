@@ -10,7 +10,6 @@ from jaxurban.cli.common import (
     JSON_FLAG,
     PATH,
     finite_records,
-    keep_programs,
     print_json,
 )
 from jaxurban.progress import LOG
@@ -47,7 +46,6 @@ def score(
         raise click.UsageError("give either SUBMISSION, a file of routes, or --make")
     from jaxurban.studies import board as benchmark  # imported here: it takes a second or two
 
-    keep_programs()
     if submission is None:
         queries = benchmark.make_benchmark(bench, progress=True)
         LOG.info(f"score finished: the queries are in {queries}")
