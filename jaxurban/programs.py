@@ -200,8 +200,9 @@ def _digest(file: Path, entry: bytes) -> bytes:
     return hashlib.sha256(file.name.encode() + entry).digest()
 
 
+@functools.cache
 def _is_ours(place: Path) -> bool:
-    """Return whether a file or a folder is the user's, no link, and nobody else may write to it; else the log says so.
+    """Return whether a file or a folder is the user's alone to write to, and no link; else the log says so, once.
 
     Raises:
       OSError: there is none.
@@ -210,14 +211,8 @@ def _is_ours(place: Path) -> bool:
     is_own = os.name == "nt" or status.st_uid == os.getuid()
     is_ours = is_own and not (stat.S_ISLNK(status.st_mode) or status.st_mode & OTHERS_WRITE)
     if not is_ours:
-        _say_unsafe(place)
+        LOG.warning(
+            f"programs are not loaded from {str(place)!r}, which is a link, or another user's, or where others may "
+            "write and so run code here: remove it, or take their right to write (chmod 700)"
+        )
     return is_ours
-
-
-@functools.cache
-def _say_unsafe(place: Path) -> None:
-    """Say in the log, once for each file or folder, that others may have put programs there."""
-    LOG.warning(
-        f"programs are not loaded from {str(place)!r}, which is a link, or another user's, or where others may write "
-        "and so run code here: remove it, or take their right to write (chmod 700)"
-    )

@@ -55,7 +55,7 @@ def cache(monkeypatch, tmp_path) -> Iterator[Path]:
 
 def fresh() -> None:
     """Forget what this process knows of its folder and settings, as a new one would."""
-    for known in (programs._session, programs._say_unsafe):
+    for known in (programs._session, programs._is_ours):
         known.cache_clear()
 
 

@@ -74,5 +74,7 @@ def learned_from(classes: np.ndarray, known_m: np.ndarray) -> dict[str, Learned]
 
 def of_classes(learned: Mapping[str, Learned], classes: np.ndarray, field: str) -> np.ndarray:
     """Return ``[N]`` a field of `Learned` by class, inf where nothing is learned."""
-    values = {name: getattr(each, field) for name, each in learned.items()}
-    return np.array([values.get(name, math.inf) for name in classes], float)
+    values = np.full(len(classes), math.inf)
+    for name, each in learned.items():
+        values[classes == name] = getattr(each, field)
+    return values
