@@ -3,7 +3,7 @@
 ``make cuda-compile`` runs it, in an environment of its own with the compiler (`constraints-cuda.txt`). A kernel that
 launches many more kernels than before, gets a loop whose end is data or needs more temporary memory is named, and the
 exit status is 1. So it is where a kernel does not compile, is not in the table (`cuda_compile.json`; ``--write`` keeps
-the numbers of this run), or is a function made by `jax.jit` that is not in the list of `cuda_kernels`. ``--only WORD``
+the numbers of this run), or is a function made by `kept_jit` that is not in the list of `cuda_kernels`. ``--only WORD``
 looks at kernels whose name holds a word.
 """
 
@@ -51,7 +51,6 @@ FREE = (
     *("domain", "partition-id", "replica-id", "copy-done", "async-update", "async-done"),
 )
 Numbers = dict[str, float]
-COMPILED = type(jax.jit(abs))  # JAX gives this type no public name
 
 # What XLA must know of the GPU (its stream_executor's GpuTargetConfigProto): an H200 by NVIDIA's data sheet.
 H200 = """
@@ -185,14 +184,14 @@ def faults(name: str, found: Numbers | str, kept: dict[str, Numbers]) -> Iterato
 
 
 def unlisted(listed: Iterable[object]) -> Iterator[str]:
-    """Yield the functions of `PACKAGES` made by `jax.jit` that are not listed."""
+    """Yield the functions of `PACKAGES` made by `kept_jit` that are not listed."""
     known = set(map(id, listed))
     for package in PACKAGES:
         folder = [str(Path(jaxurban.__path__[0], package))]
         for found in pkgutil.walk_packages(folder, f"jaxurban.{package}."):
             module = importlib.import_module(found.name)
             for name, value in vars(module).items():
-                is_own = isinstance(value, COMPILED) and value.__module__ == found.name
+                is_own = hasattr(value, "programs") and value.__module__ == found.name
                 if is_own and id(value) not in known:
                     yield f"{found.name}.{name} is not in the list of kernels (benchmarks/cuda_kernels.py)"
 

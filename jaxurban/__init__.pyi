@@ -41,7 +41,6 @@ from jaxurban.paths.to_go import cost_to_go as cost_to_go
 from jaxurban.paths.when import Departures as Departures
 from jaxurban.paths.when import when as when
 from jaxurban.planners.cost import CostModel as CostModel
-from jaxurban.programs import keep_programs as keep_programs
 from jaxurban.samples.cities import sample_city as sample_city
 from jaxurban.samples.synthetic import demo_city as demo_city
 from jaxurban.satellites.along import SkyAlong as SkyAlong

@@ -1,15 +1,18 @@
-"""Compiled programs: where JAX keeps them between processes, and the one line that says that something is compiled."""
+"""Compiled programs: kept for the user's later sessions, and the one line that says that something is compiled."""
 
 import functools
 import hashlib
 import os
-import platform
+import pickle
 import stat
-import warnings
-import zlib
+import tempfile
+from collections.abc import Callable, Hashable
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
+from threading import RLock
+from time import perf_counter
+from typing import Any
 
 from jaxurban.progress import BRIEF_S, LOG
 
@@ -21,78 +24,102 @@ SENTENCE = (
     "jaxurban compiles what this machine runs for the first time: about 8 s for first maps, up to 5 s for the first "
     "route of a planner"
 )
-LEAST_S = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"  # of a program that is kept
-# Events of `jax.monitoring`. The second one ends both what was compiled and what was loaded.
-LOADED = "/jax/compilation_cache/cache_hits"
-ENDED = "/jax/core/compile/backend_compile_duration"
-UNREADABLE = "Error (reading|writing) persistent compilation cache entry"  # JAX then compiles
-CPUINFO = Path("/proc/cpuinfo")  # of Linux alone
-ZSTANDARD = b"\x28\xb5\x2f\xfd"  # how files begin that JAX compresses by it; others are zlib's
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-CHECKED = "checked"  # a file as old as the last check of the programs
-SETTLED_S = 3600.0  # by then what was written is on the disk, or lost with the power
-FEATURES = {  # in /proc/cpuinfo: what the choice of instructions depends on
-    "vendor_id",
-    "cpu family",
-    "model",
-    "flags",
-    "CPU implementer",
-    "CPU part",
-    "Features",
-    "isa",
-}
+DIGEST_BYTES = hashlib.sha256().digest_size
+# What writing, reading, packing or unpacking a program raises where it cannot be kept or used.
+UNUSABLE = (
+    OSError,
+    EOFError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    pickle.PickleError,
+)
 
 
-def keep_programs() -> Path | None:
-    """Keep what JAX compiles in the user's cache folder and load it from there, as commands do.
+def kept_jit(function: Callable[..., Any], **options: Any) -> Any:
+    """Return `jax.jit` of a function whose compiled programs are kept on disk for the user's later sessions.
 
-    Call it once, before the first maps. It turns on JAX's persistent compilation cache in this process, for programs
-    of any compile time, in ``$XDG_CACHE_HOME/jaxurban/xla-HASH`` (``~/.cache`` where the variable is not set). Homes
-    are shared between machines and machine code is not: the hash is of jaxlib's version and the processor's features.
-    A folder that ``JAX_COMPILATION_CACHE_DIR`` or `jax.config` names is used instead. Worker processes that this one
-    starts keep their programs likewise. Files of our own folder that are damaged are removed without a word. The log
-    says once when JAX compiles, as it does in any case when Numba does.
+    What an earlier session has compiled is loaded, without tracing the function again. JAX's configuration stays as it
+    is. A program is loaded only by the versions, source files and settings, on the kind of processor and device, and
+    for the types, shapes and static arguments that it was compiled for. While JAX traces, and for arrays that the user
+    has put on another device than JAX's default, the function is that of `jax.jit`.
 
-    Returns:
-      The folder in use; None where none can be written, so that every process compiles.
+    Programs lie in ``$XDG_CACHE_HOME/jaxurban/programs`` (``~/.cache`` where the variable is not set). As loading one
+    can run code, the folder and the file must belong to the user, be no links, and let nobody else write; and the file
+    must be as it was written. Otherwise the program is compiled.
 
-    Examples:
-      >>> folder = ju.keep_programs()  # at the top of a notebook
-      >>> maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
+    Args:
+      function: of arrays and pytrees of them. It depends on nothing but its arguments and the package's source.
+      options: of `jax.jit`; static arguments are given by keyword, and ``static_argnames`` is a tuple.
     """
     import jax
 
-    _listen()
+    config: Any = jax.config
+    jitted = jax.jit(function, **options)
+    static_names = options.get("static_argnames", ())
+    programs: dict[Hashable, Callable] = {}
+    lock = RLock()  # threads wait for a program that one of them compiles
 
-    # Our own folder, unless the user has named one; programs of any compile time, unless the user has said from which.
-    own = _own_folder()
-    if own and not _folder_in_use() and _is_writable(own) and _is_ours(own):
-        jax.config.update("jax_compilation_cache_dir", str(own))
-    if LEAST_S not in os.environ:
-        jax.config.update(LEAST_S.lower(), 0.0)
+    def is_plain(leaf: Any) -> bool:
+        """Return whether a value is known, and lies where JAX puts what nobody has placed."""
+        if not isinstance(leaf, jax.Array):
+            return True
+        return not isinstance(leaf, jax.core.Tracer) and leaf.devices() == {jax.devices()[0]}
 
-    if own and own == _folder_in_use():
-        pass_over_unreadable()
-        _drop_damaged(own)
-    return _folder_in_use()
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        """Return what the program for these arguments computes."""
+        static = {name: kwargs.pop(name) for name in static_names if name in kwargs}
+        leaves, tree = jax.tree.flatten((args, kwargs))
+        is_chosen = config.jax_disable_jit or config.jax_default_device is not None
+        if is_chosen or not all(map(is_plain, leaves)):
+            return jitted(*args, **kwargs, **static)
+
+        own = config.jax_enable_x64, config.jax_default_matmul_precision
+        signature = own, tree, *static.items(), *map(_kind_of, leaves)
+        with lock:
+            program = programs.get(signature)
+            if program is None:
+                lower = functools.partial(jitted.lower, *args, **kwargs, **static)
+                program = programs[signature] = _program(function, signature, lower)
+        return program(*args, **kwargs)
+
+    kept: Any = call  # with what tests and benchmarks ask of it
+    kept.lower = jitted.lower
+    kept.programs = programs
+    return kept
 
 
-def keeps_programs() -> bool:
-    """Return whether JAX keeps what it compiles in this process."""
-    return _folder_in_use() is not None
+def _kind_of(leaf: Any) -> Any:
+    """Return what of an array or a number decides a program."""
+    if not hasattr(leaf, "dtype"):
+        return type(leaf)
+    return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)
 
 
-def pass_over_unreadable() -> None:
-    """Hide warnings on files of our own folder that JAX cannot read or write: it works without them."""
-    if keeps_programs() and _folder_in_use() == _own_folder():
-        warnings.filterwarnings("ignore", UNREADABLE, UserWarning)
+def _program(function: Callable, signature: Hashable, lower: Callable[[], Any]) -> Any:
+    """Return the program of a function: the kept one, else one compiled now and kept.
 
-
-def _folder_in_use() -> Path | None:
-    import jax
-
-    folder = jax.config.values["jax_compilation_cache_dir"]
-    return Path(folder) if folder else None
+    Args:
+      function: it is part of the key by its name.
+      signature: what decides the program besides the function, the package and the machine.
+      lower: returns the traced function, to be compiled.
+    """
+    file = program = None
+    with suppress(*UNUSABLE):
+        file = _file_of(function.__module__, function.__qualname__, signature)
+        program = _loaded(file)
+    if program is None:
+        start_s = perf_counter()
+        program = lower().compile()
+        if perf_counter() - start_s > BRIEF_S:
+            say_compiling()
+        with suppress(*UNUSABLE):
+            if file is not None:
+                _keep(program, file)
+    return program
 
 
 @functools.cache
@@ -101,118 +128,91 @@ def say_compiling() -> None:
     COMPILING.warning(SENTENCE)
 
 
-def _own_folder() -> Path | None:
-    """Return the folder for programs of this processor, which need not exist yet; None where the user has no home."""
-    try:
-        caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    except RuntimeError:
-        return None
-    machine = f"{version('jaxlib')} {_processor()}".encode()
-    return caches / "jaxurban" / f"xla-{hashlib.sha256(machine).hexdigest()[:16]}"
+def _file_of(*key: Any) -> Path:
+    """Return the file of a program with a key of its own in this session, which need not exist.
 
-
-def _is_writable(folder: Path) -> bool:
-    """Return whether files can be written into a folder, which is made where it is missing."""
-    with suppress(OSError):
-        for place in (*reversed(folder.parents), folder):
-            place.mkdir(mode=0o700, exist_ok=True)  # who writes there runs code here
-    return os.access(folder, os.W_OK | os.X_OK)
+    Raises one of `UNUSABLE` where the user has no home, or the key cannot be packed.
+    """
+    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    packed = pickle.dumps((key, _session()))
+    return caches / "jaxurban" / "programs" / hashlib.sha256(packed).hexdigest()
 
 
 @functools.cache
-def _is_ours(folder: Path) -> bool:
-    """Return whether nobody else may write into a folder, and so put programs there; else the log says so, once."""
-    status = folder.stat()
-    is_ours = os.name == "nt" or (
-        status.st_uid == os.getuid() and not status.st_mode & OTHERS_WRITE
-    )
+def _session() -> str:
+    """Return what decides programs in all of this process: versions, sources, settings of JAX, device, processor."""
+    import jax
+    from llvmlite import binding
+
+    root = Path(__file__).parent
+    source = hashlib.sha256()
+    for file in sorted([*root.glob("*.py"), *root.glob("*/**/*.py")]):
+        source.update(file.read_bytes())
+    device = jax.devices()[0]
+    facts = [version("jax"), version("jaxlib"), source.hexdigest(), os.environ.get("XLA_FLAGS")]
+    facts += [device.platform, device.device_kind]
+    facts += [binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()]
+    return repr((facts, sorted(jax.config.values.items())))
+
+
+def _loaded(file: Path) -> Any:
+    """Return the program in a file; None where others may have written it, or it is not as it was written.
+
+    Raises one of `UNUSABLE` where there is none, or none for this machine.
+    """
+    import jax
+    from jax.experimental.serialize_executable import deserialize_and_load
+
+    if not (_is_ours(file.parent) and _is_ours(file)):
+        return None
+    content = file.read_bytes()
+    entry = content[DIGEST_BYTES:]
+    if _digest(file, entry) != content[:DIGEST_BYTES]:
+        return None
+    payload, in_tree, out_tree = pickle.loads(entry)
+    devices = jax.devices()[:1]
+    return deserialize_and_load(payload, in_tree, out_tree, execution_devices=devices)
+
+
+def _keep(program: Any, file: Path) -> None:
+    """Write a program into its file, by way of another one beside it, unless others may write to the folder.
+
+    Raises one of `UNUSABLE` where that cannot be done.
+    """
+    from jax.experimental.serialize_executable import serialize
+
+    entry = pickle.dumps(serialize(program))
+    folder = file.parent
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not _is_ours(folder):
+        return
+    descriptor, beside = tempfile.mkstemp(dir=folder)  # others can neither read nor write it
+    try:
+        with open(descriptor, "wb") as stream:
+            stream.write(_digest(file, entry) + entry)
+        os.replace(beside, file)
+    except OSError:
+        os.remove(beside)
+
+
+def _digest(file: Path, entry: bytes) -> bytes:
+    """Return the hash that a program's entry follows in its file: of the key too, as files can change their names."""
+    return hashlib.sha256(file.name.encode() + entry).digest()
+
+
+@functools.cache
+def _is_ours(place: Path) -> bool:
+    """Return whether a file or a folder is the user's alone to write to, and no link; else the log says so, once.
+
+    Raises:
+      OSError: there is none.
+    """
+    status = place.lstat()
+    is_own = os.name == "nt" or status.st_uid == os.getuid()
+    is_ours = is_own and not (stat.S_ISLNK(status.st_mode) or status.st_mode & OTHERS_WRITE)
     if not is_ours:
         LOG.warning(
-            f"programs are not kept in {str(folder)!r}, where others may write and so run code here: remove it, or "
-            "take their right to write (chmod 700)"
+            f"programs are not loaded from {str(place)!r}, which is a link, or another user's, or where others may "
+            "write and so run code here: remove it, or take their right to write (chmod 700)"
         )
     return is_ours
-
-
-def _processor() -> str:
-    """Return a text that is the same for all processors with the same instructions, and differs for others.
-
-    Linux lists the instructions; elsewhere the name of the processor has to do.
-    """
-    try:
-        lines = CPUINFO.read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return f"{platform.machine()} {platform.processor()}"
-
-    # One line for each feature, however many cores list it.
-    features = {line for line in lines if line.partition("\t")[0] in FEATURES}
-    return "\n".join([platform.machine(), *sorted(features)])
-
-
-def _drop_damaged(folder: Path) -> None:
-    """Remove programs that were not written to their end, or changed since: JAX would never write them again.
-
-    Only programs that were written since the last check, or shortly before it, are read: reading 1,600 of them takes
-    0.2 s, and more where homes are on a network. The time of the empty file `CHECKED` is that of the last check.
-    """
-    # The time of the last check, in seconds since 1970, as times of files are; 0 where there was none.
-    mark = folder / CHECKED
-    since_s = 0.0
-    with suppress(OSError):  # there was no check yet, or the disk is full
-        since_s = mark.stat().st_mtime - SETTLED_S
-    with suppress(OSError):
-        mark.touch()  # before the check, so that the next one reads what is written meanwhile
-
-    # The programs since then.
-    for file in folder.glob("*-cache"):
-        with suppress(OSError):  # another process has removed the file
-            if file.stat().st_mtime >= since_s and not _is_whole(file.read_bytes()):
-                file.unlink()
-
-
-def _is_whole(program: bytes) -> bool:
-    """Return whether a compressed program can be unpacked to its end; zlib's files have a checksum too."""
-    try:
-        if program.startswith(ZSTANDARD):
-            from numcodecs.zstd import Zstd
-
-            Zstd().decode(program)
-        else:
-            zlib.decompress(program)
-    except (zlib.error, RuntimeError):
-        return False
-    return True
-
-
-@functools.cache
-def _listen() -> None:
-    """Listen to JAX from now on, and say in the log once it has compiled for longer than `BRIEF_S` in all.
-
-    JAX reports the end of a program alike, whether it compiled or loaded the program. Before the end of a loaded one it
-    also reports the loading, so the next end after a loading does not count.
-    """
-    from jax import monitoring
-
-    num_loaded = 0  # programs whose end is still to be reported
-    compiled_s = 0.0
-
-    def on_event(event: str, **_: str | int) -> None:
-        """Count a program that JAX loaded."""
-        nonlocal num_loaded
-        if event == LOADED:
-            num_loaded += 1
-
-    def on_duration(event: str, duration_secs: float, **_: str | int) -> None:
-        """Add the seconds of a program that JAX compiled, and say so once they are more than `BRIEF_S` in all."""
-        nonlocal num_loaded, compiled_s
-        if event != ENDED:
-            return
-        if num_loaded:
-            num_loaded -= 1
-            return
-        compiled_s += duration_secs
-        if compiled_s > BRIEF_S:
-            say_compiling()
-
-    monitoring.register_event_listener(on_event)
-    monitoring.register_event_duration_secs_listener(on_duration)

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -10,6 +9,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, UInt
 
 from jaxurban.kernels.shadows.sweep import WORD_BITS
+from jaxurban.programs import kept_jit
 
 # A pivot of the normal matrix, 1 with every satellite in view, that counts as none: rounding leaves
 # about 1e-14 of a singular matrix, and a DOP of 20 keeps pivots above 1e-3.
@@ -124,7 +124,7 @@ def geometry(
     )
 
 
-@jax.jit
+@kept_jit
 def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
     """Return the DOPs of satellites under weights, each an array ``[...]`` of the cells.
 
@@ -232,7 +232,7 @@ def _smooth_step(value: Array) -> Array:
     return x * x * (3 - 2 * x)
 
 
-@jax.jit
+@kept_jit
 def dops_of_words(satellites: Geometry, words: UInt[Array, "W ..."]) -> Dops:
     """Return the DOPs of the satellites whose bits are set, each ``[...]``: `dops` with weights 0 and 1.
 

@@ -30,7 +30,6 @@ import pandas as pd
 import jaxurban as ju
 from jaxurban.report.figures import plot_paths
 
-ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("shinjuku")
 SIDES_M = (20.0, 10.0, 5.0, 2.5)
 maps, seconds = {}, {}

@@ -28,7 +28,6 @@ import numpy as np
 
 import jaxurban as ju
 
-ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("lower-manhattan")
 gps = city.gps or ju.Gps()
 grid = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), progress=False).grid

@@ -29,7 +29,6 @@ import jaxurban as ju
 from jaxurban.report.figures import plot_overview, plot_paths, plot_profile
 from jaxurban.settings import PlannerName
 
-ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0)
 start, goal = (-74.0162, 40.7036), (-73.9904, 40.7289)  # longitude, latitude

@@ -41,7 +41,6 @@ from jaxurban.report.figures import (
     plot_sensor_choice,
 )
 
-ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(10, 20, 40, 60, 90, 122, 200, 600))
 shown = (20, 60, 122, 600)  # the paper's altitudes

@@ -44,7 +44,6 @@ from jaxurban.report.figures.paths import planner_colours
 from jaxurban.report.figures.style import legend_below, panels, styled
 from jaxurban.settings import PlannerName
 
-ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("shinjuku")
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(30.0,))
 weighted = ju.cost_map(maps, 30.0)

@@ -33,7 +33,6 @@ import jaxurban as ju
 from jaxurban.report.buildings import plot_building_costs
 from jaxurban.report.figures import plot_paths
 
-ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.demo_city(width_m=1_600, height_m=1_600)
 buildings = city.buildings
 assert buildings is not None  # other cities may come as rasters of roofs alone

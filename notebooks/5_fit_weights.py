@@ -27,7 +27,6 @@ from jaxurban.report.figures import plot_paths
 from jaxurban.report.figures.tuning import plot_routes, plot_weights
 from jaxurban.studies.demonstrations import optimal_demonstrations
 
-ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))
 own = ju.Weights(distance=0.05, gps=0.4, lidar=0.3, population=4.0, risk=1.0)

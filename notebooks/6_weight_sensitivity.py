@@ -28,7 +28,6 @@ from jaxurban.report.figures.sensitivity import (
     plot_pareto,
 )
 
-ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))
 start, goal = (

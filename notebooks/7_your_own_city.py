@@ -41,7 +41,6 @@ import jaxurban as ju
 from jaxurban.io.samples import located
 from jaxurban.report.figures import plot_heights, plot_overview
 
-ju.keep_programs()  # what JAX compiles is kept for later sessions
 folder = Path(tempfile.mkdtemp(prefix="my-town-"))
 os.environ["XDG_CACHE_HOME"] = str(
     folder / "cache"

@@ -28,7 +28,6 @@ import jaxurban as ju
 from jaxurban.report.figures import plot_metric, plot_paths
 from jaxurban.report.figures.sensitivity import plot_breakpoint_routes
 
-ju.keep_programs()  # what JAX compiles is kept for later sessions
 city = ju.sample_city("lower-manhattan")
 plain = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0, 60.0))
 start, goal = (

@@ -31,7 +31,6 @@ import pandas as pd
 import jaxurban as ju
 from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_regret
 
-ju.keep_programs()  # what JAX compiles is kept for later sessions
 maps = {
     name: ju.build_maps(
         ju.sample_city(name), resolution_m=10.0, altitudes_m=(20.0, 60.0), progress=False

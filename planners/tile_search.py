@@ -129,7 +129,7 @@ def _in_turns(
         """Return the search, a new one for None, after some rounds, and the lowest open f of each query."""
         with jax.enable_x64(True):
             search = begin(start, goal, bound) if search is None else search
-            search, low_f = advance(search, grid, band, num_rounds, num_together)
+            search, low_f = advance(search, grid, band, num_rounds, num_together=num_together)
             return search, np.asarray(low_f)
 
     with ThreadPoolExecutor(1, thread_name_prefix="tiles") as worker:

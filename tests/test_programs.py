@@ -1,198 +1,330 @@
-"""Programs that JAX keeps: where, for which processor, what becomes of damaged ones, and what is said of compiling.
+"""Programs that are kept: for which key, under which guards, and what is said of compiling.
 
-What is compiled and what is loaded is counted by `jax.monitoring` in processes of their own.
+What is compiled is counted by `jax.monitoring`; nothing but a compilation ends in the event `COMPILED`.
 """
 
+import ast
+import hashlib
 import os
-import platform
-import re
+import pickle
+import shutil
+import stat
 import subprocess
 import sys
-import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
+from llvmlite import binding
 
 import jaxurban as ju
 from jaxurban import programs
+from jaxurban.programs import kept_jit
 from tests.cli_runs import TOWN
+from tests.faulty_disk import counted
 from tests.logs import logged
 
-FOLDER = "JAX_COMPILATION_CACHE_DIR"
-PRELUDE = """
-import collections, sys
-import jax
-import jaxurban as ju
-from jaxurban import programs
-programs.BRIEF_S = 0.0
-events = collections.Counter()
-jax.monitoring.register_event_listener(lambda event, **_: events.update([event.rpartition("/")[2]]))
-folder = ju.keep_programs()
-"""
-COMPUTE = """
-import jax.numpy as jnp
-x = jnp.arange(900.0).reshape(30, 30)
-parts = jax.jit(lambda x: jnp.sort(jnp.sin(x) @ x))(x), jax.jit(jnp.linalg.norm)(x)
-print(*(float(part.sum()) for part in parts))
-print(events["cache_hits"], events["cache_misses"])
-"""
-CUT_THEN_COMPUTE = f"for file in folder.glob('*-cache'): file.write_bytes(b'')\n{COMPUTE}"
-DAMAGES = (
-    lambda whole: b"",
-    lambda whole: whole[: len(whole) // 2],
-    lambda whole: bytes(255 - byte for byte in whole),
-    lambda whole: whole[:-30] + bytes(30),
-)
+COMPILED = "/jax/core/compile/backend_compile_duration"
+X = np.arange(12, dtype=np.float32)
+on_posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
 
 
-def run(code: str, **environment: object) -> tuple[list[str], str]:
-    """Return the lines that a process prints, in which warnings are errors, and what it says on stderr."""
-    inherited = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        capture_output=True,
-        text=True,
-        env=inherited | {name: str(value) for name, value in environment.items()},
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines(), done.stderr
+def doubled(x, *, times=2):
+    return jnp.sin(x) * times
 
 
-def counted(code: str, **environment: object) -> tuple[str, int, int, str]:
-    """Return the result of a process, how many programs it loaded and compiled, and what it said."""
-    (result, counts), said = run(PRELUDE + code, **environment)
-    loaded, compiled = map(int, counts.split())
-    return result, loaded, compiled, said
+def make() -> Callable:
+    """Return the function as a new session has it: with nothing compiled or loaded yet."""
+    return kept_jit(doubled, static_argnames=("times",))
 
 
-@pytest.mark.slow
-def test_damaged_programs_are_compiled_anew_and_written_again_without_a_word(tmp_path):
-    line, cache = f"{programs.SENTENCE}\n", {"XDG_CACHE_HOME": tmp_path}
-    result, loaded, num, said = counted(COMPUTE, **cache)
-    assert (loaded, said) == (0, line)
-    assert num >= len(DAMAGES)
-    assert counted(COMPUTE, **cache) == (result, num, 0, "")
-    files = sorted(tmp_path.glob("jaxurban/xla-*/*-cache"))
-    for at, file in enumerate(files):
-        file.write_bytes(DAMAGES[at % len(DAMAGES)](file.read_bytes()))
-    assert counted(COMPUTE, **cache) == (result, 0, num, line)
-    assert counted(COMPUTE, **cache) == (result, num, 0, "")
-    assert counted(CUT_THEN_COMPUTE, **cache) == (result, 0, num, line)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(platform.machine() != "x86_64", reason="x86 alone has these instructions")
-def test_programs_of_other_instructions_are_not_loaded(tmp_path):
-    flags = [{}, {"XLA_FLAGS": "--xla_cpu_max_isa=SSE4_2"}]
-    for environment in flags:
-        _, loaded, compiled, _ = counted(COMPUTE, XDG_CACHE_HOME=tmp_path, **environment)
-        assert loaded == 0 < compiled
-    assert len({file.parent for file in tmp_path.glob("jaxurban/xla-*/*")}) == 1
-
-
-def settings(code: str = "", **environment: object) -> list[str]:
-    """Return the folder before the call, what the call returns, the folder after it, and the least compile time."""
-    lines, said = run(
-        f"""
-import jax, jaxurban
-print(folder := jax.config.values["jax_compilation_cache_dir"])
-{code}
-print(jaxurban.keep_programs())
-print(jax.config.values["jax_compilation_cache_dir"])
-print(jax.config.values["jax_persistent_cache_min_compile_time_secs"])
-""",
-        **environment,
-    )
-    assert said == ""
-    return lines
-
-
-@pytest.mark.slow
-def test_the_call_keeps_programs_where_nothing_else_is_chosen(tmp_path):
-    cache, other = {"XDG_CACHE_HOME": tmp_path}, str(tmp_path / "other")
-    chosen = {FOLDER: other, programs.LEAST_S: 3}
-    assert settings(**cache, **chosen) == [other, other, other, "3.0"]
-    choose = f"jax.config.update('jax_compilation_cache_dir', {other!r})"
-    assert settings(choose, **cache) == ["None", other, other, "0.0"]
-    assert not (tmp_path / "jaxurban").exists()
-    before, *folders, least_s = settings(**cache)
-    assert (before, least_s) == ("None", "0.0")
-    assert len(set(folders)) == 1
-    assert re.fullmatch(r"xla-[0-9a-f]{16}", Path(folders[0]).name)
-    assert Path(folders[0]).parent == tmp_path / "jaxurban"
-    assert Path(folders[0]).stat().st_mode & 0o77 == 0
-
-
-@pytest.mark.slow
-def test_where_no_folder_can_be_made_every_process_compiles(tmp_path):
-    (tmp_path / "file").write_text("letters")
-    for cache in (tmp_path / "file", "/proc/nowhere"):
-        assert settings(XDG_CACHE_HOME=cache) == ["None", "None", "None", "0.0"]
-
-
-CPUINFO = """processor\t: 0
-model\t\t: 2
-cpu MHz\t\t: 2596.124
-flags\t\t: fpu sse sse2 avx
-
-processor\t: 1
-model\t\t: 2
-cpu MHz\t\t: 3100.000
-flags\t\t: fpu sse sse2 avx
-"""
-ARM = "processor\t: 0\nFeatures\t: fp asimd sve\nCPU part\t: 0xd40\n"
-
-
-def test_each_processor_and_jaxlib_has_a_folder_of_its_own(monkeypatch, tmp_path):
+@pytest.fixture
+def cache(monkeypatch, tmp_path) -> Iterator[Path]:
+    """An empty cache folder of the user; JAX's own cache is off, so that what is compiled is counted."""
+    folder = jax.config.values["jax_compilation_cache_dir"]
+    jax.config.update("jax_compilation_cache_dir", None)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(programs, "CPUINFO", tmp_path / "cpuinfo")
-
-    def folder(cpuinfo: str) -> Path | None:
-        (tmp_path / "cpuinfo").write_text(cpuinfo)
-        return programs._own_folder()
-
-    mine = folder(CPUINFO)
-    assert folder(CPUINFO.replace("3100.000", "1200.000")) == mine
-    others = [CPUINFO.replace(" avx", " avx avx512f"), CPUINFO.replace(": 2", ": 17"), ARM]
-    others += [ARM.replace(" sve", ""), ARM.replace("0xd40", "0xd41")]
-    folders = {mine, *map(folder, others)}
-    monkeypatch.setattr(programs, "version", lambda name: "0.0.1")
-    folders.add(folder(CPUINFO))
-    (tmp_path / "cpuinfo").unlink()
-    for machine in ("arm64", "AMD64"):
-        monkeypatch.setattr(platform, "machine", lambda machine=machine: machine)
-        folders.add(programs._own_folder())
-    assert len(folders - {None}) == 9
+    fresh()
+    yield tmp_path
+    jax.config.update("jax_compilation_cache_dir", folder)
+    fresh()
 
 
-def test_a_program_by_zstandard_is_whole_only_to_its_end():
-    """JAX takes it where Python has it, and zlib elsewhere."""
-    from numcodecs.zstd import Zstd
-
-    whole = Zstd().encode(bytes(range(256)) * 40)
-    assert programs._is_whole(whole)
-    assert not programs._is_whole(whole[:-1])
+def fresh() -> None:
+    """Forget what this process knows of its folder and settings, as a new one would."""
+    for known in (programs._session, programs._is_ours):
+        known.cache_clear()
 
 
-def test_a_program_is_read_at_the_check_after_it_changed_and_for_an_hour(monkeypatch, tmp_path):
-    read: list[bytes] = []
-    monkeypatch.setattr(programs, "_is_whole", lambda program: read.append(program) or True)
-    ages_s = {"old": 2 * programs.SETTLED_S, "new": 0.0}
+def num_compiled(function: Callable, *args: object, **static: object) -> int:
+    """Return how many programs a call compiles; its result must be right."""
+    ends: list[float] = []
 
-    def checked() -> list[bytes]:
-        read.clear()
-        programs._drop_damaged(tmp_path)
-        return sorted(read)
+    def on_duration(event: str, seconds: float, **_: object) -> None:
+        if event == COMPILED:
+            ends.append(seconds)
 
-    for name, age_s in ages_s.items():
-        file = tmp_path / f"{name}-cache"
-        file.write_bytes(name.encode())
-        os.utime(file, (time.time() - age_s,) * 2)
-    assert checked() == [b"new", b"old"]
-    assert checked() == [b"new"]
-    (tmp_path / "old-cache").write_bytes(b"cut")
-    assert checked() == [b"cut", b"new"]
+    jax.clear_caches()
+    jax.monitoring.register_event_duration_secs_listener(on_duration)
+    try:
+        result = function(*args, **static)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(on_duration)
+    expected = np.sin(np.asarray(args[0])) * static.get("times", 2)
+    np.testing.assert_allclose(result, expected, rtol=1e-6)
+    return len(ends)
+
+
+def entries(cache: Path) -> list[Path]:
+    return sorted(cache.glob("jaxurban/programs/*"))
+
+
+def test_a_later_session_compiles_nothing_and_other_shapes_types_and_static_values_do(cache):
+    first = make()
+    assert [num_compiled(first, X), num_compiled(first, X)] == [1, 0]
+    later = make()
+    assert [num_compiled(later, X), num_compiled(later, jnp.asarray(X))] == [0, 0]
+    for x, static in ((X[1:], {}), (X.astype(np.int32), {}), (X, {"times": 3}), (3.0, {})):
+        assert num_compiled(later, x, **static) == 1
+        assert num_compiled(make(), x, **static) == 0
+    with jax.enable_x64(True):
+        assert num_compiled(later, X.astype(float)) == 1
+    assert len(entries(cache)) == 6
+
+
+def test_jax_traces_through_it_and_its_settings_stay(cache):
+    before = dict(jax.config.values)
+    function = make()
+    slopes = jax.vmap(jax.grad(function))(X)
+    np.testing.assert_allclose(slopes, 2 * np.cos(X), rtol=1e-5)
+    with jax.disable_jit():
+        np.testing.assert_allclose(function(X), 2 * np.sin(X), rtol=1e-6)
+    assert not function.programs
+    function(X)
+    assert dict(jax.config.values) == before
+
+
+def harmful(file: Path) -> bytes:
+    """Return an entry whose loading leaves a mark beside the cache, with the digest that belongs to it."""
+
+    class Mark:
+        def __reduce__(self):
+            return os.mkdir, (str(file.parents[2] / "mark"),)
+
+    entry = pickle.dumps(Mark())
+    return hashlib.sha256(file.name.encode() + entry).digest() + entry
+
+
+def attacked(cache: Path) -> Path:
+    """Return the file of a program, filled with what leaves a mark when it is loaded."""
+    make()(X)
+    (file,) = entries(cache)
+    file.write_bytes(harmful(file))
+    return file
+
+
+def assert_compiled_anew(cache: Path, num: int = 1) -> None:
+    """Check that a session compiles, runs nothing of the file, and is right."""
+    fresh()
+    assert num_compiled(make(), X) == num
+    assert not (cache / "mark").exists()
+
+
+def test_the_attack_runs_where_no_guard_stands_in_its_way(cache):
+    """So the tests below say something."""
+    attacked(cache)
+    fresh()
+    assert num_compiled(make(), X) == 1  # what was loaded is no program
+    assert (cache / "mark").exists()
+
+
+@on_posix
+@pytest.mark.parametrize("mode", [0o666, 0o620, 0o602])
+def test_a_file_that_others_may_write_to_is_not_read_but_written_anew(cache, mode):
+    file = attacked(cache)
+    file.chmod(mode)
+    assert_compiled_anew(cache)
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    assert_compiled_anew(cache, 0)
+
+
+@on_posix
+@pytest.mark.parametrize("is_folder", [False, True])
+def test_what_another_user_owns_is_not_read_and_that_is_said_once(cache, monkeypatch, is_folder):
+    file = attacked(cache)
+    of_another = file.parent if is_folder else file
+    lstat = Path.lstat
+
+    def owned(path):
+        values = list(lstat(path))
+        values[stat.ST_UID] += path == of_another
+        return os.stat_result(values)
+
+    monkeypatch.setattr(Path, "lstat", owned)
+    with logged() as lines:
+        assert_compiled_anew(cache)
+        make()(X)
+    assert ["chmod 700" in line for line in lines] == [True]
+    assert (
+        file.read_bytes() == harmful(file)
+    ) == is_folder  # in a folder of our own it is replaced
+
+
+@on_posix
+def test_neither_a_link_to_a_file_nor_one_to_a_folder_is_followed(cache):
+    file = attacked(cache)
+    aside = file.rename(cache / "aside")
+    file.symlink_to(aside)
+    assert_compiled_anew(cache)
+    assert not file.is_symlink()
+    folder = attacked(cache).parent
+    moved = folder.rename(cache / "folder")
+    folder.symlink_to(moved)
+    assert_compiled_anew(cache)
+
+
+@on_posix
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o702])
+def test_a_folder_that_others_may_write_to_is_not_used_and_that_is_said_once(cache, mode):
+    attacked(cache).parent.chmod(mode)
+    with logged() as lines:
+        assert_compiled_anew(cache)
+        make()(X)
+    assert ["chmod 700" in line for line in lines] == [True]
+
+
+@pytest.mark.parametrize("at", [0, 31, 32, 300, -1])
+def test_a_changed_byte_is_seen_before_anything_is_unpacked(cache, at):
+    make()(X)
+    (file,) = entries(cache)
+    content = bytearray(file.read_bytes())
+    whole = bytes(content)
+    content[at] ^= 1
+    file.write_bytes(content)
+    assert programs._loaded(file) is None
+    assert_compiled_anew(cache)
+    assert_compiled_anew(cache, 0)
+    for length in (0, 20, 32, len(whole) // 2):
+        file.write_bytes(whole[:length])
+        assert_compiled_anew(cache)
+
+
+def test_an_entry_of_another_processor_is_not_loaded_even_under_this_ones_name(cache, monkeypatch):
+    """Nor that of another program, version or flag."""
+    changes = [
+        (binding, "get_host_cpu_name", lambda: "another"),
+        (binding, "get_host_cpu_features", lambda: binding.FeatureMap(another=True)),
+        (programs, "version", lambda name: "0.0.1"),
+        (os, "environ", os.environ | {"XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} "}),
+    ]
+    make()(X)
+    (own,) = entries(cache)
+    for change in changes:
+        with monkeypatch.context() as patch:
+            patch.setattr(*change)
+            assert_compiled_anew(cache)
+            assert_compiled_anew(cache, 0)
+    make()(X[1:])
+    others = {*entries(cache)} - {own}
+    assert len(others) == len(changes) + 1
+    for other in others:
+        own.write_bytes(other.read_bytes())
+        assert_compiled_anew(cache)
+
+
+def test_a_changed_source_file_has_programs_of_its_own(cache, monkeypatch, tmp_path_factory):
+    package = tmp_path_factory.mktemp("package")
+    (package / "inner" / "deep").mkdir(parents=True)
+    sources = [package / "a.py", package / "inner" / "b.py", package / "inner" / "deep" / "c.py"]
+    for source in sources:
+        source.write_text("X = 1")
+    monkeypatch.setattr(programs, "__file__", str(sources[0]))
+    assert_compiled_anew(cache)
+    assert_compiled_anew(cache, 0)
+    for source in sources:
+        source.write_text("X = 2")
+        assert_compiled_anew(cache)
+    package_files = {*Path(ju.__file__).parent.glob("*/**/*.py")}
+    for folder in ("kernels", "planners", "io"):  # some are links in a checkout
+        assert any(folder in file.parts for file in package_files)
+
+
+@pytest.mark.parametrize("way", ["full", "failed"])
+def test_a_full_disk_keeps_nothing_half_written_and_the_result_is_there(cache, way):
+    with counted(cache, way=way) as steps:
+        assert num_compiled(make(), X) == 1
+    (file,) = entries(cache)
+    for at in range(1, steps.num + 1):
+        shutil.rmtree(cache / "jaxurban")
+        with counted(cache, at, way) as failing:
+            assert_compiled_anew(cache)
+        assert failing.is_over
+        assert entries(cache) == []
+        (cache / "jaxurban").mkdir(exist_ok=True)
+    assert_compiled_anew(cache)
+    assert entries(cache) == [file]
+
+
+TWO = """
+import sys
+import numpy as np
+from tests.test_programs import make
+go = sys.stdin.readline()
+print(float(make()(np.arange(12, dtype=np.float32)).sum()))
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_at_once_leave_one_whole_program(cache):
+    root = Path(__file__).parents[1]
+    environment = os.environ | {"PYTHONPATH": str(root)}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", TWO],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        for _ in range(2)
+    ]
+    said = {process.communicate("go\n")[0] for process in running}
+    assert len(said) == 1
+    (file,) = entries(cache)
+    assert programs._loaded(file) is not None
+
+
+def test_without_a_folder_or_with_a_key_that_is_no_data_each_session_compiles(cache, monkeypatch):
+    (cache / "file").write_text("letters")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache / "file"))
+    assert [num_compiled(make(), X) for _ in range(2)] == [1, 1]
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    local = kept_jit(lambda x, *, scale: jnp.sin(x) * scale(2), static_argnames=("scale",))
+    local(X, scale=lambda n: n)
+    assert entries(cache) == []
+
+
+def test_static_arguments_of_the_package_are_given_by_keyword_alone():
+    """Given by position, one would be taken for a number, of which programs know the type alone."""
+    num = 0
+    for file in Path(ju.__file__).parent.glob("*/**/*.py"):
+        source = file.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(source)) if "(kept_jit" in source else ():
+            if not isinstance(node, ast.FunctionDef):
+                continue
+            for decorator in node.decorator_list:
+                if "kept_jit" not in ast.dump(decorator) or not isinstance(decorator, ast.Call):
+                    continue
+                options = {option.arg: option.value for option in decorator.keywords}
+                names = ast.literal_eval(options["static_argnames"])
+                assert isinstance(names, tuple)
+                assert set(names) <= {argument.arg for argument in node.args.kwonlyargs}
+                num += 1
+    assert num >= 10
 
 
 COMMAND = """
@@ -225,23 +357,8 @@ def test_a_command_and_its_workers_compile_once_a_machine_and_say_so(tmp_path):
         )
         assert ended.returncode == 0, ended.stderr
         lines.append(ended.stderr.count(programs.SENTENCE))
-        files.append({*tmp_path.glob("jaxurban/xla-*/*")})
+        files.append({*tmp_path.glob("jaxurban/programs/*")})
     assert 1 <= lines[0] <= 2  # the command's own process, and one worker for all
     assert lines[1] == 0
     assert len({file.parent for file in files[0]}) == 1
     assert files[0] == files[1]
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
-def test_a_folder_that_others_may_write_to_is_not_used_and_that_is_said_once(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches" / "mine"))
-    folder = programs._own_folder()
-    assert programs._is_writable(folder)
-    for made in (folder, *folder.parents[:3]):
-        assert made.stat().st_mode & 0o77 == 0
-    for mode, is_ours in {0o755: True, 0o777: False, 0o770: False, 0o702: False}.items():
-        folder.chmod(mode)
-        programs._is_ours.cache_clear()
-        with logged() as lines:
-            assert [programs._is_ours(folder), programs._is_ours(folder)] == [is_ours] * 2
-        assert ["chmod 700" in line for line in lines] == [True] * (not is_ours)

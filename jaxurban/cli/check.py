@@ -25,7 +25,6 @@ from jaxurban.cli.common import (
     TIME_OF_DAY,
     WEIGHTS,
     Point,
-    keep_programs,
     print_json,
 )
 from jaxurban.exit_codes import ExitCode
@@ -107,7 +106,6 @@ def check(
         if not output.suffix:
             click.get_current_context().with_resource(Workspace.held(output, "check"))
     parsed = read_mission(mission, heights=heights, home=home, return_altitude_m=return_altitude_m)
-    keep_programs()
     maps = jaxurban.open_maps(folder, resolution_m)
     result = jaxurban.check(
         maps,

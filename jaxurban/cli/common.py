@@ -18,7 +18,6 @@ from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
 from jaxurban.io.stored import stored_maps
 from jaxurban.paths.ceiling import CEILING_M
-from jaxurban.programs import keep_programs as keep_programs
 from jaxurban.progress import LOG, reporting
 
 if TYPE_CHECKING:
@@ -297,7 +296,6 @@ def folders_of(resolution_m: float | None, obstacles: "ObstacleRule | None") -> 
         """Return the maps of a folder; whoever wants them is about to compute."""
         from jaxurban.paths.rows import MapsFolder
 
-        keep_programs()
         return MapsFolder(folder, resolution_m, obstacles)
 
     return maps_of

@@ -23,7 +23,6 @@ from jaxurban.cli.common import (
     SHOWN,
     MapsOf,
     Settings,
-    keep_programs,
     print_json,
     run_study,
 )
@@ -158,7 +157,6 @@ def validate(
     from jaxurban.io.tables import records_of
     from jaxurban.studies.receiver.validate import validate as validate_log
 
-    keep_programs()
     result = run_study(
         "validate",
         output,

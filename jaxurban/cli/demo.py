@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, OVERWRITE, PATH, SHOWN, keep_programs, print_json
+from jaxurban.cli.common import DEVICE, JSON_FLAG, OVERWRITE, PATH, SHOWN, print_json
 from jaxurban.progress import LOG, reporting
 
 CITY = "sample:lower-manhattan"
@@ -43,7 +43,6 @@ def demo(folder: Path, overwrite: bool, as_json: bool) -> None:
         {"region": {"resolution_m": RESOLUTION_M}, "buildings": {"source": CITY}}
     )
     Workspace.check(folder, "demo", (SCENARIO_FILE, TABLE_FILE), is_shared=True)
-    keep_programs()
     with reporting("demo") as report:
         # The maps, and a path by every planner of the paper at every altitude.
         run = run_scenario(scenario, folder, progress=report, overwrite=overwrite)

@@ -15,7 +15,6 @@ from jaxurban.cli.common import (
     OVERWRITE,
     SCENARIO,
     WORKERS,
-    keep_programs,
     print_json,
     stay_on_cpu,
     use_device,
@@ -93,7 +92,6 @@ def maps(
         if record is None:
             from jaxurban.maps.run import run_scenario
 
-            keep_programs()
             run = run_scenario(
                 scenario,
                 output,

@@ -17,7 +17,6 @@ from jaxurban.cli.common import (
     SOURCES,
     Point,
     finite_records,
-    keep_programs,
     print_json,
 )
 from jaxurban.paths.export.suffixes import PICTURES
@@ -85,7 +84,6 @@ def sky(
     # The sky at a place, or along a track; further options are arguments of both.
     _check_files(files, track)
     logged = None if track is None else read_log(track, reference)
-    keep_programs()
     result: Any
     if (by_satellite and track is None) or (reference is not None and logged is None):
         raise click.UsageError(

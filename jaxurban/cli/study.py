@@ -19,7 +19,6 @@ from jaxurban.cli.common import (
     WORKERS,
     Settings,
     all_cores,
-    keep_programs,
     outcome_of,
     print_json,
 )
@@ -89,7 +88,6 @@ def study(
     from jaxurban.studies.montecarlo.study import land_cover_of, without_sampling
     from jaxurban.studies.montecarlo.study import study as run_study
 
-    keep_programs()
     planning = scenario.planning
     settings = scenario.study
     kind = settings.cost_model or planning.rules.cost_model

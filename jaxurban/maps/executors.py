@@ -23,20 +23,18 @@ from jaxurban.maps.tiled import (
     raster_tile,
     sweep_tile,
 )
-from jaxurban.programs import keeps_programs
 from jaxurban.progress import LOG
 
 RETRIES = 3  # of a task whose worker was killed
 WORKER = """
 import signal
-from jaxurban.programs import COMPILING, keep_programs
+from jaxurban.programs import COMPILING
 
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 def dask_setup(worker):
     COMPILING.disabled = worker.name != 0  # one says it for all
 """
-KEEPING_WORKER = f"{WORKER}    keep_programs()\n"
 Tell = Callable[[Any], None]
 
 
@@ -241,7 +239,7 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
                     scheduler_kwargs={"dashboard": False},
                     # What ends a process is reported in our words: Ctrl-C, which reaches all of them, by this one.
                     silence_logs=logging.CRITICAL,
-                    preload=KEEPING_WORKER if keeps_programs() else WORKER,
+                    preload=WORKER,
                     # Without its certificates any user of this machine could run code as this one.
                     security=security,
                 )

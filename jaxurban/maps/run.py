@@ -42,7 +42,6 @@ from jaxurban.maps.tiled import TileJob, Tiling
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES
 from jaxurban.metrics.variables import TimeTotals
-from jaxurban.programs import pass_over_unreadable
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
 from jaxurban.settings import NOMINAL, as_tuple
 from jaxurban.world.grid import Grid
@@ -161,7 +160,6 @@ def run_scenario(
     started_utc = datetime.now(UTC).isoformat(timespec="seconds")
     with reporting("maps", progress) as report, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        pass_over_unreadable()
         watch = Stopwatch(on_stage=report)
 
         # What the maps depend on, and whether the folder is free for them.

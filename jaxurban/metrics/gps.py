@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -33,6 +32,7 @@ from jaxurban.metrics.base import (
 from jaxurban.metrics.gps_soft import gps_metric, soft_gps
 from jaxurban.metrics.settings import check_fields, differentiable
 from jaxurban.metrics.visibility import distinct_choices
+from jaxurban.programs import kept_jit
 from jaxurban.settings import NOMINAL, as_tuple, iso_utc, parse_time
 from jaxurban.world.sky import InView
 
@@ -222,7 +222,7 @@ class GpsMaps(NamedTuple):
     num_visible: UInt8[AnyArray, "*C"]
 
 
-@jax.jit
+@kept_jit
 def maps_of_words(
     words: UInt[AnyArray, "W ..."], satellites: Geometry, gdop_threshold: float | Array
 ) -> GpsMaps:

@@ -16,6 +16,7 @@ from jaxurban.metrics.base import AnyArray
 from jaxurban.metrics.reception import ReceptionCurve
 from jaxurban.metrics.settings import check_softness
 from jaxurban.metrics.visibility import SkyView
+from jaxurban.programs import kept_jit
 from jaxurban.world.surface import Surface, soft_obstacle
 
 # Made at once: half as many are faster on a CPU, and a third more launches on a GPU.
@@ -99,7 +100,7 @@ def soft_gps(
     )
 
 
-@partial(jax.jit, static_argnames=("window", "dop"))
+@partial(kept_jit, static_argnames=("window", "dop"))
 def _soft_gps(
     roof_m: Array,
     hiding_m: Array,

@@ -6,7 +6,6 @@ from functools import lru_cache, partial
 from operator import attrgetter
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -27,6 +26,7 @@ from jaxurban.metrics.settings import (
     is_positive,
     reach_of,
 )
+from jaxurban.programs import kept_jit
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import (
     Cut,
@@ -313,7 +313,7 @@ def _starts(num_azimuths: int, steps: int, oversample: int, halo: int) -> Int[np
     return starts
 
 
-@partial(jax.jit, static_argnames=("halo", "oversample"))
+@partial(kept_jit, static_argnames=("halo", "oversample"))
 def _lidar(
     roof_m: Array,
     terrain_m: Array | None,

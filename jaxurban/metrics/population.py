@@ -25,6 +25,7 @@ from jaxurban.metrics.base import (
     high_is_bad,
 )
 from jaxurban.metrics.settings import check_fields, differentiable, is_known, is_not_negative
+from jaxurban.programs import kept_jit
 from jaxurban.settings import as_tuple
 from jaxurban.world.blocks import Blocks, Zoning
 from jaxurban.world.grid import Bounds
@@ -479,7 +480,7 @@ def _made_ready(
     return BlockPopulation.of(blocks, bounds_m), np.array(shares, np.float32)
 
 
-@jax.jit
+@kept_jit
 def layers_of_blocks(
     blocks: BlockPopulation, shares: Float[Array, " T"], params: Population
 ) -> BlockLayers:

@@ -23,6 +23,7 @@ from jaxurban.metrics.settings import (
     is_positive,
     reach_of,
 )
+from jaxurban.programs import kept_jit
 from jaxurban.world.surface import Cut, Surface, in_type, over_blocks
 
 
@@ -125,7 +126,7 @@ def compute_risk(
     return of_part(lambda values: surface.part(values, halo, reach))
 
 
-@jax.jit
+@kept_jit
 def _risk(
     roof_m: Float[Array, "y+2H x+2H"],
     terrain_m: Float[Array, "y+2H x+2H"] | None,

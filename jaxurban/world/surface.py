@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, DTypeLike, Float, Int, UInt8
 from jaxurban.checks import values_given
 from jaxurban.errors import InputError
 from jaxurban.kernels.blocks import blocks_of, part_of
+from jaxurban.programs import kept_jit
 from jaxurban.world.grid import Grid
 
 AnyArray = Array | np.ndarray
@@ -399,15 +400,12 @@ def obstacle_mask(
       roof_m: ``[Y, X]`` roof heights above the ground of their cell, 0 without a building.
       altitudes_m: ``[A]`` heights above ground.
     """
-    return _stand_at(roof_m, in_type(altitudes_m, roof_m.dtype))
+    return stands_at(roof_m, in_type(altitudes_m, roof_m.dtype)[:, None, None])
 
 
 def stands_at(roof_m: Any, altitude_m: Any) -> Any:
     """Return where a roof is at or above the altitude: the rule itself, of arrays of NumPy or JAX."""
     return (roof_m >= altitude_m) & (roof_m > 0)
-
-
-_stand_at = jax.jit(jax.vmap(stands_at, (None, 0)))
 
 
 def region_roofs(surface: Surface, altitude_m: float) -> Float[np.ndarray, "y x"]:
@@ -424,7 +422,7 @@ def obstacles_on(surface: Surface, altitudes_m: Iterable[float]) -> Bool[np.ndar
     return np.stack([stands_at(region_roofs(surface, float(z_m)), z_m) for z_m in altitudes])
 
 
-@jax.jit
+@kept_jit
 def soft_obstacle(
     roof_m: Float[Array, "*C"], z_m: ArrayLike, softness_m: ArrayLike
 ) -> Float[Array, "*C"]:

@@ -22,6 +22,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, DTypeLike, Float, Int
 
+from jaxurban.programs import kept_jit
+
 OFFSETS_PER_PASS = 4  # offsets looked at per pass over the cells: 1.2 times faster than one by one
 CELLS_AT_ONCE = 2**12  # chosen cells whose whole discs are looked at together
 # A disc is filled up to a multiple of so many offsets, so that few programs are compiled.
@@ -121,7 +123,7 @@ def nearest_along(
     return lax.scan(look, start, steps, unroll=OFFSETS_PER_PASS)[0]
 
 
-@jax.jit
+@kept_jit
 def capped_distance(
     source_m2: Float[Array, "Y+2H X+2H"], run_m2: Float[Array, " H+1"], cap_m: Float[Array, ""]
 ) -> Float[Array, "Y X"]:
@@ -140,7 +142,7 @@ def capped_distance(
     return capped_root(squared_m2, cap_m)
 
 
-@jax.jit
+@kept_jit
 def capped_distance_over_terrain(
     receiver_m: Float[Array, "Y X"],
     top_m: Float[Array, "Y+2H X+2H"],
@@ -181,7 +183,7 @@ def squared_drop(drop_m: Float[Array, "*n"], scale_m: Float[Array, ""]) -> Float
     return jnp.where(is_soft | (below == 0), soft, jnp.inf)
 
 
-@jax.jit
+@kept_jit
 def nearest_column(
     roof_m: Float[Array, "Y+2H X+2H"],
     altitude_m: Float[Array, ""],
@@ -214,7 +216,7 @@ def nearest_column(
     return capped_root(source[row, col + halo + col_offset] + squared_run_m2 / threshold_m**2, 1.0)
 
 
-@partial(jax.jit, static_argnames="halo")
+@partial(kept_jit, static_argnames=("halo",))
 def nearest_column_at(
     roof_m: Float[Array, "Y+2H X+2H"],
     terrain_m: Float[Array, "Y+2H X+2H"] | None,

@@ -41,6 +41,8 @@ from jax.custom_batching import sequential_vmap
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, UInt
 
+from jaxurban.programs import kept_jit
+
 WORD_BITS = 32
 # Of rays, in one turn of the loop by steps: what they have met is read and written once.
 STEPS_AT_ONCE = 4
@@ -155,7 +157,7 @@ def round_up(values: np.ndarray, dtype: np.dtype) -> np.ndarray:
     return np.where(rounded < values, np.nextafter(rounded, np.asarray(np.inf, dtype)), rounded)
 
 
-@partial(jax.jit, static_argnames="halo")
+@partial(kept_jit, static_argnames=("halo",))
 def count_returns(
     roof_m: Float[Array, "P Y+2H X+2H"],
     thresholds_m: Float[Array, "A N"],
@@ -341,7 +343,7 @@ def pack(
     return words
 
 
-@partial(jax.jit, static_argnames="halo")
+@partial(kept_jit, static_argnames=("halo",))
 def count_returns_by_steps(
     roof_m: Float[Array, "P Y+2H X+2H"],
     thresholds_m: Float[Array, "A N"],
@@ -381,7 +383,7 @@ def count_returns_by_steps(
     return lax.map(count_at, thresholds_m)
 
 
-@partial(jax.jit, static_argnames=("halo", "receiver_phase"))
+@partial(kept_jit, static_argnames=("halo", "receiver_phase"))
 def count_returns_on_terrain_by_steps(
     roof_m: Float[Array, "P Y+2H X+2H"],
     terrain_m: Float[Array, "P Y+2H X+2H"],

@@ -24,6 +24,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.soft_step import soft_step
+from jaxurban.programs import kept_jit
 
 NO_BUILDING_M = -1e9  # clearance of bare ground: finite, so that gradients are too
 STEPS_PER_PASS = 7  # steps compared per pass over the cells
@@ -167,7 +168,7 @@ def _clearance_jvp(primals, tangents):
     return deciding.clearance_m, jax.jvp(decide, (roof_m, scan), (d_roof_m, d_scan))[1]
 
 
-@jax.jit
+@kept_jit
 def soft_returns(
     roof_m: Float[Array, "Y+2H X+2H"],
     scan: Scan,
@@ -337,7 +338,7 @@ def _returns_of_cell(at: ScansAt, receiver: tuple[Array, Array], at_once: int) -
     return _total_of_groups(of_azimuth, at.offsets, nothing, at_once) / len(at.offsets)
 
 
-@jax.jit
+@kept_jit
 def soft_returns_at(at: ScansAt) -> Float[Array, " P"]:
     """Return the share of scan positions that return softly, at chosen cells alone.
 

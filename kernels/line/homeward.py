@@ -26,6 +26,7 @@ from jaxtyping import Array, Float
 
 from jaxurban.kernels.blocks import rounded_up
 from jaxurban.kernels.tolerances import SAME_LENGTH
+from jaxurban.programs import kept_jit
 
 LINES_AT_ONCE = 8  # of corners
 
@@ -56,7 +57,7 @@ def highest_homeward(
     return np.maximum(rows[:, 1:], rows[:, :-1])
 
 
-@jax.jit
+@kept_jit
 def _highest_east(cells: Float[Array, "N 2*Y+2"], row: Array, col: Array) -> Float[Array, "N Y+1"]:
     """Return the highest on the line home from each corner that lies east of home, -inf of the others.
 

@@ -8,16 +8,18 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxurban.kernels.line.traversal import DIAGONAL_SIDES, TOUCH_CELLS
+from jaxurban.programs import kept_jit
 
 
-@partial(jax.jit, static_argnames="is_line")
+@partial(kept_jit, static_argnames=("is_line",))
 def segment_costs(
     cell_cost: Float[Array, "Y X"],
     start: Float[Array, "E 2"],
     end: Float[Array, "E 2"],
     per_side: float | Float[Array, ""],
-    is_line: bool,
     passes_corners: bool | Bool[Array, ""],
+    *,
+    is_line: bool,
 ) -> Float[Array, " E"]:
     """Return the cost of each of ``E`` segments, inf for a segment that is not a free way.
 

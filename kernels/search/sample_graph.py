@@ -8,12 +8,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxurban.kernels.line.segment_costs import segment_costs
 from jaxurban.kernels.search.heap import NO_PARENT
+from jaxurban.programs import kept_jit
 
 NO_QUERY = -1
 BY_TREE = -1  # in place of an edge's number: the parent in the tree given, or none
@@ -103,7 +103,7 @@ class Trees(NamedTuple):
     num_edges: Array
 
 
-@partial(jax.jit, static_argnames=("is_line", "sizes"))
+@partial(kept_jit, static_argnames=("is_line", "sizes"))
 def search_samples(
     samples: Samples,
     cell_cost: Array,
@@ -322,7 +322,7 @@ def costed(
         target = here(kept.target)
         start = samples.xy[origin]
         end = samples.xy[target]
-        cost = segment_costs(cell_cost, start, end, per_side, is_line, passes_corners)
+        cost = segment_costs(cell_cost, start, end, per_side, passes_corners, is_line=is_line)
         reach = samples.from_start[origin] + cost
         is_kept = (
             is_edge

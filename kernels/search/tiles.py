@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxurban.kernels.tolerances import SAME_COST
+from jaxurban.programs import kept_jit
 
 SIDE = 32  # cells along a side of a tile: 16 make for fewer cells visited and more rounds
 CYCLES = 2  # of sweeps to the north, south, east and west in one visit of a tile on a CPU
@@ -55,7 +56,7 @@ class Search(NamedTuple):
     num_visits: Array
 
 
-@jax.jit
+@kept_jit
 def begin(start: Array, goal: Array, bound: Array) -> Search:
     """Return a search in which the tiles of the goals, and of the cells next to them, are open.
 
@@ -79,9 +80,9 @@ def begin(start: Array, goal: Array, bound: Array) -> Search:
     )
 
 
-@partial(jax.jit, donate_argnums=0, static_argnames="num_together")
+@partial(kept_jit, donate_argnums=0, static_argnames=("num_together",))
 def advance(
-    search: Search, grid: Grid, band: float, max_rounds: int, num_together: int
+    search: Search, grid: Grid, band: float, max_rounds: int, *, num_together: int
 ) -> tuple[Search, Array]:
     """Return the search after up to ``max_rounds`` rounds, and ``[Q]`` the lowest open f of each query.
 

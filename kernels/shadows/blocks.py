@@ -31,6 +31,7 @@ from jaxurban.kernels.shadows.sweep import (
     num_passes,
     within,
 )
+from jaxurban.programs import kept_jit
 
 AT_ONCE = 8  # satellites of a call
 
@@ -349,7 +350,7 @@ class Block(NamedTuple):
     last: tuple[np.int32, np.int32]
 
 
-@partial(jax.jit, static_argnames="every")
+@partial(kept_jit, static_argnames=("every",))
 def cast(
     block: Block, *, every: int = 1
 ) -> tuple[UInt[Array, "A t t"], Float[Array, "S T"], Float[Array, "S T"]]:

@@ -8,13 +8,13 @@ agree to 1e-3 m in float32, but where a line passes within 1e-4 cells of the bor
 from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.shadows.sweep import ENTRY_STEPS
+from jaxurban.programs import kept_jit
 
 RAYS_A_TURN = 4096  # that walk together: as far as the longest of them
 
@@ -106,7 +106,7 @@ def shadows_at(
     return shadow_m
 
 
-@jax.jit
+@kept_jit
 def walk(
     top_m: Float[Array, "Y X"],
     row: Int[Array, " R"],

@@ -23,6 +23,8 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int, UInt
 
+from jaxurban.programs import kept_jit
+
 WORD_BITS = 32  # satellites in one word of a visibility mask
 
 # A ray is taken to meet a cell's roof this share of a step before the cell's centre line. Of 0 (the centre),
@@ -164,7 +166,7 @@ def _sweep_rows(raised_m: Array, shifts: Array, drop_m: Array, toward_last: bool
     return shadow_m
 
 
-@jax.jit
+@kept_jit
 def sweep(raised_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]:
     """Return the maximum over the cells beyond each cell on its line of (raised - steps x drop), ``[Y, X]``.
 
@@ -197,7 +199,7 @@ def within(raised_m: Array, ring: Ring) -> Array:
     return jnp.concatenate([ring.south[None], rows, ring.north[None]])
 
 
-@jax.jit
+@kept_jit
 def shadow_height(
     top_m: Float[Array, "Y X"], line: Line, ring: Ring | None = None
 ) -> Float[Array, "Y X"]:
@@ -278,7 +280,7 @@ def doubled(raised_m: Array, line: Line, passes: int) -> Array:
     return beyond(highest_m, 1)
 
 
-@partial(jax.jit, static_argnames="passes")
+@partial(kept_jit, static_argnames=("passes",))
 def shadow_heights_at_once(
     top_m: Float[Array, "Y X"], lines: Line, *, passes: int
 ) -> Float[Array, "S Y X"]:
@@ -337,7 +339,7 @@ def _kept(window: Window) -> tuple[slice, slice]:
     )
 
 
-@partial(jax.jit, static_argnames="window")
+@partial(kept_jit, static_argnames=("window",))
 def visible_words(
     top_m: Float[Array, "Y X"],
     height_m: Float[Array, "A ..."],

@@ -140,7 +140,7 @@ def gdal(polygons, values, grid, fill, dtype, **how):
 def test_borders_through_centres_fall_as_gdal_has_them():
     """GDAL is asked with row 0 in the south, as grids have it: it gives centres on borders to one side."""
     for polygon in with_ties(np.random.default_rng(2), 200):
-        alone = np.array([polygon]), np.ones(1), BORDERS, 0, "uint8"
+        alone = np.array([polygon]), np.ones(1), BORDERS, 0, "int32"
         np.testing.assert_array_equal(burn(*alone)[0], gdal(*alone))
 
 

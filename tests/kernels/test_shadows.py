@@ -114,9 +114,9 @@ def walks(most_steps=10**9):
 def test_shadow_heights_equal_a_walk_along_every_line_by_one_program():
     lines = lines_over(SHAPE, growth=0)
     swept(tops(), lines[:1])
-    compiled = shadow_height._cache_size()
+    compiled = len(shadow_height.programs)
     np.testing.assert_allclose(swept(tops(), lines), walks(), atol=ROUNDING_M)
-    assert shadow_height._cache_size() == compiled
+    assert len(shadow_height.programs) == compiled
 
 
 def test_fewer_passes_leave_out_only_what_stands_farther():

@@ -100,7 +100,7 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     assert sum(sentence in warning for warning in found) == 1
     maps = ju.open_maps(tmp_path / "out")
     assert "50 % of heights" in by_name(maps.guesses)
-    guessed = burn(np.array(houses[1:3]), np.ones(2), maps.grid, 0, "uint8")[0].astype(bool)
+    guessed = burn(np.array(houses[1:3]), np.ones(2), maps.grid, 0, "int32")[0].astype(bool)
     assert guessed.sum() == 32
     np.testing.assert_array_equal(maps.m("roof_guessed"), guessed)
     texts = texts_of(maps)
@@ -133,7 +133,7 @@ def test_one_guessed_roof_of_many_is_known_by_all_cells_that_it_touches(tmp_path
     assert guessed_share(city.buildings, region.bounds_m) > 0
     surface = build_surface(city, region, region, has_guessed=True)
     guessed = box(20 + 90 * 30, 100, 60 + 90 * 30, 140).buffer(-0.01)
-    touched = burn(np.array([guessed]), np.ones(1), region, 0, "uint8")[1]
+    touched = burn(np.array([guessed]), np.ones(1), region, 0, "int32")[1]
     np.testing.assert_array_equal(surface.roof_guessed, touched.astype(bool))
 
 

@@ -174,7 +174,7 @@ def by_evaluation(seed, cost_model, diagonal):
 def bulk_costs(cell_cost, segments, is_line, passes_corners):
     with jax.enable_x64(True):
         return segment_costs(
-            cell_cost, segments[:, 0], segments[:, 1], 0.3, is_line, passes_corners
+            cell_cost, segments[:, 0], segments[:, 1], 0.3, passes_corners, is_line=is_line
         )
 
 

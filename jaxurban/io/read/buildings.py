@@ -381,7 +381,9 @@ def _learned(
 
 def _within(footprints: Footprints, rules: settings.Buildings) -> Footprints:
     """Return outlines whose guessed heights and bounds end at what the user says of their kinds."""
-    highest_m = np.array([settings.highest_of(rules, kind) for kind in footprints.kinds], float)
+    kinds = footprints.kinds
+    by_kind = {kind: settings.highest_of(rules, kind) for kind in {*kinds}}
+    highest_m = np.array([by_kind[kind] for kind in kinds], float)
     highest_m[~footprints.is_guessed] = np.inf
     return replace(
         footprints,
@@ -485,7 +487,9 @@ def _project(
       issues: gets how many were repaired, are missing or empty, or lie where ``crs`` does not reach.
     """
     to_city = transformer(source, crs).transform
-    shapes = shapely.transform(shapely.force_2d(shapes), to_city, interleaved=False)
+    if shapely.has_z(shapes).any():
+        shapes = shapely.force_2d(shapes)
+    shapes = shapely.transform(shapes, to_city, interleaved=False)
     is_there = ~shapely.is_missing(shapes) & ~shapely.is_empty(shapes)
 
     # Of a shape that lacks vertices the hull of the others is left.

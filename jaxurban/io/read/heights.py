@@ -206,8 +206,10 @@ def estimate_heights(
     issues[ReadIssue.MIN_HEIGHTS_UNUSABLE] = int(num_min)
 
     has_height &= ~is_too_low
-    words = pd.Series(tags.get("height", empty)).astype(str)
-    has_rough = has_height & words.str.contains(ROUGH).to_numpy()
+    has_rough = np.zeros(len(polygons), bool)
+    words = tags.get("height", empty)[has_height]
+    if words.dtype == object:
+        has_rough[has_height] = pd.Series(words).astype(str).str.contains(ROUGH)
     origins = {
         HeightOrigin.UNREADABLE: height_m > MAX_HEIGHT_M,
         HeightOrigin.ROUGH: has_rough,

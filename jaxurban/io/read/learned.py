@@ -95,5 +95,7 @@ def learned_from(
 
 def of_classes(learned: Mapping[str, Learned], classes: np.ndarray, field: str) -> np.ndarray:
     """Return ``[N]`` a field of `Learned` by class, NaN where nothing is learned."""
-    values = {name: getattr(each, field) for name, each in learned.items()}
-    return np.array([values.get(name) for name in classes], float)
+    values = np.full(len(classes), np.nan)
+    for name, each in learned.items():
+        values[classes == name] = getattr(each, field)
+    return values

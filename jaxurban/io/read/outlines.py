@@ -54,6 +54,7 @@ class Outlines:
 
     def texts(self, name: str) -> np.ndarray:
         """Return a tag of every outline as text in small letters, ``[N]`` objects, empty where it is missing."""
+        name = name if name in self.tags else ""  # one array for all that are missing
         if name not in self._words:
             column = self.column(name)
             words = np.full(len(column), "", object)

@@ -367,8 +367,8 @@ def burn(
       polygons: ``[N]`` shapely Polygons and MultiPolygons in the grid's CRS.
       values: ``[N]`` numbers, none below ``fill``.
       grid: where to burn.
-      fill: value of cells that no polygon holds.
-      dtype: of the result.
+      fill: value of cells that no polygon holds; not below 0 for floats.
+      dtype: of the result, ``"int32"`` or ``"float32"``.
       boxes_m: ``[4, N]`` x_min, y_min, x_max, y_max of the polygons, from those who keep them; left out, computed.
       has_touched: False leaves the second array empty.
 
@@ -396,16 +396,17 @@ def burn(
     lines = np.append(polygons[single], rings)
     num_rings = np.bincount(outline, minlength=len(parts))  # of each part
 
-    # Coordinates in cells, where each ring begins in them, where each part begins in the rings, and each part's value.
+    # Coordinates in cells, where each ring begins in them, where each part begins in the rings, and each part's value:
+    # int32 for all, of which Numba compiles one form, as the bits of floats from 0 on have the floats' order.
     burn_outlines(
         shapely.get_coordinates(lines) / grid.resolution_m,
         _starts(shapely.get_num_coordinates(lines)),
         _starts(np.append(np.ones(len(single), np.int64), num_rings)),
-        values[np.append(single, others[owner])].astype(centre.dtype),
+        values[np.append(single, others[owner])].astype(dtype).view(np.int32),
         grid.first_row,
         grid.first_col,
-        centre,
-        touched,
+        centre.view(np.int32),
+        touched.view(np.int32),
     )
     if has_touched:
         np.maximum(centre, touched, out=touched)

@@ -77,6 +77,9 @@ def prisms_of_solids(features: Outlines) -> pd.DataFrame:
     np.maximum.at(rise_m, index, height_m - height_m.min(initial=np.inf))
 
     may_be = shapely.has_z(outlines) & (shapely.get_num_geometries(outlines) > 1)
+    if not may_be.any():
+        plain = {"feature": np.arange(len(outlines)), "height_m": math.nan, "polygon": outlines}
+        return pd.DataFrame({**plain, "rise_m": rise_m})
     rows: list[tuple] = []
     for feature, outline in enumerate(outlines):
         roofs = 0 if num_roofs is None else num_roofs[feature]

@@ -68,7 +68,9 @@ def what_stands(outlines: Outlines, has_decks: bool, issues: ReadIssues) -> Outl
     is_areal = ~np.isin(shapely.get_dimensions(outlines.polygons), (0, 1))
     is_part = _says_yes(outlines, "part")
     kinds, label = _kinds(outlines, is_areal)
-    limit_m = np.array([kind.limit_m if isinstance(kind, Kind) else 0.0 for kind in kinds])
+    is_kind, is_nothing = (_is_each(kinds, of) for of in (Kind, Nothing))
+    limit_m = np.zeros(len(kinds))
+    limit_m[is_kind] = [kind.limit_m for kind in kinds[is_kind]]
     verdict = kinds.copy()
     is_building = is_areal & pd.isna(verdict)
     is_deck = has_decks & is_areal & (outlines.texts("man_made") == DECK) & ~is_part
@@ -82,8 +84,8 @@ def what_stands(outlines: Outlines, has_decks: bool, issues: ReadIssues) -> Outl
 
     # Why the others are left out.
     verdict[pd.isna(verdict)] = ReadIssue.NOT_BUILDINGS
-    verdict[[isinstance(each, Nothing) for each in verdict]] = ReadIssue.NOT_STANDING
-    stands = np.array([isinstance(each, Kind) or each == BUILDING for each in verdict], bool)
+    verdict[is_nothing & ~is_building] = ReadIssue.NOT_STANDING
+    stands = is_kind | is_building
     verdict[~stands & is_water(outlines)] = None
     is_below = stands & _is_below(outlines)
     verdict[is_below] = ReadIssue.UNDERGROUND
@@ -98,6 +100,13 @@ def what_stands(outlines: Outlines, has_decks: bool, issues: ReadIssues) -> Outl
     return replace(outlines, tags={**outlines.tags, **more}).take(stands & ~is_below)
 
 
+def _is_each(values: np.ndarray, of: type) -> np.ndarray:
+    """Return ``[N]`` whether objects are of a class; most of them are None."""
+    is_of = ~pd.isna(values)
+    is_of[is_of] = [isinstance(value, of) for value in values[is_of]]
+    return is_of
+
+
 def is_water(outlines: Outlines) -> np.ndarray:
     """Return ``[N]`` whether features are water, or a shore of it."""
     is_of = [np.isin(outlines.texts(key), values) for key, values in WATERS.items()]
@@ -107,6 +116,8 @@ def is_water(outlines: Outlines) -> np.ndarray:
 def _says_yes(outlines: Outlines, name: str) -> np.ndarray:
     """Return ``[N]`` whether a tag has any value but those that mean no."""
     text = outlines.texts(name)
+    if name not in outlines.tags:
+        return np.zeros(len(text), bool)
     is_number = {value for value in {*text} if value[:1].isdigit()}
     no = NO if is_number - FLAGS else (*NO, "0", "0.0")
     return ~np.isin(text, no)

@@ -126,7 +126,7 @@ def touched_cells(polygon: shapely.Geometry, grid: Grid) -> np.ndarray:
     from jaxurban.io.read.rasterise import burn
 
     wider = grid.padded(1, 1, 1, 1)
-    closed = burn(np.array([polygon]), np.ones(1), wider, 0.0, "uint8")[1] == 1
+    closed = burn(np.array([polygon]), np.ones(1), wider, 0, "int32")[1] == 1
     cells = np.argwhere(binary_dilation(closed, np.ones((3, 3))) & ~closed)
     shapely.prepare(polygon)
     closed[tuple(cells.T)] = shapely.intersects(polygon, cell_boxes(wider, cells, 1))

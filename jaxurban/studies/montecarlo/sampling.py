@@ -414,7 +414,7 @@ def strata_of(maps: MetricMaps, cover: LandCover | None = None) -> np.ndarray:
             parts = shapely.get_parts(shape)
 
             # 1 inside the parts, else 0.
-            covered, _ = burn(parts, np.ones(len(parts), np.uint8), maps.grid, 0, "uint8")
+            covered, _ = burn(parts, np.ones(len(parts)), maps.grid, 0, "int32")
             strata[covered == 1] = STRATA.index(name)
     strata[~maps.ds["has_data"].values] = NO_STRATUM
     return strata

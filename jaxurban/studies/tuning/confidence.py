@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import linprog
 
+from jaxurban.programs import kept_jit
 from jaxurban.studies.queries import RouteQuery, maps_of
 from jaxurban.studies.route_pool import NOT_A_ROUTE, RoutePool
 from jaxurban.studies.tuning.fenchel_young import FitTask, descend, fenchel_young_loss
@@ -62,13 +63,15 @@ def refit(log_weights: np.ndarray, task: FitTask, counts: np.ndarray) -> np.ndar
     return np.asarray(_fits(jnp.asarray(log_weights), task, trusts))
 
 
-@jax.jit
+@kept_jit
 def _fits(log_weights: jax.Array, task: FitTask, trusts: jax.Array) -> jax.Array:
     """Return ``[T, K]`` the log weights fitted under each row of trusts ``[T, Q]``, all from the same start ``[K]``."""
 
     def fit(trust: jax.Array) -> jax.Array:
         """Return ``[K]`` the log weights fitted under trusts ``[Q]``."""
-        return descend(log_weights, task._replace(trust=trust), fenchel_young_loss, STEPS)[0]
+        return descend(
+            log_weights, task._replace(trust=trust), objective=fenchel_young_loss, num_steps=STEPS
+        )[0]
 
     return jax.lax.map(fit, trusts)
 

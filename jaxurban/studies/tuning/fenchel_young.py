@@ -10,6 +10,8 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from jaxurban.programs import kept_jit
+
 FIRST_RATE, LAST_RATE = 0.05, 0.005  # of Adam, in log weight a step
 LEAST_REGRET = 0.01  # demonstrations much nearer than this to the cheapest are trusted; less distrusted good ones
 
@@ -120,9 +122,9 @@ def adam(
     return ended
 
 
-@partial(jax.jit, static_argnames=("objective", "num_steps"))
+@partial(kept_jit, static_argnames=("objective", "num_steps"))
 def descend(
-    log_weights: Float[Array, " K"], task: FitTask, objective: Callable, num_steps: int
+    log_weights: Float[Array, " K"], task: FitTask, *, objective: Callable, num_steps: int
 ) -> tuple[Float[Array, " K"], Float[Array, ""]]:
     """Return log weights after a descent by Adam, and the value of the objective there.
 

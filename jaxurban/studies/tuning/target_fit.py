@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from jaxurban.checks import finite, one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.metrics.weights import AnyArray, Weights
+from jaxurban.programs import kept_jit
 from jaxurban.progress import Report, reporting
 from jaxurban.studies.queries import RouteQuery, check_alike, weights_from
 from jaxurban.studies.route_pool import (
@@ -364,7 +365,9 @@ class _Search(NamedTuple):
             anywhere = best.log_weights + spread * rng.normal(size=(NUM_CANDIDATES, num_weights))
             candidates = np.vstack([best.log_weights, self.log_start, self._corners(), anywhere])
             starts = self._least(candidates, NUM_STARTS, aim)
-            descended = _descend(jnp.asarray(starts), noises, aim, self.pool.names, self.targets)
+            descended = _descend(
+                jnp.asarray(starts), noises, aim, names=self.pool.names, targets=self.targets
+            )
 
             # The best of the weights by routes that are planned under them, with features and integrals [2, Q, K].
             for log_weights in self._least(np.concatenate([descended, starts]), NUM_TRIED, aim):
@@ -412,7 +415,9 @@ class _Search(NamedTuple):
 
     def _least(self, candidates: np.ndarray, num: int, aim: _Aim) -> np.ndarray:
         """Return ``[num, K]`` the log weights, of ``[S, K]``, whose cheapest known routes miss least."""
-        misses = _known_misses(jnp.asarray(candidates), aim, self.pool.names, self.targets)
+        misses = _known_misses(
+            jnp.asarray(candidates), aim, names=self.pool.names, targets=self.targets
+        )
         return candidates[np.argsort(np.asarray(misses), kind="stable")[:num]]
 
     def explore(self) -> None:
@@ -488,8 +493,8 @@ def _squared_misses(
     return jnp.sum(_missed(values, aim) ** 2)
 
 
-@partial(jax.jit, static_argnames=("names", "targets"))
-def _descend(starts: Array, draws: Array, aim: _Aim, names: Any, targets: Any) -> Array:
+@partial(kept_jit, static_argnames=("names", "targets"))
+def _descend(starts: Array, draws: Array, aim: _Aim, *, names: Any, targets: Any) -> Array:
     """Return log weights ``[S, K]`` after a descent from each start, over the known routes with noise that shrinks.
 
     Args:
@@ -511,8 +516,8 @@ def _descend(starts: Array, draws: Array, aim: _Aim, names: Any, targets: Any) -
     )
 
 
-@partial(jax.jit, static_argnames=("names", "targets"))
-def _known_misses(candidates: Array, aim: _Aim, names: Any, targets: Any) -> Array:
+@partial(kept_jit, static_argnames=("names", "targets"))
+def _known_misses(candidates: Array, aim: _Aim, *, names: Any, targets: Any) -> Array:
     """Return ``[S]`` the squared misses of the cheapest known routes under each of log weights ``[S, K]``.
 
     Args:

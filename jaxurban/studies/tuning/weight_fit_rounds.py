@@ -153,7 +153,9 @@ class FitUnderWay:
             regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), task))
             self.trust = trust_of(regret, usual_regret(regret) * patience)
             task = task._replace(trust=jnp.asarray(self.trust))
-        log_weights, loss = descend(jnp.asarray(self.log_weights), task, objective, STEPS)
+        log_weights, loss = descend(
+            jnp.asarray(self.log_weights), task, objective=objective, num_steps=STEPS
+        )
         self.log_weights = np.asarray(log_weights)
         return {
             "round": number + 1,
@@ -187,7 +189,7 @@ class FitUnderWay:
         lowest = jnp.asarray(self.log_weights)
         for _ in range(REGRET_ROUNDS):
             task = self.task_without_noise()._replace(trust=jnp.ones(len(self.demo)))
-            lowest, expected = descend(lowest, task, mean_regret, STEPS)
+            lowest, expected = descend(lowest, task, objective=mean_regret, num_steps=STEPS)
             reached = float(self.searched_regret(np.asarray(lowest)).mean())
             best = min(best, reached)
             if reached <= float(expected) + SETTLED:

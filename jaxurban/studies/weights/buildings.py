@@ -17,6 +17,7 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import Weights, WeightsLike, check_held
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.cost import CostModel
+from jaxurban.programs import kept_jit
 from jaxurban.world.footprints import HeightOrigin
 
 
@@ -148,7 +149,7 @@ def building_costs(
     return table
 
 
-@jax.jit
+@kept_jit
 def _slopes(
     soft: SoftCity, params: SoftParams, weights: Weights, visits: PathVisits
 ) -> tuple[dict[str, jax.Array], jax.Array]:
