@@ -43,8 +43,9 @@ def kept_jit(function: Callable[..., Any], **options: Any) -> Any:
 
     What an earlier session has compiled is loaded, without tracing the function again. JAX's configuration stays as it
     is. A program is loaded only by the versions, source files and settings, on the kind of processor and device, and
-    for the types, shapes and static arguments that it was compiled for. While JAX traces, and for arrays that the user
-    has put on another device than JAX's default, the function is that of `jax.jit`.
+    for the types, shapes and static arguments that it was compiled for. While JAX traces, for arrays that the user has
+    put on another device than JAX's default, and where the user has given JAX a cache of its own
+    (``JAX_COMPILATION_CACHE_DIR``), the function is that of `jax.jit`.
 
     Programs lie in ``$XDG_CACHE_HOME/jaxurban/programs`` (``~/.cache`` where the variable is not set). As loading one
     can run code, the folder and the file must belong to the user, be no links, and let nobody else write; and the file
@@ -74,6 +75,8 @@ def kept_jit(function: Callable[..., Any], **options: Any) -> Any:
         static = {name: kwargs.pop(name) for name in static_names if name in kwargs}
         leaves, tree = jax.tree.flatten((args, kwargs))
         is_chosen = config.jax_disable_jit or config.jax_default_device is not None
+        # What JAX has loaded from its own cache lacks parts when it is written once more.
+        is_chosen |= config.jax_compilation_cache_dir is not None
         if is_chosen or not all(map(is_plain, leaves)):
             return jitted(*args, **kwargs, **static)
 

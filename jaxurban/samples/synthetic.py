@@ -35,7 +35,7 @@ CREDIT = "synthetic city"  # below its pictures, lest a stranger takes them for 
 # Streets lie as Manhattan's do: 29 degrees clockwise from grid north. Pairs are across and along the avenues.
 BEARING_RAD = np.radians(29.0)
 BLOCK_M = np.array([200.0, 90.0])  # from the middle of a street to that of the next
-STREET_M = np.array([30.0, 24.0])
+STREET_M = np.array([60.0, 40.0])
 LOTS = np.array([5, 2])  # of a block: two rows, back to back
 # The park's ends as shares of the box's width and height, from its middle; it has one block at least.
 PARK_SHARE = np.array([0.06, 0.2])
@@ -48,7 +48,7 @@ HEIGHT_SPREAD = 0.9  # greatest logarithm of a height over its median, either wa
 SHARE_BUILT = 0.6, 0.35
 # Of the tower's podium and shaft; insets are from the middle of the streets.
 TOWER_HEIGHTS_M = 25.0, 320.0
-TOWER_INSETS_M = np.array([[15.0, 12.0], [76.0, 26.0]])
+TOWER_INSETS_M = np.array([[30.0, 20.0], [76.0, 26.0]])
 # Of the park, of the centre and of what lies around it.
 DISTRICTS = np.array([OTHER_DISTRICT, 1, 2], np.int32)
 ZONINGS = np.array([Zoning.OTHER, Zoning.COMMERCIAL, Zoning.RESIDENTIAL], np.uint8)

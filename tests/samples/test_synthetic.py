@@ -57,7 +57,7 @@ def test_every_building_stands_in_one_block_clear_of_its_streets(city):
     clear_m = shapely.distance(
         buildings, shapely.difference(shapely.boundary(blocks[block]), edge.buffer(0.01))
     )
-    assert np.nanmin(clear_m) == pytest.approx(12.0)  # half of the narrowest street, 24 m
+    assert np.nanmin(clear_m) == pytest.approx(20.0)  # half of the narrowest street, 40 m
 
 
 def test_outlines_do_not_overlap_and_blocks_fill_the_box(city):
@@ -67,7 +67,7 @@ def test_outlines_do_not_overlap_and_blocks_fill_the_box(city):
         )
     box_m2 = shapely.box(*city.extent_m).area
     assert 0.98 < city.blocks.area_m2.sum() / box_m2 <= 1.0 + 1e-9
-    assert 0.25 < shapely.area(outlines(city)).sum() / box_m2 < 0.4
+    assert 0.15 < shapely.area(outlines(city)).sum() / box_m2 < 0.3
 
 
 def test_the_one_tower_stands_on_its_podium_in_the_middle_of_the_box(city):
@@ -92,9 +92,7 @@ def test_people_live_in_houses_and_none_in_the_park(city):
     has_tower = blocks.night_count[has_houses] == 0
     assert has_tower.sum() == 1
     box_km2 = shapely.box(*city.extent_m).area / 1e6
-    assert (
-        15e3 < blocks.night_count.sum() / box_km2 < 50e3
-    )  # Manhattan: 28,000 people per square kilometre
+    assert 10e3 < blocks.night_count.sum() / box_km2 < 50e3  # Manhattan: 28,000 a square kilometre
 
 
 def test_commerce_is_in_the_centre_whose_houses_are_higher(city):

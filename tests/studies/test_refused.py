@@ -201,9 +201,8 @@ ROWS = [
     ),
     ("one cell", lambda s: sensitivity(s, goal=0)),
     ("no route to study", lambda s: sensitivity(s, walled(s.crossed, 15))),
-    ("block_m", lambda _: ju.studies.ReceiverSettings(block_m=10.0)),
+    ("block_m", lambda _: ju.studies.ReceiverSettings(block_m=0.0)),
     ("sky_step_s", lambda _: ju.studies.ReceiverSettings(sky_step_s=900.0)),
-    ("piece_m", lambda _: ju.studies.ReceiverSettings(piece_m=-1.0)),
     (
         "pair 2",
         lambda s: ju.studies.make_queries(
