@@ -13,6 +13,7 @@ import psutil
 from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import PEOPLE_SAMPLES
 from jaxurban.io.stored import GEOTIFF_FOLDER, ZARR_FOLDER
+from jaxurban.kernels.shadows.sweep import TOGETHER
 from jaxurban.maps.free_memory import free_bytes, gpu_free_bytes
 from jaxurban.maps.task import MapTask, variables
 from jaxurban.metrics.base import TIME
@@ -45,7 +46,7 @@ SPREAD_CELL_BYTES = 4 * 10 * 3
 SUBCELL_BYTES = 60
 # Of a cell in a row of tiles, all across the region, while a GeoTIFF is made of it.
 GEOTIFF_CELL_BYTES = 14
-# Of a satellite over a cell of the tile and its halo, on a GPU, where shadows are cast by doubling, as compiled for one
+# Of a satellite over a cell of the tile and its margin, where a GPU casts shadows by doubling, as compiled for one
 # (benchmarks/cuda_compile.json).
 SHADOW_GPU_BYTES = 64
 # On the disk: of a cell of the region both its roofs, until maps are whole; the share of the maps' values that is
@@ -139,8 +140,7 @@ def tile_gpu_bytes(task: MapTask, tile: Grid) -> int:
       task: what the maps are made of.
       tile: a part of its region.
     """
-    num_satellites = int(task.sky.is_in_view.sum(axis=1).max())
-    shadows = SHADOW_GPU_BYTES * num_satellites * _num_cells(task.with_halo(tile))
+    shadows = SHADOW_GPU_BYTES * TOGETHER * _num_cells(task.with_margin(tile))
     of_metrics = sum(
         metric.gpu_bytes(task.settings_of(metric), tile, task.has_terrain)
         for metric in task.metrics.values()

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -27,12 +28,14 @@ class TileScene:
       surface: roofs, terrain and blocks of the tile (``surface.region``) and of what its metrics look at around it.
       rings: the shadows that the tiles around hand on, by time and satellite; None where the surface itself holds all
         roofs that can shadow the tile.
+      made: what a device has made or makes of it (`jaxurban.maps.at_once.region_maps`); the host makes all else.
       totals: the tile's sums over free cells by metric, where statistics over time are kept; `tile_maps` fills it.
     """
 
     task: MapTask
     surface: Surface
     rings: Mapping[tuple[int, int], Ring] | None = None
+    made: Mapping[str, Any] = field(default_factory=dict)
     totals: dict[str, TimeTotals] = field(default_factory=dict, init=False)
     _words: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
     _surfaces: dict[float, tuple[Surface, Surface | None]] = field(

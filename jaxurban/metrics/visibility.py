@@ -115,10 +115,9 @@ def visible_words(
       sky: the satellites over this surface.
     """
     surface = surface.of_hiding()
-    rows, cols = surface.window
-    window = rows.start, rows.stop, cols.start, cols.stop, 1  # 1: every cell is kept
     height_m = _heights(surface.crop(surface.terrain_m), altitudes_m)
-    return sweep.visible_words(surface.top_m, height_m, sky.lines, sky.num, window=window)
+    receivers = surface.corner, surface.region.shape
+    return sweep.visible_words(surface.top_m, height_m, sky.lines, sky.num, *receivers)
 
 
 def _heights(ground_m: AnyArray | None, altitudes_m: AnyArray) -> AnyArray:

@@ -14,7 +14,7 @@ stands within that of a shadow's edge.
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,8 @@ WORD_BITS = 32  # satellites in one word of a visibility mask
 # 12 % of the blocked results, 0.5 breaks up to 1.1 % of the clear ones, 0.25 misses 7 to 9 % and breaks 0.8 %.
 # Boston, which had no part in the choice, orders them alike.
 ENTRY_STEPS = 0.25
+# Satellites that a GPU casts together, in 64 bytes for each over a cell.
+TOGETHER = 4
 
 NORTH, SOUTH, EAST, WEST = range(4)
 Shape = tuple[int, int]  # rows and columns of a grid
@@ -337,14 +339,14 @@ def _kept(window: Window) -> tuple[slice, slice]:
     )
 
 
-@partial(jax.jit, static_argnames="window")
+@partial(jax.jit, static_argnames="shape")
 def visible_words(
     top_m: Float[Array, "Y X"],
     height_m: Float[Array, "A ..."],
     lines: Line,
     num: Int[Array, ""],
-    *,
-    window: Window,
+    corner: tuple[Any, Any],
+    shape: Shape,
 ) -> UInt[Array, "W A y x"]:
     """Return visibility words: satellite ``s``, bit ``s % 32`` of word ``s // 32``, is seen where no shadow reaches.
 
@@ -353,38 +355,50 @@ def visible_words(
       height_m: ``[A, y, x]`` absolute height of the receivers, or ``[A, 1, 1]``.
       lines: of all satellites, fields stacked along ``S``.
       num: number of satellites; the lines behind them fill up, and are never seen.
-      window: of the receivers, as for `shadow_heights`.
+      corner: row and column of the southwest receiver's cell; may be traced.
+      shape: rows and columns of receivers, one in every cell.
     """
-    by_sweep = partial(words_by_sweep, window=window)
-    by_doubling = partial(words_by_doubling, window=window)
-    return lax.platform_dependent(top_m, height_m, lines, num, cpu=by_sweep, default=by_doubling)
+    by_sweep, by_doubling = (
+        partial(form, shape=shape) for form in (words_by_sweep, words_by_doubling)
+    )
+    arguments = top_m, height_m, lines, num, corner
+    return lax.platform_dependent(*arguments, cpu=by_sweep, default=by_doubling)
 
 
-def words_by_sweep(top_m: Array, height_m: Array, lines: Line, num: Array, window: Window) -> Array:
+def words_by_sweep(
+    top_m: Array, height_m: Array, lines: Line, num: Array, corner: tuple, shape: Shape
+) -> Array:
     """Return `visible_words`, by the form for a CPU: satellite by satellite; the lines that fill up are left out."""
-    kept = _kept(window)
 
     def mark(number: Array, words: Array) -> Array:
         """Add the bit of one satellite to the words ``[W, A, y, x]``; every bit is added once, so adding sets it."""
         line = jax.tree.map(lambda values: values[number], lines)
-        seen = shadow_height(top_m, line)[None, *kept] <= height_m
-        bit = seen.astype(jnp.uint32) << (number % WORD_BITS).astype(jnp.uint32)
-        return words.at[number // WORD_BITS].add(bit)
+        shadow_m = lax.dynamic_slice(shadow_height(top_m, line), corner, shape)
+        bit = (shadow_m[None] <= height_m).astype(jnp.uint32)
+        return words.at[number // WORD_BITS].add(bit << (number % WORD_BITS).astype(jnp.uint32))
 
-    shape = jnp.broadcast_shapes(height_m.shape, (1, *top_m[kept].shape))
     num_words = max(1, -(-len(lines.heading) // WORD_BITS))
-    return lax.fori_loop(0, num, mark, jnp.zeros((num_words, *shape), jnp.uint32))
+    return lax.fori_loop(0, num, mark, jnp.zeros((num_words, len(height_m), *shape), jnp.uint32))
 
 
 def words_by_doubling(
-    top_m: Array, height_m: Array, lines: Line, num: Array, window: Window
+    top_m: Array, height_m: Array, lines: Line, num: Array, corner: tuple, shape: Shape
 ) -> Array:
-    """Return `visible_words`, by the form for a GPU: for all satellites at once."""
-    shadows_m = heights_by_doubling(top_m, lines, window)
+    """Return `visible_words`, by the form for a GPU: `TOGETHER` satellites at once, whose shadows are then let go."""
+    passes = num_passes(max(top_m.shape))
+
+    def see(line: Line) -> Array:
+        """Return ``[A, y, x]`` bool: where one satellite is seen."""
+        raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
+        shadow_m = lax.dynamic_slice(doubled(raised_m, line, passes), corner, shape)
+        return shadow_m[None] <= height_m
+
+    seen = lax.map(see, lines, batch_size=TOGETHER)
     words = []
-    for first in range(0, max(len(shadows_m), 1), WORD_BITS):
-        some_m = shadows_m[first : first + WORD_BITS, None]  # of one word: [bits, 1, y, x]
-        bit = jnp.arange(len(some_m), dtype=jnp.uint32)[:, None, None, None]
-        seen = (some_m <= height_m[None]) & (first + bit < num.astype(jnp.uint32))
-        words.append(jnp.sum(seen.astype(jnp.uint32) << bit, axis=0, dtype=jnp.uint32))
+    for first in range(0, max(len(seen), 1), WORD_BITS):
+        some = seen[first : first + WORD_BITS]  # of one word
+        bit = jnp.arange(len(some), dtype=jnp.uint32)[:, None, None, None]
+        is_true = first + bit < num.astype(jnp.uint32)
+        bits = (some & is_true).astype(jnp.uint32) << bit
+        words.append(jnp.sum(bits, axis=0, dtype=jnp.uint32))
     return jnp.stack(words)

@@ -14,14 +14,7 @@ from hypothesis import strategies as st
 import jaxurban as ju
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.blocks import SMALL
-from jaxurban.kernels.shadows import blocks
-from jaxurban.kernels.shadows.blocks import (
-    Receivers,
-    cast_by_doubling,
-    cast_by_sweep,
-    hand_on,
-    mark_visible,
-)
+from jaxurban.kernels.shadows.blocks import Receivers, hand_on, mark_visible
 from jaxurban.kernels.shadows.sweep import (
     ENTRY_STEPS,
     Ring,
@@ -176,19 +169,8 @@ def test_doubling_throws_the_sweeps_shadows_in_every_direction(shape):
     np.testing.assert_allclose(found, swept(top_m, lines), atol=ROUNDING_M)
 
 
-FORMS = [cast_by_sweep, pytest.param(cast_by_doubling, marks=pytest.mark.slow)]
-
-
-@pytest.fixture
-def form(request, monkeypatch):
-    """Cast every block by one of the two forms."""
-    monkeypatch.setattr(blocks, "cast", jax.jit(request.param, static_argnames="every"))
-    return request.param
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("form", FORMS, indirect=True)
-def test_a_part_within_the_ring_of_its_neighbours_hands_on_the_higher_of_roof_and_shadow(form):
+def test_a_part_within_the_ring_of_its_neighbours_hands_on_the_higher_of_roof_and_shadow():
     whole, lines = (
         swept(tops(), lines_over(SHAPE, growth=0)),
         lines_over((12, 15), (FIRST[0] + 4, FIRST[1] + 7)),
@@ -203,11 +185,8 @@ def test_a_part_within_the_ring_of_its_neighbours_hands_on_the_higher_of_roof_an
     rows, cols = hand_on(part_m, stacked(lines), by_side(rings))
     for s, line in enumerate(lines):
         last = [0 if ahead > 0 else -1 for ahead in line.toward]
-        np.testing.assert_allclose(rows[s], expected[s, last[0]], atol=ROUNDING_M)
-        np.testing.assert_allclose(cols[s], expected[s, :, last[1]], atol=ROUNDING_M)
-        if form is cast_by_sweep:
-            np.testing.assert_array_equal(rows[s], expected[s, last[0]])
-            np.testing.assert_array_equal(cols[s], expected[s, :, last[1]])
+        np.testing.assert_array_equal(rows[s], expected[s, last[0]])
+        np.testing.assert_array_equal(cols[s], expected[s, :, last[1]])
 
 
 @pytest.mark.slow
@@ -241,10 +220,7 @@ def test_soft_shadows_have_the_same_gradients_by_both_forms():
     ],
 )
 @pytest.mark.parametrize("has_terrain", [False, True])
-@pytest.mark.parametrize("form", FORMS, indirect=True)
-def test_a_satellite_is_seen_where_its_shadow_is_not_above_the_receiver(
-    form, shape, window, has_terrain
-):
+def test_a_satellite_is_seen_where_its_shadow_is_not_above_the_receiver(shape, window, has_terrain):
     top_m = tops(shape)
     top_m[shape[0] // 2, shape[1] // 3] = np.nan  # unknown: hides what lies behind it
     ground_m = np.random.default_rng(1).uniform(0, 20, shape).astype(np.float32)[window]
@@ -257,7 +233,7 @@ def test_a_satellite_is_seen_where_its_shadow_is_not_above_the_receiver(
     receivers = Receivers(first_cell, 1, ground_m if has_terrain else None, altitudes_m)
     mark_visible(words, top_m, receivers, stacked(lines_over(shape)))
     expected = words_of(swept(top_m, lines_over(shape, growth=0))[:, *window], receivers_m)
-    assert np.mean(words != expected) <= (0 if form is cast_by_sweep else 1e-4)
+    np.testing.assert_array_equal(words, expected)
 
 
 @pytest.mark.slow
@@ -291,8 +267,8 @@ def test_words_hold_more_than_32_satellites_and_none_that_fills_up(form):
         expected[2] |= np.uint32(1 << 31)
     else:
         lines = stacked(lines_over(SHAPE, growth=0, which=which))
-        words = jax.jit(form, static_argnames="window")(
-            tops(), height_m, lines, np.int32(num), window=WINDOW
+        words = jax.jit(form, static_argnames="shape")(
+            tops(), height_m, lines, np.int32(num), (4, 7), shape=(12, 15)
         )
     np.testing.assert_array_equal(words, expected)
 
@@ -353,8 +329,8 @@ def test_the_words_of_a_city_are_equal_by_all_forms(has_terrain):
     )
     view = SkyView.of(surface, *sky)
     for form in (words_by_sweep, words_by_doubling):
-        words = jax.jit(form, static_argnames="window")(
-            surface.top_m, height_m, view.lines, view.num, window=(50, 150, 50, 150, 1)
+        words = jax.jit(form, static_argnames="shape")(
+            surface.top_m, height_m, view.lines, view.num, (50, 50), shape=(100, 100)
         )
         np.testing.assert_array_equal(words, in_blocks)
     assert 0.4 < np.mean([in_blocks >> s & 1 for s in range(len(AZIMUTH_RAD))]) < 0.99
