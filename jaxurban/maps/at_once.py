@@ -314,7 +314,7 @@ def tile_at_once(
     """
     region = _rounded(tile)
     with stage("surface"):
-        surface = task.surface(region, _rounded(task.with_margin(region), around))
+        surface: Any = task.surface(region, _rounded(task.with_margin(region), around))
 
     # Nothing is known, nor counted, of cells beyond the window.
     rows, cols = window

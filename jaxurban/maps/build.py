@@ -276,20 +276,19 @@ def _tiles_at_once(
     """
     for shape in (task.region.shape, shape_of_tiles(task)):
         tiling = Tiling.over(task.region, task.region, shape)
-        windows = [tiling.reported(tile) for tile in tiling.region_tiles]
-        grids = [tiling.grid_of(tile) for tile in tiling.region_tiles]
-        around = shape_around(task, grids)
-        num_bytes = device_bytes / min(2, len(grids))  # of a tile and of the one before
+        tiles = [(tiling.reported(tile), tiling.grid_of(tile)) for tile in tiling.region_tiles]
+        around = shape_around(task, [grid for _, grid in tiles])
+        num_bytes = device_bytes / min(2, len(tiles))  # of a tile and of the one before
         before = None
-        for place, (window, grid) in enumerate(zip(windows, grids, strict=True)):
-            tile = tile_at_once(task, grid, window, around, stage, num_bytes)
-            if tile is None:
+        for window, grid in tiles:
+            begun = tile_at_once(task, grid, window, around, stage, num_bytes)
+            if begun is None:
                 break
             if before is not None:
-                yield windows[place - 1], before
-            before = tile
+                yield before
+            before = window, begun
         if before is not None:
-            yield windows[-1], before
+            yield before
             return
     raise InputError(
         f"the maps of a tile need more of the GPU's memory than the {format_bytes(device_bytes)} that are free: end "

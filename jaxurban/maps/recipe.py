@@ -4,7 +4,7 @@ A region in memory is one tile; a tiled run makes many of the same; spreads by u
 roofs have moved. Who runs it, and where the layers go, is the caller's.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ from jaxurban.maps.task import variables
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.maps.uncertain_heights import Spread, perturbed_cities
 from jaxurban.metrics.base import ALTITUDE, TIME, UNDERSIDE, Metric
-from jaxurban.metrics.variables import SCALE, TimeTotals, derived, series_statistics
+from jaxurban.metrics.variables import SCALE, TimeTotals, series_statistics
 from jaxurban.metrics.visibility import bounding_visibility
 from jaxurban.progress import Stage
 from jaxurban.settings import TO_GROUND
@@ -45,9 +45,6 @@ def tile_maps(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     """
     by_name = variables(tile.task)
     for name, place, values in _layers(tile, stage):
-        if name in tile.made:
-            yield MapLayer(name, place, values)
-            continue
         variable = by_name[name]
         if variable.inside is not None and ALTITUDE in variable.dims:
             altitude = place[variable.dims.index(ALTITUDE)]
@@ -56,6 +53,7 @@ def tile_maps(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
         if tile.has_data is not None and np.issubdtype(values.dtype, np.floating):
             values = np.where(tile.has_data, values, np.float32(np.nan))
         yield MapLayer(name, place, values)
+    yield from _staged(_made(tile), stage, "device")
 
     has_data = tile.has_data
     if has_data is None:
@@ -78,14 +76,16 @@ def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     others = [metric for metric in task.metrics.values() if metric not in of_sky]
     for metric in of_sky:
         make = _maps if task.keeps_times else _statistics
-        yield from _staged(make(tile, metric), stage, metric.name)
+        if not tile.is_made(metric):
+            yield from _staged(make(tile, metric), stage, metric.name)
         if task.has_bounds(metric):
             yield from _staged(_bounds(tile, metric), stage, f"{metric.name}_bounds")
             tile.forget()
     tile.forget()
 
     for metric in others:
-        yield from _staged(_maps(tile, metric), stage, metric.name)
+        if not tile.is_made(metric):
+            yield from _staged(_maps(tile, metric), stage, metric.name)
     if task.params.heights.height_samples:
         yield from _staged(_height_spread(tile), stage, "height_spread")
     yield from _staged(_rasters(tile), stage, "surface")
@@ -117,6 +117,20 @@ def _obstacles(tile: TileScene) -> Iterator[MapLayer]:
         yield MapLayer("obstacle", (a,), is_obstacle.astype(np.uint8))
 
 
+def _made(tile: TileScene) -> Iterator[MapLayer]:
+    """Yield what a device has made of a tile, and put its sums into ``tile.totals``."""
+    for name, on_device in tile.made.items():
+        values = np.asarray(on_device)
+        metric, _, what = name.rpartition("_")
+        if what == "sums":
+            is_free = np.isfinite(tile.made[f"{metric}_median"])
+            sums = values.sum(axis=-1, dtype=np.int64)
+            tile.totals[metric] = TimeTotals(sums, is_free.sum(axis=(1, 2)))
+            continue
+        for place in np.ndindex(values.shape[:-2]):
+            yield MapLayer(name, place, values[place])
+
+
 def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[MapLayer]:
     """Yield the maps of a metric at each place along its dims, such as each time and altitude.
 
@@ -128,11 +142,7 @@ def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[Map
     settings = tile.task.settings_of(metric)
     sizes = [tile.task.sizes[dim] for dim in metric.dims]
     for place in np.ndindex(*sizes):
-        maps: Mapping[str, Any]
-        if metric.name in tile.made:
-            maps = {name: np.asarray(tile.made[name])[place] for name in metric.variables}
-        else:
-            maps = metric.compute(tile.at(metric, place, only_m), settings)
+        maps = metric.compute(tile.at(metric, place, only_m), settings)
         for name, values in maps.items():
             if name == metric.name or not only_m:
                 yield MapLayer(name, place, values)
@@ -148,15 +158,6 @@ def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
       tile: what the maps are made of.
       metric: of times and altitudes.
     """
-    if f"{metric.name}_sums" in tile.made:
-        for name in derived(metric)["series"]:
-            for a, values in enumerate(np.asarray(tile.made[name])):
-                yield MapLayer(name, (a,), values)
-        num_free = np.isfinite(tile.made[f"{metric.name}_median"]).sum(axis=(1, 2))
-        m_sum = np.asarray(tile.made[f"{metric.name}_sums"]).sum(axis=-1, dtype=np.int64)
-        tile.totals[metric.name] = TimeTotals(m_sum, num_free)
-        return
-
     # Free cells with data, [A, y, x], which alone the sums count.
     is_counted = ~tile.is_obstacle
     if tile.has_data is not None:

@@ -28,7 +28,7 @@ class TileScene:
       surface: roofs, terrain and blocks of the tile (``surface.region``) and of what its metrics look at around it.
       rings: the shadows that the tiles around hand on, by time and satellite; None where the surface itself holds all
         roofs that can shadow the tile.
-      made: what a device has made or makes of it (`jaxurban.maps.at_once.region_maps`); the host makes all else.
+      made: the maps that a device has begun to make (`jaxurban.maps.at_once.region_maps`); the host makes all others.
       totals: the tile's sums over free cells by metric, where statistics over time are kept; `tile_maps` fills it.
     """
 
@@ -41,6 +41,10 @@ class TileScene:
     _surfaces: dict[float, tuple[Surface, Surface | None]] = field(
         default_factory=dict, init=False, repr=False
     )
+
+    def is_made(self, metric: Metric) -> bool:
+        """Return whether a device makes a metric, or its statistics over times."""
+        return not self.made.keys().isdisjoint([metric.name, f"{metric.name}_median"])
 
     @cached_property
     def is_obstacle(self) -> np.ndarray:

@@ -377,12 +377,18 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     if facts is not None:
         return {**facts, "seconds": {}}
     watch = Stopwatch()
-
-    # The maps, each written when it is made.
     window = job.tiling.reported(tile)
     checksums: dict[str, str] = {}
     with on_host():
-        scene = _scene(job, tile, watch.stage)
+        if job.around is None:
+            scene = _after_others(job, tile, watch.stage)
+        else:
+            grid = job.tiling.grid_of(tile)
+            begun = tile_at_once(job.task, grid, window, job.around, watch.stage)
+            assert begun is not None  # as of `jaxurban.maps.memory.plan_run`
+            scene = begun
+
+        # The maps, each written when it is made.
         for layer in tile_maps(scene, watch.stage):
             with watch.stage("write_zarr"):
                 checksums |= write_layer(
@@ -395,20 +401,8 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     return {**facts, "seconds": watch.elapsed_s}
 
 
-def _scene(job: TileJob, tile: Tile, stage: Stage) -> TileScene:
-    """Return a tile of a job, of which a device has begun to make the maps if there is one for the job.
-
-    Args:
-      job, tile: as for `finish_tile`.
-      stage: gives the context that the work on each stage runs in.
-    """
-    if job.around is not None:
-        window, grid = job.tiling.reported(tile), job.tiling.grid_of(tile)
-        begun = tile_at_once(job.task, grid, window, job.around, stage)
-        assert begun is not None
-        return begun
-
-    # What the tiles around have left for this one.
+def _after_others(job: TileJob, tile: Tile, stage: Stage) -> TileScene:
+    """Return a tile with what the tiles around have left for it."""
     with stage("surface"):
         surface = _surface(job, tile)
     with stage("gps"):
