@@ -252,9 +252,9 @@ ROOFS = blocks.Roofs(array(*BLOCK), None, NUMBER)
 
 KERNELS: dict[str, Callable[[], Call]] = {
     "all maps": lambda: Call(jax.jit(at_once.all_maps), inputs()),
-    "a region's maps": lambda: Call(at_once.region_maps, (*region(), True)),
+    "a region's maps": lambda: Call(at_once.region_maps, region(), {"keeps_times": True}),
     "a region's maps, statistics over 24 times": lambda: Call(
-        at_once.region_maps, (*region(NUM_TIMES), False)
+        at_once.region_maps, region(NUM_TIMES), {"keeps_times": False}
     ),
     "shadows: doubling": lambda: Call(
         sweep.shadow_heights_at_once,

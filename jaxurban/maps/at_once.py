@@ -219,7 +219,7 @@ def _weighted(inputs: MapInputs, maps: dict[str, Array], weights: Weights) -> Ar
     return total
 
 
-@partial(jax.jit, static_argnums=2)
+@partial(jax.jit, static_argnames="keeps_times")
 def region_maps(inputs: MapInputs, skies: SkyView, keeps_times: bool) -> dict[str, Array]:
     """Return the maps of a region at all times as `build_maps` keeps them, by variable: `all_maps`, and its sums.
 
@@ -329,7 +329,7 @@ def tile_at_once(
     inputs = _made_ready(task, placed, _made_at_once(task)), skies_of(task, placed, TOGETHER)
     arguments = jax.device_put(inputs, jax.local_devices()[0])
     with stage("compile"):
-        program = region_maps.lower(*arguments, task.keeps_times).compile()
+        program = region_maps.lower(*arguments, keeps_times=task.keeps_times).compile()
     held: Any = program.memory_analysis()
     fixed_bytes = held.argument_size_in_bytes + held.output_size_in_bytes
     if fixed_bytes + held.temp_size_in_bytes > device_bytes:

@@ -35,7 +35,7 @@ def with_host_s_own(task: MapTask) -> MapTask:
     """Return a task with what the host makes beside a device: bounds, a spread, own layers, on request one DOP."""
     params = replace(
         task.params,
-        heights=ju.Heights(height_std_m=3.0, height_samples=2),
+        heights=ju.Heights(height_samples=2),
         sections={**task.params.sections, "gps": Gps(bounds=True), "gps_horizontal": Dop()},
     )
     return replace(task, params=params)
