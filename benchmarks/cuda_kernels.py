@@ -261,6 +261,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
         (array(*SURFACE), lines()),
         {"passes": sweep.num_passes(max(SURFACE))},
     ),
+    # On the host alone: row by row.
     "shadows: a block": lambda: Call(
         blocks.cast,
         (
